@@ -1,0 +1,36 @@
+# Works as the first command typed on a machine with Python 3.11 or later, make, gcc and git.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+DEMO := logs/runs/demo
+
+.PHONY: demo test lint proto sample accuracy clean
+
+$(VENV)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+demo: $(VENV)/.installed
+	@mkdir -p $(DEMO)
+	$(BIN)/roadperc-replay logs/sample.mcap $(DEMO)/sample.mcap --force
+	$(BIN)/roadperc-report $(DEMO)/sample.metrics.parquet
+	@echo
+	@echo "log with results   $(DEMO)/sample.mcap             (open it in Foxglove or Rerun)"
+	@echo "a row per frame    $(DEMO)/sample.metrics.parquet"
+	@echo "a row per object   $(DEMO)/sample.objects.parquet"
+
+test: $(VENV)/.installed
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+proto: $(VENV)/.installed
+	$(BIN)/python -m grpc_tools.protoc --proto_path=. --plugin=protoc-gen-mypy=$(BIN)/protoc-gen-mypy \
+		--python_out=. --mypy_out=. roadperc_stream/schemas/roadperc.proto
+
+clean:
+	rm -rf $(VENV) $(DEMO) build dist *.egg-info

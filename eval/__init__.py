@@ -1,0 +1,1 @@
+"""Reads finished outputs: reports and comparisons."""

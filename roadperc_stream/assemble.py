@@ -1,0 +1,115 @@
+"""Moments to samples: which camera, which mounting, what is missing."""
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+from roadperc_stream.channels import ROLES
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.datatypes import (
+    CameraImage,
+    DepthImage,
+    Frame,
+    Lanes,
+    Objects,
+    Sample,
+    Surface,
+    TagImage,
+    Truth,
+)
+from roadperc_stream.decoding import Transform
+from roadperc_stream.errors import ChannelError
+from roadperc_stream.geometry import Camera, Float, level_mounting
+from roadperc_stream.sync import Held, Moment, Stamped
+
+EGO = "ego"
+T = TypeVar("T")
+
+
+def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str, str]) -> Sample:
+    """The sample of a moment.
+
+    Args:
+        cfg: for the height of a camera without a mounting.
+        moment: the messages of one instant.
+        index: number of the frame in the replay, from 0.
+        topics: topic of each role the log fills.
+
+    Raises:
+        ChannelError: a camera without calibration; the message names it.
+    """
+    parts, held = moment.parts, moment.held
+    depth = _payload(parts, "depth", DepthImage)
+    camera = _camera(moment, topics)
+    depth_camera = _depth_camera(held, camera, depth)
+    mounting = held.lookup(EGO, camera.frame_id)
+    ego_T_camera = level_mounting(cfg.surface.assumed_height_m) if mounting is None else mounting
+    detections = parts.get("detections")
+    frame = Frame(
+        stamp_ns=moment.reference.stamp_ns,
+        camera=camera,
+        ego_T_camera=ego_T_camera,
+        depth_camera=depth_camera,
+        ego_T_depth_camera=_depth_mounting(held, ego_T_camera, camera, depth_camera),
+        mounted=mounting is not None,
+        image=_payload(parts, "image", CameraImage) or _payload(parts, "left", CameraImage),
+        right=_payload(parts, "right", CameraImage),
+        right_camera=held.cameras.get("right_calibration"),
+        depth=depth,
+        segmentation=_payload(parts, "segmentation", TagImage),
+        detections=detections.payload if detections else None,  # type: ignore[arg-type]
+    )
+    missing = tuple(role for role in topics if _expected(role) and role not in parts)
+    return Sample(index, moment.reference.log_time_ns, frame, _truth(parts), missing, moment.skew_ns)
+
+
+def _expected(role: str) -> bool:
+    return not ROLES[role].truth and ROLES[role].kind not in ("calibration", "tf")
+
+
+def _payload(parts: Mapping[str, Stamped], role: str, kind: type[T]) -> T | None:
+    part = parts.get(role)
+    return part.payload if part is not None and isinstance(part.payload, kind) else None
+
+
+def _camera(moment: Moment, topics: Mapping[str, str]) -> Camera:
+    """Camera of image, segmentation and detections."""
+    role = moment.reference.role
+    wanted = {"left": "left_calibration", "depth": "depth_calibration"}.get(role, "calibration")
+    camera = moment.held.cameras.get(wanted) or moment.held.cameras.get("calibration")
+    if camera is None:
+        frame_id = getattr(moment.reference.payload, "frame_id", "")
+        raise ChannelError(
+            f"{topics[role]}: camera {frame_id!r} has no calibration at {moment.reference.stamp_ns} ns: expected a "
+            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC"
+        )
+    return camera
+
+
+def _depth_camera(held: Held, camera: Camera, depth: DepthImage | None) -> Camera:
+    """The depth's own calibration where there is one; else the front camera's numbers under the depth's frame."""
+    own = held.cameras.get("depth_calibration")
+    if own is not None:
+        return own
+    if depth is None or depth.frame_id in ("", camera.frame_id):
+        return camera
+    return Camera(
+        depth.frame_id, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, None, camera.distortion
+    )
+
+
+def _depth_mounting(held: Held, ego_T_camera: Float, camera: Camera, depth_camera: Camera) -> Float:
+    """ego_T_depth by the transform tree; without one the depth camera stands where the front camera does."""
+    camera_T_depth = held.lookup(camera.frame_id, depth_camera.frame_id)
+    return ego_T_camera if camera_T_depth is None else ego_T_camera @ camera_T_depth
+
+
+def _truth(parts: Mapping[str, Stamped]) -> Truth:
+    pose = _payload(parts, "truth_pose", Transform)
+    return Truth(
+        odom_T_ego=pose.parent_T_child if pose else None,
+        surface=_payload(parts, "truth_surface", Surface),
+        lanes=_payload(parts, "truth_lanes", Lanes),
+        objects=_payload(parts, "truth_objects", Objects),
+        depth=_payload(parts, "truth_depth", DepthImage),
+        segmentation=_payload(parts, "truth_segmentation", TagImage),
+    )

@@ -1,0 +1,132 @@
+"""The commands of the package: arguments in, exit code out."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from roadperc_stream import __version__
+from roadperc_stream.channels import parse_topic_options
+from roadperc_stream.config import STAGES, load_config
+from roadperc_stream.errors import ConfigError, RoadpercError
+from roadperc_stream.replay import Cut, ReplaySummary, beside, no_progress, replay
+
+EXIT_DONE, EXIT_ERROR = 0, 1
+
+_REPLAY_EXAMPLE = """\
+example:
+  roadperc-replay logs/sample.mcap out.mcap --set lanes.hold_s=0.8 --set surface.inlier_m=0.03
+  roadperc-report out.metrics.parquet
+
+A log with topics of its own names them by role, such as --topic image=/front/rgb --topic depth=/front/depth.
+"""
+
+
+def run(command: Callable[[], None]) -> int:
+    """Run a command; an error the project states becomes one line on stderr and exit code 1."""
+    try:
+        command()
+    except RoadpercError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_ERROR
+    except KeyboardInterrupt:
+        print("error: interrupted; nothing was written", file=sys.stderr)
+        return EXIT_ERROR
+    return EXIT_DONE
+
+
+@contextmanager
+def frame_progress(what: str, enabled: bool) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar over frames on a terminal, nothing where the output is piped."""
+    console = Console(stderr=True)
+    if not (enabled and console.is_terminal):
+        yield no_progress
+        return
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def replay_main(argv: list[str] | None = None) -> int:
+    """``roadperc-replay``: the main job."""
+    arguments = _replay_parser().parse_args(argv)
+    return run(lambda: _replay(arguments))
+
+
+def _replay_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="roadperc-replay",
+        description="Replay a log through the perception chain: OUT.mcap holds the input and the results, "
+        "OUT.metrics.parquet a row per frame, OUT.objects.parquet a row per detection.",
+        epilog=_REPLAY_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("source", metavar="IN.mcap", type=Path)
+    parser.add_argument("target", metavar="OUT.mcap", type=Path)
+    parser.add_argument("--config", metavar="FILE", type=Path, help="TOML file with any part of the settings")
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting; wins over FILE")
+    parser.add_argument("--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role")
+    parser.add_argument("--start", metavar="SECONDS", type=float, help="from here, counted from the first message")
+    parser.add_argument("--end", metavar="SECONDS", type=float, help="up to here, counted from the first message")
+    parser.add_argument("--frames", metavar="N", type=_positive, help="at most so many frames")
+    parser.add_argument("--only", metavar="STAGES", type=_stages, help=f"some of {','.join(STAGES)}, by commas")
+    parser.add_argument("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
+    parser.add_argument("--force", action="store_true", help="replace an existing OUT.mcap")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+    return parser
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected 1 or more")
+    return number
+
+
+def _stages(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    unknown = [name for name in names if name not in STAGES]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"no stage {unknown[0]!r}; stages: {', '.join(STAGES)}")
+    return names
+
+
+def _replay(arguments: argparse.Namespace) -> None:
+    only = arguments.only or STAGES
+    switched_off = tuple(f"{stage}.enabled=false" for stage in STAGES if stage not in only)
+    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
+        raise ConfigError(f"--end {arguments.end}: expected more than --start {arguments.start}")
+    with frame_progress("replaying", not arguments.quiet) as progress:
+        summary = replay(
+            arguments.source,
+            arguments.target,
+            load_config(arguments.config, (*arguments.set, *switched_off)),
+            overrides=parse_topic_options(arguments.topic),
+            cut=Cut(arguments.start, arguments.end, arguments.frames),
+            results_only=arguments.results_only,
+            force=arguments.force,
+            progress=progress,
+        )
+    if not arguments.quiet:
+        _print_summary(arguments.target, summary)
+
+
+def _print_summary(target: Path, summary: ReplaySummary) -> None:
+    for note in summary.notes:
+        print(f"note: {note}")
+    for topic, number in summary.problems.items():
+        print(f"warning: {number} messages on {topic} could not be read; they are copied, their frames go without")
+    for role, number in summary.dropped.items():
+        print(f"note: {number} messages of role {role} belong to no frame")
+    rate = summary.frames / summary.seconds
+    print(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.0f} a second), log {summary.log_id}")
+    print(
+        f"wrote {target} ({summary.messages_out} messages), {beside(target, 'metrics').name}, "
+        f"{beside(target, 'objects').name}"
+    )

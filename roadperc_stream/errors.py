@@ -1,0 +1,29 @@
+"""What can go wrong, said in one line; the command line is the one place that catches it."""
+
+
+class RoadpercError(Exception):
+    """Root of every error this project states: the message says what and where."""
+
+
+class LogError(RoadpercError):
+    """A log that cannot be read or written."""
+
+
+class ChannelError(RoadpercError):
+    """Topics, schemas or roles that do not fit together."""
+
+
+class DecodeError(RoadpercError):
+    """One message whose bytes are not what its schema promises."""
+
+
+class ConfigError(RoadpercError):
+    """A setting that does not exist or does not fit."""
+
+
+class DumpError(RoadpercError):
+    """A dump folder that cannot be converted."""
+
+
+class TableError(RoadpercError):
+    """A metrics table that cannot be read or reported."""

@@ -1,0 +1,202 @@
+"""Pinhole cameras, rigid transforms and planes: pure functions on arrays.
+
+Names follow ``a_T_b``: a (4, 4) matrix that maps coordinates in frame b to frame a. Camera frames are optical (x right,
+y down, z forward), ego and odom are x forward, y left, z up. Pixel centres are at integers from 0.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+EGO_R_OPTICAL: Final[Float] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Rotation of a camera that looks along ego's x axis, level."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0][3] = -fx b)."""
+
+    frame_id: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    baseline_m: float | None = None
+    distortion: tuple[float, ...] = ()
+
+    @property
+    def K(self) -> Float:
+        """(3, 3) intrinsic matrix, pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns, as an array's shape."""
+        return (self.height, self.width)
+
+    def same_view(self, other: "Camera") -> bool:
+        """Whether both cameras map a ray to the same pixel."""
+        ours = (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+        return ours == (other.width, other.height, other.fx, other.fy, other.cx, other.cy)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Points X with normal . X + offset_m = 0; the normal has unit length and points up, away from the road."""
+
+    normal: tuple[float, float, float]
+    offset_m: float
+
+    @classmethod
+    def of(cls, normal: Float, offset_m: float) -> "Plane":
+        """A plane from any normal that is not zero; it is scaled to unit length, offset included."""
+        length = float(np.linalg.norm(normal))
+        x, y, z = (float(c) / length for c in normal)
+        return cls((x, y, z), float(offset_m) / length)
+
+    @property
+    def n(self) -> Float:
+        """(3,) the normal as an array."""
+        return np.array(self.normal)
+
+    def distance(self, points: Float) -> Float:
+        """Signed distance in metres of (..., 3) points, positive above the plane."""
+        result: Float = points @ self.n + self.offset_m
+        return result
+
+
+def rigid(rotation: Float, translation: Float) -> Float:
+    """(4, 4) transform from a (3, 3) rotation and a (3,) translation in metres."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation, translation
+    return T
+
+
+def inverse(a_T_b: Float) -> Float:
+    """b_T_a of a rigid transform."""
+    R = a_T_b[:3, :3].T
+    return rigid(R, -R @ a_T_b[:3, 3])
+
+
+def transform(a_T_b: Float, points_b: Float) -> Float:
+    """(..., 3) points in frame a."""
+    result: Float = points_b @ a_T_b[:3, :3].T + a_T_b[:3, 3]
+    return result
+
+
+def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Float:
+    """(3, 3) rotation Rz(yaw) Ry(pitch) Rx(roll), radians, as ROS REP 103 has it (pitch: nose down positive)."""
+    result: Float = Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_matrix()
+    return result
+
+
+def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Float:
+    """(3, 3) rotation of a quaternion that need not have unit length."""
+    result: Float = Rotation.from_quat((x, y, z, w)).as_matrix()
+    return result
+
+
+def quaternion(rotation: Float) -> tuple[float, float, float, float]:
+    """x, y, z, w with w >= 0."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True)
+    return float(x), float(y), float(z), float(w)
+
+
+def level_mounting(height_m: float) -> Float:
+    """ego_T_camera of a level camera above the ego origin, looking along ego's x axis."""
+    return rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, height_m]))
+
+
+def project(camera: Camera, points: Float) -> Float:
+    """(..., 2) pixels of (..., 3) points in the camera frame; NaN at or behind the camera."""
+    z = np.where(points[..., 2] > 1e-6, points[..., 2], np.nan)
+    return np.stack((camera.fx * points[..., 0] / z + camera.cx, camera.fy * points[..., 1] / z + camera.cy), axis=-1)
+
+
+def rays(camera: Camera, pixels: Float) -> Float:
+    """(..., 3) directions with z = 1 of (..., 2) pixels."""
+    x = (pixels[..., 0] - camera.cx) / camera.fx
+    y = (pixels[..., 1] - camera.cy) / camera.fy
+    return np.stack((x, y, np.ones_like(x)), axis=-1)
+
+
+def unproject(camera: Camera, pixels: Float, depth_m: NDArray[np.floating[Any]]) -> Float:
+    """(..., 3) points in the camera frame of (..., 2) pixels with depth along z."""
+    return rays(camera, pixels) * np.asarray(depth_m)[..., None]
+
+
+def intersect_plane(camera: Camera, pixels: Float, plane: Plane) -> Float:
+    """(..., 3) points where the pixels' rays meet the plane (camera frame); NaN where they never do in front."""
+    directions = rays(camera, pixels)
+    slope = directions @ plane.n
+    with np.errstate(divide="ignore"):
+        depth = np.where(slope < 0, -plane.offset_m / slope, np.nan)
+    return directions * depth[..., None]
+
+
+def plane_distance(camera: Camera, depth_m: Float32, plane: Plane) -> Float32:
+    """(H, W) signed distance in metres of every depth pixel to the plane; NaN where the depth is unknown.
+
+    The distance of pixel (u, v, z) is z (n . ray) + offset: no points are needed.
+    """
+    nx, ny, nz = plane.normal
+    column = ((np.arange(camera.width) - camera.cx) * (nx / camera.fx)).astype(np.float32)
+    row = ((np.arange(camera.height) - camera.cy) * (ny / camera.fy) + nz).astype(np.float32)
+    distance = depth_m * (row[:, None] + column[None, :])
+    distance += np.float32(plane.offset_m)
+    result: Float32 = distance
+    return result
+
+
+def transform_plane(a_T_b: Float, plane_b: Plane) -> Plane:
+    """The same plane in frame a."""
+    normal = a_T_b[:3, :3] @ plane_b.n
+    return Plane.of(normal, plane_b.offset_m - float(normal @ a_T_b[:3, 3]))
+
+
+def fit_plane(points: Float) -> Plane:
+    """Total least squares plane of (N, 3) points: the direction of least scatter about the centroid.
+
+    The sign is free; see ``facing`` to choose it. Source: the eigenvector of the smallest eigenvalue of the scatter
+    matrix (Pearson 1901).
+
+    Raises:
+        ValueError: fewer than three points.
+
+    """
+    if len(points) < 3:
+        raise ValueError(f"a plane needs three points, got {len(points)}")
+    centroid = points.mean(axis=0)
+    centred = points - centroid
+    _, vectors = np.linalg.eigh(centred.T @ centred)
+    normal = vectors[:, 0]
+    return Plane.of(normal, -float(normal @ centroid))
+
+
+def facing(plane: Plane, point: Float) -> Plane:
+    """The plane with its normal turned to the side on which the point lies."""
+    if float(plane.distance(point)) >= 0:
+        return plane
+    return Plane.of(-plane.n, -plane.offset_m)
+
+
+def camera_pitch_roll(plane: Plane) -> tuple[float, float]:
+    """Pitch (nose down positive) and roll (right side down positive) in radians of a camera against a plane.
+
+    The plane is given in the camera frame. A level camera over a level road has the normal (0, -1, 0).
+    """
+    nx, ny, nz = plane.normal
+    return float(-np.arcsin(np.clip(nz, -1.0, 1.0))), float(np.arctan2(-nx, -ny))
+
+
+def angle_between(a: Float, b: Float) -> float:
+    """Angle in radians between two (3,) vectors, accurate for small angles."""
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

@@ -1,0 +1,73 @@
+"""Pixels in and out of their encodings."""
+
+import io
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from roadperc_stream.datatypes import Image
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import Float32
+from roadperc_stream.semantics import Colour
+
+DEPTH_LIMIT_MM: Final = 65535
+UNKNOWN_MM: Final = 0
+_PALETTE_ENTRIES: Final = 256
+
+
+def decode_bgr(data: bytes) -> Image:
+    """(H, W, 3) uint8 of an encoded image.
+
+    Raises:
+        DecodeError: OpenCV reads no image from the bytes.
+
+    """
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    if pixels is None:
+        raise DecodeError(f"{len(data)} bytes are no image")
+    return pixels.astype(np.uint8, copy=False)
+
+
+def decode_indices(data: bytes) -> Image:
+    """(H, W) uint8 indices of a palette PNG, or the grey values of a grey one.
+
+    Raises:
+        DecodeError: no image, or one without indices.
+
+    """
+    try:
+        with PillowImage.open(io.BytesIO(data)) as image:
+            if image.mode not in ("P", "L"):
+                raise DecodeError(f"image of mode {image.mode}: expected palette indices (P) or grey tags (L)")
+            return np.array(image)
+    except (OSError, ValueError, SyntaxError) as error:
+        raise DecodeError(f"{len(data)} bytes are no PNG: {error}") from error
+
+
+def encode_indices(indices: Image, colours: tuple[Colour, ...]) -> bytes:
+    """Palette PNG of (H, W) uint8 indices: label images show their colours in every viewer."""
+    image = PillowImage.fromarray(indices, "L").convert("L")
+    image.putpalette(np.array(colours, np.uint8).tobytes().ljust(3 * _PALETTE_ENTRIES, b"\x00"))
+    stream = io.BytesIO()
+    image.save(stream, "PNG", compress_level=3)
+    return stream.getvalue()
+
+
+def depth_from_mm(depth_mm: NDArray[np.generic]) -> Float32:
+    """Metres of 16-bit millimetres: NaN for 0; 65535 stands for 65.535 m or more."""
+    depth_m = depth_mm.astype(np.float32)
+    depth_m *= np.float32(0.001)
+    depth_m[depth_mm == UNKNOWN_MM] = np.nan
+    return depth_m
+
+
+def depth_to_mm(depth_m: Float32) -> NDArray[np.uint16]:
+    """16-bit millimetres of metres: unknown (NaN, not positive) becomes 0, what lies beyond the range 65535."""
+    known = np.isfinite(depth_m) & (depth_m > 0) | (depth_m == np.inf)
+    millimetres = np.clip(np.where(known, depth_m, 0.0) * np.float32(1000.0), 0, DEPTH_LIMIT_MM)
+    rounded = np.rint(millimetres).astype(np.uint16)
+    rounded[known & (rounded == UNKNOWN_MM)] = 1
+    return rounded

@@ -1,0 +1,309 @@
+"""One row of numbers per frame and one per detection: pure functions of what the chain made and what is true.
+
+An error is estimate minus truth; a column is None where it could not be measured.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.datatypes import (
+    Absent,
+    Boundary,
+    FrameResult,
+    Lanes,
+    Mask,
+    Object,
+    Objects,
+    Sample,
+    Truth,
+)
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import angle_between
+from roadperc_stream.stages.surface import drivable_mask
+
+LANE_ERROR_AT_M = 10.0
+MATCH_OVERLAP = 0.5
+"""Intersection over union from which a detection stands for a true object."""
+
+
+@dataclass(frozen=True)
+class FrameMetrics:
+    """The row of a frame: DESIGN's columns, the times excepted. Units are in the names."""
+
+    log_id: str
+    frame: int
+    stamp_ns: int
+    surface_inlier_ratio: float | None = None
+    camera_height_m: float | None = None
+    camera_pitch_deg: float | None = None
+    camera_roll_deg: float | None = None
+    drivable_ratio: float | None = None
+    surface_source: str | None = None
+    lane_left_status: str | None = None
+    lane_left_offset_m: float | None = None
+    lane_left_raw_offset_m: float | None = None
+    lane_left_boundary_class: str | None = None
+    lane_right_status: str | None = None
+    lane_right_offset_m: float | None = None
+    lane_right_raw_offset_m: float | None = None
+    lane_right_boundary_class: str | None = None
+    lane_width_m: float | None = None
+    lane_heading_deg: float | None = None
+    lane_proposals: int | None = None
+    lane_merged: int | None = None
+    detections: int | None = None
+    detections_kept: int | None = None
+    detections_unjudged: int | None = None
+    nearest_object_m: float | None = None
+    nearest_object_class: str | None = None
+    time_to_impact_s: float | None = None
+    stereo_valid_ratio: float | None = None
+    stereo_nearest_m: float | None = None
+    odometry_status: str | None = None
+    odometry_inliers: int | None = None
+    step_m: float | None = None
+    turn_deg: float | None = None
+    odom_x_m: float | None = None
+    odom_y_m: float | None = None
+    odom_z_m: float | None = None
+    odom_qx: float | None = None
+    odom_qy: float | None = None
+    odom_qz: float | None = None
+    odom_qw: float | None = None
+    surface_angle_error_deg: float | None = None
+    camera_height_error_m: float | None = None
+    drivable_iou: float | None = None
+    lane_left_error_m: float | None = None
+    lane_right_error_m: float | None = None
+    object_distance_error_m: float | None = None
+    stereo_epe_px: float | None = None
+    stereo_d1_ratio: float | None = None
+    step_error_m: float | None = None
+    turn_error_deg: float | None = None
+    sync_skew_ms: float | None = None
+    missing: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ObjectMetrics:
+    """The row of a detection."""
+
+    log_id: str
+    frame: int
+    stamp_ns: int
+    track_id: str
+    label: str
+    score: float
+    x_min_px: float
+    y_min_px: float
+    x_max_px: float
+    y_max_px: float
+    class_ratio: float | None
+    kept: bool
+    distance_m: float | None
+    distance_std_m: float | None
+    closing_speed_mps: float | None
+    time_to_impact_s: float | None
+    status: str
+    true_distance_m: float | None
+
+
+def frame_metrics(cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameResult) -> FrameMetrics:
+    """The row of one frame, with errors wherever the log carries truth."""
+    return FrameMetrics(
+        log_id=log_id,
+        frame=sample.index,
+        stamp_ns=result.stamp_ns,
+        sync_skew_ms=None if sample.skew_ns is None else sample.skew_ns / 1e6,
+        missing=sample.missing,
+        reasons=result.reasons(),
+        **_surface_columns(result),
+        **_lane_columns(result.lanes),
+        **_object_columns(result.objects),
+        **_surface_errors(cfg, result, sample),
+        **_lane_errors(result.lanes, sample.truth.lanes),
+        **_object_errors(result.objects, sample.truth.objects),
+    )
+
+
+def object_metrics(log_id: str, sample: Sample, result: FrameResult) -> list[ObjectMetrics]:
+    """The rows of a frame's detections, kept and dropped."""
+    if isinstance(result.objects, Absent):
+        return []
+    objects = result.objects.objects
+    true_distances = _true_distances(objects, sample.truth.objects)
+    return [_object_row(log_id, sample, item, true_m) for item, true_m in zip(objects, true_distances, strict=True)]
+
+
+def _object_row(log_id: str, sample: Sample, item: Object, true_distance_m: float | None) -> ObjectMetrics:
+    box = item.detection.box_px
+    return ObjectMetrics(
+        log_id,
+        sample.index,
+        sample.frame.stamp_ns,
+        item.track_id,
+        item.detection.label,
+        item.detection.score,
+        box.x_min,
+        box.y_min,
+        box.x_max,
+        box.y_max,
+        item.class_ratio,
+        item.kept,
+        item.distance_m,
+        item.distance_std_m,
+        item.closing_speed_mps,
+        item.time_to_impact_s,
+        item.status,
+        true_distance_m,
+    )
+
+
+Columns = dict[str, Any]
+
+
+def _surface_columns(result: FrameResult) -> Columns:
+    columns: Columns = {}
+    if not isinstance(result.surface, Absent):
+        surface = result.surface
+        columns |= {
+            "surface_inlier_ratio": surface.inlier_ratio,
+            "surface_source": surface.source,
+            "camera_height_m": surface.camera_height_m,
+            "camera_pitch_deg": float(np.degrees(surface.pitch)),
+            "camera_roll_deg": float(np.degrees(surface.roll)),
+        }
+    if not isinstance(result.drivable, Absent):
+        columns["drivable_ratio"] = float(result.drivable.mean())
+    return columns
+
+
+def _lane_columns(lanes: Lanes | Absent) -> Columns:
+    if isinstance(lanes, Absent):
+        return {}
+    left, right = lanes.side("left"), lanes.side("right")
+    columns: Columns = {"lane_proposals": len(lanes.proposals_px), "lane_merged": len(lanes.merged_px)}
+    for boundary in (left, right):
+        prefix = f"lane_{boundary.side}"
+        columns[f"{prefix}_status"] = boundary.status
+        columns[f"{prefix}_offset_m"] = boundary.offset_m
+        columns[f"{prefix}_raw_offset_m"] = boundary.raw_offset_m
+        columns[f"{prefix}_boundary_class"] = boundary.outside or None
+    if left.offset_m is not None and right.offset_m is not None:
+        columns["lane_width_m"] = left.offset_m - right.offset_m
+    headings = [boundary.heading for boundary in (left, right) if boundary.heading is not None]
+    if headings:
+        columns["lane_heading_deg"] = float(np.degrees(np.mean(headings)))
+    return columns
+
+
+def _object_columns(objects: Objects | Absent) -> Columns:
+    if isinstance(objects, Absent):
+        return {}
+    kept = [item for item in objects.objects if item.kept]
+    known = [(item.distance_m, item.detection.label) for item in kept if item.distance_m is not None]
+    nearest_m, nearest_class = min(known, default=(None, None))
+    impacts = [item.time_to_impact_s for item in kept if item.time_to_impact_s is not None]
+    return {
+        "detections": len(objects.objects),
+        "detections_kept": len(kept),
+        "detections_unjudged": sum(item.kept and item.class_ratio is None for item in objects.objects),
+        "nearest_object_m": nearest_m,
+        "nearest_object_class": nearest_class,
+        "time_to_impact_s": min(impacts, default=None),
+    }
+
+
+def _surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> Columns:
+    columns: Columns = {}
+    truth = sample.truth
+    if truth.surface is not None and not isinstance(result.surface, Absent):
+        angle = angle_between(result.surface.ego_plane.n, truth.surface.ego_plane.n)
+        columns["surface_angle_error_deg"] = float(np.degrees(angle))
+        columns["camera_height_error_m"] = result.surface.camera_height_m - truth.surface.camera_height_m
+    true_mask = _true_drivable(cfg, truth, sample)
+    if true_mask is not None and not isinstance(result.drivable, Absent):
+        columns["drivable_iou"] = intersection_over_union(result.drivable, true_mask)
+    return columns
+
+
+def _true_drivable(cfg: ReplayConfig, truth: Truth, sample: Sample) -> Mask | None:
+    """Drivable pixels by the clean tags, depth and plane; None where the log does not carry all three."""
+    if truth.segmentation is None or truth.depth is None or truth.surface is None:
+        return None
+    try:
+        road = truth.segmentation.table.lookup(cfg.surface.classes)[truth.segmentation.tags]
+        depth_m = truth.depth.depth_m
+    except DecodeError:
+        return None
+    camera = sample.frame.camera
+    if road.shape != camera.size or depth_m.shape != camera.size:
+        return None
+    mask = drivable_mask(cfg.surface, truth.surface, camera, depth_m, road)
+    return None if isinstance(mask, Absent) else mask
+
+
+def intersection_over_union(mask: Mask, truth: Mask) -> float | None:
+    """|A and B| / |A or B| of two (H, W) masks; None where both are empty or their shapes differ."""
+    if mask.shape != truth.shape:
+        return None
+    union = int(np.count_nonzero(mask | truth))
+    return int(np.count_nonzero(mask & truth)) / union if union else None
+
+
+def _lane_errors(lanes: Lanes | Absent, truth: Lanes | None) -> Columns:
+    if isinstance(lanes, Absent) or truth is None:
+        return {}
+    return {f"lane_{side}_error_m": lane_error_m(lanes.side(side), truth.side(side)) for side in ("left", "right")}
+
+
+def lane_error_m(boundary: Boundary, truth: Boundary) -> float | None:
+    """Lateral error ``LANE_ERROR_AT_M`` ahead (ego x), metres; positive where the estimate lies farther left."""
+    x = LANE_ERROR_AT_M
+    line = truth.line_ego_m
+    if boundary.offset_m is None or boundary.heading is None or boundary.curvature_per_m is None:
+        return None
+    if len(line) < 2 or not line[0, 0] <= x <= line[-1, 0]:
+        return None
+    y = boundary.offset_m + boundary.heading * x + 0.5 * boundary.curvature_per_m * x**2
+    return float(y - np.interp(x, line[:, 0], line[:, 1]))
+
+
+def _object_errors(objects: Objects | Absent, truth: Objects | None) -> Columns:
+    if isinstance(objects, Absent):
+        return {}
+    pairs = zip(objects.objects, _true_distances(objects.objects, truth), strict=True)
+    errors = [
+        abs(item.distance_m - true_m)
+        for item, true_m in pairs
+        if item.kept and item.distance_m is not None and true_m is not None
+    ]
+    return {"object_distance_error_m": float(np.mean(errors)) if errors else None}
+
+
+def _true_distances(objects: Sequence[Object], truth: Objects | None) -> list[float | None]:
+    """Distance of the true object each detection stands for: pairs by overlap, the best first, each used once."""
+    distances: list[float | None] = [None] * len(objects)
+    if truth is None:
+        return distances
+    pairs = sorted(
+        (
+            (item.detection.box_px.overlap(true.detection.box_px), i, k)
+            for i, item in enumerate(objects)
+            for k, true in enumerate(truth.objects)
+        ),
+        key=lambda pair: (-pair[0], pair[1], pair[2]),
+    )
+    used_items: set[int] = set()
+    used_truths: set[int] = set()
+    for overlap, i, k in pairs:
+        if overlap >= MATCH_OVERLAP and i not in used_items and k not in used_truths:
+            distances[i] = truth.objects[k].distance_m
+            used_items.add(i)
+            used_truths.add(k)
+    return distances

@@ -1,0 +1,306 @@
+"""The one loop: a log in, the log with results and the metrics tables out."""
+
+import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import pyarrow as pa
+
+from roadperc_stream import __version__, log
+from roadperc_stream.assemble import sample_of
+from roadperc_stream.chain import ChainState, step
+from roadperc_stream.channels import PRODUCER, RESULTS, ROLES, schema
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.datatypes import Sample
+from roadperc_stream.errors import ChannelError, LogError
+from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, MessageDigest, Metadata
+from roadperc_stream.metrics import FrameMetrics, ObjectMetrics, frame_metrics, object_metrics
+from roadperc_stream.results import result_messages
+from roadperc_stream.roles import Filled, Problems, fill_roles, is_result, stamped_messages
+from roadperc_stream.sync import HELD_KINDS, Held, SyncCounts, reference_role, synchronise
+from roadperc_stream.table import TableWriter, arrow_schema
+
+CONFIG_ATTACHMENT = "roadperc.toml"
+METADATA_RECORD = "roadperc"
+TIME_COLUMNS = tuple(
+    f"{stage}_ms" for stage in ("decode", "surface", "lanes", "objects", "stereo", "odometry", "encode", "total")
+)
+_NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Cut:
+    """What part of a log is replayed: seconds from its first message, and at most so many frames."""
+
+    start_s: float | None = None
+    end_s: float | None = None
+    frames: int | None = None
+
+
+@dataclass
+class StageTimer:
+    """Milliseconds each stage took since the last ``reset``."""
+
+    elapsed_ms: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Measure what happens inside, and add it to the stage's time."""
+        started = perf_counter()
+        try:
+            yield
+        finally:
+            self.elapsed_ms[name] = self.elapsed_ms.get(name, 0.0) + (perf_counter() - started) * 1000
+
+    def columns(self) -> dict[str, float]:
+        """The time columns of a row; stages that did not run are left out."""
+        return {f"{name}_ms": value for name, value in self.elapsed_ms.items()}
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a first pass over the log finds: the part to replay, its digest, and what holds at its start."""
+
+    filled: Filled
+    start_ns: int | None
+    end_ns: int | None
+    digest: str
+    messages: int
+    expected_frames: int
+    held: Held
+
+
+@dataclass(frozen=True)
+class ReplaySummary:
+    """What a replay did, for the person who started it."""
+
+    log_id: str
+    frames: int
+    messages_in: int
+    messages_out: int
+    seconds: float
+    notes: tuple[str, ...]
+    dropped: dict[str, int]
+    problems: dict[str, int]
+
+
+def no_progress(_done: int, _expected: int) -> None:
+    """Take the news and tell nobody."""
+
+
+def replay(
+    source: Path,
+    target: Path,
+    cfg: ReplayConfig,
+    *,
+    overrides: dict[str, str] | None = None,
+    cut: Cut = Cut(),
+    results_only: bool = False,
+    force: bool = False,
+    progress: Callable[[int, int], None] = no_progress,
+) -> ReplaySummary:
+    """Replay a log through the chain.
+
+    Args:
+        source: the log to read.
+        target: the log to write; ``target.metrics.parquet`` and ``target.objects.parquet`` come beside it.
+        cfg: the chain's configuration.
+        overrides: topic of each role that is not on the contract's topic.
+        cut: part of the log to replay; the copy of the input is cut with it.
+        results_only: leave the input's messages out of ``target``.
+        force: replace an existing ``target``.
+        progress: called with frames done and frames expected.
+
+    Raises:
+        RoadpercError: the input cannot be read or replayed, or the output cannot be written; nothing is left behind.
+    """
+    started = perf_counter()
+    _require_free(source, target, force)
+    summary = log.summarise(source)
+    survey = _survey(summary, cfg, overrides or {}, cut)
+    counts, problems = SyncCounts(), Problems()
+    log_id, state = survey.digest[:16], ChainState()
+    reasons: tuple[str, ...] = ()
+    with (
+        TableWriter(beside(target, "metrics"), _schema(FrameMetrics, cfg, target, TIME_COLUMNS)) as frames,
+        TableWriter(beside(target, "objects"), _schema(ObjectMetrics, cfg, target)) as detections,
+        LogWriter(target, summary.profile) as writer,
+    ):
+        copy = InputCopy(summary, survey, writer, results_only)
+        for sample in _samples(summary, survey, cfg, counts, problems):
+            timer = StageTimer()
+            with timer("total"):
+                state, result = step(cfg, state, sample.frame, timer)
+                row = frame_metrics(cfg, log_id, sample, result)
+                copy.through(sample.log_time_ns)
+                with timer("encode"):
+                    messages = list(result_messages(sample, result, row, reasons))
+                for topic, data in messages:
+                    writer.write(_result_message(topic, sample, data))
+            frames.append(row, **timer.columns())
+            for detection in object_metrics(log_id, sample, result):
+                detections.append(detection)
+            reasons = row.reasons
+            progress(counts.frames, survey.expected_frames)
+        copy.rest()
+        _describe(writer, summary, survey, cfg, counts)
+    return ReplaySummary(
+        log_id,
+        counts.frames,
+        survey.messages,
+        writer.messages,
+        perf_counter() - started,
+        (*survey.filled.notes, *problems.first.values()),
+        dict(counts.dropped),
+        dict(problems.counts),
+    )
+
+
+class InputCopy:
+    """Copies the input's messages to the output, as far as the results have come."""
+
+    def __init__(self, summary: LogSummary, survey: Survey, writer: LogWriter, results_only: bool) -> None:
+        self._writer = writer
+        channels = [] if results_only else [c for c in summary.channels if not is_result(c)]
+        for channel in channels:
+            writer.register(channel)
+        for topic, name in RESULTS.items():
+            writer.register(_result_channel(topic, name))
+        self._messages = _inputs(summary, survey.start_ns, survey.end_ns) if not results_only else iter(())
+        self._next = next(self._messages, None)
+
+    def through(self, log_time_ns: int | None) -> None:
+        """Copy everything up to and including a log time; None copies all that is left."""
+        while self._next is not None and (log_time_ns is None or self._next.log_time_ns <= log_time_ns):
+            self._writer.write(self._next)
+            self._next = next(self._messages, None)
+
+    def rest(self) -> None:
+        """Copy all that is left."""
+        self.through(None)
+
+
+def beside(target: Path, table: str) -> Path:
+    """out.mcap gives out.metrics.parquet and out.objects.parquet."""
+    return target.with_name(f"{target.stem}.{table}.parquet")
+
+
+def _require_free(source: Path, target: Path, force: bool) -> None:
+    if target.exists() and source.exists() and target.samefile(source):
+        raise LogError(f"{target}: is the input itself; name another output")
+    if target.is_dir():
+        raise LogError(f"{target}: is a folder, expected the name of a file")
+    if target.exists() and not force:
+        raise LogError(f"{target}: exists already; --force replaces it")
+
+
+def _survey(summary: LogSummary, cfg: ReplayConfig, overrides: dict[str, str], cut: Cut) -> Survey:
+    """Find the roles and the part to replay, and read that part once: every CRC is checked before work starts."""
+    used = [c for c in summary.channels if summary.counts.get(c.source_id)]
+    try:
+        filled = fill_roles(used, overrides)
+        reference = reference_role(filled.topics)
+    except ChannelError as error:
+        raise ChannelError(f"{summary.path}: {error}") from error
+    start_ns, end_ns = _window(summary, cut, filled.topics[reference])
+    digest, messages, frames = MessageDigest(), 0, 0
+    for message in _inputs(summary, start_ns, end_ns, validate_crcs=True):
+        digest.update(message)
+        messages += 1
+        frames += message.channel.topic == filled.topics[reference]
+    if not frames:
+        raise LogError(f"{summary.path}: no message on {filled.topics[reference]} in the part asked for")
+    held = _held_at(summary, filled, cfg, start_ns)
+    return Survey(filled, start_ns, end_ns, digest.hexdigest(), messages, frames, held)
+
+
+def _window(summary: LogSummary, cut: Cut, reference_topic: str) -> tuple[int | None, int | None]:
+    """First log time replayed and first one no longer replayed; None where there is no limit."""
+    first_ns = summary.first_ns or 0
+    start_ns = None if cut.start_s is None else first_ns + round(cut.start_s * _NANOSECONDS)
+    end_ns = None if cut.end_s is None else first_ns + round(cut.end_s * _NANOSECONDS)
+    if cut.frames is None:
+        return start_ns, end_ns
+    messages = log.read(summary.path, topics=[reference_topic], start_ns=start_ns, end_ns=end_ns)
+    beyond = next((message for number, message in enumerate(messages) if number == cut.frames), None)
+    return start_ns, beyond.log_time_ns if beyond else end_ns
+
+
+def _inputs(
+    summary: LogSummary, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool = False
+) -> Iterator[Message]:
+    """The messages of a log that no earlier replay wrote."""
+    messages = log.read(summary.path, start_ns=start_ns, end_ns=end_ns, validate_crcs=validate_crcs)
+    return (message for message in messages if not is_result(message.channel))
+
+
+def _held_at(summary: LogSummary, filled: Filled, cfg: ReplayConfig, start_ns: int | None) -> Held:
+    """Calibrations and transforms that hold at the start: the last ones before it, else the first ones after it."""
+    waiting = {role for role in filled.topics if ROLES[role].kind in HELD_KINDS}
+    topics = {filled.topics[role] for role in waiting}
+    held = Held()
+    messages = log.read(summary.path, topics=topics) if topics else iter(())
+    for item in stamped_messages(messages, filled, cfg.tag_table, Problems()):
+        before = start_ns is not None and item.log_time_ns < start_ns
+        if ROLES[item.role].kind in HELD_KINDS and (before or item.role in waiting):
+            held = held.updated(item)
+            waiting.discard(item.role)
+        if not waiting and not before:
+            break
+    return held
+
+
+def _samples(
+    summary: LogSummary, survey: Survey, cfg: ReplayConfig, counts: SyncCounts, problems: Problems
+) -> Iterator[Sample]:
+    """The frames of the log, in order."""
+    filled = survey.filled
+    topics = set(filled.topics.values())
+    messages = log.read(summary.path, topics=topics, start_ns=survey.start_ns, end_ns=survey.end_ns)
+    inputs = (message for message in messages if not is_result(message.channel))
+    items = stamped_messages(inputs, filled, cfg.tag_table, problems)
+    reference = reference_role(filled.topics)
+    for index, moment in enumerate(synchronise(cfg.sync, items, reference, filled.topics, survey.held, counts)):
+        try:
+            yield sample_of(cfg, moment, index, filled.topics)
+        except ChannelError as error:
+            raise ChannelError(f"{summary.path}: {error}") from error
+
+
+def _result_channel(topic: str, schema_name: str) -> Channel:
+    found = schema(schema_name)
+    return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata=(PRODUCER,))
+
+
+def _result_message(topic: str, sample: Sample, data: bytes) -> Message:
+    channel = _result_channel(topic, RESULTS[topic])
+    return Message(channel, sample.log_time_ns, sample.log_time_ns, sample.index, data)
+
+
+def _schema(row_type: type, cfg: ReplayConfig, target: Path, extra: tuple[str, ...] = ()) -> pa.Schema:
+    config_digest = hashlib.sha256(cfg.to_toml().encode()).hexdigest()
+    facts = {"config_digest": config_digest, "version": __version__, "log": str(target.resolve())}
+    return arrow_schema(row_type, extra, {f"roadperc.{key}": value for key, value in facts.items()})
+
+
+def _describe(writer: LogWriter, summary: LogSummary, survey: Survey, cfg: ReplayConfig, counts: SyncCounts) -> None:
+    """Carry the input's attachments and metadata over, and say how this output came about."""
+    for attachment in summary.attachments:
+        if attachment.name != CONFIG_ATTACHMENT:
+            writer.attach(attachment)
+    writer.attach(Attachment(CONFIG_ATTACHMENT, "application/toml", cfg.to_toml().encode()))
+    for record in summary.metadata:
+        if record.name != METADATA_RECORD:
+            writer.describe(record)
+    facts = {
+        "version": __version__,
+        "seed": str(cfg.seed),
+        "digest": survey.digest,
+        "input_messages": str(survey.messages),
+        "frames": str(counts.frames),
+        **{f"dropped.{role}": str(number) for role, number in sorted(counts.dropped.items())},
+    }
+    writer.describe(Metadata(METADATA_RECORD, tuple(facts.items())))

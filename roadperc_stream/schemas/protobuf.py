@@ -1,0 +1,51 @@
+"""Protobuf messages in a log: self-describing schemas and stamps."""
+
+from functools import cache
+from typing import Any, Final
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import Message as ProtobufMessage
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from roadperc_stream.schemas import roadperc_pb2
+
+MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {
+    message_type.DESCRIPTOR.full_name: message_type
+    for message_type in (
+        CameraCalibration,
+        CompressedImage,
+        FrameTransforms,
+        ImageAnnotations,
+        Log,
+        PoseInFrame,
+        SceneUpdate,
+        roadperc_pb2.Detections,
+        roadperc_pb2.FrameMetrics,
+        roadperc_pb2.Lanes,
+        roadperc_pb2.Objects,
+        roadperc_pb2.Surface,
+    )
+}
+
+
+@cache
+def schema_data(name: str) -> bytes:
+    """The FileDescriptorSet that lets any reader decode messages of this type."""
+    data: bytes = build_file_descriptor_set(MESSAGE_TYPES[name]).SerializeToString(deterministic=True)
+    return data
+
+
+def stamp_ns(timestamp: Any) -> int:
+    """Integer nanoseconds of a google.protobuf.Timestamp."""
+    return int(timestamp.seconds) * 1_000_000_000 + int(timestamp.nanos)
+
+
+def set_stamp(message: Any, stamp: int) -> None:
+    """Write integer nanoseconds into a message's ``timestamp``."""
+    message.timestamp.seconds, message.timestamp.nanos = divmod(stamp, 1_000_000_000)

@@ -1,0 +1,182 @@
+"""CARLA's tag tables by version, and the class names every stage speaks of.
+
+Sources: CARLA's documentation of the semantic segmentation camera and ``CityScapesPalette.h`` of the versions
+0.8.2 to 0.9.15. The order changed with 0.9.14, where CARLA took over the numbers of Cityscapes; the two orders cannot
+be told apart by the numbers, so the table travels with the log (channel metadata ``tag_table``).
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.errors import ConfigError
+
+Colour = tuple[int, int, int]
+"""Red, green, blue, 0 to 255."""
+
+
+@dataclass(frozen=True)
+class TagTable:
+    """The classes of one range of CARLA versions: the tag is the position in ``names``."""
+
+    name: str
+    names: tuple[str, ...]
+    colours: tuple[Colour, ...]
+    other_colours: tuple[tuple[Colour, int], ...] = ()
+    """Colours that some versions in the range use for a tag, beside the one in ``colours``."""
+
+    def tags_of(self, classes: Iterable[str]) -> tuple[int, ...]:
+        """Tags of the classes named; a group's name stands for its members.
+
+        Raises:
+            ConfigError: no table knows such a class.
+
+        """
+        wanted = {member for name in classes for member in _members(name)}
+        return tuple(tag for tag, name in enumerate(self.names) if name in wanted)
+
+    def lookup(self, classes: Iterable[str]) -> NDArray[np.uint8]:
+        """(256,) uint8 with 1 at the tags of the classes named: index it with tags to get a mask."""
+        table = np.zeros(256, np.uint8)
+        table[list(self.tags_of(classes))] = 1
+        return table
+
+    def name_of(self, tag: int) -> str:
+        """Class name of a tag; a tag outside the table is ``unlabeled``."""
+        return self.names[tag] if tag < len(self.names) else "unlabeled"
+
+    def tag_by_colour(self) -> dict[Colour, int]:
+        """Every palette colour of these versions and the tag it stands for."""
+        return {**dict(self.other_colours), **{colour: tag for tag, colour in enumerate(self.colours)}}
+
+
+_COLOURS: Final[dict[str, Colour]] = {
+    "unlabeled": (0, 0, 0),
+    "building": (70, 70, 70),
+    "fence": (190, 153, 153),
+    "other": (250, 170, 160),
+    "pedestrian": (220, 20, 60),
+    "pole": (153, 153, 153),
+    "road_line": (157, 234, 50),
+    "road": (128, 64, 128),
+    "sidewalk": (244, 35, 232),
+    "vegetation": (107, 142, 35),
+    "vehicle": (0, 0, 142),
+    "car": (0, 0, 142),
+    "wall": (102, 102, 156),
+    "traffic_sign": (220, 220, 0),
+    "sky": (70, 130, 180),
+    "ground": (81, 0, 81),
+    "bridge": (150, 100, 100),
+    "rail_track": (230, 150, 140),
+    "guard_rail": (180, 165, 180),
+    "traffic_light": (250, 170, 30),
+    "static": (110, 190, 160),
+    "dynamic": (170, 120, 50),
+    "water": (45, 60, 150),
+    "terrain": (152, 251, 152),
+    "rider": (255, 0, 0),
+    "truck": (0, 0, 70),
+    "bus": (0, 60, 100),
+    "train": (0, 80, 100),
+    "motorcycle": (0, 0, 230),
+    "bicycle": (119, 11, 32),
+}
+_FENCE_LATER: Final[Colour] = (100, 40, 40)
+_OTHER_LATER: Final[Colour] = (55, 90, 80)
+_TERRAIN_EARLIER: Final[Colour] = (145, 170, 100)
+
+
+def _table(name: str, names: str, variants: dict[Colour, str]) -> TagTable:
+    classes = tuple(names.split())
+    return TagTable(
+        name,
+        classes,
+        tuple(_COLOURS[c] for c in classes),
+        tuple((colour, classes.index(c)) for colour, c in variants.items()),
+    )
+
+
+CARLA_BEFORE_0_9_14: Final = _table(
+    "carla-before-0.9.14",
+    "unlabeled building fence other pedestrian pole road_line road sidewalk vegetation vehicle wall traffic_sign "
+    "sky ground bridge rail_track guard_rail traffic_light static dynamic water terrain",
+    {_FENCE_LATER: "fence", _OTHER_LATER: "other", _TERRAIN_EARLIER: "terrain"},
+)
+CARLA_FROM_0_9_14: Final = _table(
+    "carla-from-0.9.14",
+    "unlabeled road sidewalk building wall fence pole traffic_light traffic_sign vegetation terrain sky pedestrian "
+    "rider car truck bus train motorcycle bicycle static dynamic other water road_line ground bridge rail_track "
+    "guard_rail",
+    {_FENCE_LATER: "fence", _OTHER_LATER: "other", _TERRAIN_EARLIER: "terrain"},
+)
+TABLES: Final = {table.name: table for table in (CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14)}
+
+GROUPS: Final[dict[str, tuple[str, ...]]] = {
+    "vehicle": ("vehicle", "car", "truck", "bus", "train", "motorcycle", "bicycle"),
+    "pedestrian": ("pedestrian", "rider"),
+}
+"""One name for what the tables split differently: before 0.9.14 every vehicle carries one tag."""
+
+CLASS_NAMES: Final = frozenset(name for table in TABLES.values() for name in table.names) | frozenset(GROUPS)
+
+LABEL_CLASSES: Final[dict[str, tuple[str, ...]]] = {
+    "vehicle": ("vehicle",),
+    "car": ("vehicle",),
+    "van": ("vehicle",),
+    "truck": ("vehicle",),
+    "bus": ("vehicle",),
+    "tram": ("vehicle",),
+    "train": ("vehicle",),
+    "motorcycle": ("vehicle", "rider"),
+    "bicycle": ("vehicle", "rider"),
+    "cyclist": ("vehicle", "rider", "pedestrian"),
+    "pedestrian": ("pedestrian",),
+    "person": ("pedestrian",),
+    "person_sitting": ("pedestrian",),
+    "walker": ("pedestrian",),
+    "rider": ("pedestrian", "rider"),
+    "traffic_light": ("traffic_light", "traffic_sign"),
+    "traffic_sign": ("traffic_sign",),
+    "stop_sign": ("traffic_sign",),
+}
+"""Detector labels (lower case, blanks as underscores) and the classes their pixels may carry."""
+
+
+def classes_of_label(label: str) -> tuple[str, ...] | None:
+    """Classes whose tags a detection of this label should cover; None where the label is not known."""
+    return LABEL_CLASSES.get(label.strip().lower().replace(" ", "_").replace("-", "_"))
+
+
+@cache
+def label_lookup(table: TagTable, label: str) -> NDArray[np.uint8] | None:
+    """(256,) uint8 mask table of a detector label; None where the label is not known."""
+    classes = classes_of_label(label)
+    return None if classes is None else table.lookup(classes)
+
+
+def table_for_version(version: str) -> TagTable:
+    """Tag table of a CARLA version such as ``0.9.15``, or a table by its own name.
+
+    Raises:
+        ConfigError: neither a version nor a table's name.
+
+    """
+    if version in TABLES:
+        return TABLES[version]
+    match = re.fullmatch(r"v?(\d+)\.(\d+)(?:\.(\d+))?.*", version.strip())
+    if not match:
+        raise ConfigError(f"CARLA version {version!r}: expected a number such as 0.9.15, or one of {', '.join(TABLES)}")
+    numbers = tuple(int(part or 0) for part in match.groups())
+    return CARLA_FROM_0_9_14 if numbers >= (0, 9, 14) else CARLA_BEFORE_0_9_14
+
+
+def _members(name: str) -> tuple[str, ...]:
+    if name not in CLASS_NAMES:
+        raise ConfigError(f"class {name!r} is in no tag table; known: {', '.join(sorted(CLASS_NAMES))}")
+    return GROUPS.get(name, (name,))

@@ -1,0 +1,1 @@
+"""The stages of the chain: each a pure function, none knows another."""

@@ -1,0 +1,78 @@
+"""Rows of dataclasses to Parquet files, row group by row group."""
+
+import os
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from roadperc_stream.errors import TableError
+
+ROW_GROUP_ROWS: Final = 1000
+_ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
+    str: pa.string(),
+    float: pa.float64(),
+    int: pa.int64(),
+    bool: pa.bool_(),
+    tuple[str, ...]: pa.list_(pa.string()),
+}
+
+
+def arrow_schema(row_type: type, extra: tuple[str, ...] = (), metadata: Mapping[str, str] | None = None) -> pa.Schema:
+    """Arrow schema of a dataclass, each ``X | None`` nullable, with ``extra`` float columns behind."""
+    hints = typing.get_type_hints(row_type)
+    columns = [_field(f.name, hints[f.name]) for f in fields(row_type)]
+    columns += [pa.field(name, pa.float64()) for name in extra]
+    return pa.schema(columns, metadata=dict(metadata or {}))
+
+
+def _field(name: str, hint: Any) -> pa.Field:
+    options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    (kind,) = (option for option in options if option is not types.NoneType)
+    return pa.field(name, _ARROW_TYPES[kind], nullable=types.NoneType in options)
+
+
+class TableWriter:
+    """Writes rows to a Parquet file that appears under its name only when complete. Use it as a context manager."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        self._path = path
+        self._temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        self._schema = schema
+        self._rows: list[dict[str, Any]] = []
+
+    def __enter__(self) -> Self:
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(self._temporary, self._schema, compression="zstd")
+        except OSError as error:
+            raise TableError(f"{self._path}: {error.strerror or error}") from error
+        return self
+
+    def append(self, row: Any, **extra: float) -> None:
+        """Add a row: a dataclass, and values of the extra columns."""
+        self._rows.append(asdict(row) | extra)
+        if len(self._rows) >= ROW_GROUP_ROWS:
+            self._flush()
+
+    def _flush(self) -> None:
+        self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
+        self._rows.clear()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None and self._rows:
+                self._flush()
+            self._writer.close()
+            if kind is None:
+                self._temporary.replace(self._path)
+        finally:
+            self._temporary.unlink(missing_ok=True)

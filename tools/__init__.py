@@ -1,0 +1,1 @@
+"""Makes input logs: converting and rendering dumps."""
