@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +14,7 @@ from roadperc_stream.datatypes import Absent, Frame, FrameResult, Image, Surface
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float, Float32, inverse, transform_plane
 from roadperc_stream.registration import sample_labels, warp_depth
+from roadperc_stream.semantics import TagTable
 from roadperc_stream.stages import lanes, objects, surface
 from roadperc_stream.stages.lanes import LanesState
 
@@ -62,7 +64,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     with timer("decode"):
         rasters = _decode(frame, problems)
     with timer("surface"):
-        road = table.lookup(cfg.surface.classes)[rasters.tags] if table and rasters.tags is not None else None
+        road = _labels(table, cfg.surface.classes, rasters.tags)
         plane = _surface(cfg, frame, rasters, road) if cfg.surface.enabled else OFF
         front_plane = surface_in_front_camera(plane, frame)
         drivable = (
@@ -144,7 +146,7 @@ def _surface(cfg: ReplayConfig, frame: Frame, rasters: Rasters, road: Image | No
     if road is not None and not _same_camera(frame):
         seen = sample_labels(frame.depth_camera, _camera_T_depth(frame), frame.camera, rasters.depth_m, road)
     rng = np.random.default_rng((cfg.seed, frame.stamp_ns % 2**63))
-    mask = None if seen is None else seen.astype(bool)
+    mask = None if seen is None else seen.view(bool)
     return surface.fit_surface(cfg.surface, frame.depth_camera, frame.ego_T_depth_camera, rasters.depth_m, mask, rng)
 
 
@@ -153,6 +155,13 @@ def surface_in_front_camera(plane: Surface | Absent, frame: Frame) -> Surface | 
     if isinstance(plane, Absent) or plane.frame_id == frame.camera.frame_id:
         return plane
     return replace(plane, plane=transform_plane(_camera_T_depth(frame), plane.plane))
+
+
+def _labels(table: TagTable | None, classes: tuple[str, ...], tags: Image | None) -> Image | None:
+    """(H, W) uint8, 1 at pixels of the classes."""
+    if table is None or tags is None:
+        return None
+    return np.asarray(cv2.LUT(tags, table.lookup(classes)), np.uint8)
 
 
 def _camera_T_depth(frame: Frame) -> Float:

@@ -93,8 +93,10 @@ class LanesConfig(_Model):
     """A line whose nearest support lies farther ahead (ego x) is no boundary of the ego lane."""
     fit_max_m: Positive = 40.0
     """Farthest point of the boundary that the curve is fitted to."""
-    fit_inlier_m: Positive = 0.12
-    """Distance at which a boundary point loses half its weight in the robust fit."""
+    fit_strip_m: Positive = 0.3
+    """Half width of the strip around the last fit whose edges the next one takes."""
+    fit_huber: Positive = 2.0
+    """Standard deviations beyond which an edge counts less and less (Huber's constant)."""
     gate: Positive = 16.27
     """Squared Mahalanobis distance beyond which a measurement is not taken (99.9 % of chi squared, 3 degrees)."""
     hold_s: Annotated[float, Field(ge=0.0)] = 0.5

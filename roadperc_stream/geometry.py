@@ -162,21 +162,26 @@ def transform_plane(a_T_b: Float, plane_b: Plane) -> Plane:
     return Plane.of(normal, plane_b.offset_m - float(normal @ a_T_b[:3, 3]))
 
 
-def fit_plane(points: Float) -> Plane:
+def fit_plane(points: NDArray[np.floating[Any]], taken: NDArray[np.bool_] | None = None) -> Plane:
     """Total least squares plane of (N, 3) points: the direction of least scatter about the centroid.
 
     The sign is free; see ``facing`` to choose it. Source: the eigenvector of the smallest eigenvalue of the scatter
     matrix (Pearson 1901).
 
-    Raises:
-        ValueError: fewer than three points.
+    Args:
+        points: metres.
+        taken: (N,) the points that count; None for all.
 
+    Raises:
+        ValueError: fewer than three points count.
     """
-    if len(points) < 3:
-        raise ValueError(f"a plane needs three points, got {len(points)}")
-    centroid = points.mean(axis=0)
-    centred = points - centroid
-    _, vectors = np.linalg.eigh(centred.T @ centred)
+    weights = np.ones(len(points), points.dtype) if taken is None else taken.astype(points.dtype)
+    count = float(weights.sum())
+    if count < 3:
+        raise ValueError(f"a plane needs three points, got {count:.0f}")
+    centroid = (weights @ points).astype(float) / count
+    centred = points - centroid.astype(points.dtype)
+    _, vectors = np.linalg.eigh((centred.T @ (centred * weights[:, None])).astype(float))
     normal = vectors[:, 0]
     return Plane.of(normal, -float(normal @ centroid))
 

@@ -5,8 +5,10 @@ then total least squares over all inliers. The road plane is nearly parallel to 
 the distance to the plane, never an error along one axis.
 """
 
+from functools import lru_cache
+
+import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.datatypes import Absent, Image, Mask, Surface, SurfaceSource
@@ -21,7 +23,6 @@ from roadperc_stream.geometry import (
     inverse,
     plane_distance,
     transform_plane,
-    unproject,
 )
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
@@ -56,20 +57,19 @@ def fit_surface(
         The surface, or why there is none.
     """
     source: SurfaceSource = "depth" if road is not None else "lower_image"
-    pixels = np.flatnonzero(_usable(cfg, camera, depth_m, road))
-    if len(pixels) < 3:
-        return Absent(f"{len(pixels)} road pixels with known depth, a plane needs three")
-    sample = _points(camera, depth_m, rng.choice(pixels, min(cfg.subsample, len(pixels)), replace=False))
+    points = _points(camera, depth_m, _usable(cfg, camera, depth_m, road))
+    if len(points) < 3:
+        return Absent(f"{len(points)} road pixels with known depth, a plane needs three")
+    sample = points[rng.integers(0, len(points), min(cfg.subsample, len(points)))].astype(float)
     plane = _ransac(cfg, sample, inverse(ego_T_camera)[:3, :3] @ _UP_EGO, rng)
     if plane is None:
-        return Absent(f"no plane through {len(sample)} road points holds {cfg.min_inliers:.0%} of them")
-    points = _points(camera, depth_m, pixels)
+        return Absent(f"no plane through {len(points)} road points holds {cfg.min_inliers:.0%} of them")
     for _ in range(_REFITS):
-        inliers = points[np.abs(plane.distance(points)) <= cfg.inlier_m]
-        if len(inliers) < 3:
+        close = _close(cfg, plane, points)
+        if np.count_nonzero(close) < 3:
             return Absent("no plane holds three of the road's points")
-        plane = facing(fit_plane(inliers), _CAMERA_CENTRE)
-    ratio = float(np.mean(np.abs(plane.distance(points)) <= cfg.inlier_m))
+        plane = facing(fit_plane(points, close), _CAMERA_CENTRE)
+    ratio = float(np.mean(_close(cfg, plane, points)))
     return _surface(source, camera, ego_T_camera, plane, ratio)
 
 
@@ -94,12 +94,13 @@ def drivable_mask(
         road: (H, W) 1 where the class is drivable.
     """
     if depth_m is None:
-        return road.astype(bool) if road is not None else Absent("neither depth nor segmentation")
+        return road.view(bool) if road is not None else Absent("neither depth nor segmentation")
     if isinstance(surface, Absent):
         return Absent(f"no surface: {surface.reason}")
-    with np.errstate(invalid="ignore"):
-        near: Mask = np.abs(plane_distance(camera, depth_m, surface.plane)) <= cfg.drivable_m
-    return near if road is None else near & road.astype(bool)
+    distance = plane_distance(camera, depth_m, surface.plane)
+    # A comparison with NaN is False in OpenCV as in numpy: unknown depth is never drivable.
+    near = np.asarray(cv2.inRange(distance, -cfg.drivable_m, cfg.drivable_m), np.uint8)
+    return (near if road is None else near * road).astype(bool)
 
 
 def _usable(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, road: Mask | None) -> Mask:
@@ -112,10 +113,29 @@ def _usable(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, road: Mask | N
     return usable
 
 
-def _points(camera: Camera, depth_m: Float32, pixels: NDArray[np.intp]) -> Float:
-    """(N, 3) points in the camera frame of flat pixel indices."""
-    rows, columns = np.divmod(pixels, camera.width)
-    return unproject(camera, np.stack((columns, rows), axis=-1).astype(float), depth_m.ravel()[pixels])
+def _points(camera: Camera, depth_m: Float32, mask: Mask) -> Float32:
+    """(N, 3) points in the camera frame of the pixels of a mask.
+
+    There are many: single precision, and each coordinate lies in one piece of memory.
+    """
+    x, y = _ray_grids(camera)
+    z = depth_m[mask]
+    return np.stack((x[mask] * z, y[mask] * z, z)).T
+
+
+@lru_cache(maxsize=4)
+def _ray_grids(camera: Camera) -> tuple[Float32, Float32]:
+    """(H, W) x and y of every pixel's ray with z = 1."""
+    x = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
+    y = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)
+    return np.tile(x, (camera.height, 1)), np.tile(y[:, None], (1, camera.width))
+
+
+def _close(cfg: SurfaceConfig, plane: Plane, points: Float32) -> Mask:
+    """Which of (N, 3) points lie within ``inlier_m`` of a plane."""
+    distance = points @ plane.n.astype(np.float32) + np.float32(plane.offset_m)
+    close: Mask = np.abs(distance) <= cfg.inlier_m
+    return close
 
 
 def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:

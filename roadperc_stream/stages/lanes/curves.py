@@ -10,6 +10,7 @@ is followed from the straight part near the car.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.datatypes import Image, Mask, Side
@@ -23,11 +24,12 @@ _BIN_M = 0.04
 _PEAK_SHARE = 0.4
 """Support of the innermost edge, as a share of the best supported one, from which it is taken for the boundary."""
 _MIN_POINTS = 12
+_REWEIGHTINGS = 5
 _EDGE_STD_PX = 1.0
 _GROUND_STD_M = 0.01
 _CURVATURE_PRIOR_PER_M = 0.01
 """Standard deviation of road curvature: what a short stretch cannot tell is close to straight."""
-_CORRELATED_ROWS = 20.0
+_CORRELATED_ROWS = 40.0
 """Edges of neighbouring rows err together: so many of them count as one."""
 
 
@@ -54,15 +56,15 @@ def facing_edges(separators: Image, road: Mask, side: Side, top: int) -> Float:
     """(N, 2) pixels on the edge between a separator and the road beside it, towards the ego lane.
 
     Args:
-        separators: (H, W) uint8, not 0 at separators.
-        road: (H, W) drivable classes.
+        separators: (H - top, W) uint8 from row ``top`` down, not 0 at separators.
+        road: (H, W) drivable surface.
         side: the boundary's side: a left one faces right.
-        top: first row looked at.
+        top: the first row looked at.
     """
-    inner = (road & (separators == 0))[top:]
-    marked = separators[top:] != 0
+    marked = separators.view(bool)
+    inner = road[top:] & ~marked
     step = marked[:, :-1] & inner[:, 1:] if side == "left" else inner[:, :-1] & marked[:, 1:]
-    rows, columns = np.nonzero(step)
+    rows, columns = np.divmod(np.flatnonzero(step), step.shape[1])
     return np.stack((columns + 0.5, rows + float(top)), axis=-1)
 
 
@@ -76,12 +78,15 @@ def line_on_ground(points: Float) -> Float | None:
     return np.array([offset, heading, 0.0])
 
 
-def fit_curve(cfg: LanesConfig, points: Float, line: Float, side: Side, metres_per_px: float) -> Curve | None:
+def fit_curve(
+    cfg: LanesConfig, points: Float, rows: Float, line: Float, side: Side, metres_per_px: float
+) -> Curve | None:
     """The boundary near a line, from edge points on the ground.
 
     Args:
         cfg: reach and robustness.
         points: (N, 2) x, y in metres of edges that face the ego lane, ego frame.
+        rows: (N,) the image row of each.
         line: (3,) where the Hough line has it.
         side: the boundary's side.
         metres_per_px: width of a pixel one metre ahead.
@@ -89,16 +94,18 @@ def fit_curve(cfg: LanesConfig, points: Float, line: Float, side: Side, metres_p
     Returns:
         The curve, or None where too few edges support it.
     """
-    points = points[(points[:, 0] > 0) & (points[:, 0] <= cfg.fit_max_m)]
+    inward = -1.0 if side == "left" else 1.0
+    ahead = (points[:, 0] > 0) & (points[:, 0] <= cfg.fit_max_m)
+    points, rows = points[ahead], rows[ahead]
     near = points[np.abs(points[:, 1] - lateral(line, points[:, 0])) < _SEARCH_M]
-    if len(near) < _MIN_POINTS:
+    if len(near) < _MIN_POINTS or near[:, 0].min() > cfg.near_m:
         return None
     reach = near[:, 0].min() + 2 * _REACH_STEP_M
-    state = line + np.array([_innermost(near[near[:, 0] <= reach], line, side), 0.0, 0.0])
+    state = line + np.array([inward * _innermost(near[near[:, 0] <= reach], line, inward), 0.0, 0.0])
     while True:
-        taken = points[
-            (points[:, 0] <= reach) & (np.abs(points[:, 1] - lateral(state, points[:, 0])) < _band(cfg, reach))
-        ]
+        aside = inward * (points[:, 1] - lateral(state, points[:, 0]))
+        strip = (points[:, 0] <= reach) & (np.abs(aside) < cfg.fit_strip_m)
+        taken = points[strip][_innermost_of_rows(rows[strip], aside[strip])]
         if len(taken) < _MIN_POINTS:
             return None
         state, covariance = _robust_fit(cfg, taken, state, metres_per_px)
@@ -107,20 +114,21 @@ def fit_curve(cfg: LanesConfig, points: Float, line: Float, side: Side, metres_p
         reach = min(reach + _REACH_STEP_M, cfg.fit_max_m)
 
 
-def _band(cfg: LanesConfig, reach_m: float) -> float:
-    """Half width of the strip whose points are taken: wider where a bend may leave the last fit."""
-    return 2 * cfg.fit_inlier_m * (1 + reach_m / cfg.fit_max_m)
-
-
-def _innermost(points: Float, line: Float, side: Side) -> float:
-    """Offset from the line, in metres, of the innermost well supported parallel edge."""
-    towards_ego = -1.0 if side == "left" else 1.0
-    inward = towards_ego * (points[:, 1] - lateral(line, points[:, 0]))
+def _innermost(points: Float, line: Float, inward: float) -> float:
+    """How far inside the line, in metres, the innermost well supported parallel edge lies."""
+    aside = inward * (points[:, 1] - lateral(line, points[:, 0]))
     edges = np.arange(-_SEARCH_M, _SEARCH_M + _BIN_M, _BIN_M)
-    counts = np.convolve(np.histogram(inward, edges)[0], np.ones(3), "same")
+    counts = np.convolve(np.histogram(aside, edges)[0], np.ones(3), "same")
     peaks = np.flatnonzero((counts >= np.roll(counts, 1)) & (counts >= np.roll(counts, -1)))
     strong = peaks[counts[peaks] >= _PEAK_SHARE * counts.max()]
-    return towards_ego * float(edges[strong[-1]] + _BIN_M / 2)
+    return float(edges[strong[-1]] + _BIN_M / 2)
+
+
+def _innermost_of_rows(rows: Float, aside: Float) -> NDArray[np.intp]:
+    """Positions of the innermost edge of each row: the second line of a double one has edges that face inward too."""
+    order = np.lexsort((-aside, rows))
+    _, first = np.unique(rows[order], return_index=True)
+    return order[first]
 
 
 def _robust_fit(cfg: LanesConfig, points: Float, start: Float, metres_per_px: float) -> tuple[Float, Float]:
@@ -130,10 +138,10 @@ def _robust_fit(cfg: LanesConfig, points: Float, start: Float, metres_per_px: fl
     design = np.stack((np.ones_like(x), x, 0.5 * x**2), axis=-1)
     prior = np.diag([0.0, 0.0, _CURVATURE_PRIOR_PER_M**-2])
     state = start
-    for _ in range(5):
-        residual = np.abs(y - design @ state)
-        weight = 1.0 / (std**2 * np.maximum(residual / cfg.fit_inlier_m * 4, 1.0))
-        weighted = design * weight[:, None]
-        information = weighted.T @ design / _CORRELATED_ROWS + prior
-        state = np.linalg.solve(information, weighted.T @ y / _CORRELATED_ROWS)
+    for _ in range(_REWEIGHTINGS):
+        residual = np.abs(y - design @ state) / std
+        weight = 1.0 / (std**2 * np.maximum(residual / cfg.fit_huber, 1.0))
+        weighted = design * weight[:, None] / _CORRELATED_ROWS
+        information = weighted.T @ design + prior
+        state = np.linalg.solve(information, weighted.T @ y)
     return state, np.linalg.inv(information)

@@ -34,26 +34,24 @@ class LineGroup:
         return (y - self.intercept) / self.slope
 
 
-def separator_mask(cfg: LanesConfig, lookup: Image, tags: Image) -> Image:
-    """(H, W) uint8, 255 where a class separates lanes; a median filter takes salt and slivers away."""
-    mask = lookup[tags] * np.uint8(255)
-    size = round(cfg.median_px * tags.shape[0] / REFERENCE_ROWS)
+def without_salt(cfg: LanesConfig, separators: Image) -> Image:
+    """The separators' mask behind a median filter that takes salt and slivers away."""
+    size = round(cfg.median_px * separators.shape[0] / REFERENCE_ROWS)
     if size < 2:
-        return mask
-    filtered: Image = np.asarray(cv2.medianBlur(mask, size | 1), np.uint8)
-    return filtered
+        return separators
+    return np.asarray(cv2.medianBlur(separators, size | 1), np.uint8)
 
 
-def propose(cfg: LanesConfig, separators: Image, road: Mask) -> Float:
-    """(N, 4) x1, y1, x2, y2 of Hough lines that are steep enough and lie on the road.
+def propose(cfg: LanesConfig, separators: Image) -> Float:
+    """(N, 4) x1, y1, x2, y2 of Hough lines along the separators' edges.
 
     Args:
         cfg: thresholds, for 960 rows.
         separators: (H, W) uint8, 255 at separators.
-        road: (H, W) drivable surface; it is widened by a pixel or two, for a curb's edge lies just outside it.
     """
     scale = separators.shape[0] / REFERENCE_ROWS
-    edges = cv2.Canny(separators, cfg.canny_low, cfg.canny_high, apertureSize=cfg.canny_aperture)
+    mask = without_salt(cfg, separators)
+    edges = cv2.Canny(mask, cfg.canny_low, cfg.canny_high, apertureSize=cfg.canny_aperture)
     found = cv2.HoughLinesP(
         edges,
         cfg.hough_rho_px * scale,
@@ -62,10 +60,17 @@ def propose(cfg: LanesConfig, separators: Image, road: Mask) -> Float:
         minLineLength=cfg.hough_min_length_px * scale,
         maxLineGap=cfg.hough_max_gap_px * scale,
     )
-    if found is None:
-        return np.empty((0, 4))
-    lines = found.reshape(-1, 4).astype(float)
-    return lines[_steep(cfg, lines) & _on_road(lines, _widened(road, scale))]
+    return np.empty((0, 4)) if found is None else found.reshape(-1, 4).astype(float)
+
+
+def on_road(cfg: LanesConfig, proposals: Float, road: Mask) -> Float:
+    """The (M, 4) proposals that are steep enough and lie on the (H, W) drivable surface for over half of their length.
+
+    The surface is widened by a pixel or two, for a curb's edge lies just outside it.
+    """
+    steep = proposals[_steep(cfg, proposals)]
+    widened = _widened(road, road.shape[0] / REFERENCE_ROWS)
+    return np.array([line for line in steep if _share_on(line, widened) > _ON_ROAD]).reshape(-1, 4)
 
 
 def merge(cfg: LanesConfig, proposals: Float, rows: int) -> tuple[LineGroup, ...]:
@@ -119,11 +124,6 @@ def _widened(road: Mask, scale: float) -> Image:
     radius = max(round(_ROAD_MARGIN_PX * scale), 1)
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     return np.asarray(cv2.dilate(road.view(np.uint8), kernel), np.uint8)
-
-
-def _on_road(lines: Float, road: Image) -> Mask:
-    """Whether over half of each line lies on the road, by samples a pixel apart."""
-    return np.array([_share_on(line, road) > _ON_ROAD for line in lines], bool)
 
 
 def _share_on(line: Float, road: Image) -> float:

@@ -1,11 +1,12 @@
 """Both boundaries of the ego lane as one frame alone shows them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
 from roadperc_stream.config import LanesConfig
-from roadperc_stream.datatypes import Image, Mask, Side, Surface
+from roadperc_stream.datatypes import SIDES, Image, Mask, Side, Surface
 from roadperc_stream.geometry import Camera, Float, intersect_plane, inverse, project, transform
 from roadperc_stream.semantics import TagTable
 from roadperc_stream.stages.lanes import lines
@@ -15,6 +16,8 @@ from roadperc_stream.stages.lanes.lines import LineGroup
 _INSIDE_M = (0.2, 0.4, 0.6)
 _OUTSIDE_M = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Distances beside a boundary at which the class there is looked up; a double marking is 0.35 m wide."""
+_MARKINGS = ("road_line",)
+_LINE_SAMPLES = 20
 _CLASS_AHEAD_M = np.arange(4.0, 14.0, 0.5)
 
 
@@ -48,22 +51,57 @@ class View:
 
 @dataclass(frozen=True)
 class Sighting:
-    """One boundary: its merged Hough line, its curve on the road where one fits, and the classes beside it."""
+    """One boundary: its merged Hough line, and its curve on the road where one fits."""
 
     group: LineGroup
     curve: Curve | None
-    inside: str = ""
-    outside: str = ""
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Edge pixels that face the ego lane from one side: (N, 2) x and y in the ego frame, and their (N,) image rows."""
+
+    points: Float
+    rows: Float
 
 
 @dataclass(frozen=True)
 class Observation:
     """Everything one frame shows of the lane; ``far`` is the row of the road's far end."""
 
+    view: View
+    tags: Image
+    table: TagTable
     far: float
     proposals: Float = field(default_factory=lambda: np.empty((0, 4)))
     groups: tuple[LineGroup, ...] = ()
+    edges: dict[Side, Edges] = field(default_factory=dict)
     sightings: dict[Side, Sighting] = field(default_factory=dict)
+
+    def curve_along(self, cfg: LanesConfig, side: Side, line: Float) -> Curve | None:
+        """The boundary as the edges near a (3,) state have it; None where too few do."""
+        if side not in self.edges:
+            return None
+        edges = self.edges[side]
+        return fit_curve(cfg, edges.points, edges.rows, line, side, 1.0 / self.view.camera.fx)
+
+    def classes_beside(self, side: Side, curve: Curve) -> tuple[str, str]:
+        """The class inside and the class outside a boundary, empty where that is out of sight."""
+        outward = 1.0 if side == "left" else -1.0
+        inside = self._class_at(curve, [-outward * d for d in _INSIDE_M], ())
+        return inside, self._class_at(curve, [outward * d for d in _OUTSIDE_M], _MARKINGS)
+
+    def _class_at(self, curve: Curve, sideways_m: list[float], without: tuple[str, ...]) -> str:
+        """The most frequent class on a strip beside a curve."""
+        x = np.tile(_CLASS_AHEAD_M, len(sideways_m))
+        y = lateral(curve.state, x) + np.repeat(sideways_m, len(_CLASS_AHEAD_M))
+        pixels = self.view.pixels(self.view.on_road(x, y))
+        pixels = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(int)
+        height, width = self.tags.shape
+        seen = pixels[((pixels >= 0) & (pixels < (width, height))).all(axis=1)]
+        counts = np.bincount(self.tags[seen[:, 1], seen[:, 0]], minlength=len(self.table.names))
+        counts[list(self.table.tags_of(without))] = 0
+        return self.table.name_of(int(counts.argmax())) if counts.any() else ""
 
 
 def observe(cfg: LanesConfig, view: View, tags: Image, table: TagTable, road: Mask) -> Observation:
@@ -78,13 +116,23 @@ def observe(cfg: LanesConfig, view: View, tags: Image, table: TagTable, road: Ma
     """
     far = lines.road_far_end(road)
     if far is None:
-        return Observation(float(view.camera.cy))
-    marked = table.lookup(cfg.separators)
-    proposals = lines.propose(cfg, lines.separator_mask(cfg, marked, tags), road)
-    groups = lines.merge(cfg, proposals, view.camera.height)
+        return Observation(view, tags, table, float(view.camera.cy))
+    separators = np.asarray(cv2.LUT(tags, table.lookup(cfg.separators)), np.uint8)
+    proposals = lines.propose(cfg, separators * np.uint8(255))
+    groups = lines.merge(cfg, lines.on_road(cfg, proposals, road), view.camera.height)
+    edges = {side: _edges(view, separators[far:], road, side, far) for side in SIDES} if cfg.model == "curve" else {}
+    seen = Observation(view, tags, table, float(far), proposals, groups, edges)
     chosen = _ego_lane(cfg, view, groups)
-    sightings = {side: _sight(cfg, view, side, group, tags, table, road, far) for side, group in chosen.items()}
-    return Observation(float(far), proposals, groups, sightings)
+    return replace(
+        seen, sightings={side: Sighting(group, _curve(cfg, seen, side, group)) for side, group in chosen.items()}
+    )
+
+
+def _edges(view: View, separators: Image, road: Mask, side: Side, top: int) -> Edges:
+    pixels = facing_edges(separators, road, side, top)
+    points = view.ground(pixels)[:, :2]
+    known = np.isfinite(points).all(axis=1)
+    return Edges(points[known], pixels[known, 1])
 
 
 def _ego_lane(cfg: LanesConfig, view: View, groups: tuple[LineGroup, ...]) -> dict[Side, LineGroup]:
@@ -110,44 +158,11 @@ def _nearest_x(view: View, group: LineGroup) -> float:
     return float(x) if np.isfinite(x) else np.inf
 
 
-def _sight(
-    cfg: LanesConfig,
-    view: View,
-    side: Side,
-    group: LineGroup,
-    tags: Image,
-    table: TagTable,
-    road: Mask,
-    far: int,
-) -> Sighting:
-    rows = np.linspace(group.top_px, group.bottom_px, 20).tolist()
-    line = line_on_ground(view.ground(np.array([(group.x(row), row) for row in rows])))
-    if line is None:
-        return Sighting(group, None)
-    if cfg.model == "line":
-        std = np.array([cfg.offset_std_m, cfg.heading_std, cfg.curvature_std_per_m])
-        curve: Curve | None = Curve(line, np.diag(std**2), cfg.fit_max_m)
-    else:
-        edges = facing_edges(table.lookup(cfg.separators)[tags], road, side, far)
-        curve = fit_curve(cfg, view.ground(edges)[:, :2], line, side, 1.0 / view.camera.fx)
-    if curve is None:
-        return Sighting(group, None)
-    outward = 1.0 if side == "left" else -1.0
-    inside = _class_beside(view, curve, [-outward * d for d in _INSIDE_M], tags, table, ())
-    outside = _class_beside(view, curve, [outward * d for d in _OUTSIDE_M], tags, table, ("road_line",))
-    return Sighting(group, curve, inside, outside)
-
-
-def _class_beside(
-    view: View, curve: Curve, sideways_m: list[float], tags: Image, table: TagTable, without: tuple[str, ...]
-) -> str:
-    """The most frequent class on the strip beside a curve, empty where the strip is out of sight."""
-    x = np.tile(_CLASS_AHEAD_M, len(sideways_m))
-    y = lateral(curve.state, x) + np.repeat(sideways_m, len(_CLASS_AHEAD_M))
-    pixels = view.pixels(view.on_road(x, y))
-    pixels = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(int)
-    height, width = tags.shape
-    seen = ((pixels >= 0) & (pixels < (width, height))).all(axis=1)
-    counts = np.bincount(tags[pixels[seen, 1], pixels[seen, 0]], minlength=len(table.names))
-    counts[list(table.tags_of(without))] = 0
-    return table.name_of(int(counts.argmax())) if counts.any() else ""
+def _curve(cfg: LanesConfig, seen: Observation, side: Side, group: LineGroup) -> Curve | None:
+    """The boundary on the road: the Hough line itself in the line model, else the edges along it."""
+    rows = np.linspace(group.top_px, group.bottom_px, _LINE_SAMPLES).tolist()
+    line = line_on_ground(seen.view.ground(np.array([(group.x(row), row) for row in rows])))
+    if line is None or cfg.model == "curve":
+        return None if line is None else seen.curve_along(cfg, side, line)
+    std = np.array([cfg.offset_std_m, cfg.heading_std, cfg.curvature_std_per_m])
+    return Curve(line, np.diag(std**2), cfg.fit_max_m)

@@ -15,9 +15,9 @@ _OFFSET, _RATE, _HEADING, _CURVATURE = range(4)
 _MEASURED = [_OFFSET, _HEADING, _CURVATURE]
 _H = np.eye(4)[_MEASURED]
 _FIRST_RATE_STD_MPS = 1.0
-_HEADING_WALK = 0.05
+_HEADING_WALK = 0.02
 """Radians per root second."""
-_CURVATURE_WALK_PER_M = 0.01
+_CURVATURE_WALK_PER_M = 0.003
 """Per metre and root second."""
 _NANOSECONDS = 1e9
 

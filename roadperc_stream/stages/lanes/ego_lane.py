@@ -1,5 +1,6 @@
 """One frame of the ego lane: observe both boundaries, then follow them over time."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,12 +10,13 @@ from roadperc_stream.datatypes import SIDES, Absent, Boundary, Image, Lanes, Lin
 from roadperc_stream.geometry import Camera, Float
 from roadperc_stream.semantics import TagTable
 from roadperc_stream.stages.lanes import lines, tracking
-from roadperc_stream.stages.lanes.curves import lateral
+from roadperc_stream.stages.lanes.curves import Curve, lateral
 from roadperc_stream.stages.lanes.observe import Observation, Sighting, View, observe
 from roadperc_stream.stages.lanes.tracking import Track
 
 _CHORD_AHEAD_M = 15.0
 _SHORTEST_DRAWN_M = 10.0
+_LEVEL_PX = 1e-6
 
 
 @dataclass(frozen=True)
@@ -61,53 +63,80 @@ def step(
     Returns:
         The new state, and the lanes: absent where nothing could be looked at and nothing is held.
     """
-    view = None if isinstance(surface, Absent) else View(camera, ego_T_camera, surface)
-    seen = _look(cfg, view, tags, table, road)
-    observation = Observation(float(camera.cy)) if isinstance(seen, Absent) else seen
+    seen = _look(cfg, surface, camera, ego_T_camera, tags, table, road)
+    observation = None if isinstance(seen, Absent) else seen
     followed = {
-        side: after
-        for side in SIDES
-        if (after := _follow(cfg, state.followed.get(side), observation.sightings.get(side), stamp_ns))
+        side: after for side in SIDES if (after := _follow(cfg, side, state.followed.get(side), observation, stamp_ns))
     }
     if isinstance(seen, Absent) and not followed:
         return LanesState(), seen
+    view = None if isinstance(surface, Absent) else View(camera, ego_T_camera, surface)
     boundaries = tuple(_boundary(side, followed.get(side), observation, view) for side in SIDES)
+    if observation is None:
+        return LanesState(followed), Lanes(boundaries)
     merged = [lines.drawn(group, float(camera.height), observation.far) for group in observation.groups]
     return LanesState(followed), Lanes(boundaries, observation.proposals, np.array(merged).reshape(-1, 4))
 
 
 def _look(
-    cfg: LanesConfig, view: View | None, tags: Image | None, table: TagTable | None, road: Mask | Absent
+    cfg: LanesConfig,
+    surface: Surface | Absent,
+    camera: Camera,
+    ego_T_camera: Float,
+    tags: Image | None,
+    table: TagTable | None,
+    road: Mask | Absent,
 ) -> Observation | Absent:
     if tags is None or table is None:
         return Absent("no segmentation")
-    if view is None:
-        return Absent("no surface")
+    if isinstance(surface, Absent):
+        return Absent(f"no surface: {surface.reason}")
     if isinstance(road, Absent):
-        return Absent(road.reason)
-    return observe(cfg, view, tags, table, road)
+        return Absent(f"no drivable surface: {road.reason}")
+    return observe(cfg, View(camera, ego_T_camera, surface), tags, table, road)
 
 
-def _follow(cfg: LanesConfig, before: Followed | None, sighting: Sighting | None, stamp_ns: int) -> Followed | None:
+def _follow(
+    cfg: LanesConfig, side: Side, before: Followed | None, observation: Observation | None, stamp_ns: int
+) -> Followed | None:
     """The boundary at this frame's time; None where there is none yet or it has been unseen for too long."""
+    sighting = observation.sightings.get(side) if observation else None
     curve = sighting.curve if sighting else None
     if before is not None:
         track = tracking.predict(cfg, before.track, stamp_ns)
-        updated = tracking.update(cfg, track, curve.state, curve.covariance) if curve else None
-        if updated is not None and sighting is not None and curve is not None:
-            return Followed(updated, curve.reach_m, sighting.inside, sighting.outside)
+        for candidate in _candidates(cfg, side, track, observation, curve):
+            updated = tracking.update(cfg, track, candidate.state, candidate.covariance)
+            if updated is not None and observation is not None:
+                return Followed(updated, candidate.reach_m, *observation.classes_beside(side, candidate))
         if not tracking.expired(cfg, track):
             return replace(before, track=track)
-    if sighting is None or curve is None:
+    if observation is None or curve is None:
         return None
     track = tracking.start(curve.state, curve.covariance, stamp_ns)
-    return Followed(track, curve.reach_m, sighting.inside, sighting.outside)
+    return Followed(track, curve.reach_m, *observation.classes_beside(side, curve))
 
 
-def _boundary(side: Side, followed: Followed | None, observation: Observation, view: View | None) -> Boundary:
-    sighting = observation.sightings.get(side)
-    bottom = float(view.camera.height) if view else 0.0
-    raw_px = lines.drawn(sighting.group, bottom, observation.far) if sighting else None
+def _candidates(
+    cfg: LanesConfig, side: Side, track: Track, observation: Observation | None, curve: Curve | None
+) -> Iterator[Curve]:
+    """What may be the boundary: the closest line's curve, then the edges along the prediction.
+
+    The dashes in sight are often too short for a Hough line, and the closest line is then one farther out. A line
+    closer than the prediction, though, contradicts it: then edges along the prediction prove nothing.
+    """
+    if curve is not None:
+        yield curve
+    inward = -1.0 if side == "left" else 1.0
+    closer = curve is not None and inward * float(curve.state[0] - track.state[0]) > 0
+    if observation is not None and not closer:
+        along = observation.curve_along(cfg, side, track.state)
+        if along is not None:
+            yield along
+
+
+def _boundary(side: Side, followed: Followed | None, observation: Observation | None, view: View | None) -> Boundary:
+    sighting = observation.sightings.get(side) if observation else None
+    raw_px = _raw_line(sighting, observation)
     raw_offset_m = float(sighting.curve.state[0]) if sighting and sighting.curve else None
     if followed is None:
         return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m)
@@ -118,7 +147,7 @@ def _boundary(side: Side, followed: Followed | None, observation: Observation, v
         side,
         "measured" if track.measured_ns == track.stamp_ns else "held",
         raw_px,
-        _chord(track.state, view, observation.far) if view else None,
+        _chord(track.state, view, observation.far if observation else None),
         offset,
         heading,
         curvature,
@@ -131,6 +160,12 @@ def _boundary(side: Side, followed: Followed | None, observation: Observation, v
     )
 
 
+def _raw_line(sighting: Sighting | None, observation: Observation | None) -> Line | None:
+    if sighting is None or observation is None:
+        return None
+    return lines.drawn(sighting.group, float(observation.view.camera.height), observation.far)
+
+
 def _drawn_curve(state: Float, reach_m: float, view: View | None) -> tuple[Float, Float]:
     """(N, 3) ego points a metre apart on the road, and (M, 2) pixels of those that are in front of the camera."""
     if view is None:
@@ -141,15 +176,17 @@ def _drawn_curve(state: Float, reach_m: float, view: View | None) -> tuple[Float
     return points, pixels[np.isfinite(pixels).all(axis=1) & (pixels[:, 1] <= 2 * view.camera.height)]
 
 
-def _chord(state: Float, view: View, far: float) -> Line | None:
+def _chord(state: Float, view: View | None, far: float | None) -> Line | None:
     """The smoothed line drawn straight from the image's bottom edge to the road's far end."""
+    if view is None or far is None:
+        return None
     bottom = float(view.camera.height)
     nearest = view.ground(np.array([[view.camera.cx, bottom]]))[0, 0]
     if not np.isfinite(nearest):
         return None
     x = np.array([nearest, max(nearest + 1.0, _CHORD_AHEAD_M)])
     (u1, v1), (u2, v2) = view.pixels(view.on_road(x, lateral(state, x)))
-    if not abs(v2 - v1) > 1e-6:
+    if not abs(v2 - v1) > _LEVEL_PX:
         return None
     slope = (u2 - u1) / (v2 - v1)
     return float(u1 + slope * (bottom - v1)), bottom, float(u1 + slope * (far - v1)), far
