@@ -22,7 +22,10 @@ def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _known_table(version: str) -> str:
-    return version if version == "auto" else table_for_version(version).name
+    try:
+        return version if version == "auto" else table_for_version(version).name
+    except ConfigError as error:
+        raise ValueError(str(error)) from error
 
 
 Classes = Annotated[tuple[str, ...], AfterValidator(_known_classes)]

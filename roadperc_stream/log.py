@@ -195,7 +195,7 @@ def read(
     known: dict[int, Channel] = {}
     with _reading(path, validate_crcs) as reader:
         for schema, channel, message in reader.iter_messages(
-            topics=None if topics is None else list(topics), start_time=start_ns, end_time=end_ns
+            topics=None if topics is None else list(topics), starting_at=start_ns, ending_before=end_ns
         ):
             if channel.id not in known:
                 known[channel.id] = _channel(channel, schema)

@@ -23,7 +23,7 @@ _SEARCH_M = 0.6
 _BIN_M = 0.04
 _PEAK_SHARE = 0.4
 """Support of the innermost edge, as a share of the best supported one, from which it is taken for the boundary."""
-_MIN_POINTS = 12
+_MIN_POINTS = 8
 _REWEIGHTINGS = 5
 _EDGE_STD_PX = 1.0
 _GROUND_STD_M = 0.01

@@ -1,0 +1,49 @@
+"""CDR images: our packing against a public ROS 2 reader's definition, and broken bytes."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.schemas import ros2
+
+
+def image(frame_id="camera", dtype=np.uint16, encoding="16UC1"):
+    return ros2.RosImage(1_500_000_000, frame_id, encoding, np.arange(12).reshape(3, 4).astype(dtype))
+
+
+@given(st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9))
+def test_roundtrip_with_every_alignment(frame_id):
+    packed = ros2.unpack_image(ros2.pack_image(image(frame_id)))
+    assert (packed.frame_id, packed.stamp_ns, packed.encoding) == (frame_id, 1_500_000_000, "16UC1")
+    np.testing.assert_array_equal(packed.pixels, image().pixels)
+
+
+def test_floats():
+    packed = ros2.unpack_image(ros2.pack_image(image(dtype=np.float32, encoding="32FC1")))
+    assert packed.pixels.dtype == np.float32
+    np.testing.assert_array_equal(packed.pixels, image().pixels)
+
+
+@pytest.mark.parametrize("frame_id", ["", "a", "ab", "abc", "camera_front"])
+def test_a_public_reader_reads_it(frame_id):
+    schema = Schema(1, ros2.IMAGE_DEFINITION, "ros2msg", ros2.IMAGE)
+    message = DecoderFactory().decoder_for("cdr", schema)(ros2.pack_image(image(frame_id)))
+    assert (message.width, message.height, message.step) == (4, 3, 8)
+    assert (message.header.frame_id, message.encoding) == (frame_id, "16UC1")
+    assert message.header.stamp.sec == 1
+    assert bytes(message.data) == image().pixels.tobytes()
+
+
+@given(st.integers(0, 60))
+def test_cut_bytes_are_a_stated_error(length):
+    with pytest.raises(DecodeError):
+        ros2.unpack_image(ros2.pack_image(image())[:length])
+
+
+def test_foreign_encoding_is_named():
+    with pytest.raises(DecodeError, match="'bgr8'"):
+        ros2.unpack_image(ros2.pack_image(image(encoding="bgr8")))

@@ -1,0 +1,66 @@
+"""The boundary's Kalman filter."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.config import LanesConfig
+from roadperc_stream.stages.lanes import tracking
+
+CFG = LanesConfig()
+R = np.diag([0.03, 0.005, 0.001]) ** 2
+DT_NS = 50_000_000
+
+
+def run(measurements, cfg=CFG):
+    track, states = None, []
+    for k, state in enumerate(measurements):
+        if track is None:
+            track = tracking.start(np.array(state), R, 0)
+        else:
+            predicted = tracking.predict(cfg, track, k * DT_NS)
+            updated = None if state is None else tracking.update(cfg, predicted, np.array(state), R)
+            track = updated or predicted
+        states.append(track.state)
+    return track, np.array(states)
+
+
+def test_first_frame_equals_its_measurement():
+    track = tracking.start(np.array([1.7, 0.01, 0.002]), R, 7)
+    np.testing.assert_array_equal(track.state, [1.7, 0.01, 0.002])
+    np.testing.assert_array_equal(track.state_covariance, R)
+
+
+def test_constant_measurements_stay():
+    _, states = run([(1.7, 0.0, 0.0)] * 50)
+    np.testing.assert_allclose(states, np.tile([1.7, 0, 0], (50, 1)), atol=1e-9)
+
+
+def test_jitter_shrinks_and_a_drift_is_followed_without_lag():
+    rng = np.random.default_rng(0)
+    true = 1.7 + 0.01 * np.arange(200)
+    measured = true + rng.normal(0, 0.03, 200)
+    _, states = run([(m, 0.0, 0.0) for m in measured])
+    jitter = np.std(np.diff(states[20:, 0], 2)) / np.std(np.diff(measured[20:], 2))
+    assert jitter < 1 / 3
+    assert abs(np.mean(states[50:, 0] - true[50:])) < 0.005
+
+
+def test_outside_the_gate_nothing_is_taken():
+    track, _ = run([(1.7, 0.0, 0.0)] * 20)
+    predicted = tracking.predict(CFG, track, 20 * DT_NS)
+    assert tracking.update(CFG, predicted, np.array([3.2, 0.0, 0.0]), R) is None
+    assert tracking.update(CFG, predicted, np.array([1.72, 0.0, 0.0]), R) is not None
+
+
+def test_covariance_grows_while_unseen_and_stays_symmetric():
+    track, _ = run([(1.7, 0.0, 0.0)] * 20 + [None] * 5)
+    seen, _ = run([(1.7, 0.0, 0.0)] * 20)
+    assert track.covariance[0, 0] > seen.covariance[0, 0]
+    np.testing.assert_allclose(track.covariance, track.covariance.T, atol=1e-12)
+    assert np.linalg.eigvalsh(track.covariance).min() > 0
+
+
+@pytest.mark.parametrize(("missing", "expired"), [(10, False), (11, True)])
+def test_held_for_half_a_second(missing, expired):
+    track, _ = run([(1.7, 0.0, 0.0)] * 3 + [None] * missing)
+    assert tracking.expired(CFG, track) == expired

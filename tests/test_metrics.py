@@ -1,0 +1,126 @@
+"""Metrics with answers worked out by hand; identity gives zero everywhere."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from roadperc_stream import metrics as m
+from roadperc_stream.chain import ChainState, step
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.datatypes import (
+    Boundary,
+    DepthImage,
+    Lanes,
+    Object,
+    Objects,
+    Sample,
+    TagImage,
+    Truth,
+)
+from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics as FrameMetricsProto
+from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from tests.analytic import Road, box
+
+CFG = ReplayConfig()
+
+
+def boundary(offset_m, heading=0.0, side="left"):
+    x = np.arange(0.0, 30.0)
+    line = np.stack((x, offset_m + heading * x, np.zeros_like(x)), axis=-1)
+    return Boundary(side, "measured", None, None, offset_m, heading, 0.0, line_ego_m=line)
+
+
+def test_lane_error_is_taken_ten_metres_ahead():
+    assert m.lane_error_m(boundary(1.8, 0.01), boundary(1.8)) == pytest.approx(0.1)
+    assert m.lane_error_m(boundary(1.55), boundary(1.8)) == pytest.approx(-0.25)
+    assert m.lane_error_m(boundary(1.8), boundary(1.8)) == 0.0
+
+
+def test_lane_error_needs_both():
+    assert m.lane_error_m(Boundary("left", "lost"), boundary(1.8)) is None
+    assert m.lane_error_m(boundary(1.8), Boundary("left", "measured")) is None
+
+
+def test_intersection_over_union():
+    a, b = np.zeros((2, 4), bool), np.zeros((2, 4), bool)
+    a[0], b[0, 2:], b[1, :2] = True, True, True
+    assert m.intersection_over_union(a, b) == pytest.approx(2 / 6)
+    assert m.intersection_over_union(a, a) == 1.0
+    assert m.intersection_over_union(a & False, b & False) is None
+
+
+def sample_and_result(**truth):
+    frame = Road().frame(detections=(box("Car", 0, 0, 10, 10), box("Unicorn", 300, 300, 340, 340)))
+    _, result = step(CFG, ChainState(), frame)
+    return Sample(0, frame.stamp_ns, frame, Truth(**truth), (), 0), result
+
+
+def test_identity_gives_zero_errors():
+    road = Road()
+    _, result = sample_and_result()
+    tags, depth = road.tags(), road.depth_m()
+    sample, _ = sample_and_result(
+        surface=result.surface,
+        lanes=result.lanes,
+        depth=DepthImage("camera", lambda: (depth, 65.535)),
+        segmentation=TagImage("camera", TABLE, lambda: tags),
+    )
+    row = m.frame_metrics(CFG, "id", sample, result)
+    assert (row.surface_angle_error_deg, row.camera_height_error_m, row.drivable_iou) == (0.0, 0.0, 1.0)
+    assert row.lane_left_error_m == pytest.approx(0.0, abs=1e-9)
+    assert row.lane_right_error_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_surface_turned_by_a_degree():
+    _, result = sample_and_result()
+    turned = replace(
+        result.surface, ego_plane=type(result.surface.ego_plane)((np.sin(np.pi / 180), 0.0, np.cos(np.pi / 180)), 0.0)
+    )
+    level = replace(result.surface, ego_plane=type(result.surface.ego_plane)((0.0, 0.0, 1.0), 0.0))
+    sample, _ = sample_and_result(surface=replace(turned, camera_height_m=1.5))
+    row = m.frame_metrics(CFG, "id", sample, replace(result, surface=replace(level, camera_height_m=1.4)))
+    assert row.surface_angle_error_deg == pytest.approx(1.0)
+    assert row.camera_height_error_m == pytest.approx(-0.1)
+
+
+def test_columns_of_a_frame():
+    sample, result = sample_and_result()
+    row = m.frame_metrics(CFG, "id", sample, result)
+    assert row.lane_width_m == pytest.approx(1.8 + 1.9, abs=0.03)
+    assert (row.detections, row.detections_kept, row.detections_unjudged) == (2, 1, 1)
+    assert row.lane_right_boundary_class == "sidewalk"
+    assert row.surface_source == "depth"
+    assert row.lane_left_error_m is None
+
+
+def test_objects_are_matched_best_first_and_once():
+    near, far = box("Car", 0, 0, 10, 10), box("Car", 1, 0, 11, 10)
+    objects = Objects((Object(far, True, distance_m=5.0), Object(near, True, distance_m=3.5)))
+    truth = Objects((Object(near, True, distance_m=3.0),))
+    sample, result = sample_and_result(objects=truth)
+    result = replace(result, objects=objects)
+    rows = m.object_metrics("id", sample, result)
+    assert [row.true_distance_m for row in rows] == [None, 3.0]
+    assert m.frame_metrics(CFG, "id", sample, result).object_distance_error_m == pytest.approx(0.5)
+
+
+def test_dropped_objects_do_not_count():
+    objects = Objects(
+        (Object(box("Car", 0, 0, 9, 9), False, distance_m=2.0), Object(box("Bus", 20, 0, 29, 9), True, distance_m=7.0))
+    )
+    sample, result = sample_and_result()
+    row = m.frame_metrics(CFG, "id", sample, replace(result, objects=objects))
+    assert (row.nearest_object_m, row.nearest_object_class, row.detections_kept) == (7.0, "Bus", 1)
+
+
+def test_the_message_has_a_field_for_every_column():
+    names = {f.name for f in FrameMetricsProto.DESCRIPTOR.fields} - {"timestamp", "frame_id"}
+    assert names == {f.name for f in fields(m.FrameMetrics)}
+
+
+def test_lost_lanes_have_no_width():
+    lanes = Lanes((boundary(1.8), Boundary("right", "lost")))
+    sample, result = sample_and_result()
+    row = m.frame_metrics(CFG, "id", sample, replace(result, lanes=lanes))
+    assert (row.lane_width_m, row.lane_right_status, row.lane_right_offset_m) == (None, "lost", None)

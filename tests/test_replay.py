@@ -1,0 +1,296 @@
+"""Whole replays: what comes out, that it comes out the same, and what is refused."""
+
+import re
+
+import polars as pl
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.channels import RESULTS
+from roadperc_stream.cli import replay_main
+from roadperc_stream.config import load_config
+from roadperc_stream.errors import ChannelError, LogError
+from roadperc_stream.log import Channel, Message
+from roadperc_stream.replay import Cut, beside, replay
+from tests import logs
+from tests.analytic import STEP_NS
+
+CFG = load_config()
+
+
+@pytest.fixture
+def source(tmp_path):
+    return logs.write(tmp_path / "in.mcap", logs.items())
+
+
+def run(source, name="out", **options):
+    target = source.with_name(f"{name}.mcap")
+    summary = replay(source, target, options.pop("cfg", CFG), **options)
+    return target, summary
+
+
+def metrics(target):
+    return pl.read_parquet(beside(target, "metrics"))
+
+
+def by_topic(path):
+    topics = {}
+    for message in log.read(path, validate_crcs=True):
+        topics.setdefault(message.channel.topic, []).append(message)
+    return topics
+
+
+def test_a_row_per_frame_with_every_stage(source):
+    target, summary = run(source)
+    table = metrics(target)
+    assert (table.height, summary.frames) == (6, 6)
+    assert table["camera_height_m"].to_list() == pytest.approx([1.4] * 6, abs=2e-3)
+    assert set(table["lane_left_status"]) == {"measured"}
+    assert table["lane_width_m"].to_list() == pytest.approx([3.7] * 6, abs=0.1)
+    assert table["detections_kept"].to_list() == [0] * 6
+    assert table["total_ms"].min() > 0
+    assert table["stereo_ms"].null_count() == 6
+    assert table["log_id"].unique().to_list() == [summary.log_id]
+    objects = pl.read_parquet(beside(target, "objects"))
+    assert objects.height == 12
+    assert set(objects["label"]) == {"Car", "Pedestrian"}
+
+
+def test_every_result_topic_is_written_in_log_time_order(source):
+    target, _ = run(source)
+    topics = by_topic(target)
+    for topic in set(RESULTS) - {"/perception/log"}:
+        assert [m.log_time_ns for m in topics[topic]] == [logs.START_NS + k * STEP_NS for k in range(6)], topic
+    times = [m.log_time_ns for m in log.read(target)]
+    assert times == sorted(times)
+
+
+def plain(message):
+    return (
+        message.channel.topic,
+        message.channel.schema_data,
+        message.log_time_ns,
+        message.publish_time_ns,
+        message.sequence,
+        message.data,
+    )
+
+
+def test_every_input_message_is_kept_byte_for_byte(tmp_path):
+    foreign = Channel("/lidar/raw", "blob", "My.Scan", "", b"")
+    extra = [Message(foreign, logs.START_NS + k, logs.START_NS - k, 7 + k, bytes([k])) for k in range(3)]
+    source = logs.write(tmp_path / "in.mcap", logs.items(), extra)
+    target, _ = run(source)
+    kept = [plain(m) for m in log.read(target) if not m.channel.topic.startswith("/perception")]
+    assert kept == [plain(m) for m in log.read(source)]
+
+
+def test_attachments_metadata_and_silent_channels_are_kept(tmp_path):
+    source = tmp_path / "in.mcap"
+    with log.LogWriter(source, profile="ros2") as writer:
+        writer.register(Channel("/silent", "x"))
+        for k, item in enumerate(logs.items(2)):
+            writer.write(Message(logs.channel(item.role), item.stamp_ns, item.stamp_ns, k, item.data))
+        writer.attach(log.Attachment("notes.txt", "text/plain", b"hi", 5, 6))
+        writer.describe(log.Metadata("car", (("name", "x"),)))
+    target, _ = run(source)
+    summary = log.summarise(target)
+    assert summary.profile == "ros2"
+    assert "/silent" in [c.topic for c in summary.channels]
+    assert [a.name for a in summary.attachments] == ["notes.txt", "roadperc.toml"]
+    assert [m.name for m in summary.metadata] == ["car", "roadperc"]
+
+
+def test_the_same_bytes_twice_and_again_from_the_output(source):
+    first, _ = run(source, "first")
+    second, _ = run(source, "second")
+    again, _ = run(first, "again")
+    assert first.read_bytes() == second.read_bytes() == again.read_bytes()
+
+
+def test_results_of_another_configuration_are_replaced(source):
+    first, _ = run(source, "first")
+    changed = load_config(None, ("lanes.model=line",))
+    again, _ = run(first, "again", cfg=changed)
+    direct, _ = run(source, "direct", cfg=changed)
+    assert again.read_bytes() == direct.read_bytes() != first.read_bytes()
+
+
+def test_the_log_carries_its_configuration(source):
+    cfg = load_config(None, ("lanes.hold_s=0.7",))
+    target, summary = run(source, cfg=cfg)
+    (attachment,) = [a for a in log.summarise(target).attachments if a.name == "roadperc.toml"]
+    path = source.with_name("c.toml")
+    path.write_bytes(attachment.data)
+    assert load_config(path) == cfg
+    (record,) = [m for m in log.summarise(target).metadata if m.name == "roadperc"]
+    assert dict(record.values)["digest"].startswith(summary.log_id)
+
+
+def test_cuts_cut_the_copy_too(source):
+    target, summary = run(source, cut=Cut(start_s=0.1, frames=2))
+    assert summary.frames == 2
+    times = {m.log_time_ns - logs.START_NS for m in log.read(target)}
+    assert times == {2 * STEP_NS, 3 * STEP_NS}
+    assert metrics(target)["lane_left_status"].to_list() == ["measured", "measured"]
+    target, summary = run(source, "end", cut=Cut(end_s=0.1))
+    assert summary.frames == 2
+
+
+def test_results_only(source):
+    target, _ = run(source, results_only=True)
+    assert {m.channel.topic for m in log.read(target)} <= set(RESULTS)
+
+
+def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
+    items = [i for i in logs.items() if not (i.role == "depth" and i.stamp_ns == logs.START_NS + 2 * STEP_NS)]
+    target, _ = run(logs.write(tmp_path / "in.mcap", items))
+    table = metrics(target)
+    assert table["missing"].to_list() == [[], [], ["depth"], [], [], []]
+    assert table["surface_source"].to_list()[2] == "assumed"
+
+
+@pytest.mark.parametrize("role", ["depth", "segmentation", "detections"])
+def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
+    source = logs.write(tmp_path / "in.mcap", logs.items(roles=tuple(r for r in logs.ALL if r != role)))
+    target, _ = run(source)
+    table = metrics(target)
+    assert table.height == 6
+    if role == "depth":
+        assert set(table["surface_source"]) == {"assumed"}
+    if role == "segmentation":
+        assert table["lane_left_offset_m"].null_count() == 6
+        assert table["reasons"].to_list()[0] == ["lanes: no segmentation"]
+        texts = [m.data for m in by_topic(target)["/perception/log"]]
+        assert len(texts) == 1
+
+
+def test_without_images_depth_makes_the_frames(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(roles=("calibration", "depth")))
+    target, summary = run(source)
+    assert summary.frames == 6
+    assert set(metrics(target)["surface_source"]) == {"lower_image"}
+
+
+def test_a_broken_message_is_counted_copied_and_named(tmp_path):
+    items = logs.items()
+    at = next(k for k, item in enumerate(items) if item.role == "detections")
+    items[at] = logs.Item("detections", items[at].stamp_ns, b"\xff\xff\xff")
+    source = logs.write(tmp_path / "in.mcap", items)
+    target, summary = run(source)
+    assert summary.problems == {"/camera/front/detections": 1}
+    assert any("/camera/front/detections" in note and str(items[at].stamp_ns) in note for note in summary.notes)
+    assert b"\xff\xff\xff" in [m.data for m in log.read(target)]
+    assert metrics(target)["missing"].to_list()[0] == ["detections"]
+
+
+def test_other_topics_by_name(tmp_path):
+    items = [
+        logs.Item(i.role, i.stamp_ns, i.data, "/cam/label" if i.role == "segmentation" else "") for i in logs.items()
+    ]
+    source = logs.write(tmp_path / "in.mcap", items)
+    target, summary = run(source, overrides={"segmentation": "/cam/label"})
+    assert set(metrics(target)["lane_left_status"]) == {"measured"}
+    guessed, summary = run(source, "guessed")
+    assert any("/cam/label" in note for note in summary.notes)
+    assert guessed.read_bytes() == target.read_bytes()
+
+
+def twice(role, items):
+    return [*items, *[logs.Item(i.role, i.stamp_ns, i.data, "/other/view") for i in items if i.role == role]]
+
+
+def renamed(role, items):
+    return [logs.Item(i.role, i.stamp_ns, i.data, "/first/view" if i.role == role else "") for i in items]
+
+
+@pytest.mark.parametrize(
+    ("items", "words"),
+    [
+        (logs.items(roles=("image", "depth")), "no calibration"),
+        (twice("image", renamed("image", logs.items())), "2 topics fit role image: /first/view, /other/view"),
+        (logs.items(roles=("calibration", "detections")), "nothing to replay"),
+        (
+            [logs.Item("calibration", 5, logs.items()[0].data, "/camera/front/image")],
+            "expects foxglove.CompressedImage",
+        ),
+        (logs.items(roles=("calibration",)), "nothing to replay"),
+    ],
+    ids=["no calibration", "two topics", "no image", "wrong schema", "no frames"],
+)
+def test_what_cannot_be_replayed_is_one_line_and_no_file(tmp_path, capsys, items, words):
+    source = logs.write(tmp_path / "in.mcap", items)
+    assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
+    err = capsys.readouterr().err
+    assert re.fullmatch(r"error: [^\n]*\n", err)
+    assert words in err
+    assert str(source) in err
+    assert [p.name for p in tmp_path.iterdir()] == ["in.mcap"]
+
+
+@pytest.mark.parametrize("kind", ["missing", "empty", "text", "half", "damaged"])
+def test_a_file_that_is_no_log_is_one_line_and_no_file(tmp_path, capsys, kind):
+    whole = logs.write(tmp_path / "whole.mcap", logs.items()).read_bytes()
+    source = tmp_path / "in.mcap"
+    middle = len(whole) // 3
+    contents = {
+        "empty": b"",
+        "text": b"hello world, no log\n" * 9,
+        "half": whole[: len(whole) // 2],
+        "damaged": whole[:middle] + bytes(64) + whole[middle + 64 :],
+    }
+    if kind in contents:
+        source.write_bytes(contents[kind])
+    assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
+    err = capsys.readouterr().err
+    assert re.fullmatch(r"error: [^\n]*in\.mcap[^\n]*\n", err)
+    assert not list(tmp_path.glob("*out*"))
+
+
+def test_an_existing_output_is_refused_without_force(source):
+    run(source)
+    with pytest.raises(LogError, match="--force"):
+        run(source)
+    run(source, force=True)
+
+
+def test_the_input_is_never_the_output(source):
+    before = source.read_bytes()
+    with pytest.raises(LogError, match="is the input itself"):
+        replay(source, source, CFG, force=True)
+    assert source.read_bytes() == before
+
+
+def test_an_empty_part_is_refused(source):
+    with pytest.raises(LogError, match="in the part asked for"):
+        run(source, cut=Cut(start_s=100))
+
+
+def test_a_topic_that_is_not_there_is_named(source):
+    with pytest.raises(ChannelError, match="/nowhere"):
+        run(source, overrides={"depth": "/nowhere"})
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--frames", "0"], ["--only", "sonar"], ["--start", "x"], []],
+    ids=["no frames", "no stage", "no number", "no files"],
+)
+def test_wrong_usage_is_exit_code_2(arguments, capsys):
+    files = ["a", "b"] if arguments else []
+    with pytest.raises(SystemExit) as caught:
+        replay_main([*files, *arguments])
+    assert caught.value.code == 2
+    assert "usage:" in capsys.readouterr().err
+
+
+def test_the_command_says_what_it_wrote(source, capsys):
+    target = source.with_name("out.mcap")
+    assert replay_main([str(source), str(target), "--only", "surface", "--set", "surface.inlier_m=0.04"]) == 0
+    out, err = capsys.readouterr()
+    assert "6 frames" in out
+    assert str(target) in out
+    assert err == ""
+    assert metrics(target)["reasons"].to_list()[0] == ["lanes: switched off", "objects: switched off"]
+    assert replay_main([str(source), str(target), "--force", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""

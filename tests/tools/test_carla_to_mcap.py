@@ -1,0 +1,437 @@
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from roadperc_stream.tools.carla_to_mcap import main
+from roadperc_stream.tools.frame_stamps import EPOCH_NS
+
+from roadperc_stream import log
+from roadperc_stream.channels import ROLES
+from roadperc_stream.datatypes import Box
+from roadperc_stream.decoding import context_of, decode
+from roadperc_stream.geometry import Camera
+from tests.tools.dump_writer import (
+    CALIBRATION,
+    HEIGHT,
+    TAGS,
+    WIDTH,
+    camera_pixels,
+    carla_codes,
+    depth_m,
+    document,
+    jpeg,
+    plain_dump,
+    red,
+)
+from tests.tools.dump_writer import png as write_png
+
+ROLE_OF_TOPIC = {role.topic: role for role in ROLES.values()}
+
+
+def convert(dump: Path, *options: str) -> Path:
+    out = dump.parent / f"{dump.name}.mcap"
+    assert main([str(dump), str(out), "--quiet", *options]) == 0
+    return out
+
+
+def failure(capsys, *arguments: object) -> str:
+    """The one line that a stated error prints."""
+    assert main([str(a) for a in arguments]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def payloads(path: Path) -> dict[str, list]:
+    """Decoded messages by role, with their stamps in nanoseconds since the epoch of dumps."""
+    found: dict[str, list] = {}
+    for message in log.read(path, validate_crcs=True):
+        role = ROLE_OF_TOPIC[message.channel.topic]
+        context = context_of(dict(message.channel.metadata), "auto")
+        schema, encoding = message.channel.schema_name, message.channel.message_encoding
+        decoded = decode(role.kind, schema, encoding, message.data, message.log_time_ns, context)
+        assert decoded.stamp_ns == message.log_time_ns == message.publish_time_ns
+        found.setdefault(role.name, []).append((message.log_time_ns - EPOCH_NS, message.sequence, decoded.payload))
+    return found
+
+
+@pytest.fixture
+def dump(tmp_path):
+    return plain_dump(tmp_path / "dump")
+
+
+def test_a_dump_becomes_a_log(dump):
+    found = payloads(convert(dump))
+    assert set(found) == {"image", "calibration", "depth", "segmentation"}
+    assert [(t, s) for t, s, _ in found["image"]] == [(0, 0), (50_000_000, 1), (100_000_000, 2)]
+    ((_, _, camera),) = found["calibration"]
+    assert camera == Camera("camera_front", WIDTH, HEIGHT, 8.0, 8.0, 7.5, 5.5)
+    for number, (_, _, image) in enumerate(found["image"]):
+        np.testing.assert_array_equal(image.bgr, camera_pixels(number))
+    _, _, depth = found["depth"][0]
+    np.testing.assert_allclose(depth.depth_m, np.minimum(depth_m(), 65.535), atol=6e-4)
+    _, _, tags = found["segmentation"][0]
+    assert tags.table.name == "carla-from-0.9.14"
+    np.testing.assert_array_equal(tags.tags, TAGS)
+
+
+def test_images_pass_through_byte_for_byte(tmp_path):
+    dump = tmp_path / "dump"
+    first = jpeg(dump / "rgb" / "1.png", camera_pixels(1))
+    second = write_png(dump / "rgb" / "2.jpg", camera_pixels(2))
+    out = convert(dump, "--fov", "90")
+    data = [m.data for m in log.read(out, topics=["/camera/front/image"])]
+    assert first.read_bytes() in data[0]
+    assert b"jpeg" in data[0]
+    assert second.read_bytes() in data[1]
+    assert b"png" in data[1]
+
+
+def test_converting_twice_gives_the_same_bytes(dump, tmp_path):
+    first = convert(dump).read_bytes()
+    other = tmp_path / "elsewhere" / "renamed"
+    other.parent.mkdir()
+    dump.rename(other)
+    assert convert(other).read_bytes() == first
+
+
+def test_calibration_comes_before_everything_and_channels_follow_the_table(dump):
+    document(dump / "calibration.json", {**CALIBRATION, "rgb_height_m": 1.7, "depth_height_m": 1.5})
+    document(dump / "detections.json", {"0": [{"label": "Car", "box_px": [1, 2, 3, 4], "score": 0.5}]})
+    out = convert(dump)
+    topics = [m.channel.topic for m in log.read(out)]
+    assert topics[:2] == ["/camera/front/calibration", "/tf"]
+    order = [role.topic for role in ROLES.values()]
+    assert topics[2:6] == sorted(set(topics) - set(topics[:2]), key=order.index)
+    by_id = sorted({m.channel.source_id: m.channel.topic for m in log.read(out)}.items())
+    assert [topic for _, topic in by_id] == sorted((topic for _, topic in by_id), key=order.index)
+    edges = {e.child: e.parent_T_child[:3, 3].tolist() for e in payloads(out)["tf"][0][2]}
+    assert edges == {"camera_front": [0, 0, 1.7], "camera_depth": [0, 0, 1.5]}
+    assert payloads(out)["depth"][0][2].frame_id == "camera_depth"
+
+
+def test_frames_missing_in_a_sensor_stay_missing_and_are_counted(dump, capsys):
+    (dump / "depth" / "000001.png").unlink()
+    out = dump.parent / "out.mcap"
+    assert main([str(dump), str(out)]) == 0
+    row = next(line.split() for line in capsys.readouterr().out.splitlines() if line.split()[:1] == ["depth"])
+    assert row[1:4] == ["depth", "2", "1"]
+    assert [s for _, s, _ in payloads(out)["depth"]] == [0, 2]
+
+
+def test_unreadable_frames_are_reported_and_counted_as_missing(dump, capsys):
+    (dump / "rgb" / "000001.png").write_bytes(b"")
+    damaged = bytearray((dump / "depth" / "000002.png").read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    (dump / "depth" / "000002.png").write_bytes(damaged)
+    found = payloads(convert(dump))
+    warnings = capsys.readouterr().err
+    assert "000001.png: empty file" in warnings
+    assert "000002.png: png is damaged" in warnings
+    assert [s for _, s, _ in found["image"]] == [0, 2]
+    assert [s for _, s, _ in found["depth"]] == [0, 1]
+    assert [s for _, s, _ in found["segmentation"]] == [0, 1, 2]
+
+
+def test_depth_as_float(dump):
+    _, _, depth = payloads(convert(dump, "--depth", "float"))["depth"][0]
+    np.testing.assert_allclose(depth.depth_m, depth_m(), atol=5e-5)
+    assert depth.limit_m == math.inf
+
+
+def test_rates_and_stamp_files(dump):
+    document(dump / "calibration.json", {**CALIBRATION, "rate_hz": 10})
+    assert [t for t, _, _ in payloads(convert(dump))["image"]] == [0, 100_000_000, 200_000_000]
+    found = payloads(convert(dump, "--rate", "40", "--force"))
+    assert [t for t, _, _ in found["image"]] == [0, 25_000_000, 50_000_000]
+    (dump / "timestamps.txt").write_text("000000 1.5\n000001 1.6\n000002 1.8\n")
+    found = payloads(convert(dump, "--force"))
+    assert [t for t, _, _ in found["image"]] == [1_500_000_000, 1_600_000_000, 1_800_000_000]
+
+
+def test_kitti_raw_keeps_its_own_dates(tmp_path):
+    dump = tmp_path / "dump"
+    write_png(dump / "image_02" / "data" / "0000000000.png", camera_pixels())
+    (dump / "image_02" / "timestamps.txt").write_text("2011-09-26 13:02:25.964389445\n")
+    ((stamp_ns, _, _),) = payloads(convert(dump, "--fov", "90"))["image"]
+    assert stamp_ns + EPOCH_NS == 1317042145964389445
+
+
+def test_frames_stepping_by_more_than_one_are_told(tmp_path, capsys):
+    dump = plain_dump(tmp_path / "dump", frames=(142916, 142920, 142924))
+    out = tmp_path / "out.mcap"
+    assert main([str(dump), str(out)]) == 0
+    assert "frame numbers go in steps of 4: 0.2 s from frame to frame at 20 Hz" in capsys.readouterr().out
+    assert [t for t, _, _ in payloads(out)["image"]] == [0, 200_000_000, 400_000_000]
+
+
+def test_lossy_input_is_converted_with_a_warning(dump, capsys):
+    for number in range(3):
+        write_png(
+            dump / "depth" / f"{number:06d}.png", np.arange(WIDTH * HEIGHT, dtype=np.uint8).reshape(HEIGHT, WIDTH)
+        )
+        (dump / "segmentation" / f"{number:06d}.png").unlink()
+        jpeg(dump / "segmentation" / f"{number:06d}.jpg", red(TAGS))
+    convert(dump, "--allow-lossy-tags")
+    warnings = capsys.readouterr().err
+    assert "logarithmic grey" in warnings
+    assert "--allow-lossy-tags" in warnings
+
+
+def test_left_alone_becomes_the_front_camera(tmp_path, capsys):
+    dump = tmp_path / "dump"
+    write_png(dump / "left.png", camera_pixels(1))
+    write_png(dump / "right.png", camera_pixels(2))
+    document(dump / "calibration.json", {"fov_deg": 90, "baseline_m": 0.25})
+    out = dump.parent / "out.mcap"
+    assert main([str(dump), str(out)]) == 0
+    assert "the left camera is the front camera" in capsys.readouterr().out
+    found = payloads(out)
+    assert set(found) == {"image", "calibration", "right", "right_calibration", "tf"}
+    assert found["right_calibration"][0][2].baseline_m == 0.25
+
+
+def test_the_same_left_images_are_not_stored_twice(dump):
+    for number in range(3):
+        write_png(dump / "left" / f"{number}.png", camera_pixels(number))
+    assert "left" not in payloads(convert(dump))
+    write_png(dump / "left" / "0.png", camera_pixels(9))
+    found = payloads(convert(dump, "--force"))
+    assert len(found["left"]) == 3
+    assert found["left"][0][2].frame_id == found["left_calibration"][0][2].frame_id == "camera_left"
+
+
+def test_depth_alone_is_enough(tmp_path):
+    dump = tmp_path / "dump"
+    write_png(dump / "depth" / "7.png", carla_codes(depth_m()))
+    found = payloads(convert(dump, "--fov", "90"))
+    assert set(found) == {"calibration", "depth"}
+    assert found["depth"][0][2].frame_id == found["calibration"][0][2].frame_id == "camera_front"
+
+
+def test_detections_and_poses_without_an_image_are_left_out(dump, capsys):
+    document(dump / "detections.json", {"1": [{"label": "Car", "box_px": [1, 2, 3, 4], "score": 0.5}], "9": []})
+    pose = {"location": {"x": 1, "y": 2, "z": 0}, "rotation": {"pitch": 0, "yaw": 90, "roll": 0}}
+    document(dump / "poses.json", {"000002": pose, "000009": pose})
+    out = dump.parent / "out.mcap"
+    assert main([str(dump), str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "detections: 1 of 2 frames have no image" in printed
+    assert "poses: 1 of 2 frames have no image" in printed
+    found = payloads(out)
+    ((_, sequence, detections),) = found["detections"]
+    assert sequence == 1
+    assert detections[0].box_px == Box(1, 2, 3, 4)
+    ((_, _, pose_edge),) = found["truth_pose"]
+    assert (pose_edge.parent, pose_edge.child) == ("odom", "ego")
+    np.testing.assert_allclose(pose_edge.parent_T_child[:2, :3], [[0, 1, 0], [-1, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(pose_edge.parent_T_child[:3, 3], [1, -2, 0])
+
+
+def test_truth_travels_beside_noisy_input(dump):
+    write_png(dump / "truth" / "segmentation" / "000000.png", red(np.flip(TAGS, 1)))
+    write_png(dump / "truth" / "depth" / "000000.png", carla_codes(depth_m() / 2))
+    side = {"offset_m": 1.7, "heading": 0.0, "curvature_per_m": 0.0}
+    document(dump / "truth.json", {"lanes": {"0": {"left": side}}})
+    found = payloads(convert(dump))
+    np.testing.assert_array_equal(found["truth_segmentation"][0][2].tags, np.flip(TAGS, 1))
+    assert found["truth_depth"][0][2].depth_m.max() == np.float32(65.535)
+    assert found["truth_lanes"][0][2].side("left").offset_m == 1.7
+
+
+def test_a_role_option_inside_the_dump_or_from_here(dump, monkeypatch):
+    write_png(dump / "other" / "0.png", carla_codes(depth_m() * 2))
+    found = payloads(convert(dump, "--role", "depth=other"))
+    assert len(found["depth"]) == 1
+    monkeypatch.chdir(dump.parent)
+    assert len(payloads(convert(dump, "--role", "depth=dump/depth", "--force"))["depth"]) == 3
+
+
+def test_what_is_found_is_printed_before_writing(dump, capsys):
+    document(dump / "detections.json", {"0": [{"label": "Car", "box_px": [1, 2, 3, 4], "score": 0.5}] * 2})
+    write_png(dump / "sonar" / "0.png", camera_pixels())
+    assert main([str(dump), str(dump.parent / "no" / "out.mcap")]) == 0
+    printed = capsys.readouterr().out
+    for words in ("png RGB 8 bit", "carla 24 bit", "raw in red", "2 boxes", "20 Hz", "carla-from-0.9.14", "sonar/"):
+        assert words in printed
+    last = printed.splitlines()[-1]
+    assert "messages" in last
+    assert "out.mcap" in last
+
+
+def test_an_existing_log_is_kept_unless_forced(dump, capsys):
+    out = convert(dump)
+    before = out.stat()
+    assert "--force" in failure(capsys, dump, out)
+    assert out.stat() == before
+    convert(dump, "--force")
+
+
+def spoil_calibration(content: object):
+    return lambda dump: document(dump / "calibration.json", content)
+
+
+def spoil_size(dump: Path) -> None:
+    write_png(dump / "rgb" / "000001.png", camera_pixels()[:-2])
+
+
+def spoil_table_size(dump: Path) -> None:
+    np.savetxt(dump / "depth" / "000001.dat", depth_m()[:-2])
+    (dump / "depth" / "000001.png").unlink()
+
+
+def spoil_all_images(dump: Path) -> None:
+    for path in (dump / "rgb").iterdir():
+        path.write_bytes(path.read_bytes()[:40])
+
+
+def spoil_all_depth_inside(dump: Path) -> None:
+    for path in (dump / "depth").iterdir():
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 1
+        path.write_bytes(data)
+
+
+def spoil_tags_with_jpeg(dump: Path) -> None:
+    for path in list((dump / "segmentation").iterdir()):
+        jpeg(path, red(TAGS))
+
+
+def spoil_truth(dump: Path) -> None:
+    document(dump / "truth.json", {"lanes": []})
+
+
+SPOILERS = {
+    "truncated json": (lambda d: (d / "calibration.json").write_text('{"width": 16,'), ["calibration.json: not JSON"]),
+    "not text": (lambda d: (d / "calibration.json").write_bytes(b"\xff\xfe\x00"), ["calibration.json: not JSON"]),
+    "wrong key": (spoil_calibration({**CALIBRATION, "fov_deg": "wide"}), ["calibration.json: fov_deg", "'wide'"]),
+    "nan": (spoil_calibration({**CALIBRATION, "baseline_m": float("nan")}), ["calibration.json: baseline_m"]),
+    "no calibration": (lambda d: (d / "calibration.json").unlink(), ["camera_front", "--fov"]),
+    "no version": (spoil_calibration({**CALIBRATION, "carla_tags": None}), ["segmentation", "--carla", "2 fence"]),
+    "version unknown": (spoil_calibration({**CALIBRATION, "carla_tags": "new"}), ["'new'", "0.9.15"]),
+    "mixed sizes": (spoil_size, ["000001.png", "16x10", "16x12"]),
+    "table of another size": (spoil_table_size, ["000001.dat"]),
+    "all images cut": (spoil_all_images, ["rgb: none of 3 files can be read", "cut off"]),
+    "all depth damaged": (spoil_all_depth_inside, ["depth", "damaged"]),
+    "tags as jpeg": (spoil_tags_with_jpeg, ["tags as JPEG", "--allow-lossy-tags"]),
+    "wrong truth": (spoil_truth, ["truth.json: lanes"]),
+}
+
+
+@pytest.mark.parametrize("name", SPOILERS)
+def test_a_fault_is_one_line_and_leaves_no_log(dump, capsys, name):
+    spoil, words = SPOILERS[name]
+    spoil(dump)
+    out = dump.parent / "out" / "in.mcap"
+    message = failure(capsys, dump, out, "--quiet")
+    assert all(word in message for word in words), message
+    assert not out.parent.exists() or not list(out.parent.iterdir())
+
+
+def test_an_output_that_cannot_be_written_is_named(dump, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "in.mcap" in failure(capsys, dump, tmp_path / "file" / "in.mcap", "--quiet")
+    assert "is a folder" in failure(capsys, dump, tmp_path, "--quiet", "--force")
+
+
+@pytest.mark.parametrize("make", [lambda _: None, lambda path: path.mkdir(), lambda path: path.write_text("")])
+def test_a_dump_that_is_none(tmp_path, capsys, make):
+    make(tmp_path / "dump")
+    assert "dump" in failure(capsys, tmp_path / "dump", tmp_path / "out.mcap")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--role", "radar=x"],
+        ["--role", "depth"],
+        ["--rate", "0"],
+        ["--rate", "nan"],
+        ["--fov", "180"],
+        ["--fov", "wide"],
+        ["--depth", "half"],
+        ["--unknown"],
+    ],
+)
+def test_wrong_usage(dump, capsys, options):
+    with pytest.raises(SystemExit) as stop:
+        main([str(dump), "out.mcap", *options])
+    assert stop.value.code == 2
+    capsys.readouterr()
+
+
+def test_a_role_path_that_does_not_exist_is_a_stated_error(dump, capsys):
+    message = failure(capsys, dump, dump.parent / "out.mcap", "--role", "depth=nowhere")
+    assert "--role depth=nowhere" in message
+
+
+def test_help_has_a_worked_example(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["--help"])
+    assert stop.value.code == 0
+    assert "roadperc-convert recordings/town04 town04.mcap" in capsys.readouterr().out
+
+
+def test_the_log_says_how_it_was_made_and_nothing_of_the_machine(dump):
+    (record,) = log.summarise(convert(dump)).metadata
+    values = dict(record.values)
+    assert values["encoding.depth"] == "carla 24 bit"
+    assert values["tag_table"] == "carla-from-0.9.14"
+    assert str(dump.parent) not in json.dumps(values)
+
+
+SETS = {
+    "carla_rgbd": {"image": 90, "calibration": 1, "depth": 90},
+    "carla_frame": {"image": 1, "calibration": 1, "depth": 1, "segmentation": 1, "detections": 1, "tf": 1},
+    "carla_raw_tags": {"image": 3, "calibration": 1, "segmentation": 3},
+    "course_frames": {"image": 2, "calibration": 1, "segmentation": 2, "detections": 2},
+    "course_stereo": {"image": 1, "calibration": 1, "right": 1, "right_calibration": 1, "tf": 1},
+    "course_odometry": {"image": 16, "calibration": 1},
+}
+
+
+@pytest.fixture(scope="module")
+def real_logs(data_dir, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    for name in SETS:
+        assert main([str(data_dir / name), str(folder / f"{name}.mcap"), "--quiet"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_every_recording_converts(real_logs, name):
+    found = payloads(real_logs / f"{name}.mcap")
+    assert {role: len(messages) for role, messages in found.items()} == SETS[name]
+
+
+def test_course_frames_have_their_road_pixels(real_logs):
+    _, _, tags = payloads(real_logs / "course_frames.mcap")["segmentation"][0]
+    assert np.count_nonzero(tags.tags == 7) == 411193
+    assert tags.table.name_of(7) == "road"
+
+
+def test_course_stereo_is_rectified_along_rows(real_logs):
+    found = payloads(real_logs / "course_stereo.mcap")
+    right = found["right_calibration"][0][2]
+    assert right.baseline_m == pytest.approx(0.5)
+    assert (right.fx, right.fy, right.cx, right.cy) == (640, 480, 639.5, 479.5)
+
+
+def test_carla_frame_keeps_both_mountings_and_boxes_outside(real_logs):
+    found = payloads(real_logs / "carla_frame.mcap")
+    heights = {edge.child: edge.parent_T_child[2, 3] for edge in found["tf"][0][2]}
+    assert heights == {"camera_front": 1.7, "camera_depth": 1.5}
+    boxes = [d.box_px.rounded(1024, 768) for d in found["detections"][0][2]]
+    outside = sum(x1 <= x0 or y1 <= y0 for x0, y0, x1, y1 in boxes)
+    assert (len(boxes), outside) == (71, 17)
+
+
+def test_rgbd_depth_is_a_road_two_metres_below(real_logs):
+    found = payloads(real_logs / "carla_rgbd.mcap")
+    camera = found["calibration"][0][2]
+    depth = found["depth"][0][2].depth_m
+    row, column = 480, 256
+    height_m = depth[row, column] * (row - camera.cy) / camera.fy
+    assert height_m == pytest.approx(2.0, abs=0.02)

@@ -1,0 +1,128 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+from roadperc_stream.tools.depth_files import carla_metres, depth_encoding, depth_metres, logarithmic_metres
+from roadperc_stream.tools.pixel_files import load_pixels
+
+from roadperc_stream.errors import DumpError
+from tests.tools.dump_writer import HEIGHT, WIDTH, camera_pixels, carla_codes, depth_m, jpeg, png
+
+
+def alpha(pixels):
+    return np.dstack((pixels, np.full(pixels.shape[:2], 255, np.uint8)))
+
+
+def log_grey(metres):
+    return np.rint((1.0 + np.log(metres / 1000.0) / 5.70378) * 255.0).clip(0, 255).astype(np.uint8)
+
+
+def csv(path, values):
+    np.savetxt(path, values, delimiter=", ")
+    return path
+
+
+def npy(path, values):
+    with path.open("wb") as stream:
+        np.save(stream, values)
+    return path
+
+
+EXACT = {"rtol": 1e-6, "atol": 5e-5}
+LOSSY = {"rtol": 0.0113}
+"""Half a step of the 255 grey levels."""
+MAKERS = {
+    "carla bgr": (lambda p: png(p, carla_codes(depth_m())), "carla 24 bit", EXACT),
+    "carla bgra": (lambda p: png(p, alpha(carla_codes(depth_m()))), "carla 24 bit", EXACT),
+    "raw bgra npy": (lambda p: npy(p, alpha(carla_codes(depth_m()))), "carla 24 bit", EXACT),
+    "float npy": (lambda p: npy(p, depth_m()), "metres", EXACT),
+    "float32 npy with a channel": (lambda p: npy(p, depth_m().astype(np.float32)[..., None]), "metres", EXACT),
+    "course csv": (lambda p: csv(p, depth_m() / 1000.0), "metres / 1000", EXACT),
+    "csv in metres": (lambda p: csv(p, depth_m()), "metres", EXACT),
+    "log grey": (lambda p: png(p, log_grey(depth_m())), "logarithmic grey", LOSSY),
+    "log rgb": (lambda p: png(p, np.dstack([log_grey(depth_m())] * 3)), "logarithmic grey", LOSSY),
+}
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_every_encoding_gives_the_known_metres(tmp_path, name):
+    make, encoding, tolerance = MAKERS[name]
+    path = make(tmp_path / "000000.png")
+    assert depth_encoding([path]) == encoding
+    found = depth_metres(load_pixels(path), encoding)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, depth_m(), **tolerance)
+
+
+def test_16_bit_millimetres(tmp_path):
+    millimetres = np.array([[0, 1, 1500], [65535, 40000, 7]], np.uint16)
+    path = png(tmp_path / "0.png", millimetres)
+    assert depth_encoding([path]) == "millimetres"
+    np.testing.assert_allclose(
+        depth_metres(load_pixels(path), "millimetres"), [[np.nan, 0.001, 1.5], [65.535, 40.0, 0.007]], rtol=1e-6
+    )
+
+
+@given(st.integers(0, 2**24 - 1))
+def test_24_bits_as_carla_documents_them(code):
+    r, g, b = code & 255, code >> 8 & 255, code >> 16
+    found = carla_metres(np.array([[[b, g, r]]], np.uint8))[0, 0]
+    expected = (r + g * 256 + b * 65536) / (2**24 - 1) * 1000
+    assert np.isnan(found) if code == 0 else abs(found - expected) <= 1e-6 * expected
+
+
+def test_logarithmic_grey_ends_at_the_far_plane():
+    metres = logarithmic_metres(np.array([[255, 0]], np.uint8))
+    np.testing.assert_allclose(metres, [[1000.0, 1000.0 * np.exp(-5.70378)]], rtol=1e-6)
+
+
+def test_a_frame_of_sky_does_not_decide(tmp_path):
+    sky = png(tmp_path / "0.png", np.full((HEIGHT, WIDTH, 3), 255, np.uint8))
+    road = png(tmp_path / "1.png", carla_codes(depth_m()))
+    grey = png(tmp_path / "2.png", log_grey(depth_m()))
+    assert depth_encoding([sky, road]) == "carla 24 bit"
+    assert depth_encoding([sky, grey]) == "logarithmic grey"
+    np.testing.assert_allclose(depth_metres(load_pixels(sky), "carla 24 bit"), 1000.0)
+    np.testing.assert_allclose(depth_metres(load_pixels(sky), "logarithmic grey"), 1000.0)
+
+
+def test_unknown_numbers_are_not_a_number(tmp_path):
+    path = npy(tmp_path / "0.npy", np.array([[np.nan, 0.0, -1.0, 5.0]]))
+    np.testing.assert_array_equal(depth_metres(load_pixels(path), "metres"), [[np.nan, np.nan, np.nan, 5.0]])
+
+
+def test_a_near_frame_in_metres_is_no_other_encoding(tmp_path):
+    near = npy(tmp_path / "0.npy", np.full((2, 2), 0.8))
+    far = npy(tmp_path / "1.npy", np.full((2, 2), 8.0))
+    assert depth_encoding([near, far]) == "metres"
+    np.testing.assert_allclose(depth_metres(load_pixels(near), "metres"), 0.8, rtol=1e-6)
+
+
+def palette_png(path):
+    image = Image.fromarray(np.zeros((2, 2), np.uint8), "L").convert("L")
+    image.putpalette([128, 64, 128] * 256)
+    image.save(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda p: jpeg(p, camera_pixels()),
+        palette_png,
+        lambda p: npy(p, np.zeros((2, 2, 3))),
+        lambda p: png(p, np.zeros((2, 2, 3), np.uint16)),
+    ],
+    ids=["jpeg of 24 bits", "palette", "three floats", "16-bit colour"],
+)
+def test_what_is_no_depth_is_refused(tmp_path, make):
+    path = make(tmp_path / "000003.png")
+    with pytest.raises(DumpError, match=r"000003\.png"):
+        depth_encoding([path])
+
+
+def test_a_file_encoded_otherwise_is_named(tmp_path):
+    path = png(tmp_path / "5.png", log_grey(depth_m()))
+    with pytest.raises(DumpError, match=r"5\.png: depth as logarithmic grey, the files before as carla 24 bit"):
+        depth_metres(load_pixels(path), "carla 24 bit")

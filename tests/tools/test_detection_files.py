@@ -1,0 +1,86 @@
+import pytest
+from roadperc_stream.tools.detection_files import load_detections, load_kitti_labels
+
+from roadperc_stream.datatypes import Box, Detection
+from roadperc_stream.errors import DumpError
+from tests.tools.dump_writer import document
+
+
+def test_boxes_by_frame_keep_what_lies_outside_the_image(tmp_path):
+    entry = {"label": "Car", "box_px": [-20.5, 4, 2532, 9], "score": 0.5, "corner_depth_m": [1], "id": 3}
+    path = document(tmp_path / "detections.json", {"142916": [entry], "frame_7": []})
+    detections, kind, notes = load_detections(path)
+    assert detections == {142916: (Detection("Car", Box(-20.5, 4.0, 2532.0, 9.0), 0.5, "3"),), 7: ()}
+    assert kind == "boxes by frame"
+    assert notes == ()
+
+
+def test_coco_results_with_standard_categories(tmp_path):
+    entries = [
+        {"image_id": 7, "category_id": 3, "bbox": [10, 20, 30, 40], "score": 0.5},
+        {"image_id": "frame_0008", "category_id": 10, "bbox": [1, 2, 3, 4], "score": 0.25},
+        {"image_id": 7, "category_id": 62, "bbox": [0, 0, 1, 1], "score": 0.1},
+        {"image_id": 7, "label": "Van", "bbox": [0, 0, 1, 1], "score": 0.1},
+    ]
+    detections, kind, notes = load_detections(document(tmp_path / "detections.json", entries))
+    assert kind == "COCO"
+    assert detections[7][0] == Detection("car", Box(10, 20, 40, 60), 0.5)
+    assert [d.label for d in detections[7]] == ["car", "coco_62", "Van"]
+    assert detections[8][0].label == "traffic light"
+    assert notes == ("COCO categories without a name: 62",)
+
+
+def test_coco_annotations_with_images_and_categories(tmp_path):
+    data = {
+        "images": [{"id": 100, "file_name": "rgb/000004.png"}, {"id": 101, "file_name": "rgb/000005.png"}],
+        "categories": [{"id": 1, "name": "Vehicle", "supercategory": "thing"}],
+        "annotations": [{"id": 9, "image_id": 100, "category_id": 1, "bbox": [1, 2, 3, 4]}],
+    }
+    detections, _, notes = load_detections(document(tmp_path / "coco.json", data))
+    assert detections == {4: (Detection("Vehicle", Box(1, 2, 4, 6), 1.0, "9"),), 5: ()}
+    assert notes == ()
+
+
+KITTI = """\
+Car 0.00 0 -1.57 10.00 20.00 29.00 39.00 1.5 1.6 3.9 1.0 1.6 20.0 -1.6 0.75
+DontCare -1 -1 -10 5.0 6.0 7.0 8.0 -1 -1 -1 -1000 -1000 -1000 -10
+
+Pedestrian 0.00 0 -1.57 0.00 0.00 9.00 9.00 1.5 1.6 3.9 1.0 1.6 20.0 -1.6
+"""
+
+
+def test_kitti_maxima_become_half_open(tmp_path):
+    path = tmp_path / "000003.txt"
+    path.write_text(KITTI)
+    assert load_kitti_labels({3: path}) == {
+        3: (Detection("Car", Box(10, 20, 30, 40), 0.75), Detection("Pedestrian", Box(0, 0, 10, 10), 1.0))
+    }
+
+
+@pytest.mark.parametrize(
+    ("content", "fault"),
+    [
+        ({"0": [{"label": "Car", "box_px": [1, 2, 3]}]}, r"0\.0\.box_px\.3: Field required"),
+        ({"0": [{"label": "Car", "box_px": [9, 2, 3, 4]}]}, "frame 0: box 9.0, 2.0, 3.0, 4.0"),
+        ({"0": [{"label": "Car", "box_px": [1, 2, 3, float("nan")]}]}, r"0\.0\.box_px\.3"),
+        ({"0": [{"box_px": [1, 2, 3, 4]}]}, r"0\.0\.label: Field required"),
+        ({"first": []}, "'first': expected a frame number"),
+        ({"1": [], "01": []}, "'1' and '01' are both frame 1"),
+        ([{"image_id": 1, "bbox": [1, 2, 3, 4]}], "expected category_id, category or label"),
+        ([{"image_id": 1, "bbox": [1, 2, -3, 4], "category_id": 3}], "frame 1: box"),
+        ([{"image_id": "first", "bbox": [1, 2, 3, 4], "category_id": 3}], "'first': expected a frame number"),
+        ("text", "valid dictionary"),
+    ],
+)
+def test_faults_name_file_and_key(tmp_path, content, fault):
+    with pytest.raises(DumpError, match=fault) as caught:
+        load_detections(document(tmp_path / "detections.json", content))
+    assert "detections.json" in str(caught.value)
+
+
+@pytest.mark.parametrize("line", ["Car 1 2 3", "Car 0 0 0 a 2 3 4 0 0 0 0 0 0 0", "Car 0 0 0 nan 2 3 4 0 0 0 0 0 0 0"])
+def test_kitti_faults_name_the_line(tmp_path, line):
+    path = tmp_path / "000003.txt"
+    path.write_text(f"\n{line}\n")
+    with pytest.raises(DumpError, match=r"000003\.txt: line 2: "):
+        load_kitti_labels({3: path})

@@ -1,0 +1,163 @@
+from pathlib import Path
+
+import pytest
+from roadperc_stream.tools.dump_layout import find_layout
+
+from roadperc_stream.errors import DumpError
+from tests.tools.dump_writer import camera_pixels, document, plain_dump, png
+
+
+def sources(layout):
+    return {role: sensor.source for role, sensor in layout.sensors.items()}
+
+
+def frames(layout, role):
+    return sorted(layout.sensors[role].files)
+
+
+def test_folders_are_found_and_paired_by_number_in_the_name(tmp_path):
+    png(tmp_path / "CameraRGB" / "frame_00007.png", camera_pixels())
+    png(tmp_path / "CameraRGB" / "frame_00010.png", camera_pixels())
+    png(tmp_path / "CameraDepth" / "10.png", camera_pixels())
+    layout = find_layout(tmp_path, {})
+    assert sources(layout) == {"image": "CameraRGB", "depth": "CameraDepth"}
+    assert frames(layout, "image") == [7, 10]
+    assert frames(layout, "depth") == [10]
+
+
+def test_kitti_folders_keep_frames_in_data(tmp_path):
+    png(tmp_path / "image_02" / "data" / "0000000003.png", camera_pixels())
+    png(tmp_path / "image_03" / "data" / "0000000003.png", camera_pixels())
+    layout = find_layout(tmp_path, {})
+    assert sources(layout) == {"image": "image_02", "right": "image_03"}
+    assert frames(layout, "right") == [3]
+
+
+def test_flat_files_are_told_by_their_names(tmp_path):
+    png(tmp_path / "left.png", camera_pixels())
+    png(tmp_path / "right.png", camera_pixels())
+    assert sources(find_layout(tmp_path, {})) == {"left": "left.png", "right": "right.png"}
+
+
+def test_flat_files_with_numbers(tmp_path):
+    for number in (1, 2):
+        png(tmp_path / f"rgb_{number:04d}.png", camera_pixels())
+        png(tmp_path / f"{number:04d}_depth.png", camera_pixels())
+    layout = find_layout(tmp_path, {})
+    assert frames(layout, "image") == frames(layout, "depth") == [1, 2]
+
+
+def test_a_folder_of_bare_numbers_is_the_camera(tmp_path):
+    png(tmp_path / "000042.png", camera_pixels())
+    assert frames(find_layout(tmp_path, {}), "image") == [42]
+
+
+def test_label_text_in_a_labels_folder_is_detections(tmp_path):
+    png(tmp_path / "rgb" / "0.png", camera_pixels())
+    (tmp_path / "labels").mkdir()
+    (tmp_path / "labels" / "000000.txt").write_text("")
+    assert frames(find_layout(tmp_path, {}), "detections") == [0]
+
+
+def test_truth_folder_is_a_role_of_its_own(tmp_path):
+    plain_dump(tmp_path)
+    png(tmp_path / "truth" / "depth" / "000000.png", camera_pixels())
+    layout = find_layout(tmp_path, {})
+    assert sources(layout)["truth_depth"] == "truth/depth"
+    assert sources(layout)["depth"] == "depth"
+
+
+def test_a_folder_that_fits_no_role_is_mentioned(tmp_path):
+    plain_dump(tmp_path)
+    png(tmp_path / "fisheye" / "0.png", camera_pixels())
+    (tmp_path / "depth_empty").mkdir()
+    notes = " ".join(find_layout(tmp_path, {}).notes)
+    assert "fisheye/" in notes
+    assert "depth_empty/" in notes
+
+
+def test_a_role_option_wins_over_the_names(tmp_path):
+    plain_dump(tmp_path)
+    other = png(tmp_path / "far" / "0.png", camera_pixels()).parent
+    layout = find_layout(tmp_path, {"depth": other})
+    assert frames(layout, "depth") == [0]
+    assert layout.sensors["depth"].files[0].parent == other
+    assert not any("far" in note for note in layout.notes)
+
+
+def test_a_role_option_takes_a_folder_from_the_role_its_name_says(tmp_path):
+    plain_dump(tmp_path)
+    layout = find_layout(tmp_path, {"truth_depth": tmp_path / "depth"})
+    assert "depth" not in layout.sensors
+
+
+def test_a_role_option_may_name_the_dump_itself(tmp_path):
+    plain_dump(tmp_path)
+    png(tmp_path / "x_1.png", camera_pixels())
+    layout = find_layout(tmp_path, {"image": tmp_path})
+    assert frames(layout, "image") == [1]
+    assert frames(layout, "depth") == [0, 1, 2]
+
+
+def test_files_without_a_number_are_mentioned(tmp_path):
+    plain_dump(tmp_path)
+    png(tmp_path / "rgb" / "thumbnail.png", camera_pixels())
+    layout = find_layout(tmp_path, {})
+    assert frames(layout, "image") == [0, 1, 2]
+    assert "thumbnail.png" in layout.notes[0]
+
+
+def two_depths(folder: Path) -> None:
+    plain_dump(folder)
+    png(folder / "CameraDepth" / "0.png", camera_pixels())
+
+
+def one_number_twice(folder: Path) -> None:
+    plain_dump(folder)
+    png(folder / "rgb" / "1.png", camera_pixels())
+
+
+def no_number(folder: Path) -> None:
+    png(folder / "rgb" / "first.png", camera_pixels())
+
+
+def only_junk(folder: Path) -> None:
+    png(folder / "holiday" / "1.png", camera_pixels())
+    (folder / "notes.txt").write_text("hello")
+
+
+def two_pose_files(folder: Path) -> None:
+    plain_dump(folder)
+    document(folder / "poses.json", {})
+    document(folder / "transforms.json", {})
+
+
+def detections_twice(folder: Path) -> None:
+    plain_dump(folder)
+    document(folder / "detections.json", {})
+    (folder / "label_2").mkdir()
+    (folder / "label_2" / "000000.txt").write_text("")
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (two_depths, ["CameraDepth", "depth", "--role depth="]),
+        (one_number_twice, ["000001.png", "1.png", "frame 1"]),
+        (no_number, ["rgb", "no frame number", "first.png"]),
+        (only_junk, ["no sensor found", "holiday/", "notes.txt"]),
+        (lambda _: None, ["no sensor found", "there is: nothing"]),
+        (two_pose_files, ["poses.json", "transforms.json"]),
+        (detections_twice, ["detections.json", "label_2", "--role detections"]),
+    ],
+)
+def test_faults_name_what_is_there(tmp_path, make, words):
+    make(tmp_path)
+    with pytest.raises(DumpError) as fault:
+        find_layout(tmp_path, {})
+    assert all(word in str(fault.value) for word in words), fault.value
+
+
+def test_a_missing_folder_is_said(tmp_path):
+    with pytest.raises(DumpError, match="nowhere: No such file"):
+        find_layout(tmp_path / "nowhere", {})

@@ -1,0 +1,428 @@
+"""The rendered dump against geometry worked out here, independently of the renderer."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from roadperc_stream.tools.render_scene import main
+from roadperc_stream.tools.scene.world import SCENES, make_world
+
+from roadperc_stream.semantics import CARLA_FROM_0_9_14
+
+TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
+CAMERA_X, CAMERA_Z = 1.5, 1.4
+
+
+class Dump:
+    def __init__(self, folder):
+        self.folder = folder
+        self.calibration = self.json("calibration")
+        self.truth = self.json("truth")
+        self.names = list(self.json("poses"))
+
+    def json(self, name):
+        return json.loads((self.folder / f"{name}.json").read_text())
+
+    def tags(self, name, room="segmentation"):
+        return cv2.imread(str(self.folder / room / f"{name}.png"), cv2.IMREAD_UNCHANGED)[..., 2]
+
+    def depth(self, name, room="depth"):
+        b, g, r = np.moveaxis(cv2.imread(str(self.folder / room / f"{name}.png"))[..., :3].astype(float), 2, 0)
+        return (r + 256 * g + 65536 * b) / (2**24 - 1) * 1000
+
+    def rgb(self, name, room="rgb"):
+        return cv2.imread(str(self.folder / room / f"{name}.png")).astype(float)
+
+    @property
+    def pinhole(self):
+        """f, cx, cy with pixel centres at integers."""
+        K = np.array(self.calibration["K"])
+        return K[0, 0], K[0, 2] - 0.5, K[1, 2] - 0.5
+
+    def pixels(self):
+        return np.meshgrid(np.arange(self.calibration["width"]), np.arange(self.calibration["height"]))
+
+    def ego_points(self, name):
+        """(H, W, 3) x forward, y left, z up of every pixel, from the depth."""
+        f, cx, cy = self.pinhole
+        u, v = self.pixels()
+        z = self.depth(name)
+        return np.stack((z + CAMERA_X, -(u - cx) / f * z, CAMERA_Z - (v - cy) / f * z), axis=-1)
+
+    def world_points(self, name):
+        """The same in the right-handed world, by CARLA's own left-handed matrix (carla.Transform.get_matrix)."""
+        pose = self.json("poses")[name]
+        cp, cy, cr = (np.cos(np.radians(pose["rotation"][a])) for a in ("pitch", "yaw", "roll"))
+        sp, sy, sr = (np.sin(np.radians(pose["rotation"][a])) for a in ("pitch", "yaw", "roll"))
+        R = np.array(
+            [
+                [cp * cy, cy * sp * sr - sy * cr, -cy * sp * cr - sy * sr],
+                [cp * sy, sy * sp * sr + cy * cr, -sy * sp * cr + cy * sr],
+                [sp, -cp * sr, cp * cr],
+            ]
+        )
+        left_handed = self.ego_points(name) * (1, -1, 1)
+        world = left_handed @ R.T + [pose["location"][a] for a in "xyz"]
+        return world * (1, -1, 1)
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """Renders with the options given, once."""
+
+    @cache
+    def render(*options):
+        folder = tmp_path_factory.mktemp("render") / "dump"
+        size = () if "--size" in options else ("--size", "320x240")
+        assert main([str(folder), *size, *options]) == 0
+        return Dump(folder)
+
+    return render
+
+
+@pytest.fixture(scope="module")
+def drive(rendered):
+    """Three frames, a second apart, of a scene."""
+    return lambda scene, *options: rendered(
+        "--scene", scene, "--seconds", "3", "--rate", "1", "--weave", "0.5", *options
+    )
+
+
+def test_flat_road_depth_is_true_to_a_millimetre(rendered):
+    dump = rendered("--scene", "straight", "--static", "--seconds", "0.1")
+    f, _, cy = dump.pinhole
+    tags, depth = dump.tags("000000"), dump.depth("000000")
+    _, v = dump.pixels()
+    road = (tags == TAG["road"]) | (tags == TAG["road_line"])
+    expected = CAMERA_Z / ((v[road] - cy) / f)
+    assert road.mean() > 0.2
+    near = expected < 80
+    assert depth[road][near] == pytest.approx(expected[near], abs=1e-3)
+    assert (depth[tags == TAG["sky"]] == 1000).all()
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_road_pixels_lie_on_the_terrain_through_the_written_pose(drive, scene):
+    dump = drive(scene)
+    terrain = make_world(scene, 30.0).terrain
+    for name in dump.names:
+        tags, points = dump.tags(name), dump.world_points(name)
+        near = dump.depth(name) < 60
+        road = near & ((tags == TAG["road"]) | (tags == TAG["road_line"]))
+        assert points[road][:, 2] == pytest.approx(terrain.height(points[road][:, 0]), abs=1e-3)
+        walk = near & (tags == TAG["sidewalk"])
+        above = points[walk][:, 2] - terrain.height(points[walk][:, 0])
+        assert above.min() > -1e-3
+        assert above.max() < 0.15 + 1e-3
+        assert np.mean(np.abs(above - 0.15) < 1e-3) > 0.5
+
+
+def test_markings_of_the_bend_lie_on_circles_about_its_centre(drive):
+    dump = drive("bend")
+    for name in dump.names:
+        points, tags = dump.world_points(name), dump.tags(name)
+        line = (tags == TAG["road_line"]) & (dump.depth(name) < 40)
+        d = 150 - np.hypot(points[line][:, 0], points[line][:, 1] - 150)
+        on_yellow = (np.abs(d) > 0.074) & (np.abs(d) < 0.226)
+        on_white = (np.abs(d) > 3.599) & (np.abs(d) < 3.751)
+        assert (on_yellow | on_white).all()
+        assert on_yellow.any()
+        assert on_white.any()
+        curb = (tags == TAG["sidewalk"]) & (dump.depth(name) < 30)
+        assert np.abs(150 - np.hypot(points[curb][:, 0], points[curb][:, 1] - 150)).min() == pytest.approx(6, abs=2e-3)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_lane_truth_lies_on_the_borders_of_the_tags(drive, scene):
+    dump = drive(scene, "--size", "640x480")
+    f, cx, cy = dump.pinhole
+    checked = 0
+    for name in dump.names:
+        tags, points = dump.tags(name), dump.ego_points(name)
+        for side, away in (("left", 1), ("right", -1)):
+            boundary = dump.truth["lanes"][name][side]
+            marking = "sidewalk" if boundary["outside"] == "sidewalk" else "road_line"
+            seen = {"in": [], "out": []}
+            for point in np.array(boundary["line_ego_m"])[4:13]:
+                for place, step in (("in", -0.05 * away), ("out", 0.05 * away)):
+                    x, y, z = point[0] - CAMERA_X, point[1] + step, point[2] - CAMERA_Z
+                    u, v = round(cx - f * y / x), round(cy - f * z / x)
+                    visible = 0 <= u < 640 and 0 <= v < 480 and abs(points[v, u, 0] - point[0]) < 0.05 * x
+                    if visible:
+                        seen[place].append(tags[v, u])
+            checked += len(seen["in"])
+            assert all(tag == TAG["road"] for tag in seen["in"])
+            broken = scene in ("bend", "town") and side == "right"
+            allowed = {TAG[marking], TAG["road"]} if broken else {TAG[marking]}
+            assert set(seen["out"]) <= allowed
+    assert checked > 20
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_offset_heading_and_curvature_describe_the_line(drive, scene):
+    dump = drive(scene)
+    for name in dump.names:
+        for side in ("left", "right"):
+            boundary = dump.truth["lanes"][name][side]
+            line = np.array(boundary["line_ego_m"])
+            assert line[:, 0] == pytest.approx(np.arange(61.0), abs=1e-4)
+            assert line[0, 1] == pytest.approx(boundary["offset_m"], abs=1e-5)
+            x = line[:7, 0]
+            parabola = boundary["offset_m"] + boundary["heading"] * x + boundary["curvature_per_m"] * x**2 / 2
+            assert line[:7, 1] == pytest.approx(parabola, abs=0.01)
+        width = [dump.truth["lanes"][name][side]["offset_m"] for side in ("left", "right")]
+        assert width[0] - width[1] == pytest.approx(3.6 - 0.225, abs=0.02)
+
+
+def test_weave_moves_the_lane_and_static_does_not(rendered):
+    offsets = {
+        key: [f["left"]["offset_m"] for f in dump.truth["lanes"].values()]
+        for key, dump in (
+            ("weave", rendered("--scene", "straight", "--seconds", "6", "--rate", "1", "--weave", "0.5")),
+            ("static", rendered("--scene", "straight", "--seconds", "3", "--rate", "1", "--static")),
+        )
+    }
+    assert np.ptp(offsets["weave"]) == pytest.approx(1.0 * np.sin(np.pi / 3), abs=0.02)
+    assert np.ptp(offsets["static"]) == 0
+    assert offsets["static"][0] == pytest.approx((3.6 - 0.225) / 2, abs=1e-6)
+
+
+def test_speed_is_the_distance_between_poses(rendered):
+    fast = rendered("--scene", "straight", "--seconds", "2", "--rate", "1", "--speed", "14", "--weave", "0")
+    x = [pose["location"]["x"] for pose in fast.json("poses").values()]
+    assert x[1] - x[0] == pytest.approx(14)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_surface_truth_is_the_plane_of_the_road_pixels(drive, scene):
+    dump = drive(scene)
+    for name in dump.names:
+        surface = dump.truth["surface"][name]
+        points = dump.ego_points(name)
+        tags = dump.tags(name)
+        ahead = points[..., 0] - CAMERA_X
+        chosen = (tags == TAG["road"]) & (ahead > 3) & (ahead < 15) & (np.abs(points[..., 1]) < 4)
+        x, y, z = points[chosen].T
+        curved = 0.05 if scene in ("hill", "town") else 1e-3
+        assert surface["a"] * x + surface["b"] * y + z == pytest.approx(surface["d"], abs=curved)
+        normal = np.array([surface["a"], surface["b"], 1.0]) / np.linalg.norm([surface["a"], surface["b"], 1.0])
+        optical = np.array([-normal[1], -normal[2], normal[0]])
+        assert surface["normal"] == pytest.approx(optical, abs=1e-6)
+        height = normal @ [CAMERA_X, 0, CAMERA_Z] - surface["d"] * normal[2]
+        assert surface["camera_height_m"] == pytest.approx(height, abs=1e-5)
+        assert surface["pitch"] == pytest.approx(-np.arcsin(optical[2]), abs=1e-6)
+
+
+def test_height_grid_holds_the_road_pixels(drive):
+    dump = drive("hill")
+    for name in dump.names:
+        grid = dump.truth["surface"][name]["height_grid"]
+        z = np.array(grid["z_m"]).reshape(grid["rows"], grid["columns"])
+        points = dump.ego_points(name)[dump.tags(name) == TAG["road"]]
+        points = points[(points[:, 0] < 50) & (np.abs(points[:, 1]) < 7)]
+        i, j = np.rint(points[:, 1] - grid["y_min_m"]).astype(int), np.rint(points[:, 0] - grid["x_min_m"]).astype(int)
+        close = np.hypot(points[:, 0] - j - grid["x_min_m"], points[:, 1] - i - grid["y_min_m"]) < 0.05
+        assert close.sum() > 5
+        assert points[close][:, 2] == pytest.approx(z[i, j][close], abs=0.01)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_right_picture_is_the_left_one_shifted_by_depth(drive, scene):
+    dump = drive(scene, "--size", "640x480")
+    f, _, _ = dump.pinhole
+    u, v = dump.pixels()
+    for name in dump.names[:2]:
+        depth, left, right = dump.depth(name), dump.rgb(name), dump.rgb(name, "right")
+        there = (u - f * dump.calibration["baseline_m"] / depth).astype(np.float32)
+        warped = cv2.remap(right.astype(np.float32), there, v.astype(np.float32), cv2.INTER_LINEAR)
+        difference = np.abs(warped - left).mean(axis=2)[(there > 1) & (depth < 200)]
+        assert np.percentile(difference, 90) < 4
+        unshifted = np.abs(right - left).mean(axis=2)[(there > 1) & (depth < 200)]
+        assert np.percentile(unshifted, 90) > 20
+
+
+def test_objects_are_boxed_tightly_and_measured_to_their_nearest_pixel(drive):
+    dump = drive("town")
+    f, cx, cy = dump.pinhole
+    u, v = dump.pixels()
+    seen = 0
+    for name in dump.names:
+        tags = dump.tags(name)
+        depth = dump.depth(name)
+        ranges = depth * np.sqrt(((u - cx) / f) ** 2 + ((v - cy) / f) ** 2 + 1)
+        for entry in dump.truth["objects"][name]:
+            x0, y0, x1, y1 = entry["box_px"]
+            tag = TAG["car" if entry["label"] == "Car" else "pedestrian"]
+            own = tags[y0:y1, x0:x1] == tag
+            assert own[0].any()
+            assert own[-1].any()
+            assert own[:, 0].any()
+            assert own[:, -1].any()
+            inside = np.where(own, ranges[y0:y1, x0:x1], np.inf)
+            assert np.abs(inside - entry["distance_m"]).min() < 1e-3
+            seen += 1
+        covered = np.zeros_like(tags, bool)
+        for entry in dump.truth["objects"][name]:
+            x0, y0, x1, y1 = entry["box_px"]
+            covered[y0:y1, x0:x1] = True
+        stray = ((tags == TAG["car"]) | (tags == TAG["pedestrian"])) & ~covered
+        assert stray.sum() < 0.002 * tags.size
+    assert seen > 10
+
+
+def test_closing_speed_is_the_change_of_the_distance(rendered):
+    dump = rendered("--scene", "bend", "--seconds", "1", "--rate", "20", "--size", "640x480")
+    objects = [{o["id"]: o for o in frame} for frame in dump.truth["objects"].values()]
+    compared = 0
+    for before, now, after in zip(objects, objects[1:], objects[2:], strict=False):
+        for name in before.keys() & now.keys() & after.keys():
+            if not name.startswith("leader") and not name.startswith("oncoming"):
+                continue
+            x0, _, x1, _ = now[name]["box_px"]
+            if x0 <= 1 or x1 >= 639 or now[name]["distance_m"] > 25:
+                continue
+            change = (before[name]["distance_m"] - after[name]["distance_m"]) / 0.1
+            assert now[name]["closing_speed_mps"] == pytest.approx(change, abs=1.0)
+            compared += 1
+    assert compared >= 10
+    speeds = [o["closing_speed_mps"] for frame in objects for n, o in frame.items() if n.startswith("oncoming")]
+    assert np.median(speeds) == pytest.approx(19, abs=1.5)
+
+
+def overlap(a, b):
+    width, height = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+    common = max(width, 0) * max(height, 0)
+    return common / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - common)
+
+
+def test_detector_finds_nearly_all_and_more(rendered):
+    dump = rendered("--scene", "town", "--seconds", "4", "--rate", "10", "--size", "640x480")
+    found = expected = right = total = 0
+    for name, detections in dump.json("detections").items():
+        truth = [o for o in dump.truth["objects"][name] if o["box_px"][2] - o["box_px"][0] > 12]
+        for entry in truth:
+            expected += 1
+            found += any(
+                overlap(d["box_px"], entry["box_px"]) > 0.6 and d["label"] == entry["label"] for d in detections
+            )
+        for d in detections:
+            total += 1
+            right += any(overlap(d["box_px"], o["box_px"]) > 0.4 for o in dump.truth["objects"][name])
+            assert 0 < d["score"] < 1
+            assert d["box_px"][0] < d["box_px"][2]
+    assert 0.85 < found / expected < 0.99
+    assert 0.4 < right / total < 0.9
+
+
+def test_the_ego_lanes_right_line_is_broken_for_a_stretch(rendered):
+    dump = rendered("--scene", "bend", "--seconds", "8", "--rate", "10", "--size", "160x120", "--weave", "0")
+    shares = []
+    for name in dump.names:
+        points, tags = dump.world_points(name), dump.tags(name)
+        d = 150 - np.hypot(points[..., 0], points[..., 1] - 150)
+        line = (d > -3.7) & (d < -3.65) & (dump.depth(name) < 15) & np.isin(tags, (TAG["road"], TAG["road_line"]))
+        shares.append(np.mean(tags[line] == TAG["road_line"]) if line.any() else np.nan)
+    assert np.nanmax(shares) == 1
+    assert np.nanmin(shares) < 0.6
+
+
+def contents(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+TINY = ("--seconds", "0.3", "--rate", "10", "--size", "160x120")
+SPOILED = (*TINY, "--tag-noise", "0.02", "--depth-noise", "0.01", "--rgb-noise", "2")
+
+
+def test_the_same_options_give_the_same_bytes_and_another_seed_others(tmp_path):
+    for name, seed in (("a", "3"), ("b", "3"), ("c", "4")):
+        assert main([str(tmp_path / name), *SPOILED, "--seed", seed]) == 0
+    a, b, c = (contents(tmp_path / name) for name in "abc")
+    assert a == b
+    assert a.keys() == c.keys()
+    assert a[Path("rgb/000000.png")] != c[Path("rgb/000000.png")]
+
+
+def test_spoiled_pictures_have_their_clean_ones_beside_them(rendered):
+    clean, spoiled = rendered(*TINY), rendered(*SPOILED)
+    assert not (clean.folder / "truth").exists()
+    for name in clean.names:
+        assert (spoiled.tags(name, "truth/segmentation") == clean.tags(name)).all()
+        assert (spoiled.depth(name, "truth/depth") == clean.depth(name)).all()
+        assert 0.005 < np.mean(spoiled.tags(name) != clean.tags(name)) < 0.15
+        near = clean.depth(name) < 100
+        assert np.std((spoiled.depth(name) / clean.depth(name))[near]) == pytest.approx(0.01, rel=0.1)
+        assert np.std(spoiled.rgb(name) - clean.rgb(name)) == pytest.approx(2, rel=0.1)
+        assert np.std(spoiled.rgb(name, "right") - clean.rgb(name, "right")) == pytest.approx(2, rel=0.1)
+
+
+def test_drop_leaves_out_files_but_none_of_the_first_frame_nor_of_the_truth(rendered):
+    dump = rendered("--seconds", "6", "--rate", "10", "--size", "64x48", "--drop", "0.3")
+    for sensor in ("rgb", "depth", "segmentation", "right"):
+        present = {path.stem for path in (dump.folder / sensor).iterdir()}
+        assert "000000" in present
+        assert 0.5 < len(present) / 60 < 0.9
+    assert len(list((dump.folder / "truth" / "segmentation").iterdir())) == 60
+    assert len(list((dump.folder / "truth" / "depth").iterdir())) == 60
+    rgb, depth = ({p.stem for p in (dump.folder / s).iterdir()} for s in ("rgb", "depth"))
+    assert rgb != depth
+
+
+def test_files_of_a_dump(rendered):
+    dump = rendered("--seconds", "0.5", "--rate", "4", "--size", "160x120", "--jpeg")
+    assert dump.names == ["000000", "000001"]
+    assert sorted(p.name for p in (dump.folder / "rgb").iterdir()) == ["000000.jpg", "000001.jpg"]
+    assert (dump.folder / "right" / "000001.jpg").exists()
+    assert (dump.folder / "timestamps.txt").read_text() == "000000 0.000000000\n000001 0.250000000\n"
+    assert dump.calibration["K"] == [[80, 0, 80], [0, 80, 60], [0, 0, 1]]
+    assert dump.calibration["mounting"]["right"] == {"x": 1.5, "y": 0.5, "z": 1.4, "roll": 0, "pitch": 0, "yaw": 0}
+    assert dump.calibration["carla_tags"] == "0.9.15"
+    classes = {CARLA_FROM_0_9_14.name_of(int(tag)) for name in dump.names for tag in np.unique(dump.tags(name))}
+    assert {"road", "road_line", "sidewalk", "building", "pole", "sky", "car"} <= classes
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--seconds", "0"], "--seconds"),
+        (["--seconds", "nan"], "--seconds"),
+        (["--rate", "-1"], "--rate"),
+        (["--drop", "1"], "--drop"),
+        (["--tag-noise", "2"], "--tag-noise"),
+        (["--size", "2x2"], "--size width"),
+        (["--seed", "-1"], "--seed"),
+    ],
+)
+def test_values_out_of_range_are_one_line_and_exit_1(tmp_path, capsys, options, words):
+    assert main([str(tmp_path / "x"), *options]) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("options", [["--scene", "moon"], ["--size", "big"], []])
+def test_wrong_usage_is_exit_2(tmp_path, options):
+    with pytest.raises(SystemExit) as stop:
+        main([str(tmp_path / "x"), *options] if options else [])
+    assert stop.value.code == 2
+
+
+def test_a_full_folder_is_refused_and_force_replaces_only_the_dump(tmp_path, capsys):
+    tiny = ["--size", "64x48", "--rate", "2"]
+    assert main([str(tmp_path), *tiny, "--seconds", "2"]) == 0
+    (tmp_path / "notes.txt").write_text("mine")
+    assert main([str(tmp_path), *tiny]) == 1
+    assert "--force" in capsys.readouterr().err
+    assert main([str(tmp_path), *tiny, "--seconds", "1", "--force"]) == 0
+    assert len(list((tmp_path / "rgb").iterdir())) == 2
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_file_in_the_folders_place_is_refused(tmp_path, capsys):
+    (tmp_path / "x").write_text("")
+    assert main([str(tmp_path / "x")]) == 1
+    assert str(tmp_path / "x") in capsys.readouterr().err

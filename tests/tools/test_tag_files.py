@@ -1,0 +1,202 @@
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+from roadperc_stream.tools.pixel_files import load_pixels
+from roadperc_stream.tools.tag_files import choose_table, tag_encoding, tags_of
+
+from roadperc_stream.errors import ConfigError, DumpError
+from roadperc_stream.images import encode_indices
+from roadperc_stream.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
+from tests.tools.dump_writer import TAGS, camera_pixels, jpeg, png, red
+
+NEW = CARLA_FROM_0_9_14
+
+
+def alpha(pixels):
+    return np.dstack((pixels, np.full(pixels.shape[:2], 255, np.uint8)))
+
+
+def colours(tags, table=NEW):
+    """(H, W, 3) blue, green, red palette image."""
+    return np.ascontiguousarray(np.array(table.colours, np.uint8)[tags][..., ::-1])
+
+
+def indexed(path, tags, palette):
+    path.write_bytes(encode_indices(tags, palette))
+    return path
+
+
+def grey_palette(path, tags):
+    return indexed(path, tags, tuple((i, 1, i) for i in range(256)))
+
+
+def optimised(path, tags):
+    """A palette PNG whose indices are not the tags, as a drawing programme saves it."""
+    used = sorted(set(tags.flat))
+    indices = np.searchsorted(used, tags).astype(np.uint8)
+    return indexed(path, indices, tuple(NEW.colours[tag] for tag in used))
+
+
+def csv(path, tags, fmt="%d"):
+    np.savetxt(path, tags, delimiter=", ", fmt=fmt)
+    return path
+
+
+def npy(path, values):
+    stream = io.BytesIO()
+    np.save(stream, values)
+    path.write_bytes(stream.getvalue())
+    return path
+
+
+MAKERS = {
+    "red, bgr": (lambda p: png(p, red(TAGS)), "raw in red"),
+    "red, bgra": (lambda p: png(p, alpha(red(TAGS))), "raw in red"),
+    "equal grey": (lambda p: png(p, np.dstack([TAGS] * 3)), "raw grey"),
+    "single grey": (lambda p: png(p, TAGS), "raw numbers"),
+    "indices": (lambda p: grey_palette(p, TAGS), "raw numbers"),
+    "csv": (lambda p: csv(p, TAGS), "raw numbers"),
+    "csv of floats": (lambda p: csv(p, TAGS, "%.18e"), "raw numbers"),
+    "npy": (lambda p: npy(p, TAGS), "raw numbers"),
+    "raw bgra npy": (lambda p: npy(p, alpha(red(TAGS))), "raw in red"),
+    "palette, rgb": (lambda p: png(p, colours(TAGS)), "palette colours"),
+    "palette, rgba": (lambda p: png(p, alpha(colours(TAGS))), "palette colours"),
+    "indices and palette": (lambda p: indexed(p, TAGS, NEW.colours), "palette colours"),
+    "optimised palette": (lambda p: optimised(p, TAGS), "palette colours"),
+}
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_every_encoding_gives_the_known_tags(tmp_path, name):
+    make, encoding = MAKERS[name]
+    path = make(tmp_path / "0.png")
+    found, seen = tag_encoding([path], allow_lossy=False)
+    assert found == encoding
+    assert seen == (() if encoding == "palette colours" else (0, 1, 2, 14))
+    tags = tags_of(load_pixels(path), found, NEW, allow_lossy=False)
+    assert tags.dtype == np.uint8
+    np.testing.assert_array_equal(tags, TAGS)
+
+
+@pytest.mark.parametrize("table", [CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14], ids=lambda table: table.name)
+def test_every_colour_of_a_table_is_looked_up(tmp_path, table):
+    tags = np.arange(len(table.names), dtype=np.uint8)[None]
+    found = tags_of(
+        load_pixels(png(tmp_path / "0.png", colours(tags, table))), "palette colours", table, allow_lossy=False
+    )
+    assert [table.colours[t] for t in found[0]] == list(table.colours)
+
+
+def test_a_black_frame_does_not_decide(tmp_path):
+    black = png(tmp_path / "0.png", np.zeros((4, 4, 3), np.uint8))
+    palette = png(tmp_path / "1.png", colours(TAGS))
+    assert tag_encoding([black, palette], allow_lossy=False)[0] == "palette colours"
+    assert not tags_of(load_pixels(black), "palette colours", NEW, allow_lossy=False).any()
+
+
+def test_a_named_version_chooses_the_table():
+    assert choose_table("0.9.13", "raw in red", (1,), "seg") == (CARLA_BEFORE_0_9_14, "CARLA 0.9.13")
+    assert choose_table("0.9.15", "raw in red", (1,), "seg")[0] is NEW
+    with pytest.raises(ConfigError, match="newest"):
+        choose_table("newest", "raw in red", (1,), "seg")
+
+
+def test_colours_and_high_numbers_tell_the_table():
+    assert choose_table(None, "palette colours", (), "seg")[0] is NEW
+    assert choose_table(None, "raw in red", (1, 24), "seg")[0] is NEW
+
+
+def test_numbers_that_do_not_tell_are_asked_for():
+    with pytest.raises(DumpError) as fault:
+        choose_table(None, "raw in red", (1, 7), "seg")
+    message = str(fault.value)
+    assert "--carla" in message
+    assert "1 building, 7 road" in message
+    assert "1 road, 7 traffic_light" in message
+
+
+def test_an_unknown_colour_is_named_with_its_count(tmp_path):
+    pixels = colours(TAGS)
+    pixels[0, :3] = (3, 2, 1)
+    path = png(tmp_path / "9.png", pixels)
+    with pytest.raises(DumpError, match=r"9\.png: colour \(1, 2, 3\) \(3 pixels\)"):
+        tags_of(load_pixels(path), "palette colours", NEW, allow_lossy=False)
+    tags = tags_of(load_pixels(path), "palette colours", NEW, allow_lossy=True)
+    assert (tags[0, :3] == 0).all()
+    np.testing.assert_array_equal(tags[1:], TAGS[1:])
+
+
+def test_a_tag_outside_the_table_is_named(tmp_path):
+    path = png(tmp_path / "9.png", red(np.array([[7, 29, 30]], np.uint8)))
+    with pytest.raises(DumpError, match=r"9\.png: tag 29 is not in carla-from-0.9.14 \(0 to 28\); 2 pixels"):
+        tags_of(load_pixels(path), "raw in red", NEW, allow_lossy=False)
+
+
+def blocks(values):
+    """Large even areas, as JPEG likes them."""
+    return np.kron(values, np.ones((16, 16), np.uint8)).astype(np.uint8)
+
+
+def test_jpeg_is_refused_with_the_reason(tmp_path):
+    path = jpeg(tmp_path / "0.jpg", colours(blocks(np.array([[1, 2]]))))
+    with pytest.raises(DumpError, match=r"0\.jpg: tags as JPEG.*compression.*--allow-lossy-tags"):
+        tag_encoding([path], allow_lossy=False)
+    with pytest.raises(DumpError, match="tags as JPEG"):
+        tags_of(load_pixels(path), "palette colours", NEW, allow_lossy=False)
+
+
+def test_lossy_palette_colours_take_the_nearest(tmp_path):
+    tags = blocks(np.array([[1, 2, 11], [24, 14, 9]]))
+    path = jpeg(tmp_path / "0.jpg", colours(tags))
+    encoding, _ = tag_encoding([path], allow_lossy=True)
+    assert encoding == "palette colours"
+    found = tags_of(load_pixels(path), encoding, NEW, allow_lossy=True)
+    inner = (slice(4, 12), slice(4, 12))
+    for row in range(2):
+        for column in range(3):
+            block = found[16 * row : 16 * row + 16, 16 * column : 16 * column + 16]
+            assert (block[inner] == tags[16 * row, 16 * column]).all()
+
+
+def test_lossy_raw_tags_take_what_is_there(tmp_path):
+    path = jpeg(tmp_path / "0.jpg", np.dstack([blocks(np.array([[1, 14], [24, 28]]))] * 3))
+    encoding, _ = tag_encoding([path], allow_lossy=True)
+    assert encoding in ("raw in red", "raw grey")
+    found = tags_of(load_pixels(path), encoding, NEW, allow_lossy=True)
+    assert found.max() <= 28
+    assert abs(int(found[8, 24]) - 14) <= 2
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda p: csv(p, np.array([[1.5, 2.0]]), "%.3f"),
+        lambda p: npy(p, np.array([[np.nan, 1.0]])),
+        lambda p: npy(p, np.zeros((2, 2, 3))),
+        lambda p: png(p, camera_pixels()),
+    ],
+    ids=["half tags", "nan", "three floats", "a photograph"],
+)
+def test_what_is_no_tags_is_refused(tmp_path, make):
+    path = make(tmp_path / "3.png")
+    with pytest.raises(DumpError, match=r"3\.png"):
+        tags_of(load_pixels(path), tag_encoding([path], allow_lossy=False)[0], NEW, allow_lossy=False)
+
+
+def test_a_file_stored_otherwise_is_named(tmp_path):
+    path = png(tmp_path / "4.png", colours(TAGS))
+    with pytest.raises(DumpError, match=r"4\.png: tags as palette colours, the files before as raw in red"):
+        tags_of(load_pixels(path), "raw in red", NEW, allow_lossy=False)
+
+
+def test_interlaced_and_small_palettes_are_read(tmp_path):
+    image = Image.fromarray(np.array([[0, 1], [1, 0]], np.uint8), "L").convert("L")
+    image.putpalette([0, 0, 0, 128, 64, 128])
+    image.save(tmp_path / "0.png", bits=1)
+    path = tmp_path / "0.png"
+    assert tag_encoding([path], allow_lossy=False)[0] == "palette colours"
+    np.testing.assert_array_equal(
+        tags_of(load_pixels(path), "palette colours", NEW, allow_lossy=False), [[0, 1], [1, 0]]
+    )
