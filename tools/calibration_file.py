@@ -1,0 +1,131 @@
+"""``calibration.json``: what it may hold, and pinholes from K, field of view or projection matrices."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
+from scipy.linalg import rq
+
+from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Float
+
+from .carla_poses import CarlaPose
+from .dump_json import Document, Numbers3, Numbers4, checked, read_json
+
+Positive = Annotated[float, Field(gt=0.0)]
+FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
+_HALF_PIXEL = 0.5
+_FOCAL_DIGITS = 9
+"""A field of view of 90 degrees gives w / 2 and not a hair more."""
+
+
+class Intrinsics(Document):
+    """A camera's size and either K or its horizontal field of view."""
+
+    width: PositiveInt | None = None
+    height: PositiveInt | None = None
+    K: tuple[Numbers3, Numbers3, Numbers3] | None = None
+    fov_deg: FieldOfView | None = Field(None, validation_alias=AliasChoices("fov_deg", "fov"))
+
+
+class CalibrationFile(Intrinsics):
+    """Everything ``calibration.json`` may say; other keys are notes."""
+
+    P_left: tuple[Numbers4, Numbers4, Numbers4] | None = None
+    P_right: tuple[Numbers4, Numbers4, Numbers4] | None = None
+    baseline_m: Positive | None = None
+    pixel_origin: Literal["corner", "centre", "center"] = "corner"
+    """Where K's principal point counts from: the first pixel's corner (CARLA: c = w / 2) or its centre."""
+    cameras: dict[str, Intrinsics] = Field(default_factory=dict)
+    """Cameras that differ from the front one, by role: ``{"depth": {"width": 800, "height": 600, "fov_deg": 90}}``."""
+    mounting: dict[str, CarlaPose] = Field(default_factory=dict)
+    rgb_height_m: FiniteFloat | None = None
+    depth_height_m: FiniteFloat | None = None
+    carla_tags: str | None = None
+    rate_hz: Positive | None = None
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """Intrinsics in pixels, pixel centres at integers from 0."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+def load_calibration(path: Path) -> CalibrationFile:
+    """Read ``calibration.json``.
+
+    Raises:
+        DumpError: names file, key and fault.
+
+    """
+    calibration = checked(path, TypeAdapter(CalibrationFile), read_json(path))
+    for name, camera in {"": calibration, **calibration.cameras}.items():
+        if camera.K is not None:
+            _require_pinhole(f"{path}: {f'cameras.{name}.' if name else ''}K", np.array(camera.K))
+    if (calibration.P_left is None) != (calibration.P_right is None):
+        raise DumpError(f"{path}: P_left and P_right: expected both or none")
+    return calibration
+
+
+def _require_pinhole(where: str, K: Float) -> None:
+    upper = K[0, 1] == K[1, 0] == 0 and K[2].tolist() == [0, 0, 1]
+    if not (upper and K[0, 0] > 0 and K[1, 1] > 0):
+        raise DumpError(f"{where}: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {K.tolist()}")
+
+
+def pinhole_of_K(K: Float, pixel_origin: str) -> Pinhole:
+    """Pinhole of K; a principal point counted from the pixel's corner lies half a pixel less from its centre."""
+    shift = _HALF_PIXEL if pixel_origin == "corner" else 0.0
+    return Pinhole(float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) - shift, float(K[1, 2]) - shift)
+
+
+def pinhole_of_fov(fov_deg: float, width: int, height: int) -> Pinhole:
+    """Square pixels: f = w / (2 tan(fov / 2)), the principal point in the middle of the image."""
+    f = round(float(width / (2.0 * np.tan(np.deg2rad(fov_deg) / 2.0))), _FOCAL_DIGITS)
+    return Pinhole(f, f, (width - 1) / 2.0, (height - 1) / 2.0)
+
+
+@dataclass(frozen=True)
+class ProjectionPair:
+    """What two projection matrices say of a rectified pair."""
+
+    K_left: Float
+    K_right: Float
+    baseline_m: float
+    along_rows: bool
+    """Whether the right camera lies along the left one's first axis."""
+
+
+def decompose_pair(path: Path, P_left: Float, P_right: Float) -> ProjectionPair:
+    """K of both (3, 4) matrices and the distance of their centres -M^-1 p4, with P = [M | p4] and M = K R.
+
+    Raises:
+        DumpError: a matrix is no projection, or both have one centre.
+
+    """
+    K_left, R_left, centre_left = _decompose(f"{path}: P_left", P_left)
+    K_right, _, centre_right = _decompose(f"{path}: P_right", P_right)
+    offset = R_left @ (centre_right - centre_left)
+    baseline_m = float(np.linalg.norm(offset))
+    if baseline_m == 0:
+        raise DumpError(f"{path}: P_left and P_right have one and the same centre: no stereo pair")
+    return ProjectionPair(K_left, K_right, baseline_m, bool(offset[0] > 0.99 * baseline_m))
+
+
+def _decompose(where: str, P: Float) -> tuple[Float, Float, Float]:
+    M = P[:, :3]
+    if not np.isfinite(P).all() or abs(np.linalg.det(M)) < 1e-9:
+        raise DumpError(f"{where}: no projection matrix of a camera: {P.tolist()}")
+    upper, R = rq(M)
+    signs = np.diag(np.sign(np.diag(upper)))
+    K = upper @ signs
+    K /= K[2, 2]
+    K[np.abs(K) < 1e-9] = 0.0
+    _require_pinhole(where, K)
+    return np.asarray(K), np.asarray(signs @ R), np.asarray(-np.linalg.solve(M, P[:, 3]))

@@ -1,0 +1,215 @@
+"""The cameras of a dump: intrinsics, frames and mountings, from ``calibration.json`` and the images' sizes."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.decoding import Transform
+from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Camera, Float, level_mounting, rigid
+
+from .calibration_file import (
+    CalibrationFile,
+    Intrinsics,
+    Pinhole,
+    ProjectionPair,
+    decompose_pair,
+    pinhole_of_fov,
+    pinhole_of_K,
+)
+from .carla_poses import camera_mounting
+from .role_names import role_of
+
+FRONT: Final = "camera_front"
+DEPTH: Final = "camera_depth"
+LEFT: Final = "camera_left"
+RIGHT: Final = "camera_right"
+EGO: Final = "ego"
+CAMERA_ROLES: Final = ("image", "segmentation", "depth", "left", "right")
+"""Sensors with a camera; the first one present is the front camera."""
+_SAME_M: Final = 1e-6
+_BASELINE_SLACK: Final = 0.01
+Size = tuple[int, int]
+"""Columns and rows."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras by calibration role, the frame of each sensor, and the transforms that are known."""
+
+    cameras: Mapping[str, Camera]
+    frame_ids: Mapping[str, str]
+    transforms: tuple[Transform, ...]
+    notes: tuple[str, ...] = ()
+
+    def camera_of(self, role: str) -> Camera:
+        """Camera whose pixels a sensor's files hold."""
+        own = self.cameras.get(f"{role.removeprefix('truth_')}_calibration")
+        return own or self.cameras["calibration"]
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What the calibration says, by role."""
+
+    file: CalibrationFile
+    path: Path
+    sizes: Mapping[str, Size]
+    pair: ProjectionPair | None
+    mountings: Mapping[str, Float]
+    """ego_T_camera."""
+    intrinsics: Mapping[str, Intrinsics]
+
+
+def build_rig(
+    calibration: CalibrationFile,
+    path: Path,
+    roles: Collection[str],
+    sizes: Mapping[str, Size],
+    *,
+    front_name: str = "image",
+) -> Rig:
+    """Cameras of the sensors present.
+
+    Args:
+        calibration: what is known, options of the command line included.
+        path: where it stands, for messages.
+        roles: sensors present.
+        sizes: columns and rows of the sensors' images, where their headers tell.
+        front_name: what ``calibration`` calls the front camera, ``left`` where it is the left one of a pair.
+
+    Raises:
+        DumpError: a camera without intrinsics or size, or a mounting that contradicts the baseline.
+
+    """
+    known = _known(calibration, path, sizes, front_name)
+    front_role = next(role for role in CAMERA_ROLES if role in roles)
+    front = _camera(known, FRONT, front_role)
+    front_T = known.mountings.get(front_role, known.mountings.get("image"))
+    depth_T = known.mountings.get("depth", front_T)
+    has_depth = bool({"depth", "truth_depth"} & set(roles)) and front_role != "depth"
+    depth_frame = DEPTH if has_depth and not _same(depth_T, front_T) else FRONT
+    cameras, transforms = {"calibration": front}, _edge(EGO, FRONT, front_T)
+    if has_depth:
+        depth = _camera(known, depth_frame, "depth")
+        cameras |= {} if depth.same_view(front) else {"depth_calibration": depth}
+    transforms += _edge(EGO, DEPTH, depth_T) if depth_frame == DEPTH else ()
+    if "left" in roles:
+        cameras["left_calibration"] = _camera(known, LEFT, "left")
+        transforms += _edge(EGO, LEFT, known.mountings.get("left"))
+    if "right" in roles and front_role != "right":
+        base, base_T = (LEFT, known.mountings.get("left")) if "left" in roles else (FRONT, front_T)
+        baseline_m = _baseline(known, base_T)
+        cameras["right_calibration"] = replace(_camera(known, RIGHT, "right"), baseline_m=baseline_m)
+        transforms += _right_edge(known, base, base_T, baseline_m)
+    frame_ids = {"depth": depth_frame, "truth_depth": depth_frame, "left": LEFT, "right": RIGHT}
+    return Rig(cameras, frame_ids, transforms, (*_notes(known, front_T), *_stereo_notes(known, cameras)))
+
+
+def _known(calibration: CalibrationFile, path: Path, sizes: Mapping[str, Size], front_name: str) -> _Known:
+    pair = None
+    if calibration.P_left is not None and calibration.P_right is not None:
+        pair = decompose_pair(path, np.array(calibration.P_left), np.array(calibration.P_right))
+    heights = {"image": calibration.rgb_height_m, "depth": calibration.depth_height_m}
+    mountings = {role: level_mounting(height) for role, height in heights.items() if height is not None}
+    mountings |= {role_of(name) or name: camera_mounting(pose) for name, pose in calibration.mounting.items()}
+    intrinsics = {role_of(name) or name: camera for name, camera in calibration.cameras.items()}
+    if front_name in mountings:
+        mountings["image"] = mountings[front_name]
+    if front_name in intrinsics:
+        intrinsics["image"] = intrinsics[front_name]
+    return _Known(calibration, path, sizes, pair, mountings, intrinsics)
+
+
+def _camera(known: _Known, frame_id: str, role: str) -> Camera:
+    own = known.intrinsics.get(role)
+    source: Intrinsics = own or known.file
+    width, height = _size(known, frame_id, role, source)
+    of_pair = None
+    if known.pair and own is None:
+        of_pair = known.pair.K_right if role == "right" else known.pair.K_left
+    pinhole = _pinhole(source, known.file.pixel_origin, width, height, of_pair)
+    if pinhole is None:
+        raise DumpError(
+            f"{frame_id} has no calibration: {known.path} gives neither K nor fov_deg; "
+            "add one there, or say --fov DEGREES (horizontal field of view)"
+        )
+    return Camera(frame_id, width, height, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
+
+
+def _pinhole(source: Intrinsics, pixel_origin: str, width: int, height: int, K_of_pair: Float | None) -> Pinhole | None:
+    if source.K is not None:
+        return pinhole_of_K(np.array(source.K), pixel_origin)
+    if source.fov_deg is not None:
+        return pinhole_of_fov(source.fov_deg, width, height)
+    return None if K_of_pair is None else pinhole_of_K(K_of_pair, pixel_origin)
+
+
+def _size(known: _Known, frame_id: str, role: str, source: Intrinsics) -> Size:
+    if source.width and source.height:
+        return source.width, source.height
+    seen = known.sizes.get(role) or next(iter(known.sizes.values()), None)
+    if seen is None:
+        raise DumpError(f"{frame_id}: its image size is not known: give width and height in {known.path}")
+    return seen
+
+
+def _same(a: Float | None, b: Float | None) -> bool:
+    return a is b if a is None or b is None else bool(np.allclose(a, b, atol=_SAME_M))
+
+
+def _edge(parent: str, child: str, parent_T_child: Float | None) -> tuple[Transform, ...]:
+    return () if parent_T_child is None else (Transform(parent, child, parent_T_child),)
+
+
+def _right_edge(known: _Known, base: str, base_T: Float | None, baseline_m: float | None) -> tuple[Transform, ...]:
+    """From ego where a mounting is known, else from the other camera of the pair."""
+    if "right" in known.mountings:
+        return _edge(EGO, RIGHT, known.mountings["right"])
+    if baseline_m is None:
+        return ()
+    shift = rigid(np.eye(3), np.array([baseline_m, 0.0, 0.0]))
+    return _edge(base, RIGHT, shift) if base_T is None else _edge(EGO, RIGHT, base_T @ shift)
+
+
+def _baseline(known: _Known, base_T: Float | None) -> float | None:
+    """Distance of the pair in metres, from the calibration or the mountings, which must agree."""
+    stated = known.file.baseline_m or (known.pair.baseline_m if known.pair else None)
+    right_T = known.mountings.get("right")
+    if base_T is None or right_T is None:
+        return stated
+    offset = base_T[:3, :3].T @ (right_T[:3, 3] - base_T[:3, 3])
+    mounted = float(np.linalg.norm(offset))
+    if mounted == 0 or offset[0] < (1 - _BASELINE_SLACK) * mounted:
+        raise DumpError(
+            f"{known.path}: mounting: the right camera does not lie to the right of its partner, in its rows"
+        )
+    if stated is not None and abs(stated - mounted) > _BASELINE_SLACK * stated:
+        raise DumpError(f"{known.path}: baseline {stated:g} m, but the mountings are {mounted:g} m apart")
+    return stated or mounted
+
+
+def _notes(known: _Known, front_T: Float | None) -> list[str]:
+    names = dict.fromkeys((*known.file.mounting, *known.file.cameras))
+    notes = [f"{known.path.name}: {name!r} is no camera known: left out" for name in names if role_of(name) is None]
+    if "segmentation" in known.mountings and not _same(known.mountings["segmentation"], front_T):
+        notes.append("the segmentation camera is not mounted where the front camera is: tags and image do not align")
+    return notes
+
+
+def _stereo_notes(known: _Known, cameras: Mapping[str, Camera]) -> list[str]:
+    right = cameras.get("right_calibration")
+    if right is None:
+        return []
+    if right.baseline_m is None:
+        return [f'stereo baseline unknown: say "baseline_m" or "mounting" in {known.path.name}']
+    if known.pair is None or known.pair.along_rows:
+        return []
+    return [
+        "the projection matrices' centres differ along another axis than the image's rows: the pair is taken as "
+        f"rectified along rows, with their distance {known.pair.baseline_m:g} m as baseline "
+        f"(right P = -fx * {right.baseline_m:g})"
+    ]

@@ -1,0 +1,167 @@
+"""Detections of a dump: the project's own JSON, COCO results and KITTI label files."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import FiniteFloat, TypeAdapter
+
+from roadperc_stream.datatypes import Box, Detection
+from roadperc_stream.errors import DumpError
+
+from .dump_json import Document, Numbers4, by_frame, checked, frame_number, read_json
+
+Detections = dict[int, tuple[Detection, ...]]
+
+COCO_LABELS: Final = {
+    1: "person",
+    2: "bicycle",
+    3: "car",
+    4: "motorcycle",
+    6: "bus",
+    7: "train",
+    8: "truck",
+    10: "traffic light",
+    13: "stop sign",
+}
+"""COCO's standard category ids of what a road holds."""
+_COCO_LISTS: Final = ("annotations", "results", "detections", "predictions")
+_KITTI_COLUMNS: Final = 15
+_KITTI_IGNORED: Final = "DontCare"
+
+
+class _Entry(Document):
+    label: str
+    box_px: Numbers4
+    score: FiniteFloat = 1.0
+    id: str | int = ""
+
+
+class _CocoEntry(Document):
+    image_id: str | int
+    bbox: Numbers4
+    score: FiniteFloat = 1.0
+    category_id: int | None = None
+    category: str | None = None
+    label: str | None = None
+    id: str | int = ""
+
+
+class _Category(Document):
+    id: int
+    name: str
+
+
+class _Image(Document):
+    id: str | int
+    file_name: str
+
+
+_FRAMES = TypeAdapter(dict[str, list[_Entry]])
+_COCO = TypeAdapter(list[_CocoEntry])
+_CATEGORIES = TypeAdapter(list[_Category])
+_IMAGES = TypeAdapter(list[_Image])
+
+
+def load_detections(path: Path) -> tuple[Detections, str, tuple[str, ...]]:
+    """Detections by frame number of a JSON file, the format found, and notes.
+
+    Raises:
+        DumpError: names the file, the key and the fault.
+
+    """
+    data = read_json(path)
+    if isinstance(data, list) or (isinstance(data, dict) and any(isinstance(data.get(k), list) for k in _COCO_LISTS)):
+        return _coco(path, data)
+    entries_by_name: dict[str, list[_Entry]] = checked(path, _FRAMES, data)
+    frames = by_frame(path, entries_by_name)
+    return {n: tuple(_detection(path, n, e) for e in entries) for n, entries in frames.items()}, "boxes by frame", ()
+
+
+def _detection(path: Path, number: int, entry: _Entry) -> Detection:
+    return Detection(entry.label, checked_box(f"{path}: frame {number}", *entry.box_px), entry.score, str(entry.id))
+
+
+def checked_box(where: str, x_min: float, y_min: float, x_max: float, y_max: float) -> Box:
+    """A half-open box, not clipped.
+
+    Raises:
+        DumpError: a maximum below its minimum.
+
+    """
+    if x_max < x_min or y_max < y_min:
+        raise DumpError(f"{where}: box {x_min}, {y_min}, {x_max}, {y_max}: expected x_min, y_min, x_max, y_max")
+    return Box(x_min, y_min, x_max, y_max)
+
+
+def _coco(path: Path, data: Any) -> tuple[Detections, str, tuple[str, ...]]:
+    """COCO results (a list), or an object with a list of annotations and, where it has them, images and categories."""
+    tree: Mapping[str, Any] = data if isinstance(data, dict) else {"annotations": data}
+    entries = checked(path, _COCO, next(tree[key] for key in _COCO_LISTS if isinstance(tree.get(key), list)))
+    names = {c.id: c.name for c in checked(path, _CATEGORIES, tree.get("categories") or [])} or COCO_LABELS
+    files = {str(i.id): Path(i.file_name).stem for i in checked(path, _IMAGES, tree.get("images") or [])}
+    frames: dict[int, list[Detection]] = {n: [] for name in files.values() if (n := frame_number(name)) is not None}
+    for entry in entries:
+        name = files.get(str(entry.image_id), str(entry.image_id))
+        number = frame_number(name)
+        if number is None:
+            raise DumpError(f"{path}: image_id {name!r}: expected a frame number")
+        frames.setdefault(number, []).append(_coco_detection(path, number, entry, names))
+    given = {e.category_id for e in entries if e.category_id is not None and not (e.label or e.category)}
+    unknown = sorted(given - set(names))
+    notes = (f"COCO categories without a name: {', '.join(map(str, unknown))}",) if unknown else ()
+    return {number: tuple(found) for number, found in frames.items()}, "COCO", notes
+
+
+def _coco_detection(path: Path, number: int, entry: _CocoEntry, names: Mapping[int, str]) -> Detection:
+    """COCO's box is x, y, width, height; its right and lower edges are the half-open maxima."""
+    label = entry.label or entry.category
+    if label is None and entry.category_id is None:
+        raise DumpError(f"{path}: frame {number}: expected category_id, category or label")
+    if label is None and entry.category_id is not None:
+        label = names.get(entry.category_id, f"coco_{entry.category_id}")
+    x, y, width, height = entry.bbox
+    box = checked_box(f"{path}: frame {number}", x, y, x + width, y + height)
+    return Detection(label or "", box, entry.score, str(entry.id))
+
+
+def load_kitti_labels(files: Mapping[int, Path]) -> Detections:
+    """Detections of KITTI label files by frame number.
+
+    Raises:
+        DumpError: names file and line.
+
+    """
+    return {number: _kitti_file(path) for number, path in files.items()}
+
+
+def _kitti_file(path: Path) -> tuple[Detection, ...]:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DumpError(f"{path}: {error}") from error
+    found = [_kitti_line(f"{path}: line {at}", line.split()) for at, line in enumerate(lines, 1) if line.strip()]
+    return tuple(detection for detection in found if detection.label != _KITTI_IGNORED)
+
+
+def _kitti_line(where: str, fields: list[str]) -> Detection:
+    """KITTI: type, truncated, occluded, alpha, box, dimensions, location, rotation, score.
+
+    The box's maxima are the last pixels inside, so half-open ones lie one further.
+    """
+    if len(fields) not in (_KITTI_COLUMNS, _KITTI_COLUMNS + 1):
+        raise DumpError(f"{where}: expected {_KITTI_COLUMNS} or {_KITTI_COLUMNS + 1} KITTI columns, got {len(fields)}")
+    try:
+        x_min, y_min, x_max, y_max = (_finite(value) for value in fields[4:8])
+        score = _finite(fields[15]) if len(fields) > _KITTI_COLUMNS else 1.0
+    except ValueError as error:
+        raise DumpError(f"{where}: {error}") from error
+    return Detection(fields[0], checked_box(where, x_min, y_min, x_max + 1.0, y_max + 1.0), score)
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is no number")
+    return value

@@ -1,0 +1,207 @@
+"""Finding what a dump folder holds: a folder or flat files per sensor, one file per frame, and the documents."""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.errors import DumpError
+
+from .dump_json import frame_number
+from .role_names import role_of
+
+_IMAGE_SUFFIXES: Final = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff", ".ppm", ".exr"})
+_NUMBER_SUFFIXES: Final = frozenset({".npy", ".npz", ".dat", ".csv", ".raw", ".bin"})
+_FRAME_SUFFIXES: Final = _IMAGE_SUFFIXES | _NUMBER_SUFFIXES
+"""Files that may be a frame; what they really are is decided by content."""
+_DOCUMENTS: Final = {
+    "calibration": ("calibration.json",),
+    "detections": ("detections.json", "coco_results.json", "coco.json"),
+    "poses": ("poses.json", "transforms.json", "poses.csv", "poses.txt"),
+    "timestamps": ("timestamps.txt", "timestamps.csv", "times.txt"),
+    "truth": ("truth.json",),
+}
+_DOCUMENT_NAMES: Final = frozenset(name for names in _DOCUMENTS.values() for name in names)
+_TRUTH_FOLDER: Final = "truth"
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """The files of one role by frame number."""
+
+    role: str
+    source: str
+    """Folder or file pattern, as the user knows it."""
+    files: Mapping[int, Path]
+
+    @property
+    def first(self) -> Path:
+        """File of the smallest frame number."""
+        return self.files[min(self.files)]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Everything found in a dump."""
+
+    dump: Path
+    sensors: Mapping[str, Sensor]
+    documents: Mapping[str, Path]
+    notes: tuple[str, ...] = ()
+
+
+def find_layout(dump: Path, overrides: Mapping[str, Path]) -> Layout:
+    """Look through a dump folder.
+
+    Args:
+        dump: the folder.
+        overrides: folder, file or document that fills a role, whatever it is called.
+
+    Raises:
+        DumpError: no such folder, nothing that fits a role, two candidates for one role, two files of one frame.
+
+    """
+    entries = _entries(dump)
+    notes: list[str] = []
+    taken = {path.resolve() for path in overrides.values()}
+    free = [e for e in entries if e.resolve() not in taken and role_of(e.name) not in overrides]
+    candidates = [sensor for sensor in _candidates(free, notes) if sensor.role not in overrides]
+    documents = {kind: path for kind in _DOCUMENTS if (path := _document(dump, kind, overrides))}
+    candidates += [
+        _numbered(role, str(path), _frame_files(path, role), notes, alone=path.is_file())
+        for role, path in overrides.items()
+        if path not in documents.values()
+    ]
+    sensors = _one_per_role(candidates)
+    if not sensors:
+        raise DumpError(_nothing_found(dump, entries))
+    if "detections" in sensors and "detections" in documents:
+        raise DumpError(
+            f"{dump}: both {documents['detections'].name} and {sensors['detections'].source}/ hold detections; "
+            "choose with --role detections=PATH"
+        )
+    return Layout(dump, sensors, documents, tuple(notes))
+
+
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return sorted(p for p in folder.iterdir() if not p.name.startswith("."))
+    except OSError as error:
+        raise DumpError(f"{folder}: {error.strerror or error}") from error
+
+
+def _candidates(entries: Sequence[Path], notes: list[str]) -> Iterator[Sensor]:
+    yield from _flat_sensors([entry for entry in entries if _may_be_frame(entry)], notes)
+    for folder in (entry for entry in entries if entry.is_dir()):
+        if folder.name == _TRUTH_FOLDER:
+            yield from _truth_sensors(folder, notes)
+        elif sensor := _folder_sensor(folder, folder.name, notes):
+            yield sensor
+
+
+def _truth_sensors(truth: Path, notes: list[str]) -> Iterator[Sensor]:
+    for folder in (entry for entry in _entries(truth) if entry.is_dir()):
+        sensor = _folder_sensor(folder, f"{truth.name}/{folder.name}", notes)
+        if sensor and sensor.role in ("depth", "segmentation"):
+            yield Sensor(f"truth_{sensor.role}", sensor.source, sensor.files)
+
+
+def _folder_sensor(folder: Path, source: str, notes: list[str]) -> Sensor | None:
+    role = role_of(folder.name)
+    files = _frame_files(folder, role)
+    if role in ("segmentation", "detections") and not files:
+        role, files = "detections", _label_files(folder)
+    if role is None or not files:
+        notes.append(f"{source}/ is left out: " + ("no frames in it" if role else "its name fits no role (--role)"))
+        return None
+    return _numbered(role, source, files, notes)
+
+
+def _frame_files(path: Path, role: str | None = None) -> list[Path]:
+    """Files of a folder that may be frames; KITTI puts them one folder deeper, in ``data``."""
+    if path.is_file():
+        return [path]
+    if role == "detections":
+        return _label_files(path)
+    found = [p for p in _entries(path) if _may_be_frame(p)]
+    return _frame_files(path / "data") if not found and (path / "data").is_dir() else found
+
+
+def _may_be_frame(path: Path) -> bool:
+    return path.is_file() and path.suffix.lower() in _FRAME_SUFFIXES and path.name not in _DOCUMENT_NAMES
+
+
+def _label_files(folder: Path) -> list[Path]:
+    return [p for p in _entries(folder) if p.suffix == ".txt" and p.name not in _DOCUMENT_NAMES]
+
+
+def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, alone: bool = False) -> Sensor:
+    """A sensor with its files by the number in their names; a file standing alone needs none."""
+    numbered: dict[int, Path] = {}
+    unnumbered = []
+    for path in files:
+        number = 0 if alone else frame_number(path.stem)
+        if number is None:
+            unnumbered.append(path.name)
+        elif number in numbered:
+            raise DumpError(f"{source}: {numbered[number].name} and {path.name} are both frame {number}")
+        else:
+            numbered[number] = path
+    if not files:
+        raise DumpError(f"{source}: no frames in it")
+    if not numbered:
+        raise DumpError(f"{source}: no frame number in the name of {unnumbered[0]}")
+    if unnumbered:
+        notes.append(f"{source}: left out, no frame number in the name: {', '.join(unnumbered[:3])}")
+    return Sensor(role, source, numbered)
+
+
+def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
+    """Sensors of files that lie in the dump itself, told by their names: ``left.png``, ``depth_0001.png``."""
+    groups: dict[str, list[Path]] = {}
+    for path in files:
+        role = _flat_role(path.stem)
+        if role:
+            groups.setdefault(role, []).append(path)
+        else:
+            notes.append(f"{path.name} is left out: its name fits no role (--role)")
+    for role, group in groups.items():
+        alone = len(group) == 1 and frame_number(group[0].stem) is None
+        source = group[0].name if len(group) == 1 else f"{group[0].name} to {group[-1].name}"
+        yield _numbered(role, source, group, notes, alone=alone)
+
+
+def _flat_role(stem: str) -> str | None:
+    """Role of a name without its frame number; a bare number is a camera image."""
+    words = re.sub(r"[0-9]+(?=[^0-9]*$)", "", stem).strip("_-. ")
+    return role_of(words) if words else "image"
+
+
+def _document(dump: Path, kind: str, overrides: Mapping[str, Path]) -> Path | None:
+    if kind in overrides:
+        return overrides[kind] if overrides[kind].suffix == ".json" else None
+    found = [dump / name for name in _DOCUMENTS[kind] if (dump / name).is_file()]
+    if len(found) > 1:
+        raise DumpError(f"{dump}: {found[0].name} and {found[1].name} both hold {kind}: keep one")
+    return found[0] if found else None
+
+
+def _one_per_role(candidates: Iterable[Sensor]) -> dict[str, Sensor]:
+    sensors: dict[str, Sensor] = {}
+    for sensor in candidates:
+        if sensor.role in sensors:
+            first = sensors[sensor.role].source
+            raise DumpError(
+                f"{first} and {sensor.source} both look like {sensor.role}: choose with --role {sensor.role}={first}"
+            )
+        sensors[sensor.role] = sensor
+    return sensors
+
+
+def _nothing_found(dump: Path, entries: list[Path]) -> str:
+    there = ", ".join(entry.name + "/" * entry.is_dir() for entry in entries[:8]) or "nothing"
+    return (
+        f"{dump}: no sensor found. Looked for folders such as rgb, depth, segmentation, left, right (CameraRGB, "
+        f"image_2, sem, ...) with one numbered file per frame, or files such as left.png; there is: {there}"
+    )

@@ -1,0 +1,221 @@
+"""The plan of a conversion: everything found, read and decided before the first message is written."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from math import gcd
+from pathlib import Path
+from typing import Final, TypeVar
+
+from roadperc_stream.channels import ROLES
+from roadperc_stream.datatypes import Detection
+from roadperc_stream.geometry import Float
+from roadperc_stream.semantics import TagTable
+
+from .calibration_file import CalibrationFile, load_calibration
+from .camera_rig import CAMERA_ROLES, Rig, build_rig
+from .carla_poses import load_poses
+from .depth_files import LOSSY_DEPTH, DepthEncoding, depth_encoding
+from .detection_files import load_detections, load_kitti_labels
+from .dump_layout import Layout, find_layout
+from .dump_survey import Survey, front_sensors, require_size, survey
+from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_rate
+from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
+from .truth_file import NO_TRUTH, TruthTables, load_truth
+
+T = TypeVar("T")
+_TAG_ROLES: Final[tuple[str, ...]] = ("segmentation", "truth_segmentation")
+_DEPTH_ROLES: Final[tuple[str, ...]] = ("depth", "truth_depth")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command line says."""
+
+    roles: Mapping[str, Path] = field(default_factory=dict)
+    carla: str | None = None
+    fov_deg: float | None = None
+    rate_hz: float | None = None
+    depth_as_float: bool = False
+    allow_lossy_tags: bool = False
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A conversion, ready to be written."""
+
+    layout: Layout
+    options: Options
+    surveys: Mapping[str, Survey]
+    stamps_ns: Mapping[int, int]
+    """Stamp by frame number, in the order of frames."""
+    timing: str
+    rig: Rig
+    depth_encodings: Mapping[str, DepthEncoding]
+    tag_encodings: Mapping[str, TagEncoding]
+    tag_table: TagTable | None
+    tag_table_source: str
+    detections: Mapping[int, tuple[Detection, ...]]
+    detections_source: str
+    poses: Mapping[int, Float]
+    truth: TruthTables
+    notes: tuple[str, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is lost in the conversion."""
+        lossy_depth = "logarithmic grey" in self.depth_encodings.values()
+        lossy_tags = self.options.allow_lossy_tags and self.tag_table is not None
+        return (*(LOSSY_DEPTH,) * lossy_depth, *(LOSSY_TAGS,) * lossy_tags)
+
+    @property
+    def unreadable(self) -> tuple[str, ...]:
+        """Files that are left out because they are no frames."""
+        return tuple(fault for survey in self.surveys.values() for fault in survey.unreadable)
+
+
+def make_plan(dump: Path, options: Options) -> Plan:
+    """Look through a dump and decide everything.
+
+    Raises:
+        DumpError: whatever stands against the conversion; nothing has been written then.
+        ConfigError: a CARLA version that is none.
+
+    """
+    layout = find_layout(dump, options.roles)
+    notes = list(layout.notes)
+    calibration, calibration_path = _calibration(layout, options)
+    surveys, left_note = _surveys(layout)
+    notes += [left_note] if left_note else []
+    rig = _rig(layout, calibration, calibration_path, surveys, notes)
+    stamps_ns, timing = _stamps(layout, options.rate_hz or calibration.rate_hz, notes)
+    depth_encodings: dict[str, DepthEncoding] = {
+        role: depth_encoding(surveys[role].paths) for role in _DEPTH_ROLES if role in surveys
+    }
+    tags, table, table_source = _tags(surveys, options, calibration.carla_tags)
+    detections, detections_source = _detections(layout, notes)
+    poses = load_poses(layout.documents["poses"]) if "poses" in layout.documents else {}
+    return Plan(
+        layout=layout,
+        options=options,
+        surveys={role: _described(found, depth_encodings, tags) for role, found in surveys.items()},
+        stamps_ns=stamps_ns,
+        timing=timing,
+        rig=rig,
+        depth_encodings=depth_encodings,
+        tag_encodings=tags,
+        tag_table=table,
+        tag_table_source=table_source,
+        detections=_of_frames("detections", detections, stamps_ns, notes),
+        detections_source=detections_source,
+        poses=_of_frames("poses", poses, stamps_ns, notes),
+        truth=_truth(layout, rig.frame_ids["truth_depth"]),
+        notes=tuple(notes),
+    )
+
+
+def _calibration(layout: Layout, options: Options) -> tuple[CalibrationFile, Path]:
+    """What ``calibration.json`` says; a field of view from the command line takes the place of K."""
+    path = layout.documents.get("calibration")
+    calibration = load_calibration(path) if path else CalibrationFile()
+    if options.fov_deg is not None:
+        calibration = calibration.model_copy(update={"fov_deg": options.fov_deg, "K": None})
+    return calibration, path or layout.dump / "calibration.json"
+
+
+def _surveys(layout: Layout) -> tuple[dict[str, Survey], str]:
+    """Surveys of everything but detections, in the order of the channel table, and what to tell of the left camera."""
+    sensors, note = front_sensors({role: s for role, s in layout.sensors.items() if role != "detections"})
+    return {role: survey(sensors[role]) for role in ROLES if role in sensors}, note
+
+
+def _rig(
+    layout: Layout, calibration: CalibrationFile, path: Path, surveys: Mapping[str, Survey], notes: list[str]
+) -> Rig:
+    sizes = {role: found.size for role, found in surveys.items() if found.size}
+    left_is_front = "image" in surveys and "image" not in layout.sensors
+    rig = build_rig(calibration, path, list(surveys), sizes, front_name="left" if left_is_front else "image")
+    for role, found in surveys.items():
+        camera = rig.camera_of(role)
+        for number, size in found.sizes.items():
+            require_size(found.sensor.files[number], size, (camera.width, camera.height))
+    notes += rig.notes
+    return rig
+
+
+def _frames(layout: Layout) -> list[int]:
+    """Frame numbers of all cameras, sorted."""
+    return sorted({number for role, s in layout.sensors.items() if role in CAMERA_ROLES for number in s.files})
+
+
+def _stamps(layout: Layout, rate_hz: float | None, notes: list[str]) -> tuple[dict[int, int], str]:
+    frames = _frames(layout)
+    path = layout.documents.get("timestamps") or _stamps_beside(layout)
+    if path is not None:
+        stamps = stamps_of_file(path, frames)
+        return stamps, f"stamps of {path.name}{_mean_rate(stamps)}"
+    rate = rate_hz or DEFAULT_RATE_HZ
+    stride = gcd(*(later - frames[0] for later in frames))
+    if stride > 1:
+        notes.append(f"frame numbers go in steps of {stride}: {stride / rate:g} s from frame to frame at {rate:g} Hz")
+    how = "" if rate_hz else " (assumed: --rate)"
+    return stamps_of_rate(frames, rate), f"{rate:g} Hz by frame number{how}"
+
+
+def _mean_rate(stamps_ns: Mapping[int, int]) -> str:
+    stamps = list(stamps_ns.values())
+    if len(stamps) < 2:
+        return ""
+    return f", {(len(stamps) - 1) * 1e9 / (stamps[-1] - stamps[0]):.4g} Hz in the mean"
+
+
+def _stamps_beside(layout: Layout) -> Path | None:
+    """KITTI raw keeps the stamps of a camera beside its ``data`` folder."""
+    image = layout.sensors.get("image")
+    path = image.first.parent.parent / "timestamps.txt" if image and image.first.parent.name == "data" else None
+    return path if path and path.is_file() else None
+
+
+def _tags(
+    surveys: Mapping[str, Survey], options: Options, carla_tags: str | None
+) -> tuple[dict[str, TagEncoding], TagTable | None, str]:
+    encodings: dict[str, TagEncoding] = {}
+    table: TagTable | None = None
+    source = ""
+    for role in (r for r in _TAG_ROLES if r in surveys):
+        encoding, seen = tag_encoding(surveys[role].paths, allow_lossy=options.allow_lossy_tags)
+        encodings[role] = encoding
+        if table is None:
+            version = options.carla or carla_tags
+            table, source = choose_table(version, encoding, seen, surveys[role].sensor.source)
+    return encodings, table, source
+
+
+def _described(survey: Survey, depth: Mapping[str, DepthEncoding], tags: Mapping[str, TagEncoding]) -> Survey:
+    role = survey.sensor.role
+    return replace(survey, encoding=depth.get(role) or tags.get(role) or survey.encoding)
+
+
+def _detections(layout: Layout, notes: list[str]) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
+    """Detections by frame number, and where they come from."""
+    if "detections" in layout.sensors:
+        sensor = layout.sensors["detections"]
+        return load_kitti_labels(sensor.files), f"{sensor.source}, KITTI labels"
+    path = layout.documents.get("detections")
+    if path is None:
+        return {}, ""
+    detections, kind, found = load_detections(path)
+    notes += found
+    return detections, f"{path.name}, {kind}"
+
+
+def _truth(layout: Layout, surface_frame_id: str) -> TruthTables:
+    path = layout.documents.get("truth")
+    return load_truth(path, surface_frame_id) if path else NO_TRUTH
+
+
+def _of_frames(what: str, entries: Mapping[int, T], frames: Mapping[int, int], notes: list[str]) -> dict[int, T]:
+    """The entries that have a frame; what belongs to no image is counted and left out."""
+    kept = {number: entries[number] for number in frames if number in entries}
+    if len(kept) < len(entries):
+        notes.append(f"{what}: {len(entries) - len(kept)} of {len(entries)} frames have no image: left out")
+    return kept

@@ -1,0 +1,118 @@
+"""A sensor's files by their headers: what can be read, in which size, and what is counted as missing."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from roadperc_stream.errors import DumpError
+
+from .camera_rig import CAMERA_ROLES
+from .dump_layout import Sensor
+from .image_files import UnreadableFrameError, read_header
+from .pixel_files import file_size
+
+Header = tuple[tuple[int, int] | None, str]
+"""Columns and rows, where the header tells, and a description."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A sensor's files that can be read, as far as their headers tell, and the faults of those that cannot."""
+
+    sensor: Sensor
+    unreadable: tuple[str, ...]
+    sizes: Mapping[int, tuple[int, int]]
+    """Columns and rows by frame; empty where only reading everything tells."""
+    encoding: str = ""
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Columns and rows of the first frame."""
+        return next(iter(self.sizes.values()), None)
+
+    @property
+    def paths(self) -> list[Path]:
+        """Files in the order of frames."""
+        return list(self.sensor.files.values())
+
+
+def front_sensors(sensors: Mapping[str, Sensor]) -> tuple[dict[str, Sensor], str]:
+    """The sensors, the left camera standing as the front one where there is no other, and what to tell of it.
+
+    Raises:
+        DumpError: no camera among them.
+
+    """
+    if not any(role in sensors for role in CAMERA_ROLES):
+        raise DumpError(f"no camera found, only {', '.join(s.source for s in sensors.values())}")
+    kept = dict(sensors)
+    left = kept.pop("left", None)
+    if left is None:
+        return kept, ""
+    if "image" not in kept:
+        return {"image": replace(left, role="image"), **kept}, f"{left.source}: the left camera is the front camera"
+    if _same_files(kept["image"].files, left.files):
+        return kept, f"{left.source} holds the same images as {kept['image'].source}: not stored twice"
+    return dict(sensors), ""
+
+
+def _same_files(ours: Mapping[int, Path], theirs: Mapping[int, Path]) -> bool:
+    """Whether both hold the same frames, by sizes and by the first frame's bytes."""
+    if ours.keys() != theirs.keys():
+        return False
+    if any(ours[number].stat().st_size != theirs[number].stat().st_size for number in ours):
+        return False
+    return ours[min(ours)].read_bytes() == theirs[min(theirs)].read_bytes()
+
+
+def survey(sensor: Sensor) -> Survey:
+    """Look at every file's header: what is empty, cut off or foreign is counted as missing.
+
+    Raises:
+        DumpError: not one file of the sensor can be read.
+
+    """
+    read = _image_header if sensor.role in ("image", "left", "right") else _pixels_header
+    files: dict[int, Path] = {}
+    sizes: dict[int, tuple[int, int]] = {}
+    faults: list[str] = []
+    kinds = Counter[str]()
+    for number, path in sorted(sensor.files.items()):
+        try:
+            size, kind = read(path)
+        except UnreadableFrameError as error:
+            faults.append(str(error))
+            continue
+        files[number] = path
+        kinds[kind] += 1
+        sizes |= {} if size is None else {number: size}
+    if not files:
+        raise DumpError(f"{sensor.source}: none of {len(faults)} files can be read; {faults[0]}")
+    return Survey(replace(sensor, files=files), tuple(faults), sizes, _counted(kinds))
+
+
+def _image_header(path: Path) -> Header:
+    header = read_header(path)
+    return header.size, header.description
+
+
+def _pixels_header(path: Path) -> Header:
+    return file_size(path), ""
+
+
+def _counted(kinds: Counter[str]) -> str:
+    if len(kinds) == 1:
+        return next(iter(kinds))
+    return ", ".join(f"{kind} ({count})" for kind, count in kinds.most_common())
+
+
+def require_size(path: Path, found: tuple[int, int], expected: tuple[int, int]) -> None:
+    """Check an image's columns and rows against its camera's.
+
+    Raises:
+        DumpError: names the file and both sizes.
+
+    """
+    if found != expected:
+        raise DumpError(f"{path}: image is {found[0]}x{found[1]}, its camera {expected[0]}x{expected[1]}")

@@ -1,0 +1,100 @@
+"""Stamps of frames: from a file, or from frame numbers and a rate, always counted from one fixed epoch."""
+
+import re
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from decimal import Decimal, InvalidOperation
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.errors import DumpError
+
+EPOCH_NS: Final = 1_577_836_800 * 1_000_000_000
+"""2020-01-01T00:00:00Z: where the time of every dump starts, so that a conversion is reproducible."""
+DEFAULT_RATE_HZ: Final = 20.0
+_SECOND_NS: Final = 1_000_000_000
+_UNIX_TIME_FROM_S: Final = 1_000_000_000
+"""Seconds from here on (2001) are Unix time; a simulation does not run for 31 years."""
+_LIMIT_S: Final = 10_000_000_000
+_DATE: Final = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?Z?")
+
+
+def stamps_of_rate(frames: Sequence[int], rate_hz: float) -> dict[int, int]:
+    """Stamp in nanoseconds of each frame number: its distance from the first number over the rate."""
+    step_ns = _SECOND_NS / Fraction(rate_hz)
+    return {number: EPOCH_NS + round((number - frames[0]) * step_ns) for number in frames}
+
+
+def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
+    """Stamp in nanoseconds of each frame number from lines ``frame seconds`` or, one value a line, in frame order.
+
+    Values are seconds (counted from ``EPOCH_NS``, or Unix time) or ISO dates with time, as KITTI raw has them.
+
+    Raises:
+        DumpError: names the line that cannot be read or does not increase, or the frame without a stamp.
+
+    """
+    lines = _lines(path)
+    if any(number is not None for number, _, _ in lines):
+        stamps = {number: (stamp, line) for number, stamp, line in lines if number is not None}
+        if len(stamps) != len(lines):
+            raise DumpError(f"{path}: lines with and without a frame number, or two lines of one frame")
+    else:
+        if len(lines) != len(frames):
+            raise DumpError(f"{path}: {len(lines)} stamps for {len(frames)} frames; give 'frame seconds' on each line")
+        stamps = {number: (stamp, line) for number, (_, stamp, line) in zip(frames, lines, strict=True)}
+    return _increasing(path, frames, stamps)
+
+
+def _lines(path: Path) -> list[tuple[int | None, int, int]]:
+    """Frame number, stamp in nanoseconds and line number of each line."""
+    try:
+        texts = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DumpError(f"{path}: {error}") from error
+    numbered = [(text.strip(), line) for line, text in enumerate(texts, 1)]
+    kept = [(text, line) for text, line in numbered if text and not text.startswith("#")]
+    if kept and not any(character.isdigit() for character in kept[0][0]):
+        kept = kept[1:]
+    return [_line(path, text, line) for text, line in kept]
+
+
+def _line(path: Path, text: str, line: int) -> tuple[int | None, int, int]:
+    date = _DATE.search(text)
+    fields = [*text[: date.start()].split(), date.group()] if date else re.split(r"[,;\s]+", text)
+    fields = [field.strip(",; ") for field in fields]
+    stamp = _date_ns(date) if date else _seconds_ns(fields[-1])
+    if stamp is None or len(fields) not in (1, 2) or (len(fields) == 2 and not fields[0].isdigit()):
+        raise DumpError(f"{path}: line {line}: expected 'seconds' or 'frame seconds', got {text!r}")
+    return (int(fields[0]) if len(fields) == 2 else None, stamp, line)
+
+
+def _seconds_ns(text: str) -> int | None:
+    try:
+        seconds = Decimal(text)
+    except InvalidOperation:
+        return None
+    if not seconds.is_finite() or not 0 <= seconds < _LIMIT_S:
+        return None
+    return round(seconds * _SECOND_NS) + (0 if seconds >= _UNIX_TIME_FROM_S else EPOCH_NS)
+
+
+def _date_ns(date: re.Match[str]) -> int | None:
+    day, time, fraction = date.groups()
+    try:
+        moment = datetime.fromisoformat(f"{day}T{time}").replace(tzinfo=UTC)
+    except ValueError:
+        return None
+    return int(moment.timestamp()) * _SECOND_NS + round(Decimal(f"0{fraction or ''}") * _SECOND_NS)
+
+
+def _increasing(path: Path, frames: Sequence[int], stamps: Mapping[int, tuple[int, int]]) -> dict[int, int]:
+    missing = [number for number in frames if number not in stamps]
+    if missing:
+        raise DumpError(f"{path}: no stamp for frame {missing[0]} ({len(missing)} frames without)")
+    for earlier, later in pairwise(frames):
+        if stamps[later][0] <= stamps[earlier][0]:
+            raise DumpError(f"{path}: line {stamps[later][1]}: frame {later} is not later than frame {earlier}")
+    return {number: stamps[number][0] for number in frames}

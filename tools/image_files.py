@@ -1,0 +1,140 @@
+"""Image files as they stand: format by content, size and wholeness, without decoding pixels."""
+
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from PIL import Image as PillowImage
+
+from roadperc_stream.errors import DumpError
+
+ImageFormat = Literal["png", "jpeg"]
+PNG_MAGIC: Final = b"\x89PNG\r\n\x1a\n"
+JPEG_MAGIC: Final = b"\xff\xd8\xff"
+_JPEG_END: Final = b"\xff\xd9"
+_OTHERS: Final = {b"BM": "BMP", b"GIF8": "GIF", b"II*\x00": "TIFF", b"MM\x00*": "TIFF", b"v/1\x01": "OpenEXR"}
+_PNG_MODES: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey + alpha", 6: "RGBA"}
+_TAIL_BYTES: Final = 1024
+
+
+class UnreadableFrameError(DumpError):
+    """One file that is no frame: it is reported and counted as missing, the others go on."""
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What an image file's first bytes say."""
+
+    format: ImageFormat
+    width: int
+    height: int
+    description: str
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows."""
+        return self.width, self.height
+
+
+def image_format(path: Path, data: bytes) -> ImageFormat:
+    """Format by content.
+
+    Raises:
+        UnreadableFrameError: empty, or neither PNG nor JPEG; the message says what it is.
+
+    """
+    if data.startswith(PNG_MAGIC):
+        return "png"
+    if data.startswith(JPEG_MAGIC):
+        return "jpeg"
+    raise UnreadableFrameError(f"{path}: {_name_of(data)}, expected PNG or JPEG")
+
+
+def _name_of(data: bytes) -> str:
+    if not data:
+        return "empty file"
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        return "WEBP image"
+    known = next((name for magic, name in _OTHERS.items() if data.startswith(magic)), None)
+    return f"{known} image" if known else f"no image (starts with {data[:8].hex(' ')})"
+
+
+def read_header(path: Path) -> ImageHeader:
+    """Header of an image file; only its first and last bytes are read.
+
+    Raises:
+        UnreadableFrameError: empty, cut off, or neither PNG nor JPEG.
+
+    """
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(32)
+            form = image_format(path, head)
+            stream.seek(0, 2)
+            stream.seek(max(stream.tell() - _TAIL_BYTES, 0))
+            _require_end(path, form, stream.read())
+        return _png_header(head) if form == "png" else _jpeg_header(path)
+    except (OSError, struct.error, PillowImage.DecompressionBombError) as error:
+        raise UnreadableFrameError(f"{path}: {error}") from error
+
+
+def _png_header(head: bytes) -> ImageHeader:
+    width, height, bits, mode = struct.unpack_from(">IIBB", head, 16)
+    return ImageHeader("png", width, height, f"png {_PNG_MODES.get(mode, '?')} {bits} bit")
+
+
+def _jpeg_header(path: Path) -> ImageHeader:
+    with PillowImage.open(path, formats=("JPEG",)) as image:
+        return ImageHeader("jpeg", image.width, image.height, f"jpeg {'grey' if image.mode == 'L' else 'colour'}")
+
+
+def _require_end(path: Path, form: ImageFormat, tail: bytes) -> None:
+    end = b"IEND" if form == "png" else _JPEG_END
+    if end not in tail:
+        raise UnreadableFrameError(f"{path}: {form} is cut off")
+
+
+def require_whole(path: Path, data: bytes) -> ImageFormat:
+    """Format of an image that is complete: a PNG's checksums are right, a JPEG has its end.
+
+    Raises:
+        UnreadableFrameError: empty, cut off, damaged, or neither PNG nor JPEG.
+
+    """
+    form = image_format(path, data)
+    if form == "png":
+        _check_png_chunks(path, data)
+    else:
+        _require_end(path, form, data[-_TAIL_BYTES:])
+    return form
+
+
+def _check_png_chunks(path: Path, data: bytes) -> None:
+    """Walk the chunks (length, type, data, CRC) to IEND."""
+    view, at = memoryview(data), len(PNG_MAGIC)
+    while at + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        end = at + 8 + length
+        if end + 4 > len(data):
+            break
+        if zlib.crc32(view[at + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
+            raise UnreadableFrameError(f"{path}: png is damaged (checksum at byte {at})")
+        if data[at + 4 : at + 8] == b"IEND":
+            return
+        at = end + 4
+    raise UnreadableFrameError(f"{path}: png is cut off")
+
+
+def read_bytes(path: Path) -> bytes:
+    """Content of a frame's file.
+
+    Raises:
+        UnreadableFrameError: the system does not give it.
+
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error

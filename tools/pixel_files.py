@@ -1,0 +1,152 @@
+"""Arrays of numbers from a frame's file, whatever holds them: PNG, JPEG, ``.npy`` or CSV text. Decided by content."""
+
+import io
+import tokenize
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+
+from roadperc_stream.semantics import Colour
+
+from .image_files import UnreadableFrameError, read_bytes, read_header, require_whole
+
+NPY_MAGIC: Final = b"\x93NUMPY"
+_TEXT: Final = frozenset(b"0123456789.,;+-eEnaif \t\r\n")
+_SURVEYED: Final = 3
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """(H, W) or (H, W, channels) numbers; colour channels in OpenCV's order blue, green, red, alpha."""
+
+    path: Path
+    container: Literal["png", "jpeg", "npy", "csv"]
+    values: NDArray[Any]
+    palette: tuple[Colour, ...] = ()
+    """Colours of an indexed image; its values are the indices."""
+
+    @property
+    def channels(self) -> int:
+        """1 for an (H, W) array."""
+        return 1 if self.values.ndim == 2 else int(self.values.shape[2])
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows."""
+        return int(self.values.shape[1]), int(self.values.shape[0])
+
+    @property
+    def shape(self) -> str:
+        """For messages."""
+        return f"{self.container} {self.values.dtype} {'x'.join(map(str, self.values.shape))}"
+
+    def equal_channels(self) -> bool:
+        """Whether red, green and blue are the same everywhere."""
+        blue, green, red = (self.values[..., c] for c in range(3))
+        return bool(np.array_equal(blue, green) and np.array_equal(green, red))
+
+
+def load_pixels(path: Path) -> Pixels:
+    """Numbers of a file.
+
+    Raises:
+        UnreadableFrameError: empty, cut off, damaged, or of no known format.
+
+    """
+    data = read_bytes(path)
+    if data.startswith(NPY_MAGIC):
+        return _npy(path, data)
+    if data and set(data[:256]) <= _TEXT:
+        return _csv(path, data)
+    return _image(path, data)
+
+
+def _npy(path: Path, data: bytes) -> Pixels:
+    try:
+        values = np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, EOFError, OSError, SyntaxError, MemoryError, tokenize.TokenError) as error:
+        raise UnreadableFrameError(f"{path}: damaged .npy: {error}") from error
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    if values.ndim not in (2, 3) or not values.size or values.dtype.kind not in "uif":
+        raise UnreadableFrameError(f"{path}: .npy of {values.dtype} {values.shape}, expected an image of numbers")
+    return Pixels(path, "npy", values)
+
+
+def _csv(path: Path, data: bytes) -> Pixels:
+    delimiter = next((mark for mark in ",;" if mark.encode() in data[:256]), None)
+    lines = io.StringIO(data.decode("ascii", "replace"))
+    if not data.strip():
+        raise UnreadableFrameError(f"{path}: empty file")
+    try:
+        return Pixels(path, "csv", np.loadtxt(lines, delimiter=delimiter, ndmin=2))
+    except ValueError as error:
+        raise UnreadableFrameError(f"{path}: no table of numbers: {error}") from error
+
+
+def _image(path: Path, data: bytes) -> Pixels:
+    container = require_whole(path, data)
+    if container == "png" and data[25] == 3:
+        return _indexed(path, data)
+    try:
+        values = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        raise UnreadableFrameError(f"{path}: damaged {container}: {error.err}") from error
+    if values is None:
+        raise UnreadableFrameError(f"{path}: damaged {container}")
+    return Pixels(path, container, values)
+
+
+def _indexed(path: Path, data: bytes) -> Pixels:
+    """OpenCV expands a palette; Pillow gives indices and colours."""
+    try:
+        with PillowImage.open(io.BytesIO(data), formats=("PNG",)) as image:
+            colours = np.array(image.getpalette("RGB") or [], np.uint8).reshape(-1, 3)
+            return Pixels(path, "png", np.array(image), tuple((int(r), int(g), int(b)) for r, g, b in colours))
+    except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError) as error:
+        raise UnreadableFrameError(f"{path}: damaged png: {error}") from error
+
+
+def file_size(path: Path) -> tuple[int, int] | None:
+    """Columns and rows of an image file by its header; None where only reading everything tells.
+
+    Raises:
+        UnreadableFrameError: an empty, cut off or foreign file.
+
+    """
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(256)
+    except OSError as error:
+        raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error
+    if head.startswith(NPY_MAGIC) or (head and set(head) <= _TEXT):
+        return None
+    return read_header(path).size
+
+
+def surveyed(files: Iterable[Path]) -> list[Pixels]:
+    """A few readable files, first, middle and last, that stand for all of a sensor's.
+
+    Raises:
+        UnreadableFrameError: not one can be read.
+
+    """
+    paths = list(files)
+    chosen = sorted({0, len(paths) // 2, len(paths) - 1})
+    found, fault = [], None
+    for path in [paths[i] for i in chosen] + paths:
+        try:
+            found.append(load_pixels(path))
+        except UnreadableFrameError as error:
+            fault = fault or error
+        if len(found) == min(_SURVEYED, len(chosen)):
+            break
+    if not found and fault:
+        raise fault
+    return found

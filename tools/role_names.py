@@ -1,0 +1,47 @@
+"""What people call the folders of a dump, and the role each name stands for."""
+
+import re
+from typing import Final
+
+ROLES: Final = ("image", "depth", "segmentation", "left", "right", "detections", "truth_depth", "truth_segmentation")
+"""Roles that files can fill; ``--role`` takes these names."""
+
+_IMAGE_WORDS: Final = frozenset(
+    {"rgb", "image", "images", "img", "imgs", "color", "colour", "colors", "frame", "frames"}
+)
+_CAMERA: Final = _IMAGE_WORDS | {"camera", "cam", "sensor", "front"}
+_DEPTH: Final = frozenset(["depth", "depths", "depthmap"])
+_TAGS: Final = frozenset(["segmentation", "seg", "sem", "semantic", "semantics", "semseg", "labels", "tags"])
+_DETECTIONS: Final = frozenset(["detections", "detection", "boxes", "bboxes"])
+_FILLERS: Final = frozenset(["map", "maps", "raw", "png", "gt"])
+_KITTI: Final = {("image", 2): "image", ("image", 3): "right", ("label", 2): "detections"}
+"""KITTI numbers its cameras: 2 is the left colour camera, 3 the right one."""
+
+
+def role_of(name: str) -> str | None:
+    """Role that a folder's or file's name stands for; None where it says none, or something else as well.
+
+    Upper and lower case, underscores and CamelCase do not matter. Every word must be known: ``depth_rear`` and
+    ``instance_segmentation`` are other sensors.
+    """
+    words, numbers = _words(name)
+    if len(words) == 1 and len(numbers) == 1:
+        return _KITTI.get((words[0], numbers[0]))
+    return None if numbers or not words else _role_of_words(frozenset(words))
+
+
+def _words(name: str) -> tuple[list[str], list[int]]:
+    parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)
+    return [p.lower() for p in parts if not p.isdigit()], [int(p) for p in parts if p.isdigit()]
+
+
+def _role_of_words(words: frozenset[str]) -> str | None:
+    kinds = {"depth": words & _DEPTH, "segmentation": words & _TAGS, "detections": words & _DETECTIONS}
+    named = [kind for kind, found in kinds.items() if found]
+    sides = sorted(words & {"left", "right"})
+    rest = words - _DEPTH - _TAGS - _DETECTIONS - {"left", "right"}
+    if len(named) + len(sides) > 1 or not rest <= _CAMERA | _FILLERS:
+        return None
+    if named:
+        return None if "rgb" in rest else named[0]
+    return sides[0] if sides else ("image" if rest & _CAMERA else None)

@@ -1,0 +1,1 @@
+"""The rendered world: road, buildings, traffic, camera, truth."""

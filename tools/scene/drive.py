@@ -1,0 +1,94 @@
+"""A drive frame by frame: where the car and its cameras are, and what there is to see."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, Float, rigid
+
+from .drawings import CAR_M, CAR_WIDTH_M
+from .faces import Faces, together
+from .layout import Layout
+from .shade import Shadow
+from .traffic import Ego, Traffic
+from .view import Scenery
+from .world import World
+
+MOUNT_X_M: Final = 1.5
+MOUNT_Z_M: Final = 1.4
+BASELINE_M: Final = 0.5
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The front camera and its fellow on the right: the same pinhole twice, 90 degrees wide, level on the car."""
+
+    camera: Camera
+    ego_T_left: Float
+    ego_T_right: Float
+
+
+def make_rig(width: int, height: int) -> Rig:
+    """Cameras of a size in pixels; their centre is CARLA's w / 2 counted from the corner of the first pixel."""
+    half = width / 2
+    camera = Camera("front", width, height, half, half, half - 0.5, height / 2 - 0.5)
+    left = rigid(EGO_R_OPTICAL, np.array([MOUNT_X_M, 0.0, MOUNT_Z_M]))
+    right = rigid(EGO_R_OPTICAL, np.array([MOUNT_X_M, -BASELINE_M, MOUNT_Z_M]))
+    return Rig(camera, left, right)
+
+
+@dataclass(frozen=True)
+class Thing:
+    """A car or a person: its faces in the world at one moment and its pose (world_T_body) at any time."""
+
+    name: str
+    label: str
+    faces: Faces
+    pose: Callable[[float], Float]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Everything at one time; ``things[i]`` has the number i + 1 in the views."""
+
+    time_s: float
+    world_T_ego: Float
+    scenery: Scenery
+    things: tuple[Thing, ...]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive through a world."""
+
+    ego: Ego
+    layout: Layout
+    traffic: Traffic
+    seed: int
+
+    @classmethod
+    def of(cls, world: World, speed_mps: float, weave_m: float, seed: int, *, static: bool = False) -> "Drive":
+        """A drive whose things are drawn from the seed."""
+        ego = Ego(world, speed_mps, weave_m, static)
+        return cls(ego, Layout(world, seed), Traffic(ego, seed), seed)
+
+    def at(self, time_s: float) -> Moment:
+        """The moment at a time since the start."""
+        world, s = self.ego.world, self.ego.s(time_s)
+        fixtures = self.layout.near(s)
+        parked = [Thing(f.name, f.label, f.faces, _standing(f.world_T_body)) for f in fixtures if f.label]
+        moving = [Thing(m.name, m.label, m.faces.moved(m.pose(time_s)), m.pose) for m in self.traffic.at(time_s)]
+        things = (*parked, *moving)
+        groups = [f.faces for f in fixtures if not f.label]
+        groups += [thing.faces.owned_by(i + 1) for i, thing in enumerate(things)]
+        shadows = tuple(
+            Shadow(thing.pose(time_s), CAR_M[0] / 2, CAR_WIDTH_M / 2) for thing in things if thing.label == "Car"
+        )
+        scenery = Scenery(world, s, together(groups), shadows, MOUNT_Z_M, self.seed)
+        return Moment(time_s, self.ego.pose(time_s), scenery, things)
+
+
+def _standing(world_T_body: Float) -> Callable[[float], Float]:
+    return lambda _: world_T_body

@@ -1,0 +1,132 @@
+"""The files of a dump in CARLA's own formats and conventions."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Camera, Float, Float32
+
+from .drive import BASELINE_M, MOUNT_X_M, MOUNT_Z_M
+from .ground import FAR_M
+
+JPEG_QUALITY: Final = 90
+CARLA_VERSION: Final = "0.9.15"
+DEPTH_CODES: Final = 2**24 - 1
+SENSORS: Final = ("rgb", "depth", "segmentation", "right")
+FILES: Final = (
+    "calibration.json",
+    "detections.json",
+    "poses.json",
+    "timestamps.txt",
+    "truth.json",
+)
+
+
+def prepare_folder(folder: Path, *, force: bool) -> None:
+    """Makes the folder; with ``force`` an earlier dump's files are removed from it, and nothing else.
+
+    Raises:
+        DumpError: it is a file, cannot be made, or holds something and ``force`` is not given.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            if not force:
+                raise DumpError(f"{folder}: exists and is not empty; --force replaces an earlier dump in it")
+            _remove_dump(folder)
+    except OSError as error:
+        raise DumpError(f"{folder}: {error.strerror}") from error
+
+
+def _remove_dump(folder: Path) -> None:
+    for name in (*SENSORS, "truth"):
+        if (folder / name).is_dir():
+            shutil.rmtree(folder / name)
+    for name in FILES:
+        (folder / name).unlink(missing_ok=True)
+
+
+def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Encodes by the path's suffix, ``.png`` or ``.jpg``.
+
+    Raises:
+        DumpError: the file cannot be written.
+    """
+    settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
+    _, encoded = cv2.imencode(path.suffix, picture, settings)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(encoded.tobytes())
+    except OSError as error:
+        raise DumpError(f"{path}: {error.strerror}") from error
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Compact JSON; floats as they are, so round them before.
+
+    Raises:
+        DumpError: the file cannot be written.
+    """
+    write_text(path, json.dumps(content, separators=(",", ":")) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """A small text file.
+
+    Raises:
+        DumpError: the file cannot be written.
+    """
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise DumpError(f"{path}: {error.strerror}") from error
+
+
+def depth_picture(depth_m: Float32) -> NDArray[np.uint8]:
+    """(H, W, 3) blue, green, red of CARLA's 24-bit depth: metres = (R + 256 G + 65536 B) / (2^24 - 1) * 1000."""
+    codes = np.rint(depth_m.astype(np.float64) * (DEPTH_CODES / FAR_M)).astype("<u4")
+    bytes_low_first = codes.view(np.uint8).reshape(*depth_m.shape, 4)
+    return np.asarray(cv2.cvtColor(bytes_low_first, cv2.COLOR_RGBA2BGR), np.uint8)
+
+
+def tags_picture(tags: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W, 3) blue, green, red with the raw tags in the red channel."""
+    picture = np.zeros((*tags.shape, 3), np.uint8)
+    picture[..., 2] = tags
+    return picture
+
+
+def calibration(camera: Camera, rate_hz: float) -> dict[str, Any]:
+    """The calibration file: K as CARLA has it, its centre counted from the corner of the first pixel."""
+    K = camera.K
+    K[:2, 2] += 0.5
+    mounting = {"x": MOUNT_X_M, "y": 0.0, "z": MOUNT_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "K": K.tolist(),
+        "carla_tags": CARLA_VERSION,
+        "rate_hz": rate_hz,
+        "baseline_m": BASELINE_M,
+        "mounting": {sensor: {**mounting, "y": BASELINE_M if sensor == "right" else 0.0} for sensor in SENSORS},
+    }
+
+
+def carla_transform(world_T_ego: Float) -> dict[str, dict[str, float]]:
+    """A pose as CARLA writes it: y to the right, degrees, pitch nose up, yaw to the right, roll right side down.
+
+    Source: Unreal's FRotator; mirroring y turns the signs of pitch and yaw as ROS has them and keeps roll's.
+    """
+    x, y, z = (float(c) for c in world_T_ego[:3, 3])
+    yaw, pitch, roll = (float(a) for a in Rotation.from_matrix(world_T_ego[:3, :3]).as_euler("ZYX", degrees=True))
+    return {
+        "location": {"x": round(x, 7), "y": round(-y, 7), "z": round(z, 7)},
+        "rotation": {"pitch": round(-pitch, 8), "yaw": round(-yaw, 8), "roll": round(roll, 8)},
+    }

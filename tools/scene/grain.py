@@ -1,0 +1,132 @@
+"""Grain at every scale, and a stack of it that is prefiltered for every distance.
+
+Stereo needs texture wherever it looks: grain that is finer than a pixel must fade (else it crawls and the two views
+disagree), coarser grain must stay. The stack holds the road's grain blurred by the footprint of a pixel at a row of
+depths: z / f across the road and z^2 / (f h) along it.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from roadperc_stream.geometry import Float, Float32
+
+TEXEL_M: Final = 0.01
+COLUMNS: Final = 2048
+"""Texels across the road before the grain repeats: so far apart that stereo cannot take one for the other."""
+ROWS: Final = 1024
+"""Texels along the road before the grain repeats."""
+GUARD: Final = 1
+NEAREST_M: Final = 2.5
+DEPTH_RATIO: Final = 1.5
+LEVELS: Final = 12
+GRAIN_STD: Final = 40.0
+"""Grey levels of the sharp grain's deviation; contrast is a matter of who uses it."""
+FALL: Final = 0.75
+"""How the road's grain falls with frequency: somewhat more of the fine than of the coarse, as asphalt has it."""
+BANKS: Final = 2
+"""Asphalt and paving."""
+
+
+@dataclass(frozen=True)
+class Grain:
+    """(BANKS * LEVELS * (ROWS + 2 GUARD), COLUMNS + 2 GUARD) grey about 128; rows run along the road."""
+
+    texels: NDArray[np.uint8]
+    focal_px: float
+
+    def sample(self, s_m: Float32, d_m: Float32, level: Float32, paved: NDArray[np.bool_]) -> NDArray[np.uint8]:
+        """Grey about 128 at road coordinates of any 2-D shape; ``s_m`` is within a few hundred metres of 0."""
+        column = _wrapped(d_m, COLUMNS)
+        row = _wrapped(s_m, ROWS)
+        block = np.rint(level)
+        block += np.where(paved, np.float32(LEVELS), np.float32(0))
+        block *= np.float32(ROWS + 2 * GUARD)
+        row += block
+        return np.asarray(cv2.remap(self.texels, column, row, cv2.INTER_LINEAR), np.uint8)
+
+
+def depth_level(depth_m: Float32) -> Float32:
+    """The level of the stack, with fractions, that suits a depth."""
+    level = np.log(depth_m)
+    level -= np.float32(np.log(NEAREST_M))
+    level *= np.float32(1 / np.log(DEPTH_RATIO))
+    np.clip(level, 0, LEVELS - 1, out=level)
+    return level
+
+
+def level_depth_m(level: int) -> float:
+    """The depth a level is made for."""
+    return NEAREST_M * DEPTH_RATIO**level
+
+
+@lru_cache(maxsize=2)
+def make_grain(focal_px: float, height_m: float, seed: int) -> Grain:
+    """Grain for cameras of a focal length at a height over the road."""
+    rng = np.random.default_rng((seed, 11))
+    banks = (pink_spectrum((ROWS, COLUMNS), rng, FALL), _paving(pink_spectrum((ROWS, COLUMNS), rng, FALL)))
+    stds = [float(fft.irfft2(bank, (ROWS, COLUMNS)).std()) for bank in banks]
+    blocks = [
+        _level(bank, std, level, focal_px, height_m)
+        for bank, std in zip(banks, stds, strict=True)
+        for level in range(LEVELS)
+    ]
+    return Grain(np.concatenate(blocks), focal_px)
+
+
+def pink_noise(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
+    """Periodic noise of unit deviation with the same strength in every octave."""
+    noise = fft.irfft2(pink_spectrum(shape, rng), shape)
+    return np.asarray(noise / noise.std(), np.float32)
+
+
+def pink_spectrum(shape: tuple[int, int], rng: np.random.Generator, fall: float = 1.0) -> NDArray[np.complex64]:
+    """Spectrum that falls with frequency to a power: with 1, in two dimensions, every octave has the same energy."""
+    white = fft.rfft2(rng.standard_normal(shape, np.float32))
+    frequency = np.hypot(fft.fftfreq(shape[0])[:, None], fft.rfftfreq(shape[1])[None, :])
+    # Waves longer than a metre would shade whole lanes; they stay, but no stronger than those of a metre.
+    return np.asarray(white / np.maximum(frequency, 0.01) ** fall, np.complex64)
+
+
+def _paving(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """The same with dark joints around slabs of about one metre by half a metre."""
+    noise = fft.irfft2(spectrum, (ROWS, COLUMNS))
+    joints = np.zeros((ROWS, COLUMNS), np.float32)
+    joints[:: ROWS // 10] = joints[1 :: ROWS // 10] = 1
+    joints[:, :: COLUMNS // 40] = joints[:, 1 :: COLUMNS // 40] = 1
+    return np.asarray(fft.rfft2(noise / noise.std() - 2.0 * joints), np.complex64)
+
+
+def _level(
+    spectrum: NDArray[np.complex64], sharp_std: float, level: int, focal_px: float, height_m: float
+) -> NDArray[np.uint8]:
+    """Blurred by the footprint of a pixel at the level's depth, scaled to the deviation the unblurred grain has."""
+    depth = level_depth_m(level)
+    across, along = depth / focal_px, depth**2 / (focal_px * height_m)
+    blur = np.outer(_gauss(fft.fftfreq(ROWS), along), _gauss(fft.rfftfreq(COLUMNS), across))
+    noise = fft.irfft2(spectrum * blur.astype(np.float32), (ROWS, COLUMNS))
+    # Grain that fades to nothing leaves stereo blind; the real frames keep about half of it far away.
+    strength = max(float(noise.std()) / sharp_std, 0.45) / float(noise.std())
+    grey = np.clip(128 + (noise - noise.mean()) * strength * GRAIN_STD, 0, 255).astype(np.uint8)
+    return np.pad(grey, GUARD, mode="wrap")
+
+
+def _gauss(frequency: Float, footprint_m: float) -> Float:
+    """Transfer of a Gaussian whose deviation is half the footprint, at frequencies per texel."""
+    sigma = footprint_m / TEXEL_M / 2
+    result: Float = np.exp(-2 * (np.pi * sigma * frequency) ** 2)
+    return result
+
+
+def _wrapped(metres: Float32, period: int) -> Float32:
+    """Texel coordinate within one period, guard included."""
+    turns = metres * np.float32(1 / (TEXEL_M * period))
+    turns -= np.floor(turns)
+    turns *= np.float32(period)
+    turns += np.float32(GUARD)
+    return turns

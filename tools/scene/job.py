@@ -1,0 +1,177 @@
+"""One rendering job: its options, and the loop from frame to files."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.errors import DumpError
+
+from . import dump, spoil
+from .detector import detect
+from .drive import Drive, Moment, Rig, make_rig
+from .truth import ObjectTruth, lanes_truth, objects_truth, surface_truth
+from .view import View, photograph, render
+from .world import SCENES, SceneName, make_world
+
+PURPOSES: Final = {name: number for number, name in enumerate(("detections", "tags", "depth", "rgb", "right", "drop"))}
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Everything that decides what is rendered."""
+
+    width: int = 1280
+    height: int = 960
+    seconds: float = 5.0
+    rate_hz: float = 20.0
+    scene: SceneName = "town"
+    speed_mps: float = 10.0
+    static: bool = False
+    weave_m: float = 0.2
+    tag_noise: float = 0.0
+    depth_noise: float = 0.0
+    rgb_noise: float = 0.0
+    drop: float = 0.0
+    jpeg: bool = False
+    seed: int = 0
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, at least one."""
+        return max(round(self.seconds * self.rate_hz), 1)
+
+    def check(self) -> None:
+        """Refuses what cannot be rendered.
+
+        Raises:
+            DumpError: an option is out of its range; the message names it.
+        """
+        limits: tuple[tuple[str, float, float, float], ...] = (
+            ("--size width", self.width, 64, 8192),
+            ("--size height", self.height, 48, 8192),
+            ("--seconds", self.seconds, 1e-3, 86400),
+            ("--rate", self.rate_hz, 0.1, 1000),
+            ("--speed", self.speed_mps, 0.5, 40),
+            ("--weave", self.weave_m, 0, 1.0),
+            ("--tag-noise", self.tag_noise, 0, 0.5),
+            ("--depth-noise", self.depth_noise, 0, 0.5),
+            ("--rgb-noise", self.rgb_noise, 0, 100),
+            ("--drop", self.drop, 0, 0.95),
+            ("--seed", self.seed, 0, 2**32),
+        )
+        for name, value, low, high in limits:
+            if not low <= value <= high:
+                raise DumpError(f"{name} {value:g}: expected a number from {low:g} to {high:g}")
+        if self.scene not in SCENES:
+            raise DumpError(f"--scene {self.scene}: expected one of {', '.join(SCENES)}")
+
+
+@dataclass
+class _Records:
+    """What the JSON files say, frame by frame."""
+
+    detections: dict[str, Any] = field(default_factory=dict)
+    poses: dict[str, Any] = field(default_factory=dict)
+    stamps: list[str] = field(default_factory=list)
+    lanes: dict[str, Any] = field(default_factory=dict)
+    surface: dict[str, Any] = field(default_factory=dict)
+    objects: dict[str, Any] = field(default_factory=dict)
+
+
+def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: Callable[[], None]) -> None:
+    """Renders a drive into a folder.
+
+    Args:
+        folder: made if it is not there.
+        options: what to render.
+        force: whether an earlier dump in the folder may be replaced.
+        on_frame: called after each frame.
+
+    Raises:
+        DumpError: an option or the folder does not do.
+    """
+    options.check()
+    dump.prepare_folder(folder, force=force)
+    cv2.setNumThreads(1)
+    world = make_world(options.scene, 0.0 if options.static else options.speed_mps * options.seconds)
+    drive = Drive.of(world, options.speed_mps, options.weave_m, options.seed, static=options.static)
+    rig = make_rig(options.width, options.height)
+    records = _Records()
+    for frame in range(options.frames):
+        moment = drive.at(frame / options.rate_hz)
+        left = render(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_left)
+        right = photograph(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_right)
+        objects = objects_truth(drive, moment, rig, left)
+        _write_frame(folder, options, frame, left, right)
+        _record(records, options, frame, moment, rig, objects)
+        on_frame()
+    _write_records(folder, options, rig, records)
+
+
+def _rng(options: RenderOptions, frame: int, purpose: str) -> np.random.Generator:
+    return np.random.default_rng((options.seed, frame, PURPOSES[purpose]))
+
+
+def frame_name(frame: int) -> str:
+    """Six digits, as CARLA's own recorders write them."""
+    return f"{frame:06d}"
+
+
+def _write_frame(folder: Path, options: RenderOptions, frame: int, left: View, right: NDArray[np.uint8]) -> None:
+    """The pictures of one frame, but for those that are dropped."""
+    suffix = ".jpg" if options.jpeg else ".png"
+    name = frame_name(frame)
+    kept = _rng(options, frame, "drop").random(len(dump.SENSORS)) >= options.drop
+    for sensor, keep in zip(dump.SENSORS, kept, strict=True):
+        if keep or frame == 0:
+            picture = _picture(options, frame, sensor, left, right)
+            dump.write_picture(folder / sensor / (name + (suffix if sensor in ("rgb", "right") else ".png")), picture)
+    if options.tag_noise or options.drop:
+        dump.write_picture(folder / "truth" / "segmentation" / f"{name}.png", dump.tags_picture(left.tags))
+    if options.depth_noise or options.drop:
+        dump.write_picture(folder / "truth" / "depth" / f"{name}.png", dump.depth_picture(left.depth_m))
+
+
+def _picture(
+    options: RenderOptions, frame: int, sensor: str, left: View, right: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """What a sensor's file shows, spoiled as asked for."""
+    if sensor == "depth":
+        noise = options.depth_noise
+        depth = spoil.noisy_depth(left.depth_m, noise, _rng(options, frame, "depth")) if noise else left.depth_m
+        return dump.depth_picture(depth)
+    if sensor == "segmentation":
+        noise = options.tag_noise
+        return dump.tags_picture(
+            spoil.noisy_tags(left.tags, noise, _rng(options, frame, "tags")) if noise else left.tags
+        )
+    rgb = right if sensor == "right" else left.rgb
+    return spoil.noisy_rgb(rgb, options.rgb_noise, _rng(options, frame, sensor)) if options.rgb_noise else rgb
+
+
+def _record(
+    records: _Records, options: RenderOptions, frame: int, moment: Moment, rig: Rig, objects: list[ObjectTruth]
+) -> None:
+    name = frame_name(frame)
+    world_T_camera = moment.world_T_ego @ rig.ego_T_left
+    found = detect(moment, rig.camera, world_T_camera, objects, _rng(options, frame, "detections"))
+    records.detections[name] = [detection.to_json() for detection in found]
+    records.poses[name] = dump.carla_transform(moment.world_T_ego)
+    records.stamps.append(f"{name} {moment.time_s:.9f}\n")
+    records.lanes[name] = lanes_truth(moment)
+    records.surface[name] = surface_truth(moment, rig)
+    records.objects[name] = [truth.to_json() for truth in objects]
+
+
+def _write_records(folder: Path, options: RenderOptions, rig: Rig, records: _Records) -> None:
+    truth = {"lanes": records.lanes, "surface": records.surface, "objects": records.objects}
+    dump.write_json(folder / "calibration.json", dump.calibration(rig.camera, options.rate_hz))
+    dump.write_json(folder / "detections.json", records.detections)
+    dump.write_json(folder / "poses.json", records.poses)
+    dump.write_json(folder / "truth.json", truth)
+    dump.write_text(folder / "timestamps.txt", "".join(records.stamps))

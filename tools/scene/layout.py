@@ -1,0 +1,118 @@
+"""What stands beside the road: houses, lamp posts, trees and parked cars, slot by slot along s.
+
+Every slot is drawn from (seed, slot) alone, so a drive can be as long as one likes and each place looks the same
+whenever one comes by.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.geometry import Float
+
+from . import prefabs
+from .faces import Faces, Vector
+from .world import World
+
+HOUSE_SLOT_M: Final = 16.0
+POST_SLOT_M: Final = 34.0
+TREE_SLOT_M: Final = 23.0
+PARKING_SLOT_M: Final = 7.5
+PARKED_M: Final = 1.2
+"""Distance of a parked car's middle from the curb."""
+
+
+@dataclass(frozen=True)
+class Fixture:
+    """Something that stands still: its faces in the world, and for cars where they stand."""
+
+    name: str
+    label: str | None
+    faces: Faces
+    world_T_body: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The fixtures of a world."""
+
+    world: World
+    seed: int
+
+    def near(self, s_m: float) -> list[Fixture]:
+        """Everything that may be seen from s, in a fixed order."""
+        kinds = (
+            (self._house, HOUSE_SLOT_M, -25.0, 230.0),
+            (self._post, POST_SLOT_M, -5.0, 130.0),
+            (self._tree, TREE_SLOT_M, -8.0, 120.0),
+            (self._parked, PARKING_SLOT_M, -6.0, 100.0),
+        )
+        return [
+            fixture
+            for place, slot_m, behind_m, ahead_m in kinds
+            for slot in _slots(s_m + behind_m, s_m + ahead_m, slot_m)
+            for side in (1, -1)
+            if (fixture := place(slot, side)) is not None
+        ]
+
+    def _rng(self, slot: int, side: int, kind: int) -> np.random.Generator:
+        return np.random.default_rng((self.seed, 101, kind, side + 1, slot + 1_000_000))
+
+    def _place(self, name: str, faces: Faces, s_m: float, d_m: float, turn: float, label: str | None = None) -> Fixture:
+        pose = self.world.ground_pose(s_m, d_m, turn)
+        return Fixture(name, label, faces.moved(pose), pose)
+
+    def _upright(self, name: str, faces: Faces, s_m: float, d_m: float, turn: float) -> Fixture:
+        """Placed with its axis vertical, whatever the slope."""
+        x, y, heading = (float(v[0]) for v in self.world.path.pose(np.array([s_m])))
+        yaw = heading + turn
+        pose = np.eye(4)
+        pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+        pose[:2, 3] = x - d_m * np.sin(heading), y + d_m * np.cos(heading)
+        pose[2, 3] = self.world.terrain.height(pose[:1, 3])[0]
+        return Fixture(name, None, faces.moved(pose), pose)
+
+    @lru_cache(maxsize=256)  # noqa: B019 - a layout lives as long as its run
+    def _house(self, slot: int, side: int) -> Fixture | None:
+        rng = self._rng(slot, side, 0)
+        length, depth, floors = rng.uniform(11.5, 15.5), rng.uniform(8.0, 12.0), int(rng.integers(1, 4))
+        b, g, r = (float(c) for c in rng.uniform(0.82, 1.08) * rng.uniform(0.94, 1.06, 3))
+        tint: Vector = (b, g, r)
+        if rng.random() < 0.12:
+            return None
+        faces = prefabs.building(int(rng.integers(100)), length, depth, 3.2 * floors + 0.5, tint)
+        setback = self.world.section.walk_m + rng.uniform(0.2, 2.0)
+        turn = np.pi if side > 0 else 0.0
+        return self._upright(f"house{side}:{slot}", faces, (slot + 0.5) * HOUSE_SLOT_M, side * setback, turn)
+
+    @lru_cache(maxsize=256)  # noqa: B019
+    def _post(self, slot: int, side: int) -> Fixture:
+        s = (slot + (0.3 if side > 0 else 0.75)) * POST_SLOT_M
+        faces = prefabs.lamp_post(-side)
+        return self._upright(f"post{side}:{slot}", faces, s, side * (self.world.section.curb_m + 0.5), 0.0)
+
+    @lru_cache(maxsize=256)  # noqa: B019
+    def _tree(self, slot: int, side: int) -> Fixture | None:
+        rng = self._rng(slot, side, 1)
+        s, d = (slot + rng.uniform(0.2, 0.8)) * TREE_SLOT_M, self.world.section.walk_m - rng.uniform(0.3, 0.8)
+        if rng.random() < 0.45:
+            return None
+        return self._upright(f"tree{side}:{slot}", prefabs.tree(), s, side * d, float(rng.uniform(0, 6)))
+
+    @lru_cache(maxsize=256)  # noqa: B019
+    def _parked(self, slot: int, side: int) -> Fixture | None:
+        rng = self._rng(slot, side, 2)
+        s = (slot + 0.5) * PARKING_SLOT_M + rng.uniform(-0.8, 0.8)
+        d = side * (self.world.section.curb_m - PARKED_M - rng.uniform(-0.1, 0.1))
+        taken = self.world.section.outside_right == "road" and rng.random() < 0.42
+        if not taken:
+            return None
+        turn = (np.pi if side > 0 else 0.0) + rng.uniform(-0.03, 0.03)
+        return self._place(f"parked{side}:{slot}", prefabs.car(int(rng.integers(100))), s, d, turn, "Car")
+
+
+def _slots(from_m: float, to_m: float, slot_m: float) -> Iterator[int]:
+    return iter(range(int(np.floor(from_m / slot_m)), int(np.ceil(to_m / slot_m))))

@@ -1,0 +1,138 @@
+"""Drawing faces into a buffer of inverse depths: exact per pixel, nearest wins.
+
+For a face origin + a across + b up in the camera frame, H = [across up origin]^-1 K^-1 maps a pixel (u, v, 1) to q with
+a = q0 / q2, b = q1 / q2 and depth 1 / q2: inside test, texture coordinate and depth are linear in the pixel.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.geometry import Camera, Float, Float32, inverse
+
+from .faces import Faces
+
+NEAR_M: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """(H, W) which face each pixel sees, -1 for none, and the matrices that give its coordinates."""
+
+    face: NDArray[np.int32]
+    inverse_depth: Float32
+    faces: Faces
+    H: Float
+    """(N, 3, 3) pixel to (a, b, 1) over depth."""
+
+
+def draw_faces(
+    camera: Camera, world_T_camera: Float, faces: Faces, inverse_depth: Float32, outline: NDArray[np.bool_]
+) -> Drawn:
+    """Draws all faces over what is there.
+
+    Args:
+        camera: whose pixels.
+        world_T_camera: its pose.
+        faces: in the world.
+        inverse_depth: (H, W) of what has been drawn already; changed in place.
+        outline: what cut faces show, by texel (see ``Sheet``).
+    """
+    seen = _facing(faces.moved(inverse(world_T_camera)))
+    H = _matrices(camera, seen)
+    boxes = pixel_boxes(camera, _corners(seen))
+    owner = np.full(camera.size, -1, np.int32)
+    for i in np.flatnonzero((boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])):
+        x0, y0, x1, y1 = boxes[i]
+        patch = seen.patch[i] if seen.cut[i] else None
+        _draw(H[i], (x0, y0), inverse_depth[y0:y1, x0:x1], owner[y0:y1, x0:x1], int(i), patch, outline)
+    return Drawn(owner, inverse_depth, seen, H)
+
+
+def _draw(
+    H: Float,
+    corner: tuple[int, int],
+    inverse_depth: Float32,
+    owner: NDArray[np.int32],
+    number: int,
+    patch: Float | None,
+    outline: NDArray[np.bool_],
+) -> None:
+    """One face into its box of the buffers."""
+    height, width = inverse_depth.shape
+    u, v = np.arange(corner[0], corner[0] + width), np.arange(corner[1], corner[1] + height)[:, None]
+    q2 = (H[2, 0] * u) + (H[2, 1] * v + H[2, 2])
+    inside = q2 > inverse_depth
+    if not inside.any():
+        return
+    for row in (0, 1):
+        q = (H[row, 0] * u) + (H[row, 1] * v + H[row, 2])
+        inside &= q >= 0
+        inside &= q <= q2
+    if patch is not None:
+        _cut(inside, H, corner, patch, outline)
+    np.copyto(inverse_depth, q2, where=inside, casting="same_kind")
+    owner[inside] = number
+
+
+def _cut(
+    inside: NDArray[np.bool_], H: Float, corner: tuple[int, int], patch: Float, outline: NDArray[np.bool_]
+) -> None:
+    """Takes away what lies outside the texture's outline."""
+    y, x = np.nonzero(inside)
+    q0, q1, q2 = H @ np.stack((x + corner[0], y + corner[1], np.ones(len(x))))
+    u0, du, v0, dv = patch
+    column, row = np.rint(u0 + du * q0 / q2).astype(np.intp), np.rint(v0 + dv * q1 / q2).astype(np.intp)
+    inside[y, x] = outline[row, column]
+
+
+def _facing(faces: Faces) -> Faces:
+    """Those whose outer side is turned to the camera, with at least one corner before it; in the camera frame."""
+    normal = np.cross(faces.across, faces.up)
+    towards = np.einsum("ij,ij->i", normal, faces.origin)
+    size = np.linalg.norm(normal, axis=1)
+    ahead = _corners(faces)[..., 2].max(axis=1) > NEAR_M
+    return faces.pick(ahead & np.where(faces.two_sided, np.abs(towards) > 1e-6 * size, towards < -1e-6 * size))
+
+
+def _matrices(camera: Camera, faces: Faces) -> Float:
+    columns = np.stack((faces.across, faces.up, faces.origin), axis=-1)
+    result: Float = np.linalg.inv(columns) @ np.linalg.inv(camera.K)
+    return result
+
+
+def _corners(faces: Faces) -> Float:
+    """(N, 4, 3) corners in order around each face."""
+    a, b = faces.across, faces.up
+    return faces.origin[:, None] + np.stack((np.zeros_like(a), a, a + b, b), axis=1)
+
+
+def pixel_boxes(camera: Camera, corners: Float) -> NDArray[np.int64]:
+    """Half-open pixel boxes (x0, y0, x1, y1) of polygons, as far as they lie before the near plane and in the image.
+
+    Args:
+        camera: whose pixels.
+        corners: (N, M, 3) in the camera frame, in order around each polygon.
+
+    Returns:
+        (N, 4), empty boxes where nothing can be seen.
+    """
+    following = np.roll(corners, -1, axis=1)
+    z, z_next = corners[..., 2], following[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (NEAR_M - z) / (z_next - z)
+        crossing = corners + share[..., None] * (following - corners)
+    crosses = (z > NEAR_M) != (z_next > NEAR_M)
+    points = np.concatenate((corners, np.where(crosses[..., None], crossing, 0.0)), axis=1)
+    valid = np.concatenate((z > NEAR_M, crosses), axis=1)
+    depth = np.where(valid, points[..., 2], 1.0)
+    u = camera.fx * points[..., 0] / depth + camera.cx
+    v = camera.fy * points[..., 1] / depth + camera.cy
+    low = [np.where(valid, c, np.inf).min(axis=1) for c in (u, v)]
+    high = [np.where(valid, c, -np.inf).max(axis=1) for c in (u, v)]
+    limits = (camera.width, camera.height)
+    starts = [np.clip(np.ceil(c), 0, n).astype(np.int64) for c, n in zip(low, limits, strict=True)]
+    ends = [np.clip(np.floor(c) + 1, 0, n).astype(np.int64) for c, n in zip(high, limits, strict=True)]
+    return np.column_stack((*starts, *ends))

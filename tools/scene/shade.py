@@ -1,0 +1,203 @@
+"""Colour: sky, ground and faces in daylight, with haze."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.geometry import Camera, Float, Float32, inverse, transform
+
+from .grain import GRAIN_STD, ROWS, TEXEL_M, Grain, depth_level, level_depth_m, pink_noise
+from .grain import LEVELS as GRAIN_LEVELS
+from .ground import Ground
+from .raster import Drawn, pixel_boxes
+from .section import REACH_M, Section, Zone
+from .sheet import LEVELS as SHEET_LEVELS
+from .sheet import Sheet
+
+Picture = NDArray[np.uint8]
+
+HAZE: Final = np.array((222.0, 210.0, 200.0), np.float32)
+HAZE_M: Final = 900.0
+SUN: Final = np.array((0.35, 0.5, 0.79))
+"""World direction towards the sun, unit length."""
+AMBIENT: Final = 0.55
+CURB_SHADE: Final = 0.55
+PROFILE_TEXEL_M: Final = 0.01
+SHADOW_RIM_M: Final = 0.35
+SHADOW_DEPTH: Final = 0.62
+SHADOW_MARGIN_PX: Final = 3
+GRAIN_PERIOD_M: Final = TEXEL_M * ROWS
+GRAIN_SHARE: Final = 0.16
+"""Relative deviation of grain at contrast 1."""
+
+
+@dataclass(frozen=True)
+class Shadow:
+    """A soft dark patch on the ground below a body, as large as its outline."""
+
+    world_T_body: Float
+    half_length_m: float
+    half_width_m: float
+
+    def corners(self) -> Float:
+        """(4, 3) world points around all of it, its soft rim included."""
+        x, y = self.half_length_m + SHADOW_RIM_M, self.half_width_m + SHADOW_RIM_M
+        return transform(self.world_T_body, np.array([(x, y, 0.0), (-x, y, 0.0), (-x, -y, 0.0), (x, -y, 0.0)]))
+
+
+@lru_cache(maxsize=4)
+def ground_profile(section: Section, focal_px: float) -> Float32:
+    """The cross-section's colours in haze and the strength of their grain over d, a row for each level of depth.
+
+    Each row is blurred by a pixel's width at its depth. The second half of the rows has no right line, for the gaps of
+    a broken one.
+    """
+    lineless = tuple(zone for zone in section.zones if zone.high_m != section.right_edge_m)
+    rows = [
+        _seen_from(_painted(zones), level_depth_m(level), focal_px)
+        for zones in (section.zones, lineless)
+        for level in range(GRAIN_LEVELS)
+    ]
+    return np.concatenate(rows)
+
+
+def _painted(zones: Sequence[Zone]) -> Float32:
+    """(1, N, 4) colour and contrast by d."""
+    d = -REACH_M + PROFILE_TEXEL_M * (np.arange(round(2 * REACH_M / PROFILE_TEXEL_M)) + 0.5)
+    row = np.zeros((1, len(d), 4), np.float32)
+    for zone in zones:
+        row[0, (d >= zone.low_m) & (d < zone.high_m)] = (*zone.colour, zone.contrast)
+    return row
+
+
+def _seen_from(row: Float32, depth_m: float, focal_px: float) -> Float32:
+    sigma = max(depth_m / focal_px / PROFILE_TEXEL_M / 2, 0.3)
+    row = np.asarray(cv2.GaussianBlur(row, (2 * int(3 * sigma + 1) + 1, 1), sigmaX=sigma, sigmaY=0.1), np.float32)
+    clear = float(np.exp(-depth_m / HAZE_M))
+    row[..., :3] = HAZE + (row[..., :3] - HAZE) * clear
+    row[..., 3] *= GRAIN_SHARE * clear
+    return row
+
+
+def shade_ground(ground: Ground, section: Section, grain: Grain, brightness: Float32) -> Picture:
+    """(rows, W, 3) colours of the ground's rows in a brightness of (rows, W); arbitrary where there is no ground."""
+    level = depth_level(ground.depth_m)
+    column = (ground.d_m + np.float32(REACH_M)) * np.float32(1 / PROFILE_TEXEL_M) - np.float32(0.5)
+    row = level
+    if section.broken:
+        row = np.where(ground.line_gap, np.rint(level) + np.float32(GRAIN_LEVELS), level)
+    base = cv2.remap(
+        ground_profile(section, grain.focal_px), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    s = ground.s_m + np.float32(ground.road.s_origin_m % GRAIN_PERIOD_M)
+    noise = grain.sample(s, ground.d_m, level, np.abs(ground.d_m) >= section.curb_m)
+    *colours, contrast = cv2.split(base)
+    gain = noise.astype(np.float32)
+    gain -= 128
+    gain *= contrast
+    gain *= np.float32(1 / GRAIN_STD)
+    gain += 1
+    gain *= brightness
+    gain[ground.curb] *= np.float32(CURB_SHADE)
+    return np.asarray(cv2.convertScaleAbs(cv2.merge([colour * gain for colour in colours])), np.uint8)
+
+
+def cast_shadows(
+    brightness: Float32, ground: Ground, shadows: Sequence[Shadow], camera: Camera, world_T_camera: Float
+) -> None:
+    """Multiplies the ground's brightness (rows, W) within shadows, softly towards their rims, in place."""
+    if not shadows:
+        return
+    corners = transform(inverse(world_T_camera), np.stack([shadow.corners() for shadow in shadows]))
+    # A few pixels more: on a slope that changes, the shadow does not lie in the plane of the wheels.
+    margin = SHADOW_MARGIN_PX
+    for (x0, y0, x1, y1), shadow in zip(pixel_boxes(camera, corners), shadows, strict=True):
+        if x1 > x0 and y1 > ground.top_row:
+            rows = slice(max(y0 - ground.top_row - margin, 0), y1 - ground.top_row + margin)
+            _cast_shadow(brightness, ground, shadow, (rows, slice(max(x0 - margin, 0), x1 + margin)))
+
+
+def _cast_shadow(brightness: Float32, ground: Ground, shadow: Shadow, box: tuple[slice, slice]) -> None:
+    body_T_world = inverse(shadow.world_T_body)
+    offset = transform(body_T_world, np.array([*ground.road.origin_m, shadow.world_T_body[2, 3]]))
+    (xx, xy), (yx, yy) = body_T_world[:2, :2].astype(np.float32)
+    world_x, world_y = ground.x_m[box], ground.y_m[box]
+    out_x = np.abs(xx * world_x + xy * world_y + np.float32(offset[0])) - shadow.half_length_m
+    out_y = np.abs(yx * world_x + yy * world_y + np.float32(offset[1])) - shadow.half_width_m
+    outside = np.hypot(np.maximum(out_x + SHADOW_RIM_M, 0), np.maximum(out_y + SHADOW_RIM_M, 0))
+    brightness[box] *= 1 - np.float32(SHADOW_DEPTH) * np.clip(1 - outside / np.float32(2 * SHADOW_RIM_M), 0, 1)
+
+
+def shade_faces(drawn: Drawn, sheet: Sheet, pixels: NDArray[np.intp], light: Float) -> Picture:
+    """(N, 3) colours of the pixels (flat indices) that see a face; ``light`` is the brightness of each face."""
+    index = drawn.face.ravel()[pixels].astype(np.intp)
+    rows, columns = np.divmod(pixels.astype(np.int32), np.int32(drawn.face.shape[1]))
+    u, v = columns.astype(np.float32), rows.astype(np.float32)
+    depth = np.float32(1) / drawn.inverse_depth.ravel()[pixels]
+    constants = _face_constants(drawn, light)
+    ax, ay, a1, dx, dy, d1, fade, lit, haze = (constants[i].take(index) for i in (*range(8), 11))
+    across, down = (ax * u + ay * v + a1) * depth, (dx * u + dy * v + d1) * depth
+    _, exponent = np.frexp((ax - across * fade) * depth)
+    *colours, paintable = cv2.split(sheet.sample(across, down, np.clip(exponent, 0, SHEET_LEVELS - 1)))
+    share = paintable.ravel() * np.float32(1 / 255)
+    painted = [
+        (constants[8 + i].take(index) * share + lit) * colour.ravel() + haze * HAZE[i]
+        for i, colour in enumerate(colours)
+    ]
+    return np.asarray(cv2.convertScaleAbs(cv2.merge(painted)), np.uint8).reshape(-1, 3)
+
+
+def _face_constants(drawn: Drawn, light: Float) -> Float32:
+    """(12, N) what shading needs of each face.
+
+    0 to 5 are the rows that give texel column and row over depth from a pixel, 6 the inverse depth's change per pixel
+    column, 7 the light through haze, 8 to 10 what full paint adds to it, 11 the share of haze.
+    """
+    H, patch, faces = drawn.H, drawn.faces.patch, drawn.faces
+    across = H[:, 0] * patch[:, 1:2] + H[:, 2] * patch[:, 0:1]
+    down = H[:, 1] * patch[:, 3:4] + H[:, 2] * patch[:, 2:3]
+    middle_m = (faces.origin + (faces.across + faces.up) / 2)[:, 2]
+    clear = np.exp(-np.maximum(middle_m, 0) / HAZE_M)
+    seen = light * clear
+    paint = (faces.tint - 1) * seen[:, None]
+    return np.vstack((across.T, down.T, H[:, 2, 0], seen, paint.T, 1 - clear)).astype(np.float32)
+
+
+def daylight(across: Float, up: Float, two_sided: NDArray[np.bool_]) -> Float:
+    """(N,) brightness of faces given in the world."""
+    normal = np.cross(across, up)
+    slant = normal @ SUN / np.linalg.norm(normal, axis=1)
+    return np.where(two_sided, 0.85, AMBIENT + (1.12 - AMBIENT) * np.maximum(slant, 0))
+
+
+@lru_cache(maxsize=1)
+def _clouds(seed: int) -> Picture:
+    """(512, 512, 3) a periodic patch of sky as seen straight up."""
+    noise = pink_noise((512, 512), np.random.default_rng((seed, 31)))
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.5, borderType=cv2.BORDER_REFLECT)
+    cover = np.clip(smooth * 0.45 + 0.1, 0, 1)[..., None]
+    blue = np.array((176.0, 128.0, 78.0))
+    return np.asarray(blue + cover * (np.array((226.0, 214.0, 204.0)) - blue), np.uint8)
+
+
+def shade_sky(camera: Camera, world_R_camera: Float, rows: int, seed: int) -> Picture:
+    """(rows, W, 3) the sky above: clouds on a plane far up, fading into haze at the horizon.
+
+    Smooth as it is, it is drawn at half the resolution.
+    """
+    size = (-(-camera.width // 2), -(-rows // 2))
+    pixel_of_half = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
+    ray_of_half = world_R_camera @ np.linalg.inv(camera.K) @ pixel_of_half
+    plane = np.array([[40.0, 0.0, 256.0], [0.0, 40.0, 256.0], [0.0, 0.0, 1.0]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    sky = cv2.warpPerspective(_clouds(seed), plane @ ray_of_half, size, flags=flags, borderMode=cv2.BORDER_WRAP)
+    u, v = np.arange(size[0]), np.arange(size[1])[:, None]
+    x, y, z = (row[0] * u + row[2] + row[1] * v for row in ray_of_half)
+    clear = np.clip(2.2 * z / np.sqrt(x * x + y * y + z * z), 0, 1).astype(np.float32)[..., None]
+    faded = HAZE + (sky - HAZE) * clear
+    return np.asarray(cv2.resize(cv2.convertScaleAbs(faded), None, fx=2, fy=2)[:rows, : camera.width], np.uint8)

@@ -1,0 +1,166 @@
+"""What moves: the ego car along its lane, cars before and towards it, people on the sidewalks and across the road."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.geometry import Float, rigid, rotation_from_rpy
+
+from . import prefabs
+from .faces import Faces
+from .section import CURB_HEIGHT_M
+from .world import World
+
+WEAVE_S: Final = 6.0
+MAX_WEAVE_SLOPE: Final = 0.15
+"""How far the car turns out of its lane's direction at most: a slow car weaves more slowly."""
+NOD_S: Final = 1.1
+NOD_RAD: Final = float(np.radians(0.3))
+HEADWAY_S: Final = 2.8
+HEADWAY_MIN_M: Final = 14.0
+ONCOMING_SPEED_MPS: Final = 9.0
+ONCOMING_SPACING_M: Final = 42.0
+CAR_RANGE_M: Final = 140.0
+WALKER_SLOT_M: Final = 19.0
+WALKER_RANGE_M: Final = 90.0
+WALK_MPS: Final = 1.2
+WALK_TURN_S: Final = 14.0
+CROSSING_SLOT_M: Final = 95.0
+RUN_MPS: Final = 2.6
+STRIDE_M: Final = 0.22
+
+
+@dataclass(frozen=True)
+class Ego:
+    """The ego car's motion: constant speed along the road's centre line, weaving about the lane's middle."""
+
+    world: World
+    speed_mps: float
+    weave_m: float
+    static: bool
+
+    def s(self, time_s: float) -> float:
+        """Metres along the road."""
+        return 0.0 if self.static else self.speed_mps * time_s
+
+    def pose(self, time_s: float) -> Float:
+        """world_T_ego: on its wheels, headed where it goes, nodding a little."""
+        if self.static:
+            return self.world.ground_pose(0.0, self.world.section.lane_centre_m)
+        period_s = max(WEAVE_S, 2 * np.pi * self.weave_m / (MAX_WEAVE_SLOPE * self.speed_mps))
+        phase = 2 * np.pi * time_s / period_s
+        s, d = self.s(time_s), self.world.section.lane_centre_m + self.weave_m * np.sin(phase)
+        sideways = self.weave_m * 2 * np.pi / period_s * np.cos(phase)
+        onwards = self.speed_mps * (1 - self.world.path.curvature(s) * d)
+        turn = float(np.arctan2(sideways, onwards))
+        nod = NOD_RAD * np.sin(2 * np.pi * time_s / NOD_S)
+        return self.world.ground_pose(s, d, turn) @ rigid(rotation_from_rpy(0.0, nod, 0.0), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A moving thing: faces in its own frame and its pose at any time."""
+
+    name: str
+    label: str
+    faces: Faces
+    pose: Callable[[float], Float]
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """All movers of a drive."""
+
+    ego: Ego
+    seed: int
+
+    @property
+    def world(self) -> World:
+        """Where they move."""
+        return self.ego.world
+
+    def at(self, time_s: float) -> list[Mover]:
+        """Those that may be seen at a time, in a fixed order."""
+        return [*self._leaders(), *self._oncoming(time_s), *self._walkers(time_s), *self._crossing(time_s)]
+
+    def _rng(self, kind: int, slot: int) -> np.random.Generator:
+        return np.random.default_rng((self.seed, 202, kind, slot + 1_000_000))
+
+    def _leaders(self) -> Iterator[Mover]:
+        """Two cars in the ego's lane; before a car that stands they drive off."""
+        headway = max(HEADWAY_MIN_M, HEADWAY_S * self.ego.speed_mps)
+        for i, (gap, swing, period) in enumerate(((headway, 0.18, 11.0), (headway + 34.0, 0.1, 17.0))):
+
+            def pose(time_s: float, gap: float = gap, swing: float = swing, period: float = period) -> Float:
+                ahead = gap * (1 + swing * np.sin(2 * np.pi * time_s / period))
+                if self.ego.static:
+                    ahead = gap + self.ego.speed_mps * time_s
+                return self.world.ground_pose(self.ego.s(time_s) + ahead, self.world.section.lane_centre_m)
+
+            yield Mover(f"leader:{i}", "Car", prefabs.car(int(self._rng(0, i).integers(100))), pose)
+
+    def _oncoming(self, time_s: float) -> Iterator[Mover]:
+        """An endless row of cars in the other lane, numbered by where they were at time 0."""
+        start = self.ego.s(time_s) + ONCOMING_SPEED_MPS * time_s
+        for k in range(int((start - 8) // ONCOMING_SPACING_M), int((start + CAR_RANGE_M) // ONCOMING_SPACING_M)):
+            rng = self._rng(1, k)
+            first = (k + 0.5 + rng.uniform(-0.3, 0.3)) * ONCOMING_SPACING_M
+            d = -self.world.section.lane_centre_m + rng.uniform(-0.15, 0.15)
+
+            def pose(time_s: float, first: float = first, d: float = d) -> Float:
+                return self.world.ground_pose(first - ONCOMING_SPEED_MPS * time_s, d, np.pi)
+
+            yield Mover(f"oncoming:{k}", "Car", prefabs.car(int(rng.integers(100))), pose)
+
+    def _walkers(self, time_s: float) -> Iterator[Mover]:
+        """People who walk to and fro on the sidewalks."""
+        s = self.ego.s(time_s)
+        for k in range(int((s - 10) // WALKER_SLOT_M), int((s + WALKER_RANGE_M) // WALKER_SLOT_M)):
+            rng = self._rng(2, k)
+            side = 1 if rng.random() < 0.5 else -1
+            middle, late = (k + rng.random()) * WALKER_SLOT_M, rng.uniform(0, WALK_TURN_S)
+            d = side * (self.world.section.curb_m + rng.uniform(0.9, 2.3))
+
+            def pose(time_s: float, middle: float = middle, late: float = late, d: float = d) -> Float:
+                along, turn = _to_and_fro(time_s + late)
+                return self._on_foot(middle + along, d, turn)
+
+            if rng.random() < 0.7:
+                yield self._person(f"walker:{k}", int(rng.integers(100)), time_s + late, WALK_MPS, pose)
+
+    def _crossing(self, time_s: float) -> Iterator[Mover]:
+        """People who run across the road from the right, between the ego car and the one before it."""
+        s, speed = self.ego.s(time_s), max(self.ego.speed_mps, 1.0)
+        edge = self.world.section.curb_m + 1.0
+        for k in range(int((s - 5) // CROSSING_SLOT_M), int((s + WALKER_RANGE_M) // CROSSING_SLOT_M) + 1):
+            place = (k + 0.4) * CROSSING_SLOT_M
+            start = place / speed - 0.5 - edge / RUN_MPS if not self.ego.static else 1.5 + 3 * k
+
+            def pose(time_s: float, place: float = place, start: float = start) -> Float:
+                d = float(np.clip(RUN_MPS * (time_s - start) - edge, -edge, edge))
+                return self._on_foot(place, d, np.pi / 2)
+
+            moving = 0 < time_s - start < 2 * edge / RUN_MPS
+            yield self._person(f"crossing:{k}", 3 * k + 1, time_s if moving else 0.0, RUN_MPS, pose)
+
+    def _person(self, name: str, clothes: int, walked_s: float, speed: float, pose: Callable[[float], Float]) -> Mover:
+        stride = STRIDE_M * float(np.sin(np.pi * speed * walked_s / 0.75))
+        return Mover(name, "Pedestrian", prefabs.pedestrian(clothes, stride), pose)
+
+    def _on_foot(self, s_m: float, d_m: float, turn: float) -> Float:
+        """Pose of somebody upright on the road or, beyond the curb, on the sidewalk."""
+        x, y, heading = (float(v[0]) for v in self.world.path.pose(np.array([s_m])))
+        x, y = x - d_m * np.sin(heading), y + d_m * np.cos(heading)
+        step = CURB_HEIGHT_M if abs(d_m) > self.world.section.curb_m else 0.0
+        height = float(self.world.terrain.height(np.array([x]))[0]) + step
+        return rigid(rotation_from_rpy(0.0, 0.0, heading + turn), np.array([x, y, height]))
+
+
+def _to_and_fro(time_s: float) -> tuple[float, float]:
+    """Metres along and heading against the road of somebody who turns back again and again."""
+    phase = time_s % (2 * WALK_TURN_S)
+    if phase < WALK_TURN_S:
+        return WALK_MPS * (phase - WALK_TURN_S / 2), 0.0
+    return WALK_MPS * (1.5 * WALK_TURN_S - phase), np.pi

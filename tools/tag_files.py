@@ -1,0 +1,194 @@
+"""CARLA's semantic tags from raw images, palette images and CSV text. Decided by content, once for a sensor."""
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.datatypes import Image
+from roadperc_stream.errors import DumpError
+from roadperc_stream.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, TABLES, TagTable, table_for_version
+
+from .pixel_files import Pixels, surveyed
+
+TagEncoding = Literal["raw in red", "raw grey", "raw numbers", "palette colours"]
+
+LOSSY_TAGS: Final = "tags are taken as the nearest that exists where they are not exact (--allow-lossy-tags)"
+_UNKNOWN: Final = 255
+_RAW_LIMIT: Final = 40
+"""Raw tags of every version, and what JPEG makes of them, stay below; palette colours go far above."""
+_SHOWN: Final = 12
+
+
+def tag_encoding(files: Sequence[Path], *, allow_lossy: bool) -> tuple[TagEncoding, tuple[int, ...]]:
+    """Encoding of a sensor's files, from the first that tells, and the raw tags seen (none in palette images).
+
+    Raises:
+        DumpError: no file can be read, the content is no tags, or it is JPEG and lossy tags are not allowed.
+
+    """
+    samples = surveyed(files)
+    for pixels in samples:
+        _refuse_jpeg(pixels, allow_lossy=allow_lossy)
+    found = [kind for pixels in samples if (kind := _encoding(pixels))]
+    encoding: TagEncoding = found[0] if found else "raw in red"
+    if encoding == "palette colours":
+        return encoding, ()
+    return encoding, tuple(sorted({int(t) for pixels in samples for t in np.unique(_raw(pixels))}))
+
+
+def _refuse_jpeg(pixels: Pixels, *, allow_lossy: bool) -> None:
+    if pixels.container == "jpeg" and not allow_lossy:
+        raise DumpError(
+            f"{pixels.path}: tags as JPEG: its compression changes values, so tags cannot be had back exactly; "
+            "store PNG, or take the nearest with --allow-lossy-tags"
+        )
+
+
+def _encoding(pixels: Pixels) -> TagEncoding | None:
+    """None where nothing but black is to be seen."""
+    if pixels.channels == 1:
+        return "palette colours" if _palette_of_classes(pixels) else "raw numbers"
+    if pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
+        raise DumpError(f"{pixels.path}: {pixels.shape} is no tag image")
+    blue, green, red = (pixels.values[..., c] for c in range(3))
+    slack = _RAW_LIMIT if pixels.container == "jpeg" else 0
+    if not (blue.any() or green.any() or red.any()):
+        return None
+    if blue.max() <= slack and green.max() <= slack and red.max() <= max(_RAW_LIMIT, slack):
+        return "raw in red"
+    if pixels.equal_channels() and red.max() <= _RAW_LIMIT:
+        return "raw grey"
+    return "palette colours"
+
+
+def _palette_of_classes(pixels: Pixels) -> bool:
+    """Whether every index in use has a class's colour: the colours then speak, not the order in the file."""
+    colours = CARLA_FROM_0_9_14.tag_by_colour()
+    return bool(pixels.palette) and all(
+        i < len(pixels.palette) and pixels.palette[i] in colours for i in np.unique(pixels.values)
+    )
+
+
+def choose_table(
+    version: str | None, encoding: TagEncoding, seen: tuple[int, ...], source: str
+) -> tuple[TagTable, str]:
+    """The tag table and how it is known.
+
+    Args:
+        version: what the user or calibration.json says.
+        encoding: how the tags are stored.
+        seen: raw tags seen in a few files.
+        source: the sensor's folder, for the message.
+
+    Raises:
+        DumpError: the numbers do not tell and nobody says.
+        ConfigError: the version is none.
+
+    """
+    if version is not None:
+        return table_for_version(version), f"CARLA {version}"
+    if encoding == "palette colours":
+        return CARLA_FROM_0_9_14, "colours name the classes in every version"
+    if seen and max(seen) >= len(CARLA_BEFORE_0_9_14.names):
+        return CARLA_FROM_0_9_14, f"tag {max(seen)} exists only there"
+    meanings = "; ".join(
+        f"{name}: {', '.join(f'{t} {table.name_of(t)}' for t in seen[:_SHOWN])}" for name, table in TABLES.items()
+    )
+    raise DumpError(
+        f"{source}: which CARLA version wrote these tags? The numbers alone do not tell. They would mean {meanings}. "
+        'Say --carla 0.9.15 (or what it was), or "carla_tags" in calibration.json'
+    )
+
+
+def tags_of(pixels: Pixels, encoding: TagEncoding, table: TagTable, *, allow_lossy: bool) -> Image:
+    """(H, W) uint8 tags of the table.
+
+    Raises:
+        DumpError: a tag or colour that the table does not know, or a file stored otherwise than the sensor's others.
+
+    """
+    _refuse_jpeg(pixels, allow_lossy=allow_lossy)
+    own = _encoding(pixels)
+    if own not in (encoding, None) and not (allow_lossy and pixels.container == "jpeg"):
+        raise DumpError(f"{pixels.path}: tags as {own}, the files before as {encoding}")
+    if encoding == "palette colours":
+        return _tags_of_colours(pixels, table, allow_lossy=allow_lossy)
+    return _known_tags(pixels, _raw(pixels), table, allow_lossy=allow_lossy)
+
+
+def _raw(pixels: Pixels) -> NDArray[Any]:
+    values: NDArray[Any] = pixels.values
+    if pixels.channels > 1:
+        return values[..., 2]
+    if values.dtype.kind == "f" and not (np.isfinite(values) & (values == np.rint(values))).all():
+        raise DumpError(f"{pixels.path}: tags must be whole numbers")
+    return values
+
+
+def _known_tags(pixels: Pixels, raw: NDArray[Any], table: TagTable, *, allow_lossy: bool) -> Image:
+    largest = len(table.names) - 1
+    outside = (raw < 0) | (raw > largest)
+    if outside.any() and not allow_lossy:
+        tag, count = int(raw[outside].flat[0]), int(np.count_nonzero(outside))
+        raise DumpError(f"{pixels.path}: tag {tag} is not in {table.name} (0 to {largest}); {count} pixels")
+    tags: Image = np.clip(raw, 0, largest).astype(np.uint8)
+    return tags
+
+
+def _tags_of_colours(pixels: Pixels, table: TagTable, *, allow_lossy: bool) -> Image:
+    codes = _colour_codes(pixels)
+    tags: Image = _tags_by_code(table)[codes]
+    unknown = tags == _UNKNOWN
+    if not unknown.any():
+        return tags
+    if not allow_lossy:
+        raise DumpError(_unknown_colour(pixels, codes[unknown], table))
+    tags[unknown] = _nearest(codes[unknown], table)
+    return tags
+
+
+def _colour_codes(pixels: Pixels) -> NDArray[Any]:
+    """(H, W) colours as red * 65536 + green * 256 + blue."""
+    if pixels.palette:
+        table = np.array([(r << 16) | (g << 8) | b for r, g, b in pixels.palette], np.uint32)
+        return np.asarray(table[pixels.values])
+    blue, green, red = (pixels.values[..., c].astype(np.uint32) for c in range(3))
+    return (red << 16) | (green << 8) | blue
+
+
+@cache
+def _tags_by_code(table: TagTable) -> Image:
+    """(2^24,) tag of every colour code."""
+    tags = np.full(1 << 24, _UNKNOWN, np.uint8)
+    for (r, g, b), tag in table.tag_by_colour().items():
+        tags[(r << 16) | (g << 8) | b] = tag
+    return tags
+
+
+def _nearest(codes: NDArray[np.uint32], table: TagTable) -> Image:
+    """Tag of the palette colour nearest to each code by squared distance in RGB."""
+    known = table.tag_by_colour()
+    distinct, inverse = np.unique(codes, return_inverse=True)
+    rgb = np.stack((distinct >> 16, distinct >> 8 & 255, distinct & 255), axis=-1).astype(np.int32)
+    best = np.full(len(distinct), np.iinfo(np.int32).max)
+    tags = np.zeros(len(distinct), np.uint8)
+    for colour, tag in known.items():
+        distance = ((rgb - np.array(colour, np.int32)) ** 2).sum(axis=1)
+        tags[distance < best] = tag
+        best = np.minimum(best, distance)
+    return tags[inverse]
+
+
+def _unknown_colour(pixels: Pixels, codes: NDArray[np.uint32], table: TagTable) -> str:
+    distinct, counts = np.unique(codes, return_counts=True)
+    code = int(distinct[counts.argmax()])
+    colour = (code >> 16, code >> 8 & 255, code & 255)
+    more = f" and {len(distinct) - 1} more colours" if len(distinct) > 1 else ""
+    return (
+        f"{pixels.path}: colour {colour} ({counts.max()} pixels){more} is in no palette of {table.name}; "
+        "instance ids or a smoothed image? --allow-lossy-tags takes the nearest colour"
+    )
