@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := logs/runs/demo
+SAMPLE_DUMP := logs/runs/sample-dump
+SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
 .PHONY: demo test lint proto sample accuracy clean
 
@@ -23,6 +25,9 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed
 	$(BIN)/python -m pytest
 
+accuracy: $(VENV)/.installed
+	$(BIN)/python -m pytest -m accuracy -s
+
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -31,6 +36,10 @@ lint: $(VENV)/.installed
 proto: $(VENV)/.installed
 	$(BIN)/python -m grpc_tools.protoc --proto_path=. --plugin=protoc-gen-mypy=$(BIN)/protoc-gen-mypy \
 		--python_out=. --mypy_out=. roadperc_stream/schemas/roadperc.proto
+
+sample: $(VENV)/.installed
+	$(BIN)/roadperc-render $(SAMPLE_DUMP) $(SAMPLE_OPTIONS) --force
+	$(BIN)/roadperc-convert $(SAMPLE_DUMP) logs/sample.mcap --force
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info

@@ -233,12 +233,17 @@ def _surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> C
 
 
 def _true_drivable(cfg: ReplayConfig, truth: Truth, sample: Sample) -> Mask | None:
-    """Drivable pixels by the clean tags, depth and plane; None where the log does not carry all three."""
-    if truth.segmentation is None or truth.depth is None or truth.surface is None:
+    """Drivable pixels by the clean tags, depth and plane; None where the log does not carry them.
+
+    The tags are never those the chain saw. Where only these were spoilt there is no clean depth beside the log's own,
+    which is then true as it stands.
+    """
+    depth = truth.depth or sample.frame.depth
+    if truth.segmentation is None or depth is None or truth.surface is None:
         return None
     try:
         road = truth.segmentation.table.lookup(cfg.surface.classes)[truth.segmentation.tags]
-        depth_m = truth.depth.depth_m
+        depth_m = depth.depth_m
     except DecodeError:
         return None
     camera = sample.frame.camera

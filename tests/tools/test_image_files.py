@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from roadperc_stream.tools.image_files import UnreadableFrameError, read_header, require_whole
-from roadperc_stream.tools.pixel_files import load_pixels
 
 from roadperc_stream.images import encode_indices
+from roadperc_stream.tools.image_files import UnreadableFrameError, read_header, require_whole
+from roadperc_stream.tools.pixel_files import load_pixels
 from tests.tools.dump_writer import camera_pixels, jpeg, png
 
 

@@ -1,4 +1,5 @@
 import pytest
+
 from roadperc_stream.tools.role_names import role_of
 
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from roadperc_stream.tools.scene.world import SCENES, make_world
 
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from roadperc_stream.tools.scene.spoil import noisy_depth, noisy_rgb, noisy_tags
 
 

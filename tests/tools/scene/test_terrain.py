@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from roadperc_stream.tools.scene.terrain import level_ground, rolling_ground
 
 

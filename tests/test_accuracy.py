@@ -1,0 +1,132 @@
+"""What the chain gets right on rendered drives, where the truth is known; accuracy beside coverage.
+
+The long forms, at full size and over several seeds, run with ``make accuracy``; a short form of each runs always.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.cli import replay_main
+from roadperc_stream.replay import beside
+from roadperc_stream.schemas.roadperc_pb2 import Lanes
+from roadperc_stream.tools import carla_to_mcap, render_scene
+
+BEND = ("--scene", "bend", "--weave", "0.5")
+NOISE = ("--tag-noise", "0.02", "--depth-noise", "0.01")
+SHORT = ("--size", "640x480", "--seconds", "1.5")
+
+
+@dataclass(frozen=True)
+class Run:
+    metrics: pl.DataFrame
+    true_offsets: dict[str, np.ndarray]
+
+    def errors(self, column):
+        """Absolute values and coverage."""
+        values = self.metrics[column]
+        return values.drop_nulls().abs().to_numpy(), 1 - values.null_count() / len(values)
+
+    def jitter(self, column):
+        """Standard deviation of the second difference, where three frames in a row have a value."""
+        return float(np.nanstd(np.diff(self.metrics[column].to_numpy().astype(float), 2)))
+
+    def lag(self, side):
+        """Frames by which the smoothed offset lies behind the truth, by cross-correlation of the changes."""
+        offset = self.metrics[f"lane_{side}_offset_m"].to_numpy().astype(float)
+        truth = self.true_offsets[side] - self.true_offsets[side].mean()
+        offset = offset - offset.mean()
+        n = len(truth)
+        score = {
+            k: np.mean(offset[max(k, 0) : n + min(k, 0)] * truth[max(-k, 0) : n - max(k, 0)]) for k in range(-6, 7)
+        }
+        return max(score, key=score.get)
+
+
+def drive(folder, *options, settings=()):
+    assert render_scene.main([str(folder / "dump"), *options]) == 0
+    assert carla_to_mcap.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
+    arguments = [part for setting in settings for part in ("--set", setting)]
+    assert replay_main([str(folder / "in.mcap"), str(folder / "out.mcap"), "--quiet", *arguments]) == 0
+    offsets = {"left": [], "right": []}
+    for message in log.read(folder / "in.mcap", topics=["/truth/lanes"]):
+        for boundary in Lanes.FromString(message.data).boundaries:
+            offsets["left" if boundary.side == 1 else "right"].append(boundary.offset_m)
+    metrics = pl.read_parquet(beside(folder / "out.mcap", "metrics"))
+    return Run(metrics, {side: np.array(values) for side, values in offsets.items()})
+
+
+def report(name, run):
+    print(f"\n{name}: {run.metrics.height} frames")
+    for side in ("left", "right"):
+        error, coverage = run.errors(f"lane_{side}_error_m")
+        print(
+            f"  {side:5} 10 m ahead: median {np.median(error):.3f} p95 {np.quantile(error, 0.95):.3f} m, coverage "
+            f"{coverage:.0%}; jitter raw {run.jitter(f'lane_{side}_raw_offset_m'):.4f} smoothed "
+            f"{run.jitter(f'lane_{side}_offset_m'):.4f} m, lag {run.lag(side)} frames"
+        )
+    angle, coverage = run.errors("surface_angle_error_deg")
+    print(f"  surface: median {np.median(angle):.4f} deg, coverage {coverage:.0%}")
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, seed):
+    run = drive(tmp_path, *BEND, *NOISE, "--seed", str(seed))
+    report(f"bend, weave 0.5, noise, seed {seed}", run)
+    assert run.metrics.height == 100
+    for side in ("left", "right"):
+        error, coverage = run.errors(f"lane_{side}_error_m")
+        assert coverage >= 0.95
+        assert np.median(error) < 0.05
+        assert np.quantile(error, 0.95) < 0.15
+        smoothed = run.jitter(f"lane_{side}_offset_m")
+        assert smoothed < 0.015
+        assert smoothed <= run.jitter(f"lane_{side}_raw_offset_m") / 3
+        assert abs(run.lag(side)) <= 1
+    angle, coverage = run.errors("surface_angle_error_deg")
+    assert coverage >= 0.95
+    assert np.median(angle) < 0.1
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("scene", ["straight", "bend"])
+def test_surface_without_noise(tmp_path, scene):
+    run = drive(tmp_path, "--scene", scene, "--seconds", "2")
+    report(f"{scene}, clean", run)
+    angle, coverage = run.errors("surface_angle_error_deg")
+    assert (np.median(angle) < 0.02, coverage) == (True, 1.0)
+
+
+def test_short_ego_lane_and_surface_on_the_noisy_bend(tmp_path):
+    run = drive(tmp_path, *BEND, *NOISE, *SHORT)
+    for side in ("left", "right"):
+        error, coverage = run.errors(f"lane_{side}_error_m")
+        assert coverage >= 0.95
+        assert np.median(error) < 0.05
+        assert np.quantile(error, 0.95) < 0.15
+        assert run.jitter(f"lane_{side}_offset_m") < 0.015
+    angle, coverage = run.errors("surface_angle_error_deg")
+    assert (np.median(angle) < 0.1, coverage) == (True, 1.0)
+    assert run.errors("drivable_iou")[0].min() > 0.9
+
+
+def test_short_surface_without_noise(tmp_path):
+    run = drive(tmp_path, "--scene", "straight", "--size", "640x480", "--seconds", "0.5")
+    angle, coverage = run.errors("surface_angle_error_deg")
+    assert (np.median(angle) < 0.02, coverage) == (True, 1.0)
+    heights, _ = run.errors("camera_height_error_m")
+    assert heights.max() < 0.005
+
+
+def test_dropped_sensors_leave_their_frames_with_what_is_left(tmp_path):
+    run = drive(tmp_path, "--scene", "straight", "--drop", "0.3", "--size", "320x240", "--seconds", "1")
+    table = run.metrics
+    missing = table["missing"].list.join(",").to_list()
+    assert 0 < sum("depth" in m for m in missing) < len(missing)
+    for row, roles in zip(table.iter_rows(named=True), missing, strict=True):
+        assert (row["surface_source"] == "assumed") == ("depth" in roles)
+        assert (row["lane_left_status"] == "measured") <= ("segmentation" not in roles)

@@ -1,0 +1,111 @@
+"""Real recordings from dump to table, against the figures known of them."""
+
+import json
+
+import polars as pl
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.cli import replay_main
+from roadperc_stream.replay import beside
+from roadperc_stream.tools import carla_to_mcap
+
+PUBLIC_HOUGH = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_min_length_px=150")
+
+
+@pytest.fixture(scope="module")
+def replayed(data_dir, tmp_path_factory):
+    """Metrics and objects of a recording, converted once."""
+    folder = tmp_path_factory.mktemp("recordings")
+
+    def run(name, *arguments):
+        source, target = folder / f"{name}.mcap", folder / f"{name}.out.mcap"
+        if not source.exists():
+            assert carla_to_mcap.main([str(data_dir / name), str(source), "--quiet"]) == 0
+        assert replay_main([str(source), str(target), "--force", "--quiet", *arguments]) == 0
+        return pl.read_parquet(beside(target, "metrics")), pl.read_parquet(beside(target, "objects"))
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("name", "frames"),
+    [
+        ("carla_frame", 1),
+        ("carla_raw_tags", 3),
+        ("carla_rgbd", 90),
+        ("course_frames", 2),
+        ("course_odometry", 16),
+        ("course_stereo", 1),
+    ],
+)
+def test_every_set_converts_and_replays(replayed, name, frames):
+    assert replayed(name)[0].height == frames
+
+
+def test_course_frames_keep_the_known_detections(replayed, data_dir):
+    metrics, objects = replayed("course_frames")
+    expected = json.loads((data_dir / "course_frames" / "expected.json").read_text())
+    for frame in (0, 1):
+        rows = objects.filter(pl.col("frame") == frame)
+        assert rows["class_ratio"].to_list() == pytest.approx(expected[str(frame)]["segmentation_ratio"], abs=0.001)
+        assert [k for k, kept in enumerate(rows["kept"]) if kept] == expected[str(frame)]["kept"]
+    assert set(metrics["surface_source"]) == {"assumed"}
+    assert objects["distance_m"].null_count() == objects.height
+
+
+def test_course_frame_0_has_the_public_number_of_lines(replayed):
+    settings = [part for setting in PUBLIC_HOUGH for part in ("--set", f"lanes.{setting}")]
+    metrics, _ = replayed("course_frames", *settings)
+    assert (metrics["lane_proposals"][0], metrics["lane_merged"][0]) == (9, 5)
+
+
+def test_carla_frame_height_and_kept_boxes(replayed, data_dir):
+    metrics, objects = replayed("carla_frame")
+    expected = json.loads((data_dir / "carla_frame" / "expected.json").read_text())
+    assert metrics["camera_height_m"][0] == pytest.approx(expected["depth_camera_height_m"], abs=0.02)
+    assert objects.height == 71
+    assert objects["class_ratio"].null_count() == expected["boxes_outside_image"]
+    assert 10 <= objects["kept"].sum() <= 14
+
+
+def test_sidewalks_are_not_drivable_unless_told(replayed):
+    default, _ = replayed("carla_frame")
+    wide, _ = replayed("carla_frame", "--set", 'surface.classes=["road", "road_line", "sidewalk"]')
+    assert wide["drivable_ratio"][0] > default["drivable_ratio"][0] + 0.02
+
+
+def test_carla_rgbd_height_and_pitch(replayed):
+    metrics, _ = replayed("carla_rgbd")
+    assert (metrics["camera_height_m"] - 2.0).abs().le(0.01).sum() >= 85
+    assert abs(metrics["camera_pitch_deg"].median()) < 0.02
+    assert set(metrics["surface_source"]) == {"lower_image"}
+    assert metrics["lane_left_status"].null_count() == 90
+    assert metrics["reasons"].explode().unique().sort().to_list() == [
+        "lanes: no segmentation",
+        "objects: no detections",
+    ]
+
+
+def test_carlas_principal_point_as_it_stands_is_a_tenth_of_a_degree_off(data_dir, tmp_path, replayed):
+    """The half pixel matters: with pixel_origin "centre" the same frames look 0.11 degrees down."""
+    right, _ = replayed("carla_rgbd", "--frames", "20")
+    dump = tmp_path / "dump"
+    dump.mkdir()
+    for folder in ("rgb", "depth"):
+        (dump / folder).symlink_to(data_dir / "carla_rgbd" / folder)
+    calibration = json.loads((data_dir / "carla_rgbd" / "calibration.json").read_text())
+    (dump / "calibration.json").write_text(json.dumps(calibration | {"pixel_origin": "centre"}))
+    assert carla_to_mcap.main([str(dump), str(tmp_path / "a.mcap"), "--quiet"]) == 0
+    assert replay_main([str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap"), "--quiet", "--frames", "20"]) == 0
+    wrong = pl.read_parquet(tmp_path / "b.metrics.parquet")
+    shift = wrong["camera_pitch_deg"].median() - right["camera_pitch_deg"].median()
+    assert shift == pytest.approx(0.11, abs=0.01)
+
+
+def test_a_foreign_log_without_images_is_refused(data_dir, tmp_path, capsys):
+    source = data_dir / "mcap" / "example_logs.mcap"
+    assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
+    assert "nothing to replay" in capsys.readouterr().err
+    assert list(log.read(source))
+    assert list(tmp_path.iterdir()) == []
