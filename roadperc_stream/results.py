@@ -8,7 +8,7 @@ import numpy as np
 from roadperc_stream import drawing, encoding, images
 from roadperc_stream.chain import surface_in_front_camera
 from roadperc_stream.datatypes import Absent, FrameResult, Mask, Sample
-from roadperc_stream.metrics import FrameMetrics
+from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.semantics import Colour

@@ -18,6 +18,7 @@ from roadperc_stream.datatypes import (
     TagImage,
     Truth,
 )
+from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics as FrameMetricsProto
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import Road, box
@@ -116,7 +117,7 @@ def test_dropped_objects_do_not_count():
 
 def test_the_message_has_a_field_for_every_column():
     names = {f.name for f in FrameMetricsProto.DESCRIPTOR.fields} - {"timestamp", "frame_id"}
-    assert names == {f.name for f in fields(m.FrameMetrics)}
+    assert names == {f.name for f in fields(FrameMetrics)}
 
 
 def test_lost_lanes_have_no_width():

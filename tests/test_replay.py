@@ -11,7 +11,8 @@ from roadperc_stream.cli import replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.replay import Cut, beside, replay
+from roadperc_stream.replay import beside, replay
+from roadperc_stream.survey import Cut
 from tests import logs
 from tests.analytic import STEP_NS
 

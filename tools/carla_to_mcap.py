@@ -17,10 +17,10 @@ from roadperc_stream import __version__
 from roadperc_stream.errors import DumpError, RoadpercError
 from roadperc_stream.log import LogWriter, Message, Metadata
 
-from .dump_messages import channels, messages
-from .dump_plan import Options, Plan, make_plan
-from .dump_report import console, print_plan
-from .role_names import ROLES
+from .carla_dump.messages import channels, messages
+from .carla_dump.plan import Options, Plan, make_plan
+from .carla_dump.report import console, print_plan
+from .carla_dump.role_names import ROLES
 
 _MISSING: Final = "counted as missing: {}"
 _EPILOG: Final = """\

@@ -6,9 +6,11 @@ the distance to the plane, never an error along one axis.
 """
 
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.datatypes import Absent, Image, Mask, Surface, SurfaceSource
@@ -31,7 +33,6 @@ _LOWER_IMAGE = 0.6
 """Rows below this share of the image show the road in front of the car, where no segmentation says more."""
 _COLLINEAR = 1e-3
 """Sine of the angle between two sides of a triangle below which its three points are taken for a line."""
-_REFITS = 2
 
 
 def fit_surface(
@@ -64,11 +65,11 @@ def fit_surface(
     plane = _ransac(cfg, sample, inverse(ego_T_camera)[:3, :3] @ _UP_EGO, rng)
     if plane is None:
         return Absent(f"no plane through {len(points)} road points holds {cfg.min_inliers:.0%} of them")
-    for _ in range(_REFITS):
-        close = _close(cfg, plane, points)
+    for cloud in (sample, points):  # the sample's refit is cheap, and leaves one pass over all points to do
+        close = _close(cfg, plane, cloud)
         if np.count_nonzero(close) < 3:
             return Absent("no plane holds three of the road's points")
-        plane = facing(fit_plane(points, close), _CAMERA_CENTRE)
+        plane = facing(fit_plane(cloud, close), _CAMERA_CENTRE)
     ratio = float(np.mean(_close(cfg, plane, points)))
     return _surface(source, camera, ego_T_camera, plane, ratio)
 
@@ -131,9 +132,9 @@ def _ray_grids(camera: Camera) -> tuple[Float32, Float32]:
     return np.tile(x, (camera.height, 1)), np.tile(y[:, None], (1, camera.width))
 
 
-def _close(cfg: SurfaceConfig, plane: Plane, points: Float32) -> Mask:
+def _close(cfg: SurfaceConfig, plane: Plane, points: NDArray[np.floating[Any]]) -> Mask:
     """Which of (N, 3) points lie within ``inlier_m`` of a plane."""
-    distance = points @ plane.n.astype(np.float32) + np.float32(plane.offset_m)
+    distance = points @ plane.n.astype(points.dtype) + points.dtype.type(plane.offset_m)
     close: Mask = np.abs(distance) <= cfg.inlier_m
     return close
 
@@ -145,7 +146,7 @@ def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generat
         normals, offsets = _hypotheses(points, up, cfg, rng)
         if not len(normals):
             continue
-        shares = (np.abs(points @ normals.T + offsets) <= cfg.inlier_m).mean(axis=0)
+        shares = np.count_nonzero(np.abs(points @ normals.T + offsets) <= cfg.inlier_m, axis=0) / len(points)
         top = int(np.argmax(shares))
         if shares[top] > best_share:
             best, best_share = Plane.of(normals[top], float(offsets[top])), float(shares[top])

@@ -3,7 +3,7 @@ import pytest
 
 from roadperc_stream.datatypes import Box
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.truth_file import load_truth
+from roadperc_stream.tools.carla_dump.truth_file import load_truth
 from tests.tools.dump_writer import document
 
 SIDE = {"offset_m": 1.7, "heading": 0.01, "curvature_per_m": 0.002, "inside": "road", "outside": "sidewalk"}

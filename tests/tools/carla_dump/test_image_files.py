@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream.images import encode_indices
-from roadperc_stream.tools.image_files import UnreadableFrameError, read_header, require_whole
-from roadperc_stream.tools.pixel_files import load_pixels
+from roadperc_stream.tools.carla_dump.image_files import UnreadableFrameError, read_header, require_whole
+from roadperc_stream.tools.carla_dump.pixel_files import load_pixels
 from tests.tools.dump_writer import camera_pixels, jpeg, png
 
 

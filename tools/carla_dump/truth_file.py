@@ -13,7 +13,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Plane
 
 from .detection_files import checked_box
-from .dump_json import Document, Numbers3, Numbers4, by_frame, checked, read_json
+from .json_files import Document, Numbers3, Numbers4, by_frame, checked, read_json
 
 
 class _Boundary(Document):

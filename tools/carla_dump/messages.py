@@ -13,10 +13,10 @@ from roadperc_stream.log import Channel, Message
 
 from .camera_rig import EGO, FRONT
 from .depth_files import depth_metres
-from .dump_plan import Plan
-from .dump_survey import require_size
 from .image_files import UnreadableFrameError, read_bytes, require_whole
 from .pixel_files import Pixels, load_pixels
+from .plan import Plan
+from .survey import require_size
 from .tag_files import tags_of
 
 T = TypeVar("T")

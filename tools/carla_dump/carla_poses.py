@@ -15,7 +15,7 @@ from pydantic import AliasPath, ConfigDict, Field, FiniteFloat, TypeAdapter
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import EGO_R_OPTICAL, Float, rigid, rotation_from_rpy
 
-from .dump_json import Document, by_frame, checked, read_json
+from .json_files import Document, by_frame, checked, read_json
 
 COLUMNS = ("frame", "x", "y", "z", "roll", "pitch", "yaw")
 

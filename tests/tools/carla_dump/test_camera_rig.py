@@ -5,8 +5,8 @@ import pytest
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import EGO_R_OPTICAL
-from roadperc_stream.tools.calibration_file import CalibrationFile
-from roadperc_stream.tools.camera_rig import build_rig
+from roadperc_stream.tools.carla_dump.calibration_file import CalibrationFile
+from roadperc_stream.tools.carla_dump.camera_rig import build_rig
 
 PATH = Path("dump/calibration.json")
 SIZE = (1280, 960)

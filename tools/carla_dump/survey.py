@@ -8,8 +8,8 @@ from pathlib import Path
 from roadperc_stream.errors import DumpError
 
 from .camera_rig import CAMERA_ROLES
-from .dump_layout import Sensor
 from .image_files import UnreadableFrameError, read_header
+from .layout import Sensor
 from .pixel_files import file_size
 
 Header = tuple[tuple[int, int] | None, str]

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.dump_layout import find_layout
+from roadperc_stream.tools.carla_dump.layout import find_layout
 from tests.tools.dump_writer import camera_pixels, document, plain_dump, png
 
 

@@ -10,7 +10,7 @@ from pydantic import FiniteFloat, TypeAdapter
 from roadperc_stream.datatypes import Box, Detection
 from roadperc_stream.errors import DumpError
 
-from .dump_json import Document, Numbers4, by_frame, checked, frame_number, read_json
+from .json_files import Document, Numbers4, by_frame, checked, frame_number, read_json
 
 Detections = dict[int, tuple[Detection, ...]]
 

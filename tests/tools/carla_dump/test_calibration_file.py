@@ -5,7 +5,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.calibration_file import decompose_pair, load_calibration, pinhole_of_fov, pinhole_of_K
+from roadperc_stream.tools.carla_dump.calibration_file import (
+    decompose_pair,
+    load_calibration,
+    pinhole_of_fov,
+    pinhole_of_K,
+)
 from tests.tools.dump_writer import document
 
 K = [[640, 0, 640], [0, 640, 480], [0, 0, 1]]

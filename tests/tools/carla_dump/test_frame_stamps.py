@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.frame_stamps import EPOCH_NS, stamps_of_file, stamps_of_rate
+from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS, stamps_of_file, stamps_of_rate
 
 
 def test_rate_counts_frame_numbers_from_the_first():

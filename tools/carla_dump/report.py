@@ -5,7 +5,7 @@ from rich.table import Table
 
 from roadperc_stream.geometry import Camera
 
-from .dump_plan import Plan
+from .plan import Plan
 
 _PIPED_WIDTH = 140
 

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.depth_files import carla_metres, depth_encoding, depth_metres, logarithmic_metres
-from roadperc_stream.tools.pixel_files import load_pixels
+from roadperc_stream.tools.carla_dump.depth_files import carla_metres, depth_encoding, depth_metres, logarithmic_metres
+from roadperc_stream.tools.carla_dump.pixel_files import load_pixels
 from tests.tools.dump_writer import HEIGHT, WIDTH, camera_pixels, carla_codes, depth_m, jpeg, png
 
 

@@ -12,7 +12,7 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
 
 from .carla_poses import CarlaPose
-from .dump_json import Document, Numbers3, Numbers4, checked, read_json
+from .json_files import Document, Numbers3, Numbers4, checked, read_json
 
 Positive = Annotated[float, Field(gt=0.0)]
 FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]

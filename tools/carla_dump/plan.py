@@ -16,9 +16,9 @@ from .camera_rig import CAMERA_ROLES, Rig, build_rig
 from .carla_poses import load_poses
 from .depth_files import LOSSY_DEPTH, DepthEncoding, depth_encoding
 from .detection_files import load_detections, load_kitti_labels
-from .dump_layout import Layout, find_layout
-from .dump_survey import Survey, front_sensors, require_size, survey
 from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_rate
+from .layout import Layout, find_layout
+from .survey import Survey, front_sensors, require_size, survey
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
 from .truth_file import NO_TRUTH, TruthTables, load_truth
 

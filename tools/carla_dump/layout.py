@@ -8,7 +8,7 @@ from typing import Final
 
 from roadperc_stream.errors import DumpError
 
-from .dump_json import frame_number
+from .json_files import frame_number
 from .role_names import role_of
 
 _IMAGE_SUFFIXES: Final = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff", ".ppm", ".exr"})

@@ -5,11 +5,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.calibration_file import load_calibration
-from roadperc_stream.tools.carla_poses import load_poses
-from roadperc_stream.tools.detection_files import load_detections
-from roadperc_stream.tools.dump_json import by_frame, frame_number
-from roadperc_stream.tools.truth_file import load_truth
+from roadperc_stream.tools.carla_dump.calibration_file import load_calibration
+from roadperc_stream.tools.carla_dump.carla_poses import load_poses
+from roadperc_stream.tools.carla_dump.detection_files import load_detections
+from roadperc_stream.tools.carla_dump.json_files import by_frame, frame_number
+from roadperc_stream.tools.carla_dump.truth_file import load_truth
 from tests.tools.dump_writer import document
 
 WORDS = """

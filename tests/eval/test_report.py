@@ -1,0 +1,204 @@
+"""The command: what it prints, how wide, and how it ends."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+
+from roadperc_stream.eval.report import main
+from tests.eval.tables import row, write
+
+TRUTHFUL = {
+    "surface_source": "depth",
+    "camera_height_m": 1.5,
+    "camera_pitch_deg": -0.0,
+    "lane_left_status": "measured",
+    "lane_left_offset_m": 1.75,
+    "lane_left_boundary_class": "road",
+    "lane_right_status": "held",
+    "drivable_iou": 0.97,
+    "object_distance_error_m": 12345.678,
+}
+
+
+def report(capsys, *arguments):
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def line_of(text, start):
+    return next(line for line in text.splitlines() if line.startswith(start)).split()
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """Four frames, three of them with a lane error of 1, -2 and 30 cm."""
+    errors = [0.01, -0.02, 0.30, None]
+    rows = [row(k, lane_left_error_m=error, **TRUTHFUL) for k, error in enumerate(errors)]
+    times = [{"surface_ms": 2.0, "lanes_ms": 1.0, "total_ms": 4.0}] * 4
+    return write(tmp_path / "drive.metrics.parquet", rows, times)
+
+
+def test_accuracy_stands_beside_coverage(drive, capsys):
+    code, text, _ = report(capsys, drive)
+    assert code == 0
+    assert line_of(text, "lane left at 10 m, m") == [
+        *["lane", "left", "at", "10", "m,", "m"],
+        *["75.0", "0.010", "0.020", "0.272", "0.300"],
+    ]
+    assert line_of(text, "drivable IoU")[2:] == ["100.0", "0.970", "p5", "0.970", "0.970"]
+
+
+def test_times_and_share_of_the_total(drive, capsys):
+    _, text, _ = report(capsys, drive)
+    assert line_of(text, "surface  ") == ["surface", "2.00", "2.00", "2.00", "50.0"]
+    assert line_of(text, "copy, metrics")[2:] == ["1.00", "1.00", "1.00", "25.0"]
+    assert "250.0 frames a second, 12.5 times real time" in text
+
+
+def test_worst_frames_with_their_times(drive, capsys):
+    _, text, _ = report(capsys, drive, "--worst", "2")
+    lines = text.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("lane left at 10 m, m") and "15778" in line)
+    assert lines[at].split()[-4:] == ["0.300", "2", "0.100", "1577836800100000000"]
+    assert lines[at + 1].split() == ["-0.020", "1", "0.050", "1577836800050000000"]
+    assert lines[at + 2].startswith("object distance")
+
+
+def test_columns_without_values_are_one_line(drive, capsys):
+    _, text, _ = report(capsys, drive)
+    said = text[text.index("no values:") :].split("\n\n")[0].replace("\n", " ")
+    assert "stereo*" in said
+    assert "nearest_object_m" in said
+    assert "camera_height_m" not in said
+    assert "camera_height_error_m" in said
+
+
+def test_log_without_truth_says_so_and_shows_signs_of_trouble(tmp_path, capsys):
+    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", [row(0), row(1, lane_left_status="lost")]))
+    assert "The log carries no truth" in text
+    assert "error" not in text
+    assert line_of(text, "lane boundaries lost")[3:] == ["1", "1", "0.050", "1577836800050000000"]
+
+
+def test_nothing_is_none_negative_zero_or_scientific(drive, capsys):
+    _, text, _ = report(capsys, drive)
+    assert not re.search(r"None|nan|-0\.0+\b(?!\d)|\de[+-]?\d", text)
+
+
+@pytest.mark.parametrize("columns", ["20", "80", "120"])
+def test_piped_text_is_plain_and_numbers_stay_whole(drive, tmp_path, capsys, monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", columns)
+    write(tmp_path / "a_much_longer_name_than_the_column_has_room_for_it.metrics.parquet", [row(0, **TRUTHFUL)])
+    _, text, _ = report(capsys, tmp_path)
+    assert "\x1b" not in text
+    assert "…" not in text
+    assert "12345.678" in text
+    assert "1577836800100000000" in text
+    assert max(len(line) for line in text.splitlines()) <= max(80, int(columns))
+    assert not any(line.endswith(" ") for line in text.splitlines())
+
+
+def test_long_names_fold_and_lose_nothing(drive, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    name = "the_quick_brown_fox_jumps_over_the_lazy_dog"
+    write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=9.0)])
+    _, text, _ = report(capsys, tmp_path, "--worst", "1")
+    lines = text.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("lane left at 10 m, m") and "15778" in line)
+    folded = [lines[at].split()[-1]]
+    while not lines[at + len(folded)].strip().startswith("object"):
+        folded.append(lines[at + len(folded)].strip())
+    assert "".join(folded) == name
+
+
+def test_one_log_is_a_page(drive, capsys):
+    _, text, _ = report(capsys, drive)
+    assert 30 <= len(text.splitlines()) <= 60
+
+
+def test_same_log_under_two_configurations(tmp_path, capsys):
+    write(tmp_path / "base" / "drive.metrics.parquet", [row(0, lane_left_error_m=0.1)], config="1" * 64)
+    write(tmp_path / "slow" / "drive.metrics.parquet", [row(0, lane_left_error_m=0.3)], config="2" * 64)
+    _, text, _ = report(capsys, tmp_path)
+    assert text.startswith("2 runs: 1 log, 2 configurations")
+    assert line_of(text, "base/drive")[1:3] == ["a" * 16, "1" * 8]
+    block = text[text.index("Right, log by log") :].splitlines()
+    assert block[3].split() == ["base/drive", "100.0", "0.100", "0.100", "0.100", "0.100"]
+    assert block[4].split() == ["slow/drive", "100.0", "0.300", "0.300", "0.300", "0.300"]
+    assert line_of(text, "lane left at 10 m, m")[6:] == ["100.0", "0.200", "0.200", "0.290", "0.300"]
+
+
+def test_of_many_logs_the_worst_are_shown(tmp_path, capsys):
+    for index in range(14):
+        rows = [row(0, f"{index:016x}", lane_left_error_m=index / 100)]
+        write(tmp_path / f"log{index:02}.metrics.parquet", rows)
+    _, text, _ = report(capsys, tmp_path)
+    block = text[text.index("Right, log by log") : text.index("Fast, log by log")]
+    assert re.findall(r"log(\d\d)", block) == [f"{index:02}" for index in range(13, 1, -1)]
+    assert "the 12 of 14 with the worst p95" in text
+
+
+def test_reasons_are_counted_and_names_are_taken_as_they_are(tmp_path, capsys):
+    rows = [row(k, reasons=("lanes: [bold]no[/bold] segmentation",)) for k in range(3)] + [row(3)]
+    _, text, _ = report(capsys, write(tmp_path / "[red]drive.metrics.parquet", rows))
+    assert "[red]drive: log" in text
+    assert line_of(text, "lanes: [bold]no[/bold] segmentation")[-2:] == ["3", "75.0"]
+
+
+def test_rare_reasons_are_counted_together(tmp_path, capsys):
+    rows = [row(k, reasons=(f"surface: problem {k}", "objects: none")) for k in range(10)]
+    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
+    assert line_of(text, "objects: none")[-2:] == ["10", "100.0"]
+    assert line_of(text, "3 other reasons")[-1] == "3"
+
+
+def test_missing_inputs_are_told_per_role(tmp_path, capsys):
+    rows = [row(0, missing=("depth",)), row(1, missing=("depth", "left")), row(2), row(3)]
+    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
+    assert "something missing in 50.0 % of the frames: depth 50.0 %, left 25.0 %" in text
+
+
+def test_empty_table_is_told_in_words(tmp_path, capsys, drive):
+    empty = write(tmp_path / "empty.metrics.parquet", [])
+    code, text, _ = report(capsys, drive, empty)
+    assert code == 0
+    assert "empty.metrics.parquet: no frames in this table" in text.replace("\n", "")
+    assert "drive: log" in text
+
+
+def test_nothing_but_empty_tables_is_an_error(tmp_path, capsys):
+    code, text, error = report(capsys, write(tmp_path / "empty.metrics.parquet", []))
+    assert (code, text) == (1, "")
+    assert error.endswith("empty.metrics.parquet: no frames in this table, so there is nothing to report\n")
+
+
+def test_error_is_one_line_and_exit_code_1(tmp_path, capsys):
+    code, text, error = report(capsys, tmp_path / "nowhere")
+    assert (code, text) == (1, "")
+    assert re.fullmatch(r"error: .*nowhere: no such file or folder\n", error)
+
+
+@pytest.mark.parametrize("arguments", [[], ["x", "--worst", "0"], ["x", "--worst", "many"]])
+def test_wrong_usage(arguments, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    assert stopped.value.code == 2
+
+
+def test_reader_that_closes_early_is_no_error(drive):
+    """As ``roadperc-report ... | head -1`` does, here with a reader that is gone from the start."""
+    code = f"import sys; from roadperc_stream.eval.report import main; sys.exit(main([{str(drive)!r}]))"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
+
+
+def test_help_has_a_worked_example(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["--help"])
+    assert stopped.value.code == 0
+    assert "roadperc-report runs/" in capsys.readouterr().out

@@ -1,0 +1,76 @@
+"""Which tables a command line means, and what is said of files that are none."""
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.eval.runs import find_runs
+from tests.eval.tables import row, write
+
+
+def test_folder_glob_log_and_file_mean_the_same_table(tmp_path):
+    table = write(tmp_path / "deep" / "drive.metrics.parquet", [row(0)])
+    log = tmp_path / "deep" / "drive.mcap"
+    log.touch()
+    (tmp_path / "deep" / "drive.objects.parquet").touch()
+    arguments = [str(tmp_path), str(tmp_path / "deep" / "*"), str(tmp_path / "*" / "dr*.parquet"), str(log), str(table)]
+    for argument in arguments:
+        assert [run.path for run in find_runs([argument])] == [table]
+    assert len(find_runs(arguments)) == 1
+
+
+def test_relative_glob(tmp_path, monkeypatch):
+    write(tmp_path / "a" / "drive.metrics.parquet", [row(0)])
+    write(tmp_path / "b" / "drive.metrics.parquet", [row(0)])
+    monkeypatch.chdir(tmp_path)
+    assert [run.name for run in find_runs(["?/drive*"])] == ["a/drive", "b/drive"]
+    assert [run.name for run in find_runs(["**/*.parquet"])] == ["a/drive", "b/drive"]
+
+
+def test_names_take_as_many_folders_as_tell_them_apart(tmp_path):
+    for name in ("base/x/drive", "slow/x/drive", "slow/x/other"):
+        write(tmp_path / f"{name}.metrics.parquet", [row(0)])
+    assert [run.name for run in find_runs([str(tmp_path)])] == ["base/x/drive", "slow/x/drive", "other"]
+
+
+def test_footer_facts(tmp_path):
+    (run,) = find_runs([str(write(tmp_path / "a.metrics.parquet", [row(0), row(1)], config="f" * 64))])
+    assert (run.frames, run.config_digest, run.version) == (2, "f" * 64, "1.2.3")
+
+
+@pytest.mark.parametrize("argument", ["nowhere", "nowhere/x.metrics.parquet", "nowhere.mcap"])
+def test_missing_path(tmp_path, argument):
+    with pytest.raises(TableError, match=rf"{argument}: no such file"):
+        find_runs([str(tmp_path / argument)])
+
+
+def test_log_without_table(tmp_path):
+    (tmp_path / "in.mcap").touch()
+    with pytest.raises(TableError, match=r"in\.mcap: no in\.metrics\.parquet beside it"):
+        find_runs([str(tmp_path / "in.mcap")])
+
+
+def test_folder_and_glob_without_tables(tmp_path):
+    (tmp_path / "in.mcap").touch()
+    with pytest.raises(TableError, match=r"no \*\.metrics\.parquet in this folder"):
+        find_runs([str(tmp_path)])
+    with pytest.raises(TableError, match=r"matches no metrics table \(1 file of other kinds\)"):
+        find_runs([str(tmp_path / "*")])
+    with pytest.raises(TableError, match=r"x\*: matches no metrics table \(no file"):
+        find_runs([str(tmp_path / "x*")])
+
+
+def test_parquet_that_is_no_metrics_table(tmp_path):
+    path = tmp_path / "out.objects.parquet"
+    pq.write_table(pa.table({"log_id": ["a"], "frame": [0], "stamp_ns": [1], "label": ["Car"]}), path)
+    with pytest.raises(TableError, match=r"no column missing, reasons, total_ms; .* in out\.metrics\.parquet"):
+        find_runs([str(path)])
+
+
+@pytest.mark.parametrize("content", [b"", b"not a table", None])
+def test_file_that_is_no_parquet_or_cut_short(tmp_path, content):
+    path = write(tmp_path / "cut.metrics.parquet", [row(index) for index in range(50)])
+    path.write_bytes(path.read_bytes()[:-100] if content is None else content)
+    with pytest.raises(TableError, match=r"cut\.metrics\.parquet: is no Parquet file, or was cut short"):
+        find_runs([str(path)])

@@ -1,0 +1,185 @@
+"""Known answers: tables made by hand, their numbers worked out by hand."""
+
+import math
+
+import polars as pl
+import pytest
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.eval import summary as module
+from roadperc_stream.eval.runs import find_runs
+from roadperc_stream.eval.summary import summarise_all, summarise_run
+from tests.eval.tables import START_NS, STEP_NS, row, write
+
+
+def summary_of(tmp_path, rows, times=(), worst=3):
+    (run,) = find_runs([str(write(tmp_path / "drive.metrics.parquet", rows, times))])
+    return summarise_run(run, worst)
+
+
+def test_extent(tmp_path):
+    frames = (0, 1, 2, 6)
+    found = summary_of(tmp_path, [row(index) for index in frames])
+    assert (found.frames, found.span_s, found.longest_gap_s) == (4, pytest.approx(0.3), pytest.approx(0.2))
+    assert found.rate_hz == pytest.approx(10.0)
+    assert found.log_ids == ("a" * 16,)
+
+
+def test_single_frame_has_no_rate(tmp_path):
+    found = summary_of(tmp_path, [row(0)])
+    assert (found.span_s, found.longest_gap_s, found.rate_hz) == (0.0, 0.0, None)
+
+
+def test_missing_roles_and_reasons_are_counted_per_frame(tmp_path):
+    rows = [
+        row(0, missing=("depth", "detections"), reasons=("lanes: no segmentation",)),
+        row(1, missing=("depth",), reasons=("lanes: no segmentation", "objects: no detections")),
+        row(2),
+    ]
+    found = summary_of(tmp_path, rows)
+    assert (found.incomplete, found.missing) == (2, {"depth": 2, "detections": 1})
+    assert found.reasons == {"lanes: no segmentation": 2, "objects: no detections": 1}
+
+
+def test_quantiles_over_the_frames_that_have_a_value(tmp_path):
+    """0 to 100 in a hundred and one frames: each quantile is its own percentage; nine frames have none."""
+    rows = [row(index, camera_height_m=float(index)) for index in range(101)] + [row(101 + k) for k in range(9)]
+    found = summary_of(tmp_path, rows)
+    height = found.statistics["camera_height_m"]
+    assert (height.p5, height.median, height.p95, height.p99) == pytest.approx((5, 50, 95, 99))
+    assert found.coverage("camera_height_m") == pytest.approx(101 / 110)
+
+
+def test_errors_count_by_absolute_value_and_keep_their_bias(tmp_path):
+    errors = [-0.3, -0.2, -0.1, 0.1, None]
+    found = summary_of(tmp_path, [row(k, lane_left_error_m=error) for k, error in enumerate(errors)])
+    left = found.statistics["lane_left_error_m"]
+    assert left.median == pytest.approx(-0.15)
+    assert left.abs_median == pytest.approx(0.15)
+    assert left.abs_p95 == pytest.approx(0.285)
+    assert left.abs_most == pytest.approx(0.3)
+    assert found.coverage("lane_left_error_m") == pytest.approx(0.8)
+
+
+def test_column_without_values_has_no_statistics(tmp_path):
+    found = summary_of(tmp_path, [row(0), row(1)])
+    assert "stereo_epe_px" not in found.statistics
+    assert found.coverage("stereo_epe_px") == 0.0
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_number_that_is_not_finite_is_no_value(tmp_path, value):
+    found = summary_of(tmp_path, [row(0, time_to_impact_s=value), row(1, time_to_impact_s=2.0)])
+    assert found.statistics["time_to_impact_s"].abs_most == 2.0
+    assert found.coverage("time_to_impact_s") == 0.5
+
+
+def test_jitter_of_a_hand_computed_series(tmp_path):
+    """Raw 0 1 0 1 0 has second differences -2 2 -2, whose deviation is sqrt(32/9); a straight line has none."""
+    raw = [0.0, 1.0, 0.0, 1.0, 0.0]
+    rows = [row(k, lane_left_raw_offset_m=raw[k], lane_left_offset_m=1.0 + 0.25 * k) for k in range(5)]
+    found = summary_of(tmp_path, rows).statistics
+    assert found["lane_left_raw_second_difference_m"].std == pytest.approx(math.sqrt(32 / 9))
+    assert found["lane_left_second_difference_m"].std == pytest.approx(0.0)
+
+
+def test_jitter_compares_smoothed_and_raw_on_the_same_frames(tmp_path):
+    """The smoothed offset jumps in frame 5, which has no raw one: neither counts it."""
+    smoothed = [0.0, 0.0, 0.0, 0.0, 0.0, 9.0]
+    raw = [0.0, 1.0, 0.0, 1.0, 0.0, None]
+    rows = [row(k, lane_left_raw_offset_m=raw[k], lane_left_offset_m=smoothed[k]) for k in range(6)]
+    found = summary_of(tmp_path, rows).statistics
+    assert found["lane_left_second_difference_m"].values == found["lane_left_raw_second_difference_m"].values == 3
+    assert found["lane_left_second_difference_m"].std == 0.0
+
+
+def test_shares_of_states(tmp_path):
+    states = ["measured", "measured", "held", "lost", None]
+    found = summary_of(tmp_path, [row(k, lane_right_status=state) for k, state in enumerate(states)])
+    assert [found.share("lane_right_status", state) for state in ("measured", "held", "lost")] == [0.4, 0.2, 0.2]
+
+
+def test_worst_frames_by_absolute_value_the_earliest_of_equals_first(tmp_path):
+    errors = [0.1, -0.9, None, 0.5, -0.5]
+    found = summary_of(tmp_path, [row(k, lane_left_error_m=error) for k, error in enumerate(errors)])
+    worst = found.worst["lane_left_error_m"]
+    assert [(frame.frame, frame.value) for frame in worst] == [(1, -0.9), (3, 0.5), (4, -0.5)]
+    assert worst[1].since_start_s == pytest.approx(0.15)
+    assert worst[1].stamp_ns == START_NS + 3 * STEP_NS
+
+
+def test_worst_overlap_is_the_lowest(tmp_path):
+    found = summary_of(tmp_path, [row(k, drivable_iou=iou) for k, iou in enumerate([0.9, 0.2, 0.5])], worst=2)
+    assert [frame.value for frame in found.worst["drivable_iou"]] == [0.2, 0.5]
+
+
+def test_worst_frames_without_a_lane(tmp_path):
+    states = [("measured", "measured"), ("lost", "held"), ("lost", "lost"), (None, None)]
+    rows = [row(k, lane_left_status=left, lane_right_status=right) for k, (left, right) in enumerate(states)]
+    worst = summary_of(tmp_path, rows).worst["lanes_lost"]
+    assert [(frame.frame, frame.value) for frame in worst] == [(2, 2.0), (1, 1.0)]
+
+
+def test_time_outside_the_stages(tmp_path):
+    found = summary_of(tmp_path, [row(0)], [{"surface_ms": 3.0, "lanes_ms": 2.0, "total_ms": 9.0}])
+    assert found.statistics["rest_ms"].median == pytest.approx(4.0)
+
+
+def test_table_of_an_older_version_lacks_columns(tmp_path):
+    path = write(tmp_path / "old.metrics.parquet", [row(0, camera_height_m=1.5), row(1)])
+    pl.read_parquet(path).drop("lane_left_status", "stereo_ms", "drivable_iou").write_parquet(path)
+    (run,) = find_runs([str(path)])
+    found = summarise_run(run, 1)
+    assert (found.coverage("camera_height_m"), found.coverage("drivable_iou")) == (0.5, 0.0)
+    assert (found.configs, found.versions) == (("",), ("",))
+
+
+def test_damaged_data_behind_a_whole_footer(tmp_path):
+    path = write(tmp_path / "bad.metrics.parquet", [row(k, camera_height_m=k / 7) for k in range(500)])
+    content = bytearray(path.read_bytes())
+    content[4:2000] = bytes(1996)
+    path.write_bytes(content)
+    (run,) = find_runs([str(path)])
+    with pytest.raises(TableError, match=r"bad\.metrics\.parquet: its data cannot be read"):
+        summarise_run(run, 1)
+
+
+def two_runs(tmp_path):
+    long = [row(k, "a" * 16, lane_left_error_m=k / 100, missing=("depth",)) for k in range(9)]
+    short = [row(0, "b" * 16, lane_left_error_m=-0.5, surface_source="depth")]
+    write(tmp_path / "long.metrics.parquet", long)
+    write(tmp_path / "short.metrics.parquet", short)
+    runs = find_runs([str(tmp_path)])
+    summaries = [summarise_run(run, 2) for run in runs]
+    return summarise_all(runs, summaries, 2)
+
+
+def test_over_all_weighs_frames_not_logs(tmp_path):
+    """The median over ten frames is that of 0 .. 8 and 50 hundredths, not that of two medians."""
+    together = two_runs(tmp_path)
+    assert (together.frames, together.runs, together.incomplete) == (10, 2, 9)
+    assert together.statistics["lane_left_error_m"].abs_median == pytest.approx(0.045)
+    assert together.share("surface_source", "depth") == 0.1
+    assert together.log_ids == ("a" * 16, "b" * 16)
+    assert together.rate_hz == pytest.approx(20.0)
+
+
+def test_over_all_worst_frames_name_their_run(tmp_path):
+    worst = two_runs(tmp_path).worst["lane_left_error_m"]
+    assert [(frame.run, frame.value) for frame in worst] == [("short", -0.5), ("long", 0.08)]
+
+
+def test_over_all_does_not_depend_on_how_many_columns_are_read_at_once(tmp_path, monkeypatch):
+    first = two_runs(tmp_path)
+    monkeypatch.setattr(module, "COLUMNS_AT_ONCE", 1)
+    assert two_runs(tmp_path) == first
+
+
+def test_second_differences_do_not_cross_from_log_to_log(tmp_path):
+    for name, offset in (("a", 0.0), ("b", 5.0)):
+        rows = [row(k, lane_left_offset_m=offset, lane_left_raw_offset_m=offset) for k in range(3)]
+        write(tmp_path / f"{name}.metrics.parquet", rows)
+    runs = find_runs([str(tmp_path)])
+    together = summarise_all(runs, [summarise_run(run, 1) for run in runs], 1)
+    assert together.statistics["lane_left_second_difference_m"].values == 2
+    assert together.statistics["lane_left_second_difference_m"].abs_most == 0.0
