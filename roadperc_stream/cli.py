@@ -13,8 +13,9 @@ from roadperc_stream import __version__
 from roadperc_stream.channels import parse_topic_options
 from roadperc_stream.config import STAGES, load_config
 from roadperc_stream.errors import ConfigError, RoadpercError
-from roadperc_stream.replay import ReplaySummary, beside, no_progress, replay
+from roadperc_stream.replay import ReplaySummary, no_progress, replay
 from roadperc_stream.survey import Cut
+from roadperc_stream.table import beside
 
 EXIT_DONE, EXIT_ERROR = 0, 1
 

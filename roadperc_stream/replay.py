@@ -21,16 +21,13 @@ from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Mess
 from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.results import result_messages
 from roadperc_stream.roles import Problems, is_result
-from roadperc_stream.rows import FrameMetrics, ObjectMetrics
+from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.survey import WHOLE, Cut, Survey, input_messages, samples, survey_log
 from roadperc_stream.sync import SyncCounts
-from roadperc_stream.table import TableWriter, arrow_schema
+from roadperc_stream.table import TableWriter, arrow_schema, beside
 
 CONFIG_ATTACHMENT = "roadperc.toml"
 METADATA_RECORD = "roadperc"
-TIME_COLUMNS = tuple(
-    f"{stage}_ms" for stage in ("decode", "surface", "lanes", "objects", "stereo", "odometry", "encode", "total")
-)
 
 
 @dataclass
@@ -174,11 +171,6 @@ class InputCopy:
     def rest(self) -> None:
         """Copy all that is left."""
         self.through(None)
-
-
-def beside(target: Path, table: str) -> Path:
-    """out.mcap gives out.metrics.parquet and out.objects.parquet."""
-    return target.with_name(f"{target.stem}.{table}.parquet")
 
 
 def _require_free(source: Path, target: Path, force: bool) -> None:

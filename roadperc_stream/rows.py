@@ -1,6 +1,12 @@
 """The columns of the tables: a row per frame and a row per detection. Units are in the names."""
 
 from dataclasses import dataclass
+from typing import Final
+
+TIME_COLUMNS: Final = tuple(
+    f"{stage}_ms" for stage in ("decode", "surface", "lanes", "objects", "stereo", "odometry", "encode", "total")
+)
+"""Milliseconds each stage took; null where it did not run."""
 
 
 @dataclass(frozen=True)

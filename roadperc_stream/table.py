@@ -24,6 +24,11 @@ _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
 }
 
 
+def beside(target: Path, table: str) -> Path:
+    """out.mcap gives out.metrics.parquet and out.objects.parquet."""
+    return target.with_name(f"{target.stem}.{table}.parquet")
+
+
 def arrow_schema(row_type: type, extra: tuple[str, ...] = (), metadata: Mapping[str, str] | None = None) -> pa.Schema:
     """Arrow schema of a dataclass, each ``X | None`` nullable, with ``extra`` float columns behind."""
     hints = typing.get_type_hints(row_type)

@@ -11,8 +11,9 @@ from roadperc_stream.cli import replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.replay import beside, replay
+from roadperc_stream.replay import replay
 from roadperc_stream.survey import Cut
+from roadperc_stream.table import beside
 from tests import logs
 from tests.analytic import STEP_NS
 

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from roadperc_stream.replay import TIME_COLUMNS
-from roadperc_stream.rows import FrameMetrics
+from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.table import TableWriter, arrow_schema
 
 STEP_NS = 50_000_000

@@ -1,0 +1,86 @@
+"""The tables that lay several runs side by side: a row per run."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final
+
+from rich.table import Table
+
+from .grid import grid, percent
+from .quantities import STAGES, TRUTH, Quantity
+from .sections import accuracy, accuracy_grid, speed_grid, times
+from .summary import Statistics, Summary
+
+LOGS_SHOWN: Final = 12
+"""Logs a block of the log-by-log tables has room for; of more, those with the largest p95 are shown."""
+_COVERED: Final = {
+    "surface": "camera_height_m",
+    "drivable": "drivable_ratio",
+    "left": "lane_left_offset_m",
+    "right": "lane_right_offset_m",
+    "objects": "detections",
+    "stereo": "stereo_valid_ratio",
+    "odometry": "step_m",
+}
+
+
+def logs(summaries: Iterable[Summary]) -> Table:
+    """A row per run: what it is and how long."""
+    table = grid("Log", "log id", "config", "frames", "s", "frames/s", label_columns=20)
+    for summary in summaries:
+        table.add_row(
+            summary.name,
+            summary.log_ids[0],
+            summary.configs[0][:8],
+            str(summary.frames),
+            f"{summary.span_s:.2f}",
+            f"{summary.rate_hz:.1f}" if summary.rate_hz else "",
+        )
+    return table
+
+
+def coverage_by_log(summaries: Sequence[Summary]) -> Table:
+    """A row per run: share of frames with all inputs, and with a value of each stage that has any."""
+    shown = {what: column for what, column in _COVERED.items() if any(column in s.statistics for s in summaries)}
+    table = grid("Seen, % of frames", "inputs", *shown, label_columns=17)
+    for summary in summaries:
+        complete = 1 - summary.incomplete / summary.frames
+        shares = [complete, *(summary.coverage(column) for column in shown.values())]
+        table.add_row(summary.name, *(percent(share) for share in shares))
+    return table
+
+
+def accuracy_by_log(summaries: Sequence[Summary]) -> Table:
+    """A block per truth metric, a row per run."""
+    return _blocks(accuracy_grid("Right, log by log"), TRUTH, summaries, accuracy)
+
+
+def times_by_log(summaries: Sequence[Summary]) -> Table:
+    """A block per stage, a row per run."""
+    return _blocks(speed_grid("Fast, log by log"), STAGES, summaries, times)
+
+
+def _blocks(
+    table: Table,
+    quantities: Iterable[Quantity],
+    summaries: Sequence[Summary],
+    cells: Callable[[Summary, Quantity], list[str]],
+) -> Table:
+    for quantity in quantities:
+        having = _shown(summaries, quantity)
+        if having:
+            table.add_row(quantity.label)
+        for summary in having:
+            table.add_row(f"  {summary.name}", *cells(summary, quantity))
+    return table
+
+
+def _shown(summaries: Sequence[Summary], quantity: Quantity) -> list[Summary]:
+    """The runs with values, in their order; of too many, the worst."""
+    having = [summary for summary in summaries if quantity.column in summary.statistics]
+    if len(having) <= LOGS_SHOWN:
+        return having
+    return sorted(having, key=lambda summary: -_tail(summary.statistics[quantity.column], quantity))[:LOGS_SHOWN]
+
+
+def _tail(found: Statistics, quantity: Quantity) -> float:
+    return -found.p5 if quantity.worse == "low" else found.abs_p95

@@ -1,0 +1,82 @@
+"""``roadperc-report``: what came out of one replay or many, on the terminal."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from roadperc_stream import __version__
+from roadperc_stream.cli import EXIT_DONE, run
+from roadperc_stream.errors import TableError
+
+from .runs import find_runs
+from .summary import summarise_all, summarise_run
+from .terminal import console_for, print_empty, print_one, print_several
+
+WORST_FRAMES = 3
+_EXAMPLE = """\
+example:
+  roadperc-replay logs/sample.mcap runs/base/sample.mcap
+  roadperc-replay logs/sample.mcap runs/slow/sample.mcap --set lanes.hold_s=2
+  roadperc-report runs/base/sample.mcap        one run, from the table beside the log
+  roadperc-report runs/                        both, side by side, as base/sample and slow/sample
+  roadperc-report 'runs/*/town*.metrics.parquet' --worst 10
+"""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """``roadperc-report``: print tables over finished runs."""
+    arguments = _parser().parse_args(argv)
+    try:
+        code = run(lambda: _report(arguments.runs, arguments.worst))
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader has seen enough, as with | head; what is still buffered goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="roadperc-report",
+        description="Print what came out of replays: what was seen in how many frames, how right it is where\n"
+        "the log carries truth, how long it took, and the worst frames.",
+        epilog=_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "runs",
+        metavar="RUN",
+        nargs="+",
+        help="a metrics table (OUT.metrics.parquet), the OUT.mcap it lies beside, a folder with tables, or a glob",
+    )
+    parser.add_argument(
+        "--worst",
+        metavar="N",
+        type=_positive,
+        default=WORST_FRAMES,
+        help=f"worst frames listed for each error (default {WORST_FRAMES})",
+    )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+    return parser
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected 1 or more")
+    return number
+
+
+def _report(arguments: Sequence[str], worst: int) -> None:
+    runs = find_runs(arguments)
+    filled = [item for item in runs if item.frames]
+    if not filled:
+        raise TableError(f"{runs[0].path}: no frames in this table, so there is nothing to report")
+    summaries = [summarise_run(item, worst) for item in filled]
+    console = console_for(sys.stdout)
+    print_empty(console, [item for item in runs if not item.frames])
+    if len(filled) == 1:
+        print_one(console, summaries[0])
+    else:
+        print_several(console, summaries, summarise_all(filled, summaries, worst))

@@ -1,0 +1,136 @@
+"""Which metrics tables a command line means: files, folders, globs and logs with results."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.table import beside
+
+SUFFIX: Final = ".metrics.parquet"
+OBJECTS_SUFFIX: Final = ".objects.parquet"
+REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
+"""What makes a metrics table. Others may be absent, as in tables of older versions: they count as null."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One metrics table: the frames of one log under one configuration.
+
+    ``name`` tells it from the others of the same report; ``frames`` is its number of rows. ``config_digest`` and
+    ``version`` say what made it and are empty where the file does not.
+    """
+
+    name: str
+    path: Path
+    frames: int
+    columns: frozenset[str]
+    config_digest: str
+    version: str
+
+
+def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
+    """The runs the arguments mean, each table once, in the order given; folders and globs in alphabetical order.
+
+    Raises:
+        TableError: an argument names no table, or a file is no metrics table.
+    """
+    found = [path for argument in arguments for path in _tables(argument)]
+    paths = list({path.resolve(): path for path in found}.values())
+    return tuple(open_run(path, name) for path, name in zip(paths, distinct_names(paths), strict=True))
+
+
+def open_run(path: Path, name: str) -> Run:
+    """Read a table's footer.
+
+    Raises:
+        TableError: the file cannot be read, is no Parquet, or lacks columns of a metrics table.
+    """
+    try:
+        footer = pq.read_metadata(path)
+    except pa.ArrowInvalid as error:
+        raise TableError(f"{path}: is no Parquet file, or was cut short ({_first_line(error)})") from error
+    except OSError as error:
+        raise TableError(f"{path}: {error.strerror or _first_line(error)}") from error
+    columns = frozenset(footer.schema.to_arrow_schema().names)
+    _require_columns(path, columns)
+    facts = {key.decode(): value.decode() for key, value in (footer.metadata or {}).items()}
+    digest, version = facts.get("roadperc.config_digest", ""), facts.get("roadperc.version", "")
+    return Run(name, path, footer.num_rows, columns, digest, version)
+
+
+def distinct_names(paths: Sequence[Path]) -> list[str]:
+    """Names without folder and suffix; where two would be the same, with as many folders as tell them apart."""
+    full = [path.resolve().with_name(path.name.removesuffix(SUFFIX)).parts for path in paths]
+    depths = [1] * len(full)
+    while True:
+        names = ["/".join(parts[-depth:]) for parts, depth in zip(full, depths, strict=True)]
+        shared = Counter(names)
+        grown = [
+            min(depth + (shared[name] > 1), len(parts)) for name, depth, parts in zip(names, depths, full, strict=True)
+        ]
+        if grown == depths:
+            return names
+        depths = grown
+
+
+def _tables(argument: str) -> list[Path]:
+    path = Path(argument)
+    if path.is_dir():
+        return _in_folder(path)
+    if path.suffix == ".mcap":
+        return [_beside_log(path)]
+    if path.exists():
+        return [path]
+    if any(sign in argument for sign in "*?["):
+        return _in_glob(argument)
+    raise TableError(f"{argument}: no such file or folder")
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    paths = sorted(folder.rglob(f"*{SUFFIX}"))
+    if not paths:
+        raise TableError(f"{folder}: no *{SUFFIX} in this folder or below; roadperc-replay writes them")
+    return paths
+
+
+def _beside_log(log: Path) -> Path:
+    table = beside(log, "metrics")
+    if not table.exists():
+        said = f"no {table.name} beside it; roadperc-replay writes one beside its OUT.mcap"
+        raise TableError(f"{log}: {said if log.exists() else 'no such file'}")
+    return table
+
+
+def _in_glob(pattern: str) -> list[Path]:
+    """The metrics tables among a glob's matches; logs and tables of detections match ``runs/*`` too and are left."""
+    path = Path(pattern)
+    matches = sorted(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
+    files = [path for path in matches if path.suffix == ".parquet" and not path.name.endswith(OBJECTS_SUFFIX)]
+    below = [path for folder in matches if folder.is_dir() for path in sorted(folder.rglob(f"*{SUFFIX}"))]
+    if not files and not below:
+        raise TableError(f"{pattern}: matches no metrics table ({_count(matches)} of other kinds)")
+    return [*files, *below]
+
+
+def _count(matches: Sequence[Path]) -> str:
+    return "no file" if not matches else f"{len(matches)} file{'s' * (len(matches) > 1)}"
+
+
+def _require_columns(path: Path, columns: Iterable[str]) -> None:
+    missing = [name for name in REQUIRED_COLUMNS if name not in columns]
+    if not missing:
+        return
+    hint = ""
+    if path.name.endswith(OBJECTS_SUFFIX):
+        hint = f"; a row per frame is in {path.name.removesuffix(OBJECTS_SUFFIX)}{SUFFIX}"
+    raise TableError(f"{path}: is no metrics table: it has no column {', '.join(missing)}{hint}")
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0].rstrip(". ")
