@@ -59,10 +59,15 @@ class SurfaceConfig(_Model):
     drivable_m: Positive = 0.15
     """Largest distance to the plane of a drivable pixel."""
     hypotheses: Count = 256
+    """Most planes tried."""
     batch: Count = 32
-    subsample: Count = 4096
-    enough_inliers: Ratio = 0.99
-    """Share of inliers at which no further hypotheses are tried."""
+    """Planes tried at once."""
+    subsample: Count = 2048
+    """Points they are tried on."""
+    enough_inliers: Ratio = 0.95
+    """Share of inliers at which no further planes are tried."""
+    confidence: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.999
+    """Probability, by the share of inliers found, of having met three good points, at which trying stops too."""
     min_inliers: Ratio = 0.2
     """Share of inliers below which there is no plane."""
     max_depth_m: Positive = 60.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.datatypes import Absent, Detection, Image, Object, Objects
-from roadperc_stream.geometry import Camera, Float32, rays
+from roadperc_stream.geometry import Camera, Float32
 from roadperc_stream.semantics import TagTable, label_lookup
 
 _MIN_STD_M = 0.0005
@@ -76,9 +76,10 @@ def _judge_one(
 def _distances(camera: Camera, depth_m: Float32, box: tuple[int, int, int, int]) -> Float32:
     """(h, w) sqrt(x^2 + y^2 + z^2) in metres of the box's pixels."""
     x0, y0, x1, y1 = box
-    columns, rows = np.meshgrid(np.arange(x0, x1, dtype=float), np.arange(y0, y1, dtype=float))
-    lengths = np.linalg.norm(rays(camera, np.stack((columns, rows), axis=-1)), axis=-1)
-    distances: Float32 = (depth_m[y0:y1, x0:x1] * lengths).astype(np.float32)
+    x = (np.arange(x0, x1) - camera.cx) / camera.fx
+    y = (np.arange(y0, y1) - camera.cy) / camera.fy
+    lengths = np.sqrt((x**2 + 1.0).astype(np.float32) + (y**2).astype(np.float32)[:, None])
+    distances: Float32 = depth_m[y0:y1, x0:x1] * lengths
     return distances
 
 
@@ -93,11 +94,13 @@ def _nearest(
     if not known.any():
         return None, None, False
     saturated = depths_m[known] >= np.float32(limit_m)
-    ordered = np.sort(np.where(saturated, np.inf, distances_m[known]))
-    distance = float(ordered[_rank(quantile, len(ordered))])
+    reachable = np.where(saturated, np.inf, distances_m[known])
+    ranks = [_rank(share * quantile, len(reachable)) for share in (0, 1, 2)]
+    nearest, chosen, beside = np.partition(reachable, ranks)[ranks]
+    distance = float(chosen)
     if not np.isfinite(distance):
         return None, None, True
-    spread = ordered[_rank(2 * quantile, len(ordered))] - ordered[0]
+    spread = beside - nearest
     std = max(float(spread) / 2, _MIN_STD_M) if np.isfinite(spread) else None
     return distance, std, False
 

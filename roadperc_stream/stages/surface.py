@@ -142,7 +142,9 @@ def _close(cfg: SurfaceConfig, plane: Plane, points: NDArray[np.floating[Any]]) 
 def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:
     """The hypothesis that most points support; None where none is supported enough."""
     best, best_share = None, cfg.min_inliers
-    for _ in range(0, cfg.hypotheses, cfg.batch):
+    for tried in range(0, cfg.hypotheses, cfg.batch):
+        if best_share >= cfg.enough_inliers or tried >= _trials_needed(cfg.confidence, best_share):
+            break
         normals, offsets = _hypotheses(points, up, cfg, rng)
         if not len(normals):
             continue
@@ -150,9 +152,12 @@ def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generat
         top = int(np.argmax(shares))
         if shares[top] > best_share:
             best, best_share = Plane.of(normals[top], float(offsets[top])), float(shares[top])
-        if best_share >= cfg.enough_inliers:
-            break
     return best
+
+
+def _trials_needed(confidence: float, share: float) -> float:
+    """Hypotheses after which one of three inliers was among them with that confidence (Fischler and Bolles)."""
+    return float(np.log1p(-confidence) / np.log1p(-min(share**3, 1 - 1e-9)))
 
 
 def _hypotheses(points: Float, up: Float, cfg: SurfaceConfig, rng: np.random.Generator) -> tuple[Float, Float]:
