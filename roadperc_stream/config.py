@@ -47,6 +47,13 @@ class SyncConfig(_Model):
     """How far the log is read past a frame for a sensor whose messages arrive late."""
 
 
+class StereoConfig(_Model):
+    """Depth from a rectified stereo pair."""
+
+    method: Literal["fast", "full", "off"] = "fast"
+    """``fast`` matches at half resolution in three directions, ``full`` at full resolution."""
+
+
 class SurfaceConfig(_Model):
     """The drivable surface, by RANSAC on road points."""
 
@@ -128,6 +135,19 @@ class ObjectsConfig(_Model):
     """Pixels of the box that count for the distance: those of its class, or all (the lecture's variant)."""
 
 
+class OdometryConfig(_Model):
+    """Where the car is, from images and depth."""
+
+    enabled: bool = True
+    features: Literal["klt", "orb", "sift"] = "klt"
+
+
+class OccupancyConfig(_Model):
+    """A bird's-eye grid of what is free and what is occupied."""
+
+    enabled: bool = True
+
+
 STAGES = ("surface", "lanes", "objects")
 """Stages in the order in which they run; each has a section below."""
 
@@ -139,9 +159,12 @@ class ReplayConfig(_Model):
     tag_table: Annotated[str, AfterValidator(_known_table)] = "auto"
     """Tag table of logs that do not name theirs: a CARLA version, a table's name, or ``auto`` (what the log says)."""
     sync: SyncConfig = SyncConfig()
+    stereo: StereoConfig = StereoConfig()
     surface: SurfaceConfig = SurfaceConfig()
+    odometry: OdometryConfig = OdometryConfig()
     lanes: LanesConfig = LanesConfig()
     objects: ObjectsConfig = ObjectsConfig()
+    occupancy: OccupancyConfig = OccupancyConfig()
 
     def to_toml(self) -> str:
         """The whole configuration, defaults included; ``load_config`` reads it back."""

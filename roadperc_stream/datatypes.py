@@ -22,6 +22,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "assumed", "truth"]
 BoundaryStatus = Literal["measured", "held", "lost"]
 ObjectStatus = Literal["measured", "tracked", "lost"]
+OdometryStatus = Literal["first", "tracked", "lost"]
 Line = tuple[float, float, float, float]
 """x1, y1, x2, y2 in pixels: from the image's bottom edge (y1 = height) to the road's far end."""
 
@@ -213,6 +214,53 @@ class Surface:
         """The lecture's parameters of a x + b y + z = d in the ego frame."""
         nx, ny, nz = self.ego_plane.normal
         return nx / nz, ny / nz, -self.ego_plane.offset_m / nz
+
+
+@dataclass(frozen=True)
+class StereoDepth:
+    """Depth from a rectified pair, as the left camera sees it: (H, W) metres along z, NaN unknown."""
+
+    frame_id: str
+    depth_m: Float32
+
+    def __post_init__(self) -> None:
+        read_only(self.depth_m, np.float32, (None, None), "depth_m")
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Where the ego frame is. ``step`` maps this frame's ego coordinates to the last one's (last_T_this).
+
+    With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
+    x, y, z, roll, pitch, yaw of ``step``.
+    """
+
+    status: OdometryStatus
+    odom_T_ego: Float
+    step: Float | None = None
+    inliers: int = 0
+    up_to_scale: bool = False
+    covariance: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+        if self.step is not None:
+            read_only(self.step, np.float64, (4, 4), "step")
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """A bird's-eye grid in the ego frame: cells[row, column] covers x = x_min_m + column * resolution_m and
+    y = y_min_m + row * resolution_m onwards; -1 unknown, 0 free, 100 occupied.
+    """
+
+    x_min_m: float
+    y_min_m: float
+    resolution_m: float
+    cells: NDArray[np.int8]
+
+    def __post_init__(self) -> None:
+        read_only(self.cells, np.int8, (None, None), "cells")
 
 
 @dataclass(frozen=True)
