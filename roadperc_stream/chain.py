@@ -15,8 +15,9 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float, Float32, inverse, transform_plane
 from roadperc_stream.registration import sample_labels, warp_depth
 from roadperc_stream.semantics import TagTable
-from roadperc_stream.stages import lanes, objects, surface
+from roadperc_stream.stages import lanes, surface
 from roadperc_stream.stages.lanes import LanesState
+from roadperc_stream.stages.objects.judge import judge
 
 Timer = Callable[[str], AbstractContextManager[object]]
 """Called with a stage's name: what it returns is entered while the stage works."""
@@ -90,7 +91,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         )
     with timer("objects"):
         judged = (
-            objects.judge(
+            judge(
                 cfg.objects,
                 frame.detections,
                 camera,

@@ -5,10 +5,10 @@ Every key has a default, so no file is needed. Lengths in pixels are given at 96
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.semantics import CLASS_NAMES, table_for_version
@@ -28,10 +28,17 @@ def _known_table(version: str) -> str:
         raise ValueError(str(error)) from error
 
 
+def _odd(count: int) -> int:
+    if count % 2 == 0:
+        raise ValueError("must be odd")
+    return count
+
+
 Classes = Annotated[tuple[str, ...], AfterValidator(_known_classes)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Count = Annotated[int, Field(ge=1)]
+OddCount = Annotated[int, Field(ge=1), AfterValidator(_odd)]
 
 
 class _Model(BaseModel):
@@ -48,17 +55,49 @@ class SyncConfig(_Model):
 
 
 class StereoConfig(_Model):
-    """Depth from a rectified stereo pair."""
+    """Depth from a stereo pair by semi-global matching.
+
+    What is matched is the image itself with ``full`` and one of half its rows and columns with ``fast``; ``block_px``,
+    ``left_right_px``, ``speckle_px``, ``speckle_step_px`` and ``refine_px`` count its pixels and do not scale with the
+    image.
+    """
 
     method: Literal["fast", "full", "off"] = "fast"
-    """``fast`` matches at half resolution in three directions, ``full`` at full resolution."""
+    """``fast`` matches at half resolution, ``full`` at full resolution; both along three directions."""
+    disparities: Annotated[int, Field(ge=16, multiple_of=16)] | Literal["auto"] = "auto"
+    """Disparities tried, pixels of the image from 0: a multiple of 16, or what the nearest road pixel needs."""
+    block_px: OddCount = 5
+    """Side of the square that is compared."""
+    p1: Count = 200
+    """Penalty for neighbours one disparity apart: about 8 per pixel of the block, for grey levels."""
+    p2: Count = 800
+    """Penalty for neighbours farther apart, above ``p1``: about 32 per pixel of the block."""
+    uniqueness_percent: Annotated[int, Field(ge=0, lt=100)] = 10
+    """Margin by which the best disparity's cost must win against those not beside it; 0 is none."""
+    left_right_px: Count = 1
+    """Largest difference between a pixel's disparity and its partner's, seen from the right."""
+    speckle_px: Annotated[int, Field(ge=0)] = 100
+    """Patches of fewer pixels than this that stand alone are unknown; 0 keeps all."""
+    speckle_step_px: Count = 2
+    """Disparities within one patch differ by no more than this from pixel to pixel."""
+    refine_px: OddCount | Literal[0] = 7
+    """Side of the square by whose slopes the disparities are refined; 0 leaves them as matched, in sixteenths."""
+    min_disparity_px: Positive = 1.0
+    """Pixels of the image: a smaller disparity is unknown, for its depth would be mostly error."""
+
+    @model_validator(mode="after")
+    def _penalties_in_order(self) -> Self:
+        if self.p2 <= self.p1:
+            raise ValueError(f"p2 must exceed p1: p1 {self.p1}, p2 {self.p2}")
+        return self
 
 
 class SurfaceConfig(_Model):
     """The drivable surface, by RANSAC on road points."""
 
     enabled: bool = True
-    model: Literal["plane"] = "plane"
+    model: Literal["plane", "spline"] = "plane"
+    """``spline`` adds a smooth height field to the plane, for roads that climb and fall; it needs depth."""
     classes: Classes = ("road", "road_line", "ground")
     """Classes one may drive on. Sidewalks are not among them: with them the height is 5 to 10 cm off."""
     inlier_m: Positive = 0.05
@@ -82,6 +121,12 @@ class SurfaceConfig(_Model):
     """Largest angle between the plane and the road the mounting promises."""
     assumed_height_m: Positive = 1.5
     """Height of the camera where neither a mounting nor depth tells."""
+    spline_knot_m: Annotated[float, Field(ge=1.0, le=30.0)] = 5.0
+    """Distance of the height field's knots along the road."""
+    spline_curvature_per_m: Positive = 0.005
+    """Standard deviation of the road's curvature upwards; smaller is smoother. A crest of 200 m radius has 0.005."""
+    spline_half_width_m: Annotated[float, Field(ge=2.0, le=50.0)] = 10.0
+    """How far to either side of the ego x axis points count for the height field."""
 
 
 class LanesConfig(_Model):
@@ -115,7 +160,7 @@ class LanesConfig(_Model):
     gate: Positive = 16.27
     """Squared Mahalanobis distance beyond which a measurement is not taken (99.9 % of chi squared, 3 degrees)."""
     hold_s: Annotated[float, Field(ge=0.0)] = 0.5
-    """How long an unseen boundary is held before it is lost."""
+    """How long an unseen boundary is held before it is lost; also the window of the vote on the classes beside it."""
     process_noise: Positive = 0.5
     """Standard deviation in m/s^2 of the car's sideways acceleration."""
     offset_std_m: Positive = 0.05
@@ -124,7 +169,7 @@ class LanesConfig(_Model):
 
 
 class ObjectsConfig(_Model):
-    """Detections filtered by segmentation, with their distance."""
+    """Detections filtered by segmentation, with their distance, and followed over time."""
 
     enabled: bool = True
     min_class_ratio: Ratio = 0.3
@@ -133,6 +178,32 @@ class ObjectsConfig(_Model):
     """0 is the lecture's minimum."""
     distance_pixels: Literal["class", "box"] = "class"
     """Pixels of the box that count for the distance: those of its class, or all (the lecture's variant)."""
+    hold_s: Annotated[float, Field(ge=0.0)] = 0.5
+    """How long an object without a detection is followed, and searched for in the image."""
+    template_search: bool = True
+    """Whether an object without a detection is searched for by its last image patch; this needs the decoded image."""
+    carry_after_s: Annotated[float, Field(ge=0.0)] = 0.1
+    """How long an object must have been seen without a gap to be searched for: stray detections are not carried on."""
+    template_min_score: Ratio = 0.7
+    """Normalised cross-correlation from which the patch counts as found."""
+    min_overlap: Ratio = 0.2
+    """Intersection over union with an object's predicted box from which a detection may be the same object."""
+    distance_penalty: Ratio = 0.3
+    """Share of the overlap that does not count where the distances contradict each other."""
+    gate: Positive = 10.83
+    """Squared Mahalanobis distance beyond which a distance is not taken (99.9 % of chi squared, 1 degree)."""
+    restart_s: Positive = 0.2
+    """How long distances beyond the gate must follow each other until they are believed."""
+    min_distance_std_m: Positive = 0.1
+    """Least standard deviation of a measured distance: the quantile moves with the box."""
+    process_noise: Positive = 2.0
+    """Standard deviation in m/s by which an object's closing speed changes within a second."""
+    max_speed_std_mps: Positive = 2.0
+    """A closing speed is given from this standard deviation down."""
+    min_closing_mps: Positive = 0.5
+    """A time to impact is given from this closing speed up,"""
+    min_closing_sigmas: Annotated[float, Field(ge=0.0)] = 2.0
+    """and where the closing speed is this many of its standard deviations above zero."""
 
 
 class OdometryConfig(_Model):
@@ -140,12 +211,76 @@ class OdometryConfig(_Model):
 
     enabled: bool = True
     features: Literal["klt", "orb", "sift"] = "klt"
+    """``klt`` follows corners by optical flow, ``orb`` and ``sift`` match descriptors."""
+    matcher: Literal["brute_force", "flann"] = "brute_force"
+    """How the nearest descriptors are found."""
+    match_ratio: Annotated[float, Field(gt=0.0, le=1.0)] = 0.8
+    """Largest ratio of a match's descriptor distance to that of the second nearest."""
+    min_rows: Count = 480
+    """The image is halved as long as it keeps this many rows: more take longer and hardly tell more."""
+    max_points: Count = 400
+    """Points per keyframe, spread over the image."""
+    cell_px: Positive = 80.0
+    """Side of the cells that share the points equally."""
+    window_px: Positive = 20.0
+    """Side of the window that optical flow compares; corners are as far apart, and as far from movable things."""
+    forward_backward_px: Positive = 1.0
+    """Largest distance by which a point followed into the frame and back may miss where it came from."""
+    max_depth_m: Positive = 60.0
+    """Points farther away, by their depth, are not used."""
+    depth_std_per_m: Annotated[float, Field(ge=0.0)] = 0.0005
+    """The depth's standard deviation over the distance squared, as stereo has it: it weighs the points."""
+    inlier_px: Positive = 2.0
+    """Largest distance to where the motion promises a point, of an inlier."""
+    ransac_iterations: Count = 200
+    """Most motions tried."""
+    min_inliers: Count = 20
+    """Points that must agree on the motion, or the frame is lost."""
+    min_inlier_ratio: Ratio = 0.25
+    """Share of the points in sight that must agree on a steady motion, twice that on an unforeseen one."""
+    max_speed_mps: Positive = 70.0
+    """A faster motion is a jump the car cannot make, and the frame is lost."""
+    max_turn_rate_dps: Positive = 120.0
+    """A faster turn, in degrees per second, is one the car cannot make, and the frame is lost."""
+    min_parallax_px: Positive = 1.5
+    """Without depth: median shift beside the turn's below which the camera is taken to stand."""
+    keyframe_share: Ratio = 0.5
+    """Share of the keyframe's points below which, found again as inliers, a frame becomes the next keyframe."""
+    keyframe_flow_px: Positive = 60.0
+    """Median shift of the points since the keyframe above which a frame becomes the next one."""
 
 
 class OccupancyConfig(_Model):
-    """A bird's-eye grid of what is free and what is occupied."""
+    """A bird's-eye grid of what is free and what is occupied, in the ego frame."""
 
     enabled: bool = True
+    resolution_m: Annotated[float, Field(ge=0.05)] = 0.2
+    """Side of a cell."""
+    x_min_m: Annotated[float, Field(ge=-65.0, lt=65.0)] = 0.0
+    x_max_m: Annotated[float, Field(gt=-65.0, le=65.0)] = 40.0
+    """Farthest cell. Depth as the log stores it ends at 65.535 m, where everything beyond would seem to stand."""
+    half_width_m: Annotated[float, Field(gt=0.0, le=65.0)] = 15.0
+    """The grid reaches so far to either side."""
+    min_height_m: Positive = 0.3
+    """Points of any class stand in the way from this height above the road on; a kerb is lower."""
+    max_height_m: Positive = 2.5
+    """What hangs higher above the road does not stand in the way."""
+    obstacle_classes: Classes = ("vehicle", "pedestrian")
+    """Classes whose points stand in the way however low they are."""
+    pixel_step: Count = 2
+    """Every so many rows and columns of the image give a point."""
+    min_points: Count = 3
+    """Points that make a cell occupied or free."""
+    depth_tolerance: Ratio = 0.1
+    """A cell between the points is free where its pixel is drivable and as far away as the cell, up to this share."""
+
+    @model_validator(mode="after")
+    def _extents(self) -> Self:
+        if self.x_max_m < self.x_min_m + self.resolution_m:
+            raise ValueError(f"x_max_m {self.x_max_m} leaves no cell beyond x_min_m {self.x_min_m}")
+        if self.max_height_m <= self.min_height_m:
+            raise ValueError(f"max_height_m {self.max_height_m} is not above min_height_m {self.min_height_m}")
+        return self
 
 
 STAGES = ("surface", "lanes", "objects")

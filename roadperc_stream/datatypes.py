@@ -232,7 +232,7 @@ class Odometry:
     """Where the ego frame is. ``step`` maps this frame's ego coordinates to the last one's (last_T_this).
 
     With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
-    x, y, z, roll, pitch, yaw of ``step``.
+    x, y, z, roll, pitch, yaw of ``step``. ``since_ns`` is when ``step`` begins: the last frame that was not missing.
     """
 
     status: OdometryStatus
@@ -241,6 +241,7 @@ class Odometry:
     inliers: int = 0
     up_to_scale: bool = False
     covariance: tuple[float, ...] = ()
+    since_ns: int | None = None
 
     def __post_init__(self) -> None:
         read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
@@ -250,8 +251,9 @@ class Odometry:
 
 @dataclass(frozen=True)
 class Occupancy:
-    """A bird's-eye grid in the ego frame: cells[row, column] covers x = x_min_m + column * resolution_m and
-    y = y_min_m + row * resolution_m onwards; -1 unknown, 0 free, 100 occupied.
+    """A bird's-eye grid in the ego frame: -1 unknown, 0 free, 100 occupied.
+
+    ``cells[row, column]`` covers x from x_min_m + column * resolution_m and y from y_min_m + row * resolution_m on.
     """
 
     x_min_m: float

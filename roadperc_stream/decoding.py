@@ -28,7 +28,7 @@ from roadperc_stream.datatypes import (
     TagImage,
 )
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.geometry import Camera, Float, Float32, Plane, rigid, rotation_from_quaternion
+from roadperc_stream.geometry import Camera, Float, Float32, Lens, Plane, rigid, rotation_from_quaternion
 from roadperc_stream.schemas import ros2
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
@@ -117,6 +117,8 @@ def _calibration(data: bytes, _: Context) -> Decoded:
 def camera_from_calibration(message: Any) -> Camera:
     """A camera of a foxglove.CameraCalibration; P, where it is given, holds the rectified intrinsics.
 
+    K, D and R speak of the image as it is: where they say that it is not rectified yet, the camera has a lens.
+
     Raises:
         DecodeError: neither K nor P describes a pinhole, or there is no size.
 
@@ -129,7 +131,19 @@ def camera_from_calibration(message: Any) -> Camera:
         raise DecodeError(f"calibration of {message.frame_id!r}: size {size}, K {K}: expected a pinhole camera")
     baseline_m = -P[3] / fx if len(P) == 12 and P[3] else None
     distortion = tuple(float(d) for d in message.D) if any(message.D) else ()
-    return Camera(message.frame_id, message.width, message.height, fx, fy, cx, cy, baseline_m, distortion)
+    lens = _lens(message, (fx, fy, cx, cy)) if len(K) == 9 and K[0] > 0 else None
+    return Camera(message.frame_id, message.width, message.height, fx, fy, cx, cy, baseline_m, distortion, lens)
+
+
+def _lens(message: Any, rectified: tuple[float, float, float, float]) -> Lens | None:
+    """How the image was taken; None where it is rectified as it stands, or R is not given (all zero, in ROS)."""
+    K, R = [float(k) for k in message.K], tuple(float(r) for r in message.R)
+    if len(R) != 9 or not any(R):
+        return None
+    as_taken = (K[0], K[4], K[2], K[5])
+    if not any(message.D) and R == Lens.R and as_taken == rectified:
+        return None
+    return Lens(*as_taken, R, message.distortion_model)
 
 
 def _intrinsics(K: list[float], P: list[float]) -> tuple[float, float, float, float]:

@@ -14,7 +14,8 @@ from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from roadperc_stream.datatypes import Box, Lanes, Mask, Object, Objects, Surface
-from roadperc_stream.geometry import Camera, Float, intersect_plane, transform
+from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.ground import ground_points, height_at
 from roadperc_stream.schemas.protobuf import set_stamp
 
 _GREEN: Final = (0.1, 0.9, 0.3)
@@ -26,6 +27,8 @@ _STATUS_COLOURS: Final = {"measured": _GREEN, "held": _ORANGE}
 _FONT_ROWS: Final = 40
 """A line of text is this part of the image's rows: 24 px of 960."""
 _PATCH_M: Final = (2.0, 40.0, 4.0)
+"""Nearest and farthest x, and half the width."""
+_PATCH_STRIPS: Final = 19
 _OUTLINE_TOLERANCE_PX: Final = 3.0
 _OUTLINE_MAX_M: Final = 60.0
 
@@ -64,11 +67,11 @@ def object_annotations(stamp_ns: int, camera: Camera, objects: Objects) -> bytes
 
 
 def drivable_scene(stamp_ns: int, surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) -> bytes:
-    """The outline of the drivable pixels on the plane, and a patch of the plane itself, in the ego frame.
+    """The outline of the drivable pixels on the road, and a patch of the road itself, in the ego frame.
 
     Args:
         stamp_ns: the frame's time.
-        surface: the plane, in the frame of ``camera``.
+        surface: the road, its plane in the frame of ``camera``.
         camera: the camera of the mask.
         ego_T_camera: its mounting.
         mask: (H, W) drivable pixels.
@@ -76,10 +79,9 @@ def drivable_scene(stamp_ns: int, surface: Surface, camera: Camera, ego_T_camera
     message = SceneUpdate()
     entity = message.entities.add(frame_id="ego", id="drivable")
     set_stamp(entity, stamp_ns)
-    a, b, d = surface.abd
-    near, far, half = _PATCH_M
-    patch = [(x, y, d - a * x - b * y) for x, y in ((near, half), (near, -half), (far, -half), (far, half))]
-    triangles = entity.triangles.add(color=_color(_GREEN, 0.25), indices=[0, 1, 2, 0, 2, 3])
+    patch = _patch(surface)
+    corners = [2 * i + k for i in range(len(patch) // 2 - 1) for k in (0, 1, 3, 0, 3, 2)]
+    triangles = entity.triangles.add(color=_color(_GREEN, 0.25), indices=corners)
     triangles.points.extend(_point3(point) for point in patch)
     outline = _outline(surface, camera, ego_T_camera, mask)
     if len(outline):
@@ -101,6 +103,14 @@ def lanes_scene(stamp_ns: int, lanes: Lanes) -> bytes:
     return message.SerializeToString()
 
 
+def _patch(surface: Surface) -> Float:
+    """(2 N, 3) ego points on the road, left and right by turns; a plane needs but its corners."""
+    near, far, half = _PATCH_M
+    ahead = np.linspace(near, far, 2 if surface.height_grid is None else _PATCH_STRIPS + 1)
+    x, y = np.repeat(ahead, 2), np.tile((half, -half), len(ahead))
+    return np.stack((x, y, height_at(surface, x, y)), axis=-1)
+
+
 def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) -> Float:
     """(N, 3) ego points of the largest drivable region's outline; points far away are left out."""
     contours, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
@@ -108,7 +118,7 @@ def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) 
         return np.empty((0, 3))
     largest = max(contours, key=cv2.contourArea)
     pixels = cv2.approxPolyDP(largest, _OUTLINE_TOLERANCE_PX, closed=True).reshape(-1, 2).astype(float)
-    points = transform(ego_T_camera, intersect_plane(camera, pixels, surface.plane))
+    points = ground_points(surface, camera, ego_T_camera, pixels)
     near = np.linalg.norm(np.nan_to_num(points, nan=np.inf), axis=1) < _OUTLINE_MAX_M
     return np.asarray(points[near], float)
 

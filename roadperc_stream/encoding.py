@@ -10,13 +10,13 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 
-from roadperc_stream.datatypes import Boundary, Detection, Lanes, Line, Object, Objects, Surface
+from roadperc_stream.datatypes import Boundary, Detection, Lanes, Line, Object, Objects, Occupancy, Surface
 from roadperc_stream.decoding import Transform
-from roadperc_stream.geometry import Camera, Float, Float32, quaternion
+from roadperc_stream.geometry import Camera, Float, Float32, Lens, quaternion
 from roadperc_stream.images import depth_to_mm
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
-from roadperc_stream.schemas.ros2 import RosImage, pack_image
+from roadperc_stream.schemas.ros2 import RosGrid, RosImage, pack_image, pack_occupancy_grid
 
 
 def encode_image(stamp_ns: int, frame_id: str, image_format: str, data: bytes) -> bytes:
@@ -35,7 +35,7 @@ def encode_depth(stamp_ns: int, frame_id: str, depth_m: Float32, *, as_float: bo
 
 def encode_calibration(stamp_ns: int, camera: Camera) -> bytes:
     """foxglove.CameraCalibration; the right camera of a pair has -fx * baseline in P."""
-    K = camera.K.ravel().tolist()
+    lens = camera.lens
     P = np.zeros((3, 4))
     P[:, :3] = camera.K
     P[0, 3] = -camera.fx * (camera.baseline_m or 0.0)
@@ -43,14 +43,21 @@ def encode_calibration(stamp_ns: int, camera: Camera) -> bytes:
         frame_id=camera.frame_id,
         width=camera.width,
         height=camera.height,
-        distortion_model="plumb_bob" if camera.distortion else "",
+        distortion_model=lens.model if lens else ("plumb_bob" if camera.distortion else ""),
         D=camera.distortion,
-        K=K,
-        R=np.eye(3).ravel().tolist(),
+        K=(lens.K if lens else camera.K).ravel().tolist(),
+        R=_rectification(camera),
         P=P.ravel().tolist(),
     )
     set_stamp(message, stamp_ns)
     return message.SerializeToString()
+
+
+def _rectification(camera: Camera) -> tuple[float, ...]:
+    """R row by row; nothing where the image is distorted and nobody knows how to rectify it."""
+    if camera.lens:
+        return camera.lens.R
+    return () if camera.distortion else Lens.R
 
 
 def encode_transforms(stamp_ns: int, transforms: Iterable[Transform]) -> bytes:
@@ -112,6 +119,19 @@ def encode_surface(stamp_ns: int, surface: Surface) -> bytes:
         )
     set_stamp(message, stamp_ns)
     return message.SerializeToString()
+
+
+def encode_occupancy(stamp_ns: int, occupancy: Occupancy) -> bytes:
+    """nav_msgs/msg/OccupancyGrid in the ego frame."""
+    grid = RosGrid(
+        stamp_ns,
+        "ego",
+        occupancy.resolution_m,
+        occupancy.x_min_m,
+        occupancy.y_min_m,
+        np.ascontiguousarray(occupancy.cells),
+    )
+    return pack_occupancy_grid(grid)
 
 
 def encode_lanes(stamp_ns: int, frame_id: str, lanes: Lanes) -> bytes:

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
 
 Float = NDArray[np.float64]
@@ -16,11 +17,38 @@ Float32 = NDArray[np.float32]
 
 EGO_R_OPTICAL: Final[Float] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation of a camera that looks along ego's x axis, level."""
+_SINGULAR: Final = 1e-9
+"""Share of a matrix's or a position's size below which a number is rounding."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """How an image that is not rectified yet was taken: a pinhole of its own, distorted, and turned.
+
+    ``R`` is the (3, 3) rotation, row by row, from this lens's frame to the rectified camera's; ``model`` names the
+    meaning of the camera's ``distortion``, as foxglove.CameraCalibration does.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    R: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    model: str = ""
+
+    @property
+    def K(self) -> Float:
+        """(3, 3) intrinsic matrix, pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0][3] = -fx b)."""
+    """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0][3] = -fx b).
+
+    With a ``lens`` its images are not rectified yet, and the lens says how to; with ``distortion`` but no lens nobody
+    knows how.
+    """
 
     frame_id: str
     width: int
@@ -31,6 +59,7 @@ class Camera:
     cy: float
     baseline_m: float | None = None
     distortion: tuple[float, ...] = ()
+    lens: Lens | None = None
 
     @property
     def K(self) -> Float:
@@ -46,6 +75,48 @@ class Camera:
         """Whether both cameras map a ray to the same pixel."""
         ours = (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
         return ours == (other.width, other.height, other.fx, other.fy, other.cx, other.cy)
+
+
+def decompose_projection(P: Float) -> tuple[Float, Float, Float]:
+    """K, R and the camera's centre of a projection matrix P ~ K [R | -R centre].
+
+    P is known up to a factor of either sign. What is left free by the RQ decomposition of P's left half is fixed thus:
+    the diagonal of K is positive, K[2, 2] = 1 and det R = +1, so that R is a rotation and never a mirror.
+    Source: Hartley and Zisserman, Multiple View Geometry, 2004, section 6.2.4.
+
+    Args:
+        P: (3, 4), pixels.
+
+    Returns:
+        (3, 3) upper triangular K in pixels, (3, 3) rotation from the world's frame to the camera's, and the (3,) centre
+        -R^T K^-1 p4 in the world's frame.
+
+    Raises:
+        ValueError: P is of another shape, not finite, or singular: it has no camera at a finite place.
+    """
+    if P.shape != (3, 4) or not np.isfinite(P).all():
+        raise ValueError(f"expected a finite (3, 4) projection matrix, got {P.tolist()}")
+    M = P[:, :3].astype(float)
+    determinant = float(np.linalg.det(M))
+    if abs(determinant) <= _SINGULAR * float(np.prod(np.linalg.norm(M, axis=1))):
+        raise ValueError(f"no projection matrix of a camera: its left half is singular: {P.tolist()}")
+    upper, rotation = rq(M * np.sign(determinant))
+    signs = np.sign(np.diag(upper))
+    K = upper * signs
+    return K / K[2, 2], signs[:, None] * rotation, -np.linalg.solve(M, P[:, 3])
+
+
+def baseline_of(P_left: Float, P_right: Float) -> float:
+    """Distance in metres of the centres of two (3, 4) projection matrices that share a world.
+
+    Raises:
+        ValueError: a matrix is no projection, or both have one centre.
+    """
+    left, right = decompose_projection(P_left)[2], decompose_projection(P_right)[2]
+    baseline_m = float(np.linalg.norm(right - left))
+    if baseline_m <= _SINGULAR * float(np.linalg.norm(left)):
+        raise ValueError("both projection matrices have one and the same centre: no stereo pair")
+    return baseline_m
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "roadperc_stream"
-STAGE_IMPORTS = {"datatypes", "geometry", "semantics", "config"}
+STAGE_IMPORTS = {"datatypes", "geometry", "ground", "semantics", "config", "template"}
 
 
 def imports(path):

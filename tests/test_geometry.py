@@ -80,3 +80,51 @@ def test_rays_meet_the_plane_in_front_only():
     below, above = g.intersect_plane(CAMERA, np.array([[319.5, 399.5], [319.5, 100.0]]), road)
     np.testing.assert_allclose(below, [0.0, 1.5, 3.0])
     assert np.isnan(above).all()
+
+
+FOCALS = st.floats(50.0, 3000.0)
+CENTRES = st.floats(-500.0, 2000.0)
+FACTORS = st.floats(0.01, 100.0).flatmap(lambda size: st.sampled_from((size, -size)))
+
+
+@given(FOCALS, FOCALS, CENTRES, CENTRES, st.floats(-20.0, 20.0), st.tuples(*(st.floats(-3.1, 3.1),) * 3), FACTORS)
+def test_a_projection_gives_back_what_it_was_made_of(fx, fy, cx, cy, skew, rpy, factor):
+    K = np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    R = g.rotation_from_rpy(*rpy)
+    centre = np.array([3.0, -4.0, 5.0])
+    found = g.decompose_projection(factor * K @ np.column_stack((R, -R @ centre)))
+    np.testing.assert_allclose(found[0], K, atol=1e-6)
+    np.testing.assert_allclose(found[1], R, atol=1e-8)
+    np.testing.assert_allclose(found[2], centre, atol=1e-7)
+    assert np.linalg.det(found[1]) == pytest.approx(1.0)
+
+
+def test_decompose_a_turned_camera_by_hand():
+    """x to the camera's right is -y of the world, z forward its x: a camera at (3, 4, 5) that looks along x."""
+    R = g.EGO_R_OPTICAL.T
+    K, found, centre = g.decompose_projection(CAMERA.K @ np.column_stack((R, [4.0, 5.0, -3.0])))
+    np.testing.assert_allclose(K, CAMERA.K, atol=1e-9)
+    np.testing.assert_allclose(found, R, atol=1e-12)
+    np.testing.assert_allclose(centre, [3.0, 4.0, 5.0])
+
+
+def test_baseline_is_the_distance_of_the_centres():
+    left = CAMERA.K @ np.column_stack((np.eye(3), np.zeros(3)))
+    right = CAMERA.K @ np.column_stack((np.eye(3), [-3.0, 0.0, -4.0]))
+    assert g.baseline_of(left, right) == pytest.approx(5.0)
+    with pytest.raises(ValueError, match="one and the same centre"):
+        g.baseline_of(left, -2 * left)
+
+
+@pytest.mark.parametrize(
+    "P",
+    [
+        np.zeros((3, 4)),
+        np.eye(4),
+        np.full((3, 4), np.nan),
+        np.array([[640.0, 0, 640, 1], [0, 640, 480, 1], [640, 640, 1120, 1]]),
+    ],
+)
+def test_what_is_no_projection(P):
+    with pytest.raises(ValueError, match="projection matrix"):
+        g.decompose_projection(P)

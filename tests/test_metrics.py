@@ -11,6 +11,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import (
     Boundary,
     DepthImage,
+    HeightGrid,
     Lanes,
     Object,
     Objects,
@@ -18,10 +19,12 @@ from roadperc_stream.datatypes import (
     TagImage,
     Truth,
 )
+from roadperc_stream.geometry import Camera
 from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics as FrameMetricsProto
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import Road, box
+from tests.hills import Hill
 
 CFG = ReplayConfig()
 
@@ -125,3 +128,73 @@ def test_lost_lanes_have_no_width():
     sample, result = sample_and_result()
     row = m.frame_metrics(CFG, "id", sample, replace(result, lanes=lanes))
     assert (row.lane_width_m, row.lane_right_status, row.lane_right_offset_m) == (None, "lost", None)
+
+
+STEREO = Camera("left", 80, 10, 100.0, 100.0, 39.5, 4.5)
+
+
+def flat(disparity_px):
+    """Depth by f b / d with f b = 50."""
+    return np.full(STEREO.size, 50.0 / disparity_px, np.float32)
+
+
+def test_true_stereo_has_no_errors():
+    epe_px, d1_ratio, coverage = m.stereo_errors(flat(10), flat(10), STEREO, 0.5)
+    assert (epe_px, d1_ratio, coverage) == (0.0, 0.0, 1.0)
+
+
+def test_stereo_errors_are_counted_over_known_pixels_beside_their_share():
+    estimated = flat(10)
+    estimated[:, 10:40] = 50.0 / 14
+    estimated[:5] = np.nan
+    epe_px, d1_ratio, coverage = m.stereo_errors(estimated, flat(10), STEREO, 0.5)
+    assert (epe_px, d1_ratio, coverage) == (pytest.approx(4 * 30 / 70), pytest.approx(30 / 70), 0.5)
+
+
+@pytest.mark.parametrize(("true_px", "off_px", "bad"), [(10, 2.9, 0.0), (10, 3.1, 1.0), (70, 3.4, 0.0), (70, 3.6, 1.0)])
+def test_a_bad_disparity_is_three_pixels_and_five_percent_off(true_px, off_px, bad):
+    assert m.stereo_errors(flat(true_px + off_px), flat(true_px), STEREO, 0.5).d1_ratio == bad
+
+
+def test_far_and_unknown_truth_does_not_count():
+    true = flat(10)
+    true[:, :20], true[:, 20:40] = 61.0, np.nan
+    estimated = flat(10)
+    estimated[:, :40] = 1.0
+    assert m.stereo_errors(estimated, true, STEREO, 0.5) == (0.0, 0.0, 1.0)
+    assert m.stereo_errors(estimated, flat(0.5), STEREO, 0.5) == (None, None, None)
+    assert m.stereo_errors(flat(np.nan), flat(10), STEREO, 0.5) == (None, None, 0.0)
+    with pytest.raises(ValueError, match="true depth is"):
+        m.stereo_errors(estimated[1:], true, STEREO, 0.5)
+
+
+def test_what_something_near_hides_is_not_seen_by_both():
+    """Columns 50 to 59 at 20 px land on 30 to 39, where the ground's columns 34 to 43 at 4 px would be."""
+    disparity = np.full((3, 80), 4.0, np.float32)
+    disparity[:, 50:60] = 20.0
+    seen = m.both_see(disparity)
+    hidden = np.flatnonzero(~seen[1])
+    assert hidden.tolist() == [0, 1, 2, 3, *range(34, 44)]
+    disparity[1, 70] = np.nan
+    assert np.flatnonzero(~m.both_see(disparity)[1]).tolist() == [*hidden, 70]
+
+
+def test_heights_are_judged_between_five_and_forty_metres():
+    hill = Hill().surface()
+    assert m.surface_height_error_m(hill, hill) == pytest.approx(0.0, abs=1e-6)
+    z = hill.height_grid.z_m.copy()
+    z[:, :5] += 9  # nearer than 5 m
+    z[:, 41:] += 9  # farther than 40 m
+    z[np.abs(np.arange(-8, 9)) >= 4] += 9
+    z[5:12, 5:41] += 0.25
+    raised = replace(hill, height_grid=HeightGrid(0.0, -8.0, 1.0, z))
+    assert m.surface_height_error_m(raised, hill) == pytest.approx(0.25, abs=1e-6)
+
+
+def test_heights_of_a_plane_and_without_truth():
+    level = replace(Hill(grade=0.0).surface(), height_grid=None)
+    raised = replace(level, ego_plane=type(level.ego_plane)((0.0, 0.0, 1.0), -0.1))
+    assert m.surface_height_error_m(raised, Hill(grade=0.0).surface()) == pytest.approx(0.1)
+    assert m.surface_height_error_m(level, level) is None
+    far = replace(level, height_grid=HeightGrid(50.0, 0.0, 1.0, np.zeros((2, 2), np.float32)))
+    assert m.surface_height_error_m(level, far) is None

@@ -1,8 +1,12 @@
-"""sensor_msgs/msg/Image in CDR, packed by hand: a depth frame costs 0.2 ms instead of 6 with a generic writer.
+"""ROS 2 messages in CDR, packed by hand: a depth frame costs 0.2 ms instead of 6 with a generic writer.
 
 Layout after the 4-byte encapsulation header (OMG CDR, little endian, each number aligned to its size from there):
-stamp (int32, uint32), frame_id, height, width, encoding, is_bigendian, step, data; strings and the data carry their
-length (strings with a closing zero byte) as uint32.
+
+- sensor_msgs/msg/Image: stamp (int32, uint32), frame_id, height, width, encoding, is_bigendian, step, data.
+- nav_msgs/msg/OccupancyGrid: stamp, frame_id, map_load_time, resolution (float32), width, height, origin (a pose: seven
+  float64), data.
+
+Strings and the data carry their length (strings with a closing zero byte) as uint32.
 """
 
 import struct
@@ -31,6 +35,41 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
+OCCUPANCY_GRID: Final = "nav_msgs/msg/OccupancyGrid"
+OCCUPANCY_GRID_DEFINITION: Final = b"""std_msgs/Header header
+nav_msgs/MapMetaData info
+int8[] data
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+================================================================================
+MSG: nav_msgs/MapMetaData
+builtin_interfaces/Time map_load_time
+float32 resolution
+uint32 width
+uint32 height
+geometry_msgs/Pose origin
+================================================================================
+MSG: geometry_msgs/Pose
+geometry_msgs/Point position
+geometry_msgs/Quaternion orientation
+================================================================================
+MSG: geometry_msgs/Point
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+"""
 _LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
 _DTYPES: Final[dict[str, np.dtype[Any]]] = {"16UC1": np.dtype("u2"), "mono16": np.dtype("u2"), "32FC1": np.dtype("f4")}
 
@@ -43,6 +82,28 @@ class RosImage:
     frame_id: str
     encoding: str
     pixels: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class RosGrid:
+    """An occupancy grid message with its cells as a (rows, columns) int8 array; x, y is the first cell's corner."""
+
+    stamp_ns: int
+    frame_id: str
+    resolution_m: float
+    x_m: float
+    y_m: float
+    cells: NDArray[np.int8]
+
+
+def pack_occupancy_grid(grid: RosGrid) -> bytes:
+    """CDR bytes of a grid whose axes are those of its frame, columns along x and rows along y."""
+    rows, columns = grid.cells.shape
+    stamp = struct.pack("<iI", *divmod(grid.stamp_ns, 1_000_000_000))
+    body = _aligned(stamp + _pack_string(grid.frame_id), 4) + stamp
+    body += struct.pack("<fII", grid.resolution_m, columns, rows)
+    origin = struct.pack("<7d", grid.x_m, grid.y_m, 0.0, 0.0, 0.0, 0.0, 1.0)
+    return _LITTLE_ENDIAN + _aligned(body, 8) + origin + struct.pack("<I", grid.cells.size) + grid.cells.tobytes()
 
 
 def pack_image(image: RosImage) -> bytes:

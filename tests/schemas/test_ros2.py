@@ -1,4 +1,4 @@
-"""CDR images: our packing against a public ROS 2 reader's definition, and broken bytes."""
+"""CDR images and grids: our packing against a public ROS 2 reader's definition, and broken bytes."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
+from roadperc_stream.datatypes import Occupancy
+from roadperc_stream.encoding import encode_occupancy
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.schemas import ros2
 
@@ -47,3 +49,29 @@ def test_cut_bytes_are_a_stated_error(length):
 def test_foreign_encoding_is_named():
     with pytest.raises(DecodeError, match="'bgr8'"):
         ros2.unpack_image(ros2.pack_image(image(encoding="bgr8")))
+
+
+@pytest.mark.parametrize("frame_id", ["", "e", "eg", "ego", "ego_", "ego_x", "ego_xy", "ego_xyz"])
+def test_a_public_reader_reads_a_grid(frame_id):
+    cells = np.array([[-1, 0, 100], [0, -1, 100]], np.int8)
+    grid = ros2.RosGrid(1_500_000_007, frame_id, 0.2, 1.5, -15.0, cells)
+    schema = Schema(2, ros2.OCCUPANCY_GRID_DEFINITION, "ros2msg", ros2.OCCUPANCY_GRID)
+    message = DecoderFactory().decoder_for("cdr", schema)(ros2.pack_occupancy_grid(grid))
+    assert (message.header.frame_id, message.header.stamp.sec, message.header.stamp.nanosec) == (frame_id, 1, 500000007)
+    assert message.info.map_load_time.nanosec == 500000007
+    assert (message.info.width, message.info.height) == (3, 2)
+    assert message.info.resolution == pytest.approx(0.2)
+    origin = message.info.origin
+    assert (origin.position.x, origin.position.y, origin.position.z) == (1.5, -15.0, 0.0)
+    assert (origin.orientation.x, origin.orientation.y, origin.orientation.z, origin.orientation.w) == (0, 0, 0, 1)
+    assert list(message.data) == cells.ravel().tolist()
+
+
+def test_an_occupancy_is_a_grid_of_the_ego_frame():
+    cells = np.asfortranarray(np.array([[-1, 0, 100], [0, -1, 100]], np.int8))
+    schema = Schema(2, ros2.OCCUPANCY_GRID_DEFINITION, "ros2msg", ros2.OCCUPANCY_GRID)
+    data = encode_occupancy(1_500_000_000, Occupancy(0.0, -0.2, 0.2, cells))
+    message = DecoderFactory().decoder_for("cdr", schema)(data)
+    assert (message.header.frame_id, message.info.origin.position.y) == ("ego", -0.2)
+    assert list(message.data) == [-1, 0, 100, 0, -1, 100]
+    assert ros2.unpack_header(data) == (1_500_000_000, "ego")

@@ -6,10 +6,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
-from scipy.linalg import rq
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Float
+from roadperc_stream.geometry import Float, baseline_of, decompose_projection
 
 from .carla_poses import CarlaPose
 from .json_files import Document, Numbers3, Numbers4, checked, read_json
@@ -17,6 +16,8 @@ from .json_files import Document, Numbers3, Numbers4, checked, read_json
 Positive = Annotated[float, Field(gt=0.0)]
 FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
 _HALF_PIXEL = 0.5
+_ROUNDING_PX = 1e-9
+"""What a decomposition leaves of a skew that is none."""
 _FOCAL_DIGITS = 9
 """A field of view of 90 degrees gives w / 2 and not a hair more."""
 
@@ -111,21 +112,19 @@ def decompose_pair(path: Path, P_left: Float, P_right: Float) -> ProjectionPair:
     """
     K_left, R_left, centre_left = _decompose(f"{path}: P_left", P_left)
     K_right, _, centre_right = _decompose(f"{path}: P_right", P_right)
+    try:
+        baseline_m = baseline_of(P_left, P_right)
+    except ValueError as error:
+        raise DumpError(f"{path}: P_left and P_right: {error}") from error
     offset = R_left @ (centre_right - centre_left)
-    baseline_m = float(np.linalg.norm(offset))
-    if baseline_m == 0:
-        raise DumpError(f"{path}: P_left and P_right have one and the same centre: no stereo pair")
     return ProjectionPair(K_left, K_right, baseline_m, bool(offset[0] > 0.99 * baseline_m))
 
 
 def _decompose(where: str, P: Float) -> tuple[Float, Float, Float]:
-    M = P[:, :3]
-    if not np.isfinite(P).all() or abs(np.linalg.det(M)) < 1e-9:
-        raise DumpError(f"{where}: no projection matrix of a camera: {P.tolist()}")
-    upper, R = rq(M)
-    signs = np.diag(np.sign(np.diag(upper)))
-    K = upper @ signs
-    K /= K[2, 2]
-    K[np.abs(K) < 1e-9] = 0.0
+    try:
+        K, R, centre = decompose_projection(P)
+    except ValueError as error:
+        raise DumpError(f"{where}: {error}") from error
+    K[np.abs(K) < _ROUNDING_PX] = 0.0
     _require_pinhole(where, K)
-    return np.asarray(K), np.asarray(signs @ R), np.asarray(-np.linalg.solve(M, P[:, 3]))
+    return K, R, centre

@@ -13,6 +13,7 @@ from roadperc_stream.stages.lanes import lines, tracking
 from roadperc_stream.stages.lanes.curves import Curve, lateral
 from roadperc_stream.stages.lanes.observe import Observation, Sighting, View, observe
 from roadperc_stream.stages.lanes.tracking import Track
+from roadperc_stream.stages.lanes.votes import Votes
 
 _CHORD_AHEAD_M = 15.0
 _SHORTEST_DRAWN_M = 10.0
@@ -21,12 +22,12 @@ _LEVEL_PX = 1e-6
 
 @dataclass(frozen=True)
 class Followed:
-    """A boundary that is followed, and the classes last seen beside it."""
+    """A boundary that is followed, and the classes seen beside it of late."""
 
     track: Track
     reach_m: float
-    inside: str
-    outside: str
+    inside: Votes = field(default_factory=Votes)
+    outside: Votes = field(default_factory=Votes)
 
 
 @dataclass(frozen=True)
@@ -107,13 +108,25 @@ def _follow(
         for candidate in _candidates(cfg, side, track, observation, curve):
             updated = tracking.update(cfg, track, candidate.state, candidate.covariance)
             if updated is not None and observation is not None:
-                return Followed(updated, candidate.reach_m, *observation.classes_beside(side, candidate))
+                return _seen(cfg, replace(before, track=updated), side, candidate, observation)
         if not tracking.expired(cfg, track):
             return replace(before, track=track)
     if observation is None or curve is None:
         return None
     track = tracking.start(curve.state, curve.covariance, stamp_ns)
-    return Followed(track, curve.reach_m, *observation.classes_beside(side, curve))
+    return _seen(cfg, Followed(track, curve.reach_m), side, curve, observation)
+
+
+def _seen(cfg: LanesConfig, followed: Followed, side: Side, curve: Curve, observation: Observation) -> Followed:
+    """The boundary as this frame shows it, which has one vote on the classes beside it."""
+    inside, outside = observation.classes_beside(side, curve)
+    stamp_ns = followed.track.stamp_ns
+    return replace(
+        followed,
+        reach_m=curve.reach_m,
+        inside=followed.inside.add(cfg, stamp_ns, inside),
+        outside=followed.outside.add(cfg, stamp_ns, outside),
+    )
 
 
 def _candidates(
@@ -153,8 +166,8 @@ def _boundary(side: Side, followed: Followed | None, observation: Observation | 
         curvature,
         raw_offset_m,
         tuple(track.state_covariance.ravel().tolist()),
-        followed.inside,
-        followed.outside,
+        followed.inside.winner,
+        followed.outside.winner,
         ahead,
         pixels,
     )

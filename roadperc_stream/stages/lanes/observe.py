@@ -7,7 +7,8 @@ import numpy as np
 
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.datatypes import SIDES, Image, Mask, Side, Surface
-from roadperc_stream.geometry import Camera, Float, intersect_plane, inverse, project, transform
+from roadperc_stream.geometry import Camera, Float, inverse, project, transform
+from roadperc_stream.ground import ground_points, height_at
 from roadperc_stream.semantics import TagTable
 from roadperc_stream.stages.lanes import lines
 from roadperc_stream.stages.lanes.curves import Curve, facing_edges, fit_curve, lateral, line_on_ground
@@ -31,12 +32,11 @@ class View:
 
     def ground(self, pixels: Float) -> Float:
         """(N, 3) ego points on the road of (N, 2) pixels, NaN above the horizon."""
-        return transform(self.ego_T_camera, intersect_plane(self.camera, pixels, self.surface.plane))
+        return ground_points(self.surface, self.camera, self.ego_T_camera, pixels)
 
     def on_road(self, x: Float, y: Float) -> Float:
         """(N, 3) ego points on the road at (N,) x and y."""
-        a, b, d = self.surface.abd
-        return np.stack((x, y, d - a * x - b * y), axis=-1)
+        return np.stack((x, y, height_at(self.surface, x, y)), axis=-1)
 
     def pixels(self, points: Float) -> Float:
         """(N, 2) pixels of (N, 3) ego points, NaN behind the camera."""

@@ -7,7 +7,7 @@ from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.datatypes import Absent
 from roadperc_stream.geometry import Camera
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
-from roadperc_stream.stages.objects import judge
+from roadperc_stream.stages.objects.judge import judge
 from tests.analytic import VEHICLE, box
 
 CAMERA = Camera("camera", 100, 80, 50.0, 50.0, 50.0, 40.0)

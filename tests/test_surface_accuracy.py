@@ -1,0 +1,81 @@
+"""The height field on rendered hills, whose heights are known. The long form runs with ``make accuracy``."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.datatypes import Absent
+from roadperc_stream.ground import height_at
+from roadperc_stream.metrics import surface_height_error_m
+from roadperc_stream.roles import Problems
+from roadperc_stream.stages.surface import drivable_mask, fit_surface
+from roadperc_stream.survey import WHOLE, samples, survey_log
+from roadperc_stream.sync import SyncCounts
+from roadperc_stream.tools import carla_to_mcap, render_scene
+
+HILL = ("--scene", "hill", "--depth-noise", "0.01")
+MODELS = {model: load_config(None, (f"surface.model={model}",)).surface for model in ("plane", "spline")}
+
+
+def rendered(folder: Path, *options):
+    """Samples of a rendered drive."""
+    assert render_scene.main([str(folder / "dump"), *options]) == 0
+    assert carla_to_mcap.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
+    cfg, summary = ReplayConfig(), log.summarise(folder / "in.mcap")
+    return samples(summary, survey_log(summary, cfg, {}, WHOLE), cfg, SyncCounts(), Problems())
+
+
+def judged(folder, *options):
+    """(frames, 3) of each model: height error, largest error to 60 m ahead, share of the road that is drivable."""
+    rows = {model: [] for model in MODELS}
+    for sample in rendered(folder, *options):
+        frame, truth = sample.frame, sample.truth.surface
+        depth_m, tags = frame.depth.depth_m, frame.segmentation.tags
+        for model, cfg in MODELS.items():
+            road = frame.segmentation.table.lookup(cfg.classes)[tags]
+            rng = np.random.default_rng(sample.index)
+            surface = fit_surface(cfg, frame.depth_camera, frame.ego_T_depth_camera, depth_m, road.astype(bool), rng)
+            assert not isinstance(surface, Absent)
+            assert surface.model == model
+            mask = drivable_mask(cfg, surface, frame.camera, depth_m, road, frame.ego_T_camera)
+            x, y = np.meshgrid(np.arange(61.0), np.arange(-3.0, 4.0))
+            worst = np.abs(height_at(surface, x, y) - height_at(truth, x, y)).max()
+            rows[model].append((surface_height_error_m(surface, truth), worst, mask.sum() / road.sum()))
+    for model, values in rows.items():
+        error, worst, share = np.array(values).T
+        print(
+            f"\n{' '.join(options)}: {model}, {len(error)} frames: height at 5 to 40 m: median {np.median(error):.4f},"
+        )
+        print(
+            f"  worst frame {error.max():.4f}, to 60 m at most {worst.max():.2f} m; drivable {share.min():.1%} of road"
+        )
+    return (np.array(rows[model]).T for model in ("plane", "spline"))
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("noise", [(), ("--tag-noise", "0.05", "--seed", "1")], ids=["depth noise", "tag noise too"])
+def test_heights_on_the_hill(tmp_path, noise):
+    (plane, _, _), (spline, worst, share) = judged(tmp_path, *HILL, *noise, "--seconds", "20", "--rate", "2")
+    assert len(spline) == 40
+    assert np.median(spline) < min(0.05, np.median(plane) / 3)
+    assert spline.max() < 0.05
+    assert worst.max() < 2.0
+    assert share.min() > 0.95
+
+
+@pytest.mark.accuracy
+def test_heights_in_the_bends_of_the_town(tmp_path):
+    options = ("--scene", "town", "--depth-noise", "0.01", "--tag-noise", "0.02", "--seconds", "20", "--rate", "1")
+    (plane, _, _), (spline, _, _) = judged(tmp_path, *options)
+    assert np.median(spline) < min(0.05, np.median(plane) / 3)
+
+
+def test_short_heights_on_the_hill(tmp_path):
+    options = (*HILL, "--size", "480x360", "--seconds", "2", "--rate", "2")
+    (plane, _, _), (spline, worst, share) = judged(tmp_path, *options)
+    assert np.median(spline) < min(0.05, np.median(plane) / 3)
+    assert worst.max() < 0.5
+    assert share.min() > 0.99
