@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from roadperc_stream import __version__
 from roadperc_stream.channels import parse_topic_options
-from roadperc_stream.config import STAGES, load_config
+from roadperc_stream.config import NEEDS, STAGES, load_config
 from roadperc_stream.errors import ConfigError, RoadpercError
 from roadperc_stream.replay import ReplaySummary, no_progress, replay
 from roadperc_stream.survey import Cut
@@ -76,7 +76,9 @@ def _replay_parser() -> argparse.ArgumentParser:
     parser.add_argument("--start", metavar="SECONDS", type=float, help="from here, counted from the first message")
     parser.add_argument("--end", metavar="SECONDS", type=float, help="up to here, counted from the first message")
     parser.add_argument("--frames", metavar="N", type=_positive, help="at most so many frames")
-    parser.add_argument("--only", metavar="STAGES", type=_stages, help=f"some of {','.join(STAGES)}, by commas")
+    parser.add_argument(
+        "--only", metavar="STAGES", type=_stages, help=f"some of {','.join(STAGES)}, with what they need"
+    )
     parser.add_argument("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
     parser.add_argument("--force", action="store_true", help="replace an existing OUT.mcap")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
@@ -96,7 +98,7 @@ def _stages(text: str) -> tuple[str, ...]:
     unknown = [name for name in names if name not in STAGES]
     if unknown:
         raise argparse.ArgumentTypeError(f"no stage {unknown[0]!r}; stages: {', '.join(STAGES)}")
-    return names
+    return names + tuple(needed for name in names for needed in NEEDS.get(name, ()))
 
 
 def _replay(arguments: argparse.Namespace) -> None:

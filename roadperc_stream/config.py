@@ -3,12 +3,13 @@
 Every key has a default, so no file is needed. Lengths in pixels are given at 960 image rows and scale with the image.
 """
 
+import difflib
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.semantics import CLASS_NAMES, table_for_version
@@ -28,7 +29,12 @@ def _known_table(version: str) -> str:
         raise ValueError(str(error)) from error
 
 
-Classes = Annotated[tuple[str, ...], AfterValidator(_known_classes)]
+def _split(names: Any) -> Any:
+    """One class, or several by commas, as a command line gives them."""
+    return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
+
+
+Classes = Annotated[tuple[str, ...], BeforeValidator(_split), AfterValidator(_known_classes)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Count = Annotated[int, Field(ge=1)]
@@ -130,6 +136,8 @@ class ObjectsConfig(_Model):
 
 STAGES = ("surface", "lanes", "objects")
 """Stages in the order in which they run; each has a section below."""
+NEEDS = {"lanes": ("surface",)}
+"""Stages that cannot work without others."""
 
 
 class ReplayConfig(_Model):
@@ -168,9 +176,21 @@ def load_config(path: Path | None = None, settings: tuple[str, ...] = ()) -> Rep
     try:
         return ReplayConfig.model_validate(tree)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{path or 'setting'}: {key}: {first['msg']}, got {first['input']!r}") from error
+        raise ConfigError(f"{path or 'setting'}: {_complaint(error)}") from error
+
+
+def _complaint(error: ValidationError) -> str:
+    first = error.errors()[0]
+    *sections, name = (str(part) for part in first["loc"])
+    key = ".".join((*sections, name))
+    if first["type"] != "extra_forbidden":
+        return f"{key}: {first['msg']}, got {first['input']!r}"
+    model: type[BaseModel] = ReplayConfig
+    for section in sections:
+        model = type(model.model_fields[section].default)
+    close = difflib.get_close_matches(name, model.model_fields, n=1)
+    known = f"did you mean {close[0]}?" if close else f"known: {', '.join(model.model_fields)}"
+    return f"no setting {key}; {known}"
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

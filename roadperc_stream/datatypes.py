@@ -306,7 +306,10 @@ class Sample:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What the chain made of one frame. ``problems`` are inputs that could not be used, with the reason."""
+    """What the chain made of one frame.
+
+    ``problems`` say which inputs could not be used and what had to be done without them.
+    """
 
     stamp_ns: int
     frame_id: str

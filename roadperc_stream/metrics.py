@@ -38,7 +38,7 @@ def frame_metrics(cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameR
         stamp_ns=result.stamp_ns,
         sync_skew_ms=None if sample.skew_ns is None else sample.skew_ns / 1e6,
         missing=sample.missing,
-        reasons=result.reasons(),
+        reasons=(*(f"{role}: no message at this frame" for role in sample.missing), *result.reasons()),
         **_surface_columns(result),
         **_lane_columns(result.lanes),
         **_object_columns(result.objects),
@@ -77,6 +77,7 @@ def _object_row(log_id: str, sample: Sample, item: Object, true_distance_m: floa
         item.closing_speed_mps,
         item.time_to_impact_s,
         item.status,
+        item.beyond_range,
         true_distance_m,
     )
 

@@ -89,4 +89,5 @@ class ObjectMetrics:
     closing_speed_mps: float | None
     time_to_impact_s: float | None
     status: str
+    beyond_range: bool
     true_distance_m: float | None

@@ -150,6 +150,11 @@ def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
     table = metrics(target)
     assert table["missing"].to_list() == [[], [], ["depth"], [], [], []]
     assert table["surface_source"].to_list()[2] == "assumed"
+    assert table["reasons"].to_list()[2] == [
+        "depth: no message at this frame",
+        "surface: no depth, the mounting gives the plane",
+        "objects: no depth, no distances",
+    ]
 
 
 @pytest.mark.parametrize("role", ["depth", "segmentation", "detections"])
@@ -162,9 +167,15 @@ def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
         assert set(table["surface_source"]) == {"assumed"}
     if role == "segmentation":
         assert table["lane_left_offset_m"].null_count() == 6
-        assert table["reasons"].to_list()[0] == ["lanes: no segmentation"]
+        assert table["detections_unjudged"].to_list() == [2] * 6
+        reasons = [
+            "lanes: no segmentation",
+            "surface: no segmentation, the lower image stands in for the road",
+            "objects: no segmentation, nothing is judged",
+        ]
+        assert table["reasons"].to_list() == [reasons] * 6
         texts = [m.data for m in by_topic(target)["/perception/log"]]
-        assert len(texts) == 1
+        assert len(texts) == len(reasons), "each is logged once, not in every frame"
 
 
 def test_without_images_depth_makes_the_frames(tmp_path):
