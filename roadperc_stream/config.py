@@ -36,8 +36,10 @@ def _split(names: Any) -> Any:
 
 Classes = Annotated[tuple[str, ...], BeforeValidator(_split), AfterValidator(_known_classes)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
-Positive = Annotated[float, Field(gt=0.0)]
-Count = Annotated[int, Field(ge=1)]
+Positive = Annotated[float, Field(ge=1e-6, le=1e4, allow_inf_nan=False)]
+Pixels = Annotated[float, Field(ge=0.1, le=1e3, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(ge=0.0, le=3600.0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=1, le=100_000)]
 
 
 class _Model(BaseModel):
@@ -47,9 +49,9 @@ class _Model(BaseModel):
 class SyncConfig(_Model):
     """How messages of several sensors become one frame."""
 
-    tolerance_s: Annotated[float, Field(ge=0.0)] = 0.01
+    tolerance_s: Seconds = 0.01
     """Largest difference of stamps within one frame."""
-    max_wait_s: Positive = 1.0
+    max_wait_s: Seconds = 1.0
     """How far the log is read past a frame for a sensor whose messages arrive late."""
 
 
@@ -59,7 +61,7 @@ class SurfaceConfig(_Model):
     enabled: bool = True
     model: Literal["plane"] = "plane"
     classes: Classes = ("road", "road_line", "ground")
-    """Classes one may drive on. Sidewalks are not among them: with them the height is 5 to 10 cm off."""
+    """Classes one may drive on; a sidewalk stands higher than the road and is none."""
     inlier_m: Positive = 0.05
     """Largest distance to the plane of an inlier."""
     drivable_m: Positive = 0.15
@@ -72,12 +74,10 @@ class SurfaceConfig(_Model):
     """Points they are tried on."""
     enough_inliers: Ratio = 0.95
     """Share of inliers at which no further planes are tried."""
-    confidence: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.999
-    """Probability, by the share of inliers found, of having met three good points, at which trying stops too."""
     min_inliers: Ratio = 0.2
     """Share of inliers below which there is no plane."""
     max_depth_m: Positive = 60.0
-    max_tilt_deg: Positive = 30.0
+    max_tilt_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 30.0
     """Largest angle between the plane and the road the mounting promises."""
     assumed_height_m: Positive = 1.5
     """Height of the camera where neither a mounting nor depth tells."""
@@ -90,32 +90,32 @@ class LanesConfig(_Model):
     model: Literal["line", "curve"] = "curve"
     """``line`` is the course's method; ``curve`` fits the boundary on the road, so that bends are followed."""
     separators: Classes = ("road_line", "sidewalk", "rail_track", "guard_rail")
-    median_px: Annotated[int, Field(ge=0)] = 5
+    median_px: Annotated[int, Field(ge=0, le=99)] = 5
     """Size of the median filter on the separators' mask; 0 is none."""
     canny_low: Positive = 100.0
     canny_high: Positive = 150.0
     canny_aperture: Literal[3, 5, 7] = 3
-    hough_rho_px: Positive = 2.0
-    hough_theta_deg: Positive = 1.0
+    hough_rho_px: Pixels = 2.0
+    hough_theta_deg: Annotated[float, Field(ge=0.05, le=90.0)] = 1.0
     hough_threshold: Positive = 100.0
-    hough_min_length_px: Positive = 100.0
-    hough_max_gap_px: Positive = 50.0
+    hough_min_length_px: Pixels = 100.0
+    hough_max_gap_px: Pixels = 50.0
     min_slope: Positive = 0.3
     merge_slope: Positive = 0.1
-    merge_intercept_px: Positive = 40.0
+    merge_intercept_px: Pixels = 40.0
     near_m: Positive = 15.0
     """A line whose nearest support lies farther ahead (ego x) is no boundary of the ego lane."""
-    fit_max_m: Positive = 40.0
+    fit_max_m: Annotated[float, Field(ge=1.0, le=500.0)] = 40.0
     """Farthest point of the boundary that the curve is fitted to."""
     fit_strip_m: Positive = 0.3
     """Half width of the strip around the last fit whose edges the next one takes."""
-    fit_huber: Positive = 2.0
+    fit_huber: Annotated[float, Field(ge=0.1, le=100.0)] = 2.0
     """Standard deviations beyond which an edge counts less and less (Huber's constant)."""
     gate: Positive = 16.27
     """Squared Mahalanobis distance beyond which a measurement is not taken (99.9 % of chi squared, 3 degrees)."""
-    hold_s: Annotated[float, Field(ge=0.0)] = 0.5
+    hold_s: Seconds = 0.5
     """How long an unseen boundary is held before it is lost."""
-    process_noise: Positive = 0.5
+    process_noise: Annotated[float, Field(ge=1e-3, le=100.0)] = 0.5
     """Standard deviation in m/s^2 of the car's sideways acceleration."""
     offset_std_m: Positive = 0.05
     heading_std: Positive = 0.01
@@ -143,7 +143,7 @@ NEEDS = {"lanes": ("surface",)}
 class ReplayConfig(_Model):
     """Everything that decides what a replay computes."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     tag_table: Annotated[str, AfterValidator(_known_table)] = "auto"
     """Tag table of logs that do not name theirs: a CARLA version, a table's name, or ``auto`` (what the log says)."""
     sync: SyncConfig = SyncConfig()
@@ -175,6 +175,8 @@ def load_config(path: Path | None = None, settings: tuple[str, ...] = ()) -> Rep
         _assign(tree, key.strip().split("."), _toml_value(value.strip()), setting)
     try:
         return ReplayConfig.model_validate(tree)
+    except RecursionError as error:
+        raise ConfigError(f"{path or 'setting'}: nested too deeply") from error
     except ValidationError as error:
         raise ConfigError(f"{path or 'setting'}: {_complaint(error)}") from error
 

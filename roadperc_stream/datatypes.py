@@ -291,6 +291,10 @@ class Truth:
     depth: DepthImage | None = None
     segmentation: TagImage | None = None
 
+    def __post_init__(self) -> None:
+        if self.odom_T_ego is not None:
+            read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+
 
 @dataclass(frozen=True)
 class Sample:
@@ -318,6 +322,10 @@ class FrameResult:
     lanes: Lanes | Absent
     objects: Objects | Absent
     problems: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.drivable, Absent):
+            read_only(self.drivable, np.bool_, (None, None), "drivable")
 
     def reasons(self) -> tuple[str, ...]:
         """Why stages gave nothing, as ``stage: reason``, and what was wrong with the input."""

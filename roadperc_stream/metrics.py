@@ -63,7 +63,7 @@ def _object_row(log_id: str, sample: Sample, item: Object, true_distance_m: floa
         log_id,
         sample.index,
         sample.frame.stamp_ns,
-        item.track_id,
+        item.track_id or None,
         item.detection.label,
         item.detection.score,
         box.x_min,
@@ -219,13 +219,14 @@ def _true_distances(objects: Sequence[Object], truth: Objects | None) -> list[fl
             (item.detection.box_px.overlap(true.detection.box_px), i, k)
             for i, item in enumerate(objects)
             for k, true in enumerate(truth.objects)
+            if item.detection.box_px.overlap(true.detection.box_px) >= MATCH_OVERLAP
         ),
         key=lambda pair: (-pair[0], pair[1], pair[2]),
     )
     used_items: set[int] = set()
     used_truths: set[int] = set()
-    for overlap, i, k in pairs:
-        if overlap >= MATCH_OVERLAP and i not in used_items and k not in used_truths:
+    for _, i, k in pairs:
+        if i not in used_items and k not in used_truths:
             distances[i] = truth.objects[k].distance_m
             used_items.add(i)
             used_truths.add(k)

@@ -75,7 +75,7 @@ class ObjectMetrics:
     log_id: str
     frame: int
     stamp_ns: int
-    track_id: str
+    track_id: str | None
     label: str
     score: float
     x_min_px: float
