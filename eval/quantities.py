@@ -59,7 +59,7 @@ TRUTH: Final = (
     Quantity("drivable_iou", "drivable IoU", RATIO, 3, worse="low"),
     Quantity("lane_left_error_m", "lane left at 10 m", "m", 3, signed=True),
     Quantity("lane_right_error_m", "lane right at 10 m", "m", 3, signed=True),
-    Quantity("object_distance_error_m", "object distance", "m", 3),
+    Quantity("object_distance_error_m", "objects' mean distance", "m", 3),
     Quantity("stereo_epe_px", "stereo disparity", "px", 2),
     Quantity("stereo_d1_ratio", "stereo outliers (D1)", RATIO, 4),
     Quantity("step_error_m", "step", "m", 4, signed=True),

@@ -1,12 +1,11 @@
 """``roadperc-report``: what came out of one replay or many, on the terminal."""
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 
 from roadperc_stream import __version__
-from roadperc_stream.cli import EXIT_DONE, run
+from roadperc_stream.command import run, whole_number
 from roadperc_stream.errors import TableError
 
 from .runs import find_runs
@@ -27,13 +26,7 @@ example:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-report``: print tables over finished runs."""
     arguments = _parser().parse_args(argv)
-    try:
-        code = run(lambda: _report(arguments.runs, arguments.worst))
-        sys.stdout.flush()
-    except BrokenPipeError:  # the reader has seen enough, as with | head; what is still buffered goes nowhere
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_DONE
-    return code
+    return run(lambda: _report(arguments.runs, arguments.worst))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -53,19 +46,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--worst",
         metavar="N",
-        type=_positive,
+        type=whole_number,
         default=WORST_FRAMES,
         help=f"worst frames listed for each error (default {WORST_FRAMES})",
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{text}: expected 1 or more")
-    return number
 
 
 def _report(arguments: Sequence[str], worst: int) -> None:

@@ -59,7 +59,10 @@ def open_run(path: Path, name: str) -> Run:
         raise TableError(f"{path}: {error.strerror or _first_line(error)}") from error
     columns = frozenset(footer.schema.to_arrow_schema().names)
     _require_columns(path, columns)
-    facts = {key.decode(): value.decode() for key, value in (footer.metadata or {}).items()}
+    _require_values(path, footer)
+    facts = {
+        key.decode(errors="replace"): value.decode(errors="replace") for key, value in (footer.metadata or {}).items()
+    }
     digest, version = facts.get("roadperc.config_digest", ""), facts.get("roadperc.version", "")
     return Run(name, path, footer.num_rows, columns, digest, version)
 
@@ -130,6 +133,16 @@ def _require_columns(path: Path, columns: Iterable[str]) -> None:
     if path.name.endswith(OBJECTS_SUFFIX):
         hint = f"; a row per frame is in {path.name.removesuffix(OBJECTS_SUFFIX)}{SUFFIX}"
     raise TableError(f"{path}: is no metrics table: it has no column {', '.join(missing)}{hint}")
+
+
+def _require_values(path: Path, footer: pq.FileMetaData) -> None:
+    """A metrics table has a log, a stamp and a time in every row."""
+    places = {footer.schema.column(k).path: k for k in range(footer.num_columns)}
+    groups = [footer.row_group(k) for k in range(footer.num_row_groups)]
+    for name in ("log_id", "stamp_ns", "total_ms"):
+        found = [group.column(places[name]).statistics for group in groups if name in places]
+        if any(part is not None and part.null_count for part in found):
+            raise TableError(f"{path}: is no metrics table: its column {name} has rows without a value")
 
 
 def _first_line(error: Exception) -> str:

@@ -55,7 +55,7 @@ def _print_sections(console: Console, summary: Summary) -> None:
     if sections.has_truth(summary):
         _table(console, sections.right(summary), _ERRORS)
     else:
-        _lines(console, "", "Is it right? The log carries no truth to tell by.")
+        _lines(console, "", "Is it right? No frame has a truth for what was replayed.")
     _table(console, sections.fast(summary), sections.speed(summary))
     _table(console, sections.worst(summary), _SECONDS)
     _table(console, sections.reasons(summary))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.datatypes import Absent, Frame, FrameResult, Image, Surface
+from roadperc_stream.datatypes import Absent, Frame, FrameResult, Image, Objects, Surface
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float, Float32, inverse, transform_plane
 from roadperc_stream.registration import sample_labels, warp_depth
@@ -103,8 +103,22 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
             if cfg.objects.enabled
             else OFF
         )
+    problems += _what_is_lacking(frame, rasters, judged)
     result = FrameResult(frame.stamp_ns, camera.frame_id, plane, drivable, ego_lane, judged, tuple(problems))
     return ChainState(frame.stamp_ns, lanes_state), result
+
+
+def _what_is_lacking(frame: Frame, rasters: Rasters, judged: Objects | Absent) -> list[str]:
+    """What a stage that gave something had to do without."""
+    lacking = []
+    if rasters.depth_m is None:
+        lacking.append(f"surface: no depth, the {'mounting' if frame.mounted else 'assumed height'} gives the plane")
+    elif rasters.tags is None:
+        lacking.append("surface: no segmentation, the lower image stands in for the road")
+    if isinstance(judged, Objects) and judged.objects:
+        lacking += ["objects: no segmentation, nothing is judged"] if rasters.tags is None else []
+        lacking += ["objects: no depth, no distances"] if rasters.depth_m is None else []
+    return lacking
 
 
 def _decode(frame: Frame, problems: list[str]) -> Rasters:

@@ -104,8 +104,3 @@ def parse_topic_options(options: Iterable[str]) -> dict[str, str]:
             raise ChannelError(f"--topic {option}: no role {role!r}; roles: {', '.join(ROLES)}")
         mapping[role] = topic
     return mapping
-
-
-def topics_of_roles(overrides: Mapping[str, str]) -> dict[str, str]:
-    """Topic of each role: the contract's, replaced where the user named another."""
-    return {name: overrides.get(name, role.topic) for name, role in ROLES.items()}

@@ -1,23 +1,16 @@
 """The commands of the package: arguments in, exit code out."""
 
 import argparse
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from roadperc_stream import __version__
 from roadperc_stream.channels import parse_topic_options
-from roadperc_stream.config import STAGES, load_config
-from roadperc_stream.errors import ConfigError, RoadpercError
-from roadperc_stream.replay import ReplaySummary, no_progress, replay
+from roadperc_stream.command import frame_progress, run, seconds, whole_number
+from roadperc_stream.config import NEEDS, STAGES, load_config
+from roadperc_stream.errors import ConfigError
+from roadperc_stream.replay import ReplaySummary, replay
 from roadperc_stream.survey import Cut
 from roadperc_stream.table import beside
-
-EXIT_DONE, EXIT_ERROR = 0, 1
 
 _REPLAY_EXAMPLE = """\
 example:
@@ -26,32 +19,6 @@ example:
 
 A log with topics of its own names them by role, such as --topic image=/front/rgb --topic depth=/front/depth.
 """
-
-
-def run(command: Callable[[], None]) -> int:
-    """Run a command; an error the project states becomes one line on stderr and exit code 1."""
-    try:
-        command()
-    except RoadpercError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_ERROR
-    except KeyboardInterrupt:
-        print("error: interrupted; nothing was written", file=sys.stderr)
-        return EXIT_ERROR
-    return EXIT_DONE
-
-
-@contextmanager
-def frame_progress(what: str, enabled: bool) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar over frames on a terminal, nothing where the output is piped."""
-    console = Console(stderr=True)
-    if not (enabled and console.is_terminal):
-        yield no_progress
-        return
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def replay_main(argv: list[str] | None = None) -> int:
@@ -73,10 +40,12 @@ def _replay_parser() -> argparse.ArgumentParser:
     parser.add_argument("--config", metavar="FILE", type=Path, help="TOML file with any part of the settings")
     parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting; wins over FILE")
     parser.add_argument("--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role")
-    parser.add_argument("--start", metavar="SECONDS", type=float, help="from here, counted from the first message")
-    parser.add_argument("--end", metavar="SECONDS", type=float, help="up to here, counted from the first message")
-    parser.add_argument("--frames", metavar="N", type=_positive, help="at most so many frames")
-    parser.add_argument("--only", metavar="STAGES", type=_stages, help=f"some of {','.join(STAGES)}, by commas")
+    parser.add_argument("--start", metavar="SECONDS", type=seconds, help="from here, counted from the first message")
+    parser.add_argument("--end", metavar="SECONDS", type=seconds, help="up to here, counted from the first message")
+    parser.add_argument("--frames", metavar="N", type=whole_number, help="at most so many frames")
+    parser.add_argument(
+        "--only", metavar="STAGES", type=_stages, help=f"some of {','.join(STAGES)}, with what they need"
+    )
     parser.add_argument("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
     parser.add_argument("--force", action="store_true", help="replace an existing OUT.mcap")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
@@ -84,19 +53,12 @@ def _replay_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{text}: expected 1 or more")
-    return number
-
-
 def _stages(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(","))
     unknown = [name for name in names if name not in STAGES]
     if unknown:
         raise argparse.ArgumentTypeError(f"no stage {unknown[0]!r}; stages: {', '.join(STAGES)}")
-    return names
+    return names + tuple(needed for name in names for needed in NEEDS.get(name, ()))
 
 
 def _replay(arguments: argparse.Namespace) -> None:

@@ -3,12 +3,21 @@
 Every key has a default, so no file is needed. Lengths in pixels are given at 960 image rows and scale with the image.
 """
 
+import difflib
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.semantics import CLASS_NAMES, table_for_version
@@ -34,11 +43,18 @@ def _odd(count: int) -> int:
     return count
 
 
-Classes = Annotated[tuple[str, ...], AfterValidator(_known_classes)]
+def _split(names: Any) -> Any:
+    """One class, or several by commas, as a command line gives them."""
+    return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
+
+
+Classes = Annotated[tuple[str, ...], BeforeValidator(_split), AfterValidator(_known_classes)]
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
-Positive = Annotated[float, Field(gt=0.0)]
-Count = Annotated[int, Field(ge=1)]
-OddCount = Annotated[int, Field(ge=1), AfterValidator(_odd)]
+Positive = Annotated[float, Field(ge=1e-6, le=1e4, allow_inf_nan=False)]
+Pixels = Annotated[float, Field(ge=0.1, le=1e3, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(ge=0.0, le=3600.0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=1, le=100_000)]
+OddCount = Annotated[int, Field(ge=1, le=99), AfterValidator(_odd)]
 
 
 class _Model(BaseModel):
@@ -48,9 +64,9 @@ class _Model(BaseModel):
 class SyncConfig(_Model):
     """How messages of several sensors become one frame."""
 
-    tolerance_s: Annotated[float, Field(ge=0.0)] = 0.01
+    tolerance_s: Seconds = 0.01
     """Largest difference of stamps within one frame."""
-    max_wait_s: Positive = 1.0
+    max_wait_s: Seconds = 1.0
     """How far the log is read past a frame for a sensor whose messages arrive late."""
 
 
@@ -99,7 +115,7 @@ class SurfaceConfig(_Model):
     model: Literal["plane", "spline"] = "plane"
     """``spline`` adds a smooth height field to the plane, for roads that climb and fall; it needs depth."""
     classes: Classes = ("road", "road_line", "ground")
-    """Classes one may drive on. Sidewalks are not among them: with them the height is 5 to 10 cm off."""
+    """Classes one may drive on; a sidewalk stands higher than the road and is none."""
     inlier_m: Positive = 0.05
     """Largest distance to the plane of an inlier."""
     drivable_m: Positive = 0.15
@@ -112,12 +128,10 @@ class SurfaceConfig(_Model):
     """Points they are tried on."""
     enough_inliers: Ratio = 0.95
     """Share of inliers at which no further planes are tried."""
-    confidence: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.999
-    """Probability, by the share of inliers found, of having met three good points, at which trying stops too."""
     min_inliers: Ratio = 0.2
     """Share of inliers below which there is no plane."""
     max_depth_m: Positive = 60.0
-    max_tilt_deg: Positive = 30.0
+    max_tilt_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 30.0
     """Largest angle between the plane and the road the mounting promises."""
     assumed_height_m: Positive = 1.5
     """Height of the camera where neither a mounting nor depth tells."""
@@ -136,32 +150,32 @@ class LanesConfig(_Model):
     model: Literal["line", "curve"] = "curve"
     """``line`` is the course's method; ``curve`` fits the boundary on the road, so that bends are followed."""
     separators: Classes = ("road_line", "sidewalk", "rail_track", "guard_rail")
-    median_px: Annotated[int, Field(ge=0)] = 5
+    median_px: Annotated[int, Field(ge=0, le=99)] = 5
     """Size of the median filter on the separators' mask; 0 is none."""
     canny_low: Positive = 100.0
     canny_high: Positive = 150.0
     canny_aperture: Literal[3, 5, 7] = 3
-    hough_rho_px: Positive = 2.0
-    hough_theta_deg: Positive = 1.0
+    hough_rho_px: Pixels = 2.0
+    hough_theta_deg: Annotated[float, Field(ge=0.05, le=90.0)] = 1.0
     hough_threshold: Positive = 100.0
-    hough_min_length_px: Positive = 100.0
-    hough_max_gap_px: Positive = 50.0
+    hough_min_length_px: Pixels = 100.0
+    hough_max_gap_px: Pixels = 50.0
     min_slope: Positive = 0.3
     merge_slope: Positive = 0.1
-    merge_intercept_px: Positive = 40.0
+    merge_intercept_px: Pixels = 40.0
     near_m: Positive = 15.0
     """A line whose nearest support lies farther ahead (ego x) is no boundary of the ego lane."""
-    fit_max_m: Positive = 40.0
+    fit_max_m: Annotated[float, Field(ge=1.0, le=500.0)] = 40.0
     """Farthest point of the boundary that the curve is fitted to."""
     fit_strip_m: Positive = 0.3
     """Half width of the strip around the last fit whose edges the next one takes."""
-    fit_huber: Positive = 2.0
+    fit_huber: Annotated[float, Field(ge=0.1, le=100.0)] = 2.0
     """Standard deviations beyond which an edge counts less and less (Huber's constant)."""
     gate: Positive = 16.27
     """Squared Mahalanobis distance beyond which a measurement is not taken (99.9 % of chi squared, 3 degrees)."""
-    hold_s: Annotated[float, Field(ge=0.0)] = 0.5
+    hold_s: Seconds = 0.5
     """How long an unseen boundary is held before it is lost; also the window of the vote on the classes beside it."""
-    process_noise: Positive = 0.5
+    process_noise: Annotated[float, Field(ge=1e-3, le=100.0)] = 0.5
     """Standard deviation in m/s^2 of the car's sideways acceleration."""
     offset_std_m: Positive = 0.05
     heading_std: Positive = 0.01
@@ -285,12 +299,14 @@ class OccupancyConfig(_Model):
 
 STAGES = ("surface", "lanes", "objects")
 """Stages in the order in which they run; each has a section below."""
+NEEDS = {"lanes": ("surface",)}
+"""Stages that cannot work without others."""
 
 
 class ReplayConfig(_Model):
     """Everything that decides what a replay computes."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     tag_table: Annotated[str, AfterValidator(_known_table)] = "auto"
     """Tag table of logs that do not name theirs: a CARLA version, a table's name, or ``auto`` (what the log says)."""
     sync: SyncConfig = SyncConfig()
@@ -325,10 +341,24 @@ def load_config(path: Path | None = None, settings: tuple[str, ...] = ()) -> Rep
         _assign(tree, key.strip().split("."), _toml_value(value.strip()), setting)
     try:
         return ReplayConfig.model_validate(tree)
+    except RecursionError as error:
+        raise ConfigError(f"{path or 'setting'}: nested too deeply") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise ConfigError(f"{path or 'setting'}: {key}: {first['msg']}, got {first['input']!r}") from error
+        raise ConfigError(f"{path or 'setting'}: {_complaint(error)}") from error
+
+
+def _complaint(error: ValidationError) -> str:
+    first = error.errors()[0]
+    *sections, name = (str(part) for part in first["loc"])
+    key = ".".join((*sections, name))
+    if first["type"] != "extra_forbidden":
+        return f"{key}: {first['msg']}, got {first['input']!r}"
+    model: type[BaseModel] = ReplayConfig
+    for section in sections:
+        model = type(model.model_fields[section].default)
+    close = difflib.get_close_matches(name, model.model_fields, n=1)
+    known = f"did you mean {close[0]}?" if close else f"known: {', '.join(model.model_fields)}"
+    return f"no setting {key}; {known}"
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

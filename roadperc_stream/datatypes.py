@@ -341,6 +341,10 @@ class Truth:
     depth: DepthImage | None = None
     segmentation: TagImage | None = None
 
+    def __post_init__(self) -> None:
+        if self.odom_T_ego is not None:
+            read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+
 
 @dataclass(frozen=True)
 class Sample:
@@ -356,7 +360,10 @@ class Sample:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What the chain made of one frame. ``problems`` are inputs that could not be used, with the reason."""
+    """What the chain made of one frame.
+
+    ``problems`` say which inputs could not be used and what had to be done without them.
+    """
 
     stamp_ns: int
     frame_id: str
@@ -365,6 +372,10 @@ class FrameResult:
     lanes: Lanes | Absent
     objects: Objects | Absent
     problems: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.drivable, Absent):
+            read_only(self.drivable, np.bool_, (None, None), "drivable")
 
     def reasons(self) -> tuple[str, ...]:
         """Why stages gave nothing, as ``stage: reason``, and what was wrong with the input."""

@@ -14,7 +14,6 @@ from google.protobuf.message import DecodeError as ProtobufError
 from roadperc_stream import images
 from roadperc_stream.channels import IMAGE_SCHEMA, TAG_TABLE_KEY, Kind
 from roadperc_stream.datatypes import (
-    SIDES,
     Boundary,
     Box,
     CameraImage,
@@ -24,6 +23,7 @@ from roadperc_stream.datatypes import (
     Lanes,
     Object,
     Objects,
+    Side,
     Surface,
     TagImage,
 )
@@ -37,7 +37,8 @@ from roadperc_stream.schemas.roadperc_pb2 import Objects as ObjectsProto
 from roadperc_stream.schemas.roadperc_pb2 import Surface as SurfaceProto
 from roadperc_stream.semantics import TABLES, TagTable
 
-_NANOSECONDS: Final = 1_000_000_000
+_END_OF_TIME_NS: Final = 2**63
+_SIDE_OF: Final[Mapping[int, Side]] = {1: "left", 2: "right"}
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,7 @@ def _detections(data: bytes, _: Context) -> Decoded:
 def detection_from_proto(message: Any) -> Detection:
     """One detection of a roadperc.Detections or roadperc.Objects."""
     box = Box(message.box_px.x_min, message.box_px.y_min, message.box_px.x_max, message.box_px.y_max)
+    _require_finite(f"detection {message.label!r}", box.x_min, box.y_min, box.x_max, box.y_max, message.score)
     return Detection(message.label, box, float(message.score), message.id)
 
 
@@ -184,7 +186,13 @@ def _pose_matrix(position: Any, orientation: Any) -> Float:
         rotation = rotation_from_quaternion(orientation.x, orientation.y, orientation.z, orientation.w)
     except ValueError as error:
         raise DecodeError(f"pose without an orientation: {error}") from error
+    _require_finite("pose", position.x, position.y, position.z)
     return rigid(rotation, np.array([position.x, position.y, position.z]))
+
+
+def _require_finite(what: str, *values: float | None) -> None:
+    if not np.isfinite([value for value in values if value is not None]).all():
+        raise DecodeError(f"{what}: a number is not finite")
 
 
 def _optional(message: Any, name: str) -> Any:
@@ -197,6 +205,7 @@ def _surface(data: bytes, _: Context) -> Decoded:
     if not np.linalg.norm(normal) > 0:
         raise DecodeError("surface without a normal")
     grid = message.height_grid
+    _require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d, *grid.z_m)
     surface = Surface(
         source="truth",
         frame_id=message.frame_id,
@@ -217,24 +226,29 @@ def _surface(data: bytes, _: Context) -> Decoded:
 
 def _lanes(data: bytes, _: Context) -> Decoded:
     message = LanesProto.FromString(data)
-    return Decoded(stamp_ns(message.timestamp), Lanes(tuple(_boundary(b) for b in message.boundaries if b.side)))
+    return Decoded(
+        stamp_ns(message.timestamp), Lanes(tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF))
+    )
 
 
 def _boundary(message: Any) -> Boundary:
+    line = np.array([(p.x, p.y, p.z) for p in message.line_ego_m]).reshape(-1, 3)
+    _require_finite("boundary", message.offset_m, message.heading, message.curvature_per_m, *line.ravel())
     return Boundary(
-        side=SIDES[message.side - 1],
+        side=_SIDE_OF[message.side],
         status="measured",
         offset_m=_optional(message, "offset_m"),
         heading=_optional(message, "heading"),
         curvature_per_m=_optional(message, "curvature_per_m"),
         inside=message.inside,
         outside=message.outside,
-        line_ego_m=np.array([(p.x, p.y, p.z) for p in message.line_ego_m]).reshape(-1, 3),
+        line_ego_m=line,
     )
 
 
 def _objects(data: bytes, _: Context) -> Decoded:
     message = ObjectsProto.FromString(data)
+    _require_finite("objects", *(v for o in message.objects for v in (o.distance_m, o.closing_speed_mps)))
     objects = tuple(
         Object(
             detection=detection_from_proto(o.detection),
@@ -284,4 +298,7 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
         decoded = DECODERS[kind, schema, encoding](data, context)
     except (ProtobufError, ValueError) as error:
         raise DecodeError(f"{len(data)} bytes are no {schema}: {error}") from error
-    return decoded if decoded.stamp_ns else replace(decoded, stamp_ns=log_time_ns)
+    decoded = decoded if decoded.stamp_ns else replace(decoded, stamp_ns=log_time_ns)
+    if not 0 <= decoded.stamp_ns < _END_OF_TIME_NS:
+        raise DecodeError(f"stamp {decoded.stamp_ns} ns does not fit 64 bits")
+    return decoded

@@ -26,6 +26,7 @@ _CYAN: Final = (0.1, 0.8, 1.0)
 _STATUS_COLOURS: Final = {"measured": _GREEN, "held": _ORANGE}
 _FONT_ROWS: Final = 40
 """A line of text is this part of the image's rows: 24 px of 960."""
+_TEXT_UP_TO: Final = 0.8
 _PATCH_M: Final = (2.0, 40.0, 4.0)
 """Nearest and farthest x, and half the width."""
 _PATCH_STRIPS: Final = 19
@@ -48,18 +49,18 @@ def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
             colour = _STATUS_COLOURS[boundary.status]
             _points(message, stamp_ns, PointsAnnotation.LINE_STRIP, boundary.line_px, colour, 4.0)
             text = f"{boundary.offset_m:+.2f} m {boundary.outside}".strip()
-            visible = boundary.line_px[boundary.line_px[:, 1] < camera.height]
+            visible = boundary.line_px[_room_for_text(camera, boundary.line_px)]
             if len(visible):
                 _text(message, stamp_ns, camera, visible[0], text, colour)
     return message.SerializeToString()
 
 
 def object_annotations(stamp_ns: int, camera: Camera, objects: Objects) -> bytes:
-    """Boxes of kept detections with their distance, dropped ones thin and grey."""
+    """Boxes of kept detections with their distance, of dropped ones with their share of class pixels."""
     message = ImageAnnotations()
     set_stamp(message, stamp_ns)
     for item in objects.objects:
-        colour, thickness = (_GREEN, 3.0) if item.kept else (_GREY, 1.0)
+        colour, thickness = _box_style(item)
         corners = _corners(item.detection.box_px)
         _points(message, stamp_ns, PointsAnnotation.LINE_LOOP, corners, colour, thickness)
         _text(message, stamp_ns, camera, corners[0], _caption(item), colour)
@@ -121,6 +122,20 @@ def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) 
     points = ground_points(surface, camera, ego_T_camera, pixels)
     near = np.linalg.norm(np.nan_to_num(points, nan=np.inf), axis=1) < _OUTLINE_MAX_M
     return np.asarray(points[near], float)
+
+
+def _room_for_text(camera: Camera, pixels: Float) -> Mask:
+    """Which of (N, 2) pixels are in the image with room to their right."""
+    x, y = pixels.T
+    room: Mask = (x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)
+    return room
+
+
+def _box_style(item: Object) -> tuple[tuple[float, float, float], float]:
+    """Colour and width: kept ones green, kept ones that nothing could judge yellow, dropped ones thin and grey."""
+    if not item.kept:
+        return _GREY, 1.0
+    return (_YELLOW if item.class_ratio is None else _GREEN), 3.0
 
 
 def _caption(item: Object) -> str:

@@ -1,12 +1,14 @@
 """Pixels in and out of their encodings."""
 
 import io
+import warnings
 from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
+from PIL import UnidentifiedImageError
 
 from roadperc_stream.datatypes import Image
 from roadperc_stream.errors import DecodeError
@@ -39,12 +41,19 @@ def decode_indices(data: bytes) -> Image:
 
     """
     try:
-        with PillowImage.open(io.BytesIO(data)) as image:
-            if image.mode not in ("P", "L"):
-                raise DecodeError(f"image of mode {image.mode}: expected palette indices (P) or grey tags (L)")
-            return np.array(image)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", PillowImage.DecompressionBombWarning)
+            # No other format: a JPEG's or GIF's greys are no tags.
+            with PillowImage.open(io.BytesIO(data), formats=("PNG",)) as image:
+                if image.mode not in ("P", "L"):
+                    raise DecodeError(f"image of mode {image.mode}: expected palette indices (P) or grey tags (L)")
+                return np.array(image)
+    except (PillowImage.DecompressionBombWarning, PillowImage.DecompressionBombError) as error:
+        raise DecodeError(f"{len(data)} bytes claim to be an image of a hundred million pixels or more") from error
+    except UnidentifiedImageError as error:
+        raise DecodeError(f"{len(data)} bytes are no PNG, they start with {data[:4].hex()}") from error
     except (OSError, ValueError, SyntaxError) as error:
-        raise DecodeError(f"{len(data)} bytes are no PNG: {error}") from error
+        raise DecodeError(f"{len(data)} bytes are no whole PNG: {error}") from error
 
 
 def encode_indices(indices: Image, colours: tuple[Colour, ...]) -> bytes:

@@ -47,7 +47,7 @@ def frame_metrics(cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameR
         stamp_ns=result.stamp_ns,
         sync_skew_ms=None if sample.skew_ns is None else sample.skew_ns / 1e6,
         missing=sample.missing,
-        reasons=result.reasons(),
+        reasons=(*(f"{role}: no message at this frame" for role in sample.missing), *result.reasons()),
         **_surface_columns(result),
         **_lane_columns(result.lanes),
         **_object_columns(result.objects),
@@ -72,7 +72,7 @@ def _object_row(log_id: str, sample: Sample, item: Object, true_distance_m: floa
         log_id,
         sample.index,
         sample.frame.stamp_ns,
-        item.track_id,
+        item.track_id or None,
         item.detection.label,
         item.detection.score,
         box.x_min,
@@ -86,6 +86,7 @@ def _object_row(log_id: str, sample: Sample, item: Object, true_distance_m: floa
         item.closing_speed_mps,
         item.time_to_impact_s,
         item.status,
+        item.beyond_range,
         true_distance_m,
     )
 
@@ -244,13 +245,14 @@ def _true_distances(objects: Sequence[Object], truth: Objects | None) -> list[fl
             (item.detection.box_px.overlap(true.detection.box_px), i, k)
             for i, item in enumerate(objects)
             for k, true in enumerate(truth.objects)
+            if item.detection.box_px.overlap(true.detection.box_px) >= MATCH_OVERLAP
         ),
         key=lambda pair: (-pair[0], pair[1], pair[2]),
     )
     used_items: set[int] = set()
     used_truths: set[int] = set()
-    for overlap, i, k in pairs:
-        if overlap >= MATCH_OVERLAP and i not in used_items and k not in used_truths:
+    for _, i, k in pairs:
+        if i not in used_items and k not in used_truths:
             distances[i] = truth.objects[k].distance_m
             used_items.add(i)
             used_truths.add(k)

@@ -8,12 +8,13 @@ from pathlib import Path
 from time import perf_counter
 
 import cv2
-import pyarrow as pa
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from roadperc_stream import __version__, log
 from roadperc_stream.chain import ChainState, step
 from roadperc_stream.channels import PRODUCER, RESULTS, schema
+from roadperc_stream.command import no_progress
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import Sample
 from roadperc_stream.errors import LogError
@@ -24,7 +25,7 @@ from roadperc_stream.roles import Problems, is_result
 from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.survey import WHOLE, Cut, Survey, input_messages, samples, survey_log
 from roadperc_stream.sync import SyncCounts
-from roadperc_stream.table import TableWriter, arrow_schema, beside
+from roadperc_stream.table import TableWriter, beside
 
 CONFIG_ATTACHMENT = "roadperc.toml"
 METADATA_RECORD = "roadperc"
@@ -56,7 +57,6 @@ class ReplaySummary:
 
     log_id: str
     frames: int
-    messages_in: int
     messages_out: int
     seconds: float
     notes: tuple[str, ...]
@@ -65,19 +65,25 @@ class ReplaySummary:
 
 
 @contextmanager
+def discarding(*outputs: TableWriter | LogWriter) -> Iterator[None]:
+    """Leave nothing half written, even where a signal comes while an output is being opened."""
+    try:
+        yield
+    finally:
+        for output in outputs:
+            output.discard()
+
+
+@contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep OpenCV and BLAS to one thread: on arrays of a frame's size a second one mostly waits."""
+    """Keep OpenCV and BLAS to one thread, where a second one mostly waits, and numpy from warning of absurd input."""
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        with threadpool_limits(limits=1, user_api="blas"):
+        with threadpool_limits(limits=1, user_api="blas"), np.errstate(all="ignore"):
             yield
     finally:
         cv2.setNumThreads(before)
-
-
-def no_progress(_done: int, _expected: int) -> None:
-    """Take the news and tell nobody."""
 
 
 def replay(
@@ -110,16 +116,14 @@ def replay(
     _require_free(source, target, force)
     summary = log.summarise(source)
     survey = survey_log(summary, cfg, overrides or {}, cut)
-    counts, problems = SyncCounts(), Problems()
+    counts, problems, facts = SyncCounts(), Problems(), _table_facts(source, target, cfg)
     log_id, state = survey.digest[:16], ChainState()
     reasons: tuple[str, ...] = ()
-    with (
-        one_thread(),
-        TableWriter(beside(target, "metrics"), _schema(FrameMetrics, cfg, target, TIME_COLUMNS)) as frames,
-        TableWriter(beside(target, "objects"), _schema(ObjectMetrics, cfg, target)) as detections,
-        LogWriter(target, summary.profile) as writer,
-    ):
-        copy = InputCopy(summary, survey, writer, results_only)
+    frames = TableWriter(beside(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
+    detections = TableWriter(beside(target, "objects"), ObjectMetrics, facts)
+    writer = LogWriter(target, summary.profile)
+    with one_thread(), discarding(frames, detections, writer), frames, detections, writer:
+        copy = InputCopy(summary, survey, cfg, writer, results_only)
         for sample in samples(summary, survey, cfg, counts, problems):
             timer = StageTimer()
             with timer("total"):
@@ -140,10 +144,9 @@ def replay(
     return ReplaySummary(
         log_id,
         counts.frames,
-        survey.messages,
         writer.messages,
         perf_counter() - started,
-        (*survey.filled.notes, *problems.first.values()),
+        (*survey.filled.notes, *(survey.problems.first | problems.first).values()),
         dict(counts.dropped),
         dict(problems.counts),
     )
@@ -152,14 +155,16 @@ def replay(
 class InputCopy:
     """Copies the input's messages to the output, as far as the results have come."""
 
-    def __init__(self, summary: LogSummary, survey: Survey, writer: LogWriter, results_only: bool) -> None:
+    def __init__(
+        self, summary: LogSummary, survey: Survey, cfg: ReplayConfig, writer: LogWriter, results_only: bool
+    ) -> None:
         self._writer = writer
         channels = [] if results_only else [c for c in summary.channels if not is_result(c)]
         for channel in channels:
             writer.register(channel)
         for topic, name in RESULTS.items():
             writer.register(_result_channel(topic, name))
-        self._messages = input_messages(summary, survey.start_ns, survey.end_ns) if not results_only else iter(())
+        self._messages = iter(()) if results_only else input_messages(summary, cfg, survey)
         self._next = next(self._messages, None)
 
     def through(self, log_time_ns: int | None) -> None:
@@ -174,12 +179,15 @@ class InputCopy:
 
 
 def _require_free(source: Path, target: Path, force: bool) -> None:
+    if target.suffix != ".mcap":
+        raise LogError(f"{target}: expected a name that ends in .mcap")
     if target.exists() and source.exists() and target.samefile(source):
         raise LogError(f"{target}: is the input itself; name another output")
-    if target.is_dir():
-        raise LogError(f"{target}: is a folder, expected the name of a file")
-    if target.exists() and not force:
-        raise LogError(f"{target}: exists already; --force replaces it")
+    for path in (target, beside(target, "metrics"), beside(target, "objects")):
+        if path.is_dir():
+            raise LogError(f"{path}: is a folder, expected the name of a file")
+        if path.exists() and not force:
+            raise LogError(f"{path}: exists already; --force replaces it")
 
 
 def _result_channel(topic: str, schema_name: str) -> Channel:
@@ -192,10 +200,15 @@ def _result_message(topic: str, sample: Sample, data: bytes) -> Message:
     return Message(channel, sample.log_time_ns, sample.log_time_ns, sample.index, data)
 
 
-def _schema(row_type: type, cfg: ReplayConfig, target: Path, extra: tuple[str, ...] = ()) -> pa.Schema:
-    config_digest = hashlib.sha256(cfg.to_toml().encode()).hexdigest()
-    facts = {"config_digest": config_digest, "version": __version__, "log": str(target.resolve())}
-    return arrow_schema(row_type, extra, {f"roadperc.{key}": value for key, value in facts.items()})
+def _table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:
+    """What a table says of where it came from: ``roadperc.log`` is the log beside it, ``roadperc.source`` the input."""
+    facts = {
+        "config_digest": hashlib.sha256(cfg.to_toml().encode()).hexdigest(),
+        "version": __version__,
+        "log": str(target.absolute()),
+        "source": str(source.absolute()),
+    }
+    return {f"roadperc.{key}": value for key, value in facts.items()}
 
 
 def _describe(writer: LogWriter, summary: LogSummary, survey: Survey, cfg: ReplayConfig, counts: SyncCounts) -> None:

@@ -75,7 +75,7 @@ class ObjectMetrics:
     log_id: str
     frame: int
     stamp_ns: int
-    track_id: str
+    track_id: str | None
     label: str
     score: float
     x_min_px: float
@@ -89,4 +89,5 @@ class ObjectMetrics:
     closing_speed_mps: float | None
     time_to_impact_s: float | None
     status: str
+    beyond_range: bool
     true_distance_m: float | None

@@ -1,7 +1,10 @@
 """What part of a log is replayed: a first pass that checks it, and the frames of that part."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 
 from roadperc_stream import log
 from roadperc_stream.assemble import sample_of
@@ -29,86 +32,149 @@ WHOLE = Cut()
 
 
 @dataclass(frozen=True)
+class Window:
+    """The part of a log, by log time: from ``start_ns`` up to ``end_ns``, None without a limit.
+
+    ``end_stamp_ns`` is the stamp of the first frame beyond: a sensor's message that arrives later than ``end_ns`` but
+    belongs to an earlier instant is part of the window still.
+    """
+
+    start_ns: int | None = None
+    end_ns: int | None = None
+    end_stamp_ns: int | None = None
+
+
+@dataclass(frozen=True)
 class Survey:
-    """What a first pass over the log finds: the part to replay, its digest, and what holds at its start."""
+    """What a first pass over the log finds: the part to replay, its digest, and what holds at its start.
+
+    ``held_messages`` are the calibrations and transforms from before the window that hold in it. They are part of the
+    input: without them the output could not be replayed.
+    """
 
     filled: Filled
-    start_ns: int | None
-    end_ns: int | None
-    digest: str
-    messages: int
-    expected_frames: int
+    window: Window
     held: Held
+    held_messages: tuple[Message, ...]
+    problems: Problems
+    digest: str = ""
+    messages: int = 0
+    expected_frames: int = 0
 
 
-def survey_log(summary: LogSummary, cfg: ReplayConfig, overrides: dict[str, str], cut: Cut) -> Survey:
-    """Find the roles and the part to replay, and read that part once: every CRC is checked before work starts."""
+def survey_log(summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], cut: Cut) -> Survey:
+    """Find the roles and the part to replay, and read that part once: every CRC is checked before work starts.
+
+    Raises:
+        ChannelError: the channels do not fit the roles.
+        LogError: the log is damaged, or the part asked for holds no frame.
+    """
     used = [c for c in summary.channels if summary.counts.get(c.source_id)]
     try:
         filled = fill_roles(used, overrides)
         reference = reference_role(filled.topics)
     except ChannelError as error:
         raise ChannelError(f"{summary.path}: {error}") from error
-    start_ns, end_ns = _window(summary, cut, filled.topics[reference])
-    digest, messages, frames = MessageDigest(), 0, 0
-    for message in input_messages(summary, start_ns, end_ns, validate_crcs=True):
+    window, problems = _window(summary, cfg, cut, filled, reference), Problems()
+    held, held_messages = _held_at(summary, cfg, filled, window, problems)
+    survey = Survey(filled, window, held, held_messages, problems)
+    digest, counts = MessageDigest(), Counter[str]()
+    for message in input_messages(summary, cfg, survey, validate_crcs=not summary.sealed):
         digest.update(message)
-        messages += 1
-        frames += message.channel.topic == filled.topics[reference]
+        counts[message.channel.topic] += 1
+    frames = counts[filled.topics[reference]]
     if not frames:
         raise LogError(f"{summary.path}: no message on {filled.topics[reference]} in the part asked for")
-    held = _held_at(summary, filled, cfg, start_ns)
-    return Survey(filled, start_ns, end_ns, digest.hexdigest(), messages, frames, held)
-
-
-def _window(summary: LogSummary, cut: Cut, reference_topic: str) -> tuple[int | None, int | None]:
-    """First log time replayed and first one no longer replayed; None where there is no limit."""
-    first_ns = summary.first_ns or 0
-    start_ns = None if cut.start_s is None else first_ns + round(cut.start_s * _NANOSECONDS)
-    end_ns = None if cut.end_s is None else first_ns + round(cut.end_s * _NANOSECONDS)
-    if cut.frames is None:
-        return start_ns, end_ns
-    messages = log.read(summary.path, topics=[reference_topic], start_ns=start_ns, end_ns=end_ns)
-    beyond = next((message for number, message in enumerate(messages) if number == cut.frames), None)
-    return start_ns, beyond.log_time_ns if beyond else end_ns
+    return replace(survey, digest=digest.hexdigest(), messages=counts.total(), expected_frames=frames)
 
 
 def input_messages(
-    summary: LogSummary, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool = False
+    summary: LogSummary,
+    cfg: ReplayConfig,
+    survey: Survey,
+    *,
+    topics: Collection[str] | None = None,
+    validate_crcs: bool = False,
 ) -> Iterator[Message]:
-    """The messages of a log that no earlier replay wrote."""
-    messages = log.read(summary.path, start_ns=start_ns, end_ns=end_ns, validate_crcs=validate_crcs)
-    return (message for message in messages if not is_result(message.channel))
+    """The messages to replay, in log-time order: what held before, the window, and what arrives late for it.
+
+    Args:
+        summary: the log.
+        cfg: how long a frame waits for a late sensor.
+        survey: the window and what held before it.
+        topics: only these; None for all.
+        validate_crcs: check every chunk.
+    """
+    window = survey.window
+    read = partial(log.read, summary.path, topics=topics, validate_crcs=validate_crcs)
+    yield from (m for m in survey.held_messages if topics is None or m.channel.topic in topics)
+    yield from (m for m in read(start_ns=window.start_ns, end_ns=window.end_ns) if not is_result(m.channel))
+    if window.end_ns is not None and window.end_stamp_ns is not None:
+        late_until_ns = window.end_ns + round(cfg.sync.max_wait_s * _NANOSECONDS)
+        late = (m for m in read(start_ns=window.end_ns, end_ns=late_until_ns) if not is_result(m.channel))
+        yield from (m for m in late if _belongs_before(m, survey, cfg, window.end_stamp_ns))
 
 
-def _held_at(summary: LogSummary, filled: Filled, cfg: ReplayConfig, start_ns: int | None) -> Held:
-    """Calibrations and transforms that hold at the start: the last ones before it, else the first ones after it."""
+def _belongs_before(message: Message, survey: Survey, cfg: ReplayConfig, end_stamp_ns: int) -> bool:
+    """Whether a message of a sensor speaks of an instant before a stamp."""
+    items = stamped_messages([message], survey.filled, cfg.tag_table, Problems())
+    return any(item.stamp_ns < end_stamp_ns for item in items if ROLES[item.role].kind not in HELD_KINDS)
+
+
+def _window(summary: LogSummary, cfg: ReplayConfig, cut: Cut, filled: Filled, reference: str) -> Window:
+    first_ns, topic = summary.first_ns or 0, filled.topics[reference]
+    start_ns = None if cut.start_s is None else first_ns + round(cut.start_s * _NANOSECONDS)
+    end_ns = None if cut.end_s is None else first_ns + round(cut.end_s * _NANOSECONDS)
+    if cut.frames is not None:
+        inside = log.read(summary.path, topics=[topic], start_ns=start_ns, end_ns=end_ns)
+        beyond = next(islice(inside, cut.frames, None), None)
+        end_ns = beyond.log_time_ns if beyond else end_ns
+    if end_ns is None:
+        return Window(start_ns)
+    after = stamped_messages(log.read(summary.path, topics=[topic], start_ns=end_ns), filled, cfg.tag_table, Problems())
+    first_after = next((item for item in after if item.role == reference), None)
+    return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None)
+
+
+def _held_at(
+    summary: LogSummary, cfg: ReplayConfig, filled: Filled, window: Window, problems: Problems
+) -> tuple[Held, tuple[Message, ...]]:
+    """Calibrations and transforms that hold at the start: the last ones before it, else the first ones within.
+
+    Also the messages before it that say so, in their order.
+    """
     waiting = {role for role in filled.topics if ROLES[role].kind in HELD_KINDS}
     topics = {filled.topics[role] for role in waiting}
-    held = Held()
-    messages = log.read(summary.path, topics=topics) if topics else iter(())
-    for item in stamped_messages(messages, filled, cfg.tag_table, Problems()):
-        before = start_ns is not None and item.log_time_ns < start_ns
-        if ROLES[item.role].kind in HELD_KINDS and (before or item.role in waiting):
-            held = held.updated(item)
-            waiting.discard(item.role)
-        if not waiting and not before:
+    held, sources = Held(), dict[tuple[str, str], Message]()
+    for message in log.read(summary.path, topics=topics, end_ns=window.end_ns) if topics else ():
+        before = window.start_ns is not None and message.log_time_ns < window.start_ns
+        if not (before or waiting):
             break
-    return held
+        for item in stamped_messages([message], filled, cfg.tag_table, problems):
+            if before or item.role in waiting:
+                held = held.updated(item)
+                waiting.discard(item.role)
+            if before:
+                sources |= dict.fromkeys(((item.role, child) for child in item.children()), message)
+    kept = {id(message): message for message in sources.values()}
+    return held, tuple(sorted(kept.values(), key=lambda message: message.log_time_ns))
 
 
 def samples(
     summary: LogSummary, survey: Survey, cfg: ReplayConfig, counts: SyncCounts, problems: Problems
 ) -> Iterator[Sample]:
-    """The frames of the log, in order."""
+    """The frames of the part to replay, in order.
+
+    Raises:
+        ChannelError: a camera without calibration; the message names it.
+    """
     filled = survey.filled
-    topics = set(filled.topics.values())
-    messages = log.read(summary.path, topics=topics, start_ns=survey.start_ns, end_ns=survey.end_ns)
-    inputs = (message for message in messages if not is_result(message.channel))
-    items = stamped_messages(inputs, filled, cfg.tag_table, problems)
+    messages = input_messages(summary, cfg, survey, topics=set(filled.topics.values()))
+    items = stamped_messages(messages, filled, cfg.tag_table, problems)
     reference = reference_role(filled.topics)
     for index, moment in enumerate(synchronise(cfg.sync, items, reference, filled.topics, survey.held, counts)):
         try:
             yield sample_of(cfg, moment, index, filled.topics)
         except ChannelError as error:
-            raise ChannelError(f"{summary.path}: {error}") from error
+            broken = "".join(f"; {text}" for text in survey.problems.first.values())
+            raise ChannelError(f"{summary.path}: {error}{broken}") from error

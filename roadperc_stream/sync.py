@@ -18,6 +18,8 @@ from roadperc_stream.errors import ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse
 
 _NANOSECONDS = 1_000_000_000
+_MOST_WAITING = 100
+"""Frames that may wait for a silent sensor where all log times are equal."""
 HELD_KINDS = ("calibration", "tf")
 """Kinds whose messages hold until replaced."""
 
@@ -30,6 +32,11 @@ class Stamped:
     log_time_ns: int
     stamp_ns: int
     payload: Payload
+
+    def children(self) -> tuple[str, ...]:
+        """Frames whose place a transforms message tells; for other messages one empty name."""
+        edges = self.payload if isinstance(self.payload, tuple) else ()
+        return tuple(edge.child for edge in edges if isinstance(edge, Transform)) or ("",)
 
 
 @dataclass(frozen=True)
@@ -126,9 +133,9 @@ def synchronise(
             waiting.append((item, held))
         elif item.role in streams:
             streams[item.role].append(item)
-        _forget(cfg, streams, item.log_time_ns, counts)
-        while waiting and _complete(cfg, waiting[0][0], streams, item.log_time_ns):
+        while waiting and (len(waiting) > _MOST_WAITING or _complete(cfg, waiting[0][0], streams, item.log_time_ns)):
             yield _moment(cfg, *waiting.popleft(), streams, counts)
+        _forget(cfg, streams, item.log_time_ns, counts)
     while waiting:
         yield _moment(cfg, *waiting.popleft(), streams, counts)
     counts.dropped.update({role: len(stream) for role, stream in streams.items() if stream})

@@ -4,6 +4,7 @@ import os
 import types
 import typing
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, fields
 from pathlib import Path
 from types import TracebackType
@@ -34,7 +35,8 @@ def arrow_schema(row_type: type, extra: tuple[str, ...] = (), metadata: Mapping[
     hints = typing.get_type_hints(row_type)
     columns = [_field(f.name, hints[f.name]) for f in fields(row_type)]
     columns += [pa.field(name, pa.float64()) for name in extra]
-    return pa.schema(columns, metadata=dict(metadata or {}))
+    encoded = {key: value.encode("utf-8", "surrogateescape") for key, value in (metadata or {}).items()}
+    return pa.schema(columns, metadata=encoded)
 
 
 def _field(name: str, hint: Any) -> pa.Field:
@@ -46,10 +48,10 @@ def _field(name: str, hint: Any) -> pa.Field:
 class TableWriter:
     """Writes rows to a Parquet file that appears under its name only when complete. Use it as a context manager."""
 
-    def __init__(self, path: Path, schema: pa.Schema) -> None:
+    def __init__(self, path: Path, row_type: type, facts: Mapping[str, str], extra: tuple[str, ...] = ()) -> None:
         self._path = path
         self._temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-        self._schema = schema
+        self._schema = arrow_schema(row_type, extra, facts)
         self._rows: list[dict[str, Any]] = []
 
     def __enter__(self) -> Self:
@@ -67,17 +69,25 @@ class TableWriter:
             self._flush()
 
     def _flush(self) -> None:
-        self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
-        self._rows.clear()
+        if self._rows:
+            self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
+            self._rows.clear()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if kind is None and self._rows:
-                self._flush()
-            self._writer.close()
             if kind is None:
+                self._flush()
+                self._writer.close()
                 self._temporary.replace(self._path)
+        except OSError as failure:
+            raise TableError(f"{self._path}: {failure.strerror or failure}") from failure
         finally:
-            self._temporary.unlink(missing_ok=True)
+            with suppress(OSError):  # closing writes the footer, and a full disk fails again
+                self._writer.close()
+            self.discard()
+
+    def discard(self) -> None:
+        """Remove what is not complete."""
+        self._temporary.unlink(missing_ok=True)

@@ -38,6 +38,11 @@ def test_defaults_need_no_file():
         ("seed", "KEY=VALUE"),
         ("seed.x=1", "seed"),
         ("tag_table=newest", "tag_table"),
+        ("lanes.hough_rho_px=inf", "lanes.hough_rho_px"),
+        ("sync.max_wait_s=1e300", "sync.max_wait_s"),
+        ("lanes.fit_max_m=nan", "lanes.fit_max_m"),
+        ("lanes.holds_s=1", "did you mean hold_s"),
+        ("surface.zzz=1", "known: enabled, model"),
     ],
 )
 def test_what_does_not_fit_is_named(setting, message):
@@ -51,3 +56,17 @@ def test_broken_files(tmp_path):
     (tmp_path / "b.toml").write_text("a = = 1")
     with pytest.raises(ConfigError, match="not TOML"):
         load_config(tmp_path / "b.toml")
+
+
+def test_a_bare_class_and_classes_by_commas():
+    assert load_config(None, ("surface.classes=road",)).surface.classes == ("road",)
+    assert load_config(None, ("surface.classes=road, sidewalk",)).surface.classes == ("road", "sidewalk")
+
+
+def test_every_number_refuses_what_is_not_finite():
+    for section in ("sync", "surface", "lanes", "objects"):
+        for name, field in type(getattr(ReplayConfig(), section)).model_fields.items():
+            if isinstance(field.default, float):
+                for wild in ("inf", "nan", "-inf", "1e300"):
+                    with pytest.raises(ConfigError, match=name):
+                        load_config(None, (f"{section}.{name}={wild}",))

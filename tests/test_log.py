@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
@@ -143,3 +144,67 @@ def test_any_flipped_byte_is_read_or_refused_never_a_crash(tmp_path_factory, dat
         list(log.read(tmp_path / "b.mcap", validate_crcs=True))
     except LogError as error:
         assert "b.mcap" in str(error)  # noqa: PT017 - either outcome is right, a crash is not
+
+
+def raw(path, messages=40, **options):
+    """A log written with other settings than this project's."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=500, **options)
+        writer.start()
+        schema = writer.register_schema("S", "jsonschema", b"{}")
+        channel = writer.register_channel("/a", "json", schema)
+        for k in range(messages):
+            writer.add_message(channel, k, bytes([k]) * 50, k)
+        writer.add_attachment(1, 1, "a.txt", "text/plain", b"x")
+        writer.add_metadata("m", {"k": "v"})
+        writer.finish()
+    return path
+
+
+OTHER_WRITERS = {
+    "no chunks": {"use_chunking": False},
+    "no chunk index": {"index_types": IndexType.NONE},
+    "no statistics": {"use_statistics": False},
+    "no channels in the summary": {"repeat_channels": False},
+    "no schemas in the summary": {"repeat_schemas": False},
+    "lz4": {"compression": CompressionType.LZ4},
+    "no compression": {"compression": CompressionType.NONE},
+}
+
+
+@pytest.mark.parametrize("options", OTHER_WRITERS.values(), ids=OTHER_WRITERS)
+def test_logs_of_other_writers_are_read_whole(tmp_path, options):
+    summary, messages = read_whole(raw(tmp_path / "a.mcap", **options))
+    assert [m.data for m in messages] == [bytes([k]) * 50 for k in range(40)]
+    assert [c.schema_name for c in summary.channels] == ["S"]
+    assert list(summary.counts.values()) == [40]
+    assert [a.name for a in summary.attachments] == ["a.txt"]
+    assert summary.metadata == (Metadata("m", (("k", "v"),)),)
+
+
+@pytest.mark.parametrize("options", [{"use_chunking": False}, {"index_types": IndexType.NONE}, {}])
+def test_any_byte_changed_in_the_data_is_found(tmp_path, options):
+    path = raw(tmp_path / "a.mcap", enable_data_crcs=True, compression=CompressionType.NONE, **options)
+    whole = path.read_bytes()
+    for at in range(200, len(whole) // 2, 97):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        with pytest.raises(LogError, match="damaged"):
+            read_whole(path)
+
+
+def test_a_chunk_is_checked_where_no_crc_covers_the_file(tmp_path):
+    path = raw(tmp_path / "a.mcap", index_types=IndexType.NONE, compression=CompressionType.NONE)
+    whole = path.read_bytes()
+    at = whole.index(bytes([7]) * 50)
+    path.write_bytes(whole[:at] + b"\0" + whole[at + 1 :])
+    with pytest.raises(LogError, match="damaged"):
+        read_whole(path)
+
+
+def test_a_changed_summary_is_found(tmp_path):
+    path = write(tmp_path / "a.mcap", [message()])
+    whole = path.read_bytes()
+    at = whole.rindex(b"/text")
+    path.write_bytes(whole[:at] + b"/best" + whole[at + 5 :])
+    with pytest.raises(LogError, match="CRC of the summary"):
+        log.summarise(path)

@@ -1,6 +1,10 @@
 """Whole replays: what comes out, that it comes out the same, and what is refused."""
 
 import re
+import signal
+import subprocess
+import sys
+import time
 
 import polars as pl
 import pytest
@@ -132,11 +136,100 @@ def test_the_log_carries_its_configuration(source):
 def test_cuts_cut_the_copy_too(source):
     target, summary = run(source, cut=Cut(start_s=0.1, frames=2))
     assert summary.frames == 2
-    times = {m.log_time_ns - logs.START_NS for m in log.read(target)}
-    assert times == {2 * STEP_NS, 3 * STEP_NS}
+    topics = by_topic(target)
+    for topic in ("/camera/front/image", "/camera/front/depth", "/perception/metrics"):
+        assert [m.log_time_ns - logs.START_NS for m in topics[topic]] == [2 * STEP_NS, 3 * STEP_NS]
     assert metrics(target)["lane_left_status"].to_list() == ["measured", "measured"]
     target, summary = run(source, "end", cut=Cut(end_s=0.1))
     assert summary.frames == 2
+
+
+@pytest.mark.parametrize("cut", [Cut(start_s=0.1), Cut(start_s=0.1, frames=2), Cut(end_s=0.2), Cut(0.1, 0.2)])
+def test_a_cut_carries_what_held_before_it_and_replays_to_itself(source, cut):
+    target, _ = run(source, cut=cut)
+    again, _ = run(target, "again")
+    assert again.read_bytes() == target.read_bytes()
+    assert set(metrics(target)["camera_height_m"].round(2)) == {1.4}
+
+
+def test_only_the_last_calibration_before_a_cut_is_carried(tmp_path):
+    items = logs.items()
+    repeated = [logs.Item("calibration", logs.START_NS + k * STEP_NS, items[0].data) for k in range(1, 4)]
+    ordered = sorted([*items, *repeated], key=lambda item: item.stamp_ns)
+    source = logs.write(tmp_path / "in.mcap", ordered)
+    target, _ = run(source, cut=Cut(start_s=0.12))
+    carried = by_topic(target)["/camera/front/calibration"]
+    assert [m.log_time_ns - logs.START_NS for m in carried] == [2 * STEP_NS, 3 * STEP_NS]
+    assert run(target, "again")[0].read_bytes() == target.read_bytes()
+
+
+def late(items, role, delay_ns):
+    """The role's messages with the stamps they had, arriving later."""
+    return sorted(((i.stamp_ns + delay_ns * (i.role == role), k, i) for k, i in enumerate(items)), key=lambda x: x[:2])
+
+
+@pytest.mark.parametrize("cut", [Cut(frames=3), Cut(end_s=0.15), Cut(start_s=0.05, frames=3)])
+def test_a_late_sensor_is_not_cut_off_its_frame(tmp_path, cut):
+    source = tmp_path / "in.mcap"
+    with log.LogWriter(source) as writer:
+        for time, k, item in late(logs.items(12), "depth", 200_000_000):
+            writer.write(Message(logs.channel(item.role), time, time, k, item.data))
+    target, summary = run(source, cut=cut)
+    assert summary.frames == 3
+    assert metrics(target)["missing"].to_list() == [[]] * 3
+    assert run(target, "again")[0].read_bytes() == target.read_bytes()
+
+
+def test_a_calibration_from_behind_the_cut_is_not_used(tmp_path):
+    items = logs.items()
+    ordered = [*items[1:], logs.Item("calibration", logs.START_NS + 10 * STEP_NS, items[0].data)]
+    source = logs.write(tmp_path / "in.mcap", ordered)
+    assert run(source)[1].frames == 6
+    with pytest.raises(ChannelError, match="no calibration"):
+        run(source, "cut", cut=Cut(frames=3))
+
+
+def test_what_was_wrong_with_a_calibration_is_said(tmp_path):
+    items = logs.items()
+    items[0] = logs.Item("calibration", logs.START_NS, b"\xff\xff")
+    with pytest.raises(ChannelError, match=r"no calibration .*; /camera/front/calibration: .* are no foxglove"):
+        run(logs.write(tmp_path / "in.mcap", items))
+
+
+@pytest.mark.parametrize("table", ["out.metrics.parquet", "out.objects.parquet"])
+def test_tables_are_not_overwritten_either(source, table):
+    source.with_name(table).write_bytes(b"mine")
+    with pytest.raises(LogError, match="--force"):
+        run(source)
+    assert source.with_name(table).read_bytes() == b"mine"
+    source.with_name(table).unlink()
+    source.with_name(table).mkdir()
+    with pytest.raises(LogError, match="is a folder"):
+        run(source, force=True)
+    assert not source.with_name("out.mcap").exists()
+
+
+def test_a_full_disk_is_one_line_and_no_file(source, capsys, monkeypatch):
+    def full(*_args, **_kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("mcap.writer.Writer.add_message", full)
+    assert replay_main([str(source), str(source.with_name("out.mcap"))]) == 1
+    assert re.fullmatch(r"error: [^\n]*No space left on device\n", capsys.readouterr().err)
+    assert [p.name for p in source.parent.iterdir()] == ["in.mcap"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_leaves_no_file(tmp_path, number):
+    source = logs.write(tmp_path / "in.mcap", logs.items(200))
+    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli import replay_main; sys.exit(replay_main())"]
+    process = subprocess.Popen([*command, str(source), str(tmp_path / "out.mcap")], stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and not list(tmp_path.glob(".out*")):
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (1, "error: interrupted\n")
+    assert [p.name for p in tmp_path.iterdir()] == ["in.mcap"]
 
 
 def test_results_only(source):
@@ -150,6 +243,11 @@ def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
     table = metrics(target)
     assert table["missing"].to_list() == [[], [], ["depth"], [], [], []]
     assert table["surface_source"].to_list()[2] == "assumed"
+    assert table["reasons"].to_list()[2] == [
+        "depth: no message at this frame",
+        "surface: no depth, the mounting gives the plane",
+        "objects: no depth, no distances",
+    ]
 
 
 @pytest.mark.parametrize("role", ["depth", "segmentation", "detections"])
@@ -162,9 +260,15 @@ def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
         assert set(table["surface_source"]) == {"assumed"}
     if role == "segmentation":
         assert table["lane_left_offset_m"].null_count() == 6
-        assert table["reasons"].to_list()[0] == ["lanes: no segmentation"]
+        assert table["detections_unjudged"].to_list() == [2] * 6
+        reasons = [
+            "lanes: no segmentation",
+            "surface: no segmentation, the lower image stands in for the road",
+            "objects: no segmentation, nothing is judged",
+        ]
+        assert table["reasons"].to_list() == [reasons] * 6
         texts = [m.data for m in by_topic(target)["/perception/log"]]
-        assert len(texts) == 1
+        assert len(texts) == len(reasons), "each is logged once, not in every frame"
 
 
 def test_without_images_depth_makes_the_frames(tmp_path):
@@ -275,8 +379,8 @@ def test_a_topic_that_is_not_there_is_named(source):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--frames", "0"], ["--only", "sonar"], ["--start", "x"], []],
-    ids=["no frames", "no stage", "no number", "no files"],
+    [["--frames", "0"], ["--only", "sonar"], ["--start", "x"], ["--start", "nan"], ["--end", "inf"], []],
+    ids=["no frames", "no stage", "no number", "nan", "inf", "no files"],
 )
 def test_wrong_usage_is_exit_code_2(arguments, capsys):
     files = ["a", "b"] if arguments else []

@@ -131,3 +131,18 @@ def test_reference_role():
     assert reference_role({"depth", "left"}) == "left"
     with pytest.raises(ChannelError, match="nothing to replay"):
         reference_role({"detections"})
+
+
+def test_a_gap_longer_than_the_wait_does_not_rob_a_waiting_frame():
+    """Without segmentation at the last frame before the gap, the frame keeps its depth."""
+    items = [item("image", 0), item("depth", 0), item("seg", -50), item("image", 2500), item("depth", 2500)]
+    items = [i if i.role != "seg" else item("segmentation", -50, 0) for i in items]
+    moments, _ = run(items, roles=("image", "depth", "segmentation"))
+    assert stamps(moments) == [(0, 0), (2500, 2500)]
+
+
+def test_equal_log_times_do_not_pile_up():
+    items = [item("image", t, 0) for t in range(300)]
+    stream = synchronise(CFG, iter(items), "image", ("image", "depth"), Held(), SyncCounts())
+    seen = sum(1 for _ in stream)
+    assert seen == 300

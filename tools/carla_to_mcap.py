@@ -1,7 +1,6 @@
 """``roadperc-convert``: a CARLA dump folder to a log."""
 
 import argparse
-import math
 import sys
 import time
 from collections import Counter
@@ -14,7 +13,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from roadperc_stream import __version__
-from roadperc_stream.errors import DumpError, RoadpercError
+from roadperc_stream.command import run
+from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata
 
 from .carla_dump.messages import channels, messages
@@ -44,16 +44,8 @@ def main(argv: list[str] | None = None) -> int:
     """Convert a dump; 0 done, 1 a stated error, 2 wrong usage."""
     parser = _parser()
     arguments = parser.parse_args(argv)
-    try:
-        options = _options(parser, arguments)
-        _convert(arguments.dump, arguments.out, options, force=arguments.force, quiet=arguments.quiet)
-    except RoadpercError as error:
-        print(f"roadperc-convert: {error}", file=sys.stderr)
-        return 1
-    except OSError as error:
-        print(f"roadperc-convert: {error.filename or arguments.out}: {error.strerror or error}", file=sys.stderr)
-        return 1
-    return 0
+    quiet, force = arguments.quiet, arguments.force
+    return run(lambda: _convert(arguments.dump, arguments.out, _options(parser, arguments), force=force, quiet=quiet))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -71,7 +63,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--rate", type=_positive, metavar="HZ", help="frames per second (20, or rate_hz, or timestamps)"
     )
-    parser.add_argument("--depth", choices=("mm", "float"), default="mm", help="16-bit millimetres or 32-bit metres")
+    parser.add_argument(
+        "--depth",
+        choices=("mm", "float"),
+        default="mm",
+        help="written as millimetres or metres",
+    )
     parser.add_argument("--allow-lossy-tags", action="store_true", help="take the nearest tag of a JPEG")
     parser.add_argument("--force", action="store_true", help="replace an existing log")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
@@ -81,8 +78,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _positive(text: str) -> float:
     value = float(text)
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"{text}: expected a number above 0")
+    if not 1e-3 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number from 0.001 to 1000000")
     return value
 
 
@@ -144,7 +141,7 @@ def _convert(dump: Path, out: Path, options: Options, *, force: bool, quiet: boo
 
 def _warn(texts: Iterable[str]) -> None:
     for text in texts:
-        print(f"roadperc-convert: warning: {text}", file=sys.stderr)
+        print(f"warning: {text}", file=sys.stderr)
 
 
 def _write(plan: Plan, out: Path, *, quiet: bool) -> _Progress:

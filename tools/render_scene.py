@@ -3,13 +3,11 @@
 import argparse
 import sys
 import time
+from itertools import count
 from pathlib import Path
 from typing import Final
 
-from rich.console import Console
-from rich.progress import Progress
-
-from roadperc_stream.errors import RoadpercError
+from roadperc_stream.command import frame_progress, run
 
 from .scene.job import RenderOptions, render_dump
 from .scene.world import SCENES
@@ -28,21 +26,18 @@ where noise or drops spoil the others. The same options give the same bytes.
 def main(argv: list[str] | None = None) -> int:
     """The command line: 0 done, 1 a stated error, 2 wrong usage."""
     arguments = _parser().parse_args(argv)
-    options = _options(arguments)
+    return run(lambda: _render(arguments.dump, _options(arguments), force=arguments.force))
+
+
+def _render(dump: Path, options: RenderOptions, *, force: bool) -> None:
+    options.check()
     started = time.perf_counter()
-    console = Console(stderr=True)
-    try:
-        options.check()
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task("rendering", total=options.frames)
-            render_dump(arguments.dump, options, force=arguments.force, on_frame=lambda: progress.advance(task))
-    except RoadpercError as error:
-        print(f"roadperc-render: {error}", file=sys.stderr)
-        return 1
+    with frame_progress("rendering", enabled=True) as progress:
+        done = count(1)
+        render_dump(dump, options, force=force, on_frame=lambda: progress(next(done), options.frames))
     seconds = time.perf_counter() - started
     size, rate = f"{options.width}x{options.height}", options.frames / seconds
-    print(f"{options.frames} frames of {size} in {seconds:.1f} s ({rate:.1f} frames/s): {arguments.dump}")
-    return 0
+    print(f"{options.frames} frames of {size} in {seconds:.1f} s ({rate:.1f} frames/s): {dump}")
 
 
 def _options(arguments: argparse.Namespace) -> RenderOptions:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.table import TableWriter, arrow_schema
+from roadperc_stream.table import TableWriter
 
 STEP_NS = 50_000_000
 START_NS = 1_577_836_800_000_000_000
@@ -20,7 +20,7 @@ def write(
 ) -> Path:
     """A metrics table as a replay writes it; ``times`` are the time columns of each row, 10 ms in all by default."""
     facts = {"roadperc.config_digest": config, "roadperc.version": "1.2.3", "roadperc.log": "out.mcap"}
-    with TableWriter(path, arrow_schema(FrameMetrics, TIME_COLUMNS, facts)) as table:
+    with TableWriter(path, FrameMetrics, facts, TIME_COLUMNS) as table:
         for index, item in enumerate(rows):
             table.append(item, **(times[index] if times else {"total_ms": 10.0}))
     return path

@@ -64,7 +64,7 @@ def test_worst_frames_with_their_times(drive, capsys):
     at = next(k for k, line in enumerate(lines) if line.startswith("lane left at 10 m, m") and "15778" in line)
     assert lines[at].split()[-4:] == ["0.300", "2", "0.100", "1577836800100000000"]
     assert lines[at + 1].split() == ["-0.020", "1", "0.050", "1577836800050000000"]
-    assert lines[at + 2].startswith("object distance")
+    assert lines[at + 2].startswith("objects' mean distance")
 
 
 def test_columns_without_values_are_one_line(drive, capsys):
@@ -78,7 +78,7 @@ def test_columns_without_values_are_one_line(drive, capsys):
 
 def test_log_without_truth_says_so_and_shows_signs_of_trouble(tmp_path, capsys):
     _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", [row(0), row(1, lane_left_status="lost")]))
-    assert "The log carries no truth" in text
+    assert "No frame has a truth" in text
     assert "error" not in text
     assert line_of(text, "lane boundaries lost")[3:] == ["1", "1", "0.050", "1577836800050000000"]
 

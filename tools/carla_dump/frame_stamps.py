@@ -17,14 +17,22 @@ DEFAULT_RATE_HZ: Final = 20.0
 _SECOND_NS: Final = 1_000_000_000
 _UNIX_TIME_FROM_S: Final = 1_000_000_000
 """Seconds from here on (2001) are Unix time; a simulation does not run for 31 years."""
-_LIMIT_S: Final = 10_000_000_000
+_LIMIT_S: Final = 2**31
+"""Stamps of ROS messages end here, in 2038."""
 _DATE: Final = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?Z?")
 
 
 def stamps_of_rate(frames: Sequence[int], rate_hz: float) -> dict[int, int]:
-    """Stamp in nanoseconds of each frame number: its distance from the first number over the rate."""
+    """Stamp in nanoseconds of each frame number: its distance from the first number over the rate.
+
+    Raises:
+        DumpError: the last stamp does not fit a message.
+    """
     step_ns = _SECOND_NS / Fraction(rate_hz)
-    return {number: EPOCH_NS + round((number - frames[0]) * step_ns) for number in frames}
+    stamps = {number: EPOCH_NS + round((number - frames[0]) * step_ns) for number in frames}
+    if frames and stamps[frames[-1]] >= _LIMIT_S * _SECOND_NS:
+        raise DumpError(f"frame {frames[-1]}: at {rate_hz:g} Hz it lies beyond the year 2038; see --rate")
+    return stamps
 
 
 def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
@@ -78,7 +86,8 @@ def _seconds_ns(text: str) -> int | None:
         return None
     if not seconds.is_finite() or not 0 <= seconds < _LIMIT_S:
         return None
-    return round(seconds * _SECOND_NS) + (0 if seconds >= _UNIX_TIME_FROM_S else EPOCH_NS)
+    stamp = round(seconds * _SECOND_NS) + (0 if seconds >= _UNIX_TIME_FROM_S else EPOCH_NS)
+    return stamp if stamp < _LIMIT_S * _SECOND_NS else None
 
 
 def _date_ns(date: re.Match[str]) -> int | None:

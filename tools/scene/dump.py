@@ -29,6 +29,10 @@ FILES: Final = (
 )
 
 
+MARK = "truth.json"
+"""The file by which an earlier dump of this renderer is known."""
+
+
 def prepare_folder(folder: Path, *, force: bool) -> None:
     """Makes the folder; with ``force`` an earlier dump's files are removed from it, and nothing else.
 
@@ -40,6 +44,8 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
         if any(folder.iterdir()):
             if not force:
                 raise DumpError(f"{folder}: exists and is not empty; --force replaces an earlier dump in it")
+            if not (folder / MARK).is_file():
+                raise DumpError(f"{folder}: holds no {MARK}, so it is no earlier dump of this renderer; left as it is")
             _remove_dump(folder)
     except OSError as error:
         raise DumpError(f"{folder}: {error.strerror}") from error

@@ -54,9 +54,9 @@ def _judge_one(
     limit_m: float,
 ) -> Object:
     x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
-    if x0 >= x1 or y0 >= y1:
-        return Object(detection, kept=False)  # nothing of it is in the image
     lookup = label_lookup(table, detection.label) if table is not None else None
+    if x0 >= x1 or y0 >= y1:
+        return Object(detection, kept=lookup is None)  # nothing of it is in the image
     of_class = None
     ratio = None
     if tags is not None and lookup is not None:

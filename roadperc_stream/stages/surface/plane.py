@@ -55,9 +55,9 @@ def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generat
     """The hypothesis that most points support; None where none is supported enough."""
     best, best_share = None, cfg.min_inliers
     for tried in range(0, cfg.hypotheses, cfg.batch):
-        if best_share >= cfg.enough_inliers or tried >= _trials_needed(cfg.confidence, best_share):
+        if best_share >= cfg.enough_inliers:
             break
-        normals, offsets = _hypotheses(points, up, cfg, rng)
+        normals, offsets = _hypotheses(points, up, cfg.max_tilt_deg, min(cfg.batch, cfg.hypotheses - tried), rng)
         if not len(normals):
             continue
         shares = np.count_nonzero(np.abs(points @ normals.T + offsets) <= cfg.inlier_m, axis=0) / len(points)
@@ -67,14 +67,11 @@ def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generat
     return best
 
 
-def _trials_needed(confidence: float, share: float) -> float:
-    """Hypotheses after which one of three inliers was among them with that confidence (Fischler and Bolles)."""
-    return float(np.log1p(-confidence) / np.log1p(-min(share**3, 1 - 1e-9)))
-
-
-def _hypotheses(points: Float, up: Float, cfg: SurfaceConfig, rng: np.random.Generator) -> tuple[Float, Float]:
+def _hypotheses(
+    points: Float, up: Float, max_tilt_deg: float, count: int, rng: np.random.Generator
+) -> tuple[Float, Float]:
     """Normals (M, 3), pointing up, and offsets (M,) of planes through three points that are no line and no wall."""
-    a, b, c = np.moveaxis(points[rng.integers(0, len(points), (cfg.batch, 3))], 1, 0)
+    a, b, c = np.moveaxis(points[rng.integers(0, len(points), (count, 3))], 1, 0)
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1)
     sides = np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
@@ -82,6 +79,6 @@ def _hypotheses(points: Float, up: Float, cfg: SurfaceConfig, rng: np.random.Gen
     normals = normals[proper] / lengths[proper, None]
     cosines = normals @ up
     normals *= np.where(cosines < 0, -1.0, 1.0)[:, None]
-    level = np.abs(cosines) >= np.cos(np.radians(cfg.max_tilt_deg))
+    level = np.abs(cosines) >= np.cos(np.radians(max_tilt_deg))
     normals = normals[level]
     return normals, -np.sum(normals * a[proper][level], axis=1)

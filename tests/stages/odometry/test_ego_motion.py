@@ -5,13 +5,13 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from tests.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, STEP_NS, Shot, drive, photograph, pose, run
-from tests.stages.odometry.trajectories import angle_deg, distances_m, relative_errors
 
 from roadperc_stream.config import OdometryConfig
 from roadperc_stream.datatypes import Absent
 from roadperc_stream.geometry import inverse
 from roadperc_stream.stages.surface import assumed_surface
+from tests.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, STEP_NS, Shot, drive, photograph, pose, run
+from tests.stages.odometry.trajectories import angle_deg, distances_m, relative_errors
 
 POSES = drive(12)
 SHOTS = [photograph(p) for p in POSES]

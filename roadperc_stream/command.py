@@ -1,0 +1,96 @@
+"""What every command shares: errors and signals to exit codes, progress on a terminal, checked numbers."""
+
+import argparse
+import math
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from roadperc_stream.errors import RoadpercError
+
+EXIT_DONE, EXIT_ERROR = 0, 1
+_ENDING_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+
+
+def run(command: Callable[[], None]) -> int:
+    """Run a command; what the project states, and what the system refuses, is one line on stderr and exit code 1.
+
+    A signal that ends the program unwinds it like Ctrl-C, so that nothing half written stays behind.
+    """
+    try:
+        with _signals_unwind():
+            command()
+            sys.stdout.flush()
+    except RoadpercError as error:
+        return _say(str(error))
+    except KeyboardInterrupt:
+        return _say("interrupted")
+    except BrokenPipeError:  # the reader has seen enough, as with | head; what is still buffered goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+    except OSError as error:
+        return _say(f"{error.filename or 'output'}: {error.strerror or error}")
+    return EXIT_DONE
+
+
+def _say(text: str) -> int:
+    print("error:", " ".join(text.split("\n")), file=sys.stderr)
+    return EXIT_ERROR
+
+
+@contextmanager
+def _signals_unwind() -> Iterator[None]:
+    before = {number: signal.signal(number, _interrupt) for number in _ENDING_SIGNALS} if _in_main_thread() else {}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def frame_progress(what: str, enabled: bool) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar over frames on a terminal, nothing where the output is piped."""
+    console = Console(stderr=True)
+    if not (enabled and console.is_terminal):
+        yield no_progress
+        return
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def no_progress(_done: int, _expected: int) -> None:
+    """Take the news and tell nobody."""
+
+
+def whole_number(text: str) -> int:
+    """An argument of 1 or more."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected 1 or more")
+    return number
+
+
+def seconds(text: str) -> float:
+    """An argument in seconds: finite, and no more than a century."""
+    value = float(text)
+    if not math.isfinite(value) or abs(value) > 3.2e9:
+        raise argparse.ArgumentTypeError(f"{text}: expected seconds")
+    return value

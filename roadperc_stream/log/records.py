@@ -1,0 +1,89 @@
+"""What a log is made of, free of the library that reads and writes it."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel with its schema: two with equal fields are one channel in a log written here."""
+
+    topic: str
+    message_encoding: str
+    schema_name: str = ""
+    schema_encoding: str = ""
+    schema_data: bytes = b""
+    metadata: tuple[tuple[str, str], ...] = ()
+    source_id: int = 0
+    """Channel id in the file it was read from, so that twins stay apart."""
+
+    def label(self, key: str) -> str:
+        """Value of a metadata key, empty where there is none."""
+        return dict(self.metadata).get(key, "")
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message as it stands in a file."""
+
+    channel: Channel
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A file carried inside a log."""
+
+    name: str
+    media_type: str
+    data: bytes
+    log_time_ns: int = 0
+    create_time_ns: int = 0
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """A named record of strings."""
+
+    name: str
+    values: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class LogSummary:
+    """What a log holds, without its messages."""
+
+    path: Path
+    profile: str
+    channels: tuple[Channel, ...]
+    counts: Mapping[int, int]
+    """Messages per ``Channel.source_id``."""
+    attachments: tuple[Attachment, ...] = ()
+    metadata: tuple[Metadata, ...] = ()
+    first_ns: int | None = None
+    last_ns: int | None = None
+    sealed: bool = False
+    """Whether a CRC over the whole data section was found right: then no chunk needs another look."""
+
+
+class MessageDigest:
+    """Digest over messages: topic, schema, times, sequence and bytes, in the order they come."""
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+
+    def update(self, message: Message) -> None:
+        """Take one more message."""
+        head = f"{message.channel.topic}\0{message.channel.schema_name}\0{message.log_time_ns}\0"
+        head += f"{message.publish_time_ns}\0{message.sequence}\0{len(message.data)}\0"
+        self._hash.update(head.encode())
+        self._hash.update(message.data)
+
+    def hexdigest(self) -> str:
+        """64 hexadecimal digits."""
+        return self._hash.hexdigest()

@@ -1,0 +1,111 @@
+"""Logs out: a file appears under its name only when complete."""
+
+import os
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from mcap.writer import CompressionType, Writer
+
+from roadperc_stream import __version__
+from roadperc_stream.errors import LogError
+from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
+
+CHUNK_SIZE_BYTES = 1024 * 1024
+
+
+@dataclass
+class LogWriter:
+    """Writes a log whose file appears under its name only when complete. Use it as a context manager.
+
+    All CRCs are written; the bytes depend on nothing but what is written.
+    """
+
+    path: Path
+    profile: str = ""
+    messages: int = 0
+    """Messages written so far."""
+    _channel_ids: dict[Channel, int] = field(default_factory=dict)
+    _schema_ids: dict[tuple[str, str, bytes], int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
+
+    def __enter__(self) -> Self:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self._temporary.open("wb")
+        except OSError as error:
+            raise LogError(f"{self.path}: {error.strerror or error}") from error
+        self._writer = Writer(
+            self._stream,
+            chunk_size=CHUNK_SIZE_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_crcs=True,
+            enable_data_crcs=True,
+        )
+        self._writer.start(profile=self.profile, library=f"roadperc_stream {__version__}")
+        return self
+
+    def write(self, message: Message) -> None:
+        """Append a message; its channel and schema are registered at their first use."""
+        self.register(message.channel)
+        self.messages += 1
+        self._writer.add_message(
+            channel_id=self._channel_ids[message.channel],
+            log_time=message.log_time_ns,
+            data=message.data,
+            publish_time=message.publish_time_ns,
+            sequence=message.sequence,
+        )
+
+    def register(self, channel: Channel) -> None:
+        """Make a channel known, also where it never gets a message."""
+        if channel in self._channel_ids:
+            return
+        schema = (channel.schema_name, channel.schema_encoding, channel.schema_data)
+        if any(schema) and schema not in self._schema_ids:
+            self._schema_ids[schema] = self._writer.register_schema(
+                name=channel.schema_name, encoding=channel.schema_encoding, data=channel.schema_data
+            )
+        self._channel_ids[channel] = self._writer.register_channel(
+            topic=channel.topic,
+            message_encoding=channel.message_encoding,
+            schema_id=self._schema_ids.get(schema, 0),
+            metadata=dict(channel.metadata),
+        )
+
+    def attach(self, attachment: Attachment) -> None:
+        """Add an attachment."""
+        self._writer.add_attachment(
+            create_time=attachment.create_time_ns,
+            log_time=attachment.log_time_ns,
+            name=attachment.name,
+            media_type=attachment.media_type,
+            data=attachment.data,
+        )
+
+    def describe(self, metadata: Metadata) -> None:
+        """Add a metadata record."""
+        self._writer.add_metadata(metadata.name, dict(metadata.values))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._stream.close()
+                self._temporary.replace(self.path)
+        except OSError as failure:
+            raise LogError(f"{self.path}: {failure.strerror or failure}") from failure
+        finally:
+            with suppress(OSError):  # closing flushes, and a full disk fails again
+                self._stream.close()
+            self.discard()
+
+    def discard(self) -> None:
+        """Remove what is not complete."""
+        self._temporary.unlink(missing_ok=True)
