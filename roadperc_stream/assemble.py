@@ -43,15 +43,22 @@ def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str
     depth_camera = _depth_camera(held, camera, depth)
     mounting = held.lookup(EGO, camera.frame_id)
     ego_T_camera = level_mounting(cfg.surface.assumed_height_m) if mounting is None else mounting
+    left = _payload(parts, "left", CameraImage) if moment.reference.role != "left" else None
+    left_camera = held.cameras.get("left_calibration") if left else camera
+    if left_camera is None:
+        raise ChannelError(f"{topics['left']}: the left camera has no calibration at {moment.reference.stamp_ns} ns")
     detections = parts.get("detections")
     frame = Frame(
         stamp_ns=moment.reference.stamp_ns,
         camera=camera,
         ego_T_camera=ego_T_camera,
         depth_camera=depth_camera,
-        ego_T_depth_camera=_depth_mounting(held, ego_T_camera, camera, depth_camera),
+        ego_T_depth_camera=_mounting(held, ego_T_camera, camera, depth_camera),
+        left_camera=left_camera,
+        ego_T_left=_mounting(held, ego_T_camera, camera, left_camera),
         mounted=mounting is not None,
         image=_payload(parts, "image", CameraImage) or _payload(parts, "left", CameraImage),
+        left=left,
         right=_payload(parts, "right", CameraImage),
         right_camera=held.cameras.get("right_calibration"),
         depth=depth,
@@ -97,10 +104,10 @@ def _depth_camera(held: Held, camera: Camera, depth: DepthImage | None) -> Camer
     )
 
 
-def _depth_mounting(held: Held, ego_T_camera: Float, camera: Camera, depth_camera: Camera) -> Float:
-    """ego_T_depth by the transform tree; without one the depth camera stands where the front camera does."""
-    camera_T_depth = held.lookup(camera.frame_id, depth_camera.frame_id)
-    return ego_T_camera if camera_T_depth is None else ego_T_camera @ camera_T_depth
+def _mounting(held: Held, ego_T_camera: Float, camera: Camera, other: Camera) -> Float:
+    """ego_T_other by the transform tree; without one the other camera stands where the front camera does."""
+    camera_T_other = held.lookup(camera.frame_id, other.frame_id)
+    return ego_T_camera if camera_T_other is None else ego_T_camera @ camera_T_other
 
 
 def _truth(parts: Mapping[str, Stamped]) -> Truth:

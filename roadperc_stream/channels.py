@@ -70,11 +70,17 @@ RESULTS: Final[Mapping[str, str]] = {
     "/perception/surface": "roadperc.Surface",
     "/perception/drivable": IMAGE_SCHEMA,
     "/perception/drivable/scene": "foxglove.SceneUpdate",
+    "/perception/occupancy": ros2.OCCUPANCY_GRID,
     "/perception/lanes": "roadperc.Lanes",
     "/perception/lanes/annotations": "foxglove.ImageAnnotations",
     "/perception/lanes/scene": "foxglove.SceneUpdate",
     "/perception/objects": "roadperc.Objects",
     "/perception/objects/annotations": "foxglove.ImageAnnotations",
+    "/perception/stereo/depth": ros2.IMAGE,
+    "/perception/odometry": "foxglove.PoseInFrame",
+    "/perception/odometry/state": "roadperc.Odometry",
+    "/perception/trajectory": "foxglove.PosesInFrame",
+    "/perception/tf": "foxglove.FrameTransforms",
     "/perception/metrics": "roadperc.FrameMetrics",
     "/perception/log": "foxglove.Log",
 }
@@ -83,8 +89,8 @@ RESULTS: Final[Mapping[str, str]] = {
 
 def schema(name: str) -> Schema:
     """Schema of any message this project writes."""
-    if name == ros2.IMAGE:
-        return Schema(name, "cdr", "ros2msg", ros2.IMAGE_DEFINITION)
+    if name in ros2.DEFINITIONS:
+        return Schema(name, "cdr", "ros2msg", ros2.DEFINITIONS[name])
     return Schema(name, "protobuf", "protobuf", schema_data(name))
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from roadperc_stream import __version__
 from roadperc_stream.channels import parse_topic_options
 from roadperc_stream.command import frame_progress, run, seconds, whole_number
-from roadperc_stream.config import NEEDS, STAGES, load_config
+from roadperc_stream.config import NEEDS, STAGES, load_config, switched_off
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.replay import ReplaySummary, replay
 from roadperc_stream.survey import Cut
@@ -63,14 +63,14 @@ def _stages(text: str) -> tuple[str, ...]:
 
 def _replay(arguments: argparse.Namespace) -> None:
     only = arguments.only or STAGES
-    switched_off = tuple(f"{stage}.enabled=false" for stage in STAGES if stage not in only)
+    off = tuple(switched_off(stage) for stage in STAGES if stage not in only)
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
         raise ConfigError(f"--end {arguments.end}: expected more than --start {arguments.start}")
     with frame_progress("replaying", not arguments.quiet) as progress:
         summary = replay(
             arguments.source,
             arguments.target,
-            load_config(arguments.config, (*arguments.set, *switched_off)),
+            load_config(arguments.config, (*arguments.set, *off)),
             overrides=parse_topic_options(arguments.topic),
             cut=Cut(arguments.start, arguments.end, arguments.frames),
             results_only=arguments.results_only,

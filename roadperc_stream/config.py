@@ -58,7 +58,7 @@ OddCount = Annotated[int, Field(ge=1, le=99), AfterValidator(_odd)]
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class SyncConfig(_Model):
@@ -80,7 +80,7 @@ class StereoConfig(_Model):
 
     method: Literal["fast", "full", "off"] = "fast"
     """``fast`` matches at half resolution, ``full`` at full resolution; both along three directions."""
-    disparities: Annotated[int, Field(ge=16, multiple_of=16)] | Literal["auto"] = "auto"
+    disparities: Annotated[int, Field(ge=16, multiple_of=16, le=1024)] | Literal["auto"] = "auto"
     """Disparities tried, pixels of the image from 0: a multiple of 16, or what the nearest road pixel needs."""
     block_px: OddCount = 5
     """Side of the square that is compared."""
@@ -92,7 +92,7 @@ class StereoConfig(_Model):
     """Margin by which the best disparity's cost must win against those not beside it; 0 is none."""
     left_right_px: Count = 1
     """Largest difference between a pixel's disparity and its partner's, seen from the right."""
-    speckle_px: Annotated[int, Field(ge=0)] = 100
+    speckle_px: Annotated[int, Field(ge=0, le=1e4)] = 100
     """Patches of fewer pixels than this that stand alone are unknown; 0 keeps all."""
     speckle_step_px: Count = 2
     """Disparities within one patch differ by no more than this from pixel to pixel."""
@@ -175,6 +175,8 @@ class LanesConfig(_Model):
     """Squared Mahalanobis distance beyond which a measurement is not taken (99.9 % of chi squared, 3 degrees)."""
     hold_s: Seconds = 0.5
     """How long an unseen boundary is held before it is lost; also the window of the vote on the classes beside it."""
+    use_odometry: bool = True
+    """Whether odometry, where it is metric, predicts the boundaries from frame to frame."""
     process_noise: Annotated[float, Field(ge=1e-3, le=100.0)] = 0.5
     """Standard deviation in m/s^2 of the car's sideways acceleration."""
     offset_std_m: Positive = 0.05
@@ -192,11 +194,11 @@ class ObjectsConfig(_Model):
     """0 is the lecture's minimum."""
     distance_pixels: Literal["class", "box"] = "class"
     """Pixels of the box that count for the distance: those of its class, or all (the lecture's variant)."""
-    hold_s: Annotated[float, Field(ge=0.0)] = 0.5
+    hold_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.5
     """How long an object without a detection is followed, and searched for in the image."""
     template_search: bool = True
     """Whether an object without a detection is searched for by its last image patch; this needs the decoded image."""
-    carry_after_s: Annotated[float, Field(ge=0.0)] = 0.1
+    carry_after_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.1
     """How long an object must have been seen without a gap to be searched for: stray detections are not carried on."""
     template_min_score: Ratio = 0.7
     """Normalised cross-correlation from which the patch counts as found."""
@@ -216,7 +218,7 @@ class ObjectsConfig(_Model):
     """A closing speed is given from this standard deviation down."""
     min_closing_mps: Positive = 0.5
     """A time to impact is given from this closing speed up,"""
-    min_closing_sigmas: Annotated[float, Field(ge=0.0)] = 2.0
+    min_closing_sigmas: Annotated[float, Field(ge=0.0, le=1e4)] = 2.0
     """and where the closing speed is this many of its standard deviations above zero."""
 
 
@@ -242,7 +244,7 @@ class OdometryConfig(_Model):
     """Largest distance by which a point followed into the frame and back may miss where it came from."""
     max_depth_m: Positive = 60.0
     """Points farther away, by their depth, are not used."""
-    depth_std_per_m: Annotated[float, Field(ge=0.0)] = 0.0005
+    depth_std_per_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0005
     """The depth's standard deviation over the distance squared, as stereo has it: it weighs the points."""
     inlier_px: Positive = 2.0
     """Largest distance to where the motion promises a point, of an inlier."""
@@ -268,7 +270,7 @@ class OccupancyConfig(_Model):
     """A bird's-eye grid of what is free and what is occupied, in the ego frame."""
 
     enabled: bool = True
-    resolution_m: Annotated[float, Field(ge=0.05)] = 0.2
+    resolution_m: Annotated[float, Field(ge=0.05, le=5.0)] = 0.2
     """Side of a cell."""
     x_min_m: Annotated[float, Field(ge=-65.0, lt=65.0)] = 0.0
     x_max_m: Annotated[float, Field(gt=-65.0, le=65.0)] = 40.0
@@ -297,10 +299,15 @@ class OccupancyConfig(_Model):
         return self
 
 
-STAGES = ("surface", "lanes", "objects")
+STAGES = ("stereo", "surface", "odometry", "lanes", "objects", "occupancy")
 """Stages in the order in which they run; each has a section below."""
-NEEDS = {"lanes": ("surface",)}
+NEEDS = {"lanes": ("surface",), "occupancy": ("surface",)}
 """Stages that cannot work without others."""
+
+
+def switched_off(stage: str) -> str:
+    """The setting that switches a stage off."""
+    return "stereo.method=off" if stage == "stereo" else f"{stage}.enabled=false"
 
 
 class ReplayConfig(_Model):

@@ -53,6 +53,18 @@ class CameraImage:
 
     frame_id: str
     decode_bgr: Callable[[], Image]
+    decode_grey: Callable[[], Image]
+
+    @cached_property
+    def grey(self) -> Image:
+        """(H, W) uint8.
+
+        Raises:
+            DecodeError: the bytes are no image.
+        """
+        pixels = self.decode_grey()
+        read_only(pixels, np.uint8, (None, None), "image")
+        return pixels
 
     @cached_property
     def bgr(self) -> Image:
@@ -159,7 +171,8 @@ class Detection:
 class Frame:
     """Everything the chain may see at one instant.
 
-    ``camera`` is the camera of image, segmentation and detections; the depth may come from another one. Without a
+    ``camera`` is the camera of image, segmentation and detections; the depth may come from another one. The left camera
+    of a stereo pair is the front camera where ``left`` is None. Without a
     mounting (``mounted`` False) the transforms are those of a level camera at the assumed height.
     """
 
@@ -168,8 +181,11 @@ class Frame:
     ego_T_camera: Float
     depth_camera: Camera
     ego_T_depth_camera: Float
+    left_camera: Camera
+    ego_T_left: Float
     mounted: bool = False
     image: CameraImage | None = None
+    left: CameraImage | None = None
     right: CameraImage | None = None
     right_camera: Camera | None = None
     depth: DepthImage | None = None
@@ -372,6 +388,11 @@ class FrameResult:
     lanes: Lanes | Absent
     objects: Objects | Absent
     problems: tuple[str, ...] = ()
+    stereo: StereoDepth | Absent = Absent("not run")
+    odometry: Odometry | Absent = Absent("not run")
+    occupancy: Occupancy | Absent = Absent("not run")
+    front_surface: Surface | Absent = Absent("not run")
+    """``surface`` with its plane in the frame of the front camera."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.drivable, Absent):
@@ -379,6 +400,14 @@ class FrameResult:
 
     def reasons(self) -> tuple[str, ...]:
         """Why stages gave nothing, as ``stage: reason``, and what was wrong with the input."""
-        stages = {"surface": self.surface, "drivable": self.drivable, "lanes": self.lanes, "objects": self.objects}
+        stages = {
+            "stereo": self.stereo,
+            "surface": self.surface,
+            "drivable": self.drivable,
+            "odometry": self.odometry,
+            "lanes": self.lanes,
+            "objects": self.objects,
+            "occupancy": self.occupancy,
+        }
         absent = tuple(f"{name}: {out.reason}" for name, out in stages.items() if isinstance(out, Absent))
         return absent + self.problems

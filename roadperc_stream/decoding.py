@@ -82,7 +82,8 @@ class Context:
 def _image(data: bytes, _: Context) -> Decoded:
     message = CompressedImage.FromString(data)
     content = message.data
-    return Decoded(stamp_ns(message.timestamp), CameraImage(message.frame_id, lambda: images.decode_bgr(content)))
+    image = CameraImage(message.frame_id, lambda: images.decode_bgr(content), lambda: images.decode_grey(content))
+    return Decoded(stamp_ns(message.timestamp), image)
 
 
 def _tags(data: bytes, context: Context) -> Decoded:

@@ -9,8 +9,9 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
-from roadperc_stream.datatypes import Boundary, Detection, Lanes, Line, Object, Objects, Occupancy, Surface
+from roadperc_stream.datatypes import Boundary, Detection, Lanes, Line, Object, Objects, Occupancy, Odometry, Surface
 from roadperc_stream.decoding import Transform
 from roadperc_stream.geometry import Camera, Float, Float32, Lens, quaternion
 from roadperc_stream.images import depth_to_mm
@@ -77,6 +78,32 @@ def encode_pose(stamp_ns: int, frame_id: str, frame_T_body: Float) -> bytes:
     set_stamp(message, stamp_ns)
     _set_vector(message.pose.position, frame_T_body[:3, 3])
     _set_quaternion(message.pose.orientation, frame_T_body)
+    return message.SerializeToString()
+
+
+def encode_poses(stamp_ns: int, frame_id: str, frame_T_body: Iterable[Float]) -> bytes:
+    """foxglove.PosesInFrame of (4, 4) transforms, in order."""
+    message = PosesInFrame(frame_id=frame_id)
+    set_stamp(message, stamp_ns)
+    for matrix in frame_T_body:
+        pose = message.poses.add()
+        _set_vector(pose.position, matrix[:3, 3])
+        _set_quaternion(pose.orientation, matrix)
+    return message.SerializeToString()
+
+
+def encode_odometry(stamp_ns: int, frame_id: str, odometry: Odometry) -> bytes:
+    """roadperc.Odometry."""
+    message = pb.Odometry(
+        frame_id=frame_id,
+        odom_T_ego=_pose(odometry.odom_T_ego),
+        step=None if odometry.step is None else _pose(odometry.step),
+        status=pb.Odometry.Status.Value(odometry.status.upper()),
+        up_to_scale=odometry.up_to_scale,
+        inliers=odometry.inliers,
+        covariance=odometry.covariance,
+    )
+    set_stamp(message, stamp_ns)
     return message.SerializeToString()
 
 
@@ -212,6 +239,13 @@ def _object(item: Object) -> pb.Object:
         status=pb.Object.Status.Value(item.status.upper()),
         track_id=item.track_id,
     )
+
+
+def _pose(transform: Float) -> pb.Pose:
+    pose = pb.Pose()
+    _set_vector(pose.position, transform[:3, 3])
+    _set_quaternion(pose.orientation, transform)
+    return pose
 
 
 def _set_vector(vector: Any, values: Float) -> None:

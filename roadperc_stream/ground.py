@@ -13,12 +13,13 @@ import numpy as np
 from roadperc_stream.datatypes import HeightGrid, Surface
 from roadperc_stream.geometry import Camera, Float, Float32, intersect_plane, rays, transform
 
-_NEAREST_M: Final = 0.5
 _REACH_M: Final = 200.0
-"""Depths between which a ray is followed to the height field; what is straight beyond the grid ends somewhere."""
-_SPLITS: Final = (24, 8, 8)
-"""Parts of a ray, each the same share longer than the last, in which one round looks for the first one that dips below
-the road; the last part is 1 % long, straight enough to interpolate."""
+"""Depth to which a ray is followed to the height field; what is straight beyond the grid ends somewhere."""
+_TRIED_M: Final = np.geomspace(0.5, _REACH_M, 25)
+"""Depths at which it is first looked whether a ray has dipped below the road."""
+_PARTS: Final = np.linspace(0.0, 1.0, 5)
+_REFINEMENTS: Final = 2
+"""Parts into which the stretch where it dipped is cut, twice: the last is 2 % long, straight enough to interpolate."""
 _LOOKUP_X_M: Final = (-20.0, _REACH_M)
 _LOOKUP_Y_M: Final = (-80.0, 80.0)
 
@@ -104,19 +105,24 @@ def _along_rays(column: Float, row: Float, start_m: float, depth_m: Float32) -> 
 
 def _grid_height(grid: HeightGrid, x: Float, y: Float) -> Float:
     """Bilinear inside the grid; outside, the slopes of the nearest cell's edge go on, its twist does not."""
-    rows, columns = grid.z_m.shape
+    cells = _bilinear(grid)
+    rows, columns, _ = cells.shape
     u, v = (np.asarray(x) - grid.x_min_m) / grid.step_m, (np.asarray(y) - grid.y_min_m) / grid.step_m
-    i = np.clip(np.nan_to_num(u), 0, max(columns - 2, 0)).astype(np.intp)
-    j = np.clip(np.nan_to_num(v), 0, max(rows - 2, 0)).astype(np.intp)
-    right, below = np.minimum(i + 1, columns - 1), np.minimum(j + 1, rows - 1)
-    z = grid.z_m.astype(np.float64)
-    z00 = z[j, i]
-    along, across = z[j, right] - z00, z[below, i] - z00
-    twist = z[below, right] - z00 - along - across
+    i = np.fmin(np.fmax(u, 0), columns - 1).astype(np.intp)  # fmax and fmin make a number of NaN
+    j = np.fmin(np.fmax(v, 0), rows - 1).astype(np.intp)
+    corner, along, across, twist = np.moveaxis(np.take(cells.reshape(-1, 4), j * columns + i, axis=0), -1, 0)
     u, v = u - i, v - j
     inside_u, inside_v = np.clip(u, 0, 1), np.clip(v, 0, 1)
-    result: Float = z00 + along * u + across * v + twist * (u * inside_v + inside_u * (v - inside_v))
+    result: Float = corner + along * u + across * v + twist * (u * inside_v + inside_u * (v - inside_v))
     return result
+
+
+def _bilinear(grid: HeightGrid) -> Float:
+    """(rows, columns, 4) of each cell between four nodes: height, rise along x, along y, and along both, per step."""
+    z = grid.z_m.astype(np.float64)
+    z = np.pad(z, [(0, int(length == 1)) for length in z.shape], mode="edge")
+    along, across = np.diff(z, axis=1), np.diff(z, axis=0)
+    return np.stack((z[:-1, :-1], along[:-1], across[:, :-1], np.diff(along, axis=0)), axis=-1)
 
 
 def _first_meeting(grid: HeightGrid, centre: Float, directions: Float) -> Float:
@@ -124,20 +130,25 @@ def _first_meeting(grid: HeightGrid, centre: Float, directions: Float) -> Float:
 
     A crest hides what lies behind it, so the first crossing counts; Newton's method might find another one.
     """
-    near = np.full(len(directions), _NEAREST_M)
-    far = np.full(len(directions), _REACH_M)
-    every = np.arange(len(directions))
-    for parts in _SPLITS:
-        depth = near[:, None] * (far / near)[:, None] ** np.linspace(0.0, 1.0, parts + 1)
-        points = centre + directions[:, None, :] * depth[..., None]
-        gap = points[..., 2] - _grid_height(grid, points[..., 0], points[..., 1])
-        below = gap <= 0
-        first = below.argmax(axis=1)
-        met = below.any(axis=1) & (first > 0)
-        first = np.where(met, first, 1)
-        near, far = depth[every, first - 1], depth[every, first]
-        above_m, below_m = gap[every, first - 1], gap[every, first]
-        near, far = np.where(met, near, np.nan), np.where(met, far, np.nan)
-    with np.errstate(invalid="ignore"):
-        result: Float = near + (far - near) * above_m / (above_m - below_m)
+    depth: Float = np.broadcast_to(_TRIED_M, (len(directions), len(_TRIED_M)))
+    near, far, above_m, below_m = _first_dip(grid, centre, directions, depth)
+    for _ in range(_REFINEMENTS):
+        depth = near[:, None] * (1.0 - _PARTS) + far[:, None] * _PARTS
+        near, far, above_m, below_m = _first_dip(grid, centre, directions, depth)
+    result: Float = near + (far - near) * above_m / (above_m - below_m)
     return result
+
+
+def _first_dip(grid: HeightGrid, centre: Float, directions: Float, depth: Float) -> tuple[Float, Float, Float, Float]:
+    """Between which two of (N, M) depths each ray first dips below the field, and its heights above it there.
+
+    All (N,); NaN depths where it never does, or is below from the start.
+    """
+    x, y, z = (start + direction[:, None] * depth for start, direction in zip(centre, directions.T, strict=True))
+    gap = z - _grid_height(grid, x, y)
+    below = gap <= 0
+    first = below.argmax(axis=1)
+    met = first > 0
+    every, first = np.arange(len(gap)), np.maximum(first, 1)
+    near, far = (np.where(met, depth[every, at], np.nan) for at in (first - 1, first))
+    return near, far, gap[every, first - 1], gap[every, first]

@@ -33,6 +33,18 @@ def decode_bgr(data: bytes) -> Image:
     return pixels.astype(np.uint8, copy=False)
 
 
+def decode_grey(data: bytes) -> Image:
+    """(H, W) uint8 of an encoded image: a JPEG's colours are not even decoded.
+
+    Raises:
+        DecodeError: OpenCV reads no image from the bytes.
+    """
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    if pixels is None:
+        raise DecodeError(f"{len(data)} bytes are no image")
+    return pixels.astype(np.uint8, copy=False)
+
+
 def decode_indices(data: bytes) -> Image:
     """(H, W) uint8 indices of a palette PNG, or the grey values of a grey one.
 

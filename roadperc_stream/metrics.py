@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import (
@@ -17,17 +18,20 @@ from roadperc_stream.datatypes import (
     Mask,
     Object,
     Objects,
+    Odometry,
     Sample,
+    StereoDepth,
     Surface,
     Truth,
 )
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.geometry import Camera, Float32, angle_between
+from roadperc_stream.geometry import Camera, Float, Float32, angle_between, inverse, quaternion
 from roadperc_stream.ground import height_at
 from roadperc_stream.rows import FrameMetrics, ObjectMetrics
 from roadperc_stream.stages.surface import drivable_mask
 
 LANE_ERROR_AT_M = 10.0
+STEREO_NEAREST_QUANTILE = 0.02
 HEIGHT_ERROR_FROM_M, HEIGHT_ERROR_TO_M, HEIGHT_ERROR_ASIDE_M = 5.0, 40.0, 4.0
 """Ego x from and to which heights are judged, and how far to either side."""
 MATCH_OVERLAP = 0.5
@@ -39,8 +43,10 @@ D1_SHARE = 0.05
 OCCLUSION_PX = 1.0
 
 
-def frame_metrics(cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameResult) -> FrameMetrics:
-    """The row of one frame, with errors wherever the log carries truth."""
+def frame_metrics(
+    cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameResult, previous: Sample | None = None
+) -> FrameMetrics:
+    """The row of one frame, with errors wherever the log carries truth; ``previous`` is the frame before."""
     return FrameMetrics(
         log_id=log_id,
         frame=sample.index,
@@ -51,9 +57,13 @@ def frame_metrics(cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameR
         **_surface_columns(result),
         **_lane_columns(result.lanes),
         **_object_columns(result.objects),
+        **_stereo_columns(result.stereo),
+        **_odometry_columns(result.odometry),
         **_surface_errors(cfg, result, sample),
         **_lane_errors(result.lanes, sample.truth.lanes),
         **_object_errors(result.objects, sample.truth.objects),
+        **_stereo_errors(result.stereo, sample),
+        **_odometry_errors(result.odometry, sample, previous),
     )
 
 
@@ -137,13 +147,80 @@ def _object_columns(objects: Objects | Absent) -> Columns:
     nearest_m, nearest_class = min(known, default=(None, None))
     impacts = [item.time_to_impact_s for item in kept if item.time_to_impact_s is not None]
     return {
-        "detections": len(objects.objects),
-        "detections_kept": len(kept),
+        "detections": sum(item.status == "measured" for item in objects.objects),
+        "detections_kept": sum(item.status == "measured" for item in kept),
+        "objects_carried": sum(item.status == "tracked" for item in kept),
         "detections_unjudged": sum(item.kept and item.class_ratio is None for item in objects.objects),
         "nearest_object_m": nearest_m,
         "nearest_object_class": nearest_class,
         "time_to_impact_s": min(impacts, default=None),
     }
+
+
+def _stereo_columns(stereo: StereoDepth | Absent) -> Columns:
+    if isinstance(stereo, Absent):
+        return {}
+    known = stereo.depth_m[np.isfinite(stereo.depth_m)]
+    nearest = float(np.quantile(known, STEREO_NEAREST_QUANTILE)) if len(known) else None
+    return {"stereo_valid_ratio": len(known) / stereo.depth_m.size, "stereo_nearest_m": nearest}
+
+
+def _stereo_errors(stereo: StereoDepth | Absent, sample: Sample) -> Columns:
+    """Against the front depth, where it is the left camera that has both."""
+    frame = sample.frame
+    depth = sample.truth.depth or frame.depth
+    if isinstance(stereo, Absent) or depth is None or frame.right_camera is None or frame.left is not None:
+        return {}
+    try:
+        true_m = depth.depth_m
+    except DecodeError:
+        return {}
+    baseline_m = frame.right_camera.baseline_m
+    if not baseline_m or depth.frame_id != frame.camera.frame_id or true_m.shape != stereo.depth_m.shape:
+        return {}
+    errors = stereo_errors(stereo.depth_m, true_m, frame.camera, baseline_m)
+    return {"stereo_epe_px": errors.epe_px, "stereo_d1_ratio": errors.d1_ratio}
+
+
+def _odometry_columns(odometry: Odometry | Absent) -> Columns:
+    if isinstance(odometry, Absent):
+        return {}
+    x, y, z = (float(value) for value in odometry.odom_T_ego[:3, 3])
+    qx, qy, qz, qw = quaternion(odometry.odom_T_ego[:3, :3])
+    columns: Columns = {
+        "odometry_status": odometry.status,
+        "odometry_inliers": odometry.inliers,
+        "odom_x_m": x,
+        "odom_y_m": y,
+        "odom_z_m": z,
+        "odom_qx": qx,
+        "odom_qy": qy,
+        "odom_qz": qz,
+        "odom_qw": qw,
+    }
+    if odometry.step is not None:
+        columns["turn_deg"] = rotation_angle_deg(odometry.step)
+        columns["step_m"] = None if odometry.up_to_scale else float(np.linalg.norm(odometry.step[:3, 3]))
+    return columns
+
+
+def _odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: Sample | None) -> Columns:
+    """What is left of the step when the true one is undone: its length and its angle."""
+    if isinstance(odometry, Absent) or odometry.step is None or previous is None:
+        return {}
+    before, now = previous.truth.odom_T_ego, sample.truth.odom_T_ego
+    if before is None or now is None or odometry.since_ns != previous.frame.stamp_ns:
+        return {}
+    left = inverse(inverse(before) @ now) @ odometry.step
+    columns: Columns = {"turn_error_deg": rotation_angle_deg(left)}
+    if not odometry.up_to_scale:
+        columns["step_error_m"] = float(np.linalg.norm(left[:3, 3]))
+    return columns
+
+
+def rotation_angle_deg(transform: Float) -> float:
+    """Angle of a (4, 4) transform's rotation, degrees; accurate for small angles."""
+    return float(np.degrees(Rotation.from_matrix(transform[:3, :3]).magnitude()))
 
 
 def _surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> Columns:
@@ -152,6 +229,7 @@ def _surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> C
     if truth.surface is not None and not isinstance(result.surface, Absent):
         angle = angle_between(result.surface.ego_plane.n, truth.surface.ego_plane.n)
         columns["surface_angle_error_deg"] = float(np.degrees(angle))
+        columns["surface_height_error_m"] = surface_height_error_m(result.surface, truth.surface)
         columns["camera_height_error_m"] = result.surface.camera_height_m - truth.surface.camera_height_m
     true_mask = _true_drivable(cfg, truth, sample)
     if true_mask is not None and not isinstance(result.drivable, Absent):
@@ -193,7 +271,7 @@ def _true_drivable(cfg: ReplayConfig, truth: Truth, sample: Sample) -> Mask | No
     camera = sample.frame.camera
     if road.shape != camera.size or depth_m.shape != camera.size:
         return None
-    mask = drivable_mask(cfg.surface, truth.surface, camera, depth_m, road)
+    mask = drivable_mask(cfg.surface, truth.surface, camera, depth_m, road, sample.frame.ego_T_camera)
     return None if isinstance(mask, Absent) else mask
 
 

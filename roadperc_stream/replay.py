@@ -1,6 +1,7 @@
 """The one loop: a log in, the log with results and the metrics tables out."""
 
 import hashlib
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -16,8 +17,9 @@ from roadperc_stream.chain import ChainState, step
 from roadperc_stream.channels import PRODUCER, RESULTS, schema
 from roadperc_stream.command import no_progress
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.datatypes import Sample
+from roadperc_stream.datatypes import Odometry, Sample
 from roadperc_stream.errors import LogError
+from roadperc_stream.geometry import Float
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.results import result_messages
@@ -29,6 +31,8 @@ from roadperc_stream.table import TableWriter, beside
 
 CONFIG_ATTACHMENT = "roadperc.toml"
 METADATA_RECORD = "roadperc"
+TRAJECTORY_POSES = 200
+"""Length of the trajectory that each frame shows: ten seconds at 20 Hz."""
 
 
 @dataclass
@@ -119,6 +123,8 @@ def replay(
     counts, problems, facts = SyncCounts(), Problems(), _table_facts(source, target, cfg)
     log_id, state = survey.digest[:16], ChainState()
     reasons: tuple[str, ...] = ()
+    previous: Sample | None = None
+    trajectory = deque[Float](maxlen=TRAJECTORY_POSES)
     frames = TableWriter(beside(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(beside(target, "objects"), ObjectMetrics, facts)
     writer = LogWriter(target, summary.profile)
@@ -128,16 +134,18 @@ def replay(
             timer = StageTimer()
             with timer("total"):
                 state, result = step(cfg, state, sample.frame, timer)
-                row = frame_metrics(cfg, log_id, sample, result)
+                row = frame_metrics(cfg, log_id, sample, result, previous)
+                if isinstance(result.odometry, Odometry):
+                    trajectory.append(result.odometry.odom_T_ego)
                 copy.through(sample.log_time_ns)
                 with timer("encode"):
-                    messages = list(result_messages(sample, result, row, reasons))
+                    messages = list(result_messages(sample, result, row, reasons, tuple(trajectory)))
                 for topic, data in messages:
                     writer.write(_result_message(topic, sample, data))
             frames.append(row, **timer.columns())
             for detection in object_metrics(log_id, sample, result):
                 detections.append(detection)
-            reasons = row.reasons
+            reasons, previous = row.reasons, sample
             progress(counts.frames, survey.expected_frames)
         copy.rest()
         _describe(writer, summary, survey, cfg, counts)

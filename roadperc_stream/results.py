@@ -1,24 +1,31 @@
 """What a frame's results look like in the log: topics and bytes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 
 import numpy as np
 
 from roadperc_stream import drawing, encoding, images
-from roadperc_stream.chain import surface_in_front_camera
-from roadperc_stream.datatypes import Absent, FrameResult, Mask, Sample
+from roadperc_stream.datatypes import Absent, FrameResult, Mask, Odometry, Sample
+from roadperc_stream.decoding import Transform
+from roadperc_stream.geometry import Float
 from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.semantics import Colour
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), (0, 200, 80))
+ODOM, EGO = "odom", "ego"
+Written = Iterator[tuple[str, bytes]]
 
 
 def result_messages(
-    sample: Sample, result: FrameResult, metrics: FrameMetrics, previous_reasons: tuple[str, ...]
-) -> Iterator[tuple[str, bytes]]:
+    sample: Sample,
+    result: FrameResult,
+    metrics: FrameMetrics,
+    previous_reasons: tuple[str, ...],
+    trajectory: Sequence[Float],
+) -> Written:
     """Topic and bytes of everything a frame gave; what is absent is not written.
 
     Args:
@@ -26,27 +33,54 @@ def result_messages(
         result: what the chain made of it.
         metrics: its row.
         previous_reasons: reasons of the frame before: only new ones are logged, not one line per frame.
+        trajectory: the latest poses odom_T_ego, this frame's last.
     """
+    stamp_ns = result.stamp_ns
+    yield from _surface(sample, result)
+    yield from _lanes_and_objects(sample, result)
+    if not isinstance(result.stereo, Absent):
+        depth = encoding.encode_depth(stamp_ns, result.stereo.frame_id, result.stereo.depth_m)
+        yield "/perception/stereo/depth", depth
+    if not isinstance(result.occupancy, Absent):
+        yield "/perception/occupancy", encoding.encode_occupancy(stamp_ns, result.occupancy)
+    if not isinstance(result.odometry, Absent):
+        yield from _odometry(stamp_ns, result.odometry, trajectory)
+    yield "/perception/metrics", encode_metrics(sample.frame.camera.frame_id, metrics)
+    for reason in metrics.reasons:
+        if reason not in previous_reasons:
+            yield "/perception/log", encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")
+
+
+def _surface(sample: Sample, result: FrameResult) -> Written:
     stamp_ns, frame = result.stamp_ns, sample.frame
     if not isinstance(result.surface, Absent):
         yield "/perception/surface", encoding.encode_surface(stamp_ns, result.surface)
     if not isinstance(result.drivable, Absent):
         yield "/perception/drivable", _drivable(stamp_ns, frame.camera.frame_id, result.drivable)
-        plane = surface_in_front_camera(result.surface, frame)
-        if not isinstance(plane, Absent):
-            scene = drawing.drivable_scene(stamp_ns, plane, frame.camera, frame.ego_T_camera, result.drivable)
+        if not isinstance(result.front_surface, Absent):
+            scene = drawing.drivable_scene(
+                stamp_ns, result.front_surface, frame.camera, frame.ego_T_camera, result.drivable
+            )
             yield "/perception/drivable/scene", scene
+
+
+def _lanes_and_objects(sample: Sample, result: FrameResult) -> Written:
+    stamp_ns, camera = result.stamp_ns, sample.frame.camera
     if not isinstance(result.lanes, Absent):
-        yield "/perception/lanes", encoding.encode_lanes(stamp_ns, frame.camera.frame_id, result.lanes)
-        yield "/perception/lanes/annotations", drawing.lane_annotations(stamp_ns, frame.camera, result.lanes)
+        yield "/perception/lanes", encoding.encode_lanes(stamp_ns, camera.frame_id, result.lanes)
+        yield "/perception/lanes/annotations", drawing.lane_annotations(stamp_ns, camera, result.lanes)
         yield "/perception/lanes/scene", drawing.lanes_scene(stamp_ns, result.lanes)
     if not isinstance(result.objects, Absent):
-        yield "/perception/objects", encoding.encode_objects(stamp_ns, frame.camera.frame_id, result.objects)
-        yield "/perception/objects/annotations", drawing.object_annotations(stamp_ns, frame.camera, result.objects)
-    yield "/perception/metrics", encode_metrics(frame.camera.frame_id, metrics)
-    for reason in metrics.reasons:
-        if reason not in previous_reasons:
-            yield "/perception/log", encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")
+        yield "/perception/objects", encoding.encode_objects(stamp_ns, camera.frame_id, result.objects)
+        yield "/perception/objects/annotations", drawing.object_annotations(stamp_ns, camera, result.objects)
+
+
+def _odometry(stamp_ns: int, odometry: Odometry, trajectory: Sequence[Float]) -> Written:
+    yield "/perception/odometry", encoding.encode_pose(stamp_ns, ODOM, odometry.odom_T_ego)
+    yield "/perception/odometry/state", encoding.encode_odometry(stamp_ns, EGO, odometry)
+    yield "/perception/trajectory", encoding.encode_poses(stamp_ns, ODOM, trajectory)
+    edge = Transform(ODOM, EGO, odometry.odom_T_ego)
+    yield "/perception/tf", encoding.encode_transforms(stamp_ns, [edge])
 
 
 def encode_metrics(frame_id: str, metrics: FrameMetrics) -> bytes:

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import Final
 
 TIME_COLUMNS: Final = tuple(
-    f"{stage}_ms" for stage in ("decode", "surface", "lanes", "objects", "stereo", "odometry", "encode", "total")
+    f"{stage}_ms"
+    for stage in ("decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy", "encode", "total")
 )
 """Milliseconds each stage took; null where it did not run."""
 
@@ -37,6 +38,7 @@ class FrameMetrics:
     detections: int | None = None
     detections_kept: int | None = None
     detections_unjudged: int | None = None
+    objects_carried: int | None = None
     nearest_object_m: float | None = None
     nearest_object_class: str | None = None
     time_to_impact_s: float | None = None
@@ -55,6 +57,7 @@ class FrameMetrics:
     odom_qw: float | None = None
     surface_angle_error_deg: float | None = None
     camera_height_error_m: float | None = None
+    surface_height_error_m: float | None = None
     drivable_iou: float | None = None
     lane_left_error_m: float | None = None
     lane_right_error_m: float | None = None

@@ -77,6 +77,8 @@ class Road:
             ego_T_camera=self.ego_T_camera,
             depth_camera=self.camera,
             ego_T_depth_camera=self.ego_T_camera,
+            left_camera=self.camera,
+            ego_T_left=self.ego_T_camera,
             mounted=True,
             depth=DepthImage("camera", lambda: (depth, 65.535)),
             segmentation=TagImage("camera", TABLE, lambda: tags),

@@ -125,8 +125,14 @@ def test_short_surface_without_noise(tmp_path):
 def test_dropped_sensors_leave_their_frames_with_what_is_left(tmp_path):
     run = drive(tmp_path, "--scene", "straight", "--drop", "0.3", "--size", "320x240", "--seconds", "1")
     table = run.metrics
-    missing = table["missing"].list.join(",").to_list()
-    assert 0 < sum("depth" in m for m in missing) < len(missing)
+    missing = table["missing"].to_list()
+    assert 0 < sum("depth" in roles for roles in missing) < len(missing)
     for row, roles in zip(table.iter_rows(named=True), missing, strict=True):
-        assert (row["surface_source"] == "assumed") == ("depth" in roles)
+        without_pair = "right" in roles
+        expected = "assumed" if without_pair else "stereo"
+        if "depth" not in roles:
+            expected = "lower_image" if "segmentation" in roles else "depth"
+        elif not without_pair and "segmentation" in roles:
+            expected = "lower_image"
+        assert row["surface_source"] == expected, "stereo stands in for the depth, the mounting for both"
         assert (row["lane_left_status"] == "measured") <= ("segmentation" not in roles)

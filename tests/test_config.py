@@ -64,7 +64,7 @@ def test_a_bare_class_and_classes_by_commas():
 
 
 def test_every_number_refuses_what_is_not_finite():
-    for section in ("sync", "surface", "lanes", "objects"):
+    for section in ("sync", "stereo", "surface", "odometry", "lanes", "objects", "occupancy"):
         for name, field in type(getattr(ReplayConfig(), section)).model_fields.items():
             if isinstance(field.default, float):
                 for wild in ("inf", "nan", "-inf", "1e300"):

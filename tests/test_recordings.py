@@ -84,6 +84,7 @@ def test_carla_rgbd_height_and_pitch(replayed):
     assert metrics["reasons"].explode().unique().sort().to_list() == [
         "lanes: no segmentation",
         "objects: no detections",
+        "stereo: no right image",
         "surface: no segmentation, the lower image stands in for the road",
     ]
 

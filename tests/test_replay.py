@@ -55,7 +55,9 @@ def test_a_row_per_frame_with_every_stage(source):
     assert table["lane_width_m"].to_list() == pytest.approx([3.7] * 6, abs=0.1)
     assert table["detections_kept"].to_list() == [0] * 6
     assert table["total_ms"].min() > 0
-    assert table["stereo_ms"].null_count() == 6
+    assert set(table["odometry_status"]) <= {"first", "tracked", "lost"}
+    assert table["stereo_valid_ratio"].null_count() == 6
+    assert set(table["reasons"].explode()) == {"stereo: no right image"}
     assert table["log_id"].unique().to_list() == [summary.log_id]
     objects = pl.read_parquet(beside(target, "objects"))
     assert objects.height == 12
@@ -65,7 +67,7 @@ def test_a_row_per_frame_with_every_stage(source):
 def test_every_result_topic_is_written_in_log_time_order(source):
     target, _ = run(source)
     topics = by_topic(target)
-    for topic in set(RESULTS) - {"/perception/log"}:
+    for topic in set(RESULTS) - {"/perception/log", "/perception/stereo/depth"}:
         assert [m.log_time_ns for m in topics[topic]] == [logs.START_NS + k * STEP_NS for k in range(6)], topic
     times = [m.log_time_ns for m in log.read(target)]
     assert times == sorted(times)
@@ -245,6 +247,8 @@ def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
     assert table["surface_source"].to_list()[2] == "assumed"
     assert table["reasons"].to_list()[2] == [
         "depth: no message at this frame",
+        "stereo: no right image",
+        "occupancy: no depth",
         "surface: no depth, the mounting gives the plane",
         "objects: no depth, no distances",
     ]
@@ -262,6 +266,7 @@ def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
         assert table["lane_left_offset_m"].null_count() == 6
         assert table["detections_unjudged"].to_list() == [2] * 6
         reasons = [
+            "stereo: no right image",
             "lanes: no segmentation",
             "surface: no segmentation, the lower image stands in for the road",
             "objects: no segmentation, nothing is judged",
@@ -397,6 +402,8 @@ def test_the_command_says_what_it_wrote(source, capsys):
     assert "6 frames" in out
     assert str(target) in out
     assert err == ""
-    assert metrics(target)["reasons"].to_list()[0] == ["lanes: switched off", "objects: switched off"]
+    assert metrics(target)["reasons"].to_list()[0] == [
+        f"{stage}: switched off" for stage in ("stereo", "odometry", "lanes", "objects", "occupancy")
+    ]
     assert replay_main([str(source), str(target), "--force", "--quiet"]) == 0
     assert capsys.readouterr().out == ""

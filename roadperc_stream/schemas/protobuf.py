@@ -9,6 +9,7 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message as ProtobufMessage
 from mcap_protobuf.schema import build_file_descriptor_set
@@ -24,11 +25,13 @@ MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {
         ImageAnnotations,
         Log,
         PoseInFrame,
+        PosesInFrame,
         SceneUpdate,
         roadperc_pb2.Detections,
         roadperc_pb2.FrameMetrics,
         roadperc_pb2.Lanes,
         roadperc_pb2.Objects,
+        roadperc_pb2.Odometry,
         roadperc_pb2.Surface,
     )
 }

@@ -70,6 +70,7 @@ float64 y
 float64 z
 float64 w
 """
+DEFINITIONS: Final = {IMAGE: IMAGE_DEFINITION, OCCUPANCY_GRID: OCCUPANCY_GRID_DEFINITION}
 _LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
 _DTYPES: Final[dict[str, np.dtype[Any]]] = {"16UC1": np.dtype("u2"), "mono16": np.dtype("u2"), "32FC1": np.dtype("f4")}
 

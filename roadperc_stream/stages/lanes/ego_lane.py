@@ -46,6 +46,7 @@ def step(
     tags: Image | None,
     table: TagTable | None,
     road: Mask | Absent,
+    last_T_this: Float | None,
     stamp_ns: int,
 ) -> tuple[LanesState, Lanes | Absent]:
     """Measure the ego lane in one frame and filter it over time.
@@ -59,6 +60,7 @@ def step(
         tags: (H, W) tags of ``table``; None: what is known is held.
         table: the tags' table.
         road: (H, W) drivable surface.
+        last_T_this: (4, 4) motion of the ego frame since the last frame; None where it is not known.
         stamp_ns: the frame's time, later than the last frame's.
 
     Returns:
@@ -67,7 +69,9 @@ def step(
     seen = _look(cfg, surface, camera, ego_T_camera, tags, table, road)
     observation = None if isinstance(seen, Absent) else seen
     followed = {
-        side: after for side in SIDES if (after := _follow(cfg, side, state.followed.get(side), observation, stamp_ns))
+        side: after
+        for side in SIDES
+        if (after := _follow(cfg, side, state.followed.get(side), observation, last_T_this, stamp_ns))
     }
     if isinstance(seen, Absent) and not followed:
         return LanesState(), seen
@@ -98,13 +102,18 @@ def _look(
 
 
 def _follow(
-    cfg: LanesConfig, side: Side, before: Followed | None, observation: Observation | None, stamp_ns: int
+    cfg: LanesConfig,
+    side: Side,
+    before: Followed | None,
+    observation: Observation | None,
+    last_T_this: Float | None,
+    stamp_ns: int,
 ) -> Followed | None:
     """The boundary at this frame's time; None where there is none yet or it has been unseen for too long."""
     sighting = observation.sightings.get(side) if observation else None
     curve = sighting.curve if sighting else None
     if before is not None:
-        track = tracking.predict(cfg, before.track, stamp_ns)
+        track = tracking.predict(cfg, before.track, stamp_ns, last_T_this if cfg.use_odometry else None)
         for candidate in _candidates(cfg, side, track, observation, curve):
             updated = tracking.update(cfg, track, candidate.state, candidate.covariance)
             if updated is not None and observation is not None:

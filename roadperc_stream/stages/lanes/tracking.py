@@ -1,7 +1,8 @@
 """One boundary over time: a Kalman filter on offset, heading and curvature in the ego frame.
 
-The car's sideways motion is a random acceleration, heading and curvature wander (Bar-Shalom, Li and Kirubarajan 2001,
-chapter 6). A measurement outside the gate is not taken; a boundary unseen is held, then lost.
+Where odometry tells how the car moved since the last frame, the boundary is moved against it; else the car's sideways
+motion is a random acceleration, and heading and curvature wander (Bar-Shalom, Li and Kirubarajan 2001, chapter 6). A
+measurement outside the gate is not taken; a boundary unseen is held, then lost.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,12 @@ _HEADING_WALK = 0.02
 """Radians per root second."""
 _CURVATURE_WALK_PER_M = 0.003
 """Per metre and root second."""
+_STEP_STD_M = 0.005
+_TURN_STD = 0.0015
+"""How well a step and a turn are known, metres and radians; the road's own roughness included."""
+_MOVED_RATE_STD_MPS = 0.3
+_CURVATURE_WALK_ROOT_M = 0.001
+"""Per metre and root metre driven: how fast roads change their curvature."""
 _NANOSECONDS = 1e9
 
 
@@ -51,8 +58,17 @@ def start(state: Float, covariance: Float, stamp_ns: int) -> Track:
     return Track(mean, P, stamp_ns, stamp_ns)
 
 
-def predict(cfg: LanesConfig, track: Track, stamp_ns: int) -> Track:
-    """The track at a later stamp."""
+def predict(cfg: LanesConfig, track: Track, stamp_ns: int, last_T_this: Float | None) -> Track:
+    """The track at a later stamp, by how the car moved since, or without that by its own rate.
+
+    Args:
+        cfg: noise of the sideways motion.
+        track: at the last stamp.
+        stamp_ns: the later one.
+        last_T_this: (4, 4) motion of the ego frame between the stamps; None where it is not known.
+    """
+    if last_T_this is not None:
+        return _moved(track, stamp_ns, last_T_this)
     dt = (stamp_ns - track.stamp_ns) / _NANOSECONDS
     F = np.eye(4)
     F[_OFFSET, _RATE] = dt
@@ -60,6 +76,25 @@ def predict(cfg: LanesConfig, track: Track, stamp_ns: int) -> Track:
     pull = np.array([dt**2 / 2, dt])
     Q[:2, :2] = cfg.process_noise**2 * np.outer(pull, pull)
     return Track(F @ track.mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
+
+
+def _moved(track: Track, stamp_ns: int, last_T_this: Float) -> Track:
+    """The track as the moved car sees it: to first order in the angles between car and boundary."""
+    dx, dy = float(last_T_this[0, 3]), float(last_T_this[1, 3])
+    turn = float(np.arctan2(last_T_this[1, 0], last_T_this[0, 0]))
+    dt = (stamp_ns - track.stamp_ns) / _NANOSECONDS
+    F = np.zeros((4, 4))
+    F[_OFFSET, [_OFFSET, _HEADING, _CURVATURE]] = 1.0, dx, dx**2 / 2
+    F[_HEADING, [_HEADING, _CURVATURE]] = 1.0, dx
+    F[_CURVATURE, _CURVATURE] = 1.0
+    mean = F @ track.mean
+    mean[_OFFSET] -= dy
+    mean[_HEADING] -= turn
+    # Should the next motion not be known, the rate is what it was on the way here.
+    mean[_RATE] = (mean[_OFFSET] - track.mean[_OFFSET]) / dt
+    walked = abs(dx)
+    Q = np.diag([_STEP_STD_M**2, _MOVED_RATE_STD_MPS**2, _TURN_STD**2, _CURVATURE_WALK_ROOT_M**2 * walked])
+    return Track(mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
 
 
 def update(cfg: LanesConfig, track: Track, state: Float, covariance: Float) -> Track | None:

@@ -19,12 +19,14 @@ CFG = LanesConfig()
 ROAD_CLASSES = ("road", "road_line")
 
 
-def look(road, tags=None, state=None, index=0, cfg=CFG):
+def look(road, tags=None, state=None, index=0, cfg=CFG, moved=None):
     tags = road.tags() if tags is None else tags
     surface = assumed_surface(road.camera, road.ego_T_camera)
     drivable = TABLE.lookup(ROAD_CLASSES)[tags].view(bool)
     stamp_ns = 1_000_000_000 + index * STEP_NS
-    return step(cfg, state or LanesState(), road.camera, road.ego_T_camera, surface, tags, TABLE, drivable, stamp_ns)
+    return step(
+        cfg, state or LanesState(), road.camera, road.ego_T_camera, surface, tags, TABLE, drivable, None, stamp_ns
+    )
 
 
 def y_at(boundary, x):
@@ -96,7 +98,7 @@ def test_unseen_is_held_then_lost_then_found_again():
 def test_a_frame_without_tags_holds_and_without_memory_says_why():
     road = Road()
     surface = assumed_surface(road.camera, road.ego_T_camera)
-    nothing = (road.camera, road.ego_T_camera, surface, None, None, Absent("no segmentation"))
+    nothing = (road.camera, road.ego_T_camera, surface, None, None, Absent("no segmentation"), None)
     state, _ = look(road)
     _, held = step(CFG, state, *nothing, 1_000_000_000 + STEP_NS)
     assert [b.status for b in held.boundaries] == ["held", "held"]

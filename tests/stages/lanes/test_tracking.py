@@ -17,7 +17,7 @@ def run(measurements, cfg=CFG):
         if track is None:
             track = tracking.start(np.array(state), R, 0)
         else:
-            predicted = tracking.predict(cfg, track, k * DT_NS)
+            predicted = tracking.predict(cfg, track, k * DT_NS, None)
             updated = None if state is None else tracking.update(cfg, predicted, np.array(state), R)
             track = updated or predicted
         states.append(track.state)
@@ -47,7 +47,7 @@ def test_jitter_shrinks_and_a_drift_is_followed_without_lag():
 
 def test_outside_the_gate_nothing_is_taken():
     track, _ = run([(1.7, 0.0, 0.0)] * 20)
-    predicted = tracking.predict(CFG, track, 20 * DT_NS)
+    predicted = tracking.predict(CFG, track, 20 * DT_NS, None)
     assert tracking.update(CFG, predicted, np.array([3.2, 0.0, 0.0]), R) is None
     assert tracking.update(CFG, predicted, np.array([1.72, 0.0, 0.0]), R) is not None
 
@@ -64,3 +64,33 @@ def test_covariance_grows_while_unseen_and_stays_symmetric():
 def test_held_for_half_a_second(missing, expired):
     track, _ = run([(1.7, 0.0, 0.0)] * 3 + [None] * missing)
     assert tracking.expired(CFG, track) == expired
+
+
+def moved(dx, dy=0.0, turn=0.0):
+    """The ego frame a step later, in the last one."""
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    T[:2, 3] = dx, dy
+    return T
+
+
+def test_a_step_ahead_in_a_bend_moves_the_boundary_against_the_car():
+    """Driving 2 m straight on where the boundary bends left: it comes in by heading and curvature."""
+    track = tracking.start(np.array([1.7, 0.02, 0.01]), R, 0)
+    after = tracking.predict(CFG, track, DT_NS, moved(2.0))
+    np.testing.assert_allclose(after.state, [1.7 + 0.04 + 0.02, 0.04, 0.01], atol=1e-12)
+
+
+def test_a_step_aside_and_a_turn_are_taken_off():
+    track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
+    after = tracking.predict(CFG, track, DT_NS, moved(0.5, 0.1, 0.03))
+    np.testing.assert_allclose(after.state, [1.6, -0.03, 0.0], atol=1e-3)
+    assert after.mean[1] == pytest.approx(-0.1 / 0.05)
+
+
+def test_following_the_bend_keeps_the_boundary_where_it_was():
+    track = tracking.start(np.array([1.7, 0.0, 1 / 150]), R, 0)
+    for k in range(1, 40):
+        track = tracking.predict(CFG, track, k * DT_NS, moved(0.5, 0.5**2 / 300, 0.5 / 150))
+    np.testing.assert_allclose(track.state, [1.7, 0.0, 1 / 150], atol=2e-3)
+    assert np.linalg.eigvalsh(track.covariance).min() > 0

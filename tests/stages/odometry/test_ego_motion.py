@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import asdict
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -54,7 +55,7 @@ def test_known_motion_with_depth(features, matcher):
 
 def test_steps_chain_to_the_poses():
     _, results = run(SHOTS[:4])
-    for before, out in zip(results, results[1:], strict=False):
+    for before, out in pairwise(results):
         np.testing.assert_allclose(before.odom_T_ego @ out.step, out.odom_T_ego, atol=1e-9)
         assert out.since_ns is not None
 
