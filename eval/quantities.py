@@ -43,6 +43,7 @@ SEEN: Final = (
     Quantity("detections", "detections a frame", COUNT, 1),
     Quantity("detections_kept", "detections kept", COUNT, 1),
     Quantity("detections_unjudged", "detections not judged", COUNT, 1),
+    Quantity("objects_carried", "objects carried", COUNT, 1),
     Quantity("nearest_object_m", "nearest object", "m", 2),
     Quantity("time_to_impact_s", "time to impact", "s", 2),
     Quantity("stereo_valid_ratio", "stereo valid pixels", RATIO, 3),
@@ -56,6 +57,7 @@ SEEN: Final = (
 TRUTH: Final = (
     Quantity("surface_angle_error_deg", "surface angle", "deg", 4),
     Quantity("camera_height_error_m", "camera height", "m", 4, signed=True),
+    Quantity("surface_height_error_m", "road height 5-40 m", "m", 4),
     Quantity("drivable_iou", "drivable IoU", RATIO, 3, worse="low"),
     Quantity("lane_left_error_m", "lane left at 10 m", "m", 3, signed=True),
     Quantity("lane_right_error_m", "lane right at 10 m", "m", 3, signed=True),

@@ -59,6 +59,13 @@ def drive(folder, *options, settings=()):
     return Run(metrics, {side: np.array(values) for side, values in offsets.items()})
 
 
+def replay_again(folder, run, setting):
+    """The same log with another setting."""
+    arguments = [str(folder / "in.mcap"), str(folder / "again.mcap"), "--quiet", "--set", setting]
+    assert replay_main(arguments) == 0
+    return Run(pl.read_parquet(beside(folder / "again.mcap", "metrics")), run.true_offsets)
+
+
 def report(name, run):
     print(f"\n{name}: {run.metrics.height} frames")
     for side in ("left", "right"):
@@ -93,6 +100,19 @@ def test_ego_lane_and_surface_on_the_noisy_bend(tmp_path, seed):
 
 
 @pytest.mark.accuracy
+def test_odometry_makes_the_lanes_better(tmp_path):
+    run = drive(tmp_path, *BEND, *NOISE)
+    without = replay_again(tmp_path, run, "lanes.use_odometry=false")
+    report("predicted by odometry", run)
+    report("without", without)
+    for side in ("left", "right"):
+        error, _ = run.errors(f"lane_{side}_error_m")
+        worse, _ = without.errors(f"lane_{side}_error_m")
+        assert np.quantile(error, 0.95) < np.quantile(worse, 0.95)
+        assert run.jitter(f"lane_{side}_offset_m") < without.jitter(f"lane_{side}_offset_m") / 1.5
+
+
+@pytest.mark.accuracy
 @pytest.mark.parametrize("scene", ["straight", "bend"])
 def test_surface_without_noise(tmp_path, scene):
     run = drive(tmp_path, "--scene", scene, "--seconds", "2")
@@ -112,6 +132,13 @@ def test_short_ego_lane_and_surface_on_the_noisy_bend(tmp_path):
     angle, coverage = run.errors("surface_angle_error_deg")
     assert (np.median(angle) < 0.1, coverage) == (True, 1.0)
     assert run.errors("drivable_iou")[0].min() > 0.9
+
+
+def test_short_odometry_makes_the_lanes_steadier(tmp_path):
+    run = drive(tmp_path, *BEND, *NOISE, *SHORT)
+    without = replay_again(tmp_path, run, "lanes.use_odometry=false")
+    for side in ("left", "right"):
+        assert run.jitter(f"lane_{side}_offset_m") < without.jitter(f"lane_{side}_offset_m")
 
 
 def test_short_surface_without_noise(tmp_path):

@@ -178,7 +178,7 @@ def test_lanes_over_a_hill_are_as_straight_as_they_are():
     found = {}
     for model in (surface, replace(surface, model="plane", height_grid=None)):
         _, seen = lanes.step(
-            LanesConfig(), LanesState(), hill.camera, hill.ego_T_camera, model, hill.tags(), TABLE, road, 1
+            LanesConfig(), LanesState(), hill.camera, hill.ego_T_camera, model, hill.tags(), TABLE, road, None, 1
         )
         x = seen.side("left").offset_m + 30 * seen.side("left").heading + 450 * seen.side("left").curvature_per_m
         found[model.model] = abs(x - 1.8)
