@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -47,6 +48,32 @@ class ChainState:
     objects: ObjectsState = field(default_factory=ObjectsState)
 
 
+@dataclass(frozen=True)
+class View:
+    """What the stages see of a frame: its decoded pixels, and the depth, from whichever source."""
+
+    frame: Frame
+    tags: Image | None
+    grey: Image | None
+    depth: DepthView | None
+
+    @property
+    def table(self) -> TagTable | None:
+        """The tags' table."""
+        return self.frame.segmentation.table if self.frame.segmentation else None
+
+    @cached_property
+    def depth_m(self) -> Float32 | None:
+        """(H, W) depth as the front camera sees it."""
+        return None if self.depth is None else self.depth.from_front(self.frame)
+
+    def labels(self, classes: tuple[str, ...]) -> Image | None:
+        """(H, W) uint8, 1 at pixels of the classes; None without tags."""
+        if self.table is None or self.tags is None:
+            return None
+        return np.asarray(cv2.LUT(self.tags, self.table.lookup(classes)), np.uint8)
+
+
 def untimed(_: str) -> AbstractContextManager[object]:
     """A timer that does not measure."""
     return nullcontext()
@@ -62,79 +89,122 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     if state.stamp_ns is not None and frame.stamp_ns <= state.stamp_ns:
         problems.append(f"time went back from {state.stamp_ns} to {frame.stamp_ns} ns: memory of the stages cleared")
         state = ChainState()
-    camera, ego_T_camera, stamp_ns = frame.camera, frame.ego_T_camera, frame.stamp_ns
-    table = frame.segmentation.table if frame.segmentation else None
-    rng = np.random.default_rng((cfg.seed, stamp_ns % 2**63))
+    rng = np.random.default_rng((cfg.seed, frame.stamp_ns % 2**63))
     with timer("decode"):
         tags = inputs.tags_of(frame, problems)
         sensor = inputs.sensor_depth(frame, problems)
-        grey = inputs.grey_of("image", frame.image, camera, problems) if _wants_grey(cfg, state, frame) else None
+        grey = inputs.grey_of("image", frame.image, frame.camera, problems) if _wants_grey(cfg, state, frame) else None
     with timer("stereo"):
         matched = _stereo(cfg, frame, grey, problems)
-    depth = inputs.stereo_view(frame, matched) if sensor is None and isinstance(matched, StereoDepth) else sensor
     with timer("surface"):
-        road = _labels(table, cfg.surface.classes, tags)
-        plane = _surface(cfg, frame, depth, road, rng)
-        depth_m = None if depth is None else depth.from_front(frame)
-        front = _in_front_camera(plane, frame, depth)
-        drivable = _drivable(cfg, frame, front, depth_m, road)
+        depth = inputs.stereo_view(frame, matched) if sensor is None and isinstance(matched, StereoDepth) else sensor
+        view = View(frame, tags, grey, depth)
+        plane = _surface(cfg, view, rng)
+        front = _in_front_camera(plane, view)
+        drivable = _drivable(cfg, view, front)
     with timer("odometry"):
-        movable = _labels(table, _MOVABLE, tags)
-        motion: Odometry | Absent = OFF
-        odometry_state = state.odometry
-        if cfg.odometry.enabled:
-            odometry_state, motion = odometry.step(
-                cfg.odometry,
-                state.odometry,
-                camera,
-                ego_T_camera,
-                grey,
-                depth_m,
-                None if movable is None else movable.view(bool),
-                _trusted(front, frame),
-                rng,
-                stamp_ns,
-            )
+        odometry_state, motion = _odometry(cfg, state, view, front, rng)
     with timer("lanes"):
-        ego_lane: Lanes | Absent = OFF
-        lanes_state = state.lanes
-        if cfg.lanes.enabled:
-            lanes_state, ego_lane = lanes.step(
-                cfg.lanes,
-                state.lanes,
-                camera,
-                ego_T_camera,
-                front,
-                tags,
-                table,
-                drivable,
-                _metric_step(motion, state.stamp_ns),
-                stamp_ns,
-            )
+        lanes_state, ego_lane = _lanes(cfg, state, view, front, drivable, motion)
     with timer("objects"):
-        followed: Objects | Absent = OFF
-        objects_state = state.objects
-        limit_m = np.inf if depth is None else depth.limit_m
-        if cfg.objects.enabled:
-            objects_state, followed = objects.step(
-                cfg.objects, state.objects, frame.detections, camera, tags, table, depth_m, limit_m, grey, stamp_ns
-            )
+        objects_state, followed = _objects(cfg, state, view)
     with timer("occupancy"):
-        grid: Occupancy | Absent = OFF
-        if cfg.occupancy.enabled:
-            grid = occupancy.build(cfg.occupancy, camera, ego_T_camera, front, depth_m, drivable, tags, table)
-    problems += _what_is_lacking(frame, tags, depth, followed)
+        grid = _occupancy(cfg, view, front, drivable)
+    problems += _what_is_lacking(view, followed)
     result = FrameResult(
-        stamp_ns, camera.frame_id, plane, drivable, ego_lane, followed, tuple(problems), matched, motion, grid, front
+        frame.stamp_ns,
+        frame.camera.frame_id,
+        plane,
+        drivable,
+        ego_lane,
+        followed,
+        tuple(problems),
+        matched,
+        motion,
+        grid,
+        front,
     )
-    return ChainState(stamp_ns, odometry_state, lanes_state, objects_state), result
+    return ChainState(frame.stamp_ns, odometry_state, lanes_state, objects_state), result
 
 
-def _in_front_camera(plane: Surface | Absent, frame: Frame, depth: DepthView | None) -> Surface | Absent:
+def _in_front_camera(plane: Surface | Absent, view: View) -> Surface | Absent:
     """The road with its plane in the frame of the front camera, where the depth belongs to another one."""
+    frame, depth = view.frame, view.depth
     if isinstance(plane, Absent) or depth is None or depth.camera.frame_id == frame.camera.frame_id:
         return plane
     return replace(plane, plane=transform_plane(inverse(frame.ego_T_camera) @ depth.ego_T_camera, plane.plane))
+
+
+def _odometry(
+    cfg: ReplayConfig, state: ChainState, view: View, front: Surface | Absent, rng: np.random.Generator
+) -> tuple[OdometryState, Odometry | Absent]:
+    if not cfg.odometry.enabled:
+        return state.odometry, OFF
+    frame, movable = view.frame, view.labels(_MOVABLE)
+    return odometry.step(
+        cfg.odometry,
+        state.odometry,
+        frame.camera,
+        frame.ego_T_camera,
+        view.grey,
+        view.depth_m,
+        None if movable is None else movable.view(bool),
+        _trusted(front, frame),
+        rng,
+        frame.stamp_ns,
+    )
+
+
+def _lanes(
+    cfg: ReplayConfig,
+    state: ChainState,
+    view: View,
+    front: Surface | Absent,
+    drivable: Mask | Absent,
+    motion: Odometry | Absent,
+) -> tuple[LanesState, Lanes | Absent]:
+    if not cfg.lanes.enabled:
+        return state.lanes, OFF
+    frame, moved = view.frame, _metric_step(motion, state.stamp_ns)
+    return lanes.step(
+        cfg.lanes,
+        state.lanes,
+        frame.camera,
+        frame.ego_T_camera,
+        front,
+        view.tags,
+        view.table,
+        drivable,
+        moved,
+        frame.stamp_ns,
+    )
+
+
+def _objects(cfg: ReplayConfig, state: ChainState, view: View) -> tuple[ObjectsState, Objects | Absent]:
+    if not cfg.objects.enabled:
+        return state.objects, OFF
+    frame, limit_m = view.frame, np.inf if view.depth is None else view.depth.limit_m
+    return objects.step(
+        cfg.objects,
+        state.objects,
+        frame.detections,
+        frame.camera,
+        view.tags,
+        view.table,
+        view.depth_m,
+        limit_m,
+        view.grey,
+        frame.stamp_ns,
+    )
+
+
+def _occupancy(cfg: ReplayConfig, view: View, front: Surface | Absent, drivable: Mask | Absent) -> Occupancy | Absent:
+    if not cfg.occupancy.enabled:
+        return OFF
+    frame = view.frame
+    return occupancy.build(
+        cfg.occupancy, frame.camera, frame.ego_T_camera, front, view.depth_m, drivable, view.tags, view.table
+    )
 
 
 def _trusted(front: Surface | Absent, frame: Frame) -> Surface | None:
@@ -169,14 +239,14 @@ def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[
     return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
-def _surface(
-    cfg: ReplayConfig, frame: Frame, depth: DepthView | None, road: Image | None, rng: np.random.Generator
-) -> Surface | Absent:
+def _surface(cfg: ReplayConfig, view: View, rng: np.random.Generator) -> Surface | Absent:
     """The road, its plane in the frame of the camera the depth belongs to."""
     if not cfg.surface.enabled:
         return OFF
+    frame, depth = view.frame, view.depth
     if depth is None:
         return surface.assumed_surface(frame.camera, frame.ego_T_camera)
+    road = view.labels(cfg.surface.classes)
     mask = None if road is None else depth.labels(frame, road).view(bool)
     plane = surface.fit_surface(cfg.surface, depth.camera, depth.ego_T_camera, depth.depth_m, mask, rng)
     if isinstance(plane, Surface) and plane.source == "depth":
@@ -184,31 +254,22 @@ def _surface(
     return plane
 
 
-def _drivable(
-    cfg: ReplayConfig, frame: Frame, front: Surface | Absent, depth_m: Float32 | None, road: Image | None
-) -> Mask | Absent:
+def _drivable(cfg: ReplayConfig, view: View, front: Surface | Absent) -> Mask | Absent:
     if not cfg.surface.enabled:
         return OFF
-    return surface.drivable_mask(cfg.surface, front, frame.camera, depth_m, road, frame.ego_T_camera)
+    frame, road = view.frame, view.labels(cfg.surface.classes)
+    return surface.drivable_mask(cfg.surface, front, frame.camera, view.depth_m, road, frame.ego_T_camera)
 
 
-def _labels(table: TagTable | None, classes: tuple[str, ...], tags: Image | None) -> Image | None:
-    """(H, W) uint8, 1 at pixels of the classes."""
-    if table is None or tags is None:
-        return None
-    return np.asarray(cv2.LUT(tags, table.lookup(classes)), np.uint8)
-
-
-def _what_is_lacking(
-    frame: Frame, tags: Image | None, depth: DepthView | None, followed: Objects | Absent
-) -> list[str]:
+def _what_is_lacking(view: View, followed: Objects | Absent) -> list[str]:
     """What a stage that gave something had to do without."""
     lacking = []
-    if depth is None:
-        lacking.append(f"surface: no depth, the {'mounting' if frame.mounted else 'assumed height'} gives the plane")
-    elif tags is None:
+    if view.depth is None:
+        known = "mounting" if view.frame.mounted else "assumed height"
+        lacking.append(f"surface: no depth, the {known} gives the plane")
+    elif view.tags is None:
         lacking.append("surface: no segmentation, the lower image stands in for the road")
     if isinstance(followed, Objects) and followed.objects:
-        lacking += ["objects: no segmentation, nothing is judged"] if tags is None else []
-        lacking += ["objects: no depth, no distances"] if depth is None else []
+        lacking += ["objects: no segmentation, nothing is judged"] if view.tags is None else []
+        lacking += ["objects: no depth, no distances"] if view.depth is None else []
     return lacking

@@ -25,12 +25,8 @@ def decode_bgr(data: bytes) -> Image:
 
     Raises:
         DecodeError: OpenCV reads no image from the bytes.
-
     """
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
-    if pixels is None:
-        raise DecodeError(f"{len(data)} bytes are no image")
-    return pixels.astype(np.uint8, copy=False)
+    return _decoded(data, cv2.IMREAD_COLOR)
 
 
 def decode_grey(data: bytes) -> Image:
@@ -39,7 +35,11 @@ def decode_grey(data: bytes) -> Image:
     Raises:
         DecodeError: OpenCV reads no image from the bytes.
     """
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    return _decoded(data, cv2.IMREAD_GRAYSCALE)
+
+
+def _decoded(data: bytes, mode: int) -> Image:
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode) if data else None
     if pixels is None:
         raise DecodeError(f"{len(data)} bytes are no image")
     return pixels.astype(np.uint8, copy=False)
