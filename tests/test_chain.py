@@ -90,7 +90,13 @@ def broken(*_):
 def test_what_cannot_be_decoded_counts_as_missing_and_is_said():
     frame = replace(drive(1)[0], segmentation=TagImage("camera", TABLE, broken), depth=DepthImage("camera", broken))
     _, (result,) = run([frame])
-    assert result.problems[:2] == ("segmentation: cut off", "depth: cut off")
+    assert result.problems == (
+        "segmentation: cut off",
+        "depth: cut off",
+        "surface: no depth, the mounting gives the plane",
+        "objects: no segmentation, nothing is judged",
+        "objects: no depth, no distances",
+    )
     assert result.surface.source == "assumed"
 
 
@@ -98,7 +104,11 @@ def test_pixels_of_another_size_than_the_calibration_are_said():
     tags = Road(width=100, height=50).tags()
     frame = replace(drive(1)[0], segmentation=TagImage("camera", TABLE, lambda: tags))
     _, (result,) = run([frame])
-    assert result.problems[0] == "segmentation: 100x50 pixels, its calibration says 320x240"
+    assert result.problems == (
+        "segmentation: 100x50 pixels, its calibration says 320x240",
+        "surface: no segmentation, the lower image stands in for the road",
+        "objects: no segmentation, nothing is judged",
+    )
 
 
 def test_time_that_goes_back_clears_the_memory():

@@ -23,6 +23,7 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics as FrameMetricsProto
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.stereo_errors import both_see, stereo_errors
 from tests.analytic import Road, box
 from tests.hills import Hill
 
@@ -139,7 +140,7 @@ def flat(disparity_px):
 
 
 def test_true_stereo_has_no_errors():
-    epe_px, d1_ratio, coverage = m.stereo_errors(flat(10), flat(10), STEREO, 0.5)
+    epe_px, d1_ratio, coverage = stereo_errors(flat(10), flat(10), STEREO, 0.5)
     assert (epe_px, d1_ratio, coverage) == (0.0, 0.0, 1.0)
 
 
@@ -147,13 +148,13 @@ def test_stereo_errors_are_counted_over_known_pixels_beside_their_share():
     estimated = flat(10)
     estimated[:, 10:40] = 50.0 / 14
     estimated[:5] = np.nan
-    epe_px, d1_ratio, coverage = m.stereo_errors(estimated, flat(10), STEREO, 0.5)
+    epe_px, d1_ratio, coverage = stereo_errors(estimated, flat(10), STEREO, 0.5)
     assert (epe_px, d1_ratio, coverage) == (pytest.approx(4 * 30 / 70), pytest.approx(30 / 70), 0.5)
 
 
 @pytest.mark.parametrize(("true_px", "off_px", "bad"), [(10, 2.9, 0.0), (10, 3.1, 1.0), (70, 3.4, 0.0), (70, 3.6, 1.0)])
 def test_a_bad_disparity_is_three_pixels_and_five_percent_off(true_px, off_px, bad):
-    assert m.stereo_errors(flat(true_px + off_px), flat(true_px), STEREO, 0.5).d1_ratio == bad
+    assert stereo_errors(flat(true_px + off_px), flat(true_px), STEREO, 0.5).d1_ratio == bad
 
 
 def test_far_and_unknown_truth_does_not_count():
@@ -161,22 +162,22 @@ def test_far_and_unknown_truth_does_not_count():
     true[:, :20], true[:, 20:40] = 61.0, np.nan
     estimated = flat(10)
     estimated[:, :40] = 1.0
-    assert m.stereo_errors(estimated, true, STEREO, 0.5) == (0.0, 0.0, 1.0)
-    assert m.stereo_errors(estimated, flat(0.5), STEREO, 0.5) == (None, None, None)
-    assert m.stereo_errors(flat(np.nan), flat(10), STEREO, 0.5) == (None, None, 0.0)
+    assert stereo_errors(estimated, true, STEREO, 0.5) == (0.0, 0.0, 1.0)
+    assert stereo_errors(estimated, flat(0.5), STEREO, 0.5) == (None, None, None)
+    assert stereo_errors(flat(np.nan), flat(10), STEREO, 0.5) == (None, None, 0.0)
     with pytest.raises(ValueError, match="true depth is"):
-        m.stereo_errors(estimated[1:], true, STEREO, 0.5)
+        stereo_errors(estimated[1:], true, STEREO, 0.5)
 
 
 def test_what_something_near_hides_is_not_seen_by_both():
     """Columns 50 to 59 at 20 px land on 30 to 39, where the ground's columns 34 to 43 at 4 px would be."""
     disparity = np.full((3, 80), 4.0, np.float32)
     disparity[:, 50:60] = 20.0
-    seen = m.both_see(disparity)
+    seen = both_see(disparity)
     hidden = np.flatnonzero(~seen[1])
     assert hidden.tolist() == [0, 1, 2, 3, *range(34, 44)]
     disparity[1, 70] = np.nan
-    assert np.flatnonzero(~m.both_see(disparity)[1]).tolist() == [*hidden, 70]
+    assert np.flatnonzero(~both_see(disparity)[1]).tolist() == [*hidden, 70]
 
 
 def test_heights_are_judged_between_five_and_forty_metres():
