@@ -1,67 +1,16 @@
-"""One frozen model per stage, nested in ``ReplayConfig``; TOML in, TOML out.
+"""The settings of each stage, with their defaults and meaning.
 
-Every key has a default, so no file is needed. Lengths in pixels are given at 960 image rows and scale with the image.
+Lengths in pixels are given at 960 image rows and scale with the image.
 """
 
-import difflib
-import tomllib
-from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-import tomli_w
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Field, model_validator
 
-from roadperc_stream.errors import ConfigError
-from roadperc_stream.semantics import CLASS_NAMES, table_for_version
+from roadperc_stream.config.fields import Classes, Count, OddCount, Pixels, Positive, Ratio, Seconds, Section
 
 
-def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
-    unknown = [name for name in names if name not in CLASS_NAMES]
-    if unknown:
-        raise ValueError(f"unknown class {unknown[0]!r}; known: {', '.join(sorted(CLASS_NAMES))}")
-    return names
-
-
-def _known_table(version: str) -> str:
-    try:
-        return version if version == "auto" else table_for_version(version).name
-    except ConfigError as error:
-        raise ValueError(str(error)) from error
-
-
-def _odd(count: int) -> int:
-    if count % 2 == 0:
-        raise ValueError("must be odd")
-    return count
-
-
-def _split(names: Any) -> Any:
-    """One class, or several by commas, as a command line gives them."""
-    return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
-
-
-Classes = Annotated[tuple[str, ...], BeforeValidator(_split), AfterValidator(_known_classes)]
-Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
-Positive = Annotated[float, Field(ge=1e-6, le=1e4, allow_inf_nan=False)]
-Pixels = Annotated[float, Field(ge=0.1, le=1e3, allow_inf_nan=False)]
-Seconds = Annotated[float, Field(ge=0.0, le=3600.0, allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=1, le=100_000)]
-OddCount = Annotated[int, Field(ge=1, le=99), AfterValidator(_odd)]
-
-
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class SyncConfig(_Model):
+class SyncConfig(Section):
     """How messages of several sensors become one frame."""
 
     tolerance_s: Seconds = 0.01
@@ -70,7 +19,7 @@ class SyncConfig(_Model):
     """How far the log is read past a frame for a sensor whose messages arrive late."""
 
 
-class StereoConfig(_Model):
+class StereoConfig(Section):
     """Depth from a stereo pair by semi-global matching.
 
     What is matched is the image itself with ``full`` and one of half its rows and columns with ``fast``; ``block_px``,
@@ -108,7 +57,7 @@ class StereoConfig(_Model):
         return self
 
 
-class SurfaceConfig(_Model):
+class SurfaceConfig(Section):
     """The drivable surface, by RANSAC on road points."""
 
     enabled: bool = True
@@ -143,7 +92,7 @@ class SurfaceConfig(_Model):
     """How far to either side of the ego x axis points count for the height field."""
 
 
-class LanesConfig(_Model):
+class LanesConfig(Section):
     """The ego lane, by edges and Hough lines of the segmentation, smoothed over time."""
 
     enabled: bool = True
@@ -184,7 +133,7 @@ class LanesConfig(_Model):
     curvature_std_per_m: Positive = 0.002
 
 
-class ObjectsConfig(_Model):
+class ObjectsConfig(Section):
     """Detections filtered by segmentation, with their distance, and followed over time."""
 
     enabled: bool = True
@@ -222,7 +171,7 @@ class ObjectsConfig(_Model):
     """and where the closing speed is this many of its standard deviations above zero."""
 
 
-class OdometryConfig(_Model):
+class OdometryConfig(Section):
     """Where the car is, from images and depth."""
 
     enabled: bool = True
@@ -266,7 +215,7 @@ class OdometryConfig(_Model):
     """Median shift of the points since the keyframe above which a frame becomes the next one."""
 
 
-class OccupancyConfig(_Model):
+class OccupancyConfig(Section):
     """A bird's-eye grid of what is free and what is occupied, in the ego frame."""
 
     enabled: bool = True
@@ -297,96 +246,3 @@ class OccupancyConfig(_Model):
         if self.max_height_m <= self.min_height_m:
             raise ValueError(f"max_height_m {self.max_height_m} is not above min_height_m {self.min_height_m}")
         return self
-
-
-STAGES = ("stereo", "surface", "odometry", "lanes", "objects", "occupancy")
-"""Stages in the order in which they run; each has a section below."""
-NEEDS = {"lanes": ("surface",), "occupancy": ("surface",)}
-"""Stages that cannot work without others."""
-
-
-def switched_off(stage: str) -> str:
-    """The setting that switches a stage off."""
-    return "stereo.method=off" if stage == "stereo" else f"{stage}.enabled=false"
-
-
-class ReplayConfig(_Model):
-    """Everything that decides what a replay computes."""
-
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    tag_table: Annotated[str, AfterValidator(_known_table)] = "auto"
-    """Tag table of logs that do not name theirs: a CARLA version, a table's name, or ``auto`` (what the log says)."""
-    sync: SyncConfig = SyncConfig()
-    stereo: StereoConfig = StereoConfig()
-    surface: SurfaceConfig = SurfaceConfig()
-    odometry: OdometryConfig = OdometryConfig()
-    lanes: LanesConfig = LanesConfig()
-    objects: ObjectsConfig = ObjectsConfig()
-    occupancy: OccupancyConfig = OccupancyConfig()
-
-    def to_toml(self) -> str:
-        """The whole configuration, defaults included; ``load_config`` reads it back."""
-        return tomli_w.dumps(self.model_dump(mode="json"))
-
-
-def load_config(path: Path | None = None, settings: tuple[str, ...] = ()) -> ReplayConfig:
-    """Configuration of a TOML file and ``KEY=VALUE`` settings, the settings winning.
-
-    Args:
-        path: TOML file with any part of the keys; None for the defaults.
-        settings: such as ``lanes.hold_s=0.8``; the value is TOML, a bare word is a string.
-
-    Raises:
-        ConfigError: the file cannot be read, or a key or value does not fit; the message names it.
-
-    """
-    tree = _read_toml(path) if path else {}
-    for setting in settings:
-        key, separator, value = setting.partition("=")
-        if not separator:
-            raise ConfigError(f"--set {setting}: expected KEY=VALUE, such as lanes.hold_s=0.8")
-        _assign(tree, key.strip().split("."), _toml_value(value.strip()), setting)
-    try:
-        return ReplayConfig.model_validate(tree)
-    except RecursionError as error:
-        raise ConfigError(f"{path or 'setting'}: nested too deeply") from error
-    except ValidationError as error:
-        raise ConfigError(f"{path or 'setting'}: {_complaint(error)}") from error
-
-
-def _complaint(error: ValidationError) -> str:
-    first = error.errors()[0]
-    *sections, name = (str(part) for part in first["loc"])
-    key = ".".join((*sections, name))
-    if first["type"] != "extra_forbidden":
-        return f"{key}: {first['msg']}, got {first['input']!r}"
-    model: type[BaseModel] = ReplayConfig
-    for section in sections:
-        model = type(model.model_fields[section].default)
-    close = difflib.get_close_matches(name, model.model_fields, n=1)
-    known = f"did you mean {close[0]}?" if close else f"known: {', '.join(model.model_fields)}"
-    return f"no setting {key}; {known}"
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from error
-
-
-def _toml_value(text: str) -> Any:
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
-
-
-def _assign(tree: dict[str, Any], keys: list[str], value: Any, setting: str) -> None:
-    for key in keys[:-1]:
-        tree = tree.setdefault(key, {})
-        if not isinstance(tree, dict):
-            raise ConfigError(f"--set {setting}: {key} is a value, not a table")
-    tree[keys[-1]] = value

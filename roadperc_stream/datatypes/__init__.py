@@ -1,0 +1,57 @@
+"""What one frame is made of, and what each stage makes of it: frozen dataclasses, arrays read-only."""
+
+from roadperc_stream.datatypes.arrays import Image, Mask, read_only
+from roadperc_stream.datatypes.frame import Box, CameraImage, DepthImage, Detection, Frame, TagImage
+from roadperc_stream.datatypes.results import (
+    SIDES,
+    Absent,
+    Boundary,
+    BoundaryStatus,
+    FrameResult,
+    HeightGrid,
+    Lanes,
+    Line,
+    Object,
+    Objects,
+    ObjectStatus,
+    Occupancy,
+    Odometry,
+    OdometryStatus,
+    Side,
+    StereoDepth,
+    Surface,
+    SurfaceSource,
+)
+from roadperc_stream.datatypes.sample import Sample, Truth
+
+__all__ = [
+    "SIDES",
+    "Absent",
+    "Boundary",
+    "BoundaryStatus",
+    "Box",
+    "CameraImage",
+    "DepthImage",
+    "Detection",
+    "Frame",
+    "FrameResult",
+    "HeightGrid",
+    "Image",
+    "Lanes",
+    "Line",
+    "Mask",
+    "Object",
+    "ObjectStatus",
+    "Objects",
+    "Occupancy",
+    "Odometry",
+    "OdometryStatus",
+    "Sample",
+    "Side",
+    "StereoDepth",
+    "Surface",
+    "SurfaceSource",
+    "TagImage",
+    "Truth",
+    "read_only",
+]
