@@ -11,6 +11,7 @@ from roadperc_stream.datatypes import (
     Frame,
     Lanes,
     Objects,
+    PointCloud,
     Sample,
     Surface,
     TagImage,
@@ -43,10 +44,12 @@ def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str
     depth_camera = _depth_camera(held, camera, depth)
     mounting = held.lookup(EGO, camera.frame_id)
     ego_T_camera = level_mounting(cfg.surface.assumed_height_m) if mounting is None else mounting
-    left = _payload(parts, "left", CameraImage) if moment.reference.role != "left" else None
-    left_camera = held.cameras.get("left_calibration") if left else camera
+    apart = "left" in topics and moment.reference.role != "left"
+    left = _payload(parts, "left", CameraImage) if apart else None
+    left_camera = held.cameras.get("left_calibration") if apart else camera
     if left_camera is None:
         raise ChannelError(f"{topics['left']}: the left camera has no calibration at {moment.reference.stamp_ns} ns")
+    points = _payload(parts, "lidar", PointCloud)
     detections = parts.get("detections")
     frame = Frame(
         stamp_ns=moment.reference.stamp_ns,
@@ -64,6 +67,8 @@ def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str
         depth=depth,
         segmentation=_payload(parts, "segmentation", TagImage),
         detections=detections.payload if detections else None,  # type: ignore[arg-type]
+        points=points,
+        ego_T_lidar=None if points is None else _lidar_mounting(held, ego_T_camera, camera, points.frame_id),
     )
     missing = tuple(role for role in topics if _expected(role) and role not in parts)
     return Sample(index, moment.reference.log_time_ns, frame, _truth(parts), missing, moment.skew_ns)
@@ -108,6 +113,16 @@ def _mounting(held: Held, ego_T_camera: Float, camera: Camera, other: Camera) ->
     """ego_T_other by the transform tree; without one the other camera stands where the front camera does."""
     camera_T_other = held.lookup(camera.frame_id, other.frame_id)
     return ego_T_camera if camera_T_other is None else ego_T_camera @ camera_T_other
+
+
+def _lidar_mounting(held: Held, ego_T_camera: Float, camera: Camera, frame_id: str) -> Float | None:
+    """ego_T_lidar by the transform tree, from the camera where that is known; None where the tree does not tell.
+
+    No place is assumed for a lidar: unlike a second camera it never stands where the front camera does. Points in the
+    camera's or in ego's own frame need no transform.
+    """
+    camera_T_lidar = held.lookup(camera.frame_id, frame_id)
+    return held.lookup(EGO, frame_id) if camera_T_lidar is None else ego_T_camera @ camera_T_lidar
 
 
 def _truth(parts: Mapping[str, Stamped]) -> Truth:

@@ -58,6 +58,11 @@ class View:
     depth: DepthView | None
 
     @property
+    def dense_depth_m(self) -> Float32 | None:
+        """(H, W) depth as the front camera sees it, for what needs it at most pixels; None of a lidar's points."""
+        return self.depth_m if self.depth is not None and self.depth.dense else None
+
+    @property
     def table(self) -> TagTable | None:
         """The tags' table."""
         return self.frame.segmentation.table if self.frame.segmentation else None
@@ -97,8 +102,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     with timer("stereo"):
         matched = _stereo(cfg, frame, grey, problems)
     with timer("surface"):
-        depth = inputs.stereo_view(frame, matched) if sensor is None and isinstance(matched, StereoDepth) else sensor
-        view = View(frame, tags, grey, depth)
+        view = View(frame, tags, grey, _depth(frame, sensor, matched, problems))
         plane = _surface(cfg, view, rng)
         front = _in_front_camera(plane, view)
         drivable = _drivable(cfg, view, front)
@@ -127,6 +131,17 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     return ChainState(frame.stamp_ns, odometry_state, lanes_state, objects_state), result
 
 
+def _depth(
+    frame: Frame, sensor: DepthView | None, matched: StereoDepth | Absent, problems: list[str]
+) -> DepthView | None:
+    """The depth camera's view, else stereo's, else the lidar's few points."""
+    if sensor is not None:
+        return sensor
+    if isinstance(matched, StereoDepth):
+        return inputs.stereo_view(frame, matched)
+    return inputs.lidar_view(frame, problems)
+
+
 def _in_front_camera(plane: Surface | Absent, view: View) -> Surface | Absent:
     """The road with its plane in the frame of the front camera, where the depth belongs to another one."""
     frame, depth = view.frame, view.depth
@@ -147,7 +162,7 @@ def _odometry(
         frame.camera,
         frame.ego_T_camera,
         view.grey,
-        view.depth_m,
+        view.dense_depth_m,
         None if movable is None else movable.view(bool),
         _trusted(front, frame),
         rng,
@@ -203,7 +218,15 @@ def _occupancy(cfg: ReplayConfig, view: View, front: Surface | Absent, drivable:
         return OFF
     frame = view.frame
     return occupancy.build(
-        cfg.occupancy, frame.camera, frame.ego_T_camera, front, view.depth_m, drivable, view.tags, view.table
+        cfg.occupancy,
+        frame.camera,
+        frame.ego_T_camera,
+        front,
+        view.depth_m,
+        drivable,
+        view.tags,
+        view.table,
+        dense=view.depth is not None and view.depth.dense,
     )
 
 
@@ -223,9 +246,14 @@ def _metric_step(motion: Odometry | Absent, since_ns: int | None) -> Float | Non
 
 def _wants_grey(cfg: ReplayConfig, state: ChainState, frame: Frame) -> bool:
     """Whether any stage needs the front camera's pixels."""
-    matches = cfg.stereo.method != "off" and frame.right is not None and frame.left is None
+    matches = cfg.stereo.method != "off" and frame.right is not None and _left_is_front(frame)
     carries = cfg.objects.enabled and cfg.objects.template_search and bool(frame.detections or state.objects.tracks)
     return cfg.odometry.enabled or matches or carries
+
+
+def _left_is_front(frame: Frame) -> bool:
+    """Whether the pair's left camera is the front camera, and not one of its own, whose image may be missing."""
+    return frame.left is None and frame.left_camera == frame.camera
 
 
 def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[str]) -> StereoDepth | Absent:
@@ -234,7 +262,7 @@ def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[
         return OFF
     if frame.right is None:
         return Absent("no right image")
-    left_grey = grey if frame.left is None else inputs.grey_of("left", frame.left, frame.left_camera, problems)
+    left_grey = grey if _left_is_front(frame) else inputs.grey_of("left", frame.left, frame.left_camera, problems)
     right_grey = inputs.grey_of("right", frame.right, frame.right_camera, problems)
     return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
@@ -258,12 +286,16 @@ def _drivable(cfg: ReplayConfig, view: View, front: Surface | Absent) -> Mask | 
     if not cfg.surface.enabled:
         return OFF
     frame, road = view.frame, view.labels(cfg.surface.classes)
-    return surface.drivable_mask(cfg.surface, front, frame.camera, view.depth_m, road, frame.ego_T_camera)
+    if road is None and view.depth is not None and not view.depth.dense:
+        return Absent("no segmentation, and a lidar's points are too few to tell pixels apart")
+    return surface.drivable_mask(cfg.surface, front, frame.camera, view.dense_depth_m, road, frame.ego_T_camera)
 
 
 def _what_is_lacking(view: View, followed: Objects | Absent) -> list[str]:
     """What a stage that gave something had to do without."""
     lacking = []
+    if view.frame.camera.lens is not None:
+        lacking.append("image: its camera is not rectified, and only stereo undoes the distortion")
     if view.depth is None:
         known = "mounting" if view.frame.mounted else "assumed height"
         lacking.append(f"surface: no depth, the {known} gives the plane")

@@ -8,7 +8,9 @@ from roadperc_stream.errors import ChannelError
 from roadperc_stream.schemas import ros2
 from roadperc_stream.schemas.protobuf import schema_data
 
-Kind = Literal["image", "tags", "depth", "calibration", "detections", "tf", "pose", "surface", "lanes", "objects"]
+Kind = Literal[
+    "image", "tags", "depth", "points", "calibration", "detections", "tf", "pose", "surface", "lanes", "objects"
+]
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Schema:
 
 IMAGE_SCHEMA: Final = "foxglove.CompressedImage"
 CALIBRATION_SCHEMA: Final = "foxglove.CameraCalibration"
+POINTS_SCHEMA: Final = "foxglove.PointCloud"
 
 ROLES: Final = {
     role.name: role
@@ -49,6 +52,7 @@ ROLES: Final = {
         Role("left_calibration", "/camera/left/calibration", "calibration", CALIBRATION_SCHEMA),
         Role("right", "/camera/right/image", "image", IMAGE_SCHEMA),
         Role("right_calibration", "/camera/right/calibration", "calibration", CALIBRATION_SCHEMA),
+        Role("lidar", "/lidar/points", "points", POINTS_SCHEMA),
         Role("tf", "/tf", "tf", "foxglove.FrameTransforms"),
         Role("truth_pose", "/truth/pose", "pose", "foxglove.PoseInFrame", truth=True),
         Role("truth_surface", "/truth/surface", "surface", "roadperc.Surface", truth=True),

@@ -8,11 +8,12 @@ import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudProto
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream import images
-from roadperc_stream.channels import IMAGE_SCHEMA, TAG_TABLE_KEY, Kind
+from roadperc_stream import images, points
+from roadperc_stream.channels import IMAGE_SCHEMA, POINTS_SCHEMA, TAG_TABLE_KEY, Kind
 from roadperc_stream.datatypes import (
     Boundary,
     Box,
@@ -23,6 +24,7 @@ from roadperc_stream.datatypes import (
     Lanes,
     Object,
     Objects,
+    PointCloud,
     Side,
     Surface,
     TagImage,
@@ -54,6 +56,7 @@ Payload = (
     CameraImage
     | TagImage
     | DepthImage
+    | PointCloud
     | Camera
     | tuple[Detection, ...]
     | tuple[Transform, ...]
@@ -109,6 +112,19 @@ def _ros_depth_m(data: bytes) -> tuple[Float32, float]:
     depth_m = image.pixels.astype(np.float32)
     depth_m[~(depth_m > 0)] = np.nan
     return depth_m, np.inf
+
+
+def _points(data: bytes, _: Context) -> Decoded:
+    message = PointCloudProto.FromString(data)
+    return Decoded(stamp_ns(message.timestamp), PointCloud(message.frame_id, lambda: _points_m(message)))
+
+
+def _points_m(message: Any) -> Float32:
+    """Points in the frame the message names: its pose, where it states one, places them there."""
+    stated = message.HasField("pose")
+    return points.unpack_points(
+        message, _pose_matrix(message.pose.position, message.pose.orientation) if stated else np.eye(4)
+    )
 
 
 def _calibration(data: bytes, _: Context) -> Decoded:
@@ -267,6 +283,7 @@ DECODERS: Final[Mapping[tuple[Kind, str, str], Callable[[bytes, Context], Decode
     ("image", IMAGE_SCHEMA, "protobuf"): _image,
     ("tags", IMAGE_SCHEMA, "protobuf"): _tags,
     ("depth", ros2.IMAGE, "cdr"): _ros_depth,
+    ("points", POINTS_SCHEMA, "protobuf"): _points,
     ("calibration", "foxglove.CameraCalibration", "protobuf"): _calibration,
     ("detections", "roadperc.Detections", "protobuf"): _detections,
     ("tf", "foxglove.FrameTransforms", "protobuf"): _transforms,

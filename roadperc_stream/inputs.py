@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from roadperc_stream.datatypes import CameraImage, Frame, Image, StereoDepth, SurfaceSource
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float, Float32, inverse
-from roadperc_stream.registration import sample_labels, warp_depth
+from roadperc_stream.registration import depth_of_points, sample_labels, warp_depth
 
 T = TypeVar("T")
 P = TypeVar("P", bound=np.generic)
@@ -25,6 +25,11 @@ class DepthView:
     ego_T_camera: Float
     limit_m: float
     source: SurfaceSource
+
+    @property
+    def dense(self) -> bool:
+        """Whether most pixels have a depth: a lidar's points are few."""
+        return self.source != "lidar"
 
     def from_front(self, frame: Frame) -> Float32:
         """The depth as the front camera would see it."""
@@ -70,6 +75,25 @@ def sensor_depth(frame: Frame, problems: list[str]) -> DepthView | None:
 def stereo_view(frame: Frame, stereo: StereoDepth) -> DepthView:
     """Stereo's depth as a depth camera's view."""
     return DepthView(stereo.depth_m, frame.left_camera, frame.ego_T_left, np.inf, "stereo")
+
+
+def lidar_view(frame: Frame, problems: list[str]) -> DepthView | None:
+    """The lidar's points as a sparse depth image of the front camera."""
+    if frame.points is None:
+        return None
+    if frame.ego_T_lidar is None:
+        problems.append(f"lidar: no transform connects its frame {frame.points.frame_id!r} with ego")
+        return None
+    try:
+        points_m = frame.points.points_m
+    except DecodeError as error:
+        problems.append(f"lidar: {error}")
+        return None
+    depth_m = depth_of_points(frame.camera, inverse(frame.ego_T_camera) @ frame.ego_T_lidar, points_m)
+    if not np.isfinite(depth_m).any():
+        problems.append(f"lidar: none of its {len(points_m)} points lies in the camera's view")
+        return None
+    return DepthView(depth_m, frame.camera, frame.ego_T_camera, np.inf, "lidar")
 
 
 def _pixels(

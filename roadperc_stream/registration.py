@@ -1,4 +1,4 @@
-"""Bringing the images of two cameras together, where depth and segmentation do not share one."""
+"""Bringing sensors together: the images of two cameras that are not one, and a lidar's points into an image."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,31 @@ def warp_depth(depth_camera: Camera, camera_T_depth: Float, camera: Camera, dept
     _fill_gaps(warped)
     warped[np.isinf(warped)] = np.nan
     return warped
+
+
+def depth_of_points(camera: Camera, camera_T_lidar: Float, points_m: Float32) -> Float32:
+    """Sparse depth of a lidar's points as a camera sees them: each falls into one pixel, where the nearest one counts.
+
+    The camera is a pinhole here as it is to every stage, whatever lens its image was taken with: so a pixel and its
+    depth give the point again, to within half a pixel.
+
+    Args:
+        camera: whose pixels.
+        camera_T_lidar: the lidar's pose in the camera's frame.
+        points_m: (N, 3) in the lidar's frame; those behind the camera and outside its image are left out.
+
+    Returns:
+        (h, w) float32 metres along the camera's z, NaN where no point falls.
+    """
+    points = transform(camera_T_lidar, points_m.astype(np.float64))
+    columns, rows = np.rint(project(camera, points)).T
+    with np.errstate(invalid="ignore", over="ignore"):
+        inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+        z = points[inside, 2].astype(np.float32)
+    depth_m = np.full(camera.height * camera.width, np.inf, np.float32)
+    np.minimum.at(depth_m, (rows * camera.width + columns)[inside].astype(np.int64), z)
+    depth_m[np.isinf(depth_m)] = np.nan
+    return depth_m.reshape(camera.size)
 
 
 def _seen_from(

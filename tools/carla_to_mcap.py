@@ -30,10 +30,11 @@ example:
 
 the dump:
   one folder per sensor (rgb, CameraRGB, image_2, depth, segmentation, sem, left, right, ...) with a file per frame,
-  paired by the last number in each name; or flat files such as left.png and right.png. Beside them, where there are:
+  paired by the last number in each name; or flat files such as left.png and right.png. A lidar's points (lidar,
+  velodyne, ...) are CARLA's .ply or .npy, left-handed, or KITTI's .bin, right-handed. Beside them, where there are:
   calibration.json   K, or fov_deg; width, height; P_left and P_right, or baseline_m; carla_tags; rate_hz;
                      mounting {role: {x, y, z, roll, pitch, yaw}} as CARLA has it; cameras {role: {K, ...}} for those
-                     that differ; pixel_origin "corner" (c = w / 2, the default) or "centre"
+                     that differ; pixel_origin "corner" (c = w / 2, the default) or "centre"; mounting.lidar too
   detections.json    {frame: [{label, box_px, score}]}, COCO results, or KITTI files in label_2/
   timestamps.txt     lines 'frame seconds', or a value a line
   poses.json         {frame: {location, rotation}}, or poses.csv; truth.json and truth/ as roadperc-render writes

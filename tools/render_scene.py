@@ -9,6 +9,7 @@ from typing import Final
 
 from roadperc_stream.command import frame_progress, run
 
+from .scene.dump import SENSORS
 from .scene.job import RenderOptions, render_dump
 from .scene.world import SCENES
 
@@ -19,7 +20,8 @@ example:
 
 DUMP then holds rgb/, depth/, segmentation/ and right/ (the second camera of a stereo pair, 0.5 m to the right),
 calibration.json, detections.json, poses.json, timestamps.txt, truth.json, and truth/ with the clean tags and depth
-where noise or drops spoil the others. The same options give the same bytes.
+where noise or drops spoil the others, or they are left out. With --lidar it also holds lidar/: 64 rings over 90 degrees
+ahead, PLY files with CARLA's left-handed x forward, y right, z up. The same options give the same bytes.
 """
 
 
@@ -42,8 +44,8 @@ def _render(dump: Path, options: RenderOptions, *, force: bool) -> None:
 
 def _options(arguments: argparse.Namespace) -> RenderOptions:
     width, height = arguments.size
-    own = {key: value for key, value in vars(arguments).items() if key not in ("dump", "size", "force")}
-    return RenderOptions(width=width, height=height, **own)
+    own = {key: value for key, value in vars(arguments).items() if key not in ("dump", "size", "force", "without")}
+    return RenderOptions(width=width, height=height, without=tuple(arguments.without), **own)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -65,6 +67,15 @@ def _parser() -> argparse.ArgumentParser:
     add("dump", type=Path, metavar="DUMP", help="folder to write")
     add("--size", type=_size, default=(defaults.width, defaults.height), metavar="WxH", help="pixels (1280x960)")
     add("--jpeg", action="store_true", help="rgb and right as JPEG")
+    add("--lidar", action="store_true", help="a lidar on the roof, 2.4 m high: its points are exact")
+    add(
+        "--without",
+        action="append",
+        choices=SENSORS,
+        default=[],
+        metavar="SENSOR",
+        help=f"leave out {', '.join(SENSORS)}",
+    )
     add("--seed", type=int, default=defaults.seed, metavar="N", help="everything random comes from it (0)")
     add("--force", action="store_true", help="replace an earlier dump in the folder")
     _add_drive(parser.add_argument_group("the drive"), defaults)

@@ -1,7 +1,7 @@
 """What one frame is made of, and what each stage makes of it: frozen dataclasses, arrays read-only."""
 
 from roadperc_stream.datatypes.arrays import Image, Mask, read_only
-from roadperc_stream.datatypes.frame import Box, CameraImage, DepthImage, Detection, Frame, TagImage
+from roadperc_stream.datatypes.frame import Box, CameraImage, DepthImage, Detection, Frame, PointCloud, TagImage
 from roadperc_stream.datatypes.results import (
     SIDES,
     Absent,
@@ -46,6 +46,7 @@ __all__ = [
     "Occupancy",
     "Odometry",
     "OdometryStatus",
+    "PointCloud",
     "Sample",
     "Side",
     "StereoDepth",

@@ -73,6 +73,26 @@ class DepthImage:
 
 
 @dataclass(frozen=True)
+class PointCloud:
+    """A lidar's points, decoded when asked for."""
+
+    frame_id: str
+    decode_points: Callable[[], Float32]
+
+    @cached_property
+    def points_m(self) -> Float32:
+        """(N, 3) float32 metres in the frame ``frame_id``, all finite.
+
+        Raises:
+            DecodeError: the message does not hold what it promises.
+
+        """
+        points_m = self.decode_points()
+        read_only(points_m, np.float32, (None, 3), "points")
+        return points_m
+
+
+@dataclass(frozen=True)
 class TagImage:
     """A segmentation, decoded when asked for."""
 
@@ -137,7 +157,8 @@ class Frame:
 
     ``camera`` is the camera of image, segmentation and detections; the depth may come from another one. The left camera
     of a stereo pair is the front camera where ``left`` is None. Without a
-    mounting (``mounted`` False) the transforms are those of a level camera at the assumed height.
+    mounting (``mounted`` False) the transforms are those of a level camera at the assumed height. ``ego_T_lidar`` is
+    None where no transform tells where the points are.
     """
 
     stamp_ns: int
@@ -155,7 +176,11 @@ class Frame:
     depth: DepthImage | None = None
     segmentation: TagImage | None = None
     detections: tuple[Detection, ...] | None = None
+    points: PointCloud | None = None
+    ego_T_lidar: Float | None = None
 
     def __post_init__(self) -> None:
         read_only(self.ego_T_camera, np.float64, (4, 4), "ego_T_camera")
         read_only(self.ego_T_depth_camera, np.float64, (4, 4), "ego_T_depth_camera")
+        if self.ego_T_lidar is not None:
+            read_only(self.ego_T_lidar, np.float64, (4, 4), "ego_T_lidar")

@@ -4,6 +4,10 @@ Occupied are cells with points that stand above the road, or belong to an obstac
 and cells whose middle, looked up in the image, is drivable and as far away as the cell: far ahead neighbouring rows of
 the image are metres apart, and this inverse mapping leaves no gaps between them. Everything else is unknown, so also
 what lies behind an obstacle. Occupied wins over free.
+
+Of a lidar's few points every one counts, and a cell whose middle is seen as drivable is free without one. Heights alone
+tell there what is in the way: a point that an obstacle hides from the camera but not from the lidar has the obstacle's
+tag.
 """
 
 from typing import Final
@@ -35,6 +39,8 @@ def build(
     drivable: Mask | Absent,
     tags: Image | None,
     table: TagTable | None,
+    *,
+    dense: bool,
 ) -> Occupancy | Absent:
     """The grid of one frame.
 
@@ -47,6 +53,7 @@ def build(
         drivable: (H, W) drivable pixels.
         tags: (H, W) tags of ``table``; None: heights alone tell what is in the way.
         table: the tags' table.
+        dense: whether the depth is known at most pixels, or at a lidar's points alone.
 
     Returns:
         The grid, or why there is none.
@@ -57,15 +64,15 @@ def build(
         return Absent(f"no surface: {surface.reason}")
     if isinstance(drivable, Absent):
         return Absent(f"no drivable surface: {drivable.reason}")
-    step = _pixel_step(cfg, camera)
+    step = _pixel_step(cfg, camera) if dense else 1
     seen = depth_m[::step, ::step]
     x, y, z = ego_points(part(camera, 0, step, step), ego_T_camera, seen)
     height = height_above(surface, x, y, z)
-    in_the_way = _in_the_way(cfg, height, _obstacles(cfg, tags, table, step))
+    in_the_way = _in_the_way(cfg, height, _obstacles(cfg, tags, table, step) if dense else None)
     free = drivable[::step, ::step] & np.isfinite(height)
     cells = np.full(_shape(cfg), UNKNOWN, np.int8)
     cells[_enough(cfg, x[free], y[free])] = FREE
-    cells[_seen_through(cfg, camera, ego_T_camera, surface, depth_m, drivable)] = FREE
+    cells[_seen_through(cfg, camera, ego_T_camera, surface, depth_m if dense else None, drivable)] = FREE
     cells[_enough(cfg, x[in_the_way], y[in_the_way])] = OCCUPIED
     return Occupancy(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cells)
 
@@ -109,9 +116,9 @@ def _enough(cfg: OccupancyConfig, x: Float32, y: Float32) -> Mask:
 
 
 def _seen_through(
-    cfg: OccupancyConfig, camera: Camera, ego_T_camera: Float, surface: Surface, depth_m: Float32, drivable: Mask
+    cfg: OccupancyConfig, camera: Camera, ego_T_camera: Float, surface: Surface, depth_m: Float32 | None, drivable: Mask
 ) -> Mask:
-    """(rows, columns) cells whose middle is seen as drivable road at its own distance."""
+    """(rows, columns) cells whose middle is seen as drivable road, at its own distance where the depth tells."""
     rows, columns = _shape(cfg)
     x, y = np.meshgrid(
         cfg.x_min_m + cfg.resolution_m * (np.arange(columns) + 0.5),
@@ -121,10 +128,11 @@ def _seen_through(
     pixels = np.rint(np.nan_to_num(project(camera, middles), nan=-1.0))
     inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=-1)
     u, v = pixels[inside].astype(np.intp).T
-    distance = middles[inside][:, 2]
     road = np.asarray(cv2.medianBlur(drivable.view(np.uint8), _MEDIAN_PX), np.uint8).view(np.bool_)
-    with np.errstate(invalid="ignore"):
-        agrees = np.abs(depth_m[v, u] - distance) <= cfg.depth_tolerance * distance + cfg.resolution_m
     result = np.zeros((rows, columns), bool)
-    result[inside] = road[v, u] & agrees
+    result[inside] = road[v, u]
+    if depth_m is not None:
+        distance = middles[inside][:, 2]
+        with np.errstate(invalid="ignore"):
+            result[inside] &= np.abs(depth_m[v, u] - distance) <= cfg.depth_tolerance * distance + cfg.resolution_m
     return result

@@ -42,9 +42,9 @@ def scene(road=WIDE, block=None, tag=VEHICLE, bottom_m=0.0):
     return depth_m, tags, drivable
 
 
-def grid(depth_m, tags, drivable, road=WIDE, cfg=CFG, surface=None):
+def grid(depth_m, tags, drivable, road=WIDE, cfg=CFG, surface=None, *, dense=True):
     surface = surface_of(road) if surface is None else surface
-    return build(cfg, road.camera, road.ego_T_camera, surface, depth_m, drivable, tags, TABLE)
+    return build(cfg, road.camera, road.ego_T_camera, surface, depth_m, drivable, tags, TABLE, dense=dense)
 
 
 def cell(occupancy, x, y):
@@ -108,7 +108,7 @@ def test_low_things_are_in_the_way_by_their_class_alone():
 
 
 def build_without_tags(depth_m, _tags, drivable):
-    return build(CFG, WIDE.camera, WIDE.ego_T_camera, surface_of(WIDE), depth_m, drivable, None, None)
+    return build(CFG, WIDE.camera, WIDE.ego_T_camera, surface_of(WIDE), depth_m, drivable, None, None, dense=True)
 
 
 def test_one_passes_below_what_hangs_high():
@@ -196,9 +196,9 @@ def test_missing_inputs_are_stated():
     depth_m, tags, drivable = scene()
     place = (CFG, WIDE.camera, WIDE.ego_T_camera)
     absent = Absent("none")
-    assert "depth" in build(*place, surface_of(WIDE), None, drivable, tags, TABLE).reason
-    assert "surface" in build(*place, absent, depth_m, drivable, tags, TABLE).reason
-    assert "drivable" in build(*place, surface_of(WIDE), depth_m, absent, tags, TABLE).reason
+    assert "depth" in build(*place, surface_of(WIDE), None, drivable, tags, TABLE, dense=True).reason
+    assert "surface" in build(*place, absent, depth_m, drivable, tags, TABLE, dense=True).reason
+    assert "drivable" in build(*place, surface_of(WIDE), depth_m, absent, tags, TABLE, dense=True).reason
 
 
 def test_unknown_depth_is_unknown_ground():

@@ -435,3 +435,39 @@ def test_rgbd_depth_is_a_road_two_metres_below(real_logs):
     row, column = 480, 256
     height_m = depth[row, column] * (row - camera.cy) / camera.fy
     assert height_m == pytest.approx(2.0, abs=0.02)
+
+
+def lidar_dump(folder: Path, **mounting: dict[str, float]) -> Path:
+    dump = plain_dump(folder)
+    document(dump / "calibration.json", {**CALIBRATION, "mounting": {"rgb": {"x": 1.5, "z": 1.4}, **mounting}})
+    for number in (0, 1, 2, 7):
+        points = np.array([[10.0 + number, 2.0, -2.4, 0.5]], "<f4")
+        (dump / "velodyne").mkdir(exist_ok=True)
+        (dump / "velodyne" / f"{number:06d}.bin").write_bytes(points.tobytes())
+    return dump
+
+
+def test_a_lidar_becomes_points_with_their_place(tmp_path, capsys):
+    """Turned by 90 degrees to the right as CARLA counts yaw, half a metre to the right."""
+    dump = lidar_dump(tmp_path / "dump", lidar={"x": 0.0, "y": 0.5, "z": 2.4, "yaw": 90.0})
+    (dump / "velodyne" / "000001.bin").write_bytes(b"cut off")
+    out = convert(dump)
+    assert "velodyne/000001.bin: 7 bytes, expected points of 16 bytes" in capsys.readouterr().err
+    found = payloads(out)
+    clouds = {sequence: cloud for _, sequence, cloud in found["lidar"]}
+    assert sorted(clouds) == [0, 2], "one is damaged, one has no image"
+    assert clouds[2].frame_id == "lidar"
+    np.testing.assert_allclose(clouds[2].points_m, [(12.0, 2.0, -2.4)], atol=1e-6)
+    ((_, _, edges),) = found["tf"]
+    (ego_T_lidar,) = [edge.parent_T_child for edge in edges if (edge.parent, edge.child) == ("ego", "lidar")]
+    in_ego = ego_T_lidar @ (12.0, 2.0, -2.4, 1.0)
+    np.testing.assert_allclose(in_ego[:3], (2.0, -12.5, 0.0), atol=1e-6)
+
+
+def test_a_lidar_nobody_placed_is_said(tmp_path, capsys):
+    dump = lidar_dump(tmp_path / "dump")
+    assert main([str(dump), str(tmp_path / "out.mcap")]) == 0
+    printed = capsys.readouterr().out
+    assert "nobody says where the lidar is" in printed
+    assert "lidar: 1 of 4 frames have no image: left out" in printed
+    assert "KITTI velodyne, right-handed" in printed

@@ -426,3 +426,64 @@ def test_a_file_in_the_folders_place_is_refused(tmp_path, capsys):
     (tmp_path / "x").write_text("")
     assert main([str(tmp_path / "x")]) == 1
     assert str(tmp_path / "x") in capsys.readouterr().err
+
+
+def carla_points(path):
+    """(N, 4) of a file as carla.LidarMeasurement.save_to_disk writes it."""
+    header, _, body = path.read_text().partition("end_header\n")
+    points = np.array(body.split(), float).reshape(-1, 4)
+    assert header.splitlines() == [
+        "ply",
+        "format ascii 1.0",
+        f"element vertex {len(points)}",
+        *(f"property float32 {name}" for name in "xyzI"),
+    ]
+    return points
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_lidars_points_lie_on_what_the_depth_shows(rendered, scene):
+    dump = rendered("--scene", scene, "--seconds", "0.05", "--lidar")
+    place = dump.calibration["mounting"]["lidar"]
+    points = carla_points(dump.folder / "lidar" / "000000.ply")
+    assert len(points) > 15_000
+    forward, right, up, intensity = points.T
+    distance = np.linalg.norm(points[:, :3], axis=1)
+    np.testing.assert_allclose(intensity, np.exp(-0.004 * distance), atol=1e-3)
+    elevation = np.degrees(np.arcsin(up / distance))
+    assert -30.2 < elevation.min() < -29 < 9 < elevation.max() < 10.2
+    assert np.abs(np.degrees(np.arctan2(right, forward))).max() < 45.1
+    ahead, aside, above = forward + place["x"] - CAMERA_X, right, up + place["z"] - CAMERA_Z
+    f, cx, cy = dump.pinhole
+    u, v = np.rint(f * aside / ahead + cx).astype(int), np.rint(cy - f * above / ahead).astype(int)
+    depth = dump.depth("000000")
+    seen = (ahead > 0.1) & (u >= 0) & (u < depth.shape[1]) & (v >= 0) & (v < depth.shape[0])
+    difference = ahead[seen] - depth[v[seen], u[seen]]
+    assert seen.sum() > 10_000
+    assert np.mean(np.abs(difference) < 0.02 * ahead[seen] + 0.02) > 0.8
+    assert np.mean(difference < -0.1 * ahead[seen]) < 0.05, "what the camera does not see lies behind what it sees"
+
+
+def test_the_lidar_sees_the_level_road_at_its_own_height(rendered):
+    dump = rendered("--scene", "straight", "--static", "--seconds", "0.05", "--lidar")
+    points = carla_points(dump.folder / "lidar" / "000000.ply")
+    road = np.abs(points[:, 1]) < 1.0
+    np.testing.assert_allclose(points[road & (points[:, 0] < 8), 2], -2.4, atol=1e-4)
+
+
+def test_sensors_left_out_leave_the_truth_and_change_no_other_file(rendered):
+    whole = rendered("--seconds", "0.1", "--lidar")
+    part = rendered("--seconds", "0.1", "--without", "depth", "--without", "right")
+    names = {path.name for path in part.folder.iterdir()}
+    assert {"rgb", "segmentation", "truth"} <= names
+    assert not {"depth", "right", "lidar"} & names
+    for path in ("rgb/000001.png", "segmentation/000001.png", "detections.json", "truth.json"):
+        assert (whole.folder / path).read_bytes() == (part.folder / path).read_bytes()
+    np.testing.assert_array_equal(whole.depth("000001"), part.depth("000001", "truth/depth"))
+    assert "lidar" not in part.calibration["mounting"]
+
+
+def test_without_any_camera_there_is_nothing_to_render(tmp_path, capsys):
+    without = [word for sensor in ("rgb", "depth", "segmentation", "right") for word in ("--without", sensor)]
+    assert main([str(tmp_path / "dump"), "--lidar", *without]) == 1
+    assert "--without: no camera is left" in capsys.readouterr().err

@@ -20,13 +20,14 @@ from .calibration_file import (
     pinhole_of_fov,
     pinhole_of_K,
 )
-from .carla_poses import camera_mounting
+from .carla_poses import camera_mounting, right_handed
 from .role_names import role_of
 
 FRONT: Final = "camera_front"
 DEPTH: Final = "camera_depth"
 LEFT: Final = "camera_left"
 RIGHT: Final = "camera_right"
+LIDAR: Final = "lidar"
 EGO: Final = "ego"
 CAMERA_ROLES: Final = ("image", "segmentation", "depth", "left", "right")
 """Sensors with a camera; the first one present is the front camera."""
@@ -62,6 +63,7 @@ class _Known:
     mountings: Mapping[str, Float]
     """ego_T_camera."""
     intrinsics: Mapping[str, Intrinsics]
+    ego_T_lidar: Float | None
 
 
 def build_rig(
@@ -105,8 +107,10 @@ def build_rig(
         baseline_m = _baseline(known, base_T)
         cameras["right_calibration"] = replace(_camera(known, RIGHT, "right"), baseline_m=baseline_m)
         transforms += _right_edge(known, base, base_T, baseline_m)
-    frame_ids = {"depth": depth_frame, "truth_depth": depth_frame, "left": LEFT, "right": RIGHT}
-    return Rig(cameras, frame_ids, transforms, (*_notes(known, front_T), *_stereo_notes(known, cameras)))
+    transforms += _edge(EGO, LIDAR, known.ego_T_lidar) if LIDAR in roles else ()
+    frame_ids = {"depth": depth_frame, "truth_depth": depth_frame, "left": LEFT, "right": RIGHT, "lidar": LIDAR}
+    notes = (*_notes(known, front_T), *_stereo_notes(known, cameras), *_lidar_notes(known, roles))
+    return Rig(cameras, frame_ids, transforms, notes)
 
 
 def _known(calibration: CalibrationFile, path: Path, sizes: Mapping[str, Size], front_name: str) -> _Known:
@@ -116,12 +120,13 @@ def _known(calibration: CalibrationFile, path: Path, sizes: Mapping[str, Size], 
     heights = {"image": calibration.rgb_height_m, "depth": calibration.depth_height_m}
     mountings = {role: level_mounting(height) for role, height in heights.items() if height is not None}
     mountings |= {role_of(name) or name: camera_mounting(pose) for name, pose in calibration.mounting.items()}
+    of_lidar = [right_handed(pose) for name, pose in calibration.mounting.items() if role_of(name) == LIDAR]
     intrinsics = {role_of(name) or name: camera for name, camera in calibration.cameras.items()}
     if front_name in mountings:
         mountings["image"] = mountings[front_name]
     if front_name in intrinsics:
         intrinsics["image"] = intrinsics[front_name]
-    return _Known(calibration, path, sizes, pair, mountings, intrinsics)
+    return _Known(calibration, path, sizes, pair, mountings, intrinsics, of_lidar[0] if of_lidar else None)
 
 
 def _camera(known: _Known, frame_id: str, role: str) -> Camera:
@@ -194,10 +199,16 @@ def _baseline(known: _Known, base_T: Float | None) -> float | None:
 
 def _notes(known: _Known, front_T: Float | None) -> list[str]:
     names = dict.fromkeys((*known.file.mounting, *known.file.cameras))
-    notes = [f"{known.path.name}: {name!r} is no camera known: left out" for name in names if role_of(name) is None]
+    notes = [f"{known.path.name}: {name!r} is no sensor known: left out" for name in names if role_of(name) is None]
     if "segmentation" in known.mountings and not _same(known.mountings["segmentation"], front_T):
         notes.append("the segmentation camera is not mounted where the front camera is: tags and image do not align")
     return notes
+
+
+def _lidar_notes(known: _Known, roles: Collection[str]) -> list[str]:
+    if LIDAR not in roles or known.ego_T_lidar is not None:
+        return []
+    return [f'nobody says where the lidar is, its points will not be used: say "mounting" in {known.path.name}']
 
 
 def _stereo_notes(known: _Known, cameras: Mapping[str, Camera]) -> list[str]:

@@ -13,7 +13,8 @@ from .role_names import role_of
 
 _IMAGE_SUFFIXES: Final = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp", ".tif", ".tiff", ".ppm", ".exr"})
 _NUMBER_SUFFIXES: Final = frozenset({".npy", ".npz", ".dat", ".csv", ".raw", ".bin"})
-_FRAME_SUFFIXES: Final = _IMAGE_SUFFIXES | _NUMBER_SUFFIXES
+_POINT_SUFFIXES: Final = frozenset({".ply"})
+_FRAME_SUFFIXES: Final = _IMAGE_SUFFIXES | _NUMBER_SUFFIXES | _POINT_SUFFIXES
 """Files that may be a frame; what they really are is decided by content."""
 _DOCUMENTS: Final = {
     "calibration": ("calibration.json",),

@@ -10,12 +10,14 @@ from roadperc_stream import encoding
 from roadperc_stream.channels import ROLES, TAG_TABLE_KEY, schema
 from roadperc_stream.images import encode_indices
 from roadperc_stream.log import Channel, Message
+from roadperc_stream.points import encode_points
 
 from .camera_rig import EGO, FRONT
 from .depth_files import depth_metres
 from .image_files import UnreadableFrameError, read_bytes, require_whole
 from .pixel_files import Pixels, load_pixels
 from .plan import Plan
+from .point_files import load_points
 from .survey import require_size
 from .tag_files import tags_of
 
@@ -117,7 +119,7 @@ def _encoders(plan: Plan) -> dict[str, Encode]:
     cameras = {"image": _image, "left": _image, "right": _image}
     depths = {"depth": _depth, "truth_depth": _depth}
     tags = {"segmentation": _tags, "truth_segmentation": _tags}
-    of_files = {**cameras, **depths, **tags}
+    of_files = {**cameras, **depths, **tags, "lidar": _points}
     found: dict[str, Encode] = {role: of_files[role](plan, role) for role in plan.surveys}
     if plan.detections:
         found["detections"] = _each(plan.detections, lambda ns, d: encoding.encode_detections(ns, FRONT, d))
@@ -172,6 +174,15 @@ def _tags(plan: Plan, role: str) -> Encode:
             return None
         tags = tags_of(pixels, found, table, allow_lossy=lossy)
         return encoding.encode_image(stamp_ns, FRONT, "png", encode_indices(tags, table.colours))
+
+    return encode
+
+
+def _points(plan: Plan, role: str) -> Encode:
+    files, frame_id = plan.surveys[role].sensor.files, plan.rig.frame_ids[role]
+
+    def encode(number: int, stamp_ns: int) -> bytes | None:
+        return encode_points(stamp_ns, frame_id, load_points(files[number])) if number in files else None
 
     return encode
 

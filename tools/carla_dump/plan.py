@@ -12,7 +12,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.semantics import TagTable
 
 from .calibration_file import CalibrationFile, load_calibration
-from .camera_rig import CAMERA_ROLES, Rig, build_rig
+from .camera_rig import CAMERA_ROLES, LIDAR, Rig, build_rig
 from .carla_poses import load_poses
 from .depth_files import LOSSY_DEPTH, DepthEncoding, depth_encoding
 from .detection_files import load_detections, load_kitti_labels
@@ -88,6 +88,8 @@ def make_plan(dump: Path, options: Options) -> Plan:
     notes += [left_note] if left_note else []
     rig = _rig(layout, calibration, calibration_path, surveys, notes)
     stamps_ns, timing = _stamps(layout, options.rate_hz or calibration.rate_hz, notes)
+    if LIDAR in surveys:
+        _of_frames(LIDAR, surveys[LIDAR].sensor.files, stamps_ns, notes)
     depth_encodings: dict[str, DepthEncoding] = {
         role: depth_encoding(surveys[role].paths) for role in _DEPTH_ROLES if role in surveys
     }

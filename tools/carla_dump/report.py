@@ -5,6 +5,7 @@ from rich.table import Table
 
 from roadperc_stream.geometry import Camera
 
+from .camera_rig import LIDAR
 from .plan import Plan
 
 _PIPED_WIDTH = 140
@@ -37,9 +38,9 @@ def _sensor_table(plan: Plan) -> Table:
     table.add_column("size", no_wrap=True)
     table.add_column("encoding")
     for role, survey in plan.surveys.items():
-        camera, count = plan.rig.camera_of(role), len(survey.sensor.files)
+        camera, count = plan.rig.camera_of(role), sum(number in plan.stamps_ns for number in survey.sensor.files)
         missing = str(len(plan.stamps_ns) - count)
-        size = f"{camera.width}x{camera.height}"
+        size = "" if role == LIDAR else f"{camera.width}x{camera.height}"
         table.add_row(role, survey.sensor.source, str(count), missing, size, survey.encoding)
     if plan.detections:
         missing = str(len(plan.stamps_ns) - len(plan.detections))

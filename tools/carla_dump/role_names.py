@@ -3,7 +3,17 @@
 import re
 from typing import Final
 
-ROLES: Final = ("image", "depth", "segmentation", "left", "right", "detections", "truth_depth", "truth_segmentation")
+ROLES: Final = (
+    "image",
+    "depth",
+    "segmentation",
+    "left",
+    "right",
+    "detections",
+    "lidar",
+    "truth_depth",
+    "truth_segmentation",
+)
 """Roles that files can fill; ``--role`` takes these names."""
 
 _IMAGE_WORDS: Final = frozenset(
@@ -13,7 +23,9 @@ _CAMERA: Final = _IMAGE_WORDS | {"camera", "cam", "sensor", "front"}
 _DEPTH: Final = frozenset(["depth", "depths", "depthmap"])
 _TAGS: Final = frozenset(["segmentation", "seg", "sem", "semantic", "semantics", "semseg", "labels", "tags"])
 _DETECTIONS: Final = frozenset(["detections", "detection", "boxes", "bboxes"])
+_LIDAR: Final = frozenset(["lidar", "velodyne", "pointcloud", "pointclouds", "point", "points", "cloud", "clouds"])
 _FILLERS: Final = frozenset(["map", "maps", "raw", "png", "gt"])
+_WORDS_OF: Final = {"depth": _DEPTH, "segmentation": _TAGS, "detections": _DETECTIONS, "lidar": _LIDAR}
 _KITTI: Final = {("image", 2): "image", ("image", 3): "right", ("label", 2): "detections"}
 """KITTI numbers its cameras: 2 is the left colour camera, 3 the right one."""
 
@@ -36,12 +48,11 @@ def _words(name: str) -> tuple[list[str], list[int]]:
 
 
 def _role_of_words(words: frozenset[str]) -> str | None:
-    kinds = {"depth": words & _DEPTH, "segmentation": words & _TAGS, "detections": words & _DETECTIONS}
-    named = [kind for kind, found in kinds.items() if found]
+    named = [role for role, known in _WORDS_OF.items() if words & known]
     sides = sorted(words & {"left", "right"})
-    rest = words - _DEPTH - _TAGS - _DETECTIONS - {"left", "right"}
+    rest = words.difference(*_WORDS_OF.values(), {"left", "right"})
     if len(named) + len(sides) > 1 or not rest <= _CAMERA | _FILLERS:
         return None
     if named:
-        return None if "rgb" in rest else named[0]
+        return None if "rgb" in rest or (words & _LIDAR and rest & _IMAGE_WORDS) else named[0]
     return sides[0] if sides else ("image" if rest & _CAMERA else None)

@@ -1,9 +1,10 @@
 """A sensor's files by their headers: what can be read, in which size, and what is counted as missing."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 from roadperc_stream.errors import DumpError
 
@@ -11,6 +12,7 @@ from .camera_rig import CAMERA_ROLES
 from .image_files import UnreadableFrameError, read_header
 from .layout import Sensor
 from .pixel_files import file_size
+from .point_files import points_kind
 
 Header = tuple[tuple[int, int] | None, str]
 """Columns and rows, where the header tells, and a description."""
@@ -73,7 +75,7 @@ def survey(sensor: Sensor) -> Survey:
         DumpError: not one file of the sensor can be read.
 
     """
-    read = _image_header if sensor.role in ("image", "left", "right") else _pixels_header
+    read = _HEADERS.get(sensor.role, _pixels_header)
     files: dict[int, Path] = {}
     sizes: dict[int, tuple[int, int]] = {}
     faults: list[str] = []
@@ -99,6 +101,16 @@ def _image_header(path: Path) -> Header:
 
 def _pixels_header(path: Path) -> Header:
     return file_size(path), ""
+
+
+def _points_header(path: Path) -> Header:
+    return None, points_kind(path)
+
+
+_HEADERS: Final[Mapping[str, Callable[[Path], Header]]] = {
+    **dict.fromkeys(("image", "left", "right"), _image_header),
+    "lidar": _points_header,
+}
 
 
 def _counted(kinds: Counter[str]) -> str:

@@ -15,11 +15,13 @@ from roadperc_stream.geometry import Camera, Float, Float32
 
 from .drive import BASELINE_M, MOUNT_X_M, MOUNT_Z_M
 from .ground import FAR_M
+from .scanner import MOUNT_Z_M as LIDAR_Z_M
 
 JPEG_QUALITY: Final = 90
 CARLA_VERSION: Final = "0.9.15"
 DEPTH_CODES: Final = 2**24 - 1
 SENSORS: Final = ("rgb", "depth", "segmentation", "right")
+LIDAR: Final = "lidar"
 FILES: Final = (
     "calibration.json",
     "detections.json",
@@ -52,7 +54,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
 
 
 def _remove_dump(folder: Path) -> None:
-    for name in (*SENSORS, "truth"):
+    for name in (*SENSORS, LIDAR, "truth"):
         if (folder / name).is_dir():
             shutil.rmtree(folder / name)
     for name in FILES:
@@ -67,9 +69,25 @@ def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
     """
     settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
     _, encoded = cv2.imencode(path.suffix, picture, settings)
+    _write_sensor_file(path, encoded.tobytes())
+
+
+def write_points(path: Path, points: Float32) -> None:
+    """(N, 4) x, y, z and intensity as ``carla.LidarMeasurement.save_to_disk`` writes them: PLY text, four decimals.
+
+    Raises:
+        DumpError: the file cannot be written.
+    """
+    properties = "".join(f"property float32 {name}\n" for name in "xyzI")
+    header = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
+    lines = "%.4f %.4f %.4f %.4f\n" * len(points) % tuple(points.ravel().tolist())
+    _write_sensor_file(path, (header + lines).encode())
+
+
+def _write_sensor_file(path: Path, data: bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(encoded.tobytes())
+        path.write_bytes(data)
     except OSError as error:
         raise DumpError(f"{path}: {error.strerror}") from error
 
@@ -109,11 +127,14 @@ def tags_picture(tags: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return picture
 
 
-def calibration(camera: Camera, rate_hz: float) -> dict[str, Any]:
+def calibration(camera: Camera, rate_hz: float, *, lidar: bool) -> dict[str, Any]:
     """The calibration file: K as CARLA has it, its centre counted from the corner of the first pixel."""
     K = camera.K
     K[:2, 2] += 0.5
     mounting = {"x": MOUNT_X_M, "y": 0.0, "z": MOUNT_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
+    mountings = {sensor: {**mounting, "y": BASELINE_M if sensor == "right" else 0.0} for sensor in SENSORS}
+    if lidar:
+        mountings[LIDAR] = {**mounting, "x": 0.0, "z": LIDAR_Z_M}
     return {
         "width": camera.width,
         "height": camera.height,
@@ -121,7 +142,7 @@ def calibration(camera: Camera, rate_hz: float) -> dict[str, Any]:
         "carla_tags": CARLA_VERSION,
         "rate_hz": rate_hz,
         "baseline_m": BASELINE_M,
-        "mounting": {sensor: {**mounting, "y": BASELINE_M if sensor == "right" else 0.0} for sensor in SENSORS},
+        "mounting": mountings,
     }
 
 

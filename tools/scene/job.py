@@ -14,6 +14,7 @@ from roadperc_stream.errors import DumpError
 from . import dump, spoil
 from .detector import detect
 from .drive import Drive, Moment, Rig, make_rig
+from .scanner import scan
 from .truth import ObjectTruth, lanes_truth, objects_truth, surface_truth
 from .view import View, photograph, render
 from .world import SCENES, SceneName, make_world
@@ -38,6 +39,9 @@ class RenderOptions:
     rgb_noise: float = 0.0
     drop: float = 0.0
     jpeg: bool = False
+    lidar: bool = False
+    without: tuple[str, ...] = ()
+    """Sensors whose files are left out, of ``dump.SENSORS``."""
     seed: int = 0
 
     @property
@@ -69,6 +73,8 @@ class RenderOptions:
                 raise DumpError(f"{name} {value:g}: expected a number from {low:g} to {high:g}")
         if self.scene not in SCENES:
             raise DumpError(f"--scene {self.scene}: expected one of {', '.join(SCENES)}")
+        if not set(dump.SENSORS) - set(self.without):
+            raise DumpError("--without: no camera is left")
 
 
 @dataclass
@@ -105,9 +111,8 @@ def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: 
     for frame in range(options.frames):
         moment = drive.at(frame / options.rate_hz)
         left = render(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_left)
-        right = photograph(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_right)
         objects = objects_truth(drive, moment, rig, left)
-        _write_frame(folder, options, frame, left, right)
+        _write_frame(folder, options, frame, moment, rig, left)
         _record(records, options, frame, moment, rig, objects)
         on_frame()
     _write_records(folder, options, rig, records)
@@ -122,23 +127,25 @@ def frame_name(frame: int) -> str:
     return f"{frame:06d}"
 
 
-def _write_frame(folder: Path, options: RenderOptions, frame: int, left: View, right: NDArray[np.uint8]) -> None:
-    """The pictures of one frame, but for those that are dropped."""
+def _write_frame(folder: Path, options: RenderOptions, frame: int, moment: Moment, rig: Rig, left: View) -> None:
+    """The files of one frame, but for those that are dropped."""
     suffix = ".jpg" if options.jpeg else ".png"
     name = frame_name(frame)
-    kept = _rng(options, frame, "drop").random(len(dump.SENSORS)) >= options.drop
-    for sensor, keep in zip(dump.SENSORS, kept, strict=True):
-        if keep or frame == 0:
-            picture = _picture(options, frame, sensor, left, right)
+    kept = (_rng(options, frame, "drop").random(len(dump.SENSORS) + 1) >= options.drop) | (frame == 0)
+    for sensor, keep in zip(dump.SENSORS, kept[:-1], strict=True):
+        if keep and sensor not in options.without:
+            picture = _picture(options, frame, sensor, moment, rig, left)
             dump.write_picture(folder / sensor / (name + (suffix if sensor in ("rgb", "right") else ".png")), picture)
-    if options.tag_noise or options.drop:
+    if options.lidar and kept[-1]:
+        dump.write_points(folder / dump.LIDAR / f"{name}.ply", scan(moment))
+    if options.tag_noise or options.drop or "segmentation" in options.without:
         dump.write_picture(folder / "truth" / "segmentation" / f"{name}.png", dump.tags_picture(left.tags))
-    if options.depth_noise or options.drop:
+    if options.depth_noise or options.drop or "depth" in options.without:
         dump.write_picture(folder / "truth" / "depth" / f"{name}.png", dump.depth_picture(left.depth_m))
 
 
 def _picture(
-    options: RenderOptions, frame: int, sensor: str, left: View, right: NDArray[np.uint8]
+    options: RenderOptions, frame: int, sensor: str, moment: Moment, rig: Rig, left: View
 ) -> NDArray[np.uint8]:
     """What a sensor's file shows, spoiled as asked for."""
     if sensor == "depth":
@@ -150,7 +157,9 @@ def _picture(
         return dump.tags_picture(
             spoil.noisy_tags(left.tags, noise, _rng(options, frame, "tags")) if noise else left.tags
         )
-    rgb = right if sensor == "right" else left.rgb
+    rgb = left.rgb
+    if sensor == "right":
+        rgb = photograph(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_right)
     return spoil.noisy_rgb(rgb, options.rgb_noise, _rng(options, frame, sensor)) if options.rgb_noise else rgb
 
 
@@ -170,7 +179,7 @@ def _record(
 
 def _write_records(folder: Path, options: RenderOptions, rig: Rig, records: _Records) -> None:
     truth = {"lanes": records.lanes, "surface": records.surface, "objects": records.objects}
-    dump.write_json(folder / "calibration.json", dump.calibration(rig.camera, options.rate_hz))
+    dump.write_json(folder / "calibration.json", dump.calibration(rig.camera, options.rate_hz, lidar=options.lidar))
     dump.write_json(folder / "detections.json", records.detections)
     dump.write_json(folder / "poses.json", records.poses)
     dump.write_json(folder / "truth.json", truth)

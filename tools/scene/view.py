@@ -76,6 +76,12 @@ def photograph(scenery: Scenery, camera: Camera, world_T_camera: Float) -> NDArr
     return _colours(scenery, _look(scenery, camera, world_T_camera))
 
 
+def depth_seen(scenery: Scenery, camera: Camera, world_T_camera: Float) -> Float32:
+    """(H, W) the depth alone, metres along the optical axis; ``FAR_M`` where the sky is."""
+    sight = _look(scenery, camera, world_T_camera)
+    return _depth(sight.ground, sight.drawn)
+
+
 def _look(scenery: Scenery, camera: Camera, world_T_camera: Float) -> _Sight:
     ground = trace_ground(camera, world_T_camera, scenery.world, scenery.s_m)
     nearness = np.full(camera.size, 1 / FAR_M, np.float32)

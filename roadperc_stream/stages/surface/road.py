@@ -78,7 +78,7 @@ def drivable_mask(
     camera: Camera,
     depth_m: Float32 | None,
     road: Image | None,
-    ego_T_camera: Float | None = None,
+    ego_T_camera: Float,
 ) -> Mask | Absent:
     """(H, W) pixels of a drivable class within ``drivable_m`` of the surface.
 
@@ -91,13 +91,13 @@ def drivable_mask(
         camera: the camera of depth and segmentation.
         depth_m: (H, W) metres as that camera sees them, NaN unknown.
         road: (H, W) 1 where the class is drivable.
-        ego_T_camera: the camera's mounting, which places a height field before it; without it the plane decides.
+        ego_T_camera: the camera's mounting, which places a height field before it.
     """
     if depth_m is None:
         return road.view(bool) if road is not None else Absent("neither depth nor segmentation")
     if isinstance(surface, Absent):
         return Absent(f"no surface: {surface.reason}")
-    if surface.height_grid is None or ego_T_camera is None:
+    if surface.height_grid is None:
         return _near(cfg, plane_distance(camera, depth_m, surface.plane), road)
     top = max(_horizon_row(surface, camera, ego_T_camera), 0 if road is None else _first_row(road))
     mask = np.zeros(camera.size, bool)

@@ -22,6 +22,8 @@ _STEP_M = 1.0
 """Side of the fit's cells, and of the grid's."""
 _COLUMNS = 160
 """Image columns that are looked at: evenly spread, as neighbours say the same. Rows are few where the road is far."""
+_ENOUGH_POINTS = 20_000
+"""Points of the road that are never thinned: a lidar's are hardly more."""
 _DEGREE = 3
 _MIN_CELLS = 12
 _MIN_LENGTH_KNOTS = 2
@@ -68,7 +70,7 @@ def _road_points(
     surface: Surface, camera: Camera, ego_T_camera: Float, depth_m: Float32, usable: Mask
 ) -> tuple[Float32, Float32, Float32]:
     """Ego x and y, and height above the road's plane, of (N,) points of the road, all in metres."""
-    columns = max(camera.width // _COLUMNS, 1)
+    columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
     taken = usable[:, ::columns]
     x, y, z = ego_points(part(camera, 0, 1, columns), ego_T_camera, depth_m[:, ::columns])
     x, y, z = x[taken], y[taken], z[taken]

@@ -125,7 +125,7 @@ def test_drivable_pixels_are_near_the_plane_and_of_a_class():
     surface = fit(road, depth, tags == ROAD)
     depth = depth.copy()
     depth[400, 300:310] *= 0.7
-    mask = drivable_mask(CFG, surface, road.camera, depth, (tags == ROAD).astype(np.uint8))
+    mask = drivable_mask(CFG, surface, road.camera, depth, (tags == ROAD).astype(np.uint8), road.ego_T_camera)
     known = (tags == ROAD) & np.isfinite(depth)
     known[400, 300:310] = False
     np.testing.assert_array_equal(mask, known)
@@ -135,6 +135,8 @@ def test_drivable_without_depth_or_tags():
     road = Road()
     classes = (road.tags() == ROAD).astype(np.uint8)
     surface = assumed_surface(road.camera, road.ego_T_camera)
-    np.testing.assert_array_equal(drivable_mask(CFG, surface, road.camera, None, classes), classes.astype(bool))
-    assert isinstance(drivable_mask(CFG, surface, road.camera, None, None), Absent)
-    assert isinstance(drivable_mask(CFG, Absent("none"), road.camera, road.depth_m(), classes), Absent)
+    mounting = road.ego_T_camera
+    mask = drivable_mask(CFG, surface, road.camera, None, classes, mounting)
+    np.testing.assert_array_equal(mask, classes.astype(bool))
+    assert isinstance(drivable_mask(CFG, surface, road.camera, None, None, mounting), Absent)
+    assert isinstance(drivable_mask(CFG, Absent("none"), road.camera, road.depth_m(), classes, mounting), Absent)

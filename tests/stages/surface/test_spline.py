@@ -158,7 +158,8 @@ def test_drivable_pixels_are_near_the_field():
     assert not mask[200, 150:160].any()
     assert not mask[:3].any()
     assert not mask[~classes.view(bool)].any()
-    plane = drivable_mask(CFG, surface, hill.camera, raised, classes)
+    level = replace(surface, model="plane", height_grid=None)
+    plane = drivable_mask(CFG, level, hill.camera, raised, classes, hill.ego_T_camera)
     assert np.count_nonzero(plane[depth_m > 20]) < 0.1 * np.count_nonzero(mask[depth_m > 20])
 
 

@@ -98,8 +98,8 @@ def test_a_pair_without_a_baseline_is_said():
 
 
 def test_unknown_names_and_a_shifted_segmentation_are_said():
-    notes = " ".join(rig(mounting={"rgb": RGB, "seg": {**RGB, "z": 1.0}, "lidar": RGB}).notes)
-    assert "'lidar'" in notes
+    notes = " ".join(rig(mounting={"rgb": RGB, "seg": {**RGB, "z": 1.0}, "radar": RGB}).notes)
+    assert "'radar'" in notes
     assert "tags and image do not align" in notes
 
 

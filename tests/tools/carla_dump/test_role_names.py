@@ -14,6 +14,10 @@ from roadperc_stream.tools.carla_dump.role_names import role_of
         *((name, "left") for name in ("left", "CameraLeft", "image_left", "Left")),
         *((name, "right") for name in ("right", "CameraRight", "image_right", "image_3", "image_03")),
         *((name, "detections") for name in ("detections", "label_2", "boxes")),
+        *(
+            (name, "lidar")
+            for name in ("lidar", "LidarFront", "velodyne", "velodyne_points", "point_cloud", "PointCloud")
+        ),
     ],
 )
 def test_folder_names_people_use(name, role):
@@ -29,7 +33,9 @@ def test_folder_names_people_use(name, role):
         "instance_segmentation",
         "left_depth",
         "image_0",
-        "lidar",
+        "lidar_rear",
+        "semantic_lidar",
+        "lidar_image",
         "rgb_depth",
         "left_right",
         "2",

@@ -1,0 +1,76 @@
+"""A lidar's points in and out of foxglove.PointCloud, whose points are records of packed numbers."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudProto
+from numpy.typing import NDArray
+
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import Float, Float32, transform
+from roadperc_stream.schemas.protobuf import set_stamp
+
+FIELDS: Final = ("x", "y", "z", "intensity")
+"""Columns of what is written; a cloud without intensities has the first three."""
+_AXES: Final = FIELDS[:3]
+_TYPES: Final[Mapping[int, str]] = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<f4", 8: "<f8"}
+"""numpy's names of foxglove.PackedElementField.NumericType, all little-endian."""
+
+
+def encode_points(stamp_ns: int, frame_id: str, points: Float32) -> bytes:
+    """foxglove.PointCloud of (N, 3) x, y, z in metres, or (N, 4) with intensities."""
+    columns = points.shape[1]
+    message = PointCloudProto(
+        frame_id=frame_id,
+        point_stride=4 * columns,
+        fields=[
+            PackedElementField(name=name, offset=4 * k, type=PackedElementField.FLOAT32)
+            for k, name in enumerate(FIELDS[:columns])
+        ],
+        data=np.ascontiguousarray(points, "<f4").tobytes(),
+    )
+    message.pose.orientation.w = 1.0
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()
+
+
+def unpack_points(message: Any, frame_T_points: Float) -> Float32:
+    """(N, 3) float32 metres of a foxglove.PointCloud, in its frame; points that are not finite are left out.
+
+    Args:
+        message: the cloud; its fields x, y and z count, whatever numbers they are.
+        frame_T_points: its pose.
+
+    Raises:
+        DecodeError: a field is missing, of no known type or beyond the stride, or the data end within a point.
+    """
+    stride, data = int(message.point_stride), message.data
+    if not stride or len(data) % stride:
+        raise DecodeError(f"{len(data)} bytes of points: expected a multiple of the stride, {stride} bytes")
+    columns = [_column(message, axis, stride, data) for axis in _AXES]
+    points_m = np.empty((len(data) // stride, 3), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k, column in enumerate(columns):
+            points_m[:, k] = column
+        if not np.array_equal(frame_T_points, np.eye(4)):
+            points_m = transform(frame_T_points, points_m.astype(float)).astype(np.float32)
+    finite = np.isfinite(points_m).all(axis=1)
+    return points_m if finite.all() else points_m[finite]
+
+
+def _column(message: Any, axis: str, stride: int, data: bytes) -> NDArray[Any]:
+    """(N,) one coordinate of every point, as the message has it."""
+    field = next((field for field in message.fields if field.name == axis), None)
+    if field is None:
+        there = ", ".join(field.name for field in message.fields) or "none"
+        raise DecodeError(f"fields {there}: expected x, y and z among them")
+    if field.type not in _TYPES:
+        raise DecodeError(f"field {axis}: type {field.type}, expected one of {min(_TYPES)} to {max(_TYPES)}")
+    kind = np.dtype(_TYPES[field.type])
+    if field.offset + kind.itemsize > stride:
+        end = field.offset + kind.itemsize
+        raise DecodeError(f"field {axis}: ends at byte {end} of a point, expected at most its stride, {stride}")
+    # Read where it lies, a stride from point to point.
+    return np.ndarray((len(data) // stride,), kind, data, field.offset if data else 0, (stride,))

@@ -1,0 +1,251 @@
+"""A lidar's points instead of depth: projected by hand, through the chain, and by a log's transforms."""
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+import polars as pl
+import pytest
+
+from roadperc_stream import geometry as g
+from roadperc_stream import log
+from roadperc_stream.chain import ChainState, step
+from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.datatypes import Absent, DepthImage, PointCloud, StereoDepth
+from roadperc_stream.decoding import Transform
+from roadperc_stream.encoding import encode_transforms
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.points import encode_points
+from roadperc_stream.registration import depth_of_points
+from roadperc_stream.replay import replay
+from roadperc_stream.table import beside
+from tests import logs
+from tests.analytic import VEHICLE, Road, box
+
+CFG = ReplayConfig()
+ROAD = Road(pitch=0.02, roll=-0.01)
+CAMERA = ROAD.camera
+EGO_T_LIDAR = g.rigid(g.rotation_from_rpy(0.05, -0.1, 0.4), np.array([-0.3, 0.2, 2.4]))
+"""A lidar behind and above the camera that looks elsewhere."""
+REAR = slice(230, 261), slice(300, 341)
+"""Rows and columns where a car's rear is seen."""
+
+
+def pixel_points(depth_m, rows=7, columns=3):
+    """(N, 3) camera points of few of the pixels whose depth is known: they fall on pixel centres again."""
+    v, u = np.indices(depth_m.shape)
+    few = np.isfinite(depth_m) & (v % rows == 0) & (u % columns == 0)
+    return g.unproject(CAMERA, np.stack((u, v), axis=-1)[few].astype(float), depth_m[few].astype(float))
+
+
+def cloud(camera_points, road=ROAD, ego_T_lidar=EGO_T_LIDAR, frame_id="lidar"):
+    lidar_T_camera = g.inverse(ego_T_lidar) @ road.ego_T_camera
+    points = g.transform(lidar_T_camera, camera_points).astype(np.float32)
+    return PointCloud(frame_id, lambda: points)
+
+
+def lidar_frame(index=0, road=ROAD, **changes):
+    """A road and a car's rear, 10 m away, as a lidar sees them; no other depth."""
+    depth, tags = road.depth_m(), road.tags()
+    depth[REAR], tags[REAR] = 10.0, VEHICLE
+    frame = road.frame(index)
+    tagged = replace(frame.segmentation, decode_tags=lambda: tags)
+    behind = np.array([[0.0, 0.5, -8.0], [3.0, -1.0, -20.0]])
+    points = cloud(np.concatenate((pixel_points(depth), behind)), road)
+    detections = (box("Car", 300, 230, 341, 261),)
+    changes = {"depth": None, "segmentation": tagged, "points": points, "ego_T_lidar": EGO_T_LIDAR} | changes
+    return replace(frame, detections=detections, **changes)
+
+
+def run(frame, cfg=CFG):
+    return step(cfg, ChainState(), frame)[1]
+
+
+def test_each_point_falls_into_its_pixel_and_the_nearest_counts():
+    pixels = np.array([[10.0, 20.0], [10.4, 19.6], [10.0, 20.0], [639.4, 479.4], [639.6, 5.0]])
+    points = g.unproject(CAMERA, pixels, np.array([8.0, 5.0, 6.0, 30.0, 30.0]))
+    points = np.concatenate((points, -points[:1], [[0.0, 0.0, 0.0]]))
+    depth_m = depth_of_points(CAMERA, np.eye(4), points.astype(np.float32))
+    assert depth_m.dtype == np.float32
+    assert {(v, u): float(depth_m[v, u]) for v, u in np.argwhere(np.isfinite(depth_m))} == {(20, 10): 5, (479, 639): 30}
+
+
+def test_a_hundred_thousand_points_take_milliseconds():
+    rng = np.random.default_rng(0)
+    points = rng.uniform((-50, -2, -50), (50, 20, 50), (100_000, 3)).astype(np.float32)
+    seconds = []
+    for _ in range(5):
+        started = perf_counter()
+        depth_of_points(CAMERA, EGO_T_LIDAR, points)
+        seconds.append(perf_counter() - started)
+    assert min(seconds) < 0.2
+
+
+def test_no_points_and_points_beyond_numbers_are_no_depth():
+    for points in (np.empty((0, 3)), np.full((2, 3), np.finfo(np.float32).max)):
+        assert np.isnan(depth_of_points(CAMERA, EGO_T_LIDAR, points.astype(np.float32))).all()
+
+
+def test_the_plane_is_the_roads_and_the_distance_the_cars():
+    result = run(lidar_frame())
+    assert result.surface.source == "lidar"
+    assert result.surface.frame_id == CAMERA.frame_id
+    np.testing.assert_allclose(result.surface.plane.n, ROAD.plane.n, atol=1e-6)
+    assert result.surface.camera_height_m == pytest.approx(ROAD.height_m, abs=1e-6)
+    (item,) = result.objects.objects
+    assert item.kept
+    assert item.distance_m == pytest.approx(10.0 * np.linalg.norm(g.rays(CAMERA, np.array([318.0, 238.0]))), abs=1e-3)
+    assert not item.beyond_range
+    for side, offset in (("left", ROAD.left_m), ("right", ROAD.right_m)):
+        assert result.lanes.side(side).status == "measured"
+        assert result.lanes.side(side).offset_m == pytest.approx(offset, abs=0.05)
+
+
+def test_the_drivable_pixels_are_no_dots():
+    frame = lidar_frame()
+    dense = run(replace(frame, points=None, depth=ROAD.frame().depth))
+    sparse = run(frame)
+    both, either = np.sum(dense.drivable & sparse.drivable), np.sum(dense.drivable | sparse.drivable)
+    assert both / either > 0.98
+
+
+def test_the_spline_takes_every_point():
+    result = run(lidar_frame(), load_config(None, ("surface.model=spline",)))
+    assert result.surface.model == "spline"
+    x = np.arange(41)
+    np.testing.assert_allclose(result.surface.height_grid.z_m[10, x], 0.0, atol=0.01)
+
+
+def test_the_grid_is_free_on_the_road_and_occupied_by_the_car():
+    grid = run(lidar_frame()).occupancy
+    x = ((np.arange(grid.cells.shape[1]) + 0.5) * grid.resolution_m) + grid.x_min_m
+    ahead = np.abs((np.arange(grid.cells.shape[0]) + 0.5) * grid.resolution_m + grid.y_min_m) < 0.3
+    assert (grid.cells[ahead][:, (x > 3) & (x < 9)] == 0).all()
+    assert (grid.cells[ahead][:, (x > 9.7) & (x < 10.3)] == 100).any()
+
+
+def test_without_segmentation_the_lower_image_gives_the_plane():
+    result = run(lidar_frame(segmentation=None))
+    assert result.surface.source == "lower_image"
+    assert result.surface.camera_height_m == pytest.approx(ROAD.height_m, abs=1e-3)
+    assert result.drivable == Absent("no segmentation, and a lidar's points are too few to tell pixels apart")
+
+
+def test_a_depth_sensor_comes_first_and_points_are_not_even_decoded():
+    frame = lidar_frame(points=PointCloud("lidar", broken), depth=ROAD.frame().depth)
+    assert run(frame).surface.source == "depth"
+    assert not run(frame).problems
+
+
+def test_stereo_comes_first_and_a_sensor_that_fails_leaves_the_lidar(monkeypatch):
+    frame = lidar_frame()
+    failing = DepthImage(CAMERA.frame_id, broken)
+    assert run(replace(frame, depth=failing)).surface.source == "lidar"
+    depth_m = ROAD.depth_m()
+    monkeypatch.setattr("roadperc_stream.chain._stereo", lambda *_: StereoDepth(CAMERA.frame_id, depth_m))
+    assert run(replace(frame, depth=failing)).surface.source == "stereo"
+
+
+def broken(*_):
+    raise DecodeError("cut off")
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"points": PointCloud("lidar", broken)}, "lidar: cut off"),
+        ({"ego_T_lidar": None}, "lidar: no transform connects its frame 'lidar' with ego"),
+        ({"points": PointCloud("lidar", lambda: np.zeros((0, 3), np.float32))}, "lidar: none of its 0 points lies in"),
+    ],
+)
+def test_points_that_cannot_be_used_are_missing_and_said(changes, problem):
+    result = run(lidar_frame(**changes))
+    assert result.problems[0].startswith(problem)
+    assert result.problems[1] == "surface: no depth, the mounting gives the plane"
+    assert result.surface.source == "assumed"
+    assert result.objects.objects[0].distance_m is None
+
+
+SMALL = logs.SMALL
+ROLES = tuple(role for role in logs.ALL if role != "depth")
+
+
+def log_of(path, ego_T_lidar, frame_id="lidar", edges=(), roles=ROLES, frames=4):
+    """A log whose only depth is a lidar's; the points are given in the frame that ``ego_T_lidar`` places."""
+    items = logs.items(frames, roles=roles)
+    if edges:
+        items.insert(0, logs.Item("tf", logs.START_NS, encode_transforms(logs.START_NS, edges)))
+    depth_m = SMALL.depth_m()
+    v, u = np.indices(depth_m.shape)
+    seen = np.isfinite(depth_m) & (v % 5 == 0)
+    points = g.unproject(SMALL.camera, np.stack((u, v), axis=-1)[seen].astype(float), depth_m[seen].astype(float))
+    points = g.transform(g.inverse(ego_T_lidar) @ SMALL.ego_T_camera, points).astype(np.float32)
+    for stamp in sorted({item.stamp_ns for item in items}):
+        items.append(logs.Item("lidar", stamp, encode_points(stamp, frame_id, points)))
+    return logs.write(path, sorted(items, key=lambda item: item.stamp_ns))
+
+
+def replayed(source, name="out.mcap", **options):
+    target = source.parent / name
+    replay(source, target, ReplayConfig(), **options)
+    return target, pl.read_parquet(beside(target, "metrics"))
+
+
+RIG = g.rigid(g.rotation_from_rpy(0.0, 0.0, -0.5), np.array([1.0, 0.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("edges", "frame_id", "ego_T_points"),
+    [
+        ([Transform("ego", "lidar", EGO_T_LIDAR)], "lidar", EGO_T_LIDAR),
+        ([Transform("ego", "rig", RIG), Transform("rig", "lidar", g.inverse(RIG) @ EGO_T_LIDAR)], "lidar", EGO_T_LIDAR),
+        ([Transform("camera", "lidar", g.inverse(SMALL.ego_T_camera) @ EGO_T_LIDAR)], "lidar", EGO_T_LIDAR),
+        ([], "camera", SMALL.ego_T_camera),
+        ([], "ego", np.eye(4)),
+    ],
+)
+def test_the_transform_tree_places_the_points(tmp_path, edges, frame_id, ego_T_points):
+    _, table = replayed(log_of(tmp_path / "in.mcap", ego_T_points, frame_id, edges))
+    assert set(table["surface_source"]) == {"lidar"}
+    np.testing.assert_allclose(table["camera_height_m"], SMALL.height_m, atol=1e-3)
+    assert set(table["lane_left_status"]) == {"measured"}
+
+
+def test_a_frame_the_tree_does_not_know_is_named(tmp_path):
+    _, table = replayed(log_of(tmp_path / "in.mcap", EGO_T_LIDAR, "roof"))
+    assert set(table["surface_source"]) == {"assumed"}
+    assert table["missing"].to_list() == [[]] * 4
+    for reasons in table["reasons"].to_list():
+        assert "lidar: no transform connects its frame 'roof' with ego" in reasons
+
+
+def test_a_lidar_slower_than_the_camera_is_missing_in_between(tmp_path):
+    source = log_of(tmp_path / "in.mcap", np.eye(4), "ego", roles=ROLES)
+    kept = [
+        m for m in log.read(source) if m.channel.topic != "/lidar/points" or m.log_time_ns % (2 * logs.STEP_NS) == 0
+    ]
+    with log.LogWriter(tmp_path / "half.mcap") as writer:
+        for message in kept:
+            writer.write(message)
+    _, table = replayed(tmp_path / "half.mcap", "half_out.mcap")
+    assert table["missing"].to_list() == [[], ["lidar"], [], ["lidar"]]
+    assert table["surface_source"].to_list() == ["lidar", "assumed", "lidar", "assumed"]
+
+
+def test_replaying_a_lidars_log_gives_the_same_bytes_and_its_output_too(tmp_path):
+    source = log_of(tmp_path / "in.mcap", EGO_T_LIDAR, edges=[Transform("ego", "lidar", EGO_T_LIDAR)])
+    first, _ = replayed(source, "a.mcap")
+    second, _ = replayed(source, "b.mcap")
+    again, _ = replayed(first, "c.mcap")
+    assert first.read_bytes() == second.read_bytes() == again.read_bytes()
+
+
+def test_the_points_come_from_any_topic(tmp_path):
+    source = log_of(tmp_path / "in.mcap", np.eye(4), "ego")
+    renamed = tmp_path / "renamed.mcap"
+    with log.LogWriter(renamed) as writer:
+        for message in log.read(source):
+            topic = message.channel.topic.replace("/lidar/points", "/velodyne")
+            writer.write(replace(message, channel=replace(message.channel, topic=topic)))
+    _, table = replayed(renamed, overrides={"lidar": "/velodyne"})
+    assert set(table["surface_source"]) == {"lidar"}

@@ -1,0 +1,54 @@
+"""A rendered drive with one camera, tags, detections and a lidar, from the dump's PLY files to the tables."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from roadperc_stream.cli import replay_main
+from roadperc_stream.eval import report
+from roadperc_stream.table import beside
+from roadperc_stream.tools import carla_to_mcap, render_scene
+
+OPTIONS = ("--size", "640x480", "--scene", "straight", "--seconds", "0.5", "--lidar")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lidar")
+    without = ("--without", "depth", "--without", "right")
+    assert render_scene.main([str(folder / "dump"), *OPTIONS, *without]) == 0
+    assert carla_to_mcap.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
+    assert replay_main([str(folder / "in.mcap"), str(folder / "out.mcap"), "--quiet"]) == 0
+    return folder
+
+
+def test_the_points_give_road_lane_distances_and_scale(drive):
+    table = pl.read_parquet(beside(drive / "out.mcap", "metrics"))
+    assert set(table["surface_source"]) == {"lidar"}
+    assert table["surface_angle_error_deg"].max() < 0.1
+    assert table["camera_height_error_m"].abs().max() < 0.01
+    for side in ("left", "right"):
+        assert set(table[f"lane_{side}_status"]) == {"measured"}
+        assert table[f"lane_{side}_error_m"].abs().max() < 0.05
+    assert table["odometry_status"].to_list() == ["first", *["tracked"] * (table.height - 1)]
+    assert table["missing"].to_list() == [[]] * table.height
+    assert {reason for reasons in table["reasons"].to_list() for reason in reasons} == {"stereo: no right image"}
+
+
+def test_distances_are_near_the_truth(drive):
+    table = pl.read_parquet(beside(drive / "out.mcap", "objects"))
+    known = table.filter(pl.col("kept") & (pl.col("true_distance_m") < 15)).drop_nulls("distance_m")
+    error_m = (known["distance_m"] - known["true_distance_m"]).abs()
+    assert len(error_m) >= 10
+    assert np.median(error_m) < 0.2
+
+
+def test_the_report_names_the_source(drive, capsys):
+    assert report.main([str(beside(drive / "out.mcap", "metrics"))]) == 0
+    assert "surface: lidar" in capsys.readouterr().out
+
+
+def test_replaying_twice_and_replaying_the_output_give_the_same_bytes(drive):
+    for source, target in (("in.mcap", "again.mcap"), ("out.mcap", "of_output.mcap")):
+        assert replay_main([str(drive / source), str(drive / target), "--quiet"]) == 0
+        assert (drive / target).read_bytes() == (drive / "out.mcap").read_bytes()

@@ -1,0 +1,164 @@
+"""A lidar's points from the files people keep them in, turned into ROS' right-handed x forward, y left, z up.
+
+What a file's axes mean follows from who writes such files:
+
+- ``.ply``: ``carla.LidarMeasurement.save_to_disk``, text or binary_little_endian; CARLA's left-handed x forward,
+  y right, z up, properties x, y, z and perhaps I.
+- ``.npy``: an (N, 3) or wider array of CARLA's ``raw_data``; left-handed as well, the fourth column the intensity.
+- ``.bin``: KITTI's velodyne, (N, 4) float32 little-endian x forward, y left, z up, reflectance; right-handed already.
+"""
+
+import io
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.geometry import Float32
+
+from .image_files import UnreadableFrameError, read_bytes
+
+_LEFT_HANDED: Final = frozenset({".ply", ".npy"})
+_PLY_MAGIC: Final = b"ply"
+_PLY_END: Final = b"end_header\n"
+_PLY_TYPES: Final[Mapping[str, str]] = {
+    name: kind
+    for kind, names in {
+        "i1": ("char", "int8"),
+        "u1": ("uchar", "uint8"),
+        "<i2": ("short", "int16"),
+        "<u2": ("ushort", "uint16"),
+        "<i4": ("int", "int32"),
+        "<u4": ("uint", "uint32"),
+        "<f4": ("float", "float32"),
+        "<f8": ("double", "float64"),
+    }.items()
+    for name in names
+}
+"""numpy's type of each of the names a PLY header may use."""
+_INTENSITY: Final = ("I", "intensity", "Intensity")
+_KITTI_COLUMNS: Final = 4
+_LONGEST_HEADER: Final = 4096
+
+
+def points_kind(path: Path) -> str:
+    """What a file of points is, in words, by its name and first bytes.
+
+    Raises:
+        UnreadableFrameError: names the file, what was expected and what is there.
+    """
+    start = _start(path)
+    if not start:
+        raise UnreadableFrameError(f"{path}: empty file")
+    match path.suffix.lower():
+        case ".ply":
+            if not start.startswith(_PLY_MAGIC):
+                raise UnreadableFrameError(f"{path}: starts with {start[:4].hex()}, expected a PLY file")
+            return "ply, left-handed"
+        case ".npy":
+            return "npy, left-handed"
+        case ".bin":
+            return "KITTI velodyne, right-handed"
+    raise UnreadableFrameError(f"{path}: expected points as .ply, .npy or .bin")
+
+
+def load_points(path: Path) -> Float32:
+    """(N, 3) x forward, y left, z up in metres, or (N, 4) with intensities; right-handed, from the lidar.
+
+    Raises:
+        UnreadableFrameError: names the file, what was expected and what is there.
+    """
+    points_kind(path)
+    suffix, data = path.suffix.lower(), read_bytes(path)
+    points = _READERS[suffix](path, data).astype(np.float32)
+    if suffix in _LEFT_HANDED:
+        points[:, 1] *= -1
+    return points
+
+
+def _start(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_PLY_MAGIC))
+    except OSError as error:
+        raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error
+
+
+def _kitti(path: Path, data: bytes) -> NDArray[Any]:
+    point_bytes = 4 * _KITTI_COLUMNS
+    if len(data) % point_bytes:
+        raise UnreadableFrameError(f"{path}: {len(data)} bytes, expected points of {point_bytes} bytes (float32 x 4)")
+    return np.frombuffer(data, "<f4").reshape(-1, _KITTI_COLUMNS)
+
+
+def _npy(path: Path, data: bytes) -> NDArray[Any]:
+    try:
+        values: NDArray[Any] = np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise UnreadableFrameError(f"{path}: damaged .npy: {error}") from error
+    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.shape[1] < 3 or values.dtype.kind not in "fiu":
+        shape = getattr(values, "shape", "no array")
+        raise UnreadableFrameError(f"{path}: {shape}, expected numbers of shape (N, 3) or wider")
+    return values[:, :4]
+
+
+def _ply(path: Path, data: bytes) -> NDArray[Any]:
+    end = data.find(_PLY_END, 0, _LONGEST_HEADER)
+    if end < 0:
+        raise UnreadableFrameError(f"{path}: no end_header, expected a whole PLY header")
+    lines = [line.split() for line in data[:end].decode("ascii", "replace").splitlines()]
+    form = next((line[1] for line in lines if line[:1] == ["format"] and len(line) > 1), "none")
+    if form not in _PLY_BODIES:
+        raise UnreadableFrameError(f"{path}: PLY format {form}, expected {' or '.join(_PLY_BODIES)}")
+    count, properties = _vertices(path, lines)
+    if not {"x", "y", "z"} <= set(properties):
+        raise UnreadableFrameError(f"{path}: properties {', '.join(properties) or 'none'}, expected x, y and z")
+    columns = ["x", "y", "z", *[name for name in _INTENSITY if name in properties][:1]]
+    records = _PLY_BODIES[form](path, data[end + len(_PLY_END) :], count, properties)
+    return np.stack([records[name].astype(np.float32) for name in columns], axis=-1)
+
+
+def _vertices(path: Path, lines: list[list[str]]) -> tuple[int, dict[str, str]]:
+    """How many points a PLY header promises, and numpy's type of each property by name."""
+    elements = [k for k, line in enumerate(lines) if line[:1] == ["element"]]
+    if not elements or len(lines[elements[0]]) != 3 or lines[elements[0]][1] != "vertex":
+        raise UnreadableFrameError(f"{path}: expected the points (element vertex) first in the PLY file")
+    count = lines[elements[0]][2]
+    last = elements[1] if len(elements) > 1 else len(lines)
+    found = [line[1:] for line in lines[elements[0] : last] if line[:1] == ["property"]]
+    wrong = next((line for line in found if len(line) != 2 or line[0] not in _PLY_TYPES), None)
+    if wrong is not None or not count.isdigit():
+        what = f"property {' '.join(wrong)}" if wrong is not None else f"element vertex {count}"
+        raise UnreadableFrameError(f"{path}: {what}: expected a number of points, each with plain numbers")
+    return int(count), {name: _PLY_TYPES[kind] for kind, name in found}
+
+
+def _text_body(path: Path, body: bytes, count: int, properties: Mapping[str, str]) -> Mapping[str, NDArray[Any]]:
+    words = body.split()[: count * len(properties)]
+    _require_whole(path, len(words) // len(properties), count)
+    try:
+        table = np.array(words, np.float64).reshape(count, len(properties))
+    except ValueError as error:
+        raise UnreadableFrameError(f"{path}: a point is no number: {error}") from error
+    return dict(zip(properties, table.T, strict=True))
+
+
+def _binary_body(path: Path, body: bytes, count: int, properties: Mapping[str, str]) -> Mapping[str, NDArray[Any]]:
+    record = np.dtype(list(properties.items()))
+    _require_whole(path, len(body) // record.itemsize, count)
+    points = np.frombuffer(body, record, count)
+    return {name: points[name] for name in properties}
+
+
+def _require_whole(path: Path, found: int, count: int) -> None:
+    if found < count:
+        raise UnreadableFrameError(f"{path}: {found} points, its header says {count}")
+
+
+_PLY_BODIES: Final[Mapping[str, Callable[[Path, bytes, int, Mapping[str, str]], Mapping[str, NDArray[Any]]]]] = {
+    "ascii": _text_body,
+    "binary_little_endian": _binary_body,
+}
+_READERS: Final[Mapping[str, Callable[[Path, bytes], NDArray[Any]]]] = {".ply": _ply, ".npy": _npy, ".bin": _kitti}
