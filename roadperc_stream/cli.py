@@ -44,7 +44,10 @@ def _replay_parser() -> argparse.ArgumentParser:
     parser.add_argument("--end", metavar="SECONDS", type=seconds, help="up to here, counted from the first message")
     parser.add_argument("--frames", metavar="N", type=whole_number, help="at most so many frames")
     parser.add_argument(
-        "--only", metavar="STAGES", type=_stages, help=f"some of {','.join(STAGES)}, with what they need"
+        "--only",
+        metavar="STAGES",
+        type=_stages,
+        help=f"some of {','.join(STAGES)}, with what they need; without a depth sensor name stereo among them",
     )
     parser.add_argument("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
     parser.add_argument("--force", action="store_true", help="replace an existing OUT.mcap")

@@ -62,6 +62,20 @@ def test_outside_the_tolerance_is_missing_and_counted():
     assert counts.dropped == {"depth": 1}
 
 
+@pytest.mark.parametrize(("tolerance_s", "found"), [(0.019, None), (0.02, 20)])
+def test_the_tolerance_is_set(tolerance_s, found):
+    moments, _ = run([item("image", 0), item("depth", 20)], cfg=CFG.model_copy(update={"tolerance_s": tolerance_s}))
+    assert stamps(moments) == [(0, found)]
+
+
+@pytest.mark.parametrize(("max_wait_s", "found"), [(0.1, None), (0.3, 0)])
+def test_how_long_a_late_sensor_is_waited_for_is_set(max_wait_s, found):
+    """The depth comes 200 ms late, after the images of four more frames."""
+    items = [*(item("image", t) for t in range(0, 201, 50)), item("depth", 0, 200.001)]
+    moments, _ = run(items, cfg=CFG.model_copy(update={"max_wait_s": max_wait_s}))
+    assert stamps(moments)[0] == (0, found)
+
+
 def test_a_faster_sensor_is_thinned_out_and_counted():
     moments, counts = run([item("image", 0), item("image", 100), *[item("depth", t) for t in range(0, 101, 20)]])
     assert stamps(moments) == [(0, 0), (100, 100)]

@@ -18,8 +18,8 @@ from roadperc_stream.config.stages import (
 
 STAGES = ("stereo", "surface", "odometry", "lanes", "objects", "occupancy")
 """Stages in the order in which they run; each has a section below."""
-NEEDS = {"lanes": ("surface",), "occupancy": ("surface",)}
-"""Stages that cannot work without others."""
+NEEDS = {"odometry": ("surface",), "lanes": ("surface",), "occupancy": ("surface",)}
+"""What stages need of others: odometry without depth has its scale from the road."""
 
 
 def switched_off(stage: str) -> str:

@@ -34,7 +34,12 @@ class Followed:
 class LanesState:
     """What the lanes remember from one frame to the next."""
 
-    followed: dict[Side, Followed] = field(default_factory=dict)
+    left: Followed | None = None
+    right: Followed | None = None
+
+    def side(self, side: Side) -> Followed | None:
+        """The boundary of that side; None where none is followed."""
+        return self.left if side == "left" else self.right
 
 
 def step(
@@ -68,19 +73,16 @@ def step(
     """
     seen = _look(cfg, surface, camera, ego_T_camera, tags, table, road)
     observation = None if isinstance(seen, Absent) else seen
-    followed = {
-        side: after
-        for side in SIDES
-        if (after := _follow(cfg, side, state.followed.get(side), observation, last_T_this, stamp_ns))
-    }
-    if isinstance(seen, Absent) and not followed:
-        return LanesState(), seen
+    left, right = (_follow(cfg, side, state.side(side), observation, last_T_this, stamp_ns) for side in SIDES)
+    after = LanesState(left, right)
+    if isinstance(seen, Absent) and left is None and right is None:
+        return after, seen
     view = None if isinstance(surface, Absent) else View(camera, ego_T_camera, surface)
-    boundaries = tuple(_boundary(side, followed.get(side), observation, view) for side in SIDES)
+    boundaries = tuple(_boundary(side, after.side(side), observation, view) for side in SIDES)
     if observation is None:
-        return LanesState(followed), Lanes(boundaries)
+        return after, Lanes(boundaries)
     merged = [lines.drawn(group, float(camera.height), observation.far) for group in observation.groups]
-    return LanesState(followed), Lanes(boundaries, observation.proposals, np.array(merged).reshape(-1, 4))
+    return after, Lanes(boundaries, observation.proposals, np.array(merged).reshape(-1, 4))
 
 
 def _look(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roadperc_stream.config import LanesConfig
+from roadperc_stream.datatypes import read_only
 from roadperc_stream.geometry import Float
 
 _OFFSET, _RATE, _HEADING, _CURVATURE = range(4)
@@ -37,6 +38,10 @@ class Track:
     covariance: Float
     stamp_ns: int
     measured_ns: int
+
+    def __post_init__(self) -> None:
+        read_only(self.mean, np.float64, (4,), "mean")
+        read_only(self.covariance, np.float64, (4, 4), "covariance")
 
     @property
     def state(self) -> Float:

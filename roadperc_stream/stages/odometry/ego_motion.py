@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.config import OdometryConfig
-from roadperc_stream.datatypes import Absent, Image, Mask, Odometry, Surface
+from roadperc_stream.datatypes import Absent, Image, Mask, Odometry, Surface, read_only
 from roadperc_stream.geometry import Camera, Float, Float32, inverse, project, transform
 from roadperc_stream.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.stages.odometry.features import FRONTENDS, scaled
@@ -37,6 +37,12 @@ class Fix:
     velocity: Float | None
     found_px: Float32
     covariance: Float | None
+
+    def __post_init__(self) -> None:
+        read_only(self.found_px, np.float32, (None, 2), "found_px")
+        for name, array, shape in (("velocity", self.velocity, (6,)), ("covariance", self.covariance, (6, 6))):
+            if array is not None:
+                read_only(array, np.float64, shape, name)
 
 
 @dataclass(frozen=True)

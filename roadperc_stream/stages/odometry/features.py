@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.config import OdometryConfig
-from roadperc_stream.datatypes import Image
+from roadperc_stream.datatypes import Image, read_only
 from roadperc_stream.geometry import Float32
 
 _CONFIG_ROWS = 960.0
@@ -37,6 +37,10 @@ class Features:
 
     px: Float32
     descriptors: NDArray[Any]
+
+    def __post_init__(self) -> None:
+        read_only(self.px, np.float32, (None, 2), "px")
+        self.descriptors.setflags(write=False)
 
     def take(self, chosen: NDArray[Any]) -> "Features":
         """Those of a mask or of indices."""

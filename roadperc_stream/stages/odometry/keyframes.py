@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roadperc_stream.config import OdometryConfig
-from roadperc_stream.datatypes import Image, Mask
+from roadperc_stream.datatypes import Image, Mask, read_only
 from roadperc_stream.geometry import Camera, Float, Float32, transform
 from roadperc_stream.stages.odometry.features import scaled
 from roadperc_stream.stages.odometry.motion import Motion
@@ -26,6 +26,9 @@ class Keyframe:
     places: Places
     odom_T_camera: Float
     stamp_ns: int
+
+    def __post_init__(self) -> None:
+        read_only(self.odom_T_camera, np.float64, (4, 4), "odom_T_camera")
 
 
 def make_keyframe(cfg: OdometryConfig, view: View, odom_T_camera: Float, carried: Places | None = None) -> Keyframe:

@@ -6,7 +6,7 @@ from typing import Final, Literal
 import numpy as np
 
 from roadperc_stream.config import OdometryConfig
-from roadperc_stream.datatypes import Image, Mask
+from roadperc_stream.datatypes import Image, Mask, read_only
 from roadperc_stream.geometry import Float, Float32, intersect_plane, transform, unproject
 from roadperc_stream.stages.odometry.facets import facets_from_depth, slope_of_plane
 from roadperc_stream.stages.odometry.features import FRONTENDS, Features, spread
@@ -30,6 +30,10 @@ class Places:
     slope: Float
     source: PlaceSource
     metric: bool
+
+    def __post_init__(self) -> None:
+        read_only(self.points_m, np.float64, (None, 3), "points_m")
+        read_only(self.slope, np.float64, (None, 2), "slope")
 
     @property
     def known(self) -> Mask:

@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream.config import LanesConfig
@@ -35,6 +35,7 @@ def y_at(boundary, x):
 
 @settings(max_examples=20, deadline=None)
 @given(st.floats(1.2, 2.5), st.floats(-2.5, -1.2), st.floats(-0.04, 0.04), st.floats(-0.004, 0.004))
+@example(1.7094382602544518, -2.0, 0.0, 0.0)  # the closest line found is but 0.46 m long on the road
 def test_any_lane_is_found_where_it_is(left_m, right_m, heading, curvature):
     road = Road(left_m, right_m, heading, curvature, width=1280, height=960)
     _, lanes = look(road)
@@ -93,6 +94,17 @@ def test_unseen_is_held_then_lost_then_found_again():
     assert lanes.side("left").offset_m is None
     _, lanes = look(road, None, state, 14)
     assert lanes.side("left").status == "measured"
+
+
+def test_how_long_it_is_held_is_set():
+    road, cfg = Road(), CFG.model_copy(update={"hold_s": 0.1})
+    blank = np.full_like(road.tags(), ROAD)
+    state, _ = look(road, cfg=cfg)
+    statuses = []
+    for index in range(1, 4):
+        state, lanes = look(road, blank, state, index, cfg)
+        statuses.append(lanes.side("left").status)
+    assert statuses == ["held", "held", "lost"]
 
 
 def test_a_frame_without_tags_holds_and_without_memory_says_why():

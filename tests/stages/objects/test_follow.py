@@ -109,6 +109,43 @@ def test_a_jump_that_lasts_is_believed():
     assert follower.only.track_id == "1"
 
 
+@pytest.mark.parametrize(("restart_s", "frames"), [(0.05, 1), (0.2, 4), (0.4, 8)])
+def test_a_jump_is_believed_when_it_has_lasted_for_restart_s(restart_s, frames):
+    """Frames of 50 ms after the jump's first one until the distance that is followed jumps, too."""
+    follower = Follower(CFG.model_copy(update={"restart_s": restart_s}))
+    for _ in range(20):
+        follower.frame(CAR, depth_m=20.0)
+    believed = []
+    for _ in range(frames + 2):
+        follower.frame(CAR, depth_m=10.0)
+        believed.append(follower.state.tracks[0].distance_m.value == pytest.approx(10.0, abs=0.1))
+    assert believed == [False] * frames + [True] * 2
+
+
+@pytest.mark.parametrize(("gate", "taken"), [(CFG.gate, False), (1e4, True)])
+def test_a_jump_beyond_the_gate_is_not_taken(gate, taken):
+    """It is 14 standard deviations of the distance as it is measured and predicted."""
+    follower = Follower(CFG.model_copy(update={"gate": gate}))
+    for _ in range(20):
+        follower.frame(CAR, depth_m=20.0)
+    before = follower.state.tracks[0].distance_m
+    follower.frame(CAR, depth_m=18.0)
+    after = follower.state.tracks[0].distance_m
+    predicted = before.predict(CFG.process_noise, STEP_NS / 1e9)
+    expected = predicted.update(18.0, CFG.min_distance_std_m) if taken else predicted
+    assert CFG.gate < predicted.surprise(18.0, CFG.min_distance_std_m) < 1e4
+    assert astuple(after) == pytest.approx(astuple(expected))
+    assert (follower.state.tracks[0].rival_m is None) == taken
+
+
+@pytest.mark.parametrize(("min_overlap", "name"), [(0.33, "1"), (0.34, "2")])
+def test_a_box_that_overlaps_less_is_a_new_object(min_overlap, name):
+    """Moved by half its width a box shares a third of what both cover."""
+    follower = Follower(CFG.model_copy(update={"min_overlap": min_overlap}))
+    follower.frame(CAR)
+    assert follower.frame(shifted(CAR, 20))[0].track_id == name
+
+
 def test_distances_that_jump_to_and_fro_start_nothing_new():
     """Two cars share a box and take turns: the one that was followed is followed on."""
     follower = Follower()

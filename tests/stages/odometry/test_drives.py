@@ -13,9 +13,8 @@ from roadperc_stream.stages import odometry
 from roadperc_stream.stages.odometry import OdometryState
 from roadperc_stream.stages.surface import assumed_surface
 from roadperc_stream.tools import render_scene
-from roadperc_stream.tools.carla_dump.carla_poses import load_poses
 from roadperc_stream.tools.carla_dump.depth_files import carla_metres
-from tests.stages.odometry.trajectories import aligned_errors_m, angle_deg, distances_m, relative_errors
+from tests.stages.odometry.trajectories import angle_deg, distances_m
 
 CFG = OdometryConfig()
 SATURATED_M = np.float32(65.535)
@@ -120,7 +119,7 @@ def test_course_odometry_without_any_scale_turns_little(course_steps):
     assert max(angle_deg(step[:3, :3]) for step in course_steps) < 3
 
 
-@pytest.mark.xfail(strict=True, reason="the last two steps, in a turn, point 11.5 and 16 degrees aside of the camera")
+@pytest.mark.xfail(strict=True, reason="in the turn at the end the camera, ahead of the axle, goes 13 and 15 deg aside")
 def test_course_odometry_without_any_scale_goes_ahead(course_steps):
     assert max(np.rad2deg(np.arctan2(np.hypot(*step[1:3, 3]), step[0, 3])) for step in course_steps) < 10
 
@@ -128,45 +127,13 @@ def test_course_odometry_without_any_scale_goes_ahead(course_steps):
 def rendered(folder, *options):
     assert render_scene.main([str(folder), *options]) == 0
     camera, mounting = calibrated(folder)
-    ego_T_camera = rigid(EGO_R_OPTICAL, np.array([mounting["rgb"][axis] for axis in "xyz"]))
-    true = load_poses(folder / "poses.json")
-    return camera, ego_T_camera, np.array([inverse(true[0]) @ true[k] for k in sorted(true)])
-
-
-def like_stereo(frames, fx_baseline, seed=0):
-    """Depth with disparities off by 0.35 px, alike within a few pixels, and holes."""
-    rng = np.random.default_rng(seed)
-    for grey, depth_m, movable in frames:
-        noise = cv2.GaussianBlur(rng.normal(0, 1, depth_m.shape).astype(np.float32), (0, 0), 2)
-        disparity = fx_baseline / depth_m + 0.35 * noise / noise.std()
-        spoiled = np.where(disparity > 1, fx_baseline / np.maximum(disparity, 1), np.nan).astype(np.float32)
-        spoiled[rng.random(spoiled.shape) < 0.15] = np.nan
-        yield grey, spoiled, movable
-
-
-@pytest.mark.accuracy
-def test_town(tmp_path):
-    camera, ego_T_camera, true = rendered(tmp_path, "--seconds", "20")
-    stereo = like_stereo(pictures(tmp_path), 0.5 * camera.fx)
-    for name, limit, frames in (("depth", 0.01, pictures(tmp_path)), ("like stereo", 0.02, stereo)):
-        results = follow(frames, camera, ego_T_camera)
-        shift, turn = relative_errors(poses(results), true, (25, 50, 100))
-        print(f"\ntown, {name}: {shift:.3%} of the distance, {turn:.3f} deg/100 m")
-        assert {out.status for out in results[1:]} == {"tracked"}
-        assert shift < limit
-        assert turn < 0.5
-    for name, road in (("no depth", None), ("no depth, road", assumed_surface(camera, ego_T_camera))):
-        results = follow(pictures(tmp_path), camera, ego_T_camera, depth=False, road=road)
-        errors_m = aligned_errors_m(poses(results), true)
-        share = np.sqrt(np.mean(errors_m**2)) / distances_m(true)[-1]
-        print(f"town, {name}: {share:.3%} of the length after alignment")
-        assert share < 0.02
+    return camera, rigid(EGO_R_OPTICAL, np.array([mounting["rgb"][axis] for axis in "xyz"]))
 
 
 @pytest.mark.accuracy
 def test_standing_still(tmp_path):
     options = ("--static", "--rgb-noise", "2", "--depth-noise", "0.01", "--seconds", "5")
-    camera, ego_T_camera, _ = rendered(tmp_path, *options)
+    camera, ego_T_camera = rendered(tmp_path, *options)
     for depth in (True, False):
         for tags in (True, False):
             results = follow(pictures(tmp_path), camera, ego_T_camera, depth=depth, tags=tags)
@@ -175,17 +142,7 @@ def test_standing_still(tmp_path):
             assert stray_m < 0.02
 
 
-def test_short_town(tmp_path):
-    camera, ego_T_camera, true = rendered(tmp_path, "--seconds", "1.5", "--size", "640x480")
-    frames = list(pictures(tmp_path))
-    shift, turn = relative_errors(poses(follow(frames, camera, ego_T_camera)), true, (5, 10))
-    assert shift < 0.01
-    assert turn < 2.0
-    mono = poses(follow(frames, camera, ego_T_camera, depth=False))
-    assert np.sqrt(np.mean(aligned_errors_m(mono, true) ** 2)) < 0.02 * distances_m(true)[-1]
-
-
 def test_short_standing_still(tmp_path):
-    camera, ego_T_camera, _ = rendered(tmp_path, "--static", "--rgb-noise", "2", "--seconds", "1", "--size", "640x480")
+    camera, ego_T_camera = rendered(tmp_path, "--static", "--rgb-noise", "2", "--seconds", "1", "--size", "640x480")
     results = follow(pictures(tmp_path), camera, ego_T_camera, tags=False)
     assert np.linalg.norm(poses(results)[:, :3, 3], axis=1).max() < 0.02

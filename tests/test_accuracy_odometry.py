@@ -1,0 +1,121 @@
+"""How far odometry errs in whole replays of a rendered town, by what the log has to measure depth with.
+
+The poses are those of the results' topic, the truth is the input's; stereo's depth is matched in the same replay. The
+long forms, at full size over 20 s, run with ``make accuracy``; a short form runs always.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.channels import ROLES
+from roadperc_stream.cli import replay_main
+from roadperc_stream.decoding import Context, decode
+from roadperc_stream.geometry import inverse
+from roadperc_stream.log import LogWriter
+from roadperc_stream.table import beside
+from roadperc_stream.tools import carla_to_mcap, render_scene
+from tests.stages.odometry.trajectories import aligned_errors_m, distances_m, relative_errors
+
+STAGES = "stereo,surface,odometry"
+"""Odometry and what it is fed by; the other stages come after it."""
+WITHOUT_DEPTH = ("depth", "truth_depth")
+MONO = (*WITHOUT_DEPTH, "right", "right_calibration")
+
+
+@dataclass(frozen=True)
+class Case:
+    """What the log goes without, how it is replayed, and the limits of what comes out.
+
+    ``road`` is where the road's plane comes from. ``shift`` is a share of the distance, ``turn`` in degrees per 100 m,
+    ``shape`` a share of the length after a similarity alignment.
+    """
+
+    missing: tuple[str, ...]
+    setting: str
+    road: str | None
+    shift: float = np.inf
+    turn: float = np.inf
+    shape: float = 0.02
+
+
+CASES = {
+    "depth": Case((), "stereo.method=off", "depth", shift=0.01, turn=0.5),
+    "stereo fast": Case(WITHOUT_DEPTH, "stereo.method=fast", "stereo", shift=0.02, turn=0.5),
+    "stereo full": Case(WITHOUT_DEPTH, "stereo.method=full", "stereo", shift=0.02, turn=0.5),
+    "mono, mounted": Case(MONO, "surface.enabled=true", "assumed"),
+    "mono, no scale": Case(MONO, "surface.enabled=false", None),
+}
+
+
+def town(folder, *options):
+    """The log of a drive through the town."""
+    assert render_scene.main([str(folder / "dump"), "--scene", "town", *options]) == 0
+    assert carla_to_mcap.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
+    return folder / "in.mcap"
+
+
+@pytest.fixture(scope="module")
+def long_drive(tmp_path_factory):
+    return town(tmp_path_factory.mktemp("town"), "--seconds", "20")
+
+
+@pytest.fixture(scope="module")
+def short_drive(tmp_path_factory):
+    return town(tmp_path_factory.mktemp("short"), "--seconds", "1.5", "--size", "640x480")
+
+
+def without(source, target, roles):
+    """The log as a recorder without those sensors would have written it."""
+    topics = {ROLES[role].topic for role in roles}
+    with LogWriter(target) as writer:
+        for message in log.read(source):
+            if message.channel.topic not in topics:
+                writer.write(message)
+    return target
+
+
+def poses(path, topic):
+    """(N, 4, 4) against the first, and the (N,) stamps."""
+    decoded = [
+        decode("pose", m.channel.schema_name, m.channel.message_encoding, m.data, m.log_time_ns, Context())
+        for m in log.read(path, topics=[topic])
+    ]
+    matrices = np.array([d.payload.parent_T_child for d in decoded])
+    return inverse(matrices[0]) @ matrices, [d.stamp_ns for d in decoded]
+
+
+def judge(name, source, folder, lengths_m):
+    """Replay the drive as one case has it, and hold it to its limits."""
+    case, target = CASES[name], folder / "out.mcap"
+    seen = without(source, folder / "in.mcap", case.missing)
+    options = ("--quiet", "--results-only", "--only", STAGES, "--set", case.setting)
+    assert replay_main([str(seen), str(target), *options]) == 0
+    metrics = pl.read_parquet(beside(target, "metrics"))
+    assert metrics["odometry_status"].to_list() == ["first"] + ["tracked"] * (metrics.height - 1)
+    assert set(metrics["surface_source"]) == {case.road}
+    (estimated, stamps), (true, true_stamps) = poses(target, "/perception/odometry"), poses(source, "/truth/pose")
+    assert stamps == true_stamps
+    shift, turn = relative_errors(estimated, true, lengths_m)
+    shape = np.sqrt(np.mean(aligned_errors_m(estimated, true) ** 2)) / distances_m(true)[-1]
+    print(
+        f"\ntown, {name}: {len(true)} frames, {distances_m(true)[-1]:.1f} m: {shift:.3%} of the distance, "
+        f"{turn:.3f} deg/100 m; {shape:.3%} of the length after alignment; {metrics['step_m'].count()} steps metric"
+    )
+    assert shift < case.shift
+    assert turn < case.turn
+    assert shape < case.shape
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("name", CASES)
+def test_town(tmp_path, long_drive, name):
+    judge(name, long_drive, tmp_path, (25, 50, 100))
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if name != "stereo full"])
+def test_short_town(tmp_path, short_drive, name):
+    judge(name, short_drive, tmp_path, (5, 10))
