@@ -158,3 +158,13 @@ def test_roll_and_pitch_of_the_mounting_do_not_move_the_lane():
     assert result.lanes.side("left").offset_m == pytest.approx(1.8, abs=0.05)
     np.testing.assert_allclose(result.surface.ego_plane.n, (0, 0, 1), atol=1e-3)
     assert g.angle_between(result.surface.plane.n, tilted.plane.n) < 1e-3
+
+
+def test_a_front_camera_that_is_not_rectified_is_said_to_be_taken_as_it_is():
+    (frame,) = drive(1)
+    lens = g.Lens(frame.camera.fx, frame.camera.fy, frame.camera.cx, frame.camera.cy)
+    _, (plain, through_lens) = run(
+        [frame, replace(frame, stamp_ns=frame.stamp_ns + 1, camera=replace(frame.camera, lens=lens))]
+    )
+    said = "image: its camera is not rectified, and only stereo undoes the distortion"
+    assert (said in plain.problems, said in through_lens.problems) == (False, True)
