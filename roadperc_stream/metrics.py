@@ -90,7 +90,9 @@ def _object_row(log_id: str, sample: Sample, item: Object, true_distance_m: floa
         item.distance_m,
         item.distance_std_m,
         item.closing_speed_mps,
+        item.closing_speed_std_mps,
         item.time_to_impact_s,
+        item.time_to_impact_std_s,
         item.status,
         item.beyond_range,
         true_distance_m,
@@ -141,7 +143,8 @@ def _object_columns(objects: Objects | Absent) -> Columns:
     kept = [item for item in objects.objects if item.kept]
     known = [(item.distance_m, item.detection.label) for item in kept if item.distance_m is not None]
     nearest_m, nearest_class = min(known, default=(None, None))
-    impacts = [item.time_to_impact_s for item in kept if item.time_to_impact_s is not None]
+    impacts = [(i.time_to_impact_s, i.time_to_impact_std_s) for i in kept if i.time_to_impact_s is not None]
+    soonest_s, soonest_std_s = min(impacts, key=lambda impact: impact[0], default=(None, None))
     return {
         "detections": sum(item.status == "measured" for item in objects.objects),
         "detections_kept": sum(item.status == "measured" for item in kept),
@@ -149,7 +152,8 @@ def _object_columns(objects: Objects | Absent) -> Columns:
         "detections_unjudged": sum(item.kept and item.class_ratio is None for item in objects.objects),
         "nearest_object_m": nearest_m,
         "nearest_object_class": nearest_class,
-        "time_to_impact_s": min(impacts, default=None),
+        "time_to_impact_s": soonest_s,
+        "time_to_impact_std_s": soonest_std_s,
     }
 
 

@@ -135,7 +135,7 @@ def replay(
             with timer("total"):
                 state, result = step(cfg, state, sample.frame, timer)
                 row = frame_metrics(cfg, log_id, sample, result, previous)
-                if isinstance(result.odometry, Odometry):
+                if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
                     trajectory.append(result.odometry.odom_T_ego)
                 copy.through(sample.log_time_ns)
                 with timer("encode"):

@@ -33,7 +33,7 @@ def result_messages(
         result: what the chain made of it.
         metrics: its row.
         previous_reasons: reasons of the frame before: only new ones are logged, not one line per frame.
-        trajectory: the latest poses odom_T_ego, this frame's last.
+        trajectory: the latest poses odom_T_ego that are known, this frame's last.
     """
     stamp_ns = result.stamp_ns
     yield from _surface(sample, result)
@@ -76,11 +76,13 @@ def _lanes_and_objects(sample: Sample, result: FrameResult) -> Written:
 
 
 def _odometry(stamp_ns: int, odometry: Odometry, trajectory: Sequence[Float]) -> Written:
-    yield "/perception/odometry", encoding.encode_pose(stamp_ns, ODOM, odometry.odom_T_ego)
+    """Of a lost frame the state alone says where the car was last: as a pose of this frame it would be false."""
     yield "/perception/odometry/state", encoding.encode_odometry(stamp_ns, EGO, odometry)
     yield "/perception/trajectory", encoding.encode_poses(stamp_ns, ODOM, trajectory)
-    edge = Transform(ODOM, EGO, odometry.odom_T_ego)
-    yield "/perception/tf", encoding.encode_transforms(stamp_ns, [edge])
+    if odometry.status != "lost":
+        yield "/perception/odometry", encoding.encode_pose(stamp_ns, ODOM, odometry.odom_T_ego)
+        edge = Transform(ODOM, EGO, odometry.odom_T_ego)
+        yield "/perception/tf", encoding.encode_transforms(stamp_ns, [edge])
 
 
 def encode_metrics(frame_id: str, metrics: FrameMetrics) -> bytes:

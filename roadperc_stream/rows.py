@@ -42,6 +42,7 @@ class FrameMetrics:
     nearest_object_m: float | None = None
     nearest_object_class: str | None = None
     time_to_impact_s: float | None = None
+    time_to_impact_std_s: float | None = None
     stereo_valid_ratio: float | None = None
     stereo_nearest_m: float | None = None
     odometry_status: str | None = None
@@ -90,7 +91,9 @@ class ObjectMetrics:
     distance_m: float | None
     distance_std_m: float | None
     closing_speed_mps: float | None
+    closing_speed_std_mps: float | None
     time_to_impact_s: float | None
+    time_to_impact_std_s: float | None
     status: str
     beyond_range: bool
     true_distance_m: float | None

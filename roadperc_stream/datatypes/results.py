@@ -78,7 +78,8 @@ class Odometry:
     """Where the ego frame is. ``step`` maps this frame's ego coordinates to the last one's (last_T_this).
 
     With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
-    x, y, z, roll, pitch, yaw of ``step``. ``since_ns`` is when ``step`` begins: the last frame that was not missing.
+    x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is when ``step`` begins: the last frame
+    that was not missing. ``reason`` says why a frame is ``lost``; its pose is then the last one known.
     """
 
     status: OdometryStatus
@@ -88,6 +89,7 @@ class Odometry:
     up_to_scale: bool = False
     covariance: tuple[float, ...] = ()
     since_ns: int | None = None
+    reason: str = ""
 
     def __post_init__(self) -> None:
         read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
@@ -212,4 +214,6 @@ class FrameResult:
             "occupancy": self.occupancy,
         }
         absent = tuple(f"{name}: {out.reason}" for name, out in stages.items() if isinstance(out, Absent))
-        return absent + self.problems
+        lost = isinstance(self.odometry, Odometry) and self.odometry.status == "lost"
+        where = (f"odometry: lost, {self.odometry.reason}",) if lost else ()
+        return absent + where + self.problems

@@ -13,7 +13,8 @@ def with_motion(cfg: ObjectsConfig, item: Object, track: Track) -> Object:
     """An object with its track's id, and what the track's distances say of its motion.
 
     The speed is that of the distance to the camera, positive when coming nearer. A speed that is not known well is
-    not given; a time to impact is given only for what surely comes nearer.
+    not given. A time to impact is given only for what surely comes nearer, and not while the distances contradict
+    the one that is followed: either may be another thing's.
     """
     named = replace(item, track_id=track.id)
     distance = track.distance_m
@@ -21,7 +22,8 @@ def with_motion(cfg: ObjectsConfig, item: Object, track: Track) -> Object:
         return named
     closing, std = -distance.rate, sqrt(distance.rate_var)
     named = replace(named, closing_speed_mps=closing, closing_speed_std_mps=std)
-    if distance.value <= 0 or closing < cfg.min_closing_mps or closing < cfg.min_closing_sigmas * std:
+    contradicted = track.rival_m is not None or distance.value <= 0
+    if contradicted or closing < cfg.min_closing_mps or closing < cfg.min_closing_sigmas * std:
         return named
     return replace(
         named, time_to_impact_s=distance.value / closing, time_to_impact_std_s=_time_to_impact_std_s(distance)

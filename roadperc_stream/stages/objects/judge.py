@@ -12,9 +12,6 @@ from roadperc_stream.datatypes import Absent, Detection, Image, Object, Objects
 from roadperc_stream.geometry import Camera, Float32
 from roadperc_stream.semantics import TagTable, label_lookup
 
-_MIN_STD_M = 0.0005
-"""Half a step of 16-bit millimetres: a depth is never known better."""
-
 
 def judge(
     cfg: ObjectsConfig,
@@ -69,7 +66,7 @@ def _judge_one(
     depths = depth_m[y0:y1, x0:x1]
     if of_class is not None and cfg.distance_pixels == "class":
         distances, depths = distances[of_class], depths[of_class]
-    distance, std, beyond = _nearest(cfg.distance_quantile, distances.ravel(), depths.ravel(), limit_m)
+    distance, std, beyond = _nearest(cfg, distances.ravel(), depths.ravel(), limit_m)
     return Object(detection, kept, ratio, distance_m=distance, distance_std_m=std, beyond_range=beyond)
 
 
@@ -84,24 +81,25 @@ def _distances(camera: Camera, depth_m: Float32, box: tuple[int, int, int, int])
 
 
 def _nearest(
-    quantile: float, distances_m: Float32, depths_m: Float32, limit_m: float
+    cfg: ObjectsConfig, distances_m: Float32, depths_m: Float32, limit_m: float
 ) -> tuple[float | None, float | None, bool]:
     """Distance, its standard deviation and whether the object lies beyond the depth's range.
 
-    The deviation is that of the pixels around the quantile: what the choice of the quantile could have been.
+    The deviation is that of the pixels around the quantile: what the choice of the quantile could have been; and no
+    less than the quantile moves with the box.
     """
     known = np.isfinite(distances_m)
     if not known.any():
         return None, None, False
     saturated = depths_m[known] >= np.float32(limit_m)
     reachable = np.where(saturated, np.inf, distances_m[known])
-    ranks = [_rank(share * quantile, len(reachable)) for share in (0, 1, 2)]
+    ranks = [_rank(share * cfg.distance_quantile, len(reachable)) for share in (0, 1, 2)]
     nearest, chosen, beside = np.partition(reachable, ranks)[ranks]
     distance = float(chosen)
     if not np.isfinite(distance):
         return None, None, True
     spread = beside - nearest
-    std = max(float(spread) / 2, _MIN_STD_M) if np.isfinite(spread) else None
+    std = max(float(spread) / 2, cfg.min_distance_std_m) if np.isfinite(spread) else None
     return distance, std, False
 
 

@@ -128,9 +128,9 @@ def proven(cfg: ObjectsConfig, track: Track) -> bool:
 
 def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
     """Standard deviation in metres of a measured distance."""
-    if item.distance_m is None or item.distance_std_m is not None:
-        return max(item.distance_std_m or 0.0, cfg.min_distance_std_m)
-    return max(_UNKNOWN_STD_SHARE * item.distance_m, cfg.min_distance_std_m)
+    if item.distance_std_m is not None:
+        return item.distance_std_m
+    return max(_UNKNOWN_STD_SHARE * (item.distance_m or 0.0), cfg.min_distance_std_m)
 
 
 def _placed(cfg: ObjectsConfig, track: Track, item: Object, box_px: Box) -> Track:

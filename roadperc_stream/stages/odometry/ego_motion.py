@@ -96,15 +96,19 @@ def step(
         The new state, and the pose; absent where there has been no image yet.
     """
     if grey is None:
-        return state, Odometry("lost", state.odom_T_ego) if state.keyframe else Absent("no image")
+        return state, _lost(state.odom_T_ego, "no image") if state.keyframe else Absent("no image")
     cv2.setRNGSeed(int(rng.integers(2**31)))
     view = make_view(cfg, camera, ego_T_camera, grey, depth_m, movable, road, stamp_ns)
     if state.keyframe is None or state.fix is None:
         return _begun(cfg, state.odom_T_ego, view), Odometry("first", state.odom_T_ego)
     sighting = _look(cfg, state.odom_T_ego, state.keyframe, state.fix, view)
-    if sighting is None:
-        return _begun(cfg, state.odom_T_ego, view), Odometry("lost", state.odom_T_ego)
+    if isinstance(sighting, Absent):
+        return _begun(cfg, state.odom_T_ego, view), _lost(state.odom_T_ego, sighting.reason)
     return _continued(cfg, state.odom_T_ego, state.keyframe, state.fix, view, sighting)
+
+
+def _lost(odom_T_ego: Float, reason: str) -> Odometry:
+    return Odometry("lost", odom_T_ego, reason=reason)
 
 
 def _begun(cfg: OdometryConfig, odom_T_ego: Float, view: View) -> OdometryState:
@@ -141,20 +145,24 @@ def _continued(
     return OdometryState(sighting.odom_T_ego, keyframe, Fix(view.stamp_ns, velocity, found_px, covariance)), out
 
 
-def _look(cfg: OdometryConfig, odom_T_last: Float, keyframe: Keyframe, fix: Fix, view: View) -> _Sighting | None:
-    """The first motion that can be believed; None where there is none."""
+def _look(cfg: OdometryConfig, odom_T_last: Float, keyframe: Keyframe, fix: Fix, view: View) -> _Sighting | Absent:
+    """The first motion that can be believed, or why there is none."""
     if view.camera != keyframe.camera:
-        return None
+        return Absent("the camera is another one than before")
+    refused = "too few points agree on a motion"
     for guess_px, near_px, ratio in _guesses(cfg, odom_T_last, keyframe, fix, view):
         px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.places.features, guess_px, view.grey)
         astray = np.linalg.norm(px - near_px, axis=1) > scaled(_ASTRAY_PX, view.grey.shape[0])
         px[astray | view.on_movable(px)] = np.nan
         sighting = _placed(cfg, keyframe, fix, view, px)
-        if sighting is None or np.sum(sighting.motion.inliers) < ratio * _findable(keyframe, view, sighting):
+        if sighting is None:
+            continue
+        if np.sum(sighting.motion.inliers) < max(ratio * _findable(keyframe, view, sighting), cfg.min_inliers):
             continue
         if _possible(cfg, keyframe, fix, view, sighting, inverse(odom_T_last) @ sighting.odom_T_ego):
             return sighting
-    return None
+        refused = "the points agree on a motion that the car cannot make"
+    return Absent(refused)
 
 
 def _guesses(
@@ -195,9 +203,7 @@ def _placed(cfg: OdometryConfig, keyframe: Keyframe, fix: Fix, view: View, px: F
 def _possible(
     cfg: OdometryConfig, keyframe: Keyframe, fix: Fix, view: View, sighting: _Sighting, last_T_this: Float
 ) -> bool:
-    """Whether enough points agree on a motion that a car can make; a length without scale tells no speed."""
-    if np.sum(sighting.motion.inliers) < cfg.min_inliers:
-        return False
+    """Whether a car can make the motion; a length without scale tells no speed."""
     velocity = _velocity(last_T_this, (view.stamp_ns - fix.stamp_ns) / _NANOSECONDS)
     speed, turn_rate = np.linalg.norm(velocity.reshape(2, 3), axis=1)
     fast = keyframe.places.metric and sighting.motion.scaled and speed > cfg.max_speed_mps

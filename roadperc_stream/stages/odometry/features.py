@@ -79,20 +79,24 @@ def window_side(cfg: OdometryConfig, rows: int) -> int:
 def spread(cfg: OdometryConfig, px: Float32, strength: Float32, shape: tuple[int, ...]) -> NDArray[np.intp]:
     """Indices of the strongest points of each cell, the same number from all: ``max_points`` together.
 
+    Cells grow until there are no more than points; where the image's edges make it a few more, the weakest go.
+
     Args:
         cfg: size of the cells.
         px: (N, 2) pixels.
         strength: (N,) the larger the better.
         shape: rows and columns of the image.
     """
-    side = scaled(cfg.cell_px, shape[0])
+    side = max(scaled(cfg.cell_px, shape[0]), float(np.sqrt(shape[0] * shape[1] / cfg.max_points)))
     columns = int(np.ceil(shape[1] / side))
     cell = (px[:, 1] // side).astype(int) * columns + (px[:, 0] // side).astype(int)
     order = np.lexsort((-strength, cell))
     by_cell = cell[order]
     rank = np.arange(len(order)) - np.searchsorted(by_cell, by_cell)
     each = max(cfg.max_points // max(len(np.unique(cell)), 1), 1)
-    return np.asarray(order[rank < each][: cfg.max_points])
+    chosen = order[rank < each]
+    strongest = np.argsort(-strength[chosen], kind="stable")[: cfg.max_points]
+    return np.asarray(chosen[np.sort(strongest)])
 
 
 def _detect_corners(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[Features, Float32]:

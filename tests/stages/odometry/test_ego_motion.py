@@ -96,6 +96,7 @@ def test_a_missing_frame_is_lost_and_its_motion_is_not():
     assert statuses(results) == ["first", "tracked", "tracked", "lost", "tracked", "tracked", "tracked", "tracked"]
     np.testing.assert_array_equal(results[3].odom_T_ego, results[2].odom_T_ego)
     assert results[3].step is None
+    assert results[3].reason == "no image"
     assert results[4].since_ns == 1_000_000_000 + 2 * STEP_NS
     assert np.linalg.norm((inverse(POSES[7]) @ results[7].odom_T_ego)[:3, 3]) < 0.02
     assert states[3] is states[2]
@@ -112,10 +113,18 @@ def test_another_place_is_lost_and_then_followed():
     assert np.linalg.norm((inverse(drive(4)[-1]) @ driven)[:3, 3]) < 0.02
 
 
-@pytest.mark.parametrize("limit", [{"max_speed_mps": 5.0}, {"max_turn_rate_dps": 5.0}, {"min_inliers": 390}])
-def test_what_the_car_cannot_do_is_lost(limit):
+@pytest.mark.parametrize(
+    ("limit", "reason"),
+    [
+        ({"max_speed_mps": 5.0}, "the points agree on a motion that the car cannot make"),
+        ({"max_turn_rate_dps": 5.0}, "the points agree on a motion that the car cannot make"),
+        ({"min_inliers": 390}, "too few points agree on a motion"),
+    ],
+)
+def test_what_the_car_cannot_do_is_lost(limit, reason):
     _, results = run(SHOTS[:2], CFG.model_copy(update=limit))
     assert statuses(results) == ["first", "lost"]
+    assert results[1].reason == reason
 
 
 def test_without_depth_the_shape_is_kept_in_steps():

@@ -138,6 +138,17 @@ def test_points_are_spread_over_the_image():
     assert len(set(chosen.tolist())) == len(chosen)
 
 
+@pytest.mark.parametrize("size", [(376, 1242), (960, 3840), (480, 640)])
+def test_points_reach_every_edge_of_an_image_of_any_shape(size):
+    rows, columns = np.indices(size)[:, ::4, ::4].reshape(2, -1)
+    px = np.stack((columns, rows), axis=-1).astype(np.float32)
+    chosen = px[spread(FULL, px, np.random.default_rng(0).random(len(px)).astype(np.float32), size)]
+    assert 0.9 * FULL.max_points <= len(chosen) <= FULL.max_points
+    for axis, length in ((0, size[1]), (1, size[0])):
+        share = np.histogram(chosen[:, axis], bins=8, range=(0, length))[0] / len(chosen)
+        assert share.min() > 0.07
+
+
 @pytest.mark.parametrize("features", ["klt", "orb", "sift"])
 def test_a_shifted_image_is_matched_to_sub_pixels(features):
     cfg = CFG.model_copy(update={"features": features})
