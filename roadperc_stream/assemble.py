@@ -1,7 +1,9 @@
 """Moments to samples: which camera, which mounting, what is missing."""
 
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import Final, TypeVar
+
+import numpy as np
 
 from roadperc_stream.channels import ROLES
 from roadperc_stream.config import ReplayConfig
@@ -23,6 +25,8 @@ from roadperc_stream.geometry import Camera, Float, level_mounting
 from roadperc_stream.sync import Held, Moment, Stamped
 
 EGO = "ego"
+_SAME_PLACE: Final = 1e-6
+"""Metres and radians by which two cameras in one place may differ."""
 T = TypeVar("T")
 
 
@@ -44,11 +48,8 @@ def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str
     depth_camera = _depth_camera(held, camera, depth)
     mounting = held.lookup(EGO, camera.frame_id)
     ego_T_camera = level_mounting(cfg.surface.assumed_height_m) if mounting is None else mounting
-    apart = "left" in topics and moment.reference.role != "left"
-    left = _payload(parts, "left", CameraImage) if apart else None
-    left_camera = held.cameras.get("left_calibration") if apart else camera
-    if left_camera is None:
-        raise ChannelError(f"{topics['left']}: the left camera has no calibration at {moment.reference.stamp_ns} ns")
+    left_camera = _left_camera(moment, camera, topics)
+    left = _payload(parts, "left", CameraImage) if "left" in topics and moment.reference.role != "left" else None
     points = _payload(parts, "lidar", PointCloud)
     detections = parts.get("detections")
     frame = Frame(
@@ -107,6 +108,32 @@ def _depth_camera(held: Held, camera: Camera, depth: DepthImage | None) -> Camer
     return Camera(
         depth.frame_id, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, None, camera.distortion
     )
+
+
+def _left_camera(moment: Moment, camera: Camera, topics: Mapping[str, str]) -> Camera:
+    """The left camera of a stereo pair: one of its own where the log says so, else the front camera.
+
+    A log may have a left calibration and no left image at all: the pair's baseline is then still not the distance from
+    the front camera, whose image must not be matched instead.
+    """
+    if moment.reference.role == "left":
+        return camera
+    own = moment.held.cameras.get("left_calibration")
+    if "left" not in topics:
+        return camera if own is None or _is_front(moment.held, camera, own) else own
+    if own is None:
+        raise ChannelError(f"{topics['left']}: the left camera has no calibration at {moment.reference.stamp_ns} ns")
+    return own
+
+
+def _is_front(held: Held, camera: Camera, other: Camera) -> bool:
+    """Whether another calibration speaks of the front camera itself: one view, from one place."""
+    if not camera.same_view(other):
+        return False
+    if other.frame_id in ("", camera.frame_id):
+        return True
+    camera_T_other = held.lookup(camera.frame_id, other.frame_id)
+    return camera_T_other is not None and np.allclose(camera_T_other, np.eye(4), atol=_SAME_PLACE)
 
 
 def _mounting(held: Held, ego_T_camera: Float, camera: Camera, other: Camera) -> Float:

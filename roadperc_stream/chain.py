@@ -103,7 +103,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         matched = _stereo(cfg, frame, grey, problems)
     with timer("surface"):
         view = View(frame, tags, grey, _depth(frame, sensor, matched, problems))
-        plane = _surface(cfg, view, rng)
+        plane = _surface(cfg, view, rng, problems)
         front = _in_front_camera(plane, view)
         drivable = _drivable(cfg, view, front)
     with timer("odometry"):
@@ -267,7 +267,7 @@ def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[
     return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
-def _surface(cfg: ReplayConfig, view: View, rng: np.random.Generator) -> Surface | Absent:
+def _surface(cfg: ReplayConfig, view: View, rng: np.random.Generator, problems: list[str]) -> Surface | Absent:
     """The road, its plane in the frame of the camera the depth belongs to."""
     if not cfg.surface.enabled:
         return OFF
@@ -277,6 +277,10 @@ def _surface(cfg: ReplayConfig, view: View, rng: np.random.Generator) -> Surface
     road = view.labels(cfg.surface.classes)
     mask = None if road is None else depth.labels(frame, road).view(bool)
     plane = surface.fit_surface(cfg.surface, depth.camera, depth.ego_T_camera, depth.depth_m, mask, rng)
+    if isinstance(plane, Absent) and not depth.dense:
+        # A lidar that misses the road tells no more of it than no lidar; what it hits is as far away as before.
+        problems.append(f"surface: {plane.reason}: {_who_knows(frame)} gives the plane")
+        return surface.assumed_surface(frame.camera, frame.ego_T_camera)
     if isinstance(plane, Surface) and plane.source == "depth":
         return replace(plane, source=depth.source)
     return plane
@@ -291,14 +295,18 @@ def _drivable(cfg: ReplayConfig, view: View, front: Surface | Absent) -> Mask | 
     return surface.drivable_mask(cfg.surface, front, frame.camera, view.dense_depth_m, road, frame.ego_T_camera)
 
 
+def _who_knows(frame: Frame) -> str:
+    """What the assumed plane rests on."""
+    return "the mounting" if frame.mounted else "the assumed height"
+
+
 def _what_is_lacking(view: View, followed: Objects | Absent) -> list[str]:
     """What a stage that gave something had to do without."""
     lacking = []
     if view.frame.camera.lens is not None:
         lacking.append("image: its camera is not rectified, and only stereo undoes the distortion")
     if view.depth is None:
-        known = "mounting" if view.frame.mounted else "assumed height"
-        lacking.append(f"surface: no depth, the {known} gives the plane")
+        lacking.append(f"surface: no depth, {_who_knows(view.frame)} gives the plane")
     elif view.tags is None:
         lacking.append("surface: no segmentation, the lower image stands in for the road")
     if isinstance(followed, Objects) and followed.objects:

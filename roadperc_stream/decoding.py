@@ -1,5 +1,6 @@
 """Input messages to datatypes, by what the role needs and how the message is written."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -30,7 +31,7 @@ from roadperc_stream.datatypes import (
     TagImage,
 )
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.geometry import Camera, Float, Float32, Lens, Plane, rigid, rotation_from_quaternion
+from roadperc_stream.geometry import Camera, Float, Float32, Lens, Plane, pinhole_fault, rigid, rotation_from_quaternion
 from roadperc_stream.schemas import ros2
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
@@ -40,6 +41,8 @@ from roadperc_stream.schemas.roadperc_pb2 import Surface as SurfaceProto
 from roadperc_stream.semantics import TABLES, TagTable
 
 _END_OF_TIME_NS: Final = 2**63
+_INTRINSICS: Final = (0, 4, 2, 5)
+"""Where fx, fy, cx and cy stand in K, row by row."""
 _SIDE_OF: Final[Mapping[int, Side]] = {1: "left", 2: "right"}
 
 
@@ -138,7 +141,7 @@ def camera_from_calibration(message: Any) -> Camera:
     K, D and R speak of the image as it is: where they say that it is not rectified yet, the camera has a lens.
 
     Raises:
-        DecodeError: neither K nor P describes a pinhole, or there is no size.
+        DecodeError: neither K nor P describes a pinhole that could be a camera, or there is no size.
 
     """
     K, P = list(message.K), list(message.P)
@@ -147,21 +150,33 @@ def camera_from_calibration(message: Any) -> Camera:
     if not (np.isfinite(intrinsics).all() and fx > 0 and fy > 0 and message.width and message.height):
         size = f"{message.width}x{message.height}"
         raise DecodeError(f"calibration of {message.frame_id!r}: size {size}, K {K}: expected a pinhole camera")
+    fault = pinhole_fault(message.width, message.height, fx, fy, cx, cy)
+    if fault is not None:
+        raise DecodeError(f"calibration of {message.frame_id!r}: {fault}")
     baseline_m = -P[3] / fx if len(P) == 12 and P[3] else None
-    distortion = tuple(float(d) for d in message.D) if any(message.D) else ()
-    lens = _lens(message, (fx, fy, cx, cy)) if len(K) == 9 and K[0] > 0 else None
+    distortion = tuple(_number(d) for d in message.D) if any(message.D) else ()
+    lens = _lens(message, (fx, fy, cx, cy)) if len(K) == 9 and any(K[k] for k in _INTRINSICS) else None
     return Camera(message.frame_id, message.width, message.height, fx, fy, cx, cy, baseline_m, distortion, lens)
 
 
 def _lens(message: Any, rectified: tuple[float, float, float, float]) -> Lens | None:
-    """How the image was taken; None where it is rectified as it stands, or R is not given (all zero, in ROS)."""
-    K, R = [float(k) for k in message.K], tuple(float(r) for r in message.R)
+    """How the image was taken; None where it is rectified as it stands, or R is not given (all zero, in ROS).
+
+    What it says is not judged here: only who rectifies the image has to do without a lens that cannot be.
+    """
+    R = tuple(_number(r) for r in message.R)
     if len(R) != 9 or not any(R):
         return None
-    as_taken = (K[0], K[4], K[2], K[5])
+    fx, fy, cx, cy = (_number(message.K[k]) for k in _INTRINSICS)
+    as_taken = (fx, fy, cx, cy)
     if not any(message.D) and R == Lens.R and as_taken == rectified:
         return None
     return Lens(*as_taken, R, message.distortion_model)
+
+
+def _number(value: float) -> float:
+    """The number, and always the same NaN: calibrations that say the same are then equal."""
+    return math.nan if math.isnan(value) else float(value)
 
 
 def _intrinsics(K: list[float], P: list[float]) -> tuple[float, float, float, float]:

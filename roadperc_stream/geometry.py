@@ -19,6 +19,10 @@ EGO_R_OPTICAL: Final[Float] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0,
 """Rotation of a camera that looks along ego's x axis, level."""
 _SINGULAR: Final = 1e-9
 """Share of a matrix's or a position's size below which a number is rounding."""
+_FOCAL_LENGTHS: Final = (1e-3, 1e3)
+"""Shortest and longest focal length of a camera, in image widths: far wider and far narrower than any lens."""
+_FARTHEST_CENTRE: Final = 10.0
+"""Image widths or heights by which the principal point may lie from the first pixel: the image may be cut out."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,21 @@ class Camera:
         """Whether both cameras map a ray to the same pixel."""
         ours = (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
         return ours == (other.width, other.height, other.fx, other.fy, other.cx, other.cy)
+
+
+def pinhole_fault(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> str | None:
+    """Why pixels of an image of that size cannot be those of a pinhole camera; None where they can.
+
+    Numbers beyond these limits are no camera's, and what follows from them is no depth but rounding.
+    """
+    shortest, longest = (length * width for length in _FOCAL_LENGTHS)
+    for name, found in (("fx", fx), ("fy", fy)):
+        if not shortest <= found <= longest:  # so put, NaN is refused too
+            return f"{name} {found:g}: expected {shortest:g} to {longest:g} pixels for an image {width} pixels wide"
+    for name, found, side in (("cx", cx, width), ("cy", cy, height)):
+        if not abs(found) <= _FARTHEST_CENTRE * side:
+            return f"{name} {found:g}: expected at most {_FARTHEST_CENTRE * side:g} pixels from 0, {side} are seen"
+    return None
 
 
 def decompose_projection(P: Float) -> tuple[Float, Float, Float]:
@@ -170,8 +189,17 @@ def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Float:
 
 
 def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Float:
-    """(3, 3) rotation of a quaternion that need not have unit length."""
-    result: Float = Rotation.from_quat((x, y, z, w)).as_matrix()
+    """(3, 3) rotation of a quaternion of any length but zero.
+
+    Raises:
+        ValueError: all four numbers are zero, or one is not finite.
+    """
+    numbers = np.array((x, y, z, w))
+    largest = float(np.abs(numbers).max())
+    if not 0 < largest < np.inf:
+        raise ValueError(f"quaternion ({x:g}, {y:g}, {z:g}, {w:g}): expected finite numbers that are not all zero")
+    # A power of two changes no digit, and keeps the squares within what a float can hold.
+    result: Float = Rotation.from_quat(np.ldexp(numbers, -np.frexp(largest)[1])).as_matrix()
     return result
 
 

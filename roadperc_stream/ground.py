@@ -13,14 +13,14 @@ import numpy as np
 from roadperc_stream.datatypes import HeightGrid, Surface
 from roadperc_stream.geometry import Camera, Float, Float32, intersect_plane, rays, transform
 
-_REACH_M: Final = 200.0
+REACH_M: Final = 200.0
 """Depth to which a ray is followed to the height field; what is straight beyond the grid ends somewhere."""
-_TRIED_M: Final = np.geomspace(0.5, _REACH_M, 25)
+_TRIED_M: Final = np.geomspace(0.5, REACH_M, 25)
 """Depths at which it is first looked whether a ray has dipped below the road."""
 _PARTS: Final = np.linspace(0.0, 1.0, 5)
 _REFINEMENTS: Final = 2
 """Parts into which the stretch where it dipped is cut, twice: the last is 2 % long, straight enough to interpolate."""
-_LOOKUP_X_M: Final = (-20.0, _REACH_M)
+_LOOKUP_X_M: Final = (-20.0, REACH_M)
 _LOOKUP_Y_M: Final = (-80.0, 80.0)
 
 

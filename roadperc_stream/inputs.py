@@ -91,7 +91,9 @@ def lidar_view(frame: Frame, problems: list[str]) -> DepthView | None:
         return None
     depth_m = depth_of_points(frame.camera, inverse(frame.ego_T_camera) @ frame.ego_T_lidar, points_m)
     if not np.isfinite(depth_m).any():
-        problems.append(f"lidar: none of its {len(points_m)} points lies in the camera's view")
+        left_out = frame.points.left_out
+        lost = f"; {left_out} of them are not finite" if left_out else ""
+        problems.append(f"lidar: none of its {len(points_m) + left_out} points lies in the camera's view{lost}")
         return None
     return DepthView(depth_m, frame.camera, frame.ego_T_camera, np.inf, "lidar")
 

@@ -37,7 +37,7 @@ def encode_points(stamp_ns: int, frame_id: str, points: Float32) -> bytes:
 
 
 def unpack_points(message: Any, frame_T_points: Float) -> Float32:
-    """(N, 3) float32 metres of a foxglove.PointCloud, in its frame; points that are not finite are left out.
+    """(N, 3) float32 metres of a foxglove.PointCloud, in its frame; what is not finite stays so.
 
     Args:
         message: the cloud; its fields x, y and z count, whatever numbers they are.
@@ -56,8 +56,7 @@ def unpack_points(message: Any, frame_T_points: Float) -> Float32:
             points_m[:, k] = column
         if not np.array_equal(frame_T_points, np.eye(4)):
             points_m = transform(frame_T_points, points_m.astype(float)).astype(np.float32)
-    finite = np.isfinite(points_m).all(axis=1)
-    return points_m if finite.all() else points_m[finite]
+    return points_m
 
 
 def _column(message: Any, axis: str, stride: int, data: bytes) -> NDArray[Any]:

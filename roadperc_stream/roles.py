@@ -19,6 +19,8 @@ _WORDS = {
     "right": ("right",),
     "truth": ("truth",),
 }
+_MOST_TOLD = 3
+"""Topics that could be used but are not, in notes."""
 _SHARED_KINDS = ("tf",)
 """Kinds whose topic may carry several channels."""
 
@@ -48,6 +50,10 @@ class Problems:
         self.counts[topic] += 1
         self.first.setdefault(topic, text)
 
+    def tell(self, topic: str, text: str) -> None:
+        """Keep the first of these words of a topic's messages that are read, but not as they stand."""
+        self.first.setdefault(f"{topic}, in part", text)
+
 
 def is_result(channel: Channel) -> bool:
     """Whether an earlier replay wrote this channel."""
@@ -76,7 +82,20 @@ def fill_roles(channels: Iterable[Channel], overrides: Mapping[str, str]) -> Fil
         if name not in topics and (guess := _guess(ROLES[name], inputs, set(topics.values()))):
             topics[name] = guess
             notes.append(f"role {name}: {guess}, the only topic that fits")
+    notes += _unused_points(inputs, topics)
     return Filled({name: topics[name] for name in ROLES if name in topics}, tuple(notes))
+
+
+def _unused_points(inputs: list[Channel], topics: Mapping[str, str]) -> list[str]:
+    """What to tell of clouds of points that nobody asked for; a few of them where there are many.
+
+    None is guessed: points of a radar, or of another sensor's own making, are of the same schema as a lidar's.
+    """
+    role = ROLES["lidar"]
+    if role.name in topics:
+        return []
+    unused = sorted({c.topic for c in inputs if _fits(role, c)} - set(topics.values()))
+    return [f"{topic} holds {role.schema}; --topic {role.name}={topic} would use it" for topic in unused[:_MOST_TOLD]]
 
 
 def _fits(role: Role, channel: Channel) -> bool:

@@ -1,7 +1,7 @@
 """What part of a log is replayed: a first pass that checks it, and the frames of that part."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -14,9 +14,11 @@ from roadperc_stream.datatypes import Sample
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.roles import Filled, Problems, fill_roles, is_result, stamped_messages
-from roadperc_stream.sync import HELD_KINDS, Held, SyncCounts, reference_role, synchronise
+from roadperc_stream.sync import HELD_KINDS, Held, Stamped, SyncCounts, reference_role, synchronise
 
 _NANOSECONDS = 1_000_000_000
+_EDGES_TOLD = 3
+"""Transforms that a message about them names."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ def _held_at(
         before = window.start_ns is not None and message.log_time_ns < window.start_ns
         if not (before or waiting):
             break
-        for item in stamped_messages([message], filled, cfg.tag_table, problems):
+        for item in without_loops(stamped_messages([message], filled, cfg.tag_table, problems), held, filled, problems):
             if before or item.role in waiting:
                 held = held.updated(item)
                 waiting.discard(item.role)
@@ -158,6 +160,34 @@ def _held_at(
                 sources |= dict.fromkeys(((item.role, child) for child in item.children()), message)
     kept = {id(message): message for message in sources.values()}
     return held, tuple(sorted(kept.values(), key=lambda message: message.log_time_ns))
+
+
+def without_loops(items: Iterable[Stamped], held: Held, filled: Filled, problems: Problems) -> Iterator[Stamped]:
+    """The items, but for transforms that close a loop: those are left out and told of, as others that make no sense.
+
+    Args:
+        items: in the order in which they come to hold.
+        held: the tree before the first of them.
+        filled: the roles' topics.
+        problems: filled in.
+    """
+    for item in items:
+        looped = held.in_loops(item) if item.edges else ()
+        if looped:
+            topic = filled.topics[item.role]
+            problems.tell(topic, f"{topic}: message at {item.log_time_ns} ns: {_loop_in_words(item, looped)}")
+        left = tuple(edge for edge in item.edges if edge.child not in looped)
+        kept = replace(item, payload=left) if looped else item
+        if left:
+            held = held.updated(kept)
+        if left or not looped:
+            yield kept
+
+
+def _loop_in_words(item: Stamped, children: Collection[str]) -> str:
+    edges = [f"{edge.parent!r} to {edge.child!r}" for edge in item.edges if edge.child in children]
+    some = ", ".join(edges[:_EDGES_TOLD]) + ", ..." * (len(edges) > _EDGES_TOLD)
+    return f"a loop of transforms ({some}), expected a tree: left out"
 
 
 def samples(
@@ -170,7 +200,8 @@ def samples(
     """
     filled = survey.filled
     messages = input_messages(summary, cfg, survey, topics=set(filled.topics.values()))
-    items = stamped_messages(messages, filled, cfg.tag_table, problems)
+    decoded = stamped_messages(messages, filled, cfg.tag_table, problems)
+    items = without_loops(decoded, survey.held, filled, problems)
     reference = reference_role(filled.topics)
     for index, moment in enumerate(synchronise(cfg.sync, items, reference, filled.topics, survey.held, counts)):
         try:

@@ -33,10 +33,15 @@ class Stamped:
     stamp_ns: int
     payload: Payload
 
+    @property
+    def edges(self) -> tuple[Transform, ...]:
+        """The transforms of a transforms message; none of any other."""
+        parts = self.payload if isinstance(self.payload, tuple) else ()
+        return tuple(part for part in parts if isinstance(part, Transform))
+
     def children(self) -> tuple[str, ...]:
         """Frames whose place a transforms message tells; for other messages one empty name."""
-        edges = self.payload if isinstance(self.payload, tuple) else ()
-        return tuple(edge.child for edge in edges if isinstance(edge, Transform)) or ("",)
+        return tuple(edge.child for edge in self.edges) or ("",)
 
 
 @dataclass(frozen=True)
@@ -50,9 +55,20 @@ class Held:
         """The state after a calibration or transform message."""
         if isinstance(item.payload, Camera):
             return Held({**self.cameras, item.role: item.payload}, self.transforms)
-        payload = item.payload if isinstance(item.payload, tuple) else ()
-        edges = {edge.child: edge for edge in payload if isinstance(edge, Transform)}
-        return Held(self.cameras, {**self.transforms, **edges})
+        return Held(self.cameras, {**self.transforms, **{edge.child: edge for edge in item.edges}})
+
+    def in_loops(self, item: Stamped) -> tuple[str, ...]:
+        """Children of a transforms message whose edges would be part of a loop in the tree, in its order.
+
+        An edge that contradicts another one of the same message goes with it, for neither is more likely; one that
+        contradicts the tree so far goes alone.
+        """
+        edges, found = {edge.child: edge.parent for edge in item.edges}, set[str]()
+        known = {child: edge.parent for child, edge in self.transforms.items()}
+        while loops := _in_loops({**known, **edges}, edges):
+            found |= loops
+            edges = {child: parent for child, parent in edges.items() if child not in loops}
+        return tuple(dict.fromkeys(edge.child for edge in item.edges if edge.child in found))
 
     def lookup(self, target: str, source: str) -> Float | None:
         """target_T_source along the tree; None where the frames are not connected.
@@ -73,10 +89,26 @@ class Held:
         at = frame
         while (edge := self.transforms.get(at)) is not None:
             if edge.parent in chain:
-                raise ChannelError(f"/tf: frames {edge.parent!r} and {at!r} are each other's parents")
+                raise ChannelError(f"/tf: frame {edge.parent!r} hangs on itself: expected a tree of transforms")
             chain[edge.parent] = edge.parent_T_child @ chain[at]
             at = edge.parent
         return chain
+
+
+def _in_loops(parent_of: Mapping[str, str], starts: Iterable[str]) -> set[str]:
+    """The frames from which the way up comes back to them; ``starts`` are those whose ways are followed."""
+    found, done = set[str](), set[str]()
+    for start in starts:
+        way: dict[str, None] = {}
+        at = start
+        while at in parent_of and at not in done and at not in way:
+            way[at] = None
+            at = parent_of[at]
+        done |= way.keys()
+        if at in way:
+            frames = list(way)
+            found.update(frames[frames.index(at) :])
+    return found
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ def test_defaults_need_no_file():
         ("stereo.block_px=4", "must be odd"),
         ("stereo.disparities=100", "multiple of 16"),
         ("stereo.p1=800", "p2 must exceed p1"),
+        ("surface.batch=5000", r"batch \* subsample must not exceed 10,000,000"),
         ("seed", "KEY=VALUE"),
         ("seed.x=1", "seed"),
         ("tag_table=newest", "tag_table"),

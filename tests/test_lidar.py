@@ -101,6 +101,51 @@ def test_the_plane_is_the_roads_and_the_distance_the_cars():
         assert result.lanes.side(side).offset_m == pytest.approx(offset, abs=0.05)
 
 
+def few_on_the_road(count):
+    """So many points of the road, and those of the car's rear."""
+    depth_m = ROAD.depth_m()
+    rear = np.full_like(depth_m, np.nan)
+    rear[REAR] = 10.0
+    v, u = np.array([420, 440, 460][:count], int), np.array([300, 500, 240][:count], int)
+    road_points = g.unproject(CAMERA, np.stack((u, v), axis=-1).astype(float), depth_m[v, u].astype(float))
+    return cloud(np.concatenate((pixel_points(rear), road_points)))
+
+
+@pytest.mark.parametrize(("mounted", "known"), [(True, "the mounting"), (False, "the assumed height")])
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_a_lidar_that_misses_the_road_leaves_the_assumed_plane_and_the_distances(count, mounted, known):
+    result = run(lidar_frame(points=few_on_the_road(count), mounted=mounted))
+    few = f"{count} road pixels with known depth within max_depth_m, a plane needs three"
+    assert result.problems == (f"surface: {few}: {known} gives the plane",)
+    assert result.surface.source == "assumed"
+    assert result.lanes.side("left").status == "measured"
+    assert result.objects.objects[0].distance_m == pytest.approx(10.1, abs=0.3)
+
+
+def test_a_lidars_points_that_are_no_plane_leave_the_assumed_one():
+    """Three in a line, as one of its rings gives them."""
+    road_points = g.intersect_plane(CAMERA, np.array([[200.0, 420.0], [300.0, 420.0], [400.0, 420.0]]), ROAD.plane)
+    result = run(lidar_frame(points=cloud(road_points), mounted=True))
+    assert result.surface.source == "assumed"
+    assert result.problems == (
+        "surface: no plane through 3 road points holds 20% of them: the mounting gives the plane",
+    )
+
+
+def test_points_beyond_the_range_leave_the_assumed_plane():
+    result = run(lidar_frame(), load_config(None, ("surface.max_depth_m=1",)))
+    assert result.surface.source == "assumed"
+    assert result.problems[0].startswith("surface: 0 road pixels with known depth within max_depth_m")
+
+
+def test_a_depth_camera_that_misses_the_road_still_gives_no_surface():
+    depth_m = np.full_like(ROAD.depth_m(), np.nan)
+    depth_m[400:402, 320] = 3.0
+    result = run(lidar_frame(points=None, depth=DepthImage(CAMERA.frame_id, lambda: (depth_m, np.inf))))
+    few = "2 road pixels with known depth within max_depth_m, a plane needs three"
+    assert result.surface == Absent(few)
+
+
 def test_the_drivable_pixels_are_no_dots():
     frame = lidar_frame()
     dense = run(replace(frame, points=None, depth=ROAD.frame().depth))
@@ -156,6 +201,10 @@ def broken(*_):
         ({"points": PointCloud("lidar", broken)}, "lidar: cut off"),
         ({"ego_T_lidar": None}, "lidar: no transform connects its frame 'lidar' with ego"),
         ({"points": PointCloud("lidar", lambda: np.zeros((0, 3), np.float32))}, "lidar: none of its 0 points lies in"),
+        (
+            {"points": PointCloud("lidar", lambda: np.float32([[np.nan, 0, 0], [0, np.inf, 0], [-9, 0, 0]]))},
+            "lidar: none of its 3 points lies in the camera's view; 2 of them are not finite",
+        ),
     ],
 )
 def test_points_that_cannot_be_used_are_missing_and_said(changes, problem):
@@ -240,12 +289,49 @@ def test_replaying_a_lidars_log_gives_the_same_bytes_and_its_output_too(tmp_path
     assert first.read_bytes() == second.read_bytes() == again.read_bytes()
 
 
+@pytest.mark.parametrize("edges", [[("lidar", "lidar")], [("a", "b"), ("b", "a")], [("camera", "ego")]])
+def test_a_loop_of_transforms_is_left_out_and_told_with_its_topic_and_stamp(tmp_path, edges):
+    """It comes after the good ones, which hold on; whether it is before the first frame or later."""
+    source = log_of(tmp_path / "in.mcap", EGO_T_LIDAR, edges=[Transform("ego", "lidar", EGO_T_LIDAR)])
+    loop = encode_transforms(logs.START_NS, [Transform(parent, child, np.eye(4)) for parent, child in edges])
+    for k, frames_before in enumerate((0, 2)):
+        stamp = logs.START_NS + frames_before * logs.STEP_NS
+        items = [log.Message(logs.channel("tf"), stamp, stamp, 0, loop)]
+        looped = tmp_path / f"loop{k}.mcap"
+        with log.LogWriter(looped) as writer:
+            for message in sorted([*log.read(source), *items], key=lambda message: message.log_time_ns):
+                writer.write(message)
+        summary = replay(looped, tmp_path / f"out{k}.mcap", ReplayConfig())
+        parent, child = edges[0]
+        (note,) = summary.notes
+        assert note.startswith(f"/tf: message at {stamp} ns: a loop of transforms ({parent!r} to {child!r}")
+        table = pl.read_parquet(beside(tmp_path / f"out{k}.mcap", "metrics"))
+        assert table["surface_source"].to_list() == ["lidar"] * 4
+
+
+def renamed(source, name, topics):
+    """The log with its lidar's messages on other topics."""
+    with log.LogWriter(source.parent / name) as writer:
+        for message in log.read(source):
+            theirs = topics if message.channel.topic == "/lidar/points" else (message.channel.topic,)
+            for topic in theirs:
+                writer.write(replace(message, channel=replace(message.channel, topic=topic)))
+    return source.parent / name
+
+
+def test_points_nobody_asked_for_are_not_used_but_told(tmp_path):
+    source = log_of(tmp_path / "in.mcap", np.eye(4), "ego")
+    others = renamed(source, "others.mcap", ("/velodyne", "/radar", "/rear", "/side"))
+    summary = replay(others, tmp_path / "out.mcap", ReplayConfig())
+    told = ("/radar", "/rear", "/side")
+    assert summary.notes == tuple(f"{t} holds foxglove.PointCloud; --topic lidar={t} would use it" for t in told)
+    table = pl.read_parquet(beside(tmp_path / "out.mcap", "metrics"))
+    assert set(table["surface_source"]) == {"assumed"}
+    both = renamed(source, "both.mcap", ("/lidar/points", "/velodyne"))
+    assert replay(both, tmp_path / "both_out.mcap", ReplayConfig()).notes == ()
+
+
 def test_the_points_come_from_any_topic(tmp_path):
     source = log_of(tmp_path / "in.mcap", np.eye(4), "ego")
-    renamed = tmp_path / "renamed.mcap"
-    with log.LogWriter(renamed) as writer:
-        for message in log.read(source):
-            topic = message.channel.topic.replace("/lidar/points", "/velodyne")
-            writer.write(replace(message, channel=replace(message.channel, topic=topic)))
-    _, table = replayed(renamed, overrides={"lidar": "/velodyne"})
+    _, table = replayed(renamed(source, "renamed.mcap", ("/velodyne",)), overrides={"lidar": "/velodyne"})
     assert set(table["surface_source"]) == {"lidar"}

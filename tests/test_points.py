@@ -87,6 +87,26 @@ def test_the_pose_places_the_points():
     np.testing.assert_allclose(read(message).points_m, [(0, 1, 5)], atol=1e-6)
 
 
+@pytest.mark.parametrize("length", [1e300, 1e-300, 5e-324, 1.7e308, 3.0])
+def test_the_length_of_a_poses_quaternion_does_not_matter(length):
+    message = PointCloudProto.FromString(encode_points(STAMP, "lidar", np.array([[1, 2, 3]], np.float32)))
+    message.pose.orientation.z = message.pose.orientation.w = length
+    np.testing.assert_allclose(read(message).points_m, [(-2, 1, 3)], atol=1e-6)
+
+
+@pytest.mark.parametrize("w", [0.0, np.nan, np.inf])
+def test_a_quaternion_that_is_no_rotation_is_named(w):
+    message = PointCloudProto.FromString(encode_points(STAMP, "lidar", np.array([[1, 2, 3]], np.float32)))
+    message.pose.orientation.w = w
+    with pytest.raises(DecodeError, match=rf"pose without an orientation: quaternion \(0, 0, 0, {w:g}\)"):
+        _ = read(message).points_m
+
+
+def test_points_that_are_not_finite_are_counted():
+    points = read(encode_points(STAMP, "lidar", np.float32([[1, 2, 3], [np.nan, 0, 0], [0, 0, -np.inf]])))
+    assert (points.points_m.tolist(), points.left_out) == ([[1, 2, 3]], 2)
+
+
 def test_a_cloud_without_a_pose_or_without_points_is_one():
     assert read(cloud(records(count=0))).points_m.shape == (0, 3)
     assert read(cloud(records())).frame_id == "lidar"

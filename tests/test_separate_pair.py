@@ -132,3 +132,60 @@ def test_the_front_image_does_not_stand_in_for_a_left_one_that_is_missing(tmp_pa
     assert table["stereo_valid_ratio"].is_null().to_list() == [False, True, False]
     assert "stereo: no left image" in table["reasons"].to_list()[1]
     assert table["surface_source"].to_list() == ["stereo", "assumed", "stereo"]
+
+
+def test_a_pair_whose_left_images_are_not_in_the_log_is_none(tmp_path):
+    """The front image is not the pair's: matched with the right one it would give depth of a false scale."""
+    table, _ = replayed(tmp_path, items(rectified(), without=[(k, "left") for k in range(FRAMES)]))
+    assert table["camera_height_m"].to_list() == pytest.approx([FRONT.height_m] * FRAMES, abs=1e-9)
+    assert set(table["surface_source"]) == {"assumed"}
+    for reasons in table["reasons"].to_list():
+        assert "stereo: no left image" in reasons
+
+
+def paired(left_frame_id, edges, **changes):
+    """A pair of the front camera and the right one, with a calibration of the left camera but no image of it."""
+    front, ego_T_front = replace(PINHOLE, frame_id="camera"), EGO_T_PAIR
+    right, left = replace(PINHOLE, frame_id="right", baseline_m=0.5), replace(PINHOLE, frame_id=left_frame_id)
+    roles = {"calibration": front, "left_calibration": replace(left, **changes), "right_calibration": right}
+    made = [logs.Item(role, logs.START_NS, encoding.encode_calibration(logs.START_NS, c)) for role, c in roles.items()]
+    edges = [Transform("ego", "camera", ego_T_front), *edges]
+    made.append(logs.Item("tf", logs.START_NS, encoding.encode_transforms(logs.START_NS, edges)))
+    aside = ego_T_front @ g.rigid(np.eye(3), np.array([0.5, 0.0, 0.0]))
+    for role, camera, ego_T_camera in (("image", front, ego_T_front), ("right", right, aside)):
+        png = cv2.imencode(".png", pair.photograph(camera, ego_T_camera))[1].tobytes()
+        made.append(logs.Item(role, logs.START_NS, encoding.encode_image(logs.START_NS, camera.frame_id, "png", png)))
+    return made
+
+
+HERE, ASIDE = (Transform("camera", "left", g.rigid(np.eye(3), np.array([x, 0.0, 0.0]))) for x in (0.0, 0.2))
+
+
+@pytest.mark.parametrize(("frame_id", "edges"), [("camera", []), ("", []), ("left", [HERE])])
+def test_a_left_calibration_of_the_front_camera_is_no_other_camera(tmp_path, frame_id, edges):
+    table, _ = replayed(tmp_path, paired(frame_id, edges))
+    assert table["stereo_valid_ratio"].to_list()[0] > 0.3
+    assert table["camera_height_m"].to_list() == pytest.approx([LEFT_HEIGHT_M], abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("frame_id", "edges", "changes"),
+    [("left", [ASIDE], {}), ("left", [], {}), ("camera", [], {"fx": 300.0}), ("left", [HERE], {"width": 600})],
+)
+def test_a_left_calibration_of_another_camera_asks_for_its_image(tmp_path, frame_id, edges, changes):
+    table, _ = replayed(tmp_path, paired(frame_id, edges, **changes))
+    assert "stereo: no left image" in table["reasons"].to_list()[0]
+
+
+def test_what_ros_2_cannot_carry_from_2038_on_is_left_out_and_said(tmp_path, monkeypatch):
+    at_2020, before = replayed(tmp_path, items(rectified()))
+    monkeypatch.setattr(logs, "START_NS", 2**31 * 10**9)
+    (tmp_path / "late").mkdir()
+    table, last = replayed(tmp_path / "late", items(rectified()))
+    left_out = {"/perception/stereo/depth", "/perception/occupancy"}
+    assert left_out <= set(before)
+    assert set(before) - set(last) == left_out
+    assert table["stereo_valid_ratio"].to_list() == at_2020["stereo_valid_ratio"].to_list()
+    for reasons in table["reasons"].to_list():
+        assert [r.split(",")[0] for r in reasons] == ["stereo: not written", "occupancy: not written"]
+        assert "beyond 2147483647999999999 ns (2038-01-19)" in reasons[0]

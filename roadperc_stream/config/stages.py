@@ -9,6 +9,9 @@ from pydantic import Field, model_validator
 
 from roadperc_stream.config.fields import Classes, Count, OddCount, Pixels, Positive, Ratio, Seconds, Section
 
+_MOST_DISTANCES = 10_000_000
+"""Distances of points to planes that RANSAC may have in memory together: some 100 MB."""
+
 
 class SyncConfig(Section):
     """How messages of several sensors become one frame."""
@@ -80,8 +83,8 @@ class SurfaceConfig(Section):
     min_inliers: Ratio = 0.2
     """Share of inliers below which there is no plane."""
     max_depth_m: Positive = 60.0
-    max_tilt_deg: Annotated[float, Field(gt=0.0, le=90.0)] = 30.0
-    """Largest angle between the plane and the road the mounting promises."""
+    max_tilt_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 30.0
+    """Largest angle between the plane and the road the mounting promises; a wall has no height above a place."""
     assumed_height_m: Positive = 1.5
     """Height of the camera where neither a mounting nor depth tells."""
     spline_knot_m: Annotated[float, Field(ge=1.0, le=30.0)] = 5.0
@@ -90,6 +93,15 @@ class SurfaceConfig(Section):
     """Standard deviation of the road's curvature upwards; smaller is smoother. A crest of 200 m radius has 0.005."""
     spline_half_width_m: Annotated[float, Field(ge=2.0, le=50.0)] = 10.0
     """How far to either side of the ego x axis points count for the height field."""
+
+    @model_validator(mode="after")
+    def _affordable(self) -> Self:
+        if self.batch * self.subsample > _MOST_DISTANCES:
+            raise ValueError(
+                f"batch * subsample must not exceed {_MOST_DISTANCES:,}, for so many distances are in memory at once: "
+                f"batch {self.batch}, subsample {self.subsample}"
+            )
+        return self
 
 
 class LanesConfig(Section):

@@ -78,18 +78,29 @@ class PointCloud:
 
     frame_id: str
     decode_points: Callable[[], Float32]
+    """Gives every point, also those that are not finite."""
 
     @cached_property
     def points_m(self) -> Float32:
-        """(N, 3) float32 metres in the frame ``frame_id``, all finite.
+        """(N, 3) float32 metres in the frame ``frame_id``, all finite: points that are not are left out.
 
         Raises:
             DecodeError: the message does not hold what it promises.
 
         """
-        points_m = self.decode_points()
+        finite = np.isfinite(self._all_m).all(axis=1)
+        points_m = self._all_m if finite.all() else self._all_m[finite]
         read_only(points_m, np.float32, (None, 3), "points")
         return points_m
+
+    @property
+    def left_out(self) -> int:
+        """How many points are not finite."""
+        return len(self._all_m) - len(self.points_m)
+
+    @cached_property
+    def _all_m(self) -> Float32:
+        return self.decode_points()
 
 
 @dataclass(frozen=True)
@@ -156,9 +167,9 @@ class Frame:
     """Everything the chain may see at one instant.
 
     ``camera`` is the camera of image, segmentation and detections; the depth may come from another one. The left camera
-    of a stereo pair is the front camera where ``left`` is None. Without a
-    mounting (``mounted`` False) the transforms are those of a level camera at the assumed height. ``ego_T_lidar`` is
-    None where no transform tells where the points are.
+    of a stereo pair is the front camera where ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting
+    (``mounted`` False) the transforms are those of a level camera at the assumed height. ``ego_T_lidar`` is None where
+    no transform tells where the points are.
     """
 
     stamp_ns: int

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.errors import DecodeError
+from roadperc_stream.errors import DecodeError, LogError
 
 IMAGE: Final = "sensor_msgs/msg/Image"
 IMAGE_DEFINITION: Final = b"""std_msgs/Header header
@@ -71,6 +71,9 @@ float64 z
 float64 w
 """
 DEFINITIONS: Final = {IMAGE: IMAGE_DEFINITION, OCCUPANCY_GRID: OCCUPANCY_GRID_DEFINITION}
+_NANOSECONDS: Final = 1_000_000_000
+LAST_STAMP_NS: Final = 2**31 * _NANOSECONDS - 1
+"""The seconds of builtin_interfaces/Time, an int32, end on 2038-01-19."""
 _LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
 _DTYPES: Final[dict[str, np.dtype[Any]]] = {"16UC1": np.dtype("u2"), "mono16": np.dtype("u2"), "32FC1": np.dtype("f4")}
 
@@ -98,9 +101,13 @@ class RosGrid:
 
 
 def pack_occupancy_grid(grid: RosGrid) -> bytes:
-    """CDR bytes of a grid whose axes are those of its frame, columns along x and rows along y."""
+    """CDR bytes of a grid whose axes are those of its frame, columns along x and rows along y.
+
+    Raises:
+        LogError: its stamp has no place in a ROS 2 message.
+    """
     rows, columns = grid.cells.shape
-    stamp = struct.pack("<iI", *divmod(grid.stamp_ns, 1_000_000_000))
+    stamp = _pack_stamp(grid.stamp_ns)
     body = _aligned(stamp + _pack_string(grid.frame_id), 4) + stamp
     body += struct.pack("<fII", grid.resolution_m, columns, rows)
     origin = struct.pack("<7d", grid.x_m, grid.y_m, 0.0, 0.0, 0.0, 0.0, 1.0)
@@ -108,10 +115,13 @@ def pack_occupancy_grid(grid: RosGrid) -> bytes:
 
 
 def pack_image(image: RosImage) -> bytes:
-    """CDR bytes of a single-channel image."""
+    """CDR bytes of a single-channel image.
+
+    Raises:
+        LogError: its stamp has no place in a ROS 2 message.
+    """
     height, width = image.pixels.shape
-    sec, nanosec = divmod(image.stamp_ns, 1_000_000_000)
-    body = struct.pack("<iI", sec, nanosec) + _pack_string(image.frame_id)
+    body = _pack_stamp(image.stamp_ns) + _pack_string(image.frame_id)
     body = _aligned(body, 4) + struct.pack("<II", height, width) + _pack_string(image.encoding)
     body = _aligned(body + b"\x00", 4) + struct.pack("<I", image.pixels.itemsize * width)
     return _LITTLE_ENDIAN + body + struct.pack("<I", image.pixels.nbytes) + image.pixels.tobytes()
@@ -130,7 +140,7 @@ def unpack_header(data: bytes) -> tuple[int, str]:
         frame_id, _ = _unpack_string(data, 12, order)
     except (struct.error, UnicodeDecodeError, IndexError) as error:
         raise DecodeError(f"{len(data)} bytes are no ROS 2 header: {error}") from error
-    return sec * 1_000_000_000 + nanosec, frame_id
+    return sec * _NANOSECONDS + nanosec, frame_id
 
 
 def unpack_image(data: bytes) -> RosImage:
@@ -178,6 +188,12 @@ def _align(at: int, size: int = 4) -> int:
 
 def _aligned(body: bytes, size: int) -> bytes:
     return body + b"\x00" * (-len(body) % size)
+
+
+def _pack_stamp(stamp_ns: int) -> bytes:
+    if stamp_ns > LAST_STAMP_NS:
+        raise LogError(f"stamp {stamp_ns} ns: expected at most {LAST_STAMP_NS} ns, the last one ROS 2 messages hold")
+    return struct.pack("<iI", *divmod(stamp_ns, _NANOSECONDS))
 
 
 def _pack_string(text: str) -> bytes:

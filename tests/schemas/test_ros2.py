@@ -1,5 +1,7 @@
 """CDR images and grids: our packing against a public ROS 2 reader's definition, and broken bytes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from roadperc_stream.datatypes import Occupancy
 from roadperc_stream.encoding import encode_occupancy
-from roadperc_stream.errors import DecodeError
+from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.schemas import ros2
 
 
@@ -75,3 +77,13 @@ def test_an_occupancy_is_a_grid_of_the_ego_frame():
     assert (message.header.frame_id, message.info.origin.position.y) == ("ego", -0.2)
     assert list(message.data) == [-1, 0, 100, 0, -1, 100]
     assert ros2.unpack_header(data) == (1_500_000_000, "ego")
+
+
+@pytest.mark.parametrize("stamp_ns", [2**31 * 10**9, 2**62])
+def test_a_stamp_from_2038_on_has_no_place(stamp_ns):
+    last_ns = 2**31 * 10**9 - 1
+    assert ros2.unpack_header(ros2.pack_image(replace(image(), stamp_ns=last_ns)))[0] == last_ns
+    grid = ros2.RosGrid(stamp_ns, "ego", 0.2, 1.5, -15.0, np.zeros((2, 3), np.int8))
+    for pack, message in ((ros2.pack_image, replace(image(), stamp_ns=stamp_ns)), (ros2.pack_occupancy_grid, grid)):
+        with pytest.raises(LogError, match=f"stamp {stamp_ns} ns: expected at most {last_ns} ns"):
+            pack(message)

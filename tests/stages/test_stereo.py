@@ -183,6 +183,19 @@ def test_a_camera_that_looks_down_needs_more():
     assert stereo.disparities_needed(RENDERED, 0.5, down) > 192
 
 
+def with_lens(distortion=(), **changes):
+    """The left camera, not rectified, its lens changed."""
+    lens = g.Lens(LEFT.fx, LEFT.fy, LEFT.cx, LEFT.cy)
+    return replace(LEFT, lens=replace(lens, **changes), distortion=distortion)
+
+
+@pytest.mark.parametrize("count", [0, 4, 5, 8, 12, 14])
+def test_every_lens_of_opencv_is_undone(count):
+    assert not isinstance(
+        stereo.match(FAST, with_lens((1e-3,) * count), RIGHT, MOUNTING, *[view(texture(), 0.0)] * 2), Absent
+    )
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
@@ -191,12 +204,41 @@ def test_a_camera_that_looks_down_needs_more():
         ({"right_image": None, "right": None}, "no right image, no calibration of the right camera"),
         ({"right": replace(RIGHT, baseline_m=None)}, r"P\[0\]\[3\] of the right camera is 0"),
         ({"right": replace(RIGHT, baseline_m=-0.5)}, "gives a baseline of -0.5 m"),
+        (
+            {"right": replace(RIGHT, baseline_m=1e30)},
+            r"baseline of 1e\+30 m: expected -fx \* baseline, which is 0.001 to 1000 m",
+        ),
+        ({"right": replace(RIGHT, baseline_m=np.inf)}, "gives a baseline of inf m"),
+        ({"right": replace(RIGHT, baseline_m=1e-30)}, "gives a baseline of 1e-30 m"),
         ({"right": replace(RIGHT, width=100)}, "left camera has 240x120 pixels, the right one 100x120"),
         ({"right_image": np.zeros((60, 60), np.uint8)}, "right image: 60x60 pixels, its calibration says 240x120"),
         ({"left": replace(LEFT, distortion=(0.1, 0.0, 0.0, 0.0))}, "the left camera has distortion but no R"),
         ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, (1.0,) * 9))}, "R that is no rotation"),
         ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, model="equidistant"))}, "model 'equidistant'"),
         ({"ego_T_left": g.level_mounting(-1.0)}, "set stereo.disparities"),
+        *(
+            ({"left": with_lens(R=(bad,) * 9)}, f"the left camera has an R that is no rotation: .*{bad:.3}")
+            for bad in (np.nan, np.inf, -np.inf, 1e-300)
+        ),
+        *(
+            ({"right": replace(with_lens(distortion=(0.1,) * n), baseline_m=0.5)}, f"right camera has {n} distortion")
+            for n in (1, 3, 6, 7, 20)
+        ),
+        ({"left": with_lens(distortion=(0.1,) * 6)}, "6 distortion coefficients, expected one of 4, 5, 8, 12, 14"),
+        *(
+            ({"left": with_lens(distortion=(0.0, bad, 0.0, 0.0))}, f"distortion coefficient {bad:g}, expected at most")
+            for bad in (np.nan, np.inf, -20000.0)
+        ),
+        *(
+            ({"left": with_lens(**{name: bad})}, f"K that is no camera's: {name} {bad:g}: expected")
+            for name, values in {
+                "fx": (np.nan, np.inf, 300000.0, 1e-30),
+                "fy": (0.0, -100.0, np.nan),
+                "cx": (np.nan, np.inf, 2401.0),
+                "cy": (-np.inf, -1e5),
+            }.items()
+            for bad in values
+        ),
     ],
 )
 def test_why_there_is_no_depth(changes, reason):

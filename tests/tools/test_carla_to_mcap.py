@@ -471,3 +471,47 @@ def test_a_lidar_nobody_placed_is_said(tmp_path, capsys):
     assert "nobody says where the lidar is" in printed
     assert "lidar: 1 of 4 frames have no image: left out" in printed
     assert "KITTI velodyne, right-handed" in printed
+
+
+@pytest.mark.parametrize("content", [b"cut off", b""])
+def test_a_lidar_of_which_nothing_can_be_read_is_left_out_unless_asked_for(tmp_path, capsys, content):
+    dump = lidar_dump(tmp_path / "dump", lidar={"x": 0.0, "y": 0.0, "z": 2.4})
+    for path in (dump / "velodyne").iterdir():
+        path.write_bytes(content)
+    out = tmp_path / "out.mcap"
+    assert main([str(dump), str(out)]) == 0
+    printed = capsys.readouterr()
+    assert "note: velodyne is left out: none of 3 files can be read; " in printed.out
+    assert "velodyne/000000.bin" in printed.out
+    assert not printed.err
+    found = payloads(out)
+    assert "lidar" not in found
+    assert [edge.child for edge in found["tf"][0][2]] == ["camera_front"]
+    said = failure(capsys, dump, tmp_path / "other.mcap", "--quiet", "--role", "lidar=velodyne")
+    assert "velodyne" in said
+    assert "can be read" in said
+
+
+def test_a_lidar_without_any_frame_of_the_cameras_is_left_out(tmp_path, capsys):
+    dump = lidar_dump(tmp_path / "dump")
+    for number in (0, 1, 2):
+        (dump / "velodyne" / f"{number:06d}.bin").unlink()
+    assert main([str(dump), str(tmp_path / "out.mcap")]) == 0
+    assert "note: velodyne is left out: none of its 1 frames has an image" in capsys.readouterr().out
+
+
+def test_points_that_lie_in_their_header_are_missing(tmp_path, capsys):
+    dump = lidar_dump(tmp_path / "dump")
+    (dump / "velodyne" / "000001.bin").unlink()
+    (dump / "velodyne" / "000001.npy").write_bytes(b"\x93NUMPY\x01\x00\x06\x00((((((")
+    found = payloads(convert(dump))
+    assert "counted as missing" in capsys.readouterr().err
+    assert [sequence for _, sequence, _ in found["lidar"]] == [0, 2]
+
+
+def test_a_single_file_of_points_goes_to_its_own_frame(tmp_path):
+    dump = lidar_dump(tmp_path / "dump")
+    found = payloads(convert(dump, "--role", "lidar=velodyne/000001.bin"))
+    ((_, sequence, cloud),) = found["lidar"]
+    assert sequence == 1
+    np.testing.assert_allclose(cloud.points_m, [(11.0, 2.0, -2.4)], atol=1e-6)

@@ -70,7 +70,7 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> Layout:
     candidates = [sensor for sensor in _candidates(free, notes) if sensor.role not in overrides]
     documents = {kind: path for kind in _DOCUMENTS if (path := _document(dump, kind, overrides))}
     candidates += [
-        _numbered(role, str(path), _frame_files(path, role), notes, alone=path.is_file())
+        _numbered(role, str(path), _frame_files(path, role), notes, alone=_stands_alone(path))
         for role, path in overrides.items()
         if path not in documents.values()
     ]
@@ -137,6 +137,11 @@ def _label_files(folder: Path) -> list[Path]:
     return [p for p in _entries(folder) if p.suffix == ".txt" and p.name not in _DOCUMENT_NAMES]
 
 
+def _stands_alone(path: Path) -> bool:
+    """Whether a path is one file without a frame number: it makes the one frame there is, 0."""
+    return path.is_file() and frame_number(path.stem) is None
+
+
 def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, alone: bool = False) -> Sensor:
     """A sensor with its files by the number in their names; a file standing alone needs none."""
     numbered: dict[int, Path] = {}
@@ -168,7 +173,7 @@ def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
         else:
             notes.append(f"{path.name} is left out: its name fits no role (--role)")
     for role, group in groups.items():
-        alone = len(group) == 1 and frame_number(group[0].stem) is None
+        alone = len(group) == 1 and _stands_alone(group[0])
         source = group[0].name if len(group) == 1 else f"{group[0].name} to {group[-1].name}"
         yield _numbered(role, source, group, notes, alone=alone)
 

@@ -1,7 +1,6 @@
 """Arrays of numbers from a frame's file, whatever holds them: PNG, JPEG, ``.npy`` or CSV text. Decided by content."""
 
 import io
-import tokenize
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,8 @@ from PIL import Image as PillowImage
 from roadperc_stream.semantics import Colour
 
 from .image_files import UnreadableFrameError, read_bytes, read_header, require_whole
+from .npy_files import NPY_MAGIC, read_npy
 
-NPY_MAGIC: Final = b"\x93NUMPY"
 _TEXT: Final = frozenset(b"0123456789.,;+-eEnaif \t\r\n")
 _SURVEYED: Final = 3
 
@@ -68,13 +67,10 @@ def load_pixels(path: Path) -> Pixels:
 
 
 def _npy(path: Path, data: bytes) -> Pixels:
-    try:
-        values = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError, SyntaxError, MemoryError, tokenize.TokenError) as error:
-        raise UnreadableFrameError(f"{path}: damaged .npy: {error}") from error
+    values = read_npy(path, data)
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
-    if values.ndim not in (2, 3) or not values.size or values.dtype.kind not in "uif":
+    if values.ndim not in (2, 3) or not values.size:
         raise UnreadableFrameError(f"{path}: .npy of {values.dtype} {values.shape}, expected an image of numbers")
     return Pixels(path, "npy", values)
 

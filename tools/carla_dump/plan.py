@@ -18,7 +18,7 @@ from .depth_files import LOSSY_DEPTH, DepthEncoding, depth_encoding
 from .detection_files import load_detections, load_kitti_labels
 from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_rate
 from .layout import Layout, find_layout
-from .survey import Survey, front_sensors, require_size, survey
+from .survey import Survey, front_sensors, points_fault, require_size, survey
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
 from .truth_file import NO_TRUTH, TruthTables, load_truth
 
@@ -84,8 +84,7 @@ def make_plan(dump: Path, options: Options) -> Plan:
     layout = find_layout(dump, options.roles)
     notes = list(layout.notes)
     calibration, calibration_path = _calibration(layout, options)
-    surveys, left_note = _surveys(layout)
-    notes += [left_note] if left_note else []
+    surveys = _surveys(layout, options, notes)
     rig = _rig(layout, calibration, calibration_path, surveys, notes)
     stamps_ns, timing = _stamps(layout, options.rate_hz or calibration.rate_hz, notes)
     if LIDAR in surveys:
@@ -124,10 +123,19 @@ def _calibration(layout: Layout, options: Options) -> tuple[CalibrationFile, Pat
     return calibration, path or layout.dump / "calibration.json"
 
 
-def _surveys(layout: Layout) -> tuple[dict[str, Survey], str]:
-    """Surveys of everything but detections, in the order of the channel table, and what to tell of the left camera."""
+def _surveys(layout: Layout, options: Options, notes: list[str]) -> dict[str, Survey]:
+    """Surveys of everything but detections, in the order of the channel table.
+
+    A lidar's folder is an extra that is guessed by its name: where it gives nothing the cameras go on without it,
+    unless the user asked for it.
+    """
     sensors, note = front_sensors({role: s for role, s in layout.sensors.items() if role != "detections"})
-    return {role: survey(sensors[role]) for role in ROLES if role in sensors}, note
+    notes += [note] if note else []
+    guessed = sensors.get(LIDAR) if LIDAR not in options.roles else None
+    if guessed and (fault := points_fault(guessed, set(_frames(layout)))):
+        notes.append(f"{guessed.source} is left out: {fault}")
+        del sensors[LIDAR]
+    return {role: survey(sensors[role]) for role in ROLES if role in sensors}
 
 
 def _rig(

@@ -8,7 +8,7 @@ What a file's axes mean follows from who writes such files:
 - ``.bin``: KITTI's velodyne, (N, 4) float32 little-endian x forward, y left, z up, reflectance; right-handed already.
 """
 
-import io
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float32
 
 from .image_files import UnreadableFrameError, read_bytes
+from .npy_files import NPY_MAGIC, read_npy
 
 _LEFT_HANDED: Final = frozenset({".ply", ".npy"})
 _PLY_MAGIC: Final = b"ply"
-_PLY_END: Final = b"end_header\n"
+_PLY_END: Final = re.compile(rb"(?<=\n)end_header\r?\n")
+"""A line of its own, whose end is that of all lines: Windows writes two bytes. The points follow at once."""
 _PLY_TYPES: Final[Mapping[str, str]] = {
     name: kind
     for kind, names in {
@@ -58,6 +60,8 @@ def points_kind(path: Path) -> str:
                 raise UnreadableFrameError(f"{path}: starts with {start[:4].hex()}, expected a PLY file")
             return "ply, left-handed"
         case ".npy":
+            if not start.startswith(NPY_MAGIC):
+                raise UnreadableFrameError(f"{path}: starts with {start[:4].hex()}, expected a .npy file")
             return "npy, left-handed"
         case ".bin":
             return "KITTI velodyne, right-handed"
@@ -67,12 +71,15 @@ def points_kind(path: Path) -> str:
 def load_points(path: Path) -> Float32:
     """(N, 3) x forward, y left, z up in metres, or (N, 4) with intensities; right-handed, from the lidar.
 
+    A coordinate beyond what float32 holds becomes infinite: whoever reads the log leaves such points out.
+
     Raises:
         UnreadableFrameError: names the file, what was expected and what is there.
     """
     points_kind(path)
     suffix, data = path.suffix.lower(), read_bytes(path)
-    points = _READERS[suffix](path, data).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        points = _READERS[suffix](path, data).astype(np.float32)
     if suffix in _LEFT_HANDED:
         points[:, 1] *= -1
     return points
@@ -81,7 +88,7 @@ def load_points(path: Path) -> Float32:
 def _start(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            return file.read(len(_PLY_MAGIC))
+            return file.read(len(NPY_MAGIC))
     except OSError as error:
         raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error
 
@@ -94,21 +101,17 @@ def _kitti(path: Path, data: bytes) -> NDArray[Any]:
 
 
 def _npy(path: Path, data: bytes) -> NDArray[Any]:
-    try:
-        values: NDArray[Any] = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise UnreadableFrameError(f"{path}: damaged .npy: {error}") from error
-    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.shape[1] < 3 or values.dtype.kind not in "fiu":
-        shape = getattr(values, "shape", "no array")
-        raise UnreadableFrameError(f"{path}: {shape}, expected numbers of shape (N, 3) or wider")
+    values = read_npy(path, data)
+    if values.ndim != 2 or values.shape[1] < 3:
+        raise UnreadableFrameError(f"{path}: {values.shape}, expected numbers of shape (N, 3) or wider")
     return values[:, :4]
 
 
 def _ply(path: Path, data: bytes) -> NDArray[Any]:
-    end = data.find(_PLY_END, 0, _LONGEST_HEADER)
-    if end < 0:
+    end = _PLY_END.search(data, 0, _LONGEST_HEADER)
+    if end is None:
         raise UnreadableFrameError(f"{path}: no end_header, expected a whole PLY header")
-    lines = [line.split() for line in data[:end].decode("ascii", "replace").splitlines()]
+    lines = [line.split() for line in data[: end.start()].decode("ascii", "replace").splitlines()]
     form = next((line[1] for line in lines if line[:1] == ["format"] and len(line) > 1), "none")
     if form not in _PLY_BODIES:
         raise UnreadableFrameError(f"{path}: PLY format {form}, expected {' or '.join(_PLY_BODIES)}")
@@ -116,7 +119,7 @@ def _ply(path: Path, data: bytes) -> NDArray[Any]:
     if not {"x", "y", "z"} <= set(properties):
         raise UnreadableFrameError(f"{path}: properties {', '.join(properties) or 'none'}, expected x, y and z")
     columns = ["x", "y", "z", *[name for name in _INTENSITY if name in properties][:1]]
-    records = _PLY_BODIES[form](path, data[end + len(_PLY_END) :], count, properties)
+    records = _PLY_BODIES[form](path, data[end.end() :], count, properties)
     return np.stack([records[name].astype(np.float32) for name in columns], axis=-1)
 
 

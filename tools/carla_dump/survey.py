@@ -1,7 +1,7 @@
 """A sensor's files by their headers: what can be read, in which size, and what is counted as missing."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -12,7 +12,7 @@ from .camera_rig import CAMERA_ROLES
 from .image_files import UnreadableFrameError, read_header
 from .layout import Sensor
 from .pixel_files import file_size
-from .point_files import points_kind
+from .point_files import load_points, points_kind
 
 Header = tuple[tuple[int, int] | None, str]
 """Columns and rows, where the header tells, and a description."""
@@ -92,6 +92,29 @@ def survey(sensor: Sensor) -> Survey:
     if not files:
         raise DumpError(f"{sensor.source}: none of {len(faults)} files can be read; {faults[0]}")
     return Survey(replace(sensor, files=files), tuple(faults), sizes, _counted(kinds))
+
+
+def points_fault(sensor: Sensor, frames: Collection[int]) -> str:
+    """Why no frame gets points of a lidar; empty where at least one does.
+
+    The files are read until one holds points: their first bytes alone do not tell.
+
+    Args:
+        sensor: the lidar's files.
+        frames: numbers of the frames that have an image.
+    """
+    faults = []
+    for number, path in sorted(sensor.files.items()):
+        if number in frames:
+            try:
+                load_points(path)
+            except UnreadableFrameError as error:
+                faults.append(str(error))
+                continue
+            return ""
+    if not faults:
+        return f"none of its {len(sensor.files)} frames has an image"
+    return f"none of {len(faults)} files can be read; {faults[0]}"
 
 
 def _image_header(path: Path) -> Header:

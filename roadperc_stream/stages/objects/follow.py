@@ -9,7 +9,7 @@ from roadperc_stream.datatypes import Absent, Box, Detection, Image, Object, Obj
 from roadperc_stream.geometry import Camera, Float32
 from roadperc_stream.semantics import TagTable
 from roadperc_stream.stages.objects import tracking
-from roadperc_stream.stages.objects.association import assign, similarity
+from roadperc_stream.stages.objects.association import assign, similarities
 from roadperc_stream.stages.objects.impact import with_motion
 from roadperc_stream.stages.objects.judge import judge
 from roadperc_stream.stages.objects.patch import cut
@@ -174,7 +174,7 @@ def _searched(cfg: ObjectsConfig, scene: _Scene, track: Track, seen: _Seen) -> t
         return track, None
     item = replace(judged.objects[0], status="tracked")
     after = tracking.carried(cfg, track, item)
-    if any(similarity(cfg, after, other, box) > 0 for other, box in zip(seen.items, seen.boxes, strict=True)):
+    if similarities(cfg, [after], seen.items, seen.boxes).any():
         return track, None
     return after, item
 

@@ -28,6 +28,8 @@ _CORNER_FLOOR = 1e-5
 """Eigenvalue below which a window has no texture that could be followed."""
 _CANDIDATES_PER_POINT = 4
 _ORB_FAST_THRESHOLD = 7
+_ORB_SMALLEST_SIDE_PX = 2
+"""Of less OpenCV's pyramid leaves nothing, and its detector fails."""
 _SIFT_CONTRAST = 0.01
 
 
@@ -111,8 +113,11 @@ def _detect_corners(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[F
 
 
 def _detect_orb(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[Features, Float32]:
+    none = np.empty((0, 32), np.uint8)
+    if min(grey.shape) < _ORB_SMALLEST_SIDE_PX:
+        return Features(np.empty((0, 2), np.float32), none), np.empty(0, np.float32)
     orb = cv2.ORB.create(nfeatures=_CANDIDATES_PER_POINT * cfg.max_points, fastThreshold=_ORB_FAST_THRESHOLD)
-    return _described(orb, grey, allowed, np.empty((0, 32), np.uint8))
+    return _described(orb, grey, allowed, none)
 
 
 def _detect_sift(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[Features, Float32]:

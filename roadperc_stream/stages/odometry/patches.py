@@ -38,11 +38,13 @@ def aligned(keyframe: Keyframe, view: View, this_T_key: Float) -> Float32:
     places = keyframe.places
     promised = promised_px(keyframe, view, this_T_key)
     chosen = np.flatnonzero(np.isfinite(promised[:, 0]) & np.isfinite(places.slope[:, 0]))
+    found = np.full_like(promised, np.nan)
+    if not len(chosen):
+        return found
     key_px, start = places.features.px[chosen], promised[chosen]
     stretched = stretch(view.camera, key_px.astype(float), places.points_m[chosen, 2], places.slope[chosen], this_T_key)
     px, correlation = _shifted(keyframe.grey, key_px, stretched.astype(np.float32), view.grey, start)
     good = (np.linalg.norm(px - start, axis=1) < _FARTHEST_PX) & (correlation > _LEAST_CORRELATION)
-    found = np.full_like(promised, np.nan)
     found[chosen[good]] = px[good]
     return found
 

@@ -11,6 +11,8 @@ from roadperc_stream.geometry import Camera, Float, Float32, Plane, inverse, ray
 from roadperc_stream.stages.stereo.matching import disparity, rounded_up
 from roadperc_stream.stages.stereo.rectification import lens_fault, rectification, resampled, turned_back
 
+_BASELINES_M: Final = (1e-3, 1e3)
+"""Shortest and longest distance of a pair's cameras: what lies beyond is a mistake, and its depth no depth."""
 _NEARER: Final = 1.1
 """What lies nearer than the road: bumps, and the nose of a braking car going down."""
 
@@ -43,9 +45,11 @@ def match(
         given = {"left image": left_image, "right image": right_image, "calibration of the right camera": right}
         return Absent(", ".join(f"no {name}" for name, thing in given.items() if thing is None))
     baseline_m = right.baseline_m
-    if baseline_m is None or not baseline_m > 0:
+    shortest_m, longest_m = _BASELINES_M
+    if baseline_m is None or not shortest_m <= baseline_m <= longest_m:
         said = "is 0" if baseline_m is None else f"gives a baseline of {baseline_m:g} m"
-        return Absent(f"P[0][3] of the right camera {said}: expected -fx * baseline")
+        wanted = f"-fx * baseline, which is {shortest_m:g} to {longest_m:g} m"
+        return Absent(f"P[0][3] of the right camera {said}: expected {wanted}")
     fault = _fault(left, right, left_image, right_image)
     if fault is not None:
         return Absent(fault)

@@ -7,13 +7,17 @@ import cv2
 import numpy as np
 
 from roadperc_stream.datatypes import Image, Mask
-from roadperc_stream.geometry import Camera, Float, Float32, Lens, project, rays
+from roadperc_stream.geometry import Camera, Float, Float32, Lens, pinhole_fault, project, rays
 from roadperc_stream.stages.stereo.matching import within_one_thing
 
 _MODELS: Final = ("", "plumb_bob", "rational_polynomial")
 """Distortion models whose coefficients are those of OpenCV's pinhole."""
 _NOT_TURNED: Final = 1e-6
 """Largest entry of R R^T - 1 of a rotation."""
+_COEFFICIENTS: Final = (4, 5, 8, 12, 14)
+"""Numbers of distortion coefficients that OpenCV's pinhole may have."""
+_LARGEST_COEFFICIENT: Final = 1e4
+"""A rational lens may have coefficients of hundreds, none has this."""
 
 
 def lens_fault(camera: Camera) -> str | None:
@@ -21,11 +25,31 @@ def lens_fault(camera: Camera) -> str | None:
     lens = camera.lens
     if lens is None:
         return "has distortion but no R" if any(camera.distortion) else None
-    R = rectification(camera)
-    if np.abs(R @ R.T - np.eye(3)).max() > _NOT_TURNED or np.linalg.det(R) < 0:
+    pinhole = pinhole_fault(camera.width, camera.height, lens.fx, lens.fy, lens.cx, lens.cy)
+    if pinhole is not None:
+        return f"has a K that is no camera's: {pinhole}"
+    if not _is_rotation(rectification(camera)):
         return f"has an R that is no rotation: {list(lens.R)}"
     if lens.model not in _MODELS:
         return f"has distortion of model {lens.model!r}; known: {', '.join(filter(None, _MODELS))}"
+    return _distortion_fault(camera.distortion)
+
+
+def _is_rotation(R: Float) -> bool:
+    """Whether a (3, 3) matrix turns and does not mirror; one that is not finite does neither."""
+    if not np.isfinite(R).all():
+        return False
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= _NOT_TURNED and np.linalg.det(R) > 0)
+
+
+def _distortion_fault(coefficients: tuple[float, ...]) -> str | None:
+    """Why no image can be rectified by such coefficients; none at all are no distortion."""
+    if coefficients and len(coefficients) not in _COEFFICIENTS:
+        known = ", ".join(str(count) for count in _COEFFICIENTS)
+        return f"has {len(coefficients)} distortion coefficients, expected one of {known}"
+    wild = [d for d in coefficients if not abs(d) <= _LARGEST_COEFFICIENT]
+    if wild:
+        return f"has a distortion coefficient {wild[0]:g}, expected at most {_LARGEST_COEFFICIENT:g} in size"
     return None
 
 

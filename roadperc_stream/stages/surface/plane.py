@@ -31,7 +31,7 @@ def road_plane(
         rng: source of the hypotheses.
     """
     if len(points) < 3:
-        return Absent(f"{len(points)} road pixels with known depth, a plane needs three")
+        return Absent(f"{len(points)} road pixels with known depth within max_depth_m, a plane needs three")
     sample = points[rng.integers(0, len(points), min(cfg.subsample, len(points)))].astype(float)
     plane = _ransac(cfg, sample, up, rng)
     if plane is None:
@@ -41,6 +41,10 @@ def road_plane(
         if np.count_nonzero(close) < 3:
             return Absent("no plane holds three of the road's points")
         plane = facing(fit_plane(cloud, close), _CAMERA_CENTRE)
+    # The refit may turn a hypothesis that was level: of points that all lie within ``inlier_m`` it takes every one.
+    tilt_deg = float(np.degrees(np.arccos(min(abs(float(plane.n @ up)), 1.0))))
+    if not tilt_deg <= cfg.max_tilt_deg:
+        return Absent(f"the points' plane is tilted by {tilt_deg:.0f} degrees, expected at most {cfg.max_tilt_deg:g}")
     return plane, float(np.mean(_close(cfg, plane, points)))
 
 

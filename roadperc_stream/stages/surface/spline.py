@@ -6,17 +6,21 @@ that a road's curvature has a standard deviation, so that the data's own scatter
 what no data tell goes on straight. The fit is robust by iteratively reweighted least squares (Holland and Welsch 1977):
 Huber's weights find the road, Tukey's then leave out what stands on it. It grows outwards from the car, by what a road
 can bend, and sees one point for each square metre, the one of median height, so that the many pixels near the car count
-no more than the few far ahead.
+no more than the few far ahead. A place sees four B-splines only, so that the equations of a long road are solved as a
+band, in a time that grows with its length.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.linalg import solve_banded
 
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.datatypes import HeightGrid, Mask, Surface
 from roadperc_stream.geometry import Camera, Float, Float32
-from roadperc_stream.ground import ego_points, height_above, part
+from roadperc_stream.ground import REACH_M, ego_points, height_above, part
 
 _STEP_M = 1.0
 """Side of the fit's cells, and of the grid's."""
@@ -25,6 +29,8 @@ _COLUMNS = 160
 _ENOUGH_POINTS = 20_000
 """Points of the road that are never thinned: a lidar's are hardly more."""
 _DEGREE = 3
+_SEEN = 2 * (_DEGREE + 1)
+"""Coefficients that a place sees: those of four B-splines, in the middle and across."""
 _MIN_CELLS = 12
 _MIN_LENGTH_KNOTS = 2
 """Stretch of road in knots below which a height field says no more than a plane."""
@@ -43,10 +49,32 @@ _NORMAL_MAD = 1.4826
 """Standard deviation of normal errors over their median absolute one."""
 
 
+@dataclass(frozen=True)
+class _Design:
+    """What N places see of the coefficients: (N, 8) indices of those they see, and by how much each counts.
+
+    Coefficients of one B-spline are neighbours: its height in the middle, then its rise in a half width across.
+    """
+
+    seen: NDArray[np.intp]
+    values: Float
+
+    def take(self, chosen: Mask) -> "_Design":
+        """The places of a mask."""
+        return _Design(self.seen[chosen], self.values[chosen])
+
+    def heights(self, coefficients: Float) -> Float:
+        """(N,) metres."""
+        result: Float = np.sum(self.values * coefficients[self.seen], axis=1)
+        return result
+
+
 def fit_height_grid(
     cfg: SurfaceConfig, surface: Surface, camera: Camera, ego_T_camera: Float, depth_m: Float32, usable: Mask
 ) -> HeightGrid | None:
     """The height field through the road's points, ``spline_half_width_m`` to either side and ``max_depth_m`` ahead.
+
+    It ends where heights are no more looked up, at 200 m.
 
     Args:
         cfg: knots, smoothness and extent.
@@ -96,8 +124,8 @@ def _cells(cfg: SurfaceConfig, x: Float32, y: Float32, height: Float32) -> tuple
 
 
 def _length_m(cfg: SurfaceConfig) -> float:
-    """Length of the field: whole knots, to the farthest point at least."""
-    return float(np.ceil(cfg.max_depth_m / cfg.spline_knot_m)) * cfg.spline_knot_m
+    """Length of the field: whole knots, to the farthest point that counts at least."""
+    return float(np.ceil(min(cfg.max_depth_m, REACH_M) / cfg.spline_knot_m)) * cfg.spline_knot_m
 
 
 def _splines(cfg: SurfaceConfig) -> int:
@@ -105,22 +133,30 @@ def _splines(cfg: SurfaceConfig) -> int:
     return round(_length_m(cfg) / cfg.spline_knot_m) + _DEGREE
 
 
-def _design(cfg: SurfaceConfig, x: Float, y: Float) -> Float:
-    """(N, 2 M) values of the M B-splines along x, and of the same times y in half widths."""
+def _design(cfg: SurfaceConfig, x: Float, y: Float) -> _Design:
+    """The values of the B-splines at places, and the same times y in half widths."""
     knots = cfg.spline_knot_m * np.arange(-_DEGREE, _splines(cfg) + 1)
-    along: Float = BSpline.design_matrix(np.clip(x, 0.0, _length_m(cfg)), knots, _DEGREE).toarray()
-    return np.hstack((along, along * (y / cfg.spline_half_width_m)[:, None]))
+    sparse = BSpline.design_matrix(np.clip(x, 0.0, _length_m(cfg)), knots, _DEGREE)
+    along, column = sparse.data.reshape(-1, _DEGREE + 1), sparse.indices.reshape(-1, _DEGREE + 1)[:, 0]
+    across = along * (y / cfg.spline_half_width_m)[:, None]
+    seen = 2 * column.astype(np.intp)[:, None] + np.arange(_SEEN)
+    return _Design(seen, np.stack((along, across), axis=-1).reshape(-1, _SEEN))
 
 
 def _prior(cfg: SurfaceConfig) -> Float:
-    """(2 M, 2 M) information on the coefficients: curvature along x at middle and edges, slope across."""
+    """(15, 2 M) information on the coefficients, as a band: curvature along x at middle and edges, slope across."""
     count = _splines(cfg)
     bend = np.diff(np.eye(count), 2, axis=0) / (cfg.spline_curvature_per_m * cfg.spline_knot_m**2)
     bank = np.eye(count) / (_BANK_STD * cfg.spline_half_width_m)
     prior = np.zeros((2 * count, 2 * count))
-    prior[:count, :count] = bend.T @ bend
-    prior[count:, count:] = bend.T @ bend + bank.T @ bank
-    return prior
+    prior[::2, ::2] = bend.T @ bend
+    prior[1::2, 1::2] = bend.T @ bend + bank.T @ bank
+    band = np.zeros((2 * _SEEN - 1, 2 * count))
+    for beside in range(1 - _SEEN, _SEEN):
+        diagonal = np.diag(prior, -beside)
+        start = max(-beside, 0)
+        band[_SEEN - 1 + beside, start : start + len(diagonal)] = diagonal
+    return band
 
 
 def _grow(cfg: SurfaceConfig, points: Float, certainty: Float) -> Float:
@@ -136,33 +172,41 @@ def _grow(cfg: SurfaceConfig, points: Float, certainty: Float) -> Float:
     """
     x, heights = points[:, 0], points[:, 2]
     design, prior = _design(cfg, x, points[:, 1]), _prior(cfg)
-    coefficients: Float = np.zeros(design.shape[1])
+    coefficients: Float = np.zeros(prior.shape[1])
     known_m = float(x.min())
     for reach in np.arange(known_m + _REACH_STEP_M, _length_m(cfg) + _REACH_STEP_M, _REACH_STEP_M):
         bend = _GATE_STDS * cfg.spline_curvature_per_m / 2 * np.maximum(x - known_m, 0.0) ** 2
-        taken = (x <= reach) & (np.abs(heights - design @ coefficients) <= _GATE_M + bend)
+        taken = (x <= reach) & (np.abs(heights - design.heights(coefficients)) <= _GATE_M + bend)
         if taken.any():
-            coefficients = _robust_fit(design[taken], heights[taken], certainty[taken], prior, coefficients)
+            coefficients = _robust_fit(design.take(taken), heights[taken], certainty[taken], prior, coefficients)
             known_m = float(x[taken].max())
     return coefficients
 
 
-def _robust_fit(design: Float, heights: Float, certainty: Float, prior: Float, coefficients: Float) -> Float:
+def _robust_fit(design: _Design, heights: Float, certainty: Float, prior: Float, coefficients: Float) -> Float:
     """(P,) coefficients by penalised least squares with weights that follow the residuals.
 
     Args:
-        design: (N, P).
+        design: of N places.
         heights: (N,) metres.
         certainty: (N,) 0 to 1.
-        prior: (P, P) information.
+        prior: (15, P) information, a band.
         coefficients: (P,) to start from.
     """
+    count = prior.shape[1]
+    seen = design.seen
+    products = (design.values[:, :, None] * design.values[:, None, :]).reshape(len(seen), -1)
+    # Row and column of each product in the band, whose middle row is the diagonal.
+    entries = ((_SEEN - 1 + seen[:, :, None] - seen[:, None, :]) * count + seen[:, None, :]).ravel()
     for i in range(_HUBER_ROUNDS + _TUKEY_ROUNDS):
-        residual = np.abs(heights - design @ coefficients)
+        residual = np.abs(heights - design.heights(coefficients))
         std = max(_NORMAL_MAD * float(np.median(residual)), _FINEST_STD_M)
         robust = _huber(residual / std) if i < _HUBER_ROUNDS else _tukey(residual / std)
-        weighted = design * (robust * certainty / std**2)[:, None]
-        coefficients = np.asarray(np.linalg.solve(weighted.T @ design + prior, weighted.T @ heights), float)
+        weights = robust * certainty / std**2
+        told = np.bincount(entries, (weights[:, None] * products).ravel(), prior.size).reshape(prior.shape)
+        right = np.bincount(seen.ravel(), ((weights * heights)[:, None] * design.values).ravel(), count)
+        solved = solve_banded((_SEEN - 1, _SEEN - 1), told + prior, right, overwrite_ab=True, check_finite=False)
+        coefficients = np.asarray(solved, float)
     return coefficients
 
 
@@ -184,5 +228,5 @@ def _grid(cfg: SurfaceConfig, surface: Surface, coefficients: Float) -> HeightGr
     x, y = np.arange(0.0, _length_m(cfg) + _STEP_M / 2, _STEP_M), np.arange(-half, half + _STEP_M / 2, _STEP_M)
     columns, rows = (values.ravel() for values in np.meshgrid(x, y))
     a, b, d = surface.abd
-    z = d - a * columns - b * rows + _design(cfg, columns, rows) @ coefficients
+    z = d - a * columns - b * rows + _design(cfg, columns, rows).heights(coefficients)
     return HeightGrid(0.0, -half, _STEP_M, z.reshape(len(y), len(x)).astype(np.float32))

@@ -1,6 +1,7 @@
 """The road's plane: known planes, outliers, and what cannot be a road."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -140,3 +141,36 @@ def test_drivable_without_depth_or_tags():
     np.testing.assert_array_equal(mask, classes.astype(bool))
     assert isinstance(drivable_mask(CFG, surface, road.camera, None, None, mounting), Absent)
     assert isinstance(drivable_mask(CFG, Absent("none"), road.camera, road.depth_m(), classes, mounting), Absent)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_that_lie_on_every_plane_are_no_wall(seed):
+    """All within ``inlier_m`` of any plane, a level one too: the fit to all of them stands upright."""
+    road = Road(width=320, height=240)
+    depth = np.random.default_rng(seed).normal(0.01, 0.001, road.camera.size).astype(np.float32)
+    found = fit(road, depth, None, seed=seed)
+    assert isinstance(found, Absent)
+    assert re.fullmatch(r"the points' plane is tilted by [5-9]\d degrees, expected at most 30", found.reason)
+
+
+def test_a_wall_is_no_setting():
+    with pytest.raises(ValueError, match="less than 90"):
+        SurfaceConfig(max_tilt_deg=90.0)
+
+
+@pytest.mark.parametrize("limit_m", [60.0, 1.0])
+def test_too_few_points_are_counted(limit_m):
+    road, depth = Road(), np.full((480, 640), np.nan, np.float32)
+    depth[400:402, 320] = 3.0
+    found = fit(road, depth, None, SurfaceConfig(max_depth_m=limit_m))
+    count = 2 if limit_m > 3 else 0
+    assert found == Absent(f"{count} road pixels with known depth within max_depth_m, a plane needs three")
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-33, 1e-42])
+def test_points_all_in_one_place_are_no_plane(scale):
+    """As of a pair without a baseline: any plane fits, and one that stands upright has no height anywhere."""
+    road = Road(width=320, height=240)
+    found = fit(road, (road.depth_m() * scale).astype(np.float32), None)
+    assert isinstance(found, Absent)
+    assert "tilted by 90 degrees" in found.reason

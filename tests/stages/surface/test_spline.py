@@ -1,6 +1,7 @@
 """The height field: known hills, noise, outliers, what no data tell, and the pixels that lie on it."""
 
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
 import pytest
@@ -141,6 +142,17 @@ def test_every_key_has_an_effect(change):
     changed = fit(HILL, depth_m, cfg=CFG.model_copy(update=change)).height_grid
     usual = fit(HILL, depth_m).height_grid
     assert changed.z_m.shape != usual.z_m.shape or np.abs(changed.z_m - usual.z_m).max() > 1e-3
+
+
+def test_a_range_beyond_all_roads_takes_neither_time_nor_memory():
+    """200 m is as far as heights are looked up, and what no data tell goes on straight."""
+    depth_m, usual = HILL.depth_m(), height_at(fit(HILL), *np.meshgrid(np.arange(40.0), np.arange(-5.0, 6.0)))
+    started = process_time()
+    surface = fit(HILL, depth_m, cfg=CFG.model_copy(update={"spline_knot_m": 1.0, "max_depth_m": 1e4}))
+    assert process_time() - started < 2.0
+    assert surface.height_grid.z_m.shape == (21, 201)
+    heights = height_at(surface, *np.meshgrid(np.arange(40.0), np.arange(-5.0, 6.0)))
+    np.testing.assert_allclose(heights, usual, atol=0.02)
 
 
 def test_drivable_pixels_are_near_the_field():

@@ -93,7 +93,19 @@ def test_broken_npy_is_unreadable(tmp_path):
     with pytest.raises(UnreadableFrameError, match="damaged"):
         load_pixels(path)
     np.save(path, np.array(["text"]))
+    with pytest.raises(UnreadableFrameError, match="expected an array of plain numbers"):
+        load_pixels(path)
+    np.save(path, np.zeros(4))
     with pytest.raises(UnreadableFrameError, match="expected an image of numbers"):
+        load_pixels(path)
+
+
+@pytest.mark.parametrize("shape", [f"({10**30}, 4)", "(100000000, 4)", "(True, 4)"])
+def test_an_npy_of_an_absurd_shape_is_unreadable(tmp_path, shape):
+    header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    path = tmp_path / "0.npy"
+    path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(16))
+    with pytest.raises(UnreadableFrameError, match=r"0\.npy"):
         load_pixels(path)
 
 

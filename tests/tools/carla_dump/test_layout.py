@@ -99,6 +99,15 @@ def test_a_role_option_may_name_the_dump_itself(tmp_path):
     assert frames(layout, "depth") == [0, 1, 2]
 
 
+def test_a_single_file_of_a_role_option_is_its_own_frame(tmp_path):
+    plain_dump(tmp_path)
+    scan = tmp_path / "scans" / "000001.ply"
+    scan.parent.mkdir()
+    scan.write_text("ply")
+    assert frames(find_layout(tmp_path, {"lidar": scan}), "lidar") == [1]
+    assert frames(find_layout(tmp_path, {"lidar": scan.rename(scan.with_name("scan.ply"))}), "lidar") == [0]
+
+
 def test_files_without_a_number_are_mentioned(tmp_path):
     plain_dump(tmp_path)
     png(tmp_path / "rgb" / "thumbnail.png", camera_pixels())

@@ -42,6 +42,16 @@ def binary(kind, dtype, points=LEFT_HANDED, extra="", body=b""):
     return f"{text}end_header\n".encode() + points.astype(dtype).tobytes() + body
 
 
+def npy_of(header):
+    """A .npy file with any text for its header, and 4000 bytes."""
+    text = f"{header}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + bytes(4000)
+
+
+def header_of(shape):
+    return npy_of(f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}")
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [
@@ -51,6 +61,8 @@ def binary(kind, dtype, points=LEFT_HANDED, extra="", body=b""):
         ("1.ply", binary("double", "<f8")),
         ("1.ply", binary("float32", "<f4", extra="element face 1\nproperty list uchar int n\n", body=b"\x00" * 9)),
         ("1.npy", npy(LEFT_HANDED)),
+        ("1.npy", npy(np.asfortranarray(LEFT_HANDED))),
+        ("1.npy", npy(LEFT_HANDED.astype(">f8"))),
         ("1.npy", npy(np.hstack((LEFT_HANDED.astype(float), np.ones((2, 2)))))),
         ("1.bin", RIGHT_HANDED.astype("<f4").tobytes()),
     ],
@@ -61,6 +73,41 @@ def test_points_become_right_handed(tmp_path, name, content):
     assert points.dtype == np.float32
     np.testing.assert_allclose(points, RIGHT_HANDED, atol=1e-6)
     assert ("right-handed" in points_kind(path)) == (path.suffix == ".bin")
+
+
+def on_windows(ply):
+    """The lines of a PLY header end in two bytes; a binary body stays as it is."""
+    header, end, body = ply.partition(b"end_header\n")
+    return (header + end).replace(b"\n", b"\r\n") + body
+
+
+@pytest.mark.parametrize("content", [CARLA.replace("\n", "\r\n").encode(), on_windows(binary("float", "<f4"))])
+def test_a_header_written_on_windows_is_one(tmp_path, content):
+    np.testing.assert_allclose(load_points(written(tmp_path, "1.ply", content)), RIGHT_HANDED, atol=1e-6)
+
+
+def test_a_points_first_byte_is_no_line_end(tmp_path):
+    """The points follow the header at once, whatever their bytes."""
+    points = np.frombuffer(b"\r\n\r\n" * 4, "<f4").reshape(1, 4)
+    content = binary("float", "<f4", points)
+    for path in (written(tmp_path, "1.ply", content), written(tmp_path, "2.ply", on_windows(content))):
+        np.testing.assert_array_equal(load_points(path), points * np.float32([1, -1, 1, 1]))
+
+
+def test_the_header_ends_with_a_line_of_its_own(tmp_path):
+    path = written(tmp_path, "1.ply", CARLA.replace("format", "comment no end_header\nformat"))
+    assert load_points(path).shape == (2, 4)
+
+
+@pytest.mark.parametrize("name", ["1.ply", "2.ply", "1.npy"])
+def test_coordinates_beyond_float32_are_infinite_without_a_warning(tmp_path, name):
+    far = LEFT_HANDED.astype(float)
+    far[0, 1] = 1e39
+    text, content = CARLA.replace(" 2.0000", " 1e39"), {"2.ply": binary("double", "<f8", far), "1.npy": npy(far)}
+    points = load_points(written(tmp_path, name, content.get(name, text)))
+    expected = RIGHT_HANDED.copy()
+    expected[0, 1] = -np.inf
+    np.testing.assert_array_equal(points, expected)
 
 
 def test_points_without_intensities_have_three_columns(tmp_path):
@@ -97,7 +144,20 @@ def test_a_scan_of_nothing_is_one(tmp_path):
         ("1.ply", binary("float", "<f4")[:-1], "1 points, its header says 2"),
         ("1.npy", b"\x93NUMPY", "damaged .npy"),
         ("1.npy", npy(np.zeros((4, 2))), r"\(4, 2\), expected numbers of shape \(N, 3\)"),
-        ("1.npy", npy(np.array(["a"])), "expected numbers of shape"),
+        ("1.npy", npy(np.array(["a"])), "<U1 .1,., expected an array of plain numbers"),
+        ("1.npy", npy(np.zeros((4, 4), bool)), "bool .4, 4., expected an array of plain numbers"),
+        ("1.npy", npy(np.array(None)), "object .., expected an array of plain numbers"),
+        ("1.npy", npy(LEFT_HANDED)[:-1], r"31 bytes of numbers, expected 32 for float32 \(2, 4\)"),
+        ("1.npy", b"PK\x03\x04" + b"x" * 50, "starts with 504b0304, expected a .npy file"),
+        ("1.npy", b"\x93NUMPY\x03\x00" + npy(LEFT_HANDED)[8:], r"version \(3, 0\), expected \(1, 0\) or"),
+        ("1.npy", header_of("(10000000000000, 4)"), "4000 bytes of numbers, expected 160000000000000 for float32"),
+        ("1.npy", header_of(f"({10**30}, 4)"), f"expected 16{'0' * 30} for float32"),
+        ("1.npy", header_of(f"({10**30}, 0)"), "shape .10+, 0.: "),
+        ("1.npy", header_of("(True, 4)"), "float32 .True, 4., expected an array of plain numbers"),
+        ("1.npy", header_of("(-1, 4)"), "float32 .-1, 4., expected an array"),
+        ("1.npy", npy_of("-" * 9000 + "1"), "damaged .npy: MemoryError"),
+        ("1.npy", npy_of("(" * 9000), "damaged .npy: .*EOF in multi-line statement"),
+        ("1.npy", npy_of("{'descr': (), 'fortran_order': False, 'shape': (4, 4)}"), "damaged .npy"),
         ("1.bin", b"\x00" * 20, "20 bytes, expected points of 16 bytes"),
         ("1.csv", "1,2,3", "expected points as .ply, .npy or .bin"),
     ],
