@@ -6,7 +6,7 @@ DEMO := logs/runs/demo
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test accuracy bench lint proto sample clean
+.PHONY: demo test accuracy bench bench-report lint proto sample clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -32,6 +32,10 @@ bench: $(VENV)/.installed
 	$(BIN)/roadperc-render logs/runs/bench --scene bend --seconds 2.2 --weave 0.5 --force
 	$(BIN)/roadperc-convert logs/runs/bench logs/runs/bench.mcap --force --quiet
 	$(BIN)/python -m roadperc_stream.tools.bench.stages logs/runs/bench.mcap
+	$(BIN)/python -m roadperc_stream.eval.bench logs/runs/bench-report --files 100
+
+bench-report: $(VENV)/.installed  # writes 5 GB; the bare group-by wants 8 GB of memory
+	$(BIN)/python -m roadperc_stream.eval.bench logs/runs/bench-report
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

@@ -8,10 +8,13 @@ from rich.table import Table
 from .grid import grid, percent
 from .quantities import STAGES, TRUTH, Quantity
 from .sections import accuracy, accuracy_grid, speed_grid, times
-from .summary import Statistics, Summary
+from .statistics import Statistics
+from .summary import Summary
 
 LOGS_SHOWN: Final = 12
 """Logs a block of the log-by-log tables has room for; of more, those with the largest p95 are shown."""
+LOGS_LISTED: Final = 40
+"""Logs that get a row of their own in the tables of what was seen; of more, those that were seen least are listed."""
 _COVERED: Final = {
     "surface": "camera_height_m",
     "drivable": "drivable_ratio",
@@ -21,6 +24,14 @@ _COVERED: Final = {
     "stereo": "stereo_valid_ratio",
     "odometry": "step_m",
 }
+
+
+def listed(summaries: Sequence[Summary]) -> list[Summary]:
+    """The runs that get a row, in their order."""
+    if len(summaries) <= LOGS_LISTED:
+        return list(summaries)
+    least = sorted(range(len(summaries)), key=lambda place: sum(_shares(summaries[place], _COVERED.values())))
+    return [summaries[place] for place in sorted(least[:LOGS_LISTED])]
 
 
 def logs(summaries: Iterable[Summary]) -> Table:
@@ -43,9 +54,7 @@ def coverage_by_log(summaries: Sequence[Summary]) -> Table:
     shown = {what: column for what, column in _COVERED.items() if any(column in s.statistics for s in summaries)}
     table = grid("Seen, % of frames", "inputs", *shown, label_columns=17)
     for summary in summaries:
-        complete = 1 - summary.incomplete / summary.frames
-        shares = [complete, *(summary.coverage(column) for column in shown.values())]
-        table.add_row(summary.name, *(percent(share) for share in shares))
+        table.add_row(summary.name, *(percent(share) for share in _shares(summary, shown.values())))
     return table
 
 
@@ -80,6 +89,11 @@ def _shown(summaries: Sequence[Summary], quantity: Quantity) -> list[Summary]:
     if len(having) <= LOGS_SHOWN:
         return having
     return sorted(having, key=lambda summary: -_tail(summary.statistics[quantity.column], quantity))[:LOGS_SHOWN]
+
+
+def _shares(summary: Summary, columns: Iterable[str]) -> list[float]:
+    """The share of frames with all inputs, and that with a value in each column."""
+    return [1 - summary.incomplete / summary.frames, *(summary.coverage(column) for column in columns)]
 
 
 def _tail(found: Statistics, quantity: Quantity) -> float:

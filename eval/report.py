@@ -3,11 +3,13 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from roadperc_stream import __version__
 from roadperc_stream.command import run, whole_number
 from roadperc_stream.errors import TableError
 
+from .html.page import write_page
 from .runs import find_runs
 from .summary import summarise_all, summarise_run
 from .terminal import console_for, print_empty, print_one, print_several
@@ -20,13 +22,14 @@ example:
   roadperc-report runs/base/sample.mcap        one run, from the table beside the log
   roadperc-report runs/                        both, side by side, as base/sample and slow/sample
   roadperc-report 'runs/*/town*.metrics.parquet' --worst 10
+  roadperc-report runs/ --html report.html     and a page with charts and pictures of the worst frames
 """
 
 
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-report``: print tables over finished runs."""
     arguments = _parser().parse_args(argv)
-    return run(lambda: _report(arguments.runs, arguments.worst))
+    return run(lambda: _report(arguments.runs, arguments.worst, arguments.html))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -50,19 +53,35 @@ def _parser() -> argparse.ArgumentParser:
         default=WORST_FRAMES,
         help=f"worst frames listed for each error (default {WORST_FRAMES})",
     )
+    parser.add_argument(
+        "--html",
+        metavar="FILE",
+        type=_page_path,
+        help="also write one self-contained page: summary, charts, trajectory, pictures of the worst frames",
+    )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
 
 
-def _report(arguments: Sequence[str], worst: int) -> None:
+def _page_path(text: str) -> Path:
+    """An argument that names a page: anything else might be a run whose file would be replaced."""
+    path = Path(text)
+    if path.suffix.lower() not in {".html", ".htm"}:
+        raise argparse.ArgumentTypeError(f"{text}: expected a name that ends in .html")
+    return path
+
+
+def _report(arguments: Sequence[str], worst: int, html: Path | None) -> None:
     runs = find_runs(arguments)
     filled = [item for item in runs if item.frames]
     if not filled:
         raise TableError(f"{runs[0].path}: no frames in this table, so there is nothing to report")
-    summaries = [summarise_run(item, worst) for item in filled]
     console = console_for(sys.stdout)
     print_empty(console, [item for item in runs if not item.frames])
     if len(filled) == 1:
-        print_one(console, summaries[0])
+        print_one(console, summarise_run(filled[0], worst))
     else:
-        print_several(console, summaries, summarise_all(filled, summaries, worst))
+        print_several(console, *summarise_all(filled, worst))
+    if html is not None:
+        write_page(html, filled)
+        console.print(f"\npage   {html}", soft_wrap=True)

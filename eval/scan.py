@@ -6,11 +6,11 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 
-from .quantities import CATEGORIES, LOST, REST, SIDES, STAGES, STORED, TOTAL, Quantity
+from .quantities import CATEGORIES, LOST, RATIO, REST, SIDES, STAGES, STORED, TOTAL, Quantity
 from .runs import Run
+from .scores import COUNTS, TRACED, correlations
 
 _NANOSECONDS: Final = 1e9
-_QUANTILES: Final = {"p5": 0.05, "median": 0.5, "p95": 0.95, "p99": 0.99}
 
 
 def scan(run: Run) -> pl.LazyFrame:
@@ -19,11 +19,12 @@ def scan(run: Run) -> pl.LazyFrame:
     Derived columns come behind: ``since_start_s`` counted from the table's first frame, the frame's time outside the
     stages, how many lane boundaries are lost, and the second differences of the lane offsets.
     """
+    numbers = [*(quantity.column for quantity in STORED), *COUNTS, *(truth for _, truth in TRACED.values())]
     stored = pl.scan_parquet(run.path, glob=False).select(
         pl.col("log_id").cast(pl.String),
         pl.col("frame", "stamp_ns").cast(pl.Int64),
         pl.col("missing", "reasons").cast(pl.List(pl.String)),
-        *(_number(run, quantity.column) for quantity in STORED),
+        *(_number(run, name) for name in dict.fromkeys(numbers)),
         *(_text(run, name) for name in CATEGORIES),
     )
     stages = [quantity.column for quantity in STAGES if quantity not in {TOTAL, REST}]
@@ -61,20 +62,14 @@ def extent() -> list[pl.Expr]:
     ]
 
 
-def statistics(column: str) -> pl.Expr:
-    """A column's statistics as a struct named like it: the fields of ``Statistics``, null where it has no values."""
-    value = pl.col(column)
-    fields = {
-        "values": value.count(),
-        "total": value.sum(),
-        "std": value.std(ddof=0),
-        "least": value.min(),
-        **{name: value.quantile(share, "linear") for name, share in _QUANTILES.items()},
-        "abs_median": value.abs().median(),
-        "abs_p95": value.abs().quantile(0.95, "linear"),
-        "abs_most": value.abs().max(),
-    }
-    return pl.struct(expression.alias(name) for name, expression in fields.items()).alias(column)
+def totals() -> list[pl.Expr]:
+    """The sums of the columns that count, null where no frame has a value."""
+    return [pl.when(pl.col(name).count() > 0).then(pl.col(name).sum()).cast(pl.Int64) for name in COUNTS]
+
+
+def traces() -> list[pl.Expr]:
+    """How each side's smoothed offset follows its truth."""
+    return [correlations(*columns).alias(f"correlations {side}") for side, columns in TRACED.items()]
 
 
 def counts(name: str, *, of_lists: bool = False) -> pl.Expr:
@@ -86,11 +81,15 @@ def counts(name: str, *, of_lists: bool = False) -> pl.Expr:
 
 
 def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
-    """The worst frames by a quantity, the worst first and of equals the earliest: a list of structs."""
+    """The worst frames by a quantity, the worst first and of equals the earliest: a list of structs.
+
+    A frame that could not be better is none of the worst, even where no other is worse.
+    """
     value = pl.col(quantity.column)
     badness = value.abs() if quantity.worse == "high" else -value
-    row = pl.struct("frame", "since_start_s", "stamp_ns", value=value).filter(value.is_not_null())
-    order = [badness.drop_nulls(), pl.col("stamp_ns").filter(value.is_not_null())]
+    flawed = badness > (-1 if quantity.worse == "low" and quantity.unit == RATIO else 0)
+    row = pl.struct("frame", "since_start_s", "stamp_ns", value=value).filter(flawed)
+    order = [badness.filter(flawed), pl.col("stamp_ns").filter(flawed)]
     return row.sort_by(order, descending=[True, False]).head(number).implode().alias(f"worst {quantity.column}")
 
 

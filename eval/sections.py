@@ -45,6 +45,15 @@ def inputs(summary: Summary) -> str:
     return said if skew is None else f"{said}; sync skew median {skew.median:.1f} ms, p95 {skew.p95:.1f} ms"
 
 
+def precision(summary: Summary) -> str:
+    """How exact the quantiles are where not all values were at hand."""
+    error = 100 * summary.rank_error
+    return (
+        f"quantiles over all {summary.frames} frames are within {error:.2f} % in rank, "
+        f"those of absolute values within {2 * error:.2f} %"
+    )
+
+
 def seen(summary: Summary) -> Table:
     """Coverage and typical values of what needs no truth."""
     table = grid("Does it see?", "frames %", "p5", "median", "p95")
@@ -61,8 +70,8 @@ def seen(summary: Summary) -> Table:
 
 def lane_boundaries(summary: Summary) -> Table:
     """Per side: how often measured, held or lost, where it lies, and how it trembles, smoothed and raw."""
-    headers = ("measured %", "held %", "lost %", "offset m", "jitter cm", "raw cm")
-    table = grid("Lane boundary", *headers, label_columns=17)
+    headers = ("measured %", "held %", "lost %", "offset m", "jitter cm", "raw cm", "lag")
+    table = grid("Lane boundary", *headers, label_columns=13)
     if any(summary.categories[f"lane_{side}_status"] for side in SIDES):
         for side in SIDES:
             table.add_row(*_boundary(summary, side))
@@ -73,12 +82,19 @@ def _boundary(summary: Summary, side: str) -> list[str]:
     states = [percent(summary.share(f"lane_{side}_status", state)) for state in ("measured", "held", "lost")]
     offset = summary.statistics.get(f"lane_{side}_offset_m")
     jitters = [summary.statistics.get(f"lane_{side}_{kind}second_difference_m") for kind in ("", "raw_")]
+    lag = summary.lag_frames(side)
     return [
         side,
         *states,
         f"{offset.median:z.2f}" if offset else "",
         *(f"{100 * jitter.std:.2f}" if jitter else "" for jitter in jitters),
+        "" if lag is None else str(lag),
     ]
+
+
+def has_lag(summary: Summary) -> bool:
+    """Whether it can be told how far any smoothed boundary lies behind the truth."""
+    return any(summary.lag_frames(side) is not None for side in SIDES)
 
 
 def beyond_lanes(summary: Summary) -> str:
@@ -112,6 +128,15 @@ def right(summary: Summary) -> Table:
     for quantity in TRUTH:
         if quantity.column in summary.statistics:
             table.add_row(quantity.label, *accuracy(summary, quantity))
+    return table
+
+
+def counted(summary: Summary) -> Table:
+    """Precision, recall and F1 from the counts of all frames, and the counts."""
+    table = grid("How many of them?", "precision", "recall", "F1", "right", "wrong", "missed")
+    for score in summary.scores:
+        ratios = ("" if ratio is None else f"{ratio:.3f}" for ratio in (score.precision, score.recall, score.f1))
+        table.add_row(score.name, *ratios, str(score.tp), str(score.fp), str(score.fn))
     return table
 
 

@@ -1,43 +1,35 @@
-"""Metrics tables to small summaries, one table at a time.
+"""Metrics tables to small summaries, one table at a time; over all tables, what those of each come to together.
 
-Over all tables, counts and worst frames are merged from those of each; quantiles are exact, so they are taken again
-from the tables, a few columns of all of them at a time.
+A table is read once. All it gives to the whole is exact and small, but for the distributions of its columns: those stay
+whole while all tables together have no more than EXACT_FRAMES rows, and are thinned where they have more.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cache, partial
 from typing import Any, Final
 
+import numpy as np
 import polars as pl
 
+from .distribution import Distribution, Sketch, exactly, thinned
 from .quantities import CATEGORIES, NUMBERS, SUSPECT, TRUTH, Quantity
 from .runs import Run
-from .scan import collect, counts, extent, scan, statistics, worst_frames
+from .scan import collect, counts, extent, scan, totals, traces, worst_frames
+from .scores import COUNTS, TRACED, Score, averaged, lag_frames, scores
+from .statistics import Statistics, statistics, statistics_of_all
 
-COLUMNS_AT_ONCE: Final = 4
-"""Columns of all tables in memory together: four of ten million rows take 320 MB."""
+EXACT_FRAMES: Final = 2**18
+"""Rows up to which quantiles over all tables are exact: 8 bytes each and column, 160 MB in all."""
+POINTS: Final = 2048
+"""Values that stand for a column of a table, or of FAN_IN, of more rows: ranks move by 1/4096 each time."""
+_AT_ONCE: Final = 2
+"""Tables read at the same time; polars brings threads of its own."""
+_AHEAD: Final = 64
+"""Tables read before the first is merged: what bounds the memory."""
 _RANKED: Final = (*TRUTH, *SUSPECT)
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """A numeric column over the frames that have a value, in its own unit; quantiles interpolate linearly.
-
-    ``abs_...`` are over absolute values, ``std`` is the population's, ``total`` the sum.
-    """
-
-    values: int
-    total: float
-    std: float
-    least: float
-    p5: float
-    median: float
-    p95: float
-    p99: float
-    abs_median: float
-    abs_p95: float
-    abs_most: float
 
 
 @dataclass(frozen=True)
@@ -59,7 +51,8 @@ class Summary:
     seconds from first to last frame of each table, ``longest_gap_s`` the longest time between two frames.
     ``statistics`` holds the numeric columns that have values; ``categories`` counts the values of each text column;
     ``missing`` counts frames per missing role, ``incomplete`` frames where any role is missing, ``reasons`` frames per
-    text; ``worst`` holds the worst frames, the worst first.
+    text; ``worst`` holds the worst frames, the worst first. ``totals`` are the sums of the counting columns that have
+    values, ``correlations`` per side those of the smoothed offset with its truth, by shift.
     """
 
     name: str
@@ -75,6 +68,8 @@ class Summary:
     categories: Mapping[str, Counter[str]]
     missing: Counter[str]
     reasons: Counter[str]
+    totals: Mapping[str, int]
+    correlations: Mapping[str, tuple[float | None, ...]]
     worst: Mapping[str, tuple[WorstFrame, ...]] = field(repr=False)
 
     @property
@@ -91,6 +86,20 @@ class Summary:
         """Share of the frames that have one of these values in a text column."""
         return sum(self.categories[column][value] for value in values) / self.frames
 
+    @property
+    def rank_error(self) -> float:
+        """How far the ranks of the quantiles may be off at most, as a share; 0 where they are exact."""
+        return max((found.rank_error for found in self.statistics.values()), default=0.0)
+
+    @property
+    def scores(self) -> list[Score]:
+        """Precision, recall and F1 of what was counted."""
+        return scores(self.totals)
+
+    def lag_frames(self, side: str) -> int | None:
+        """Frames by which a side's smoothed offset lies behind the truth; None where that cannot be told."""
+        return lag_frames(self.correlations[side])
+
 
 def summarise_run(run: Run, worst: int) -> Summary:
     """Summary of one table of at least one row, with the ``worst`` worst frames by each quantity.
@@ -98,9 +107,42 @@ def summarise_run(run: Run, worst: int) -> Summary:
     Raises:
         TableError: the table's data cannot be read.
     """
-    found = collect(scan(run).select(_everything(worst)), str(run.path)).row(0, named=True)
-    present = _present(found, NUMBERS)
-    return Summary(
+    return _read(run, worst, run.frames)[0]
+
+
+def summarise_all(runs: Sequence[Run], worst: int) -> tuple[list[Summary], Summary]:
+    """Summaries of tables of at least one row each, and the summary over all of them.
+
+    Raises:
+        TableError: the data of a table cannot be read.
+    """
+    frames = sum(run.frames for run in runs)
+    points = frames if frames <= EXACT_FRAMES else POINTS
+    sketches: dict[str, Sketch] = {}
+    summaries = []
+    for summary, distributions in _each(runs, worst, points):
+        summaries.append(summary)
+        for column, part in distributions.items():
+            sketches.setdefault(column, Sketch(points)).add(part)
+    return summaries, _together(summaries, sketches, worst)
+
+
+def _each(runs: Sequence[Run], worst: int, points: int) -> Iterator[tuple[Summary, dict[str, Distribution]]]:
+    """Read all tables in their order, some at the same time."""
+    read = partial(_read, worst=worst, points=points)
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        for at in range(0, len(runs), _AHEAD):
+            yield from pool.map(read, runs[at : at + _AHEAD])
+
+
+def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distribution]]:
+    """A table's summary, and the distributions of its columns in at most ``points`` values each."""
+    frames = collect(scan(run), str(run.path))
+    found = frames.select(_facts(worst)).row(0, named=True)
+    columns = {q.column: frames[q.column].drop_nulls() for q in NUMBERS}
+    distributions = {name: exactly(np.sort(values.to_numpy())) for name, values in columns.items() if len(values)}
+    present = {name: statistics(distribution) for name, distribution in distributions.items()}
+    summary = Summary(
         run.name,
         run.frames,
         1,
@@ -114,62 +156,49 @@ def summarise_run(run: Run, worst: int) -> Summary:
         {name: _counter(found[name]) for name in CATEGORIES},
         _counter(found["missing"]),
         _counter(found["reasons"]),
+        {name: found[name] for name in COUNTS if found[name] is not None},
+        {side: tuple(found[f"correlations {side}"]) for side in TRACED},
         {q.column: _ranking(run, found[f"worst {q.column}"]) for q in _RANKED if q.column in present},
     )
+    return summary, {name: thinned(distribution, points) for name, distribution in distributions.items()}
 
 
-def summarise_all(runs: Sequence[Run], summaries: Sequence[Summary], worst: int) -> Summary:
-    """Summary over all tables, from the summary of each and, for the quantiles, from the tables again.
-
-    Raises:
-        TableError: the tables' data cannot be read.
-    """
+def _together(summaries: Sequence[Summary], sketches: Mapping[str, Sketch], worst: int) -> Summary:
     return Summary(
-        f"all {len(runs)} logs",
+        f"all {len(summaries)} logs",
         sum(summary.frames for summary in summaries),
-        len(runs),
+        len(summaries),
         _distinct(name for summary in summaries for name in summary.log_ids),
         _distinct(name for summary in summaries for name in summary.configs),
         _distinct(name for summary in summaries for name in summary.versions),
         sum(summary.span_s for summary in summaries),
         max(summary.longest_gap_s for summary in summaries),
         sum(summary.incomplete for summary in summaries),
-        _statistics_of_all(runs, {name for summary in summaries for name in summary.statistics}),
+        {q.column: _statistics(summaries, q.column, sketches[q.column]) for q in NUMBERS if q.column in sketches},
         {name: _added(summary.categories[name] for summary in summaries) for name in CATEGORIES},
         _added(summary.missing for summary in summaries),
         _added(summary.reasons for summary in summaries),
+        _added(summary.totals for summary in summaries),
+        {side: averaged((summary.frames, summary.correlations[side]) for summary in summaries) for side in TRACED},
         {q.column: ranking for q in _RANKED if (ranking := _merged(summaries, q, worst))},
     )
 
 
-def _everything(worst: int) -> list[pl.Expr]:
+@cache  # a thousand tables are asked the same
+def _facts(worst: int) -> list[pl.Expr]:
     return [
         *extent(),
-        *(statistics(quantity.column) for quantity in NUMBERS),
         *(counts(name) for name in CATEGORIES),
         *(counts(name, of_lists=True) for name in ("missing", "reasons")),
+        *totals(),
+        *traces(),
         *(worst_frames(quantity, worst) for quantity in _RANKED),
     ]
 
 
-def _statistics_of_all(runs: Sequence[Run], columns: set[str]) -> dict[str, Statistics]:
-    """Exact statistics over all tables; ``columns`` are those with a value in any."""
-    quantities = [quantity for quantity in NUMBERS if quantity.column in columns]
-    found: dict[str, Statistics] = {}
-    for some in _batches(quantities):
-        # Table by table: a thousand scans in one query hold a thousand files open and several times the memory.
-        joined = pl.concat([collect(scan(run).select(q.column for q in some), str(run.path)) for run in runs])
-        for quantity in some:
-            found |= _present(joined.select(statistics(quantity.column)).row(0, named=True), [quantity])
-    return found
-
-
-def _batches(quantities: Sequence[Quantity]) -> Iterable[Sequence[Quantity]]:
-    return (quantities[at : at + COLUMNS_AT_ONCE] for at in range(0, len(quantities), COLUMNS_AT_ONCE))
-
-
-def _present(row: Mapping[str, Any], quantities: Iterable[Quantity]) -> dict[str, Statistics]:
-    return {q.column: Statistics(**row[q.column]) for q in quantities if row[q.column]["values"]}
+def _statistics(summaries: Iterable[Summary], column: str, sketch: Sketch) -> Statistics:
+    parts = [summary.statistics[column] for summary in summaries if column in summary.statistics]
+    return statistics_of_all(parts, sketch.distribution())
 
 
 def _ranking(run: Run, rows: Iterable[Mapping[str, Any]]) -> tuple[WorstFrame, ...]:
@@ -188,10 +217,10 @@ def _counter(rows: Iterable[Mapping[str, Any]]) -> Counter[str]:
     return Counter({row["text"]: row["count"] for row in rows})
 
 
-def _added(counters: Iterable[Counter[str]]) -> Counter[str]:
+def _added(counters: Iterable[Mapping[str, int]]) -> Counter[str]:
     total: Counter[str] = Counter()
     for counter in counters:
-        total += counter
+        total.update(counter)
     return total
 
 

@@ -13,6 +13,7 @@ from .summary import Summary
 NARROWEST, WIDEST = 80, 120
 """Columns a report is laid out for; a narrower terminal wraps its lines rather than losing digits."""
 _JITTER: Final = "jitter: standard deviation of the offset's second difference, smoothed and raw"
+_LAG: Final = "lag: frames by which the smoothed offset lies behind the true one"
 _ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the median error"
 _SECONDS: Final = "s: seconds from the log's first frame"
 
@@ -31,11 +32,16 @@ def print_empty(console: Console, runs: Iterable[Run]) -> None:
 def print_several(console: Console, summaries: Sequence[Summary], together: Summary) -> None:
     """The report over several runs, and each beside the others."""
     _lines(console, sections.identity(together), sections.extent(together), sections.inputs(together))
-    _table(console, log_by_log.logs(summaries))
+    if together.rank_error:
+        _lines(console, sections.precision(together))
+    listed = log_by_log.listed(summaries)
+    _table(console, log_by_log.logs(listed))
     _print_sections(console, together)
-    _table(console, log_by_log.coverage_by_log(summaries))
+    _table(console, log_by_log.coverage_by_log(listed))
     _table(console, log_by_log.accuracy_by_log(summaries))
     _table(console, log_by_log.times_by_log(summaries))
+    if len(summaries) > len(listed):
+        _lines(console, f"listed: the {len(listed)} of {len(summaries)} logs that were seen least")
     if len(summaries) > log_by_log.LOGS_SHOWN:
         _lines(console, f"log by log: in each block the {log_by_log.LOGS_SHOWN} of {len(summaries)} with the worst p95")
 
@@ -48,12 +54,14 @@ def console_for(stream: TextIO) -> Console:
 
 def _print_sections(console: Console, summary: Summary) -> None:
     _table(console, sections.seen(summary))
-    _table(console, sections.lane_boundaries(summary), _JITTER, sections.beyond_lanes(summary))
+    lag = _LAG if sections.has_lag(summary) else ""
+    _table(console, sections.lane_boundaries(summary), _JITTER, lag, sections.beyond_lanes(summary))
     absent = sections.no_values(summary)
     if absent:
         _lines(console, "", f"no values: {absent}")
     if sections.has_truth(summary):
         _table(console, sections.right(summary), _ERRORS)
+        _table(console, sections.counted(summary))
     else:
         _lines(console, "", "Is it right? No frame has a truth for what was replayed.")
     _table(console, sections.fast(summary), sections.speed(summary))

@@ -37,12 +37,7 @@ def _replay_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("source", metavar="IN.mcap", type=Path)
     parser.add_argument("target", metavar="OUT.mcap", type=Path)
-    parser.add_argument("--config", metavar="FILE", type=Path, help="TOML file with any part of the settings")
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting; wins over FILE")
-    parser.add_argument("--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role")
-    parser.add_argument("--start", metavar="SECONDS", type=seconds, help="from here, counted from the first message")
-    parser.add_argument("--end", metavar="SECONDS", type=seconds, help="up to here, counted from the first message")
-    parser.add_argument("--frames", metavar="N", type=whole_number, help="at most so many frames")
+    add_input_arguments(parser)
     parser.add_argument(
         "--only",
         metavar="STAGES",
@@ -56,6 +51,27 @@ def _replay_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def add_input_arguments(parser: argparse.ArgumentParser) -> None:
+    """The settings, the topics and the part of the log: options of every command that replays."""
+    parser.add_argument("--config", metavar="FILE", type=Path, help="TOML file with any part of the settings")
+    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting; wins over FILE")
+    parser.add_argument("--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role")
+    parser.add_argument("--start", metavar="SECONDS", type=seconds, help="from here, counted from the first message")
+    parser.add_argument("--end", metavar="SECONDS", type=seconds, help="up to here, counted from the first message")
+    parser.add_argument("--frames", metavar="N", type=whole_number, help="at most so many frames")
+
+
+def cut_of(arguments: argparse.Namespace) -> Cut:
+    """The part of the log that the options name.
+
+    Raises:
+        ConfigError: it ends before it starts.
+    """
+    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
+        raise ConfigError(f"--end {arguments.end}: expected more than --start {arguments.start}")
+    return Cut(arguments.start, arguments.end, arguments.frames)
+
+
 def _stages(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(","))
     unknown = [name for name in names if name not in STAGES]
@@ -67,15 +83,14 @@ def _stages(text: str) -> tuple[str, ...]:
 def _replay(arguments: argparse.Namespace) -> None:
     only = arguments.only or STAGES
     off = tuple(switched_off(stage) for stage in STAGES if stage not in only)
-    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
-        raise ConfigError(f"--end {arguments.end}: expected more than --start {arguments.start}")
+    cut = cut_of(arguments)
     with frame_progress("replaying", not arguments.quiet) as progress:
         summary = replay(
             arguments.source,
             arguments.target,
             load_config(arguments.config, (*arguments.set, *off)),
             overrides=parse_topic_options(arguments.topic),
-            cut=Cut(arguments.start, arguments.end, arguments.frames),
+            cut=cut,
             results_only=arguments.results_only,
             force=arguments.force,
             progress=progress,

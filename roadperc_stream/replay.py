@@ -122,7 +122,7 @@ def replay(
     _require_free(source, target, force)
     summary = log.summarise(source)
     survey = survey_log(summary, cfg, overrides or {}, cut)
-    counts, problems, facts = SyncCounts(), Problems(), _table_facts(source, target, cfg)
+    counts, problems, facts = SyncCounts(), Problems(), table_facts(source, target, cfg)
     log_id, state = survey.digest[:16], ChainState()
     reasons: tuple[str, ...] = ()
     previous: Sample | None = None
@@ -225,7 +225,7 @@ def _result_message(topic: str, sample: Sample, data: bytes) -> Message:
     return Message(channel, sample.log_time_ns, sample.log_time_ns, sample.index, data)
 
 
-def _table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:
+def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:
     """What a table says of where it came from: ``roadperc.log`` is the log beside it, ``roadperc.source`` the input."""
     facts = {
         "config_digest": hashlib.sha256(cfg.to_toml().encode()).hexdigest(),

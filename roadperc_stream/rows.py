@@ -1,8 +1,10 @@
 """The columns of the tables: a row per frame and a row per detection. Units are in the names."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
+Columns = dict[str, Any]
+"""Some of a row's columns, by name."""
 TIME_COLUMNS: Final = tuple(
     f"{stage}_ms"
     for stage in ("decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy", "encode", "total")
@@ -62,11 +64,37 @@ class FrameMetrics:
     drivable_iou: float | None = None
     lane_left_error_m: float | None = None
     lane_right_error_m: float | None = None
+    lane_left_true_offset_m: float | None = None
+    lane_right_true_offset_m: float | None = None
+    lane_tusimple_accuracy: float | None = None
+    lane_tusimple_fp: float | None = None
+    lane_tusimple_fn: float | None = None
+    lane_culane_tp_50: int | None = None
+    lane_culane_fp_50: int | None = None
+    lane_culane_fn_50: int | None = None
+    lane_culane_tp_30: int | None = None
+    lane_culane_fp_30: int | None = None
+    lane_culane_fn_30: int | None = None
     object_distance_error_m: float | None = None
+    filter_tp: int | None = None
+    filter_fp: int | None = None
+    filter_fn: int | None = None
+    filter_tn: int | None = None
+    filter_precision: float | None = None
+    filter_recall: float | None = None
     stereo_epe_px: float | None = None
     stereo_d1_ratio: float | None = None
+    stereo_abs_rel: float | None = None
+    stereo_coverage: float | None = None
     step_error_m: float | None = None
     turn_error_deg: float | None = None
+    true_x_m: float | None = None
+    true_y_m: float | None = None
+    true_z_m: float | None = None
+    true_qx: float | None = None
+    true_qy: float | None = None
+    true_qz: float | None = None
+    true_qw: float | None = None
     sync_skew_ms: float | None = None
     missing: tuple[str, ...] = ()
     reasons: tuple[str, ...] = ()
@@ -96,4 +124,7 @@ class ObjectMetrics:
     time_to_impact_std_s: float | None
     status: str
     beyond_range: bool
+    is_true: bool | None
     true_distance_m: float | None
+    true_closing_speed_mps: float | None
+    true_time_to_impact_s: float | None

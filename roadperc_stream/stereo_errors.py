@@ -1,4 +1,4 @@
-"""How far a stereo depth is off: KITTI's end-point error and D1 over what both cameras see."""
+"""How far a stereo depth is off: KITTI's end-point error and D1, and the relative error, over what both cameras see."""
 
 from typing import NamedTuple
 
@@ -14,10 +14,11 @@ OCCLUSION_PX = 1.0
 
 
 class StereoErrors(NamedTuple):
-    """How far disparities are off, over the pixels both cameras see, and on what share of these they are known."""
+    """How far disparities and depths are off over the pixels both cameras see, and on what share of these known."""
 
     epe_px: float | None
     d1_ratio: float | None
+    abs_rel: float | None
     coverage: float | None
 
 
@@ -27,7 +28,8 @@ def stereo_errors(
     """End-point error and D1 of a stereo depth, by the definitions of the KITTI 2015 benchmark (non-occluded pixels).
 
     The end-point error is the mean absolute error of the disparity f b / Z; D1 is the share of disparities more than
-    3 px and more than 5 % off. Both are over known pixels: the coverage belongs beside them.
+    3 px and more than 5 % off; the absolute relative error is the mean of |Z - Z*| / Z*. All are over known pixels:
+    the coverage belongs beside them.
 
     Args:
         estimated_m: (H, W) metres along z of the left camera, NaN unknown.
@@ -50,14 +52,15 @@ def stereo_errors(
         counted = both_see(true_px) & (true_m < max_depth_m)
     known = counted & np.isfinite(estimated_px)
     if not counted.any():
-        return StereoErrors(None, None, None)
+        return StereoErrors(None, None, None, None)
     coverage = float(np.count_nonzero(known) / np.count_nonzero(counted))
     if not known.any():
-        return StereoErrors(None, None, coverage)
+        return StereoErrors(None, None, None, coverage)
     true = true_px[known]
     error = np.abs(estimated_px[known] - true)
     bad = (error > D1_PX) & (error > D1_SHARE * true)
-    return StereoErrors(float(error.mean(dtype=float)), float(bad.mean()), coverage)
+    relative = np.abs(estimated_m[known] - true_m[known]) / true_m[known]
+    return StereoErrors(float(error.mean(dtype=float)), float(bad.mean()), float(relative.mean(dtype=float)), coverage)
 
 
 def both_see(disparity_px: Float32) -> Mask:

@@ -23,6 +23,7 @@ _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
     bool: pa.bool_(),
     tuple[str, ...]: pa.list_(pa.string()),
 }
+Scalar = bool | int | float | str
 
 
 def beside(target: Path, table: str) -> Path:
@@ -30,11 +31,17 @@ def beside(target: Path, table: str) -> Path:
     return target.with_name(f"{target.stem}.{table}.parquet")
 
 
-def arrow_schema(row_type: type, extra: tuple[str, ...] = (), metadata: Mapping[str, str] | None = None) -> pa.Schema:
-    """Arrow schema of a dataclass, each ``X | None`` nullable, with ``extra`` float columns behind."""
+def arrow_schema(
+    row_type: type,
+    extra: tuple[str, ...] = (),
+    metadata: Mapping[str, str] | None = None,
+    constant: Mapping[str, Scalar] | None = None,
+) -> pa.Schema:
+    """Arrow schema of a dataclass, each ``X | None`` nullable, with ``extra`` float columns and constants behind."""
     hints = typing.get_type_hints(row_type)
     columns = [_field(f.name, hints[f.name]) for f in fields(row_type)]
     columns += [pa.field(name, pa.float64()) for name in extra]
+    columns += [_field(name, type(value)) for name, value in (constant or {}).items()]
     encoded = {key: value.encode("utf-8", "surrogateescape") for key, value in (metadata or {}).items()}
     return pa.schema(columns, metadata=encoded)
 
@@ -46,12 +53,23 @@ def _field(name: str, hint: Any) -> pa.Field:
 
 
 class TableWriter:
-    """Writes rows to a Parquet file that appears under its name only when complete. Use it as a context manager."""
+    """Writes rows to a Parquet file that appears under its name only when complete. Use it as a context manager.
 
-    def __init__(self, path: Path, row_type: type, facts: Mapping[str, str], extra: tuple[str, ...] = ()) -> None:
+    ``extra`` are float columns that come with each row, ``constant`` columns with one value in all rows.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        row_type: type,
+        facts: Mapping[str, str],
+        extra: tuple[str, ...] = (),
+        constant: Mapping[str, Scalar] | None = None,
+    ) -> None:
         self._path = path
         self._temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-        self._schema = arrow_schema(row_type, extra, facts)
+        self._constant = dict(constant or {})
+        self._schema = arrow_schema(row_type, extra, facts, self._constant)
         self._rows: list[dict[str, Any]] = []
 
     def __enter__(self) -> Self:
@@ -64,7 +82,7 @@ class TableWriter:
 
     def append(self, row: Any, **extra: float) -> None:
         """Add a row: a dataclass, and values of the extra columns."""
-        self._rows.append(asdict(row) | extra)
+        self._rows.append(asdict(row) | extra | self._constant)
         if len(self._rows) >= ROW_GROUP_ROWS:
             self._flush()
 

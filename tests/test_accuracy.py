@@ -11,6 +11,7 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli import replay_main
+from roadperc_stream.eval.scores import correlations, lag_frames
 from roadperc_stream.schemas.roadperc_pb2 import Lanes
 from roadperc_stream.table import beside
 from roadperc_stream.tools import carla_to_mcap, render_scene
@@ -35,15 +36,9 @@ class Run:
         return float(np.nanstd(np.diff(self.metrics[column].to_numpy().astype(float), 2)))
 
     def lag(self, side):
-        """Frames by which the smoothed offset lies behind the truth, by cross-correlation of the changes."""
-        offset = self.metrics[f"lane_{side}_offset_m"].to_numpy().astype(float)
-        truth = self.true_offsets[side] - self.true_offsets[side].mean()
-        offset = offset - offset.mean()
-        n = len(truth)
-        score = {
-            k: np.mean(offset[max(k, 0) : n + min(k, 0)] * truth[max(-k, 0) : n - max(k, 0)]) for k in range(-6, 7)
-        }
-        return max(score, key=score.get)
+        """Frames by which the smoothed offset lies behind the truth."""
+        table = self.metrics.with_columns(pl.Series("truth", self.true_offsets[side]))
+        return lag_frames(table.select(correlations(f"lane_{side}_offset_m", "truth")).item().to_list())
 
 
 def drive(folder, *options, settings=()):

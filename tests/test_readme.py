@@ -1,6 +1,7 @@
-"""The README's table is what the demo prints."""
+"""The README shows what the demo prints, its example runs, and the commands it names exist."""
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -18,14 +19,30 @@ def shown():
     return block.group(1)
 
 
-def test_the_readme_shows_what_the_demo_prints(tmp_path, capsys):
-    target = tmp_path / "sample.mcap"
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """The sample, replayed once for all tests."""
+    target = tmp_path_factory.mktemp("demo") / "sample.mcap"
     assert replay_main([str(ROOT / "logs" / "sample.mcap"), str(target), "--quiet"]) == 0
-    assert report.main([str(beside(target, "metrics"))]) == 0
+    return target
+
+
+def test_the_readme_shows_what_the_demo_prints(demo, capsys):
+    assert report.main([str(beside(demo, "metrics"))]) == 0
     printed, _, rest = capsys.readouterr().out.partition(WITHOUT_TIMES)
     assert words(shown().partition(WITHOUT_TIMES)[0]) == words(printed)
     assert numbers(shown().partition(WITHOUT_TIMES)[0]) == pytest.approx(numbers(printed), rel=0.02, abs=0.002)
     assert "Worst frames" in rest
+
+
+def test_the_readme_asks_the_table(demo, tmp_path, monkeypatch, capsys):
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    shutil.copy(beside(demo, "metrics"), tmp_path / "out.metrics.parquet")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block, "README.md", "exec"), {})
+    printed = capsys.readouterr().out
+    assert re.search(r"│ depth +┆ 40 +┆ 0\.[4-9]\d* +┆ 1\.0 ", printed), printed
+    assert float(re.search(r"precision (\S+)", printed).group(1)) == pytest.approx(0.76, abs=0.02)
 
 
 def words(text):

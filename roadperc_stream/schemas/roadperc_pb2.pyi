@@ -752,6 +752,32 @@ class FrameMetrics(_message.Message):
     REASONS_FIELD_NUMBER: _builtins.int
     OBJECTS_CARRIED_FIELD_NUMBER: _builtins.int
     SURFACE_HEIGHT_ERROR_M_FIELD_NUMBER: _builtins.int
+    LANE_LEFT_TRUE_OFFSET_M_FIELD_NUMBER: _builtins.int
+    LANE_RIGHT_TRUE_OFFSET_M_FIELD_NUMBER: _builtins.int
+    LANE_TUSIMPLE_ACCURACY_FIELD_NUMBER: _builtins.int
+    LANE_TUSIMPLE_FP_FIELD_NUMBER: _builtins.int
+    LANE_TUSIMPLE_FN_FIELD_NUMBER: _builtins.int
+    LANE_CULANE_TP_50_FIELD_NUMBER: _builtins.int
+    LANE_CULANE_FP_50_FIELD_NUMBER: _builtins.int
+    LANE_CULANE_FN_50_FIELD_NUMBER: _builtins.int
+    LANE_CULANE_TP_30_FIELD_NUMBER: _builtins.int
+    LANE_CULANE_FP_30_FIELD_NUMBER: _builtins.int
+    LANE_CULANE_FN_30_FIELD_NUMBER: _builtins.int
+    FILTER_TP_FIELD_NUMBER: _builtins.int
+    FILTER_FP_FIELD_NUMBER: _builtins.int
+    FILTER_FN_FIELD_NUMBER: _builtins.int
+    FILTER_TN_FIELD_NUMBER: _builtins.int
+    FILTER_PRECISION_FIELD_NUMBER: _builtins.int
+    FILTER_RECALL_FIELD_NUMBER: _builtins.int
+    STEREO_ABS_REL_FIELD_NUMBER: _builtins.int
+    STEREO_COVERAGE_FIELD_NUMBER: _builtins.int
+    TRUE_X_M_FIELD_NUMBER: _builtins.int
+    TRUE_Y_M_FIELD_NUMBER: _builtins.int
+    TRUE_Z_M_FIELD_NUMBER: _builtins.int
+    TRUE_QX_FIELD_NUMBER: _builtins.int
+    TRUE_QY_FIELD_NUMBER: _builtins.int
+    TRUE_QZ_FIELD_NUMBER: _builtins.int
+    TRUE_QW_FIELD_NUMBER: _builtins.int
     TIME_TO_IMPACT_STD_S_FIELD_NUMBER: _builtins.int
     frame_id: _builtins.str
     log_id: _builtins.str
@@ -807,6 +833,32 @@ class FrameMetrics(_message.Message):
     sync_skew_ms: _builtins.float
     objects_carried: _builtins.int
     surface_height_error_m: _builtins.float
+    lane_left_true_offset_m: _builtins.float
+    lane_right_true_offset_m: _builtins.float
+    lane_tusimple_accuracy: _builtins.float
+    lane_tusimple_fp: _builtins.float
+    lane_tusimple_fn: _builtins.float
+    lane_culane_tp_50: _builtins.int
+    lane_culane_fp_50: _builtins.int
+    lane_culane_fn_50: _builtins.int
+    lane_culane_tp_30: _builtins.int
+    lane_culane_fp_30: _builtins.int
+    lane_culane_fn_30: _builtins.int
+    filter_tp: _builtins.int
+    filter_fp: _builtins.int
+    filter_fn: _builtins.int
+    filter_tn: _builtins.int
+    filter_precision: _builtins.float
+    filter_recall: _builtins.float
+    stereo_abs_rel: _builtins.float
+    stereo_coverage: _builtins.float
+    true_x_m: _builtins.float
+    true_y_m: _builtins.float
+    true_z_m: _builtins.float
+    true_qx: _builtins.float
+    true_qy: _builtins.float
+    true_qz: _builtins.float
+    true_qw: _builtins.float
     time_to_impact_std_s: _builtins.float
     @_builtins.property
     def timestamp(self) -> _timestamp_pb2.Timestamp:
@@ -876,11 +928,37 @@ class FrameMetrics(_message.Message):
         reasons: _abc.Iterable[_builtins.str] | None = ...,
         objects_carried: _builtins.int | None = ...,
         surface_height_error_m: _builtins.float | None = ...,
+        lane_left_true_offset_m: _builtins.float | None = ...,
+        lane_right_true_offset_m: _builtins.float | None = ...,
+        lane_tusimple_accuracy: _builtins.float | None = ...,
+        lane_tusimple_fp: _builtins.float | None = ...,
+        lane_tusimple_fn: _builtins.float | None = ...,
+        lane_culane_tp_50: _builtins.int | None = ...,
+        lane_culane_fp_50: _builtins.int | None = ...,
+        lane_culane_fn_50: _builtins.int | None = ...,
+        lane_culane_tp_30: _builtins.int | None = ...,
+        lane_culane_fp_30: _builtins.int | None = ...,
+        lane_culane_fn_30: _builtins.int | None = ...,
+        filter_tp: _builtins.int | None = ...,
+        filter_fp: _builtins.int | None = ...,
+        filter_fn: _builtins.int | None = ...,
+        filter_tn: _builtins.int | None = ...,
+        filter_precision: _builtins.float | None = ...,
+        filter_recall: _builtins.float | None = ...,
+        stereo_abs_rel: _builtins.float | None = ...,
+        stereo_coverage: _builtins.float | None = ...,
+        true_x_m: _builtins.float | None = ...,
+        true_y_m: _builtins.float | None = ...,
+        true_z_m: _builtins.float | None = ...,
+        true_qx: _builtins.float | None = ...,
+        true_qy: _builtins.float | None = ...,
+        true_qz: _builtins.float | None = ...,
+        true_qw: _builtins.float | None = ...,
         time_to_impact_std_s: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_camera_height_error_m", b"_camera_height_error_m", "_camera_height_m", b"_camera_height_m", "_camera_pitch_deg", b"_camera_pitch_deg", "_camera_roll_deg", b"_camera_roll_deg", "_detections", b"_detections", "_detections_kept", b"_detections_kept", "_detections_unjudged", b"_detections_unjudged", "_drivable_iou", b"_drivable_iou", "_drivable_ratio", b"_drivable_ratio", "_lane_heading_deg", b"_lane_heading_deg", "_lane_left_boundary_class", b"_lane_left_boundary_class", "_lane_left_error_m", b"_lane_left_error_m", "_lane_left_offset_m", b"_lane_left_offset_m", "_lane_left_raw_offset_m", b"_lane_left_raw_offset_m", "_lane_left_status", b"_lane_left_status", "_lane_merged", b"_lane_merged", "_lane_proposals", b"_lane_proposals", "_lane_right_boundary_class", b"_lane_right_boundary_class", "_lane_right_error_m", b"_lane_right_error_m", "_lane_right_offset_m", b"_lane_right_offset_m", "_lane_right_raw_offset_m", b"_lane_right_raw_offset_m", "_lane_right_status", b"_lane_right_status", "_lane_width_m", b"_lane_width_m", "_nearest_object_class", b"_nearest_object_class", "_nearest_object_m", b"_nearest_object_m", "_object_distance_error_m", b"_object_distance_error_m", "_objects_carried", b"_objects_carried", "_odom_qw", b"_odom_qw", "_odom_qx", b"_odom_qx", "_odom_qy", b"_odom_qy", "_odom_qz", b"_odom_qz", "_odom_x_m", b"_odom_x_m", "_odom_y_m", b"_odom_y_m", "_odom_z_m", b"_odom_z_m", "_odometry_inliers", b"_odometry_inliers", "_odometry_status", b"_odometry_status", "_step_error_m", b"_step_error_m", "_step_m", b"_step_m", "_stereo_d1_ratio", b"_stereo_d1_ratio", "_stereo_epe_px", b"_stereo_epe_px", "_stereo_nearest_m", b"_stereo_nearest_m", "_stereo_valid_ratio", b"_stereo_valid_ratio", "_surface_angle_error_deg", b"_surface_angle_error_deg", "_surface_height_error_m", b"_surface_height_error_m", "_surface_inlier_ratio", b"_surface_inlier_ratio", "_surface_source", b"_surface_source", "_sync_skew_ms", b"_sync_skew_ms", "_time_to_impact_s", b"_time_to_impact_s", "_time_to_impact_std_s", b"_time_to_impact_std_s", "_turn_deg", b"_turn_deg", "_turn_error_deg", b"_turn_error_deg", "camera_height_error_m", b"camera_height_error_m", "camera_height_m", b"camera_height_m", "camera_pitch_deg", b"camera_pitch_deg", "camera_roll_deg", b"camera_roll_deg", "detections", b"detections", "detections_kept", b"detections_kept", "detections_unjudged", b"detections_unjudged", "drivable_iou", b"drivable_iou", "drivable_ratio", b"drivable_ratio", "lane_heading_deg", b"lane_heading_deg", "lane_left_boundary_class", b"lane_left_boundary_class", "lane_left_error_m", b"lane_left_error_m", "lane_left_offset_m", b"lane_left_offset_m", "lane_left_raw_offset_m", b"lane_left_raw_offset_m", "lane_left_status", b"lane_left_status", "lane_merged", b"lane_merged", "lane_proposals", b"lane_proposals", "lane_right_boundary_class", b"lane_right_boundary_class", "lane_right_error_m", b"lane_right_error_m", "lane_right_offset_m", b"lane_right_offset_m", "lane_right_raw_offset_m", b"lane_right_raw_offset_m", "lane_right_status", b"lane_right_status", "lane_width_m", b"lane_width_m", "nearest_object_class", b"nearest_object_class", "nearest_object_m", b"nearest_object_m", "object_distance_error_m", b"object_distance_error_m", "objects_carried", b"objects_carried", "odom_qw", b"odom_qw", "odom_qx", b"odom_qx", "odom_qy", b"odom_qy", "odom_qz", b"odom_qz", "odom_x_m", b"odom_x_m", "odom_y_m", b"odom_y_m", "odom_z_m", b"odom_z_m", "odometry_inliers", b"odometry_inliers", "odometry_status", b"odometry_status", "step_error_m", b"step_error_m", "step_m", b"step_m", "stereo_d1_ratio", b"stereo_d1_ratio", "stereo_epe_px", b"stereo_epe_px", "stereo_nearest_m", b"stereo_nearest_m", "stereo_valid_ratio", b"stereo_valid_ratio", "surface_angle_error_deg", b"surface_angle_error_deg", "surface_height_error_m", b"surface_height_error_m", "surface_inlier_ratio", b"surface_inlier_ratio", "surface_source", b"surface_source", "sync_skew_ms", b"sync_skew_ms", "time_to_impact_s", b"time_to_impact_s", "time_to_impact_std_s", b"time_to_impact_std_s", "timestamp", b"timestamp", "turn_deg", b"turn_deg", "turn_error_deg", b"turn_error_deg"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_camera_height_error_m", b"_camera_height_error_m", "_camera_height_m", b"_camera_height_m", "_camera_pitch_deg", b"_camera_pitch_deg", "_camera_roll_deg", b"_camera_roll_deg", "_detections", b"_detections", "_detections_kept", b"_detections_kept", "_detections_unjudged", b"_detections_unjudged", "_drivable_iou", b"_drivable_iou", "_drivable_ratio", b"_drivable_ratio", "_filter_fn", b"_filter_fn", "_filter_fp", b"_filter_fp", "_filter_precision", b"_filter_precision", "_filter_recall", b"_filter_recall", "_filter_tn", b"_filter_tn", "_filter_tp", b"_filter_tp", "_lane_culane_fn_30", b"_lane_culane_fn_30", "_lane_culane_fn_50", b"_lane_culane_fn_50", "_lane_culane_fp_30", b"_lane_culane_fp_30", "_lane_culane_fp_50", b"_lane_culane_fp_50", "_lane_culane_tp_30", b"_lane_culane_tp_30", "_lane_culane_tp_50", b"_lane_culane_tp_50", "_lane_heading_deg", b"_lane_heading_deg", "_lane_left_boundary_class", b"_lane_left_boundary_class", "_lane_left_error_m", b"_lane_left_error_m", "_lane_left_offset_m", b"_lane_left_offset_m", "_lane_left_raw_offset_m", b"_lane_left_raw_offset_m", "_lane_left_status", b"_lane_left_status", "_lane_left_true_offset_m", b"_lane_left_true_offset_m", "_lane_merged", b"_lane_merged", "_lane_proposals", b"_lane_proposals", "_lane_right_boundary_class", b"_lane_right_boundary_class", "_lane_right_error_m", b"_lane_right_error_m", "_lane_right_offset_m", b"_lane_right_offset_m", "_lane_right_raw_offset_m", b"_lane_right_raw_offset_m", "_lane_right_status", b"_lane_right_status", "_lane_right_true_offset_m", b"_lane_right_true_offset_m", "_lane_tusimple_accuracy", b"_lane_tusimple_accuracy", "_lane_tusimple_fn", b"_lane_tusimple_fn", "_lane_tusimple_fp", b"_lane_tusimple_fp", "_lane_width_m", b"_lane_width_m", "_nearest_object_class", b"_nearest_object_class", "_nearest_object_m", b"_nearest_object_m", "_object_distance_error_m", b"_object_distance_error_m", "_objects_carried", b"_objects_carried", "_odom_qw", b"_odom_qw", "_odom_qx", b"_odom_qx", "_odom_qy", b"_odom_qy", "_odom_qz", b"_odom_qz", "_odom_x_m", b"_odom_x_m", "_odom_y_m", b"_odom_y_m", "_odom_z_m", b"_odom_z_m", "_odometry_inliers", b"_odometry_inliers", "_odometry_status", b"_odometry_status", "_step_error_m", b"_step_error_m", "_step_m", b"_step_m", "_stereo_abs_rel", b"_stereo_abs_rel", "_stereo_coverage", b"_stereo_coverage", "_stereo_d1_ratio", b"_stereo_d1_ratio", "_stereo_epe_px", b"_stereo_epe_px", "_stereo_nearest_m", b"_stereo_nearest_m", "_stereo_valid_ratio", b"_stereo_valid_ratio", "_surface_angle_error_deg", b"_surface_angle_error_deg", "_surface_height_error_m", b"_surface_height_error_m", "_surface_inlier_ratio", b"_surface_inlier_ratio", "_surface_source", b"_surface_source", "_sync_skew_ms", b"_sync_skew_ms", "_time_to_impact_s", b"_time_to_impact_s", "_time_to_impact_std_s", b"_time_to_impact_std_s", "_true_qw", b"_true_qw", "_true_qx", b"_true_qx", "_true_qy", b"_true_qy", "_true_qz", b"_true_qz", "_true_x_m", b"_true_x_m", "_true_y_m", b"_true_y_m", "_true_z_m", b"_true_z_m", "_turn_deg", b"_turn_deg", "_turn_error_deg", b"_turn_error_deg", "camera_height_error_m", b"camera_height_error_m", "camera_height_m", b"camera_height_m", "camera_pitch_deg", b"camera_pitch_deg", "camera_roll_deg", b"camera_roll_deg", "detections", b"detections", "detections_kept", b"detections_kept", "detections_unjudged", b"detections_unjudged", "drivable_iou", b"drivable_iou", "drivable_ratio", b"drivable_ratio", "filter_fn", b"filter_fn", "filter_fp", b"filter_fp", "filter_precision", b"filter_precision", "filter_recall", b"filter_recall", "filter_tn", b"filter_tn", "filter_tp", b"filter_tp", "lane_culane_fn_30", b"lane_culane_fn_30", "lane_culane_fn_50", b"lane_culane_fn_50", "lane_culane_fp_30", b"lane_culane_fp_30", "lane_culane_fp_50", b"lane_culane_fp_50", "lane_culane_tp_30", b"lane_culane_tp_30", "lane_culane_tp_50", b"lane_culane_tp_50", "lane_heading_deg", b"lane_heading_deg", "lane_left_boundary_class", b"lane_left_boundary_class", "lane_left_error_m", b"lane_left_error_m", "lane_left_offset_m", b"lane_left_offset_m", "lane_left_raw_offset_m", b"lane_left_raw_offset_m", "lane_left_status", b"lane_left_status", "lane_left_true_offset_m", b"lane_left_true_offset_m", "lane_merged", b"lane_merged", "lane_proposals", b"lane_proposals", "lane_right_boundary_class", b"lane_right_boundary_class", "lane_right_error_m", b"lane_right_error_m", "lane_right_offset_m", b"lane_right_offset_m", "lane_right_raw_offset_m", b"lane_right_raw_offset_m", "lane_right_status", b"lane_right_status", "lane_right_true_offset_m", b"lane_right_true_offset_m", "lane_tusimple_accuracy", b"lane_tusimple_accuracy", "lane_tusimple_fn", b"lane_tusimple_fn", "lane_tusimple_fp", b"lane_tusimple_fp", "lane_width_m", b"lane_width_m", "nearest_object_class", b"nearest_object_class", "nearest_object_m", b"nearest_object_m", "object_distance_error_m", b"object_distance_error_m", "objects_carried", b"objects_carried", "odom_qw", b"odom_qw", "odom_qx", b"odom_qx", "odom_qy", b"odom_qy", "odom_qz", b"odom_qz", "odom_x_m", b"odom_x_m", "odom_y_m", b"odom_y_m", "odom_z_m", b"odom_z_m", "odometry_inliers", b"odometry_inliers", "odometry_status", b"odometry_status", "step_error_m", b"step_error_m", "step_m", b"step_m", "stereo_abs_rel", b"stereo_abs_rel", "stereo_coverage", b"stereo_coverage", "stereo_d1_ratio", b"stereo_d1_ratio", "stereo_epe_px", b"stereo_epe_px", "stereo_nearest_m", b"stereo_nearest_m", "stereo_valid_ratio", b"stereo_valid_ratio", "surface_angle_error_deg", b"surface_angle_error_deg", "surface_height_error_m", b"surface_height_error_m", "surface_inlier_ratio", b"surface_inlier_ratio", "surface_source", b"surface_source", "sync_skew_ms", b"sync_skew_ms", "time_to_impact_s", b"time_to_impact_s", "time_to_impact_std_s", b"time_to_impact_std_s", "timestamp", b"timestamp", "true_qw", b"true_qw", "true_qx", b"true_qx", "true_qy", b"true_qy", "true_qz", b"true_qz", "true_x_m", b"true_x_m", "true_y_m", b"true_y_m", "true_z_m", b"true_z_m", "turn_deg", b"turn_deg", "turn_error_deg", b"turn_error_deg"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_camera_height_error_m", b"_camera_height_error_m", "_camera_height_m", b"_camera_height_m", "_camera_pitch_deg", b"_camera_pitch_deg", "_camera_roll_deg", b"_camera_roll_deg", "_detections", b"_detections", "_detections_kept", b"_detections_kept", "_detections_unjudged", b"_detections_unjudged", "_drivable_iou", b"_drivable_iou", "_drivable_ratio", b"_drivable_ratio", "_lane_heading_deg", b"_lane_heading_deg", "_lane_left_boundary_class", b"_lane_left_boundary_class", "_lane_left_error_m", b"_lane_left_error_m", "_lane_left_offset_m", b"_lane_left_offset_m", "_lane_left_raw_offset_m", b"_lane_left_raw_offset_m", "_lane_left_status", b"_lane_left_status", "_lane_merged", b"_lane_merged", "_lane_proposals", b"_lane_proposals", "_lane_right_boundary_class", b"_lane_right_boundary_class", "_lane_right_error_m", b"_lane_right_error_m", "_lane_right_offset_m", b"_lane_right_offset_m", "_lane_right_raw_offset_m", b"_lane_right_raw_offset_m", "_lane_right_status", b"_lane_right_status", "_lane_width_m", b"_lane_width_m", "_nearest_object_class", b"_nearest_object_class", "_nearest_object_m", b"_nearest_object_m", "_object_distance_error_m", b"_object_distance_error_m", "_objects_carried", b"_objects_carried", "_odom_qw", b"_odom_qw", "_odom_qx", b"_odom_qx", "_odom_qy", b"_odom_qy", "_odom_qz", b"_odom_qz", "_odom_x_m", b"_odom_x_m", "_odom_y_m", b"_odom_y_m", "_odom_z_m", b"_odom_z_m", "_odometry_inliers", b"_odometry_inliers", "_odometry_status", b"_odometry_status", "_step_error_m", b"_step_error_m", "_step_m", b"_step_m", "_stereo_d1_ratio", b"_stereo_d1_ratio", "_stereo_epe_px", b"_stereo_epe_px", "_stereo_nearest_m", b"_stereo_nearest_m", "_stereo_valid_ratio", b"_stereo_valid_ratio", "_surface_angle_error_deg", b"_surface_angle_error_deg", "_surface_height_error_m", b"_surface_height_error_m", "_surface_inlier_ratio", b"_surface_inlier_ratio", "_surface_source", b"_surface_source", "_sync_skew_ms", b"_sync_skew_ms", "_time_to_impact_s", b"_time_to_impact_s", "_time_to_impact_std_s", b"_time_to_impact_std_s", "_turn_deg", b"_turn_deg", "_turn_error_deg", b"_turn_error_deg", "camera_height_error_m", b"camera_height_error_m", "camera_height_m", b"camera_height_m", "camera_pitch_deg", b"camera_pitch_deg", "camera_roll_deg", b"camera_roll_deg", "detections", b"detections", "detections_kept", b"detections_kept", "detections_unjudged", b"detections_unjudged", "drivable_iou", b"drivable_iou", "drivable_ratio", b"drivable_ratio", "frame", b"frame", "frame_id", b"frame_id", "lane_heading_deg", b"lane_heading_deg", "lane_left_boundary_class", b"lane_left_boundary_class", "lane_left_error_m", b"lane_left_error_m", "lane_left_offset_m", b"lane_left_offset_m", "lane_left_raw_offset_m", b"lane_left_raw_offset_m", "lane_left_status", b"lane_left_status", "lane_merged", b"lane_merged", "lane_proposals", b"lane_proposals", "lane_right_boundary_class", b"lane_right_boundary_class", "lane_right_error_m", b"lane_right_error_m", "lane_right_offset_m", b"lane_right_offset_m", "lane_right_raw_offset_m", b"lane_right_raw_offset_m", "lane_right_status", b"lane_right_status", "lane_width_m", b"lane_width_m", "log_id", b"log_id", "missing", b"missing", "nearest_object_class", b"nearest_object_class", "nearest_object_m", b"nearest_object_m", "object_distance_error_m", b"object_distance_error_m", "objects_carried", b"objects_carried", "odom_qw", b"odom_qw", "odom_qx", b"odom_qx", "odom_qy", b"odom_qy", "odom_qz", b"odom_qz", "odom_x_m", b"odom_x_m", "odom_y_m", b"odom_y_m", "odom_z_m", b"odom_z_m", "odometry_inliers", b"odometry_inliers", "odometry_status", b"odometry_status", "reasons", b"reasons", "stamp_ns", b"stamp_ns", "step_error_m", b"step_error_m", "step_m", b"step_m", "stereo_d1_ratio", b"stereo_d1_ratio", "stereo_epe_px", b"stereo_epe_px", "stereo_nearest_m", b"stereo_nearest_m", "stereo_valid_ratio", b"stereo_valid_ratio", "surface_angle_error_deg", b"surface_angle_error_deg", "surface_height_error_m", b"surface_height_error_m", "surface_inlier_ratio", b"surface_inlier_ratio", "surface_source", b"surface_source", "sync_skew_ms", b"sync_skew_ms", "time_to_impact_s", b"time_to_impact_s", "time_to_impact_std_s", b"time_to_impact_std_s", "timestamp", b"timestamp", "turn_deg", b"turn_deg", "turn_error_deg", b"turn_error_deg"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_camera_height_error_m", b"_camera_height_error_m", "_camera_height_m", b"_camera_height_m", "_camera_pitch_deg", b"_camera_pitch_deg", "_camera_roll_deg", b"_camera_roll_deg", "_detections", b"_detections", "_detections_kept", b"_detections_kept", "_detections_unjudged", b"_detections_unjudged", "_drivable_iou", b"_drivable_iou", "_drivable_ratio", b"_drivable_ratio", "_filter_fn", b"_filter_fn", "_filter_fp", b"_filter_fp", "_filter_precision", b"_filter_precision", "_filter_recall", b"_filter_recall", "_filter_tn", b"_filter_tn", "_filter_tp", b"_filter_tp", "_lane_culane_fn_30", b"_lane_culane_fn_30", "_lane_culane_fn_50", b"_lane_culane_fn_50", "_lane_culane_fp_30", b"_lane_culane_fp_30", "_lane_culane_fp_50", b"_lane_culane_fp_50", "_lane_culane_tp_30", b"_lane_culane_tp_30", "_lane_culane_tp_50", b"_lane_culane_tp_50", "_lane_heading_deg", b"_lane_heading_deg", "_lane_left_boundary_class", b"_lane_left_boundary_class", "_lane_left_error_m", b"_lane_left_error_m", "_lane_left_offset_m", b"_lane_left_offset_m", "_lane_left_raw_offset_m", b"_lane_left_raw_offset_m", "_lane_left_status", b"_lane_left_status", "_lane_left_true_offset_m", b"_lane_left_true_offset_m", "_lane_merged", b"_lane_merged", "_lane_proposals", b"_lane_proposals", "_lane_right_boundary_class", b"_lane_right_boundary_class", "_lane_right_error_m", b"_lane_right_error_m", "_lane_right_offset_m", b"_lane_right_offset_m", "_lane_right_raw_offset_m", b"_lane_right_raw_offset_m", "_lane_right_status", b"_lane_right_status", "_lane_right_true_offset_m", b"_lane_right_true_offset_m", "_lane_tusimple_accuracy", b"_lane_tusimple_accuracy", "_lane_tusimple_fn", b"_lane_tusimple_fn", "_lane_tusimple_fp", b"_lane_tusimple_fp", "_lane_width_m", b"_lane_width_m", "_nearest_object_class", b"_nearest_object_class", "_nearest_object_m", b"_nearest_object_m", "_object_distance_error_m", b"_object_distance_error_m", "_objects_carried", b"_objects_carried", "_odom_qw", b"_odom_qw", "_odom_qx", b"_odom_qx", "_odom_qy", b"_odom_qy", "_odom_qz", b"_odom_qz", "_odom_x_m", b"_odom_x_m", "_odom_y_m", b"_odom_y_m", "_odom_z_m", b"_odom_z_m", "_odometry_inliers", b"_odometry_inliers", "_odometry_status", b"_odometry_status", "_step_error_m", b"_step_error_m", "_step_m", b"_step_m", "_stereo_abs_rel", b"_stereo_abs_rel", "_stereo_coverage", b"_stereo_coverage", "_stereo_d1_ratio", b"_stereo_d1_ratio", "_stereo_epe_px", b"_stereo_epe_px", "_stereo_nearest_m", b"_stereo_nearest_m", "_stereo_valid_ratio", b"_stereo_valid_ratio", "_surface_angle_error_deg", b"_surface_angle_error_deg", "_surface_height_error_m", b"_surface_height_error_m", "_surface_inlier_ratio", b"_surface_inlier_ratio", "_surface_source", b"_surface_source", "_sync_skew_ms", b"_sync_skew_ms", "_time_to_impact_s", b"_time_to_impact_s", "_time_to_impact_std_s", b"_time_to_impact_std_s", "_true_qw", b"_true_qw", "_true_qx", b"_true_qx", "_true_qy", b"_true_qy", "_true_qz", b"_true_qz", "_true_x_m", b"_true_x_m", "_true_y_m", b"_true_y_m", "_true_z_m", b"_true_z_m", "_turn_deg", b"_turn_deg", "_turn_error_deg", b"_turn_error_deg", "camera_height_error_m", b"camera_height_error_m", "camera_height_m", b"camera_height_m", "camera_pitch_deg", b"camera_pitch_deg", "camera_roll_deg", b"camera_roll_deg", "detections", b"detections", "detections_kept", b"detections_kept", "detections_unjudged", b"detections_unjudged", "drivable_iou", b"drivable_iou", "drivable_ratio", b"drivable_ratio", "filter_fn", b"filter_fn", "filter_fp", b"filter_fp", "filter_precision", b"filter_precision", "filter_recall", b"filter_recall", "filter_tn", b"filter_tn", "filter_tp", b"filter_tp", "frame", b"frame", "frame_id", b"frame_id", "lane_culane_fn_30", b"lane_culane_fn_30", "lane_culane_fn_50", b"lane_culane_fn_50", "lane_culane_fp_30", b"lane_culane_fp_30", "lane_culane_fp_50", b"lane_culane_fp_50", "lane_culane_tp_30", b"lane_culane_tp_30", "lane_culane_tp_50", b"lane_culane_tp_50", "lane_heading_deg", b"lane_heading_deg", "lane_left_boundary_class", b"lane_left_boundary_class", "lane_left_error_m", b"lane_left_error_m", "lane_left_offset_m", b"lane_left_offset_m", "lane_left_raw_offset_m", b"lane_left_raw_offset_m", "lane_left_status", b"lane_left_status", "lane_left_true_offset_m", b"lane_left_true_offset_m", "lane_merged", b"lane_merged", "lane_proposals", b"lane_proposals", "lane_right_boundary_class", b"lane_right_boundary_class", "lane_right_error_m", b"lane_right_error_m", "lane_right_offset_m", b"lane_right_offset_m", "lane_right_raw_offset_m", b"lane_right_raw_offset_m", "lane_right_status", b"lane_right_status", "lane_right_true_offset_m", b"lane_right_true_offset_m", "lane_tusimple_accuracy", b"lane_tusimple_accuracy", "lane_tusimple_fn", b"lane_tusimple_fn", "lane_tusimple_fp", b"lane_tusimple_fp", "lane_width_m", b"lane_width_m", "log_id", b"log_id", "missing", b"missing", "nearest_object_class", b"nearest_object_class", "nearest_object_m", b"nearest_object_m", "object_distance_error_m", b"object_distance_error_m", "objects_carried", b"objects_carried", "odom_qw", b"odom_qw", "odom_qx", b"odom_qx", "odom_qy", b"odom_qy", "odom_qz", b"odom_qz", "odom_x_m", b"odom_x_m", "odom_y_m", b"odom_y_m", "odom_z_m", b"odom_z_m", "odometry_inliers", b"odometry_inliers", "odometry_status", b"odometry_status", "reasons", b"reasons", "stamp_ns", b"stamp_ns", "step_error_m", b"step_error_m", "step_m", b"step_m", "stereo_abs_rel", b"stereo_abs_rel", "stereo_coverage", b"stereo_coverage", "stereo_d1_ratio", b"stereo_d1_ratio", "stereo_epe_px", b"stereo_epe_px", "stereo_nearest_m", b"stereo_nearest_m", "stereo_valid_ratio", b"stereo_valid_ratio", "surface_angle_error_deg", b"surface_angle_error_deg", "surface_height_error_m", b"surface_height_error_m", "surface_inlier_ratio", b"surface_inlier_ratio", "surface_source", b"surface_source", "sync_skew_ms", b"sync_skew_ms", "time_to_impact_s", b"time_to_impact_s", "time_to_impact_std_s", b"time_to_impact_std_s", "timestamp", b"timestamp", "true_qw", b"true_qw", "true_qx", b"true_qx", "true_qy", b"true_qy", "true_qz", b"true_qz", "true_x_m", b"true_x_m", "true_y_m", b"true_y_m", "true_z_m", b"true_z_m", "turn_deg", b"turn_deg", "turn_error_deg", b"turn_error_deg"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
     _WhichOneofReturnType__camera_height_error_m: _TypeAlias = _typing.Literal["camera_height_error_m"]  # noqa: Y015
     _WhichOneofArgType__camera_height_error_m: _TypeAlias = _typing.Literal["_camera_height_error_m", b"_camera_height_error_m"]  # noqa: Y015
@@ -900,6 +978,30 @@ class FrameMetrics(_message.Message):
     _WhichOneofArgType__drivable_iou: _TypeAlias = _typing.Literal["_drivable_iou", b"_drivable_iou"]  # noqa: Y015
     _WhichOneofReturnType__drivable_ratio: _TypeAlias = _typing.Literal["drivable_ratio"]  # noqa: Y015
     _WhichOneofArgType__drivable_ratio: _TypeAlias = _typing.Literal["_drivable_ratio", b"_drivable_ratio"]  # noqa: Y015
+    _WhichOneofReturnType__filter_fn: _TypeAlias = _typing.Literal["filter_fn"]  # noqa: Y015
+    _WhichOneofArgType__filter_fn: _TypeAlias = _typing.Literal["_filter_fn", b"_filter_fn"]  # noqa: Y015
+    _WhichOneofReturnType__filter_fp: _TypeAlias = _typing.Literal["filter_fp"]  # noqa: Y015
+    _WhichOneofArgType__filter_fp: _TypeAlias = _typing.Literal["_filter_fp", b"_filter_fp"]  # noqa: Y015
+    _WhichOneofReturnType__filter_precision: _TypeAlias = _typing.Literal["filter_precision"]  # noqa: Y015
+    _WhichOneofArgType__filter_precision: _TypeAlias = _typing.Literal["_filter_precision", b"_filter_precision"]  # noqa: Y015
+    _WhichOneofReturnType__filter_recall: _TypeAlias = _typing.Literal["filter_recall"]  # noqa: Y015
+    _WhichOneofArgType__filter_recall: _TypeAlias = _typing.Literal["_filter_recall", b"_filter_recall"]  # noqa: Y015
+    _WhichOneofReturnType__filter_tn: _TypeAlias = _typing.Literal["filter_tn"]  # noqa: Y015
+    _WhichOneofArgType__filter_tn: _TypeAlias = _typing.Literal["_filter_tn", b"_filter_tn"]  # noqa: Y015
+    _WhichOneofReturnType__filter_tp: _TypeAlias = _typing.Literal["filter_tp"]  # noqa: Y015
+    _WhichOneofArgType__filter_tp: _TypeAlias = _typing.Literal["_filter_tp", b"_filter_tp"]  # noqa: Y015
+    _WhichOneofReturnType__lane_culane_fn_30: _TypeAlias = _typing.Literal["lane_culane_fn_30"]  # noqa: Y015
+    _WhichOneofArgType__lane_culane_fn_30: _TypeAlias = _typing.Literal["_lane_culane_fn_30", b"_lane_culane_fn_30"]  # noqa: Y015
+    _WhichOneofReturnType__lane_culane_fn_50: _TypeAlias = _typing.Literal["lane_culane_fn_50"]  # noqa: Y015
+    _WhichOneofArgType__lane_culane_fn_50: _TypeAlias = _typing.Literal["_lane_culane_fn_50", b"_lane_culane_fn_50"]  # noqa: Y015
+    _WhichOneofReturnType__lane_culane_fp_30: _TypeAlias = _typing.Literal["lane_culane_fp_30"]  # noqa: Y015
+    _WhichOneofArgType__lane_culane_fp_30: _TypeAlias = _typing.Literal["_lane_culane_fp_30", b"_lane_culane_fp_30"]  # noqa: Y015
+    _WhichOneofReturnType__lane_culane_fp_50: _TypeAlias = _typing.Literal["lane_culane_fp_50"]  # noqa: Y015
+    _WhichOneofArgType__lane_culane_fp_50: _TypeAlias = _typing.Literal["_lane_culane_fp_50", b"_lane_culane_fp_50"]  # noqa: Y015
+    _WhichOneofReturnType__lane_culane_tp_30: _TypeAlias = _typing.Literal["lane_culane_tp_30"]  # noqa: Y015
+    _WhichOneofArgType__lane_culane_tp_30: _TypeAlias = _typing.Literal["_lane_culane_tp_30", b"_lane_culane_tp_30"]  # noqa: Y015
+    _WhichOneofReturnType__lane_culane_tp_50: _TypeAlias = _typing.Literal["lane_culane_tp_50"]  # noqa: Y015
+    _WhichOneofArgType__lane_culane_tp_50: _TypeAlias = _typing.Literal["_lane_culane_tp_50", b"_lane_culane_tp_50"]  # noqa: Y015
     _WhichOneofReturnType__lane_heading_deg: _TypeAlias = _typing.Literal["lane_heading_deg"]  # noqa: Y015
     _WhichOneofArgType__lane_heading_deg: _TypeAlias = _typing.Literal["_lane_heading_deg", b"_lane_heading_deg"]  # noqa: Y015
     _WhichOneofReturnType__lane_left_boundary_class: _TypeAlias = _typing.Literal["lane_left_boundary_class"]  # noqa: Y015
@@ -912,6 +1014,8 @@ class FrameMetrics(_message.Message):
     _WhichOneofArgType__lane_left_raw_offset_m: _TypeAlias = _typing.Literal["_lane_left_raw_offset_m", b"_lane_left_raw_offset_m"]  # noqa: Y015
     _WhichOneofReturnType__lane_left_status: _TypeAlias = _typing.Literal["lane_left_status"]  # noqa: Y015
     _WhichOneofArgType__lane_left_status: _TypeAlias = _typing.Literal["_lane_left_status", b"_lane_left_status"]  # noqa: Y015
+    _WhichOneofReturnType__lane_left_true_offset_m: _TypeAlias = _typing.Literal["lane_left_true_offset_m"]  # noqa: Y015
+    _WhichOneofArgType__lane_left_true_offset_m: _TypeAlias = _typing.Literal["_lane_left_true_offset_m", b"_lane_left_true_offset_m"]  # noqa: Y015
     _WhichOneofReturnType__lane_merged: _TypeAlias = _typing.Literal["lane_merged"]  # noqa: Y015
     _WhichOneofArgType__lane_merged: _TypeAlias = _typing.Literal["_lane_merged", b"_lane_merged"]  # noqa: Y015
     _WhichOneofReturnType__lane_proposals: _TypeAlias = _typing.Literal["lane_proposals"]  # noqa: Y015
@@ -926,6 +1030,14 @@ class FrameMetrics(_message.Message):
     _WhichOneofArgType__lane_right_raw_offset_m: _TypeAlias = _typing.Literal["_lane_right_raw_offset_m", b"_lane_right_raw_offset_m"]  # noqa: Y015
     _WhichOneofReturnType__lane_right_status: _TypeAlias = _typing.Literal["lane_right_status"]  # noqa: Y015
     _WhichOneofArgType__lane_right_status: _TypeAlias = _typing.Literal["_lane_right_status", b"_lane_right_status"]  # noqa: Y015
+    _WhichOneofReturnType__lane_right_true_offset_m: _TypeAlias = _typing.Literal["lane_right_true_offset_m"]  # noqa: Y015
+    _WhichOneofArgType__lane_right_true_offset_m: _TypeAlias = _typing.Literal["_lane_right_true_offset_m", b"_lane_right_true_offset_m"]  # noqa: Y015
+    _WhichOneofReturnType__lane_tusimple_accuracy: _TypeAlias = _typing.Literal["lane_tusimple_accuracy"]  # noqa: Y015
+    _WhichOneofArgType__lane_tusimple_accuracy: _TypeAlias = _typing.Literal["_lane_tusimple_accuracy", b"_lane_tusimple_accuracy"]  # noqa: Y015
+    _WhichOneofReturnType__lane_tusimple_fn: _TypeAlias = _typing.Literal["lane_tusimple_fn"]  # noqa: Y015
+    _WhichOneofArgType__lane_tusimple_fn: _TypeAlias = _typing.Literal["_lane_tusimple_fn", b"_lane_tusimple_fn"]  # noqa: Y015
+    _WhichOneofReturnType__lane_tusimple_fp: _TypeAlias = _typing.Literal["lane_tusimple_fp"]  # noqa: Y015
+    _WhichOneofArgType__lane_tusimple_fp: _TypeAlias = _typing.Literal["_lane_tusimple_fp", b"_lane_tusimple_fp"]  # noqa: Y015
     _WhichOneofReturnType__lane_width_m: _TypeAlias = _typing.Literal["lane_width_m"]  # noqa: Y015
     _WhichOneofArgType__lane_width_m: _TypeAlias = _typing.Literal["_lane_width_m", b"_lane_width_m"]  # noqa: Y015
     _WhichOneofReturnType__nearest_object_class: _TypeAlias = _typing.Literal["nearest_object_class"]  # noqa: Y015
@@ -958,6 +1070,10 @@ class FrameMetrics(_message.Message):
     _WhichOneofArgType__step_error_m: _TypeAlias = _typing.Literal["_step_error_m", b"_step_error_m"]  # noqa: Y015
     _WhichOneofReturnType__step_m: _TypeAlias = _typing.Literal["step_m"]  # noqa: Y015
     _WhichOneofArgType__step_m: _TypeAlias = _typing.Literal["_step_m", b"_step_m"]  # noqa: Y015
+    _WhichOneofReturnType__stereo_abs_rel: _TypeAlias = _typing.Literal["stereo_abs_rel"]  # noqa: Y015
+    _WhichOneofArgType__stereo_abs_rel: _TypeAlias = _typing.Literal["_stereo_abs_rel", b"_stereo_abs_rel"]  # noqa: Y015
+    _WhichOneofReturnType__stereo_coverage: _TypeAlias = _typing.Literal["stereo_coverage"]  # noqa: Y015
+    _WhichOneofArgType__stereo_coverage: _TypeAlias = _typing.Literal["_stereo_coverage", b"_stereo_coverage"]  # noqa: Y015
     _WhichOneofReturnType__stereo_d1_ratio: _TypeAlias = _typing.Literal["stereo_d1_ratio"]  # noqa: Y015
     _WhichOneofArgType__stereo_d1_ratio: _TypeAlias = _typing.Literal["_stereo_d1_ratio", b"_stereo_d1_ratio"]  # noqa: Y015
     _WhichOneofReturnType__stereo_epe_px: _TypeAlias = _typing.Literal["stereo_epe_px"]  # noqa: Y015
@@ -980,6 +1096,20 @@ class FrameMetrics(_message.Message):
     _WhichOneofArgType__time_to_impact_s: _TypeAlias = _typing.Literal["_time_to_impact_s", b"_time_to_impact_s"]  # noqa: Y015
     _WhichOneofReturnType__time_to_impact_std_s: _TypeAlias = _typing.Literal["time_to_impact_std_s"]  # noqa: Y015
     _WhichOneofArgType__time_to_impact_std_s: _TypeAlias = _typing.Literal["_time_to_impact_std_s", b"_time_to_impact_std_s"]  # noqa: Y015
+    _WhichOneofReturnType__true_qw: _TypeAlias = _typing.Literal["true_qw"]  # noqa: Y015
+    _WhichOneofArgType__true_qw: _TypeAlias = _typing.Literal["_true_qw", b"_true_qw"]  # noqa: Y015
+    _WhichOneofReturnType__true_qx: _TypeAlias = _typing.Literal["true_qx"]  # noqa: Y015
+    _WhichOneofArgType__true_qx: _TypeAlias = _typing.Literal["_true_qx", b"_true_qx"]  # noqa: Y015
+    _WhichOneofReturnType__true_qy: _TypeAlias = _typing.Literal["true_qy"]  # noqa: Y015
+    _WhichOneofArgType__true_qy: _TypeAlias = _typing.Literal["_true_qy", b"_true_qy"]  # noqa: Y015
+    _WhichOneofReturnType__true_qz: _TypeAlias = _typing.Literal["true_qz"]  # noqa: Y015
+    _WhichOneofArgType__true_qz: _TypeAlias = _typing.Literal["_true_qz", b"_true_qz"]  # noqa: Y015
+    _WhichOneofReturnType__true_x_m: _TypeAlias = _typing.Literal["true_x_m"]  # noqa: Y015
+    _WhichOneofArgType__true_x_m: _TypeAlias = _typing.Literal["_true_x_m", b"_true_x_m"]  # noqa: Y015
+    _WhichOneofReturnType__true_y_m: _TypeAlias = _typing.Literal["true_y_m"]  # noqa: Y015
+    _WhichOneofArgType__true_y_m: _TypeAlias = _typing.Literal["_true_y_m", b"_true_y_m"]  # noqa: Y015
+    _WhichOneofReturnType__true_z_m: _TypeAlias = _typing.Literal["true_z_m"]  # noqa: Y015
+    _WhichOneofArgType__true_z_m: _TypeAlias = _typing.Literal["_true_z_m", b"_true_z_m"]  # noqa: Y015
     _WhichOneofReturnType__turn_deg: _TypeAlias = _typing.Literal["turn_deg"]  # noqa: Y015
     _WhichOneofArgType__turn_deg: _TypeAlias = _typing.Literal["_turn_deg", b"_turn_deg"]  # noqa: Y015
     _WhichOneofReturnType__turn_error_deg: _TypeAlias = _typing.Literal["turn_error_deg"]  # noqa: Y015
@@ -1003,6 +1133,30 @@ class FrameMetrics(_message.Message):
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__drivable_ratio) -> _WhichOneofReturnType__drivable_ratio | None: ...
     @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_fn) -> _WhichOneofReturnType__filter_fn | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_fp) -> _WhichOneofReturnType__filter_fp | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_precision) -> _WhichOneofReturnType__filter_precision | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_recall) -> _WhichOneofReturnType__filter_recall | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_tn) -> _WhichOneofReturnType__filter_tn | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__filter_tp) -> _WhichOneofReturnType__filter_tp | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_fn_30) -> _WhichOneofReturnType__lane_culane_fn_30 | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_fn_50) -> _WhichOneofReturnType__lane_culane_fn_50 | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_fp_30) -> _WhichOneofReturnType__lane_culane_fp_30 | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_fp_50) -> _WhichOneofReturnType__lane_culane_fp_50 | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_tp_30) -> _WhichOneofReturnType__lane_culane_tp_30 | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_culane_tp_50) -> _WhichOneofReturnType__lane_culane_tp_50 | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_heading_deg) -> _WhichOneofReturnType__lane_heading_deg | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_boundary_class) -> _WhichOneofReturnType__lane_left_boundary_class | None: ...
@@ -1014,6 +1168,8 @@ class FrameMetrics(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_raw_offset_m) -> _WhichOneofReturnType__lane_left_raw_offset_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_status) -> _WhichOneofReturnType__lane_left_status | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_left_true_offset_m) -> _WhichOneofReturnType__lane_left_true_offset_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_merged) -> _WhichOneofReturnType__lane_merged | None: ...
     @_typing.overload
@@ -1028,6 +1184,14 @@ class FrameMetrics(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_raw_offset_m) -> _WhichOneofReturnType__lane_right_raw_offset_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_status) -> _WhichOneofReturnType__lane_right_status | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_right_true_offset_m) -> _WhichOneofReturnType__lane_right_true_offset_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_tusimple_accuracy) -> _WhichOneofReturnType__lane_tusimple_accuracy | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_tusimple_fn) -> _WhichOneofReturnType__lane_tusimple_fn | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_tusimple_fp) -> _WhichOneofReturnType__lane_tusimple_fp | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__lane_width_m) -> _WhichOneofReturnType__lane_width_m | None: ...
     @_typing.overload
@@ -1061,6 +1225,10 @@ class FrameMetrics(_message.Message):
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__step_m) -> _WhichOneofReturnType__step_m | None: ...
     @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_abs_rel) -> _WhichOneofReturnType__stereo_abs_rel | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_coverage) -> _WhichOneofReturnType__stereo_coverage | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_d1_ratio) -> _WhichOneofReturnType__stereo_d1_ratio | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_epe_px) -> _WhichOneofReturnType__stereo_epe_px | None: ...
@@ -1082,6 +1250,20 @@ class FrameMetrics(_message.Message):
     def WhichOneof(self, oneof_group: _WhichOneofArgType__time_to_impact_s) -> _WhichOneofReturnType__time_to_impact_s | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__time_to_impact_std_s) -> _WhichOneofReturnType__time_to_impact_std_s | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_qw) -> _WhichOneofReturnType__true_qw | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_qx) -> _WhichOneofReturnType__true_qx | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_qy) -> _WhichOneofReturnType__true_qy | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_qz) -> _WhichOneofReturnType__true_qz | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_x_m) -> _WhichOneofReturnType__true_x_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_y_m) -> _WhichOneofReturnType__true_y_m | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__true_z_m) -> _WhichOneofReturnType__true_z_m | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__turn_deg) -> _WhichOneofReturnType__turn_deg | None: ...
     @_typing.overload

@@ -1,11 +1,13 @@
 """The command: what it prints, how wide, and how it ends."""
 
+import math
 import re
 import subprocess
 import sys
 
 import pytest
 
+from roadperc_stream.eval import summary
 from roadperc_stream.eval.report import main
 from tests.eval.tables import row, write
 
@@ -139,6 +141,56 @@ def test_of_many_logs_the_worst_are_shown(tmp_path, capsys):
     block = text[text.index("Right, log by log") : text.index("Fast, log by log")]
     assert re.findall(r"log(\d\d)", block) == [f"{index:02}" for index in range(13, 1, -1)]
     assert "the 12 of 14 with the worst p95" in text
+
+
+def test_of_a_great_many_logs_those_seen_least_are_listed(tmp_path, capsys):
+    for index in range(45):
+        seen = 1.5 if index % 9 else None
+        write(tmp_path / f"log{index:02}.metrics.parquet", [row(0, camera_height_m=seen), row(1, camera_height_m=1.5)])
+    _, text, _ = report(capsys, tmp_path)
+    block = text[text.index("Seen, % of frames") : text.index("Fast, log by log")]
+    shown = re.findall(r"log(\d\d)", block)
+    assert len(shown) == 40
+    assert shown == sorted(shown)
+    assert {"00", "09", "18", "27", "36"} < set(shown)
+    assert "the 40 of 45 logs that were seen least" in text
+
+
+def test_quantiles_that_are_not_exact_are_said_to_be(tmp_path, capsys, monkeypatch):
+    for name in ("a", "b"):
+        write(tmp_path / f"{name}.metrics.parquet", [row(k, camera_height_m=float(k)) for k in range(100)])
+    _, text, _ = report(capsys, tmp_path)
+    assert "in rank" not in text
+    monkeypatch.setattr(summary, "EXACT_FRAMES", 199)
+    monkeypatch.setattr(summary, "POINTS", 10)
+    _, text, _ = report(capsys, tmp_path)
+    assert "quantiles over all 200 frames are within 7.50 % in rank, those of absolute values within 15.00 %" in (
+        text.replace("\n", " ")
+    )
+
+
+def test_counts_become_precision_recall_and_f1(tmp_path, capsys):
+    counts = {"lane_culane_tp_50": 3, "lane_culane_fp_50": 1, "lane_culane_fn_50": 0}
+    _, text, _ = report(
+        capsys, write(tmp_path / "drive.metrics.parquet", [row(k, **TRUTHFUL, **counts) for k in range(2)])
+    )
+    assert line_of(text, "lanes at IoU 0.5")[4:] == ["0.750", "1.000", "0.857", "6", "2", "0"]
+    assert "detections kept  " not in text[text.index("How many") :]
+
+
+def test_lag_stands_beside_the_jitter(tmp_path, capsys):
+    rows = [
+        row(
+            k,
+            lane_left_status="measured",
+            lane_left_offset_m=math.sin((k - 2) / 5),
+            lane_left_true_offset_m=math.sin(k / 5),
+        )
+        for k in range(60)
+    ]
+    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
+    assert line_of(text, "left")[-1] == "2"
+    assert "lag: frames by which the smoothed offset lies behind the true one" in text
 
 
 def test_reasons_are_counted_and_names_are_taken_as_they_are(tmp_path, capsys):

@@ -2,11 +2,13 @@
 
 import math
 
+import numpy as np
 import polars as pl
 import pytest
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.eval import summary as module
+from roadperc_stream.eval.quantities import NUMBERS
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.summary import summarise_all, summarise_run
 from tests.eval.tables import START_NS, STEP_NS, row, write
@@ -150,8 +152,7 @@ def two_runs(tmp_path):
     write(tmp_path / "long.metrics.parquet", long)
     write(tmp_path / "short.metrics.parquet", short)
     runs = find_runs([str(tmp_path)])
-    summaries = [summarise_run(run, 2) for run in runs]
-    return summarise_all(runs, summaries, 2)
+    return summarise_all(runs, 2)[1]
 
 
 def test_over_all_weighs_frames_not_logs(tmp_path):
@@ -169,10 +170,10 @@ def test_over_all_worst_frames_name_their_run(tmp_path):
     assert [(frame.run, frame.value) for frame in worst] == [("short", -0.5), ("long", 0.08)]
 
 
-def test_over_all_does_not_depend_on_how_many_columns_are_read_at_once(tmp_path, monkeypatch):
-    first = two_runs(tmp_path)
-    monkeypatch.setattr(module, "COLUMNS_AT_ONCE", 1)
-    assert two_runs(tmp_path) == first
+def test_over_all_lists_each_run_as_it_is_alone(tmp_path):
+    two_runs(tmp_path)
+    runs = find_runs([str(tmp_path)])
+    assert summarise_all(runs, 2)[0] == [summarise_run(run, 2) for run in runs]
 
 
 def test_second_differences_do_not_cross_from_log_to_log(tmp_path):
@@ -180,6 +181,88 @@ def test_second_differences_do_not_cross_from_log_to_log(tmp_path):
         rows = [row(k, lane_left_offset_m=offset, lane_left_raw_offset_m=offset) for k in range(3)]
         write(tmp_path / f"{name}.metrics.parquet", rows)
     runs = find_runs([str(tmp_path)])
-    together = summarise_all(runs, [summarise_run(run, 1) for run in runs], 1)
+    _, together = summarise_all(runs, 1)
     assert together.statistics["lane_left_second_difference_m"].values == 2
     assert together.statistics["lane_left_second_difference_m"].abs_most == 0.0
+
+
+def fifty_tables(tmp_path):
+    """Fifty tables of up to 300 frames, each about a place of its own; a fifth of the values are null."""
+    rng = np.random.default_rng(7)
+    for index in range(50):
+        errors = rng.normal(rng.uniform(-2, 2), 0.1, rng.integers(1, 300))
+        known = rng.random(len(errors)) > 0.2
+        rows = [
+            row(k, f"{index:016x}", lane_left_error_m=error if known[k] else None) for k, error in enumerate(errors)
+        ]
+        write(tmp_path / f"log{index:02}.metrics.parquet", rows)
+    return find_runs([str(tmp_path)]), pl.read_parquet(tmp_path / "*.parquet")["lane_left_error_m"].drop_nulls()
+
+
+def test_over_few_frames_all_figures_are_those_of_the_tables_joined(tmp_path):
+    runs, joined = fifty_tables(tmp_path)
+    _, together = summarise_all(runs, 1)
+    found = together.statistics["lane_left_error_m"]
+    assert together.rank_error == 0
+    assert found.values == len(joined)
+    assert [found.total, found.std, found.least] == pytest.approx([joined.sum(), joined.std(ddof=0), joined.min()])
+    expected = [joined.quantile(share, "linear") for share in (0.05, 0.5, 0.95, 0.99)]
+    assert [found.p5, found.median, found.p95, found.p99] == pytest.approx(expected, rel=1e-12)
+    sizes = joined.abs()
+    expected = [sizes.median(), sizes.quantile(0.95, "linear"), sizes.max()]
+    assert [found.abs_median, found.abs_p95, found.abs_most] == pytest.approx(expected, rel=1e-12)
+
+
+def test_over_many_frames_quantiles_keep_the_rank_error_they_state(tmp_path, monkeypatch):
+    """Sixteen values a table instead of all, which is what ten million frames come to; the rest stays exact."""
+    runs, joined = fifty_tables(tmp_path)
+    _, exact = summarise_all(runs, 1)
+    monkeypatch.setattr(module, "EXACT_FRAMES", 100)
+    monkeypatch.setattr(module, "POINTS", 16)
+    _, together = summarise_all(runs, 1)
+    found = together.statistics["lane_left_error_m"]
+    assert 0 < found.rank_error < 0.2
+    for share, value in ((0.05, found.p5), (0.5, found.median), (0.95, found.p95), (0.99, found.p99)):
+        assert abs((joined <= value).mean() - share) <= found.rank_error + 1 / len(joined)
+    for share, value in ((0.5, found.abs_median), (0.95, found.abs_p95)):
+        assert abs((joined.abs() <= value).mean() - share) <= 2 * found.rank_error + 1 / len(joined)
+    for name in ("values", "total", "std", "least", "abs_most"):
+        assert getattr(found, name) == getattr(exact.statistics["lane_left_error_m"], name)
+    assert together.statistics.keys() == exact.statistics.keys() <= {quantity.column for quantity in NUMBERS}
+    assert together.worst == exact.worst
+
+
+def test_counts_are_summed_over_frames_and_runs(tmp_path):
+    write(tmp_path / "a.metrics.parquet", [row(0, filter_tp=3, filter_fp=0, filter_fn=1), row(1)])
+    write(tmp_path / "b.metrics.parquet", [row(k, filter_tp=2, filter_fp=0, filter_fn=0) for k in range(3)])
+    (first, _), together = summarise_all(find_runs([str(tmp_path)]), 1)
+    assert [(score.tp, score.fp, score.fn) for score in first.scores] == [(3, 0, 1)]
+    assert [(score.tp, score.fp, score.fn) for score in together.scores] == [(9, 0, 1)]
+
+
+def weaving(frames, lag):
+    truth = np.sin(np.arange(-lag, frames - lag) / 5)
+    return [row(k, lane_left_offset_m=truth[k], lane_left_true_offset_m=math.sin(k / 5)) for k in range(frames)]
+
+
+def test_lag_of_an_offset_that_follows_three_frames_late(tmp_path):
+    found = summary_of(tmp_path, weaving(100, 3))
+    assert (found.lag_frames("left"), found.lag_frames("right")) == (3, None)
+
+
+def test_lag_over_all_is_that_of_the_runs_that_tell_it(tmp_path):
+    write(tmp_path / "a.metrics.parquet", weaving(100, 2))
+    write(
+        tmp_path / "b.metrics.parquet",
+        [row(k, lane_left_offset_m=k % 2, lane_left_true_offset_m=1.5) for k in range(500)],
+    )
+    write(tmp_path / "c.metrics.parquet", [row(0)])
+    summaries, together = summarise_all(find_runs([str(tmp_path)]), 1)
+    assert [summary.lag_frames("left") for summary in (*summaries, together)] == [2, None, None, 2]
+
+
+def test_a_frame_that_could_not_be_better_is_none_of_the_worst(tmp_path):
+    rows = [row(k, drivable_iou=iou, lane_left_error_m=m) for k, (iou, m) in enumerate([(1.0, 0.0), (0.9, -0.1)])]
+    found = summary_of(tmp_path, rows)
+    assert [frame.value for frame in found.worst["drivable_iou"]] == [0.9]
+    assert [frame.value for frame in found.worst["lane_left_error_m"]] == [-0.1]

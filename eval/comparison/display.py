@@ -1,0 +1,176 @@
+"""A comparison in tables and lines."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from itertools import groupby
+
+from rich.console import Console
+from rich.table import Table
+
+from ..grid import grid
+from .agreement import Agreement, Agreements, Value
+from .bootstrap import LEVEL, MANY_LOGS
+from .comparing import Comparison
+from .pairing import LoggedRun
+from .verdicts import Verdict
+
+TEXT_SHOWN = 48
+"""Characters of a text value that are shown."""
+
+
+def print_comparison(console: Console, found: Comparison) -> None:
+    """Which runs, where their fields part, their metrics and times, and the verdict."""
+    _lines(console, *_heading(found), *_fields(found))
+    for table in (_metrics(found), _times(found)):
+        if table.row_count:
+            console.print("", table, sep="\n", crop=False)
+    _lines(console, "", *_verdict(found))
+
+
+def _lines(console: Console, *lines: str) -> None:
+    for line in lines:
+        console.print(line, soft_wrap=True)
+
+
+def _heading(found: Comparison) -> Iterator[str]:
+    pairs = found.pairing.pairs
+    if len(pairs) == 1:
+        yield _identity("reference", pairs[0].reference)
+        yield _identity("candidate", pairs[0].candidate)
+    yield f"{found.frames} frames compared" + (f" in {len(pairs)} pairs of runs" if len(pairs) > 1 else "")
+    for pair, part in zip(pairs, found.overlaps, strict=True):
+        if part.only_reference or part.only_candidate:
+            only = f"{part.only_reference} frames only in the reference, {part.only_candidate} only in the candidate"
+            yield f"{pair.name}: {only}"
+    yield from (f"only in the reference: {item.relative} (log {item.log_id})" for item in found.pairing.missing)
+    yield from (f"only in the candidate: {item.relative} (log {item.log_id})" for item in found.pairing.added)
+
+
+def _identity(side: str, item: LoggedRun) -> str:
+    config, version = item.run.config_digest[:8] or "unknown", item.run.version or "unknown"
+    return f"{side} {item.run.path}: log {item.log_id}, configuration {config}, version {version}"
+
+
+def _fields(found: Comparison) -> Iterator[str]:
+    """Each field that is not identical with its first difference, under the frame where that is, the earliest first."""
+    differing = [agreement for agreement in found.fields.values() if agreement.first]
+    for place, group in groupby(sorted(differing, key=_place), key=_place):
+        run, stamp_ns, frame = place
+        several = f"{run}: " if len(found.pairing.pairs) > 1 else ""
+        yield from ("", f"{several}frame {frame}, stamp {stamp_ns}")
+        yield from (f"  {_difference(agreement)}" for agreement in group)
+    within = [f"{n} ({_largest(a)})" for n, a in found.fields.items() if a.state == "within tolerance"]
+    if within:
+        yield from ("", f"within tolerance: {', '.join(within)}")
+
+
+def _place(agreement: Agreement) -> tuple[str, int, int]:
+    first = agreement.first
+    return (first.run, first.stamp_ns, first.frame) if first else ("", 0, 0)
+
+
+def _difference(agreement: Agreement) -> str:
+    first = agreement.first
+    if first is None:
+        return ""
+    values = " → ".join(_apart(first.reference, first.candidate))
+    return f"{first.place}: {values}, {_largest(agreement)}"
+
+
+def _largest(agreement: Agreement) -> str:
+    frames = agreement.differing or agreement.within
+    counted = f"in {frames} frame{'s' * (frames > 1)}"
+    return f"{counted}, by up to {agreement.largest:.3g}" if agreement.largest else counted
+
+
+def _apart(reference: Value, candidate: Value) -> tuple[str, str]:
+    """Both values as text, with as many digits as tell them apart."""
+    short = _text(reference, 6), _text(candidate, 6)
+    return short if short[0] != short[1] else (_text(reference, 17), _text(candidate, 17))
+
+
+def _text(value: Value, digits: int) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, float):
+        return f"{value:.{digits}g}"
+    text = str(value)
+    return text if len(text) <= TEXT_SHOWN else f"{text[:TEXT_SHOWN]}…"
+
+
+def _metrics(found: Comparison) -> Table:
+    """The metrics that changed, by their mark: means of both runs, and the interval of the difference."""
+    table = grid("Is it better?", "frames", "reference", "candidate", *_bounds())
+    changed = [verdict for verdict in found.verdicts if verdict.difference and verdict.judged]
+    for mark in ("worse", "unchanged", "better"):
+        rows = [verdict for verdict in changed if verdict.mark == mark]
+        if rows:
+            table.add_row(mark)
+        for verdict in rows:
+            table.add_row(f"  {verdict.metric.name}", *_compared(verdict))
+    return table
+
+
+def _bounds() -> tuple[str, str]:
+    return f"{LEVEL:.0%} from", "to"
+
+
+def _compared(verdict: Verdict) -> list[str]:
+    means = f"{verdict.reference:.4g}", f"{verdict.candidate:.4g}"
+    return [str(verdict.frames), *means, f"{verdict.interval.low:+.3g}", f"{verdict.interval.high:+.3g}"]
+
+
+def _times(found: Comparison) -> Table:
+    """Means of the times, and the candidate's as a multiple of the reference's."""
+    table = grid("Is it faster?", "reference ms", "candidate ms", "times", *_bounds())
+    for verdict in found.verdicts:
+        if verdict.metric.timed and verdict.reference > 0:
+            changes = verdict.difference, verdict.interval.low, verdict.interval.high
+            ratios = (f"{1 + change / verdict.reference:.2f}" for change in changes)
+            table.add_row(verdict.metric.name, f"{verdict.reference:.2f}", f"{verdict.candidate:.2f}", *ratios)
+    return table
+
+
+def _verdict(found: Comparison) -> Iterator[str]:
+    yield f"fields of the tables: {_states(found.columns)}"
+    if found.messages:
+        yield f"fields of the messages that are not the same bytes: {_states(found.messages)}"
+    judged = [verdict for verdict in found.verdicts if verdict.judged]
+    same = [verdict for verdict in judged if not verdict.difference]
+    yield f"metrics: {len(judged)} judged, {len(same)} of them the same in every mean"
+    changed = len(judged) - len(same)
+    if changed:
+        yield (
+            f"intervals: {LEVEL:.0%} each, from {_blocks(found)}; "
+            f"chance alone marks about {changed * (1 - LEVEL):.2g} of {changed} metrics"
+        )
+    for mark in ("better", "worse"):
+        yield from (f"{mark}: {_sentence(verdict)}" for verdict in found.named(mark))
+    yield _conclusion(found)
+
+
+def _states(agreements: Agreements) -> str:
+    counts = Counter(agreement.state for agreement in agreements.values())
+    return f"{counts['identical']} identical, {counts['within tolerance']} within tolerance, {counts['differs']} differ"
+
+
+def _blocks(found: Comparison) -> str:
+    return "whole logs as blocks" if len(found.pairing.pairs) >= MANY_LOGS else "blocks of neighbouring frames"
+
+
+def _sentence(verdict: Verdict) -> str:
+    low, high = verdict.interval.low, verdict.interval.high
+    between = f" [{low:+.3g}, {high:+.3g}]" if math.isfinite(low) else ""
+    values = f"{verdict.reference:.4g} → {verdict.candidate:.4g}"
+    return f"{verdict.metric.name} {values} ({verdict.difference:+.3g}{between})"
+
+
+def _conclusion(found: Comparison) -> str:
+    if found.regressions:
+        return f"verdict: worse in {', '.join(found.regressions)}"
+    if found.differences:
+        better = [verdict.metric.name for verdict in found.named("better")]
+        return f"verdict: different, nothing worse, better in {', '.join(better) or 'nothing'}"
+    identical = all(agreement.state == "identical" for agreement in found.fields.values())
+    return f"verdict: {'identical' if identical else 'within tolerance'}"

@@ -1,0 +1,177 @@
+"""Two logs with results, message by message: frames pair by log time, messages by topic and order."""
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from google.protobuf.message import DecodeError as ProtobufError
+from google.protobuf.message import Message as ProtobufMessage
+from numpy.typing import NDArray
+
+from roadperc_stream import images, log
+from roadperc_stream.channels import IMAGE_SCHEMA
+from roadperc_stream.errors import DecodeError, LogError
+from roadperc_stream.log import Message
+from roadperc_stream.roles import is_result
+from roadperc_stream.schemas import ros2
+from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
+
+from .agreement import Agreement, Difference, Value, distance
+from .rules import Rules
+
+METRICS_TOPIC: Final = "/perception/metrics"
+"""Left out: its fields are the table's columns."""
+_PREFIX: Final = "/perception/"
+_MESSAGE: Final = "message"
+"""Stands for the whole message where only one log has it."""
+Fields = dict[str, Value]
+"""Values by their place in a message, such as ``boundaries[0].offset_m``."""
+Group = dict[tuple[str, int], Message]
+"""Messages of one log time by topic and order on it."""
+
+
+def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules) -> dict[str, Agreement]:
+    """How each field of the results agrees; a field is its topic below /perception and its name without indices.
+
+    Two frames' messages are in memory, no more.
+
+    Raises:
+        LogError: a log cannot be read, or a result in it cannot be decoded.
+    """
+    found: dict[str, Agreement] = defaultdict(Agreement)
+    for ours, theirs in _aligned(_frames(reference), _frames(candidate)):
+        for name, agreement in _frame_agreements(ours, theirs, (reference, candidate), rules).items():
+            found[name] = found[name].and_then(agreement.of_run(run))
+    return dict(found)
+
+
+def _frames(path: Path) -> Iterator[tuple[int, Group]]:
+    """Log time and results of each frame."""
+    topics = {channel.topic for channel in log.summarise(path).channels if is_result(channel)} - {METRICS_TOPIC}
+    results = (message for message in log.read(path, topics=topics) if is_result(message.channel))
+    for log_time_ns, messages in groupby(results, lambda message: message.log_time_ns):
+        group: Group = {}
+        counts: dict[str, int] = defaultdict(int)
+        for message in messages:
+            topic = message.channel.topic.removeprefix(_PREFIX)
+            group[topic, counts[topic]] = message
+            counts[topic] += 1
+        yield log_time_ns, group
+
+
+def _aligned(ours: Iterator[tuple[int, Group]], theirs: Iterator[tuple[int, Group]]) -> Iterator[tuple[Group, Group]]:
+    """Frames of equal log time in both; a frame that only one log has is the tables' to report."""
+    left, right = next(ours, None), next(theirs, None)
+    while left is not None and right is not None:
+        if left[0] == right[0]:
+            yield left[1], right[1]
+        behind_left, behind_right = left[0] <= right[0], right[0] <= left[0]
+        left = next(ours, None) if behind_left else left
+        right = next(theirs, None) if behind_right else right
+
+
+def _frame_agreements(ours: Group, theirs: Group, paths: tuple[Path, Path], rules: Rules) -> dict[str, Agreement]:
+    """One frame's part: of a field with several values the largest distance, and the first that differs."""
+    found: dict[str, Agreement] = {}
+    for key in dict.fromkeys((*ours, *theirs)):
+        for name, agreement in _message_agreements(key[0], (ours.get(key), theirs.get(key)), paths, rules):
+            found[name] = _within_frame(found.get(name, Agreement()), agreement)
+    return found
+
+
+def _message_agreements(
+    topic: str, pair: tuple[Message | None, Message | None], paths: tuple[Path, Path], rules: Rules
+) -> Iterator[tuple[str, Agreement]]:
+    present = [message for message in pair if message is not None]
+    if len(present) == 2 and present[0].data == present[1].data:
+        return
+    if len(present) == 2:
+        ours, theirs = (_fields(message, path) for message, path in zip(present, paths, strict=True))
+    else:
+        ours, theirs = (_presence(message) for message in pair)
+    for place in dict.fromkeys((*ours, *theirs)):
+        name = f"{topic}.{without_indices(place)}"
+        if not rules.ignores(name):
+            values = ours.get(place), theirs.get(place)
+            yield name, _agreement(present[0], f"{topic}.{place}", values, rules.tolerance(name))
+
+
+def _agreement(message: Message, place: str, values: tuple[Value, Value], tolerance: float) -> Agreement:
+    apart = distance(*values)
+    if apart <= tolerance:
+        return Agreement(within=int(apart > 0), largest=apart)
+    finite = apart if np.isfinite(apart) else 0.0
+    first = Difference("", message.sequence, message.log_time_ns, place, *values)
+    return Agreement(differing=1, largest=finite, first=first)
+
+
+def _within_frame(one: Agreement, other: Agreement) -> Agreement:
+    """Two values of one field in the same frame: it counts once."""
+    both = one.and_then(other)
+    differing = min(both.differing, 1)
+    return Agreement(min(both.within, 1 - differing), differing, both.largest, both.first)
+
+
+def _presence(message: Message | None) -> Fields:
+    return {_MESSAGE: None if message is None else "present"}
+
+
+def _fields(message: Message, path: Path) -> Fields:
+    try:
+        return _decoded(message)
+    except (DecodeError, ProtobufError) as error:
+        raise LogError(f"{path}: {message.channel.topic} at {message.log_time_ns}: {error}") from error
+
+
+def _decoded(message: Message) -> Fields:
+    schema, data = message.channel.schema_name, message.data
+    if schema == ros2.IMAGE:
+        image = ros2.unpack_image(data)
+        return {"stamp_ns": image.stamp_ns, "frame_id": image.frame_id, "pixels": _digest(image.pixels)}
+    if schema == ros2.OCCUPANCY_GRID:
+        stamp_ns, frame_id = ros2.unpack_header(data)
+        return {"stamp_ns": stamp_ns, "frame_id": frame_id, "grid": hashlib.sha256(data).hexdigest()[:12]}
+    if schema not in MESSAGE_TYPES:
+        return {"data": hashlib.sha256(data).hexdigest()[:12]}
+    decoded: Any = MESSAGE_TYPES[schema].FromString(data)
+    fields = dict(_flat(decoded, ""))
+    if schema == IMAGE_SCHEMA:
+        fields["data"] = _digest(images.decode_indices(decoded.data))
+    return fields
+
+
+def _flat(message: ProtobufMessage, prefix: str) -> Iterator[tuple[str, Value]]:
+    """The known fields of a message, depth first; enumerations by their names, lists with their length."""
+    for field in message.DESCRIPTOR.fields:
+        if field.has_presence and not message.HasField(field.name):
+            continue
+        value, place = getattr(message, field.name), f"{prefix}{field.name}"
+        if field.is_repeated:
+            yield f"{place}.length", len(value)
+            for index, item in enumerate(value):
+                yield from _item(field, item, f"{place}[{index}]")
+        else:
+            yield from _item(field, value, place)
+
+
+def _item(field: Any, value: Any, place: str) -> Iterator[tuple[str, Value]]:
+    if isinstance(value, ProtobufMessage):
+        yield from _flat(value, f"{place}.")
+    elif field.enum_type is not None:
+        known = field.enum_type.values_by_number.get(value)
+        yield place, known.name if known else value
+    else:
+        yield place, hashlib.sha256(value).hexdigest()[:12] if isinstance(value, bytes) else value
+
+
+def without_indices(place: str) -> str:
+    """``boundaries[0].offset_m`` as ``boundaries.offset_m``."""
+    return "".join(part.partition("]")[2] if index else part for index, part in enumerate(place.split("[")))
+
+
+def _digest(pixels: NDArray[Any]) -> str:
+    return hashlib.sha256(pixels.tobytes()).hexdigest()[:12]

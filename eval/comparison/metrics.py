@@ -1,0 +1,77 @@
+"""Which metrics two runs are judged by, each a value per frame that knows which way is better.
+
+Errors against truth and the trembling of the lane boundaries are judged over the frames in which both runs have them;
+coverage and states over all frames both runs have, as 1 or 0. What the chain says without truth to hold it against
+(camera height, lane width, inliers) has no better side and is left to the comparison of fields.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import polars as pl
+
+from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGES, TRUTH, Quantity
+
+ANSWERED_BY_NULL: Final = ("nearest_object_m", "time_to_impact_s")
+"""No value there may mean that nothing is near: neither coverage is better."""
+SAID_BY_OTHERS: Final = (
+    *("lane_proposals", "lane_merged", "lane_width_m", "lane_heading_deg", "camera_pitch_deg", "camera_roll_deg"),
+    *("detections_kept", "detections_unjudged", "objects_carried", "odometry_inliers", "turn_deg"),
+)
+"""Known in the same frames as what stands beside them: one loss of coverage is one metric, as far as may be."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number per frame, float64, null where unknown.
+
+    ``name`` is what ``--allow`` and ``--ignore`` match; ``share`` says that the values are 1 and 0; ``timed`` that it
+    is a time, which depends on the machine and is judged on request only.
+    """
+
+    name: str
+    value: pl.Expr
+    decimals: int
+    higher_is_better: bool = False
+    share: bool = False
+    timed: bool = False
+
+
+def _of_quantity(quantity: Quantity, *, timed: bool = False) -> Metric:
+    """The absolute value of an error; the value itself of what is better high."""
+    column = pl.col(quantity.column)
+    high = quantity.worse == "low"
+    return Metric(quantity.column, column if high else column.abs(), quantity.decimals, high, timed=timed)
+
+
+def _coverage(column: str) -> Metric:
+    return _share(f"{column}.coverage", pl.col(column).is_not_null())
+
+
+def _state(column: str, state: str) -> Metric:
+    return _share(f"{column}.{state}", (pl.col(column) == state).fill_null(value=False))
+
+
+def _share(name: str, holds: pl.Expr) -> Metric:
+    return Metric(name, holds.cast(pl.Float64), 3, higher_is_better=True, share=True)
+
+
+def _jitter(quantity: Quantity) -> Metric:
+    return replace(_of_quantity(quantity), name=quantity.column.replace("second_difference", "jitter"))
+
+
+ACCURACY: Final = (*map(_of_quantity, TRUTH), *map(_jitter, JITTERS))
+STATES: Final = (
+    _state("surface_source", "depth"),
+    *(_state(f"lane_{side}_status", "measured") for side in SIDES),
+    _state("odometry_status", "tracked"),
+)
+COVERAGE: Final = (
+    _coverage("surface_source"),
+    *(_coverage(q.column) for q in (*SEEN, *OFFSETS, *TRUTH) if q.column not in ANSWERED_BY_NULL + SAID_BY_OTHERS),
+)
+TIMES: Final = tuple(_of_quantity(quantity, timed=True) for quantity in STAGES)
+METRICS: Final = (*ACCURACY, *STATES, *COVERAGE, *TIMES)
+
+FRAMES: Final = _share("frames.coverage", pl.lit(value=True))
+"""The reference's frames that the candidate has."""

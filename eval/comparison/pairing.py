@@ -1,0 +1,136 @@
+"""Which run of the candidate belongs to which of the reference, and which frame to which."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import polars as pl
+
+from roadperc_stream.errors import TableError
+
+from ..runs import SUFFIX, Run, find_runs
+from ..scan import collect
+
+STAMP: Final = "stamp_ns"
+NTH: Final = "nth of stamp"
+KEY: Final = (STAMP, NTH)
+
+
+@dataclass(frozen=True)
+class LoggedRun:
+    """A metrics table with the log it was made from, and its name below the folder it was found in."""
+
+    run: Run
+    log_id: str
+    relative: str
+
+
+@dataclass(frozen=True)
+class RunPair:
+    """One run of the reference and the candidate's of the same log."""
+
+    reference: LoggedRun
+    candidate: LoggedRun
+
+    @property
+    def name(self) -> str:
+        """What to call the two."""
+        return self.reference.relative
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """All pairs, and the runs without a partner."""
+
+    pairs: tuple[RunPair, ...]
+    missing: tuple[LoggedRun, ...]
+    added: tuple[LoggedRun, ...]
+
+
+def logged_runs(argument: str) -> tuple[LoggedRun, ...]:
+    """The runs an argument means.
+
+    Raises:
+        TableError: none, one that is no metrics table, or one without frames or of several logs.
+    """
+    return tuple(LoggedRun(run, _log_id(run), _relative(run, Path(argument))) for run in find_runs([argument]))
+
+
+def pair_runs(reference: Sequence[LoggedRun], candidate: Sequence[LoggedRun], other_log: bool) -> Pairing:
+    """Pair by log where each side has one run of it, else by name; two single runs are a pair in any case.
+
+    Args:
+        reference: runs to compare with.
+        candidate: runs to compare.
+        other_log: whether a pair may be of two different logs.
+
+    Raises:
+        TableError: nothing pairs, or a pair is of two logs and ``other_log`` does not allow it.
+    """
+    if len(reference) == len(candidate) == 1:
+        partners = {reference[0].relative: candidate[0]}
+    else:
+        partners = _by_log(reference, candidate) or {}
+        partners |= _by_name(reference, candidate, partners)
+    pairs = tuple(RunPair(item, partners[item.relative]) for item in reference if item.relative in partners)
+    if not pairs:
+        raise TableError(f"{candidate[0].run.path}: no run here has the log or the name of one in the reference")
+    if not other_log:
+        _require_same_log(pairs)
+    taken = {pair.candidate.relative for pair in pairs}
+    missing = tuple(item for item in reference if item.relative not in partners)
+    return Pairing(pairs, missing, tuple(item for item in candidate if item.relative not in taken))
+
+
+def numbered(frame: pl.LazyFrame) -> pl.LazyFrame:
+    """The same rows with ``nth of stamp``, which tells frames of equal stamps apart."""
+    return frame.with_columns(pl.int_range(pl.len()).over(STAMP).alias(NTH))
+
+
+def _log_id(run: Run) -> str:
+    if not run.frames:
+        raise TableError(f"{run.path}: no frames in this table, so there is nothing to compare")
+    log_ids = pl.scan_parquet(run.path, glob=False).select(pl.col("log_id").cast(pl.String).unique())
+    found = collect(log_ids, str(run.path))
+    names = sorted(found["log_id"])
+    if len(names) > 1:
+        raise TableError(f"{run.path}: holds {len(names)} logs ({', '.join(names[:3])}), expected the frames of one")
+    return str(names[0])
+
+
+def _relative(run: Run, argument: Path) -> str:
+    """Name below the folder that was named; of a table or a glob's match the shortest that tells it from others."""
+    return run.path.relative_to(argument).as_posix().removesuffix(SUFFIX) if argument.is_dir() else run.name
+
+
+def _by_log(reference: Iterable[LoggedRun], candidate: Iterable[LoggedRun]) -> dict[str, LoggedRun]:
+    """Reference name to candidate, for the logs of which each side has exactly one run."""
+    ours, theirs = _only_of_their_log(reference), _only_of_their_log(candidate)
+    return {ours[log_id].relative: theirs[log_id] for log_id in ours if log_id in theirs}
+
+
+def _only_of_their_log(runs: Iterable[LoggedRun]) -> dict[str, LoggedRun]:
+    listed = list(runs)
+    counts = Counter(item.log_id for item in listed)
+    return {item.log_id: item for item in listed if counts[item.log_id] == 1}
+
+
+def _by_name(
+    reference: Iterable[LoggedRun], candidate: Iterable[LoggedRun], partners: dict[str, LoggedRun]
+) -> dict[str, LoggedRun]:
+    taken = {item.relative for item in partners.values()}
+    free = {item.relative: item for item in candidate if item.relative not in taken}
+    names = [item.relative for item in reference if item.relative not in partners]
+    return {name: free[name] for name in names if name in free}
+
+
+def _require_same_log(pairs: Iterable[RunPair]) -> None:
+    for pair in pairs:
+        ours, theirs = pair.reference, pair.candidate
+        if ours.log_id != theirs.log_id:
+            raise TableError(
+                f"{theirs.run.path}: is of log {theirs.log_id}, expected {ours.log_id} as in {ours.run.path}; "
+                "--other-log compares two inputs by their stamps"
+            )

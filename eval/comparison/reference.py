@@ -1,0 +1,89 @@
+"""A reference run that is kept, in a repository maybe: only its metrics tables are needed."""
+
+import os
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from roadperc_stream.errors import TableError
+
+from ..runs import SUFFIX
+from .pairing import LoggedRun, Pairing, RunPair
+from .tables import same_but_for_times
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A table to be taken from the candidate into the reference."""
+
+    source: Path
+    target: Path
+
+
+def require_updatable(reference: str) -> None:
+    """Check that an argument names tables that can be replaced.
+
+    Raises:
+        TableError: it is a log, which a new table would no longer fit, or a glob.
+    """
+    path = Path(reference)
+    if path.suffix == ".mcap":
+        raise TableError(f"{reference}: is a log; to update a reference, keep its table or a folder of tables")
+    if any(sign in reference for sign in "*?[") and not path.exists():
+        raise TableError(f"{reference}: expected a folder or a table to update, found a glob")
+
+
+def is_new(reference: str) -> bool:
+    """Whether there is no reference yet: nothing of that name, or a folder without tables."""
+    path = Path(reference)
+    return not path.exists() or (path.is_dir() and not any(path.rglob(f"*{SUFFIX}")))
+
+
+def first_copies(reference: str, candidate: Iterable[LoggedRun]) -> tuple[Copy, ...]:
+    """Copies that make a reference of a candidate.
+
+    Raises:
+        TableError: several tables are to become one file.
+    """
+    runs, path = list(candidate), Path(reference)
+    if path.suffix != ".parquet":
+        return tuple(Copy(item.run.path, _in_folder(path, item)) for item in runs)
+    if len(runs) > 1:
+        raise TableError(f"{reference}: is to hold {len(runs)} tables, expected the name of a folder")
+    return (Copy(runs[0].run.path, path),)
+
+
+def update_copies(reference: str, pairing: Pairing) -> tuple[Copy, ...]:
+    """Copies that bring a reference up to date: tables whose results differ, and those it has none of."""
+    changed = tuple(_replacement(pair) for pair in pairing.pairs if not same_but_for_times(pair))
+    path = Path(reference)
+    if not path.is_dir():
+        return changed
+    return (*changed, *(Copy(item.run.path, _in_folder(path, item)) for item in pairing.added))
+
+
+def carry_out(copies: Iterable[Copy]) -> None:
+    """Copy each table; it appears under its name only when complete.
+
+    Raises:
+        TableError: a table cannot be read or written.
+    """
+    for copy in copies:
+        temporary = copy.target.with_name(f".{copy.target.name}.{os.getpid()}.partial")
+        try:
+            copy.target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(copy.source, temporary)
+            temporary.replace(copy.target)
+        except OSError as error:
+            raise TableError(f"{copy.target}: {error.strerror or error}") from error
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def _replacement(pair: RunPair) -> Copy:
+    return Copy(pair.candidate.run.path, pair.reference.run.path)
+
+
+def _in_folder(folder: Path, item: LoggedRun) -> Path:
+    return folder / f"{item.relative}{SUFFIX}"

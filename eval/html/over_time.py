@@ -1,0 +1,180 @@
+"""Charts over time: lane offsets, distances, inliers, and what each stage took."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from roadperc_stream.geometry import Float
+
+from ..quantities import REST, SIDES, STAGES, TOTAL
+from ..summary import Summary
+from .figures import TRUTH_COLOUR, Figure, Trace, axis, colour_of, escaped, layout, line
+from .series import Series, thinned
+
+_TIME: Final = "s from the log's first frame"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A column in a chart, the name it has there and how its line looks."""
+
+    column: str
+    name: str
+    width: float = 1.8
+    dash: str = "solid"
+    truth: bool = False
+
+
+@dataclass(frozen=True)
+class TimeChart:
+    """Columns that share an axis."""
+
+    title: str
+    unit: str
+    kinds: tuple[Kind, ...]
+    note: str = ""
+
+
+CHARTS: Final = (
+    *(
+        TimeChart(
+            f"Lane boundary, {side}",
+            "offset, m",
+            (
+                Kind(f"lane_{side}_raw_offset_m", "raw", 1.0, "dot"),
+                Kind(f"lane_{side}_offset_m", "smoothed", 2.0),
+                Kind(f"lane_{side}_true_offset_m", "truth", 1.6, "dash", truth=True),
+            ),
+            "Lateral offset from the car's axis, positive to the left. A gap is a frame without the boundary.",
+        )
+        for side in SIDES
+    ),
+    TimeChart(
+        "Distances",
+        "m",
+        (Kind("nearest_object_m", "nearest object"), Kind("stereo_nearest_m", "nearest in stereo", 1.4, "dash")),
+        "The nearest kept object, and the nearest thing stereo sees.",
+    ),
+    TimeChart("Time to impact", "s", (Kind("time_to_impact_s", "shortest"),), "The shortest of the frame's objects."),
+    TimeChart(
+        "Surface inliers",
+        "share",
+        (Kind("surface_inlier_ratio", "inlier ratio"),),
+        "Share of the road's points that lie on the plane.",
+    ),
+    TimeChart("Odometry inliers", "count", (Kind("odometry_inliers", "inliers"),), "Points the motion agrees with."),
+)
+STAGE_COLUMNS: Final = tuple(stage.column for stage in STAGES if stage != REST)
+_STAGE_COLOURS: Final = {
+    **{stage.name: colour_of(place) for place, stage in enumerate(s for s in STAGES if s not in {REST, TOTAL})},
+    REST.name: "#9ca3af",
+}
+COLUMNS: Final = (*(kind.column for chart in CHARTS for kind in chart.kinds), *STAGE_COLUMNS)
+"""What these charts need of a table, where it has them."""
+
+
+def over_time(runs: Sequence[Series]) -> Iterator[Figure]:
+    """The charts that have anything to show; runs lie over each other."""
+    for chart in CHARTS:
+        traces = [trace for place, run in enumerate(runs) for trace in _traces(chart, run, place, len(runs) > 1)]
+        if traces:
+            look = layout(_TIME, chart.unit, showlegend=len(traces) > 1)
+            yield Figure(chart.title, _note(chart, len(runs)), traces, look)
+
+
+def _traces(chart: TimeChart, run: Series, place: int, several: bool) -> Iterator[Trace]:
+    """A line per kind; of several runs the colour tells the run and the dash the kind, and each has one key."""
+    present = [kind for kind in chart.kinds if kind.column in run.values]
+    keyed = next((kind for kind in present if kind.dash == "solid"), present[0] if present else None)
+    for kind in present:
+        more: dict[str, Any] = {"width": kind.width, "dash": kind.dash}
+        if several:
+            more |= {"legendgroup": f"run {place}", "showlegend": kind is keyed, "hovertemplate": f"%{{y}} {kind.name}"}
+        yield _thinned_line(
+            run.name if several else kind.name,
+            run,
+            kind.column,
+            _colour(kind, place, chart.kinds.index(kind), several),
+            more,
+        )
+
+
+def _colour(kind: Kind, run_place: int, kind_place: int, several: bool) -> str:
+    if several:
+        return colour_of(run_place)
+    return TRUTH_COLOUR if kind.truth else colour_of(1 - kind_place if kind_place < 2 else kind_place)
+
+
+def _thinned_line(name: str, run: Series, column: str, colour: str, more: dict[str, Any]) -> Trace:
+    kept = thinned(run.values[column])
+    return line(name, run.since_start_s[kept], run.values[column][kept], colour, **more)
+
+
+def _note(chart: TimeChart, runs: int) -> str:
+    if runs == 1 or len(chart.kinds) == 1:
+        return chart.note
+    dashes = {"solid": "solid", "dot": "dotted", "dash": "dashed"}
+    looks = ", ".join(f"{kind.name} {dashes[kind.dash]}" for kind in chart.kinds)
+    return f"{chart.note} {looks.capitalize()}.".strip()
+
+
+def stage_times(runs: Sequence[Series], summaries: Sequence[Summary]) -> Iterator[Figure]:
+    """What each stage took: of one run stacked over time, of several the means stacked and the totals over time."""
+    if len(runs) == 1:
+        yield from _stacked(runs[0])
+        return
+    yield _means(summaries)
+    totals = [
+        _thinned_line(run.name, run, TOTAL.column, colour_of(place), {})
+        for place, run in enumerate(runs)
+        if TOTAL.column in run.values
+    ]
+    if totals:
+        yield Figure("Time of a frame", "All stages, copying and writing together.", totals, layout(_TIME, "ms"))
+
+
+def _stacked(run: Series) -> Iterator[Figure]:
+    if TOTAL.column not in run.values:
+        return
+    # One choice of frames for all stages, by the total: the sum of the areas is then the total of each frame shown.
+    kept = thinned(run.values[TOTAL.column])
+    traces = []
+    for name, took_ms in _stages(run).items():
+        colour = _STAGE_COLOURS[name]
+        trace = line(name, run.since_start_s[kept], took_ms[kept], colour, width=0.5)
+        traces.append({**trace, "stackgroup": "stages", "fillcolor": _translucent(colour)})
+    note = "Stacked: the upper edge is the frame's total."
+    yield Figure("Time per stage", note, traces, layout(_TIME, "ms", height=340))
+
+
+def _stages(run: Series) -> dict[str, Float]:
+    """Milliseconds of each stage that ran, 0 where it did not, and the rest of the frame's time."""
+    names = {stage.column: stage.name for stage in STAGES if stage not in {REST, TOTAL}}
+    stages = {names[column]: np.nan_to_num(run.values[column]) for column in names if column in run.values}
+    rest = run.values[TOTAL.column] - sum(stages.values(), np.zeros(len(run.since_start_s)))
+    return {**stages, REST.name: np.maximum(rest, 0.0)}
+
+
+def _means(summaries: Sequence[Summary]) -> Figure:
+    """A bar per run of each stage's mean over all frames."""
+    traces: list[Trace] = []
+    names = [escaped(summary.name) for summary in summaries]
+    for stage in (stage for stage in STAGES if stage != TOTAL):
+        found = [summary.statistics.get(stage.column) for summary in summaries]
+        means_ms = [round(s.total / run.frames, 3) if s else 0.0 for s, run in zip(found, summaries, strict=True)]
+        if any(means_ms):
+            look = {"color": _STAGE_COLOURS[stage.name]}
+            traces.append(
+                {"type": "bar", "orientation": "h", "name": stage.name, "y": names, "x": means_ms, "marker": look}
+            )
+    height = 240 + 34 * len(summaries)
+    runs = axis("", autorange="reversed", type="category")
+    look = layout("ms a frame, mean", "", barmode="stack", hovermode="closest", height=height, yaxis=runs)
+    return Figure("Time per stage", "The mean over all frames of each run.", traces, look)
+
+
+def _translucent(colour: str) -> str:
+    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    return f"rgba({red},{green},{blue},0.72)"

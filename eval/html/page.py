@@ -1,0 +1,104 @@
+"""Puts the page together: everything in one file, the charting library included."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from roadperc_stream.errors import TableError
+
+from ..runs import Run
+from ..summary import summarise_all
+from . import histograms, over_time, tables, trajectory
+from .figures import Figure
+from .pictures import WORST, gallery
+from .series import load_series
+from .sources import sources_of
+
+RUNS_DRAWN: Final = 8
+"""Runs side by side: as many as there are colours to tell them apart."""
+_COLUMNS: Final = (*over_time.COLUMNS, *trajectory.COLUMNS, *histograms.COLUMNS)
+
+
+def write_page(target: Path, runs: Sequence[Run]) -> None:
+    """Write the page over runs with frames; it appears under its name only when complete.
+
+    Raises:
+        TableError: a table cannot be read, or the page cannot be written.
+    """
+    text = page(runs)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(target)
+    except OSError as error:
+        raise TableError(f"{target}: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def page(runs: Sequence[Run]) -> str:
+    """The page as HTML; of more than ``RUNS_DRAWN`` runs the first are shown, and the page says so.
+
+    Raises:
+        TableError: a table cannot be read.
+    """
+    drawn = runs[:RUNS_DRAWN]
+    summaries, together = summarise_all(drawn, WORST)
+    sources = {run.name: sources_of(run) for run in drawn}
+    series = [load_series(run, _COLUMNS) for run in drawn]
+    way = trajectory.trajectory(series)
+    charts = {
+        "Over time": [*over_time.over_time(series), *over_time.stage_times(series, summaries)],
+        "From above": [way] if way else [],
+        "How the errors are distributed": list(histograms.histograms(series)),
+    }
+    return _render(
+        names=[run.name for run in drawn],
+        left_out=len(runs) - len(drawn),
+        identity=tables.identity(summaries, list(sources.values())),
+        tables=list(tables.summary_tables(summaries)),
+        charts=_numbered(charts),
+        gallery=gallery(together, sources),
+    )
+
+
+def _numbered(charts: Mapping[str, Sequence[Figure]]) -> dict[str, list[tuple[str, Figure]]]:
+    """Each section's figures with the identifier each has in the page; sections without any are left out."""
+    numbers = iter(range(1, sum(len(figures) for figures in charts.values()) + 1))
+    return {
+        section: [(f"chart-{next(numbers)}", figure) for figure in figures]
+        for section, figures in charts.items()
+        if figures
+    }
+
+
+def _render(charts: Mapping[str, Sequence[tuple[str, Figure]]], **content: Any) -> str:
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    specs = {name: figure.spec for figures in charts.values() for name, figure in figures}
+    return environment.from_string(_part("page.html")).render(
+        charts=charts,
+        specs=_json(specs),
+        style=Markup(_part("page.css")),
+        script=Markup(_part("page.js")),
+        plotly=Markup(get_plotlyjs()),
+        **content,
+    )
+
+
+def _json(content: object) -> Markup:
+    """JSON that may stand in a script element: no name in it can end the element."""
+    return Markup(json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
+
+
+def _part(name: str) -> str:
+    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")

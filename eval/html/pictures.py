@@ -1,0 +1,151 @@
+"""The worst frames of each metric: which they are, and a picture of each with what the chain saw drawn into it."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+
+from roadperc_stream.datatypes import Image
+from roadperc_stream.errors import RoadpercError
+from roadperc_stream.overlay import draw_overlay
+
+from ..grid import rounded
+from ..quantities import COUNT, RATIO, SUSPECT, TRUTH, Quantity
+from ..summary import Summary, WorstFrame
+from .frames import read_frame
+from .sources import Sources
+
+WORST: Final = 10
+"""Frames shown of each metric."""
+WIDTH_PX: Final = 400
+JPEG_QUALITY: Final = 75
+Key = tuple[str, int]
+"""A run's name and a frame's number."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A frame's place among the worst of a metric."""
+
+    metric: str
+    value: str
+    rank: int
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One of the worst frames: ``image`` is a data URI, empty where there is none, and ``places`` why it is here."""
+
+    anchor: str
+    run: str
+    frame: int
+    since_start_s: float
+    places: tuple[Place, ...]
+    image: str
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """The worst frames of a metric: (anchor, run, frame, value), the worst first."""
+
+    metric: str
+    frames: tuple[tuple[str, str, int, str], ...]
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """The rankings, each frame's picture once, in the order of runs and frames, and why pictures are missing."""
+
+    rankings: tuple[Ranking, ...]
+    pictures: tuple[Picture, ...]
+    notes: tuple[str, ...]
+
+
+def gallery(together: Summary, sources: Mapping[str, Sources]) -> Gallery:
+    """The worst frames over all runs, by each truth metric, or, without any truth, by signs of trouble.
+
+    Args:
+        together: summary over the runs, with ``WORST`` worst frames.
+        sources: the files of each run by its name.
+    """
+    ranked = _ranked(together)
+    worst = {(f.run, f.frame): f for _, frames in ranked for f in frames}
+    order = sorted(worst.values(), key=lambda f: (list(sources).index(f.run), f.frame))
+    anchors = {(f.run, f.frame): f"frame-{k}" for k, f in enumerate(order, 1)}
+    places = _places(ranked)
+    images, notes = _images(order, sources)
+    pictures = tuple(
+        Picture(anchors[key], f.run, f.frame, f.since_start_s, tuple(places[key]), images.get(key, ""))
+        for f in order
+        for key in [(f.run, f.frame)]
+    )
+    rankings = tuple(
+        Ranking(q.label, tuple((anchors[f.run, f.frame], f.run, f.frame, shown(f.value, q)) for f in frames))
+        for q, frames in ranked
+    )
+    return Gallery(rankings, pictures, tuple(notes))
+
+
+def shown(value: float, quantity: Quantity) -> str:
+    """A value with its unit."""
+    unit = "" if quantity.unit in {COUNT, RATIO} else f" {quantity.unit}"
+    return rounded(value, quantity) + unit
+
+
+def data_uri(image_bgr: Image) -> str:
+    """A picture as a page carries it in itself: a JPEG."""
+    _, encoded = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
+
+
+def _ranked(together: Summary) -> list[tuple[Quantity, list[WorstFrame]]]:
+    truths = [q for q in TRUTH if together.worst.get(q.column)]
+    return [(q, list(together.worst[q.column])) for q in truths or SUSPECT if together.worst.get(q.column)]
+
+
+def _places(ranked: Sequence[tuple[Quantity, list[WorstFrame]]]) -> dict[Key, list[Place]]:
+    places: dict[Key, list[Place]] = {}
+    for quantity, frames in ranked:
+        for rank, frame in enumerate(frames, 1):
+            place = Place(quantity.label, shown(frame.value, quantity), rank)
+            places.setdefault((frame.run, frame.frame), []).append(place)
+    return places
+
+
+def _images(frames: Sequence[WorstFrame], sources: Mapping[str, Sources]) -> tuple[dict[Key, str], list[str]]:
+    """Pictures of the frames whose log is there, and a line on each run that has to go without."""
+    images: dict[Key, str] = {}
+    notes: list[str] = []
+    for run, files in sources.items():
+        wanted = [frame for frame in frames if frame.run == run]
+        found, why = _of_run(wanted, files)
+        images |= found
+        notes += [f"{run}: {why}"] if why else []
+    return images, notes
+
+
+def _of_run(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str], str]:
+    log = files.present_log
+    if log is None:
+        name = files.log.name if files.log else "its log"
+        return {}, f"{name} is not where the table says, so there are no pictures of its frames."
+    images: dict[Key, str] = {}
+    try:
+        for frame in frames:
+            image = _drawn(log, frame)
+            images |= {(frame.run, frame.frame): image} if image else {}
+    except RoadpercError as error:
+        return images, f"no more pictures: {str(error).replace(str(log), log.name)}"
+    lacking = len(frames) - len(images)
+    return images, f"{log.name} holds no camera image of {lacking} of these frames." if lacking else ""
+
+
+def _drawn(log: Path, frame: WorstFrame) -> str:
+    """A frame's picture as a data URI, empty where the log has no camera image of it."""
+    seen = read_frame(log, frame.stamp_ns)
+    if seen is None:
+        return ""
+    return data_uri(draw_overlay(seen.image_bgr, seen.lanes, seen.objects, seen.drivable, width_px=WIDTH_PX))

@@ -1,0 +1,75 @@
+"""Columns of a metrics table over time, thinned so that a page of any run stays small and its peaks stay visible."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from roadperc_stream.geometry import Float
+
+from ..runs import Run
+from ..scan import collect
+
+BUCKETS: Final = 600
+"""Parts a run is thinned in: more than the columns of pixels a chart has on a page."""
+_NANOSECONDS: Final = 1e9
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Series:
+    """A run's columns over time: seconds from its first frame, and (N,) values of each column, NaN where null.
+
+    ``values`` holds only columns with a value in any frame.
+    """
+
+    name: str
+    frame: NDArray[np.int64]
+    since_start_s: Float
+    values: Mapping[str, Float]
+
+
+def load_series(run: Run, columns: Iterable[str]) -> Series:
+    """Numeric columns of a run, those it has.
+
+    Raises:
+        TableError: the table's data cannot be read.
+    """
+    present = [name for name in dict.fromkeys(columns) if name in run.columns]
+    query = pl.scan_parquet(run.path, glob=False).select("frame", "stamp_ns", pl.col(present).cast(pl.Float64))
+    table = collect(query, str(run.path))
+    stamps_ns = table["stamp_ns"].to_numpy()
+    values = {name: _finite(table[name]) for name in present}
+    filled = {name: array for name, array in values.items() if np.isfinite(array).any()}
+    return Series(run.name, table["frame"].to_numpy(), (stamps_ns - stamps_ns.min()) / _NANOSECONDS, filled)
+
+
+def thinned(values: Float, buckets: int = BUCKETS) -> Indices:
+    """Indices, in order, that stand for a long series: of each bucket its least, its largest and its first gap.
+
+    A line drawn through them covers what a line through all covers, peaks and gaps included. Series of up to three
+    values a bucket are kept whole.
+    """
+    if len(values) <= 3 * buckets:
+        return np.arange(len(values))
+    edges = np.linspace(0, len(values), buckets + 1).astype(int)
+    kept = [_telling(values[a:b]) + a for a, b in pairwise(edges)]
+    return np.unique(np.concatenate([[0, len(values) - 1], *kept]))
+
+
+def _telling(values: Float) -> Indices:
+    """Indices of the least, the largest and the first unknown of a bucket, those there are."""
+    unknown = np.isnan(values)
+    gap = np.flatnonzero(unknown)[:1]
+    if unknown.all():
+        return gap
+    return np.concatenate([[np.nanargmin(values), np.nanargmax(values)], gap])
+
+
+def _finite(column: pl.Series) -> Float:
+    values = column.to_numpy().astype(float)
+    return np.where(np.isfinite(values), values, np.nan)

@@ -1,0 +1,134 @@
+"""A run's lanes in the image, frame by frame, from its log."""
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import polars as pl
+
+from roadperc_stream import log
+from roadperc_stream.datatypes import Lanes
+from roadperc_stream.decoding import Context, decode
+from roadperc_stream.errors import LogError
+from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.metrics.lanes import ROW_STEP_PX, columns_at, in_view
+from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.table import beside
+
+from ..runs import open_run
+from ..scan import collect
+from .tusimple import LaneFrame, rounded
+
+LANES: Final = "/perception/lanes"
+_SCHEMAS: Final = {"lanes": "roadperc.Lanes", "calibration": "foxglove.CameraCalibration"}
+_TOP: Final = 160 / 720
+"""Where TuSimple's rows begin, as a part of the image's height."""
+
+
+@dataclass(frozen=True)
+class RunFrame:
+    """The lines a run saw in a frame: each (N, 2) x, y in px of the camera's image, near end first."""
+
+    stamp_ns: int
+    lines_px: tuple[Float, ...]
+    run_time_ms: float
+
+
+@dataclass(frozen=True)
+class RunLanes:
+    """A log whose lanes can be read, and the camera they are seen by."""
+
+    path: Path
+    camera: Camera
+    times_ms: Mapping[int, float]
+    """Each frame's whole time by its stamp, in order; empty where no metrics table lies beside the log."""
+
+    def frames(self) -> Iterator[RunFrame]:
+        """Every frame in order; one that the table knows and the log has no lanes of has no lines.
+
+        Raises:
+            LogError: the log cannot be read.
+            DecodeError: a message is no roadperc.Lanes.
+        """
+        waiting = deque(self.times_ms)
+        for message in log.read(self.path, topics=[LANES]):
+            stamp_ns, lines_px = _lines(message)
+            while waiting and waiting[0] < stamp_ns:
+                yield self._frame(waiting.popleft())
+            if waiting and waiting[0] == stamp_ns:
+                waiting.popleft()
+            yield self._frame(stamp_ns, lines_px)
+        yield from (self._frame(stamp_ns) for stamp_ns in waiting)
+
+    def _frame(self, stamp_ns: int, lines_px: tuple[Float, ...] = ()) -> RunFrame:
+        return RunFrame(stamp_ns, lines_px, self.times_ms.get(stamp_ns, 0.0))
+
+
+def open_lanes(path: Path) -> RunLanes:
+    """Find a run's lanes, their camera, and the metrics table beside the log.
+
+    Raises:
+        LogError: the log cannot be read, or has no lanes or no calibration of their camera.
+        TableError: the table beside it cannot be read.
+    """
+    channels = log.summarise(path).channels
+    if not any(c.topic == LANES and c.schema_name == _SCHEMAS["lanes"] for c in channels):
+        raise LogError(f"{path}: no {LANES} of {_SCHEMAS['lanes']}; expected an OUT.mcap of roadperc-replay with lanes")
+    frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(path, topics=[LANES])), None)
+    topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
+    return RunLanes(path, _camera(path, topics, frame_id), _times_ms(path))
+
+
+def default_rows(height: int) -> Float:
+    """TuSimple's rows: the multiples of 10 px from 160 to 710 of 720, and the same part of another height."""
+    return np.arange(np.ceil(height * _TOP / ROW_STEP_PX) * ROW_STEP_PX, height, ROW_STEP_PX)
+
+
+def lane_frame(frame: RunFrame, camera: Camera, size: tuple[int, int], raw_file: str, rows: Float) -> LaneFrame:
+    """A run's lines as columns at rows; a line that crosses none of them is left out.
+
+    Args:
+        frame: lines in px of the camera's image.
+        camera: the camera they are seen by.
+        size: columns and rows of the image in whose px the result is; the camera's image scaled to it.
+        raw_file: name of the frame.
+        rows: (N,) px of the scaled image.
+    """
+    shown = replace(camera, width=size[0], height=size[1])
+    factors = np.divide(size, (camera.width, camera.height))
+    lines = (in_view((line + 0.5) * factors - 0.5, shown) for line in frame.lines_px)
+    lanes = (rounded(columns_at(line, rows, shown)) for line in lines if len(line))
+    return LaneFrame(raw_file, rows, tuple(lane for lane in lanes if np.isfinite(lane).any()), frame.run_time_ms)
+
+
+def _lines(message: log.Message) -> tuple[int, tuple[Float, ...]]:
+    """Stamp of a message, and its boundaries' lines in the image."""
+    channel = message.channel
+    content = decode(
+        "lanes", channel.schema_name, channel.message_encoding, message.data, message.log_time_ns, Context()
+    )
+    boundaries = content.payload.boundaries if isinstance(content.payload, Lanes) else ()
+    return content.stamp_ns, tuple(b.line_px for b in boundaries if len(b.line_px))
+
+
+def _camera(path: Path, topics: list[str], frame_id: str | None) -> Camera:
+    for message in log.read(path, topics=topics) if topics else ():
+        channel = message.channel
+        content = decode(
+            "calibration", channel.schema_name, channel.message_encoding, message.data, message.log_time_ns, Context()
+        )
+        if isinstance(content.payload, Camera) and content.payload.frame_id == frame_id:
+            return content.payload
+    raise LogError(f"{path}: no calibration of {frame_id!r}, the camera of {LANES}; expected one on any topic")
+
+
+def _times_ms(path: Path) -> dict[int, float]:
+    table = beside(path, "metrics")
+    if not table.exists():
+        return {}
+    run = open_run(table, path.stem)
+    rows = collect(pl.scan_parquet(run.path, glob=False).select("stamp_ns", "total_ms").sort("stamp_ns"), str(table))
+    return dict(rows.iter_rows())

@@ -1,0 +1,91 @@
+"""What a whole run says and no single frame can: counts summed to precision, recall and F1, and how far lanes lag."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import polars as pl
+
+from .quantities import SIDES
+
+_COUNTED: Final = {
+    "detections kept": ("filter_tp", "filter_fp", "filter_fn"),
+    "lanes at IoU 0.5": ("lane_culane_tp_50", "lane_culane_fp_50", "lane_culane_fn_50"),
+    "lanes at IoU 0.3": ("lane_culane_tp_30", "lane_culane_fp_30", "lane_culane_fn_30"),
+}
+COUNTS: Final = tuple(column for columns in _COUNTED.values() for column in columns)
+"""Columns whose sums over a run are the counts of its scores."""
+TRACED: Final = {side: (f"lane_{side}_offset_m", f"lane_{side}_true_offset_m") for side in SIDES}
+"""What is smoothed and might lag, and the truth it follows."""
+_SHIFTS: Final = tuple(sorted(range(-6, 7), key=abs))
+"""Frames by which an estimate may lie behind its truth, the likeliest first: that decides between equals."""
+_FOLLOWS: Final = 0.5
+"""A correlation below says that estimate and truth do not move together, as on a road that does not bend."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How many were found rightly, found wrongly and missed."""
+
+    name: str
+    tp: int
+    fp: int
+    fn: int
+
+    @property
+    def precision(self) -> float | None:
+        """Share of what was found that is right; None where nothing was found."""
+        return _share(self.tp, self.tp + self.fp)
+
+    @property
+    def recall(self) -> float | None:
+        """Share of what is there that was found; None where nothing is there."""
+        return _share(self.tp, self.tp + self.fn)
+
+    @property
+    def f1(self) -> float | None:
+        """Harmonic mean of precision and recall, by which CULane ranks; None where nothing is there nor was found."""
+        return _share(2 * self.tp, 2 * self.tp + self.fp + self.fn)
+
+
+def scores(totals: Mapping[str, int]) -> list[Score]:
+    """The scores whose three counts are known, from the sums of ``COUNTS`` over the frames."""
+    return [
+        Score(name, *(totals[column] for column in columns))
+        for name, columns in _COUNTED.items()
+        if all(column in totals for column in columns)
+    ]
+
+
+def correlations(estimate: str, truth: str) -> pl.Expr:
+    """Cross-correlation of two columns: a list with a coefficient per shift, of the frames where both are known.
+
+    Null or not finite where a column has no values or does not vary.
+    """
+    centred, true = (pl.col(column) - pl.col(column).mean() for column in (estimate, truth))
+    spread = pl.col(estimate).std(ddof=0) * pl.col(truth).std(ddof=0)
+    return pl.concat_list((centred.shift(-shift) * true).mean() / spread for shift in _SHIFTS)
+
+
+def lag_frames(coefficients: Sequence[float | None]) -> int | None:
+    """Frames by which an estimate lies behind its truth: the shift with the largest of ``correlations``.
+
+    None where the two do not move together, so that no shift can be told.
+    """
+    pairs = zip(coefficients, _SHIFTS, strict=False)
+    known = [(value, shift) for value, shift in pairs if value is not None and math.isfinite(value)]
+    best, shift = max(known, key=lambda pair: pair[0], default=(0.0, 0))
+    return shift if best >= _FOLLOWS else None
+
+
+def averaged(parts: Iterable[tuple[int, Sequence[float | None]]]) -> tuple[float | None, ...]:
+    """Correlations over several tables, from each one's frames and correlations; empty where none tells a lag."""
+    told = [(frames, coefficients) for frames, coefficients in parts if lag_frames(coefficients) is not None]
+    total = sum(frames for frames, _ in told)
+    by_shift = zip(*([frames / total * (c or 0.0) for c in coefficients] for frames, coefficients in told), strict=True)
+    return tuple(sum(shares) for shares in by_shift)
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None

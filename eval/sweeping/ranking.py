@@ -1,0 +1,169 @@
+"""Which setting is best for which metric: each setting's score over all its frames, and what each value does.
+
+A score is the median of a metric, without its sign, over the frames of all logs that have one, or the mean where the
+metric is a share. It stands beside the share of frames that have one, for a setting that sees less may err less.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import fmean
+from typing import Final
+
+import polars as pl
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.table import Scalar
+
+from ..quantities import RATIO, TOTAL, TRUTH, Quantity
+from .settings import Combination
+
+LESS_SEEN: Final = 0.01
+"""A setting that measures in fewer frames than the most, by more than this share of all, cannot be the best."""
+TIME_NOISE: Final = 0.15
+"""Times differ so much from one sweep to the next where the machine has other work."""
+_TABLE: Final = "table"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """What settings are judged by: ``value`` is a frame's, ``score`` makes one number of those a setting has.
+
+    ``noise`` is the share of a score by which it differs from one time to the next.
+    """
+
+    quantity: Quantity
+    value: pl.Expr
+    score: pl.Expr
+    noise: float = 0.0
+
+    def badness(self, score: float) -> float:
+        """Rises with how bad a score is."""
+        return score if self.quantity.worse == "high" else -score
+
+    def alike(self, scores: Iterable[float]) -> bool:
+        """Whether scores agree in the digits that are shown, or within the noise: they are equally good then."""
+        ordered = sorted(scores)
+        low, high = ordered[0], ordered[-1]
+        decimals = self.quantity.decimals
+        return round(low, decimals) == round(high, decimals) or high - low < self.noise * low
+
+
+@dataclass(frozen=True)
+class Score:
+    """A setting's number, None where no frame has a value, and the share of frames that have one."""
+
+    value: float | None
+    coverage: float
+
+
+@dataclass(frozen=True)
+class Best:
+    """Places of the best setting, and of one that is better still but sees less, if any."""
+
+    winner: int
+    sees_less: int | None
+
+
+def _finite(column: str) -> pl.Expr:
+    value = pl.col(column).cast(pl.Float64)
+    return pl.when(value.is_finite()).then(value)
+
+
+def _typical(quantity: Quantity) -> Metric:
+    """The median of the absolute value; of a share the mean, for most frames may well have all or nothing of it."""
+    value = pl.col("value")
+    score = value.mean() if quantity.unit == RATIO else value.abs().median()
+    return Metric(quantity, _finite(quantity.column), score)
+
+
+def _jitter(side: str) -> Metric:
+    """Standard deviation of the smoothed offset's second difference, held frames included."""
+    quantity = Quantity(f"lane_{side}_offset_m", f"lane {side} jitter", "m", 4)
+    return Metric(quantity, _finite(quantity.column).diff().diff().over(_TABLE), pl.col("value").std(ddof=0))
+
+
+def _share(column: str, name: str) -> Metric:
+    """Share of frames that have a value."""
+    quantity = Quantity(column, name, RATIO, 3, worse="low")
+    return Metric(quantity, _finite(column).is_not_null().cast(pl.Float64), pl.col("value").mean())
+
+
+METRICS: Final = (
+    *(_typical(quantity) for quantity in TRUTH),
+    _share("camera_height_m", "surface seen"),
+    _share("drivable_ratio", "drivable seen"),
+    *(_share(f"lane_{side}_raw_offset_m", f"lane {side} measured") for side in ("left", "right")),
+    *(_share(f"lane_{side}_offset_m", f"lane {side} seen") for side in ("left", "right")),
+    *(_jitter(side) for side in ("left", "right")),
+    _share("step_m", "odometry tracked"),
+    replace(_typical(replace(TOTAL, name="time a frame", decimals=0)), noise=TIME_NOISE),
+)
+"""The errors against truth, where there is one, and what needs none."""
+
+
+def scores(tables: Sequence[Path], made: Sequence[Combination], metric: Metric) -> list[Score]:
+    """The score of each combination, over all its tables.
+
+    Raises:
+        TableError: the tables cannot be read.
+    """
+    keys = list(made[0].settings)
+    frames = pl.scan_parquet(list(tables), glob=False, hive_partitioning=False, include_file_paths=_TABLE)
+    asked = (
+        frames.select(*keys, metric.value.alias("value"))
+        .group_by(keys)
+        .agg(metric.score.alias("score"), (pl.col("value").count() / pl.len()).alias("coverage"))
+    )
+    try:
+        rows = asked.collect().rows_by_key(keys, unique=True, named=True)
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise TableError(f"{tables[0].parent.parent}: its tables cannot be read: {error}") from error
+    found = [rows[_key(item.settings)] for item in made]
+    return [Score(row["score"], row["coverage"]) for row in found]
+
+
+def best(metric: Metric, found: Sequence[Score], made: Sequence[Combination], reference: Combination) -> Best | None:
+    """The best of the settings that see most; of equals the nearest to the reference, else the first.
+
+    Also the best of those that see less, where it would have won. None where no setting has a value.
+    """
+    values = {at: score.value for at, score in enumerate(found) if score.value is not None}
+    if not values:
+        return None
+    most = max(found[at].coverage for at in values)
+    seeing = {at: value for at, value in values.items() if found[at].coverage >= most - LESS_SEEN}
+    winner, first = _least_bad(metric, seeing, made, reference), _least_bad(metric, values, made, reference)
+    return Best(winner, None if metric.alike([values[first], values[winner]]) else first)
+
+
+def _least_bad(metric: Metric, values: Mapping[int, float], made: Sequence[Combination], reference: Combination) -> int:
+    """The place of the best value; of those that are as good the nearest to the reference, else the first."""
+    least = min(values.values(), key=metric.badness)
+    equals = [at for at, value in values.items() if metric.alike([value, least])]
+    return min(equals, key=lambda at: (changed(made[at], reference), at))
+
+
+def changed(item: Combination, reference: Combination) -> int:
+    """How many settings differ from the reference's."""
+    return sum(item.settings[key] != value for key, value in reference.settings.items())
+
+
+def effect(found: Sequence[Score], made: Sequence[Combination], key: str) -> dict[Scalar, Score]:
+    """What each value of a setting does: the mean score and coverage of the combinations that have it."""
+    values = dict.fromkeys(item.settings[key] for item in made)
+    return {
+        value: _mean([score for score, item in zip(found, made, strict=True) if item.settings[key] == value])
+        for value in values
+    }
+
+
+def _mean(found: Sequence[Score]) -> Score:
+    known = [score.value for score in found if score.value is not None]
+    return Score(fmean(known) if known else None, fmean(score.coverage for score in found))
+
+
+def _key(settings: Mapping[str, Scalar]) -> Scalar | tuple[Scalar, ...]:
+    """As polars keys rows: by the bare value, where there is one column."""
+    values = tuple(settings.values())
+    return values if len(values) > 1 else values[0]

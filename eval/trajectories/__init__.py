@@ -1,0 +1,1 @@
+"""An estimated path against the true one: alignment, errors, figures and files."""

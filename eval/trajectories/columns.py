@@ -1,0 +1,63 @@
+"""A run's estimated and true poses, from its metrics table."""
+
+from typing import Final
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.geometry import Float
+
+from ..runs import Run
+from ..scan import collect
+from .poses import RunPoses, pose_matrices
+
+_POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+ESTIMATED_COLUMNS: Final = tuple(f"odom_{name}" for name in _POSE)
+TRUE_COLUMNS: Final = tuple(f"true_{name}" for name in _POSE)
+
+
+def read_poses(run: Run) -> RunPoses:
+    """Read a run's poses; a pose with a value that is missing or not finite is missing.
+
+    Raises:
+        TableError: the table cannot be read, or no frame has an estimated pose.
+    """
+    table = collect(pl.scan_parquet(run.path, glob=False).select(_columns(run)), str(run.path))
+    lost = (table["odometry_status"] == "lost").fill_null(value=False).to_numpy()
+    estimated, true = (table.select(names).to_numpy() for names in (ESTIMATED_COLUMNS, TRUE_COLUMNS))
+    has_estimate, has_truth = _known(estimated) & ~lost, _known(true)
+    if not has_estimate.any():
+        raise TableError(f"{run.path}: no frame has an estimated pose (odom_x_m to odom_qw); was odometry replayed?")
+    taken = has_estimate & has_truth if has_truth.any() else has_estimate
+    turned = table["turn_deg"].is_not_null()
+    return RunPoses(
+        name=run.name,
+        source=str(run.path),
+        frames=run.frames,
+        lost=int(lost.sum()),
+        estimated_frames=int(has_estimate.sum()),
+        true_frames=int(has_truth.sum()),
+        steps=int(turned.sum()),
+        without_scale=int((turned & table["step_m"].is_null()).sum()),
+        stamps_ns=table["stamp_ns"].to_numpy()[taken],
+        estimated=pose_matrices(estimated[taken]),
+        true=pose_matrices(true[taken]) if has_truth.any() else None,
+    )
+
+
+def _columns(run: Run) -> list[pl.Expr]:
+    """What is read of a table, a column that it lacks as nulls."""
+    kinds = {"odometry_status": pl.String, "stamp_ns": pl.Int64}
+    numbers = dict.fromkeys(("step_m", "turn_deg", *ESTIMATED_COLUMNS, *TRUE_COLUMNS), pl.Float64)
+    return [
+        pl.col(name).cast(kind) if name in run.columns else pl.lit(None, kind).alias(name)
+        for name, kind in (kinds | numbers).items()
+    ]
+
+
+def _known(rows: Float) -> NDArray[np.bool_]:
+    """(N,) which of (N, 7) rows are a pose."""
+    known: NDArray[np.bool_] = np.isfinite(rows).all(axis=1) & (rows[:, 3:] != 0).any(axis=1)
+    return known

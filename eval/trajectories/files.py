@@ -1,0 +1,63 @@
+"""Poses as files that other trajectory tools read."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from roadperc_stream.geometry import Float, inverse
+
+from .poses import RunPoses
+
+_NS_PER_S = 1_000_000_000
+
+
+def export_tum(folder: Path, run: RunPoses) -> None:
+    """Write NAME.est.tum and, where there is truth, NAME.true.tum, each pose in its own world."""
+    for path, poses in _targets(folder, run, "tum"):
+        _write(path, tum_lines(run.stamps_ns, poses))
+
+
+def export_kitti(folder: Path, run: RunPoses) -> None:
+    """Write NAME.est.kitti and, where there is truth, NAME.true.kitti, each pose against its file's first."""
+    for path, poses in _targets(folder, run, "kitti"):
+        _write(path, kitti_lines(poses))
+
+
+def tum_lines(stamps_ns: NDArray[np.int64], poses: Float) -> list[str]:
+    """A line for each of (N, 4, 4) poses: seconds with nine decimals, x y z in metres, quaternion x y z w.
+
+    Numbers have as many digits as give the same float again.
+    Source: the file format of the TUM RGB-D benchmark (Sturm et al. 2012).
+    """
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    rows = np.hstack((poses[:, :3, 3], quaternions)).tolist()
+    stamps = (divmod(stamp_ns, _NS_PER_S) for stamp_ns in stamps_ns.tolist())
+    return [f"{s}.{ns:09d} {_numbers(row)}" for (s, ns), row in zip(stamps, rows, strict=True)]
+
+
+def kitti_lines(poses: Float) -> list[str]:
+    """A line for each of (N, 4, 4) poses: the upper three rows of first_T_this, row by row, metres.
+
+    Source: the file format of KITTI's odometry benchmark (Geiger et al. 2012), whose paths begin at the identity.
+    """
+    first_T_this = inverse(poses[0]) @ poses
+    return [_numbers(row) for row in first_T_this[:, :3].reshape(-1, 12).tolist()]
+
+
+def _numbers(row: Iterable[float]) -> str:
+    return " ".join(repr(value) for value in row)
+
+
+def _targets(folder: Path, run: RunPoses, suffix: str) -> list[tuple[Path, Float]]:
+    """A run that is told from others by its folder gets that folder here, too."""
+    name = run.name.lstrip("/")
+    kinds = {"est": run.estimated} if run.true is None else {"est": run.estimated, "true": run.true}
+    return [(folder / f"{name}.{kind}.{suffix}", poses) for kind, poses in kinds.items()]
+
+
+def _write(path: Path, lines: Iterable[str]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="ascii")

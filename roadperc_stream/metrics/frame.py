@@ -1,0 +1,38 @@
+"""The row of a frame: what each stage gave, and how far it is from what is true."""
+
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.datatypes import FrameResult, Sample
+from roadperc_stream.metrics.lanes import lane_benchmarks, lane_columns, lane_errors, true_lane_columns
+from roadperc_stream.metrics.objects import object_columns, object_errors
+from roadperc_stream.metrics.odometry import odometry_columns, odometry_errors, true_pose_columns
+from roadperc_stream.metrics.stereo import stereo_columns, stereo_errors_of
+from roadperc_stream.metrics.surface import surface_columns, surface_errors
+from roadperc_stream.rows import FrameMetrics
+
+
+def frame_metrics(
+    cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameResult, previous: Sample | None = None
+) -> FrameMetrics:
+    """The row of one frame, with errors wherever the log carries truth; ``previous`` is the frame before."""
+    frame, truth = sample.frame, sample.truth
+    return FrameMetrics(
+        log_id=log_id,
+        frame=sample.index,
+        stamp_ns=result.stamp_ns,
+        sync_skew_ms=None if sample.skew_ns is None else sample.skew_ns / 1e6,
+        missing=sample.missing,
+        reasons=(*(f"{role}: no message at this frame" for role in sample.missing), *result.reasons()),
+        **surface_columns(result),
+        **lane_columns(result.lanes),
+        **object_columns(result.objects),
+        **stereo_columns(result.stereo),
+        **odometry_columns(result.odometry),
+        **surface_errors(cfg, result, sample),
+        **lane_errors(result.lanes, truth.lanes),
+        **true_lane_columns(truth.lanes),
+        **lane_benchmarks(result.lanes, truth.lanes, frame.camera, frame.ego_T_camera),
+        **object_errors(result.objects, truth.objects),
+        **stereo_errors_of(result.stereo, sample),
+        **odometry_errors(result.odometry, sample, previous),
+        **true_pose_columns(truth),
+    )

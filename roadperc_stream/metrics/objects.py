@@ -1,0 +1,144 @@
+"""Detections kept and dropped, row by row and in sum, against the true objects."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from roadperc_stream.datatypes import Absent, FrameResult, Object, Objects, Sample
+from roadperc_stream.rows import Columns, ObjectMetrics
+from roadperc_stream.semantics import classes_of_label
+
+MATCH_OVERLAP = 0.5
+"""Intersection over union from which a detection stands for a true object of its kind."""
+
+
+def object_metrics(log_id: str, sample: Sample, result: FrameResult) -> list[ObjectMetrics]:
+    """The rows of a frame's detections, kept and dropped."""
+    if isinstance(result.objects, Absent):
+        return []
+    objects, truth = result.objects.objects, sample.truth.objects
+    partners = true_partners(objects, truth)
+    return [
+        _object_row(log_id, sample, item, partner, None if truth is None else partner is not None)
+        for item, partner in zip(objects, partners, strict=True)
+    ]
+
+
+def _object_row(
+    log_id: str, sample: Sample, item: Object, partner: Object | None, is_true: bool | None
+) -> ObjectMetrics:
+    box = item.detection.box_px
+    return ObjectMetrics(
+        log_id,
+        sample.index,
+        sample.frame.stamp_ns,
+        item.track_id or None,
+        item.detection.label,
+        item.detection.score,
+        box.x_min,
+        box.y_min,
+        box.x_max,
+        box.y_max,
+        item.class_ratio,
+        item.kept,
+        item.distance_m,
+        item.distance_std_m,
+        item.closing_speed_mps,
+        item.closing_speed_std_mps,
+        item.time_to_impact_s,
+        item.time_to_impact_std_s,
+        item.status,
+        item.beyond_range,
+        is_true,
+        *_true_columns(partner),
+    )
+
+
+def _true_columns(true: Object | None) -> tuple[float | None, float | None, float | None]:
+    if true is None:
+        return None, None, None
+    return true.distance_m, true.closing_speed_mps, true_time_to_impact_s(true)
+
+
+def true_time_to_impact_s(true: Object) -> float | None:
+    """What the truth says, else its distance over its closing speed; None where it does not come nearer."""
+    if true.time_to_impact_s is not None or true.distance_m is None or true.closing_speed_mps is None:
+        return true.time_to_impact_s
+    return true.distance_m / true.closing_speed_mps if true.closing_speed_mps > 0 else None
+
+
+def object_columns(objects: Objects | Absent) -> Columns:
+    """How many detections were kept, and the nearest and most urgent of them."""
+    if isinstance(objects, Absent):
+        return {}
+    kept = [item for item in objects.objects if item.kept]
+    known = [(item.distance_m, item.detection.label) for item in kept if item.distance_m is not None]
+    nearest_m, nearest_class = min(known, default=(None, None))
+    impacts = [(i.time_to_impact_s, i.time_to_impact_std_s) for i in kept if i.time_to_impact_s is not None]
+    soonest_s, soonest_std_s = min(impacts, key=lambda impact: impact[0], default=(None, None))
+    return {
+        "detections": sum(item.status == "measured" for item in objects.objects),
+        "detections_kept": sum(item.status == "measured" for item in kept),
+        "objects_carried": sum(item.status == "tracked" for item in kept),
+        "detections_unjudged": sum(item.kept and item.class_ratio is None for item in objects.objects),
+        "nearest_object_m": nearest_m,
+        "nearest_object_class": nearest_class,
+        "time_to_impact_s": soonest_s,
+        "time_to_impact_std_s": soonest_std_s,
+    }
+
+
+def object_errors(objects: Objects | Absent, truth: Objects | None) -> Columns:
+    """Mean distance error of what was kept, and how the filter judged; nothing without true objects."""
+    if isinstance(objects, Absent) or truth is None:
+        return {}
+    pairs = list(zip(objects.objects, true_partners(objects.objects, truth), strict=True))
+    errors = [
+        abs(item.distance_m - true.distance_m)
+        for item, true in pairs
+        if true is not None and item.kept and item.distance_m is not None and true.distance_m is not None
+    ]
+    mean_m = float(np.mean(errors)) if errors else None
+    return {"object_distance_error_m": mean_m, **_filter_columns(pairs)}
+
+
+def _filter_columns(pairs: Sequence[tuple[Object, Object | None]]) -> Columns:
+    """How the filter judged what the detector found: right are kept detections that stand for a true object."""
+    judged = [(item.kept, true is not None) for item, true in pairs if item.status == "measured"]
+    tp, fp = judged.count((True, True)), judged.count((True, False))
+    fn, tn = judged.count((False, True)), judged.count((False, False))
+    return {
+        "filter_tp": tp,
+        "filter_fp": fp,
+        "filter_fn": fn,
+        "filter_tn": tn,
+        "filter_precision": tp / (tp + fp) if tp + fp else None,
+        "filter_recall": tp / (tp + fn) if tp + fn else None,
+    }
+
+
+def true_partners(objects: Sequence[Object], truth: Objects | None) -> list[Object | None]:
+    """The true object each detection stands for: pairs of a kind by overlap, the best first, each used once."""
+    partners: list[Object | None] = [None] * len(objects)
+    used: set[int] = set()
+    true = () if truth is None else truth.objects
+    for _, i, k in sorted(_candidates(objects, true)):
+        if partners[i] is None and k not in used:
+            partners[i] = true[k]
+            used.add(k)
+    return partners
+
+
+def _candidates(objects: Sequence[Object], true: Sequence[Object]) -> list[tuple[float, int, int]]:
+    """Negative overlap and the two indices of each pair that may be the same object."""
+    pairs = ((i, k, a.detection, b.detection) for i, a in enumerate(objects) for k, b in enumerate(true))
+    overlaps = ((a.box_px.overlap(b.box_px), i, k) for i, k, a, b in pairs if same_kind(a.label, b.label))
+    return [(-overlap, i, k) for overlap, i, k in overlaps if overlap >= MATCH_OVERLAP]
+
+
+def same_kind(label: str, other: str) -> bool:
+    """Whether pixels of one class may stand for both labels; of labels without classes, whether they are the same."""
+    classes, others = classes_of_label(label), classes_of_label(other)
+    if classes is None or others is None:
+        return label.strip().lower() == other.strip().lower()
+    return not set(classes).isdisjoint(others)

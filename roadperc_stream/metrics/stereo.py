@@ -1,0 +1,41 @@
+"""How each stereo depth is filled, and how far it is off."""
+
+import numpy as np
+
+from roadperc_stream.datatypes import Absent, Sample, StereoDepth
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.rows import Columns
+from roadperc_stream.stereo_errors import stereo_errors
+
+STEREO_NEAREST_QUANTILE = 0.02
+
+
+def stereo_columns(stereo: StereoDepth | Absent) -> Columns:
+    """How much of the image has a stereo depth, and how near the nearest is."""
+    if isinstance(stereo, Absent):
+        return {}
+    known = stereo.depth_m[np.isfinite(stereo.depth_m)]
+    nearest = float(np.quantile(known, STEREO_NEAREST_QUANTILE)) if len(known) else None
+    return {"stereo_valid_ratio": len(known) / stereo.depth_m.size, "stereo_nearest_m": nearest}
+
+
+def stereo_errors_of(stereo: StereoDepth | Absent, sample: Sample) -> Columns:
+    """Against the front depth, where it is the left camera that has both."""
+    frame = sample.frame
+    depth = sample.truth.depth or frame.depth
+    if isinstance(stereo, Absent) or depth is None or frame.right_camera is None or frame.left is not None:
+        return {}
+    try:
+        true_m = depth.depth_m
+    except DecodeError:
+        return {}
+    baseline_m = frame.right_camera.baseline_m
+    if not baseline_m or depth.frame_id != frame.camera.frame_id or true_m.shape != stereo.depth_m.shape:
+        return {}
+    errors = stereo_errors(stereo.depth_m, true_m, frame.camera, baseline_m)
+    return {
+        "stereo_epe_px": errors.epe_px,
+        "stereo_d1_ratio": errors.d1_ratio,
+        "stereo_abs_rel": errors.abs_rel,
+        "stereo_coverage": errors.coverage,
+    }

@@ -1,0 +1,92 @@
+"""The road's plane, its heights and the drivable pixels, seen and against the truth."""
+
+import numpy as np
+
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.datatypes import Absent, FrameResult, Mask, Sample, Surface, Truth
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import angle_between
+from roadperc_stream.ground import height_at
+from roadperc_stream.rows import Columns
+from roadperc_stream.stages.surface import drivable_mask
+
+HEIGHT_ERROR_FROM_M, HEIGHT_ERROR_TO_M, HEIGHT_ERROR_ASIDE_M = 5.0, 40.0, 4.0
+"""Ego x from and to which heights are judged, and how far to either side."""
+
+
+def surface_columns(result: FrameResult) -> Columns:
+    """The road as the chain sees it, and the share of the image that is drivable."""
+    columns: Columns = {}
+    if not isinstance(result.surface, Absent):
+        surface = result.surface
+        columns |= {
+            "surface_inlier_ratio": surface.inlier_ratio,
+            "surface_source": surface.source,
+            "camera_height_m": surface.camera_height_m,
+            "camera_pitch_deg": float(np.degrees(surface.pitch)),
+            "camera_roll_deg": float(np.degrees(surface.roll)),
+        }
+    if not isinstance(result.drivable, Absent):
+        columns["drivable_ratio"] = float(result.drivable.mean())
+    return columns
+
+
+def surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> Columns:
+    """How far plane, heights and drivable pixels are off, where the log carries their truth."""
+    columns: Columns = {}
+    truth = sample.truth
+    if truth.surface is not None and not isinstance(result.surface, Absent):
+        angle = angle_between(result.surface.ego_plane.n, truth.surface.ego_plane.n)
+        columns["surface_angle_error_deg"] = float(np.degrees(angle))
+        columns["surface_height_error_m"] = surface_height_error_m(result.surface, truth.surface)
+        columns["camera_height_error_m"] = result.surface.camera_height_m - truth.surface.camera_height_m
+    true_mask = _true_drivable(cfg, truth, sample)
+    if true_mask is not None and not isinstance(result.drivable, Absent):
+        columns["drivable_iou"] = intersection_over_union(result.drivable, true_mask)
+    return columns
+
+
+def surface_height_error_m(surface: Surface, truth: Surface) -> float | None:
+    """Median absolute height error of the road ahead (``HEIGHT_ERROR_FROM_M`` to ``HEIGHT_ERROR_TO_M``), metres.
+
+    Taken at the nodes of the truth's height grid; None where the truth has no grid, or none there.
+    """
+    grid = truth.height_grid
+    if grid is None:
+        return None
+    rows, columns = grid.z_m.shape
+    x, y = grid.x_min_m + grid.step_m * np.arange(columns), grid.y_min_m + grid.step_m * np.arange(rows)
+    ahead = (x >= HEIGHT_ERROR_FROM_M) & (x <= HEIGHT_ERROR_TO_M)
+    aside = np.abs(y) < HEIGHT_ERROR_ASIDE_M
+    true_z = grid.z_m[np.ix_(aside, ahead)].astype(float)
+    error = np.abs(height_at(surface, *np.meshgrid(x[ahead], y[aside])) - true_z)
+    return float(np.median(error)) if error.size else None
+
+
+def _true_drivable(cfg: ReplayConfig, truth: Truth, sample: Sample) -> Mask | None:
+    """Drivable pixels by the clean tags, depth and plane; None where the log does not carry them.
+
+    The tags are never those the chain saw. Where only these were spoilt there is no clean depth beside the log's own,
+    which is then true as it stands.
+    """
+    depth = truth.depth or sample.frame.depth
+    if truth.segmentation is None or depth is None or truth.surface is None:
+        return None
+    try:
+        road = truth.segmentation.table.lookup(cfg.surface.classes)[truth.segmentation.tags]
+        depth_m = depth.depth_m
+    except DecodeError:
+        return None
+    camera = sample.frame.camera
+    if road.shape != camera.size or depth_m.shape != camera.size:
+        return None
+    mask = drivable_mask(cfg.surface, truth.surface, camera, depth_m, road, sample.frame.ego_T_camera)
+    return None if isinstance(mask, Absent) else mask
+
+
+def intersection_over_union(mask: Mask, truth: Mask) -> float | None:
+    """|A and B| / |A or B| of two (H, W) masks; None where both are empty or their shapes differ."""
+    if mask.shape != truth.shape:
+        return None
+    union = int(np.count_nonzero(mask | truth))
+    return int(np.count_nonzero(mask & truth)) / union if union else None

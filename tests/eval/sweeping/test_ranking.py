@@ -1,0 +1,178 @@
+"""Which setting is best: hand-made datasets with known answers."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream.config import load_config
+from roadperc_stream.errors import TableError
+from roadperc_stream.eval.sweeping.ranking import METRICS, Best, Score, best, effect, scores
+from roadperc_stream.eval.sweeping.settings import Combination, combinations, passes, reference_of, varied
+from roadperc_stream.eval.sweeping.tables import best_settings, effects, without_effect
+from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.table import TableWriter
+from tests.eval.tables import row
+
+ERROR = next(metric for metric in METRICS if metric.quantity.column == "lane_left_error_m")
+OVERLAP = next(metric for metric in METRICS if metric.quantity.column == "drivable_iou")
+JITTER = next(metric for metric in METRICS if metric.quantity.name == "lane left jitter")
+MEASURED = next(metric for metric in METRICS if metric.quantity.name == "lane left measured")
+TIME = next(metric for metric in METRICS if metric.quantity.column == "total_ms")
+
+
+def made(*options):
+    return combinations(None, (), [varied(option) for option in options])
+
+
+GATES = made("lanes.gate=1,2,3")
+
+
+def dataset(folder, columns, count=2):
+    """One table per combination and log: each log has the rows, a list of columns each, of its combination."""
+    for item, rows in zip(GATES, columns, strict=True):
+        for name in range(count):
+            path = folder / item.folder / f"{name}.metrics.parquet"
+            with TableWriter(path, FrameMetrics, {}, TIME_COLUMNS, item.settings) as table:
+                for frame, values in enumerate(rows):
+                    table.append(row(frame, **values), total_ms=10.0)
+    return sorted(folder.rglob("*.parquet"))
+
+
+def errors(*values):
+    return [{"lane_left_error_m": value} for value in values]
+
+
+def test_scores_are_medians_of_the_error_without_its_sign_beside_coverage(tmp_path):
+    files = dataset(tmp_path, [errors(0.1, -0.3, 0.2), errors(-0.4, None, 0.0), errors(None, None, None)])
+    found = scores(files, GATES, ERROR)
+    assert found == [Score(0.2, 1.0), Score(0.2, pytest.approx(2 / 3)), Score(None, 0.0)]
+
+
+def test_of_a_share_the_mean_counts(tmp_path):
+    rows = [[{"drivable_iou": share} for share in shares] for shares in ((1.0, 1.0, 0.4), (1.0, 1.0, 1.0), (0.9,))]
+    assert [score.value for score in scores(dataset(tmp_path, rows), GATES, OVERLAP)] == pytest.approx([0.8, 1.0, 0.9])
+
+
+def test_values_that_are_not_finite_are_none(tmp_path):
+    files = dataset(tmp_path, [errors(0.1, float("nan")), errors(float("inf"), 0.2), errors(0.3, 0.3)])
+    assert scores(files, GATES, ERROR) == [Score(0.1, 0.5), Score(0.2, 0.5), Score(0.3, 1.0)]
+
+
+def test_jitter_does_not_cross_from_log_to_log(tmp_path):
+    """A parabola has one second difference throughout, so they do not spread; a kink of 1 among two spreads by half."""
+    rows = [
+        [{"lane_left_offset_m": offset} for offset in offsets] for offsets in ((0, 1, 4, 9), (0, 0, 0, 1), (5, 5, 5, 5))
+    ]
+    files = dataset(tmp_path, rows)
+    assert scores(files, GATES, JITTER) == [Score(0.0, 0.5), Score(0.5, 0.5), Score(0.0, 0.5)]
+
+
+def test_measured_is_the_share_of_frames_with_a_raw_offset(tmp_path):
+    rows = [
+        [{"lane_left_raw_offset_m": offset} for offset in offsets]
+        for offsets in ((1.0, None), (1.0, 1.0), (None, None))
+    ]
+    assert [score.value for score in scores(dataset(tmp_path, rows), GATES, MEASURED)] == [0.5, 1.0, 0.0]
+
+
+def test_tables_that_cannot_be_read_are_named(tmp_path):
+    files = dataset(tmp_path, [errors(0.1)] * 3)
+    files[0].write_bytes(b"no table")
+    with pytest.raises(TableError, match="cannot be read"):
+        scores(files, GATES, ERROR)
+
+
+def ranked(metric, *found, reference=0):
+    return best(metric, [Score(*score) for score in found], GATES, GATES[reference])
+
+
+def test_the_least_error_is_best_and_the_most_overlap():
+    assert ranked(ERROR, (0.3, 1.0), (0.1, 1.0), (0.2, 1.0)) == Best(1, None)
+    assert ranked(OVERLAP, (0.3, 1.0), (0.1, 1.0), (0.2, 1.0)) == Best(0, None)
+
+
+def test_of_equals_the_reference_is_best_else_the_first():
+    assert ranked(ERROR, (0.1, 1.0), (0.1, 1.0), (0.1004, 1.0), reference=2) == Best(2, None)
+    assert ranked(ERROR, (0.1, 1.0), (0.1, 1.0), (0.2, 1.0), reference=2) == Best(0, None)
+
+
+def test_of_equals_the_one_that_changes_least_is_best():
+    some = made("lanes.gate=1,2", "lanes.hold_s=1,2")
+    found = [Score(0.2, 1.0), Score(0.1, 1.0), Score(0.2, 1.0), Score(0.1, 1.0)]
+    assert best(ERROR, found, some, some[2]) == Best(3, None)
+
+
+def test_a_setting_that_sees_less_is_named_but_not_best():
+    assert ranked(ERROR, (0.3, 1.0), (0.1, 0.5), (0.2, 0.995)) == Best(2, 1)
+    assert ranked(ERROR, (0.3, 0.5), (0.1, 0.5), (0.2, None or 0.0)) == Best(1, None)
+    assert ranked(ERROR, (0.1, 0.9), (0.3, 1.0), (None, 0.0)) == Best(1, 0)
+
+
+def test_times_within_their_noise_are_equal():
+    assert ranked(TIME, (30.0, 1.0), (28.0, 1.0), (29.0, 1.0)) == Best(0, None)
+    assert ranked(TIME, (30.0, 1.0), (20.0, 1.0), (29.0, 1.0)) == Best(1, None)
+
+
+def test_without_any_value_there_is_no_best():
+    assert ranked(ERROR, (None, 0.0), (None, 0.0), (None, 0.0)) is None
+
+
+@given(
+    st.lists(st.tuples(st.none() | st.floats(-1e3, 1e3), st.floats(0, 1)), min_size=3, max_size=3),
+    st.integers(0, 2),
+)
+def test_nothing_that_sees_as_much_beats_the_best(pairs, reference):
+    found = [Score(value, coverage if value is not None else 0.0) for value, coverage in pairs]
+    for metric in (ERROR, OVERLAP):
+        chosen = best(metric, found, GATES, GATES[reference])
+        known = [score for score in found if score.value is not None]
+        assert (chosen is None) == (not known)
+        if chosen is not None:
+            winner = found[chosen.winner]
+            rivals = [score for score in known if score.coverage >= winner.coverage]
+            assert metric.badness(winner.value) <= min(metric.badness(s.value) for s in rivals) + 0.001
+
+
+def test_effects_are_means_over_the_other_settings():
+    some = made("lanes.gate=1,2", "lanes.hold_s=1,2")
+    found = [Score(0.1, 1.0), Score(0.3, 0.5), Score(None, 0.0), Score(0.6, 1.0)]
+    assert effect(found, some, "lanes.gate") == {1.0: Score(pytest.approx(0.2), 0.75), 2.0: Score(0.6, 0.5)}
+    assert effect(found, some, "lanes.hold_s") == {1.0: Score(0.1, 0.5), 2.0: Score(pytest.approx(0.45), 0.75)}
+
+
+def cells(table):
+    return [list(column.cells) for column in table.columns]
+
+
+def test_the_table_shows_the_best_the_reference_and_what_sees_less():
+    found = [(ERROR, [Score(0.3, 1.0), Score(0.1, 0.5), Score(0.2, 1.0)]), (OVERLAP, [Score(0.9, 1.0)] * 3)]
+    assert cells(best_settings(found, GATES, GATES[0])) == [
+        ["lane left at 10 m, m", "  sees less"],
+        ["0.200", "0.100"],
+        ["100.0", "50.0"],
+        ["0.300", "0.300"],
+        ["100.0", "100.0"],
+        ["gate=3", "gate=2"],
+    ]
+    assert without_effect(found) == "no difference: drivable IoU"
+    assert cells(effects(found, GATES, "lanes.gate"))[0] == ["lane left at 10 m, m", "  frames %"]
+    assert cells(effects(found, GATES, "lanes.gate"))[2] == ["0.100", "50.0"]
+
+
+def test_the_table_names_only_what_the_best_changes():
+    some = made("lanes.gate=1,2", "objects.gate=3,4")
+    found = [(ERROR, [Score(0.2, 1.0), Score(0.2, 1.0), Score(0.1, 1.0), Score(0.2, 1.0)])]
+    assert cells(best_settings(found, some, some[0]))[-1] == ["lanes.gate=2"]
+    assert cells(best_settings(found, some, some[1]))[-1] == ["lanes.gate=2 objects.gate=3"]
+    assert cells(best_settings(found, some, some[2]))[-1] == ["reference"]
+
+
+def test_the_reference_is_what_is_configured_else_the_first():
+    assert reference_of(made("lanes.hold_s=2,0.5"), load_config()).number == 1
+    assert reference_of(GATES, load_config()).number == 0
+
+
+def test_many_settings_take_several_passes():
+    many = tuple(Combination(k, {}, load_config()) for k in range(70))
+    assert [len(some) for some in passes(many)] == [32, 32, 6]
+    assert [item.number for some in passes(many) for item in some] == list(range(70))

@@ -1,0 +1,105 @@
+"""Deliberate damage to whole replays is found, under the name of what it damages; an unchanged replay is identical."""
+
+from pathlib import Path
+
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.channels import ROLES
+from roadperc_stream.config import load_config
+from roadperc_stream.eval.compare import main
+from roadperc_stream.log import LogWriter
+from roadperc_stream.replay import replay
+from roadperc_stream.table import beside
+
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
+SEGMENTATION = ROLES["segmentation"].topic
+DROPPED = range(15, 19)
+"""0.2 s without segmentation: shorter than a lane is held by default."""
+
+
+def replayed(source, target, *settings):
+    replay(source, target, load_config(None, settings))
+    return target
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """The sample as it is, twice; with a careless plane fit; and its copy without some tags, lanes held and not."""
+    folder = tmp_path_factory.mktemp("runs")
+    copy = without_tags(SAMPLE, folder / "dropped.mcap")
+    return {
+        "base": replayed(SAMPLE, folder / "base.mcap"),
+        "again": replayed(SAMPLE, folder / "again.mcap"),
+        "careless": replayed(SAMPLE, folder / "careless.mcap", "surface.inlier_m=0.5"),
+        "held": replayed(copy, folder / "held.mcap"),
+        "lost": replayed(copy, folder / "lost.mcap", "lanes.hold_s=0"),
+    }
+
+
+def without_tags(source, target):
+    with LogWriter(target) as writer:
+        seen = 0
+        for message in log.read(source):
+            tags = message.channel.topic == SEGMENTATION
+            if not tags or seen not in DROPPED:
+                writer.write(message)
+            seen += tags
+    return target
+
+
+def compare(capsys, *arguments):
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_an_unchanged_run_is_identical(runs, capsys):
+    code, text, _ = compare(capsys, runs["base"], runs["again"], "--exact")
+    assert code == 0
+    assert text.endswith("verdict: identical\n")
+
+
+def test_a_careless_plane_fit_makes_the_surface_worse(runs, capsys):
+    code, text, error = compare(capsys, runs["base"], runs["careless"])
+    assert code == 1
+    assert "surface_angle_error_deg" in error
+    assert "worse: surface_angle_error_deg" in text
+    assert "  surface.camera_height_m: " in text
+    assert "  surface_angle_error_deg: " in text
+    assert "stereo" not in text.partition("Is it better?")[0]
+    allowed = ("--allow", "surface*=1", "--allow", "lane*=1", "--allow", "*_m=1")
+    assert compare(capsys, runs["base"], runs["careless"], *allowed)[0] == 0
+
+
+def test_lanes_that_are_not_held_lose_coverage(runs, capsys):
+    code, text, error = compare(capsys, runs["held"], runs["lost"])
+    assert code == 1
+    assert "lane_left_offset_m.coverage" in error
+    assert "lane_right_offset_m.coverage" in error
+    assert "surface" not in error
+    assert "worse: lane_left_error_m.coverage 1 → 0.9 (-0.1 [" in text
+    assert "lane_left_status: held → none, in 4 frames" in text
+    assert "lanes.message: present → none, in 4 frames" in text
+    assert "frame 15, stamp" in text
+
+
+def test_dropped_tags_are_told_by_what_they_cost(runs, capsys):
+    """Two inputs, so two logs: refused, unless that is wanted."""
+    assert "--other-log" in compare(capsys, runs["base"], runs["held"])[2]
+    code, text, error = compare(capsys, runs["base"], runs["held"], "--other-log")
+    assert code == 1
+    assert "lane_left_status.measured" in error
+    assert "lane_left_status: measured → held, in 4 frames" in text
+
+
+def test_message_fields_are_tolerated_and_ignored_like_columns(runs, capsys):
+    tables = [beside(runs[name], "metrics") for name in ("base", "careless")]
+    ignored = ("--exact", "--allow", "1000%", "--ignore", "*_*", "--ignore", "drivable*", "--ignore", "occupancy*")
+    assert compare(capsys, *tables, *ignored[:-2])[0] == 0
+    code, text, _ = compare(
+        capsys, runs["base"], runs["careless"], *ignored, "--ignore", "lanes*", "--tolerance", "surface.*=0.5"
+    )
+    assert code == 0
+    assert "within tolerance: surface.normal.x (in 40 frames, by up to 0.0" in text
+    assert text.endswith("verdict: within tolerance\n")

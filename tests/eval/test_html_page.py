@@ -1,0 +1,246 @@
+"""The page: one file that needs no network, whatever the tables hold."""
+
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from roadperc_stream.eval.html.page import RUNS_DRAWN
+from roadperc_stream.eval.report import main
+from tests.eval.tables import START_NS, STEP_NS, row, write
+from tests.eval.test_html_parts import STAMP, write_log
+
+CHROMIUM = shutil.which("chromium")
+QUIET = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
+    *("--disable-background-networking", "--disable-component-update", "--virtual-time-budget=8000"),
+)
+FULL = {
+    "surface_source": "depth",
+    "lane_left_status": "measured",
+    "lane_left_offset_m": 1.75,
+    "lane_left_raw_offset_m": 1.7,
+    "nearest_object_m": 5.0,
+    "stereo_epe_px": 0.5,
+    "odom_x_m": 1.0,
+}
+
+
+class Page(HTMLParser):
+    """Elements, the resources they name, visible text and the charts' data."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.links, self.images, self.text, self.inside, self.specs = [], [], "", [], {}
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.inside += [found.get("id", tag)] if tag in {"script", "style"} else []
+        self.links += [found[name] for name in ("src", "href", "action", "srcset", "poster", "data") if name in found]
+        self.images += [found["src"]] if tag == "img" else []
+
+    def handle_endtag(self, tag):
+        if tag in {"script", "style"}:
+            self.inside.pop()
+        self.text += " " if tag in {"td", "th", "small", "li"} else ""
+
+    def handle_data(self, data):
+        if self.inside == ["specs"]:
+            self.specs = json.loads(data)
+        elif not self.inside:
+            self.text += data
+
+
+def report(tmp_path, *runs, name="report.html"):
+    target = tmp_path / name
+    assert main([*(str(run) for run in runs), "--html", str(target)]) == 0
+    text = target.read_text(encoding="utf-8")
+    return Page(text), text
+
+
+def with_log(path, log, stamps, **columns):
+    """A metrics table of frames at given stamps whose footer names the log with results."""
+    write(path, [row(k, **columns) for k in range(len(stamps))])
+    table = pl.read_parquet(path).with_columns(stamp_ns=pl.Series(stamps, dtype=pl.Int64)).to_arrow()
+    facts = {"roadperc.log": str(log), "roadperc.source": "/somewhere/in.mcap"}
+    pl.from_arrow(table).write_parquet(path, metadata=facts)
+    return path
+
+
+def test_nothing_on_the_page_is_fetched(tmp_path):
+    page, text = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **FULL) for k in range(5)]))
+    assert page.links
+    assert all(link.startswith(("data:", "#")) for link in page.links), page.links
+    style = text[text.index("<style>") : text.index("</style>")]
+    assert not re.search(r"url\(|@import", style)
+    assert not re.search(r"https?://", page.text)
+    assert "Content-Security-Policy\" content=\"default-src 'none';" in text
+
+
+def test_accuracy_stands_beside_coverage_with_its_direction(tmp_path):
+    errors = [0.01, -0.02, 0.30, None]
+    rows = [row(k, lane_left_error_m=error, drivable_iou=0.9) for k, error in enumerate(errors)]
+    page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", rows))
+    words = " ".join(page.text.split())
+    assert "lane left at 10 m, m0 is best 75.0 0.010 0.020 0.272 0.300" in words
+    assert "drivable IoUhigher is better 100.0 0.900 0.900 0.900" in words
+    assert "No frame has a truth for: surface angle, deg;" in words
+
+
+def test_names_are_text_wherever_they_stand(tmp_path):
+    hostile = "<script>alert(1)<b>&x"
+    paths = [tmp_path / f"{name}.metrics.parquet" for name in (hostile, "plain")]
+    for path in paths:
+        write(path, [row(k, log_id="<img src=x onerror=alert(2)>", **FULL) for k in range(3)])
+    page, text = report(tmp_path, *paths)
+    assert hostile in page.text
+    assert "<script>alert" not in text
+    assert "<img src=x" not in text
+    names = {trace["name"] for spec in page.specs.values() for trace in spec["data"]}
+    assert "&lt;script&gt;alert(1)&lt;b&gt;&amp;x" in names
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5])
+@pytest.mark.parametrize("columns", [{}, {"lane_left_offset_m": 1.0}, FULL])
+def test_any_table_makes_a_page(tmp_path, frames, columns):
+    page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **columns) for k in range(frames)]))
+    assert "What was replayed" in page.text
+    assert ("No frame has a truth for what was replayed" in page.text) == ("stereo_epe_px" not in columns)
+
+
+def test_a_table_of_an_older_version_makes_a_page(tmp_path):
+    required = pl.DataFrame(
+        {"log_id": ["a"], "frame": [0], "stamp_ns": [1], "missing": [["depth"]], "reasons": [["no depth"]]},
+        schema_overrides={"missing": pl.List(pl.String)},
+    ).with_columns(total_ms=pl.lit(3.0))
+    required.write_parquet(tmp_path / "old.metrics.parquet")
+    page, _ = report(tmp_path, tmp_path / "old.metrics.parquet")
+    assert "not named" in page.text
+    assert "depth 100.0 %" in page.text
+
+
+def test_several_runs_stand_side_by_side(tmp_path):
+    paths = [tmp_path / name / "a.metrics.parquet" for name in ("base", "slow")]
+    for error, path in zip((0.1, 0.2), paths, strict=True):
+        path.parent.mkdir()
+        write(path, [row(k, stereo_epe_px=error, nearest_object_m=4.0 + k) for k in range(4)])
+    page, _ = report(tmp_path, *paths)
+    words = " ".join(page.text.split())
+    assert "stereo disparity, pxlower is better coverage % 100.0 100.0 median 0.10 0.20" in words
+    distances = next(spec for spec in page.specs.values() if "nearest object" in str(spec["data"][0]))
+    assert [trace["name"] for trace in distances["data"]] == ["base/a", "slow/a"]
+
+
+def test_more_runs_than_colours_are_left_out_and_said(tmp_path):
+    for k in range(RUNS_DRAWN + 2):
+        write(tmp_path / f"run{k}.metrics.parquet", [row(0, **FULL)])
+    page, _ = report(tmp_path, tmp_path)
+    assert f"2 more runs were named; the page shows the first {RUNS_DRAWN}." in page.text
+
+
+def test_an_hour_at_20_hz_stays_below_ten_megabytes(tmp_path):
+    frames, rng = 72_000, np.random.default_rng(1)
+    first = pl.read_parquet(write(tmp_path / "one.metrics.parquet", [row(0)]))
+    floats = [name for name, kind in first.schema.items() if kind == pl.Float64]
+    columns = {name: rng.normal(1, 0.1, frames) for name in floats}
+    table = pl.concat([first] * frames).with_columns(
+        pl.Series("frame", range(frames)),
+        pl.Series("stamp_ns", START_NS + STEP_NS * np.arange(frames)),
+        *(pl.Series(name, values) for name, values in columns.items()),
+    )
+    table.write_parquet(tmp_path / "hour.metrics.parquet")
+    page, text = report(tmp_path, tmp_path / "hour.metrics.parquet")
+    assert len(text.encode()) < 7e6
+    assert max(len(trace["x"]) for spec in page.specs.values() for trace in spec["data"]) <= 1802
+    shown = next(spec["data"][0]["y"] for spec in page.specs.values() if len(spec["data"][0]["y"]) > 100)
+    assert max(shown) > 1.3
+
+
+def test_worst_frames_have_a_picture_each_once(tmp_path):
+    log = write_log(tmp_path / "out.mcap")
+    table = with_log(
+        tmp_path / "out.metrics.parquet", log, [STAMP, STAMP + STEP_NS], stereo_epe_px=0.5, turn_error_deg=1.0
+    )
+    page, _ = report(tmp_path, table)
+    assert len(page.images) == 2
+    assert all(image.startswith("data:image/jpeg;base64,/9j/") for image in page.images)
+    captions = " ".join(page.text.split())
+    assert "frame 0 at 0.000 s stereo disparity, px 0.50 px 1. turn, deg 1.0000 deg 1." in captions
+    assert "somewhere" not in captions
+    assert "in.mcap" in captions
+
+
+def test_where_the_log_is_gone_the_page_says_so(tmp_path):
+    gone = with_log(tmp_path / "a.metrics.parquet", tmp_path / "gone.mcap", [STAMP], stereo_epe_px=0.5)
+    page, _ = report(tmp_path, gone)
+    assert not page.images
+    assert "gone.mcap is not where the table says" in page.text
+    assert "stereo disparity" in page.text
+
+
+def test_a_log_moved_along_with_its_table_is_found(tmp_path):
+    write_log(tmp_path / "a.mcap")
+    moved = with_log(tmp_path / "a.metrics.parquet", "/gone/a.mcap", [STAMP], stereo_epe_px=0.5)
+    assert len(report(tmp_path, moved)[0].images) == 1
+
+
+@pytest.mark.parametrize("content", ["no image", "no log"])
+def test_a_log_without_pictures_is_said(tmp_path, content):
+    log = tmp_path / "a.mcap"
+    if content == "no image":
+        write_log(log, image=False)
+    else:
+        log.write_bytes(b"not an mcap")
+    page, _ = report(tmp_path, with_log(tmp_path / "a.metrics.parquet", log, [STAMP], stereo_epe_px=0.5))
+    assert not page.images
+    said = {"no image": "a.mcap holds no camera image of 1 of these frames", "no log": "no more pictures: a.mcap"}
+    assert said[content] in page.text
+    assert str(tmp_path) not in page.text
+
+
+def test_perfect_frames_are_none_of_the_worst(tmp_path):
+    rows = [row(k, drivable_iou=1.0, turn_error_deg=0.0 if k else 0.5) for k in range(4)]
+    page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", rows))
+    after = page.text[page.text.index("Worst frames") :]
+    assert "drivable IoU" not in after
+    assert after.split().count("frame") == 1 + after.count("number of the frame")
+
+
+def test_only_a_page_is_written_over(tmp_path, capsys):
+    table = write(tmp_path / "a.metrics.parquet", [row(0)])
+    with pytest.raises(SystemExit, match="2"):
+        main([str(table), "--html", str(table)])
+    assert "expected a name that ends in .html" in capsys.readouterr().err
+    (tmp_path / "folder.html").mkdir()
+    assert main([str(table), "--html", str(tmp_path / "folder.html")]) == 1
+    assert capsys.readouterr().err.startswith(f"error: {tmp_path / 'folder.html'}: ")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.metrics.parquet", "folder.html"]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the page is not opened in a browser")
+def test_a_browser_draws_every_chart_and_asks_for_nothing(tmp_path):
+    page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **FULL) for k in range(30)]))
+    command = [CHROMIUM, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr", "--dump-dom"]
+    done = subprocess.run(
+        [*command, (tmp_path / "report.html").as_uri()], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert f'data-drawn="{len(page.specs)}"' in done.stdout
+    assert done.stdout.count('class="main-svg"') >= len(page.specs) > 3
+    assert "violates the following Content Security Policy" not in done.stderr
+    assert "CONSOLE" not in done.stderr
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: the page is not printed")
+def test_the_page_prints(tmp_path):
+    report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **FULL) for k in range(30)]))
+    target = tmp_path / "report.pdf"
+    command = [CHROMIUM, *QUIET, f"--user-data-dir={tmp_path / 'profile'}", f"--print-to-pdf={target}"]
+    subprocess.run([*command, (tmp_path / "report.html").as_uri()], capture_output=True, timeout=120, check=True)
+    assert Path(target).read_bytes().startswith(b"%PDF")

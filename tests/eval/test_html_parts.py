@@ -1,0 +1,210 @@
+"""Series, charts, trajectory and frames of the page, each with a known answer."""
+
+import json
+
+import cv2
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream import encoding, images
+from roadperc_stream.channels import PRODUCER, schema
+from roadperc_stream.datatypes import Absent, Boundary, Lanes, Object, Objects
+from roadperc_stream.eval.html.figures import line, numbers
+from roadperc_stream.eval.html.frames import read_frame
+from roadperc_stream.eval.html.histograms import bin_edges, histograms
+from roadperc_stream.eval.html.over_time import over_time, stage_times
+from roadperc_stream.eval.html.series import Series, thinned
+from roadperc_stream.eval.html.trajectory import trajectory, ways
+from roadperc_stream.log import Channel, LogWriter, Message
+from tests.analytic import box
+
+STAMP = 1_600_000_000_000_000_000
+
+
+def series(name="drive", **columns):
+    values = {key: np.asarray(column, float) for key, column in columns.items()}
+    frames = len(next(iter(values.values())))
+    return Series(name, np.arange(frames), np.arange(frames) / 20, values)
+
+
+@given(st.integers(1, 400), st.integers(1, 20), st.integers(0, 2**31))
+def test_thinning_keeps_peaks_gaps_ends_and_order(length, buckets, seed):
+    rng = np.random.default_rng(seed)
+    values = np.where(rng.random(length) < 0.3, np.nan, rng.normal(size=length))
+    kept = thinned(values, buckets)
+    assert (np.diff(kept) > 0).all()
+    assert {0, length - 1} <= set(kept)
+    assert len(kept) <= max(3 * buckets + 2, 2)
+    assert np.isnan(values[kept]).any() == np.isnan(values).any()
+    if np.isfinite(values).any():
+        assert np.nanmax(values[kept]) == np.nanmax(values)
+        assert np.nanmin(values[kept]) == np.nanmin(values)
+
+
+def test_a_peak_of_one_frame_in_an_hour_stays():
+    values = np.zeros(72_000)
+    values[31_337] = 9.0
+    assert 31_337 in thinned(values)
+    assert len(thinned(values)) < 2000
+
+
+def test_numbers_fit_json_and_gaps_stay_gaps():
+    assert numbers(np.array([1.23456789, np.nan, 1e-9])) == [1.23457, None, 1e-09]
+    alone = line("x", np.arange(3.0), np.array([np.nan, 1.0, np.nan]), "#000000")
+    assert alone["mode"] == "lines+markers"
+    assert line("x", np.arange(3.0), np.array([np.nan, 1.0, 2.0]), "#000000")["mode"] == "lines"
+
+
+def test_lane_chart_has_raw_smoothed_and_truth_where_there():
+    offsets = {"lane_left_offset_m": [1, 2], "lane_left_raw_offset_m": [1, np.nan], "lane_left_true_offset_m": [1, 1]}
+    (chart,) = over_time([series(**offsets)])
+    assert [trace["name"] for trace in chart.traces] == ["raw", "smoothed", "truth"]
+    assert chart.traces[0]["y"] == [1.0, None]
+    offsets.pop("lane_left_true_offset_m")
+    (chart,) = over_time([series(**offsets)])
+    assert [trace["name"] for trace in chart.traces] == ["raw", "smoothed"]
+
+
+def test_runs_share_charts_in_their_own_colours_with_one_key_each():
+    runs = [series(name, nearest_object_m=[1, 2], stereo_nearest_m=[3, 4]) for name in ("a", "b")]
+    (chart,) = over_time(runs)
+    assert [trace["name"] for trace in chart.traces if trace["showlegend"]] == ["a", "b"]
+    assert len({trace["line"]["color"] for trace in chart.traces}) == 2
+    assert "dashed" in chart.note
+
+
+def test_stacked_stages_sum_to_the_total():
+    run = series(surface_ms=[2, 3], lanes_ms=[1, np.nan], total_ms=[10, 12])
+    (chart,) = stage_times([run], [])
+    assert [trace["name"] for trace in chart.traces] == ["surface", "lanes", "copy, metrics"]
+    np.testing.assert_allclose(np.sum([trace["y"] for trace in chart.traces], axis=0), [10, 12])
+
+
+def test_histogram_counts_in_percent_and_stands_equal_values():
+    (chart,) = histograms([series(stereo_epe_px=[0.5] * 10 + [np.nan])])
+    assert max(chart.traces[0]["y"]) == 100
+    edges = bin_edges([np.array([0.0, np.nan]), np.array([4.0])])
+    assert (edges[0], edges[-1]) == (0, 4)
+    assert (np.diff(edges) > 0).all()
+
+
+def poses(which, xy, yaw_deg=0.0):
+    half = np.radians(yaw_deg) / 2
+    rows = np.asarray(xy, float)
+    constant = {"z_m": 0.0, "qx": 0.0, "qy": 0.0, "qz": np.sin(half), "qw": np.cos(half)}
+    return {
+        f"{which}_x_m": rows[:, 0],
+        f"{which}_y_m": rows[:, 1],
+        **{f"{which}_{name}": np.full(len(rows), value) for name, value in constant.items()},
+    }
+
+
+def test_the_true_way_starts_where_odometry_starts_whatever_frame_it_is_given_in():
+    """The car drives 2 m north in the world, which its odometry calls 2 m ahead."""
+    run = series(**poses("odom", [(0, 0), (1, 0), (2, 0)]), **poses("true", [(100, 50), (100, 51), (100, 52)], 90))
+    found = ways(run)
+    np.testing.assert_allclose(found["odom"], [(0, 0, 0), (1, 0, 0), (2, 0, 0)], atol=1e-9)
+    np.testing.assert_allclose(found["true"], found["odom"], atol=1e-9)
+
+
+def test_a_truth_that_comes_later_joins_the_way_there():
+    later = {name: np.where(np.arange(3) < 1, np.nan, c) for name, c in poses("true", [(9, 9), (7, 7), (8, 7)]).items()}
+    found = ways(series(**poses("odom", [(0, 0), (1, 0), (2, 0)]), **later))
+    np.testing.assert_allclose(found["odom"][1:, 0], [0, 1], atol=1e-9)
+    np.testing.assert_allclose(found["true"][1:], [(0, 0, 0), (1, 0, 0)], atol=1e-9)
+
+
+def test_the_trajectory_has_equal_axes_ahead_is_up_and_left_is_left():
+    chart = trajectory([series(**poses("odom", [(0, 0), (5, 1)]))])
+    assert chart.traces[0]["x"] == [0, 1]
+    assert chart.traces[0]["y"] == [0, 5]
+    assert chart.layout["xaxis"]["autorange"] == "reversed"
+    assert chart.layout["yaxis"]["scaleanchor"] == "x"
+    assert trajectory([series(total_ms=[1.0])]) is None
+
+
+def test_plotly_knows_every_property_of_the_charts():
+    run = series(
+        **poses("odom", [(0, 0), (1, 0)]),
+        **poses("true", [(0, 0), (1, 0)]),
+        lane_left_offset_m=[1, 2],
+        surface_ms=[1, 1],
+        total_ms=[2, 2],
+        stereo_epe_px=[1, 2],
+    )
+    for chart in [*over_time([run, run]), *stage_times([run], []), trajectory([run]), *histograms([run])]:
+        go.Figure(json.loads(json.dumps(chart.spec, allow_nan=False)))
+
+
+def result_channel(topic, name):
+    found = schema(name)
+    return Channel(topic, found.message_encoding, name, found.schema_encoding, found.data, (PRODUCER,))
+
+
+def image_channel(topic="/camera/front/image"):
+    found = schema("foxglove.CompressedImage")
+    return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data)
+
+
+LANES = Lanes(
+    (
+        Boundary("left", "held", (1.0, 48.0, 2.0, 3.0), offset_m=1.5, line_px=np.array([(5.0, 47.0), (6.5, 20.0)])),
+        Boundary("right", "lost"),
+    )
+)
+OBJECTS = Objects(
+    (
+        Object(box("Car", 2, 3, 20, 30), kept=True, class_ratio=0.8, distance_m=7.5, time_to_impact_s=1.25),
+        Object(box("Car", 8, 3, 20, 30), kept=False),
+    )
+)
+
+
+def write_log(path, late_ns=0, image=True):
+    """Two frames 50 ms apart; only the first has results; log times lie ``late_ns`` behind the stamps."""
+    grey = cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
+    mask = np.zeros((48, 64), np.uint8)
+    mask[40:] = 1
+    drivable = encoding.encode_image(STAMP, "camera", "png", images.encode_indices(mask, ((0, 0, 0), (0, 200, 80))))
+    stamps = (STAMP, STAMP + 50_000_000)
+    with LogWriter(path) as writer:
+        for number, stamp in enumerate(stamps):
+            content = encoding.encode_image(stamp, "camera", "png", grey)
+            if image:
+                writer.write(Message(image_channel(), stamp + late_ns, stamp + late_ns, number, content))
+        for topic, name, data in (
+            ("/perception/lanes", "roadperc.Lanes", encoding.encode_lanes(STAMP, "camera", LANES)),
+            ("/perception/objects", "roadperc.Objects", encoding.encode_objects(STAMP, "camera", OBJECTS)),
+            ("/perception/drivable", "foxglove.CompressedImage", drivable),
+        ):
+            writer.write(Message(result_channel(topic, name), STAMP + late_ns, STAMP + late_ns, 0, data))
+    return path
+
+
+@pytest.mark.parametrize("late_ns", [0, 120_000_000])
+def test_a_frame_comes_back_as_it_was_written(tmp_path, late_ns):
+    found = read_frame(write_log(tmp_path / "out.mcap", late_ns), STAMP)
+    assert found.image_bgr.shape == (48, 64, 3)
+    assert (found.drivable.sum(), found.drivable[39].any()) == (8 * 64, False)
+    left, right = found.lanes.boundaries
+    assert (left.side, left.status, right.side, right.status) == ("left", "held", "right", "lost")
+    assert left.raw_px == (1.0, 48.0, 2.0, 3.0)
+    np.testing.assert_array_equal(left.line_px, LANES.boundaries[0].line_px)
+    kept, dropped = found.objects.objects
+    assert (kept.kept, kept.class_ratio, kept.distance_m, kept.time_to_impact_s) == (True, 0.8, 7.5, 1.25)
+    assert (dropped.kept, dropped.class_ratio, dropped.time_to_impact_s) == (False, None, None)
+
+
+def test_results_of_another_frame_are_not_taken(tmp_path):
+    found = read_frame(write_log(tmp_path / "out.mcap"), STAMP + 50_000_000)
+    assert isinstance(found.lanes, Absent)
+    assert isinstance(found.objects, Absent)
+    assert isinstance(found.drivable, Absent)
+
+
+def test_a_log_without_the_image_has_no_frame(tmp_path):
+    assert read_frame(write_log(tmp_path / "none.mcap", image=False), STAMP) is None
+    assert read_frame(write_log(tmp_path / "out.mcap"), STAMP + 1) is None

@@ -1,0 +1,293 @@
+"""A run's lanes as TuSimple's JSON lines, and their scores: known answers, round trips and bad input."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream import encoding
+from roadperc_stream.cli import replay_main
+from roadperc_stream.datatypes import Boundary, Lanes
+from roadperc_stream.eval.lane_files.recorded import default_rows, open_lanes
+from roadperc_stream.eval.lane_files.scoring import score_frame
+from roadperc_stream.eval.lane_files.tusimple import LaneFrame, read_frames, to_line
+from roadperc_stream.eval.lanes import main
+from roadperc_stream.table import beside
+from tests.analytic import Road
+from tests.eval import tables
+from tests.eval.tables import START_NS, STEP_NS
+from tests.logs import Item
+from tests.logs import write as write_log
+
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
+SIZE = (1280, 720)
+ROWS = np.arange(160.0, 720.0, 10.0)
+LEFT_PX, RIGHT_PX = 300.0, 900.0
+STAMPS_NS = [START_NS + k * STEP_NS for k in range(3)]
+
+
+def upright(x_px):
+    return np.array([(x_px, y_px) for y_px in np.arange(719.0, 150.0, -10.0)])
+
+
+def seen(stamp_ns, *lines_px):
+    sides = zip(("left", "right"), lines_px, strict=False)
+    lanes = Lanes(tuple(Boundary(side, "measured", line_px=line) for side, line in sides))
+    return Item("truth_lanes", stamp_ns, encoding.encode_lanes(stamp_ns, "camera", lanes), "/perception/lanes")
+
+
+def run_log(path, items):
+    camera = Road(width=SIZE[0], height=SIZE[1]).camera
+    return write_log(path, [Item("calibration", START_NS, encoding.encode_calibration(START_NS, camera)), *items])
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """Two upright lanes in three frames."""
+    items = [seen(stamp, upright(LEFT_PX), upright(RIGHT_PX)) for stamp in STAMPS_NS]
+    return run_log(tmp_path / "drive.mcap", items)
+
+
+def truth_line(stamp_ns, *columns_px, **changes):
+    lanes = [[x] * len(ROWS) for x in columns_px]
+    line = {"raw_file": f"any/{stamp_ns}.jpg", "lanes": lanes, "h_samples": [int(row) for row in ROWS]}
+    return json.dumps(line | changes)
+
+
+def truth_file(tmp_path, *lines):
+    path = tmp_path / "truth.json"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def lanes(capsys, *arguments):
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def cells(text, start):
+    (line,) = [line for line in text.splitlines() if line.startswith(start)]
+    return line.removeprefix(start).split()
+
+
+def require_tusimple(line):
+    """The format as the benchmark describes it, held to the letter."""
+    assert list(line) == ["raw_file", "lanes", "h_samples", "run_time"]
+    assert isinstance(line["raw_file"], str)
+    assert isinstance(line["run_time"], float)
+    assert line["run_time"] >= 0
+    assert all(type(row) is int and row % 10 == 0 for row in line["h_samples"])
+    assert line["h_samples"] == sorted(set(line["h_samples"]))
+    for lane in line["lanes"]:
+        assert len(lane) == len(line["h_samples"])
+        assert all(x == -2 or 0 <= x < SIZE[0] for x in lane)
+        assert any(x != -2 for x in lane)
+
+
+def test_every_frame_is_a_line_of_the_format(drive, tmp_path, capsys):
+    tables.write(
+        beside(drive, "metrics"), [tables.row(k) for k in range(4)], [{"total_ms": 10.0 + k} for k in range(4)]
+    )
+    code, text, _ = lanes(capsys, drive, "--tusimple", tmp_path / "out" / "drive.json")
+    assert (code, text) == (0, "drive: 4 frames, lanes in 3\n")
+    lines = [json.loads(line) for line in (tmp_path / "out" / "drive.json").read_text().splitlines()]
+    for line in lines:
+        require_tusimple(line)
+    assert [line["raw_file"] for line in lines[:3]] == [f"drive/{stamp}" for stamp in STAMPS_NS]
+    assert [line["run_time"] for line in lines] == [10.0, 11.0, 12.0, 13.0]
+    assert lines[0]["lanes"] == [[300] * 56, [900] * 56]
+    assert lines[3]["lanes"] == []
+    assert lines[0]["h_samples"] == list(range(160, 720, 10))
+
+
+def test_a_frame_the_table_alone_knows_stands_in_its_place(tmp_path):
+    log = run_log(tmp_path / "a.mcap", [seen(STAMPS_NS[1], upright(LEFT_PX))])
+    tables.write(beside(log, "metrics"), [tables.row(k) for k in range(3)])
+    assert [(f.stamp_ns, len(f.lines_px)) for f in open_lanes(log).frames()] == list(
+        zip(STAMPS_NS, (0, 1, 0), strict=True)
+    )
+
+
+def test_without_a_table_run_time_is_zero(drive):
+    assert [frame.run_time_ms for frame in open_lanes(drive).frames()] == [0.0] * 3
+
+
+@pytest.mark.parametrize(("height", "first", "last"), [(720, 160, 710), (270, 60, 260), (960, 220, 950)])
+def test_rows_are_the_same_part_of_every_height(height, first, last):
+    rows = default_rows(height)
+    assert (rows[0], rows[-1]) == (first, last)
+
+
+def test_what_is_written_is_its_own_truth(drive, tmp_path, capsys):
+    own, again = tmp_path / "own.json", tmp_path / "again.json"
+    lanes(capsys, drive, "--tusimple", own)
+    code, text, _ = lanes(capsys, drive, "--truth", own, "--tusimple", again)
+    assert code == 0
+    assert cells(text, "lane points") == ["100.0", "1.0000", "0.0000", "0.0000"]
+    assert cells(text, "lanes at IoU 0.5") == ["100.0", "1.0000", "1.0000", "1.0000", "6", "0", "0"]
+    assert again.read_bytes() == own.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("moved_px", "scores"), [(15, ["1.0000", "0.0000", "0.0000"]), (25, ["0.0000", "1.0000", "1.0000"])]
+)
+def test_upright_lanes_are_right_within_20_px(drive, tmp_path, capsys, moved_px, scores):
+    lines = [truth_line(stamp, LEFT_PX + moved_px, RIGHT_PX + moved_px) for stamp in STAMPS_NS]
+    _, text, _ = lanes(capsys, drive, "--truth", truth_file(tmp_path, *lines))
+    assert cells(text, "lane points") == ["100.0", *scores]
+
+
+@pytest.mark.parametrize(("moved_px", "accuracy"), [(24.9, 1.0), (25.1, 0.0)])
+def test_a_slanted_lane_may_be_off_by_20_px_over_the_cosine(moved_px, accuracy):
+    lane = 0.75 * ROWS  # tangent 3/4, cosine 4/5
+    found, true = (LaneFrame("a", ROWS, (line,)) for line in (lane + moved_px, lane))
+    assert score_frame(found, true, SIZE).tusimple.accuracy == accuracy
+
+
+def test_thresholds_scale_with_the_image(tmp_path):
+    found, true = (LaneFrame("a", ROWS, (np.full(len(ROWS), x),)) for x in (300.0, 312.0))
+    assert score_frame(found, true, (1280, 720)).tusimple.accuracy == 1.0
+    assert score_frame(found, true, (640, 720)).tusimple.accuracy == 0.0
+
+
+def test_scores_worked_by_hand(drive, tmp_path, capsys):
+    """Frame 0: both right; 1: one of two, and one wrong; 2: the worst of five true ones forgiven, two of four found."""
+    lines = [
+        truth_line(STAMPS_NS[0], LEFT_PX, RIGHT_PX),
+        truth_line(STAMPS_NS[1], LEFT_PX, 1100),
+        truth_line(STAMPS_NS[2], 50, LEFT_PX, 600, RIGHT_PX, 1200),
+    ]
+    _, text, _ = lanes(capsys, drive, "--truth", truth_file(tmp_path, *lines))
+    accuracy, fp, fn = (1 + 1 / 2 + 2 / 4) / 3, (0 + 1 / 2 + 0) / 3, (0 + 1 / 2 + 2 / 4) / 3
+    assert cells(text, "lane points") == ["100.0", f"{accuracy:.4f}", f"{fp:.4f}", f"{fn:.4f}"]
+    assert cells(text, "lanes at IoU 0.3") == ["100.0", "0.8333", "0.5556", "0.6667", "5", "1", "4"]
+
+
+def test_true_frames_the_run_lacks_are_named_and_score_nothing(drive, tmp_path, capsys):
+    far = [START_NS + k * STEP_NS for k in range(50, 62)]
+    lines = [truth_line(stamp, LEFT_PX, RIGHT_PX) for stamp in [*STAMPS_NS, far[0]]]
+    _, text, _ = lanes(capsys, drive, "--truth", truth_file(tmp_path, *lines))
+    assert f"missing in the run, scored as empty: 1: any/{far[0]}.jpg\n" in text
+    assert cells(text, "lane points") == ["75.0", "0.7500", "0.0000", "0.2500"]
+    assert cells(text, "lanes at IoU 0.5")[4:] == ["6", "0", "2"]
+    _, text, _ = lanes(capsys, drive, "--truth", truth_file(tmp_path, *lines[:3], *(truth_line(s, 5) for s in far)))
+    assert text.count(".jpg") == 10
+    assert "and 2 more" in text
+
+
+def test_only_frames_with_a_truth_are_written_at_its_rows(drive, tmp_path, capsys):
+    line = {"raw_file": f"any/{STAMPS_NS[1]}.jpg", "lanes": [[300, -2]], "h_samples": [500, 719.5]}
+    path = truth_file(tmp_path, json.dumps(line))
+    lanes(capsys, drive, "--truth", path, "--tusimple", tmp_path / "out.json")
+    (written,) = map(json.loads, (tmp_path / "out.json").read_text().splitlines())
+    assert written["raw_file"] == line["raw_file"]
+    assert written["h_samples"] == [500, 719.5]
+    assert written["lanes"] == [[300, -2], [900, -2]]
+
+
+def test_names_of_other_kinds_are_paired_in_order(drive, tmp_path, capsys):
+    lines = [truth_line(k, LEFT_PX, RIGHT_PX, raw_file=f"clips/{k}/20.jpg") for k in range(3)]
+    _, text, _ = lanes(capsys, drive, "--truth", truth_file(tmp_path, *lines), "--pair", "order")
+    assert cells(text, "lane points") == ["100.0", "1.0000", "0.0000", "0.0000"]
+    code, _, error = lanes(capsys, drive, "--truth", truth_file(tmp_path, *lines[:2]), "--pair", "order")
+    assert code == 1
+    assert error == f"error: {tmp_path}/truth.json: 2 lines; expected 3, one for each frame of the run, in order\n"
+
+
+def test_lanes_are_scaled_to_the_size_asked_for(drive, tmp_path, capsys):
+    lanes(capsys, drive, "--tusimple", tmp_path / "half.json", "--size", "640x360")
+    half = read_frames(tmp_path / "half.json")[0]
+    assert half.rows[-1] == 350
+    np.testing.assert_allclose(half.lanes[0], 149.75, atol=0.01)  # pixel centres: (300 + 1/2) / 2 - 1/2
+
+
+BAD = {
+    "nonsense": "Invalid JSON",
+    "[1]": "Input should be an object",
+    '{"raw_file": "a/1", "h_samples": [1]}': "lanes: Field required",
+    truth_line(1, lanes=[[1.0, 2.0]]): "lanes[0] has 2 columns; expected 56, one for each h_sample",
+    truth_line(1, lanes=[], h_samples=[]): "h_samples is empty",
+    truth_line(1, lanes=[["x"]]): "lanes.0.0",
+    truth_line(1, lanes=[[float("nan")]]): "lanes.0.0",
+    truth_line(1, raw_file=3): "raw_file: Input should be a valid string",
+    truth_line(1, raw_file="clips/20_a.jpg"): "unknown raw_file 'clips/20_a.jpg'; expected a frame's stamp in ns",
+    truth_line(STAMPS_NS[0]): "again, after",
+}
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_a_bad_line_is_named_with_its_number(drive, tmp_path, capsys, bad):
+    path = truth_file(tmp_path, truth_line(STAMPS_NS[0], LEFT_PX), bad)
+    code, _, error = lanes(capsys, drive, "--truth", path)
+    assert code == 1
+    assert error.startswith(f"error: {path}:2: ")
+    assert BAD[bad] in error
+    assert error.count("\n") == 1
+
+
+def test_an_empty_truth_and_one_that_would_be_replaced_are_refused(drive, tmp_path, capsys):
+    code, _, error = lanes(capsys, drive, "--truth", truth_file(tmp_path, ""))
+    assert (code, "no lines" in error) == (1, True)
+    path = truth_file(tmp_path, truth_line(STAMPS_NS[0], LEFT_PX))
+    before = path.read_bytes()
+    code, _, error = lanes(capsys, drive, "--truth", path, "--tusimple", path)
+    assert (code, "is the truth itself" in error) == (1, True)
+    assert path.read_bytes() == before
+    assert lanes(capsys, drive, "--truth", tmp_path / "none.json")[0] == 1
+
+
+def test_logs_without_lanes_or_camera_are_refused(tmp_path, capsys):
+    target = tmp_path / "out.json"
+    code, _, error = lanes(capsys, run_log(tmp_path / "in.mcap", []), "--tusimple", target)
+    assert (code, "no /perception/lanes" in error) == (1, True)
+    bare = write_log(tmp_path / "bare.mcap", [seen(START_NS, upright(LEFT_PX))])
+    code, _, error = lanes(capsys, bare, "--tusimple", target)
+    assert (code, "no calibration of 'camera'" in error) == (1, True)
+
+
+def test_what_fails_half_way_leaves_no_file(tmp_path, capsys):
+    broken = replace(seen(STAMPS_NS[1]), data=b"\xff\xff")
+    log = run_log(tmp_path / "a.mcap", [seen(STAMPS_NS[0], upright(LEFT_PX)), broken])
+    code, _, error = lanes(capsys, log, "--tusimple", tmp_path / "out.json")
+    assert code == 1
+    assert re.match(r"error: .*roadperc.Lanes", error)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+@pytest.mark.parametrize("arguments", [[], ["--tusimple", "out.mcap"], ["--truth", "a.json", "--size", "0x5"]])
+def test_wrong_usage_is_two(arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main(["a.mcap", *arguments])
+    assert stopped.value.code == 2
+
+
+columns = st.lists(st.one_of(st.just(np.nan), st.integers(0, 128000).map(lambda x: x / 100)), min_size=3, max_size=3)
+
+
+@given(st.lists(columns, max_size=5), st.text(), st.floats(0, 1e6))
+def test_a_frame_comes_back_as_it_was_written(tmp_path_factory, written, raw_file, run_time_ms):
+    path = tmp_path_factory.getbasetemp() / "round-trip.json"
+    frame = LaneFrame(raw_file, ROWS[:3], tuple(np.array(lane) for lane in written), run_time_ms)
+    path.write_text(to_line(frame), encoding="utf-8")
+    (found,) = read_frames(path)
+    assert found.raw_file == raw_file
+    assert found.run_time_ms == pytest.approx(run_time_ms, abs=0.006)
+    np.testing.assert_array_equal(found.rows, frame.rows)
+    np.testing.assert_array_equal(found.lanes, frame.lanes)
+
+
+def test_a_replay_can_be_exported_and_held_against_itself(tmp_path, capsys):
+    log, own = tmp_path / "sample.mcap", tmp_path / "own.json"
+    assert replay_main([str(SAMPLE), str(log), "--quiet", "--frames", "4"]) == 0
+    assert lanes(capsys, log, "--tusimple", own)[0] == 0
+    frames = read_frames(own)
+    assert len(frames) == 4
+    assert all(frame.run_time_ms > 0 and len(frame.lanes) == 2 for frame in frames)
+    _, text, _ = lanes(capsys, log, "--truth", own)
+    assert cells(text, "lane points") == ["100.0", "1.0000", "0.0000", "0.0000"]

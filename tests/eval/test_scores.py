@@ -1,0 +1,63 @@
+"""Precision, recall, F1 and lag, worked out by hand."""
+
+import math
+
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream.eval.scores import averaged, correlations, lag_frames, scores
+
+SUMS = {"filter_tp": 6, "filter_fp": 2, "filter_fn": 4}
+
+
+def lag(offsets, truths):
+    table = pl.DataFrame({"offset": offsets, "truth": truths}, schema={"offset": pl.Float64, "truth": pl.Float64})
+    return lag_frames(table.select(correlations("offset", "truth")).item().to_list())
+
+
+def wave(frames, shift=0):
+    return [math.sin((k - shift) / 4) + 0.3 * math.sin((k - shift) / 1.7) for k in range(frames)]
+
+
+def test_scores_from_counts():
+    (kept,) = scores(SUMS)
+    assert (kept.precision, kept.recall, kept.f1) == (0.75, 0.6, pytest.approx(2 / 3))
+
+
+def test_scores_where_nothing_was_found_or_there():
+    (kept,) = scores(dict.fromkeys(SUMS, 0))
+    assert (kept.precision, kept.recall, kept.f1) == (None, None, None)
+    (kept,) = scores({**dict.fromkeys(SUMS, 0), "filter_fn": 3})
+    assert (kept.precision, kept.recall, kept.f1) == (None, 0, 0)
+
+
+def test_scores_need_all_their_counts():
+    assert scores({"filter_tp": 6, "filter_fp": 2}) == []
+
+
+@given(st.integers(-6, 6))
+def test_lag_is_the_shift(shift):
+    assert lag(wave(120, shift), wave(120)) == shift
+
+
+def test_lag_does_not_mind_an_offset_a_scale_or_frames_without_a_value():
+    late = [None if k % 7 == 0 else 2 + 0.5 * value for k, value in enumerate(wave(120, 2))]
+    assert lag(late, wave(120)) == 2
+
+
+@pytest.mark.parametrize("truths", [[1.5] * 40, [None] * 40, [(-1) ** (k // 20) for k in range(40)]])
+def test_no_lag_where_the_offset_does_not_follow_the_truth(truths):
+    assert lag([0.01 * (-1) ** k for k in range(40)], truths) is None
+
+
+def test_lag_of_a_log_shorter_than_the_shifts():
+    assert lag([0.0, 1.0, 0.0], [0.0, 1.0, 0.0]) == 0
+    assert lag([1.0], [1.0]) is None
+
+
+def test_correlations_weigh_by_frames_and_leave_out_what_tells_nothing():
+    sure, late, silent = [1.0, 0.0, 0.0], [0.0, 0.8, None], [math.nan, None, 0.1]
+    assert averaged([(30, sure), (10, late), (1000, silent)]) == pytest.approx((0.75, 0.2, 0.0))
+    assert averaged([(5, silent)]) == ()

@@ -1,0 +1,261 @@
+"""Whole sweeps: the rows are those of replays, the log is decoded once, and nothing half-written stays."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import polars as pl
+import pytest
+from polars.testing import assert_frame_equal
+from pydantic import BaseModel
+
+from roadperc_stream import log, survey
+from roadperc_stream.config import load_config
+from roadperc_stream.eval.runs import find_runs
+from roadperc_stream.eval.sweep import main
+from roadperc_stream.replay import replay
+from roadperc_stream.roles import Problems
+from roadperc_stream.rows import TIME_COLUMNS
+from roadperc_stream.survey import Cut, samples, survey_log
+from roadperc_stream.sync import SyncCounts
+from roadperc_stream.table import beside
+from tests import logs
+
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
+LANES = ("--vary", "lanes.process_noise=0.1,1")
+SURFACE = ("--vary", "surface.inlier_m=0.03,0.05")
+
+
+@pytest.fixture
+def source(tmp_path):
+    return logs.write(tmp_path / "in.mcap", logs.items(4))
+
+
+def sweep(source, out, *options):
+    assert main([str(source), "--out", str(out), "--jobs", "1", *options]) == 0
+    return pl.scan_parquet(f"{out}/**/*.parquet").collect()
+
+
+def without_times(table, *parameters):
+    return table.drop(*TIME_COLUMNS, *parameters)
+
+
+def refused(capsys, *arguments):
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return end.value.code, capsys.readouterr().err
+
+
+def failed(capsys, *arguments):
+    assert main([str(argument) for argument in arguments]) == 1
+    return capsys.readouterr().err
+
+
+def test_rows_are_those_of_replays_with_the_same_settings(tmp_path):
+    """With truth, stereo and random numbers, and one setting that decides which messages make a frame."""
+    options = ("--vary", "surface.inlier_m=0.01,0.05", "--vary", "sync.tolerance_s=0,0.01", "--set", "seed=3")
+    swept = sweep(SAMPLE, tmp_path / "out", *options, "--frames", "5")
+    for inlier_m in (0.01, 0.05):
+        for tolerance_s in (0.0, 0.01):
+            settings = (f"surface.inlier_m={inlier_m}", f"sync.tolerance_s={tolerance_s}", "seed=3")
+            replay(SAMPLE, tmp_path / "one.mcap", load_config(None, settings), cut=Cut(frames=5), force=True)
+            mine = swept.filter(pl.col("surface.inlier_m") == inlier_m, pl.col("sync.tolerance_s") == tolerance_s)
+            whole = pl.read_parquet(beside(tmp_path / "one.mcap", "metrics"))
+            assert mine.height == 5
+            assert_frame_equal(
+                without_times(mine, "surface.inlier_m", "sync.tolerance_s"), without_times(whole), check_exact=True
+            )
+    assert swept["surface_angle_error_deg"].n_unique() > 5
+
+
+def test_settings_are_columns_of_their_types(source, tmp_path):
+    options = (
+        "lanes.hold_s=1,2",
+        "surface.hypotheses=8,16",
+        "lanes.use_odometry=true,false",
+        "stereo.disparities=64,auto",
+    )
+    swept = sweep(source, tmp_path / "out", *(part for option in options for part in ("--vary", option)))
+    assert swept.height == 16 * 4
+    columns = swept.select("lanes.hold_s", "surface.hypotheses", "lanes.use_odometry", "stereo.disparities")
+    assert columns.dtypes == [pl.Float64, pl.Int64, pl.Boolean, pl.String]
+    assert columns.unique().height == 16
+    assert columns.unique("stereo.disparities")["stereo.disparities"].sort().to_list() == ["64", "auto"]
+
+
+def test_a_table_says_what_made_it_and_the_report_reads_it(source, tmp_path):
+    sweep(source, tmp_path / "out", *LANES)
+    runs = find_runs([str(tmp_path / "out")])
+    replay(source, tmp_path / "one.mcap", load_config(None, ("lanes.process_noise=1",)))
+    (one,) = find_runs([str(tmp_path / "one.mcap")])
+    assert [run.name for run in runs] == ["0000/in", "0001/in"]
+    assert (runs[1].config_digest, runs[1].version) == (one.config_digest, one.version)
+    assert load_config(tmp_path / "out" / "0001" / "roadperc.toml").lanes.process_noise == 1.0
+    assert runs[0].frames == 4
+
+
+def count_calls(monkeypatch, where, name):
+    calls, original = [], getattr(where, name)
+    monkeypatch.setattr(where, name, lambda *given, **named: calls.append(name) or original(*given, **named))
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("options", "times"),
+    [
+        (LANES, 1),
+        ((*LANES, *SURFACE), 1),
+        (("--vary", "surface.assumed_height_m=1.2,1.5"), 2),
+        ((*LANES, "--vary", "sync.max_wait_s=1,2"), 2),
+    ],
+)
+def test_the_log_is_read_and_decoded_once_where_it_can(source, tmp_path, monkeypatch, options, times):
+    images = count_calls(monkeypatch, cv2, "imdecode")
+    made = count_calls(monkeypatch, survey, "sample_of")
+    sweep(source, tmp_path / "out", *options)
+    assert (len(images), len(made)) == (4 * times, 4 * times)
+
+
+class Watched:
+    """A configuration that notes which of its settings are read."""
+
+    def __init__(self, cfg, read, prefix=""):
+        self._cfg, self._read, self._prefix = cfg, read, prefix
+
+    def __getattr__(self, name):
+        value = getattr(self._cfg, name)
+        if isinstance(value, BaseModel):
+            return Watched(value, self._read, f"{self._prefix}{name}.")
+        self._read.add(self._prefix + name)
+        return value
+
+
+def test_no_other_settings_decide_what_a_sample_is(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(6, roles=tuple(r for r in logs.ALL if r != "tf")))
+    read = set()
+    cfg, summary = Watched(load_config(), read), log.summarise(source)
+    found = survey_log(summary, cfg, {}, Cut(start_s=0.05, frames=3))
+    assert len(list(samples(summary, found, cfg, SyncCounts(), Problems()))) == 3
+    assert read == {"sync.tolerance_s", "sync.max_wait_s", "tag_table", "surface.assumed_height_m"}
+
+
+def test_two_processes_make_what_one_makes(source, tmp_path, capsys):
+    other = tmp_path / "b" / "in.mcap"
+    other.parent.mkdir()
+    logs.write(other, logs.items(5))
+    for jobs in (1, 2):
+        out = tmp_path / f"out{jobs}"
+        assert main([*map(str, (source, other)), *LANES, "--out", str(out), "--jobs", str(jobs)]) == 0
+    one, two = (pl.scan_parquet(f"{tmp_path}/out{jobs}/**/*.parquet").collect() for jobs in (1, 2))
+    assert_frame_equal(without_times(one), without_times(two), check_exact=True)
+    assert one.height == 2 * (4 + 5)
+    printed = capsys.readouterr().out
+    assert printed.count("4 tables") == 2
+
+
+def test_best_settings_are_printed_beside_the_reference(tmp_path, capsys):
+    sweep(SAMPLE, tmp_path / "out", "--vary", "surface.inlier_m=0.01,0.05", "--frames", "6")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("2 settings, reference surface.inlier_m=0.05")
+    angle = next(line.split() for line in lines if line.startswith("surface angle"))
+    assert angle[-1] == "reference"
+    assert angle[3] == angle[5]
+    assert any(line.startswith("no difference: ") for line in lines)
+    assert max(len(line) for line in lines[1:]) <= 80
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ((), "--vary"),
+        (("--vary", "lanes.gate"), "expected KEY=VALUE,VALUE"),
+        (("--vary", "lanes.gate="), "expected KEY=VALUE,VALUE"),
+        (("--vary", "=1,2"), "expected KEY=VALUE,VALUE"),
+        (("--vary", "lanes.gate=1,,2"), "expected KEY=VALUE,VALUE"),
+        (("--vary", "lanes.gate=1,2,1.0"), "a value stands there twice"),
+        (("--vary", "lanes.gate=1", "--vary", "lanes.gate=2"), "lanes.gate is varied twice"),
+        (("--vary", "lanes.gate=1,2", "--jobs", "0"), "expected 1 or more"),
+    ],
+)
+def test_wrong_usage(source, tmp_path, capsys, options, said):
+    code, err = refused(capsys, source, "--out", tmp_path / "out", *options)
+    assert code == 2
+    assert said in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_log_given_twice_is_wrong_usage(source, capsys):
+    code, err = refused(capsys, source, source.parent / "." / source.name, *LANES)
+    assert code == 2
+    assert "is given twice" in err
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("lanes.process_nose=1,2", "did you mean process_noise?"),
+        ("lanes.process_noise=0.1,x", "lanes.process_noise: Input should be a valid number"),
+        ("lanes.process_noise=0.1,-3", "got -3"),
+        ("lanes=1,2", "lanes"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_said_before_anything_is_done(tmp_path, capsys, option, said):
+    err = failed(capsys, tmp_path / "none.mcap", "--out", tmp_path / "out", "--vary", option)
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_log_that_is_not_there_is_said_before_anything_is_done(source, tmp_path, capsys):
+    err = failed(capsys, source, tmp_path / "none.mcap", "--out", tmp_path / "out", *LANES)
+    assert err == f"error: {tmp_path / 'none.mcap'}: no such file\n"
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_log_that_fails_leaves_nothing(source, tmp_path, capsys, jobs):
+    (tmp_path / "bad.mcap").write_bytes(source.read_bytes()[:3000])
+    err = failed(capsys, source, tmp_path / "bad.mcap", "--out", tmp_path / "out", "--jobs", jobs, *LANES)
+    assert "bad.mcap: cut off" in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.mcap", "in.mcap"]
+
+
+def test_a_former_sweep_is_replaced_only_when_asked(source, tmp_path, capsys):
+    out = tmp_path / "out"
+    out.mkdir()
+    sweep(source, out, "--vary", "lanes.gate=1,2,3")
+    assert "exists already; --force replaces it" in failed(capsys, source, "--out", out, *LANES)
+    assert sweep(source, out, *LANES, "--force").height == 2 * 4
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "out"]
+
+
+def test_a_failed_sweep_leaves_the_former_one(source, tmp_path, capsys):
+    before = sweep(source, tmp_path / "out", *LANES)
+    (tmp_path / "bad.mcap").write_bytes(b"no log")
+    failed(capsys, tmp_path / "bad.mcap", "--out", tmp_path / "out", *LANES, "--force")
+    assert_frame_equal(pl.scan_parquet(f"{tmp_path}/out/**/*.parquet").collect(), before)
+
+
+def test_other_things_are_never_replaced(source, tmp_path, capsys):
+    err = failed(capsys, source, "--out", tmp_path, *LANES, "--force")
+    assert "a folder with other things in it" in err
+    err = failed(capsys, source, "--out", source, *LANES, "--force")
+    assert "is a file" in err
+    assert source.is_file()
+
+
+@pytest.mark.parametrize(("jobs", "number"), [(1, signal.SIGINT), (1, signal.SIGTERM), (2, signal.SIGINT)])
+def test_a_signal_leaves_nothing(tmp_path, jobs, number):
+    """Ctrl-C goes to all processes of a terminal, as it does here."""
+    made = [logs.write(tmp_path / f"in{k}.mcap", logs.items(100)) for k in range(2)]
+    command = [sys.executable, "-c", "import sys; from roadperc_stream.eval.sweep import main; sys.exit(main())"]
+    options = [*map(str, made), *LANES, "--out", str(tmp_path / "out"), "--jobs", str(jobs)]
+    process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, start_new_session=True)
+    while process.poll() is None and not list(tmp_path.glob(".out*/0001/.*")):
+        time.sleep(0.01)
+    os.killpg(process.pid, number)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (1, "error: interrupted\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in0.mcap", "in1.mcap"]

@@ -1,0 +1,195 @@
+"""The command: what it prints, what it writes, and how it ends."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roadperc_stream.cli import replay_main
+from roadperc_stream.eval.runs import find_runs
+from roadperc_stream.eval.trajectories.columns import read_poses
+from roadperc_stream.eval.trajectories.errors import Delta
+from roadperc_stream.eval.trajectories.judgement import judge
+from roadperc_stream.eval.trajectory import main
+from tests.eval.tables import row, write
+from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, write_run
+
+TRUE = helix(60)
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
+
+
+def trajectory(capsys, *arguments):
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def line_of(text, start):
+    return next(line for line in text.splitlines() if line.startswith(start))
+
+
+@pytest.fixture
+def shifted(tmp_path):
+    """3 m to the left and 4 m up all the way; one frame has no truth, one is lost."""
+    estimated = TRUE.copy()
+    estimated[:, :3, 3] += [0.0, 3.0, 4.0]
+    status = ["first", "lost"] + ["tracked"] * 58
+    true_x_m = [None if k == 7 else x for k, x in enumerate(TRUE[:, 0, 3])]
+    path = tmp_path / "drive.metrics.parquet"
+    return write_run(path, estimated, TRUE, odometry_status=status, true_x_m=true_x_m)
+
+
+def test_figures_stand_beside_coverage(shifted, capsys):
+    code, text, _ = trajectory(capsys, shifted, "--align", "none")
+    assert code == 0
+    assert line_of(text, "drive: ").startswith("drive: 60 frames, ")
+    assert line_of(text, "96.7 %") == "96.7 % have both poses: estimated 59, true 59, lost 1"
+    assert "not aligned" in text
+    assert line_of(text, "ATE, m").split()[2:] == ["58", *["5.0000"] * 3, "0.0000", *["5.0000"] * 2, "1450.0000"]
+    assert line_of(text, "RPE over 1 frame, m").split()[-8:] == ["57", *["0.0000"] * 7]
+
+
+def test_alignment_takes_the_shift_away(shifted, capsys):
+    for how in ([], ["--align", "se3"], ["--align", "origin"]):
+        code, text, _ = trajectory(capsys, shifted, *how)
+        assert code == 0
+        assert line_of(text, "ATE, m").split()[2:] == ["58", *["0.0000"] * 7]
+
+
+def test_lengths_say_which_were_used_and_how_often(shifted, tmp_path, capsys):
+    _, text, _ = trajectory(capsys, shifted)
+    assert "no 100 m driven: shorter lengths than KITTI's; a segment begins at every frame" in text
+    rows = {
+        line.split(" m ")[0]: line.split()[2:] for line in text.splitlines() if line[:1].isdigit() and " m " in line
+    }
+    assert list(rows) == ["5", "10", "25", "50"]
+    assert rows["50"] == ["0"]
+    assert [int(cells[0]) > 0 for cells in rows.values()] == [True, True, True, False]
+    long = write_run(tmp_path / "long.metrics.parquet", helix(400), helix(400))
+    _, text, _ = trajectory(capsys, long)
+    assert "a segment begins at every 10th frame, as in KITTI's benchmark" in text
+    assert line_of(text, "100 m").split()[2:] == ["26", "0.0000", "0.0000"]
+    assert line_of(text, "all").split()[1:] == ["38", "0.0000", "0.0000"]
+
+
+def test_delta_over_metres(shifted, capsys):
+    _, text, _ = trajectory(capsys, shifted, "--delta", "2.5", "--delta-unit", "metres")
+    assert line_of(text, "RPE over 2.5 m, deg").split()[-8:-7] != ["0"]
+    _, text, _ = trajectory(capsys, shifted, "--delta", "2500", "--delta-unit", "metres")
+    assert line_of(text, "RPE over 2500 m, deg").split()[-1] == "0"
+
+
+def test_a_run_without_scale_says_so(tmp_path, capsys):
+    path = write_run(tmp_path / "mono.metrics.parquet", scaled(TRUE, 0.5), TRUE, step_m=[None] * 60)
+    _, text, _ = trajectory(capsys, path)
+    assert "aligned by Sim(3), the estimate scaled by 2" in text
+    assert "up to scale (59 of 59 steps have no scale): only figures aligned by Sim(3) mean" in text
+    assert line_of(text, "ATE, m").split()[2:] == ["60", *["0.0000"] * 7]
+    _, text, _ = trajectory(capsys, path, "--align", "se3")
+    assert "and these are not: --align sim3" in text
+    partly = write_run(tmp_path / "partly.metrics.parquet", TRUE, TRUE, step_m=[None] * 11 + [0.7] * 49)
+    _, text, _ = trajectory(capsys, partly)
+    assert "10 of 59 steps have no scale of their own" in text
+    assert "aligned by SE(3)" in text
+
+
+def test_several_runs_have_a_row_each(tmp_path, capsys):
+    write_run(tmp_path / "good.metrics.parquet", TRUE, TRUE)
+    write_run(tmp_path / "mono.metrics.parquet", scaled(TRUE, 0.5), TRUE, step_m=[None] * 60)
+    write_run(tmp_path / "blind.metrics.parquet", TRUE)
+    write(tmp_path / "still.metrics.parquet", [row(0)])
+    code, text, err = trajectory(capsys, tmp_path)
+    assert (code, err) == (0, "")
+    assert f"{tmp_path}/blind.metrics.parquet: no figures without truth: none of its 60 frames has a true" in text
+    assert f"{tmp_path}/still.metrics.parquet: no frame has an estimated pose" in text
+    assert "\nmono: up to scale" in text
+    rows = [line.split() for line in text.splitlines() if line.startswith(("good", "mono  "))]
+    assert rows[0][:6] == ["good", "60", "100.0", "0", "41.3", "1"]
+    assert rows[1][:6] == ["mono", "60", "100.0", "0", "41.3", "2"]
+    assert rows[2] == ["good", "se3", *["0.0000"] * 5, "121"]
+    assert rows[3] == ["mono", "sim3", *["0.0000"] * 5, "121"]
+
+
+def test_exports_of_runs_with_and_without_truth(tmp_path, shifted, capsys):
+    folder = tmp_path / "paths"
+    code, _, _ = trajectory(capsys, shifted, "--export-tum", folder, "--export-kitti", folder)
+    assert code == 0
+    assert sorted(p.name for p in folder.iterdir()) == [
+        f"drive.{kind}.{suffix}" for kind in ("est", "true") for suffix in ("kitti", "tum")
+    ]
+    shapes = {p.name: np.loadtxt(p).shape for p in folder.iterdir()}
+    assert shapes == {name: (58, 12 if name.endswith("kitti") else 8) for name in shapes}
+    assert (folder / "drive.est.tum").read_text().startswith("1577836800.123456789 0.0 3.0 4.0 ")
+    blind = write_run(tmp_path / "blind.metrics.parquet", TRUE)
+    code, text, _ = trajectory(capsys, blind, "--export-tum", tmp_path / "other")
+    assert code == 0
+    assert "no figures without truth" in text
+    assert [p.name for p in (tmp_path / "other").iterdir()] == ["blind.est.tum"]
+
+
+def test_runs_of_one_name_are_told_apart_by_their_folders(tmp_path, capsys):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        write_run(tmp_path / folder / "drive.metrics.parquet", rigid(1) @ noisy(TRUE, 1), TRUE)
+    code, _, _ = trajectory(capsys, tmp_path / "a", tmp_path / "b", "--export-kitti", tmp_path / "paths")
+    assert code == 0
+    found = sorted(p.relative_to(tmp_path / "paths").as_posix() for p in (tmp_path / "paths").rglob("*.kitti"))
+    assert found == [f"{folder}/drive.{kind}.kitti" for folder in "ab" for kind in ("est", "true")]
+
+
+def test_without_truth_and_without_export_it_is_an_error_of_one_line(tmp_path, capsys):
+    code, text, err = trajectory(capsys, write_run(tmp_path / "blind.metrics.parquet", TRUE))
+    assert (code, text) == (1, "")
+    assert err.startswith(f"error: {tmp_path}/blind.metrics.parquet: no figures without truth: none of its 60 frames")
+    assert err.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_written_is_an_error(shifted, tmp_path, capsys):
+    code, _, err = trajectory(capsys, shifted, "--export-tum", shifted)
+    assert code == 1
+    assert err == f"error: {shifted}: File exists\n"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *([], ["x", "--delta", "0"], ["x", "--delta", "1.5"], ["x", "--delta", "nan"], ["x", "--delta", "inf"]),
+        *(["x", "--align", "se2"], ["x", "--delta-unit", "s"]),
+    ],
+)
+def test_wrong_usage_exits_2(wrong, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(wrong)
+    assert end.value.code == 2
+    assert "roadperc-trajectory: error:" in capsys.readouterr().err
+
+
+def test_the_sample_is_as_right_as_the_readme_says(tmp_path):
+    log = tmp_path / "sample.mcap"
+    assert replay_main([str(SAMPLE), str(log), "--only", "odometry", "--results-only", "--quiet"]) == 0
+    found = judge(read_poses(*find_runs([str(log)])), None, Delta(1, "frames"))
+    assert found.driven_m == pytest.approx(19.5, abs=0.05)
+    assert (found.run.coverage, found.run.up_to_scale) == (1.0, False)
+    assert found.absolute_m.rmse == pytest.approx(0.009, abs=0.001)
+    assert found.relative_m.rmse == pytest.approx(0.002, abs=0.0005)
+    assert found.relative_deg.rmse == pytest.approx(0.009, abs=0.001)
+    assert found.together.translation_percent == pytest.approx(0.18, abs=0.02)
+    assert found.together.rotation_deg_per_100m == pytest.approx(0.33, abs=0.03)
+
+
+def test_help_has_an_example_and_names_the_frame(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert end.value.code == 0
+    assert "example:" in text
+    assert "Both hold the ego frame" in text
+
+
+def test_it_needs_no_more_of_the_package_than_tables():
+    """No decoding, no stages: the command answers at once."""
+    code = "import sys, roadperc_stream.eval.trajectory; print(*(n for n in ('cv2', 'mcap') if n in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.strip() == ""

@@ -1,0 +1,86 @@
+"""A run's figures: what is measured, over which lengths, and when there is nothing to say."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.eval.trajectories.errors import Delta
+from roadperc_stream.eval.trajectories.judgement import judge
+from roadperc_stream.eval.trajectories.poses import RunPoses
+from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, straight
+
+FRAME = Delta(1, "frames")
+
+
+def run_of(estimated, true, **facts):
+    frames = len(estimated)
+    told = RunPoses(
+        "drive", "drive.metrics.parquet", frames, 0, frames, frames, frames - 1, 0, np.arange(frames), estimated, true
+    )
+    return dataclasses.replace(told, **facts)
+
+
+def test_a_perfect_run_has_no_errors():
+    found = judge(run_of(helix(60), helix(60)), None, FRAME)
+    assert max(found.absolute_m.most, found.relative_m.most, found.relative_deg.most) < 1e-12
+    assert [s.count for s in found.stretches] == [52, 45, 24, 0]
+    assert found.together.count == 121
+    assert max(found.together.translation_percent, found.together.rotation_deg_per_100m) < 1e-10
+
+
+def test_long_ways_are_judged_by_kittis_own_lengths():
+    """250 m in steps of 1 m: of 100 m 15 stretches fit, of 200 m 5, a stretch at every tenth frame."""
+    found = judge(run_of(scaled(straight(251, 1.0), 1.01), straight(251, 1.0)), None, FRAME)
+    assert (found.driven_m, found.every) == (pytest.approx(250), 10)
+    assert [(s.length_m, s.count) for s in found.stretches][:3] == [(100, 15), (200, 5), (300, 0)]
+    assert [s.length_m for s in found.stretches] == [100, 200, 300, 400, 500, 600, 700, 800]
+    first, second, third = found.stretches[:3]
+    assert first.translation_percent == pytest.approx(1.01)
+    assert second.translation_percent == pytest.approx(1.005)
+    assert third.translation_percent is None
+    assert found.together.translation_percent == pytest.approx((15 * 1.01 + 5 * 1.005) / 20)
+
+
+def test_exactly_100_m_are_too_short_for_100_m():
+    assert judge(run_of(straight(101, 1.0), straight(101, 1.0)), None, FRAME).every == 1
+
+
+def test_a_run_without_scale_is_aligned_by_sim3_unless_told():
+    small = run_of(scaled(helix(60), 0.1), helix(60), without_scale=59)
+    assert judge(small, None, FRAME).alignment == "sim3"
+    assert judge(small, None, FRAME).absolute_m.rmse < 1e-12
+    assert judge(small, None, FRAME).relative_m.rmse < 1e-12
+    assert judge(small, "se3", FRAME).absolute_m.rmse > 1
+    metric = run_of(helix(60), helix(60), without_scale=20)
+    assert judge(metric, None, FRAME).alignment == "se3"
+
+
+def test_the_alignment_is_the_one_asked_for():
+    moved = run_of(rigid(1) @ noisy(helix(60), 1), helix(60))
+    rmse = {how: judge(moved, how, FRAME).absolute_m.rmse for how in ("sim3", "se3", "origin", "none")}
+    assert list(rmse.values()) == sorted(rmse.values())
+    assert rmse["none"] > 2 * rmse["origin"] > 2 * rmse["se3"]
+
+
+def test_a_delta_longer_than_the_way_has_no_pairs():
+    found = judge(run_of(helix(10), helix(10)), None, Delta(50.0, "metres"))
+    assert (found.relative_m, found.relative_deg) == (None, None)
+    assert found.absolute_m.count == 10
+
+
+@pytest.mark.parametrize(
+    ("run", "said"),
+    [
+        (
+            run_of(helix(9), None),
+            "drive.metrics.parquet: no figures without truth: none of its 9 frames has a true pose",
+        ),
+        (run_of(helix(2), helix(2), frames=9), "no figures: expected 3 or more frames .* found 2 of 9"),
+        (run_of(straight(9, 0), helix(9), without_scale=8), r"drive.metrics.parquet: no Sim\(3\) alignment"),
+    ],
+)
+def test_what_cannot_be_judged_is_said(run, said):
+    with pytest.raises(TableError, match=said):
+        judge(run, None, FRAME)

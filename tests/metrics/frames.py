@@ -1,0 +1,22 @@
+"""A frame of the analytic road through the chain, with whatever truth a test puts beside it."""
+
+import numpy as np
+
+from roadperc_stream.chain import ChainState, step
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.datatypes import Boundary, Sample, Truth
+from tests.analytic import Road, box
+
+CFG = ReplayConfig()
+
+
+def sample_and_result(**truth):
+    frame = Road().frame(detections=(box("Car", 0, 0, 10, 10), box("Unicorn", 300, 300, 340, 340)))
+    _, result = step(CFG, ChainState(), frame)
+    return Sample(0, frame.stamp_ns, frame, Truth(**truth), (), 0), result
+
+
+def boundary(offset_m, heading=0.0, side="left"):
+    x = np.arange(0.0, 30.0)
+    line = np.stack((x, offset_m + heading * x, np.zeros_like(x)), axis=-1)
+    return Boundary(side, "measured", None, None, offset_m, heading, 0.0, line_ego_m=line)

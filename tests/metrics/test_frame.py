@@ -1,0 +1,64 @@
+"""The whole row of a frame: identity gives zero everywhere, and every column has a field in the message."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+
+from roadperc_stream.datatypes import Boundary, DepthImage, Lanes, TagImage
+from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.rows import FrameMetrics, ObjectMetrics
+from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics as FrameMetricsProto
+from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from tests.analytic import Road
+from tests.metrics.frames import CFG, boundary, sample_and_result
+
+
+def test_identity_gives_zero_errors():
+    road = Road()
+    _, result = sample_and_result()
+    tags, depth = road.tags(), road.depth_m()
+    sample, _ = sample_and_result(
+        surface=result.surface,
+        lanes=result.lanes,
+        depth=DepthImage("camera", lambda: (depth, 65.535)),
+        segmentation=TagImage("camera", TABLE, lambda: tags),
+    )
+    row = frame_metrics(CFG, "id", sample, result)
+    assert (row.surface_angle_error_deg, row.camera_height_error_m, row.drivable_iou) == (0.0, 0.0, 1.0)
+    assert row.lane_left_error_m == pytest.approx(0.0, abs=1e-9)
+    assert row.lane_right_error_m == pytest.approx(0.0, abs=1e-9)
+    assert row.lane_left_true_offset_m == row.lane_left_offset_m
+    assert row.lane_right_true_offset_m == row.lane_right_offset_m
+    assert (row.lane_tusimple_accuracy, row.lane_tusimple_fp, row.lane_tusimple_fn) == (1.0, 0.0, 0.0)
+    assert (row.lane_culane_tp_50, row.lane_culane_fp_50, row.lane_culane_fn_50) == (2, 0, 0)
+    assert (row.lane_culane_tp_30, row.lane_culane_fp_30, row.lane_culane_fn_30) == (2, 0, 0)
+
+
+def test_columns_of_a_frame():
+    sample, result = sample_and_result()
+    row = frame_metrics(CFG, "id", sample, result)
+    assert row.lane_width_m == pytest.approx(1.8 + 1.9, abs=0.03)
+    assert (row.detections, row.detections_kept, row.detections_unjudged) == (2, 1, 1)
+    assert row.lane_right_boundary_class == "sidewalk"
+    assert row.surface_source == "depth"
+    assert row.lane_left_error_m is None
+
+
+def test_lost_lanes_have_no_width():
+    lanes = Lanes((boundary(1.8), Boundary("right", "lost")))
+    sample, result = sample_and_result()
+    row = frame_metrics(CFG, "id", sample, replace(result, lanes=lanes))
+    assert (row.lane_width_m, row.lane_right_status, row.lane_right_offset_m) == (None, "lost", None)
+
+
+def test_every_column_is_defined_in_the_docs():
+    text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
+    missing = [f.name for f in fields(FrameMetrics) if f"`{f.name}`" not in text]
+    missing += [f.name for f in fields(ObjectMetrics) if "true" in f.name and f"`{f.name}`" not in text]
+    assert not missing
+
+
+def test_the_message_has_a_field_for_every_column():
+    names = {f.name for f in FrameMetricsProto.DESCRIPTOR.fields} - {"timestamp", "frame_id"}
+    assert names == {f.name for f in fields(FrameMetrics)}

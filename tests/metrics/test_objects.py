@@ -1,0 +1,98 @@
+"""Detections against true objects: who stands for whom, and how the filter judged."""
+
+from dataclasses import replace
+
+import pytest
+
+from roadperc_stream import metrics as m
+from roadperc_stream.datatypes import Object, Objects
+from roadperc_stream.metrics.objects import same_kind, true_time_to_impact_s
+from tests.analytic import box
+from tests.metrics.frames import CFG, sample_and_result
+
+
+def test_objects_are_matched_best_first_and_once():
+    near, far = box("Car", 0, 0, 10, 10), box("Car", 1, 0, 11, 10)
+    objects = Objects((Object(far, True, distance_m=5.0), Object(near, True, distance_m=3.5)))
+    truth = Objects((Object(near, True, distance_m=3.0),))
+    sample, result = sample_and_result(objects=truth)
+    result = replace(result, objects=objects)
+    rows = m.object_metrics("id", sample, result)
+    assert [row.true_distance_m for row in rows] == [None, 3.0]
+    assert m.frame_metrics(CFG, "id", sample, result).object_distance_error_m == pytest.approx(0.5)
+
+
+def test_dropped_objects_do_not_count():
+    objects = Objects(
+        (Object(box("Car", 0, 0, 9, 9), False, distance_m=2.0), Object(box("Bus", 20, 0, 29, 9), True, distance_m=7.0))
+    )
+    sample, result = sample_and_result()
+    row = m.frame_metrics(CFG, "id", sample, replace(result, objects=objects))
+    assert (row.nearest_object_m, row.nearest_object_class, row.detections_kept) == (7.0, "Bus", 1)
+
+
+def judged(*objects, truth):
+    sample, result = sample_and_result(objects=truth)
+    result = replace(result, objects=Objects(objects))
+    return m.frame_metrics(CFG, "id", sample, result), m.object_metrics("id", sample, result)
+
+
+def test_the_filter_is_counted_over_what_the_detector_found():
+    """Two cars and a walker are true; one car is dropped, the walker is missed, and a false box is kept."""
+    places = [box("Car", x, 0, x + 10, 10) for x in (0, 20, 40, 60, 80)]
+    truth = Objects((Object(places[0], True), Object(places[1], True), Object(box("Pedestrian", 99, 0, 103, 9), True)))
+    kept, dropped, false_kept, false_dropped, carried = places
+    objects = [Object(kept, True), Object(dropped, False), Object(false_kept, True), Object(false_dropped, False)]
+    row, rows = judged(*objects, Object(carried, True, status="tracked"), truth=truth)
+    assert (row.filter_tp, row.filter_fp, row.filter_fn, row.filter_tn) == (1, 1, 1, 1)
+    assert (row.filter_precision, row.filter_recall) == (0.5, 0.5)
+    assert [r.is_true for r in rows] == [True, True, False, False, False]
+
+
+def test_a_filter_that_keeps_what_is_true_is_right():
+    car = Object(box("Car", 0, 0, 10, 10), True, distance_m=5.0)
+    row, _ = judged(car, truth=Objects((car,)))
+    assert (row.filter_precision, row.filter_recall, row.object_distance_error_m) == (1.0, 1.0, 0.0)
+
+
+def test_without_true_objects_nothing_is_said_of_the_filter():
+    row, rows = judged(Object(box("Car", 0, 0, 10, 10), True), truth=None)
+    assert (row.filter_tp, row.filter_precision, row.filter_recall) == (None, None, None)
+    assert rows[0].is_true is None
+
+
+def test_a_share_of_nothing_is_unknown():
+    row, _ = judged(Object(box("Car", 0, 0, 10, 10), False), truth=Objects(()))
+    assert (row.filter_tp, row.filter_fp, row.filter_fn, row.filter_tn) == (0, 0, 0, 1)
+    assert (row.filter_precision, row.filter_recall) == (None, None)
+
+
+def test_a_pedestrian_does_not_stand_for_a_car():
+    place = (0, 0, 10, 10)
+    _, rows = judged(
+        Object(box("Pedestrian", *place), True),
+        Object(box("Van", 1, 0, 11, 10), True),
+        truth=Objects((Object(box("Car", *place), True, distance_m=12.0),)),
+    )
+    assert [row.is_true for row in rows] == [False, True]
+    assert [row.true_distance_m for row in rows] == [None, 12.0]
+
+
+@pytest.mark.parametrize(
+    ("label", "other", "same"),
+    [("Car", "truck", True), ("Cyclist", "person", True), ("Car", "walker", False), ("Unicorn", "unicorn ", True)],
+)
+def test_kinds(label, other, same):
+    assert same_kind(label, other) is same_kind(other, label) is same
+    assert not same_kind("Unicorn", "Car")
+
+
+@pytest.mark.parametrize(
+    ("closing_mps", "said_s", "impact_s"), [(5.0, None, 4.0), (-5.0, None, None), (None, None, None), (5.0, 3.0, 3.0)]
+)
+def test_a_true_time_to_impact_is_the_distance_over_the_closing_speed(closing_mps, said_s, impact_s):
+    detection = box("Car", 0, 0, 10, 10)
+    true = Object(detection, True, distance_m=20.0, closing_speed_mps=closing_mps, time_to_impact_s=said_s)
+    assert true_time_to_impact_s(true) == impact_s
+    _, (row,) = judged(Object(detection, True), truth=Objects((true,)))
+    assert (row.true_closing_speed_mps, row.true_time_to_impact_s) == (closing_mps, impact_s)

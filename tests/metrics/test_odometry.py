@@ -1,0 +1,54 @@
+"""Poses in the table, and what is left of a step when the true one is undone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roadperc_stream.datatypes import Odometry, Truth
+from roadperc_stream.geometry import rigid, rotation_from_rpy
+from roadperc_stream.metrics import frame_metrics
+from tests.metrics.frames import CFG, sample_and_result
+
+
+def moved(x_m, y_m, yaw_deg=0.0):
+    return rigid(rotation_from_rpy(0.0, 0.0, np.radians(yaw_deg)), np.array([x_m, y_m, 0.0]))
+
+
+def row_of(step, true_step, **odometry):
+    """The row of the second of two frames, the truth at (10, 20), turned by 90 degrees, before."""
+    before, result = sample_and_result()
+    start = moved(10.0, 20.0, 90.0)
+    before = replace(before, truth=Truth(odom_T_ego=start))
+    now = replace(before, index=1, truth=Truth(odom_T_ego=start @ true_step))
+    found = Odometry("tracked", step, step=step, since_ns=before.frame.stamp_ns, **odometry)
+    return frame_metrics(CFG, "id", now, replace(result, odometry=found), before)
+
+
+def test_a_step_that_is_off_by_three_and_four_metres_is_off_by_five():
+    row = row_of(moved(13.0, 4.0), moved(10.0, 0.0))
+    assert (row.step_error_m, row.turn_error_deg) == (pytest.approx(5.0), pytest.approx(0.0, abs=1e-9))
+
+
+def test_a_turn_that_is_off():
+    assert row_of(moved(1.0, 0.0, 3.0), moved(1.0, 0.0, 1.0)).turn_error_deg == pytest.approx(2.0)
+
+
+def test_the_true_step_has_no_error_and_the_true_pose_is_in_the_row():
+    row = row_of(moved(1.0, 0.0), moved(1.0, 0.0))
+    assert (row.step_error_m, row.turn_error_deg) == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.0, abs=1e-6))
+    assert (row.true_x_m, row.true_y_m, row.true_z_m) == (pytest.approx(10.0), pytest.approx(21.0), 0.0)
+    half = np.sqrt(0.5)
+    assert (row.true_qx, row.true_qy, row.true_qz, row.true_qw) == pytest.approx((0.0, 0.0, half, half))
+    assert (row.odom_x_m, row.odom_qw) == (1.0, 1.0)
+
+
+def test_a_step_without_scale_has_no_length_error():
+    row = row_of(moved(2.0, 0.0), moved(1.0, 0.0), up_to_scale=True)
+    assert (row.step_error_m, row.turn_error_deg) == (None, pytest.approx(0.0, abs=1e-6))
+
+
+def test_without_truth_there_is_no_true_pose():
+    sample, result = sample_and_result()
+    row = frame_metrics(CFG, "id", sample, result)
+    assert (row.true_x_m, row.true_qw, row.step_error_m) == (None, None, None)
