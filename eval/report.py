@@ -76,6 +76,8 @@ def _report(arguments: Sequence[str], worst: int, html: Path | None) -> None:
     filled = [item for item in runs if item.frames]
     if not filled:
         raise TableError(f"{runs[0].path}: no frames in this table, so there is nothing to report")
+    if html is not None:
+        write_page(html, filled)  # before anything is printed: whoever reads the text may close the pipe early
     console = console_for(sys.stdout)
     print_empty(console, [item for item in runs if not item.frames])
     if len(filled) == 1:
@@ -83,5 +85,4 @@ def _report(arguments: Sequence[str], worst: int, html: Path | None) -> None:
     else:
         print_several(console, *summarise_all(filled, worst))
     if html is not None:
-        write_page(html, filled)
         console.print(f"\npage   {html}", soft_wrap=True)

@@ -22,6 +22,11 @@ _SHIFTS: Final = tuple(sorted(range(-6, 7), key=abs))
 """Frames by which an estimate may lie behind its truth, the likeliest first: that decides between equals."""
 _FOLLOWS: Final = 0.5
 """A correlation below says that estimate and truth do not move together, as on a road that does not bend."""
+_DISTINCT: Final = 1.25
+"""How much more of the variance other shifts leave unexplained than the one that is told."""
+_ROUNDING: Final = 1e-9
+_FEWEST: Final = 3
+"""Frames below which two columns always correlate."""
 
 
 @dataclass(frozen=True)
@@ -59,24 +64,32 @@ def scores(totals: Mapping[str, int]) -> list[Score]:
 
 
 def correlations(estimate: str, truth: str) -> pl.Expr:
-    """Cross-correlation of two columns: a list with a coefficient per shift, of the frames where both are known.
+    """Pearson's coefficient of two columns per shift: a list, each of the frames where both are known.
 
-    Null or not finite where a column has no values or does not vary.
+    Null or not finite where they are known together in fewer than half of the frames, or one does not vary there.
     """
-    centred, true = (pl.col(column) - pl.col(column).mean() for column in (estimate, truth))
-    spread = pl.col(estimate).std(ddof=0) * pl.col(truth).std(ddof=0)
-    return pl.concat_list((centred.shift(-shift) * true).mean() / spread for shift in _SHIFTS)
+    return pl.concat_list(_correlation(pl.col(estimate).shift(-shift), pl.col(truth)) for shift in _SHIFTS)
+
+
+def _correlation(a: pl.Expr, b: pl.Expr) -> pl.Expr:
+    both = a.is_not_null() & b.is_not_null()
+    enough = both.sum() >= pl.max_horizontal(pl.len() / 2, _FEWEST)
+    return pl.when(enough).then(pl.corr(a.filter(both), b.filter(both)))
 
 
 def lag_frames(coefficients: Sequence[float | None]) -> int | None:
     """Frames by which an estimate lies behind its truth: the shift with the largest of ``correlations``.
 
-    None where the two do not move together, so that no shift can be told.
+    None where no shift can be told: the two do not move together, or so evenly that shifts of two frames and more
+    leave hardly more of the one unexplained by the other (on a straight line any shift does).
     """
     pairs = zip(coefficients, _SHIFTS, strict=False)
-    known = [(value, shift) for value, shift in pairs if value is not None and math.isfinite(value)]
-    best, shift = max(known, key=lambda pair: pair[0], default=(0.0, 0))
-    return shift if best >= _FOLLOWS else None
+    known = {shift: value for value, shift in pairs if value is not None and math.isfinite(value)}
+    shift = max(known, key=lambda k: known[k], default=0)
+    unexplained = {k: 1 - value * abs(value) for k, value in known.items()}
+    others = min((share for k, share in unexplained.items() if abs(k - shift) > 1), default=math.inf)
+    told = known.get(shift, 0.0) >= _FOLLOWS and others > _DISTINCT * unexplained[shift] + _ROUNDING
+    return shift if told else None
 
 
 def averaged(parts: Iterable[tuple[int, Sequence[float | None]]]) -> tuple[float | None, ...]:

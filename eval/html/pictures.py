@@ -134,6 +134,11 @@ def _of_run(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str
         return {}, f"{name} is not where the table says, so there are no pictures of its frames."
     images: dict[Key, str] = {}
     try:
+        if files.is_replayed_again(log):
+            return (
+                {},
+                f"{log.name} was replayed again with another configuration, so it has no pictures of this run.",
+            )
         for frame in frames:
             image = _drawn(log, frame)
             images |= {(frame.run, frame.frame): image} if image else {}

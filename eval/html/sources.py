@@ -1,24 +1,38 @@
 """Which files a run came from, as its table names them, and whether they are still there."""
 
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import pyarrow.parquet as pq
+
+from roadperc_stream import log
+from roadperc_stream.replay import CONFIG_ATTACHMENT
 
 from ..runs import SUFFIX, Run
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Input and output log of a run; None where the table does not name them."""
+    """Input and output log of a run, None where the table does not name them, and the digest of its configuration."""
 
     source: Path | None
     log: Path | None
+    config_digest: str = ""
 
     @property
     def present_log(self) -> Path | None:
         """The log with results, if it is where the table says."""
         return self.log if self.log is not None and self.log.is_file() else None
+
+    def is_replayed_again(self, log_path: Path) -> bool:
+        """Whether the log holds another configuration than made the table: its results are then of another run.
+
+        Raises:
+            LogError: the log cannot be read.
+        """
+        stored = (a.data for a in log.summarise(log_path).attachments if a.name == CONFIG_ATTACHMENT)
+        return bool(self.config_digest) and any(sha256(data).hexdigest() != self.config_digest for data in stored)
 
 
 def sources_of(run: Run) -> Sources:
@@ -27,10 +41,10 @@ def sources_of(run: Run) -> Sources:
     A run's files are often moved together, from the machine that replayed to the one that reports.
     """
     facts = pq.read_metadata(run.path).metadata or {}
-    source, log = (_path(facts.get(key, b"")) for key in (b"roadperc.source", b"roadperc.log"))
+    source, named = (_path(facts.get(key, b"")) for key in (b"roadperc.source", b"roadperc.log"))
     beside = run.path.with_name(run.path.name.removesuffix(SUFFIX) + ".mcap")
-    moved = (log is None or not log.is_file()) and beside.is_file()
-    return Sources(source, beside if moved else log)
+    moved = (named is None or not named.is_file()) and beside.is_file()
+    return Sources(source, beside if moved else named, run.config_digest)
 
 
 def _path(stored: bytes) -> Path | None:

@@ -18,6 +18,10 @@ _HOW_TO_READ: Final = (
     "that have a value. Where high is good, p95 is the 5 % quantile (p5) and worst the least."
 )
 _STATUSES: Final = ("measured", "held", "lost")
+_OF_BOUNDARIES: Final = (
+    "The offset is the median; jitter is the standard deviation of its second difference, smoothed and raw; lag is "
+    "by how many frames the smoothed offset lies behind the true one, where that can be told."
+)
 
 
 @dataclass(frozen=True)
@@ -75,10 +79,10 @@ def summary_tables(summaries: Sequence[Summary]) -> Iterator[Table]:
     yield _right(summaries)
     seen = _table("Does it see?", ("coverage %", "p5", "median", "p95"), SEEN, summaries, _values)
     fast = _table("How fast?", ("median", "p95", "p99", "share %"), STAGES, summaries, _times)
-    statuses = (*(f"{status} %" for status in _STATUSES), "offset, m")
+    boundaries = (*(f"{status} %" for status in _STATUSES), "offset, m", "jitter, cm", "raw, cm", "lag")
     tables = (
         Table("Precision and recall", ("precision", "recall", "F1"), tuple(_scores(summaries)), "Higher is better."),
-        Table("Lane boundaries", statuses, tuple(_lanes(summaries)), "The offset is the median."),
+        Table("Lane boundaries", boundaries, tuple(_lanes(summaries)), _OF_BOUNDARIES),
         seen,
         Table(fast.title, fast.headers, fast.rows, "Milliseconds a frame; lower is better."),
     )
@@ -147,7 +151,14 @@ def _lanes(summaries: Sequence[Summary]) -> Iterator[Row]:
 def _lane(summary: Summary, side: str) -> tuple[str, ...]:
     offset = summary.statistics.get(f"lane_{side}_offset_m")
     shares = (percent(summary.share(f"lane_{side}_status", status)) for status in _STATUSES)
-    return (*shares, f"{offset.median:z.2f}" if offset else UNKNOWN)
+    jitters = [summary.statistics.get(f"lane_{side}_{kind}second_difference_m") for kind in ("", "raw_")]
+    lag = summary.lag_frames(side)
+    return (
+        *shares,
+        f"{offset.median:z.2f}" if offset else UNKNOWN,
+        *(f"{100 * jitter.std:.2f}" if jitter else UNKNOWN for jitter in jitters),
+        UNKNOWN if lag is None else str(lag),
+    )
 
 
 def _scores(summaries: Sequence[Summary]) -> Iterator[Row]:

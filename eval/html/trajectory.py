@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float, rotation_from_quaternion
 
@@ -36,7 +37,7 @@ def ways(run: Series) -> dict[str, Float]:
     ahead: odometry's way and the truth are compared from the same start.
     """
     poses = {which: found for which in ("odom", "true") if (found := _poses(run, which)) is not None}
-    known = np.isfinite(np.hstack(list(poses.values()))).all(axis=1) if poses else np.zeros(1, bool)
+    known = np.all([_usable(found) for found in poses.values()], axis=0) if poses else np.zeros(1, bool)
     return {which: _from_pose(found, int(np.argmax(known))) for which, found in poses.items()} if known.any() else {}
 
 
@@ -46,6 +47,11 @@ def _poses(run: Series, which: str) -> Float | None:
     if not all(name in run.values for name in names):
         return None
     return np.stack([run.values[name] for name in names], axis=-1)
+
+
+def _usable(poses: Float) -> NDArray[np.bool_]:
+    """(N,) poses that are known and have an orientation."""
+    return np.asarray(np.isfinite(poses).all(axis=1) & (np.abs(poses[:, 3:]).max(axis=1) > 0))
 
 
 def _from_pose(poses: Float, first: int) -> Float:

@@ -139,7 +139,7 @@ class LanesConfig(Section):
     use_odometry: bool = True
     """Whether odometry, where it is metric, predicts the boundaries from frame to frame."""
     process_noise: Annotated[float, Field(ge=1e-3, le=100.0)] = 0.5
-    """Standard deviation in m/s^2 of the car's sideways acceleration."""
+    """Standard deviation in m/s^2 of the car's sideways acceleration, where no odometry predicts the boundaries."""
     offset_std_m: Positive = 0.05
     heading_std: Positive = 0.01
     curvature_std_per_m: Positive = 0.002

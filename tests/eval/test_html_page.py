@@ -11,11 +11,13 @@ import numpy as np
 import polars as pl
 import pytest
 
+from roadperc_stream.cli import replay_main
 from roadperc_stream.eval.html.page import RUNS_DRAWN
 from roadperc_stream.eval.report import main
 from tests.eval.tables import START_NS, STEP_NS, row, write
 from tests.eval.test_html_parts import STAMP, write_log
 
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 CHROMIUM = shutil.which("chromium")
 QUIET = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
@@ -183,6 +185,25 @@ def test_where_the_log_is_gone_the_page_says_so(tmp_path):
     assert not page.images
     assert "gone.mcap is not where the table says" in page.text
     assert "stereo disparity" in page.text
+
+
+def test_a_log_that_was_replayed_again_lends_no_pictures(tmp_path):
+    """Under the first run's numbers they would show what the second one saw."""
+    out, table = tmp_path / "out.mcap", tmp_path / "out.metrics.parquet"
+    replayed = [str(SAMPLE), str(out), "--frames", "2", "--quiet", "--force"]
+    assert replay_main(replayed) == 0
+    assert report(tmp_path, table)[0].images
+    shutil.copy(table, tmp_path / "first.metrics.parquet")
+    assert replay_main([*replayed, "--set", "surface.inlier_m=0.5"]) == 0
+    page, _ = report(tmp_path, tmp_path / "first.metrics.parquet")
+    assert not page.images
+    assert "out.mcap was replayed again with another configuration" in page.text
+
+
+def test_a_pose_without_an_orientation_is_none(tmp_path):
+    still = {f"odom_{axis}_m": 0.0 for axis in "xyz"} | {f"odom_q{axis}": 0.0 for axis in "xyzw"}
+    page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **still) for k in range(3)]))
+    assert "Trajectory" not in page.text
 
 
 def test_a_log_moved_along_with_its_table_is_found(tmp_path):

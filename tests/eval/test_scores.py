@@ -52,6 +52,29 @@ def test_no_lag_where_the_offset_does_not_follow_the_truth(truths):
     assert lag([0.01 * (-1) ** k for k in range(40)], truths) is None
 
 
+def late(truths, frames):
+    """The truth, held at its first value and then so many frames late."""
+    return [truths[0]] * frames + truths[: len(truths) - frames]
+
+
+@pytest.mark.parametrize("shift", [0, 3, 5])
+@pytest.mark.parametrize(
+    "truths",
+    [
+        [3.5 * math.tanh((k - 100) / 20) for k in range(200)],
+        [(k / 100 - 1) ** 2 for k in range(200)],
+        [math.sin(math.pi * k / 200) for k in range(200)],
+    ],
+    ids=["lane change", "parabola", "half a sine"],
+)
+def test_lag_of_what_goes_one_way_is_the_shift_too(truths, shift):
+    assert lag(late(truths, shift), truths) == shift
+
+
+def test_on_a_straight_line_no_lag_can_be_told():
+    assert lag([0.01 * (k - 3) for k in range(100)], [0.01 * k for k in range(100)]) is None
+
+
 def test_lag_of_a_log_shorter_than_the_shifts():
     assert lag([0.0, 1.0, 0.0], [0.0, 1.0, 0.0]) == 0
     assert lag([1.0], [1.0]) is None
