@@ -72,9 +72,8 @@ def correlations(estimate: str, truth: str) -> pl.Expr:
 
 
 def _correlation(a: pl.Expr, b: pl.Expr) -> pl.Expr:
-    both = a.is_not_null() & b.is_not_null()
-    enough = both.sum() >= pl.max_horizontal(pl.len() / 2, _FEWEST)
-    return pl.when(enough).then(pl.corr(a.filter(both), b.filter(both)))
+    enough = (a.is_not_null() & b.is_not_null()).sum() >= pl.max_horizontal(pl.len() / 2, _FEWEST)
+    return pl.when(enough).then(pl.corr(a, b))  # of the frames where both are known
 
 
 def lag_frames(coefficients: Sequence[float | None]) -> int | None:
