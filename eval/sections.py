@@ -74,17 +74,17 @@ def lane_boundaries(summary: Summary) -> Table:
     table = grid("Lane boundary", *headers, label_columns=13)
     if any(summary.categories[f"lane_{side}_status"] for side in SIDES):
         for side in SIDES:
-            table.add_row(*_boundary(summary, side))
+            table.add_row(side, *boundary(summary, side))
     return table
 
 
-def _boundary(summary: Summary, side: str) -> list[str]:
+def boundary(summary: Summary, side: str) -> list[str]:
+    """Percent measured, held, lost; offset in m, jitter in cm smoothed and raw, lag in frames; empty where unknown."""
     states = [percent(summary.share(f"lane_{side}_status", state)) for state in ("measured", "held", "lost")]
     offset = summary.statistics.get(f"lane_{side}_offset_m")
     jitters = [summary.statistics.get(f"lane_{side}_{kind}second_difference_m") for kind in ("", "raw_")]
     lag = summary.lag_frames(side)
     return [
-        side,
         *states,
         f"{offset.median:z.2f}" if offset else "",
         *(f"{100 * jitter.std:.2f}" if jitter else "" for jitter in jitters),

@@ -63,7 +63,7 @@ def object_annotations(stamp_ns: int, camera: Camera, objects: Objects) -> bytes
         colour, thickness = _box_style(item)
         corners = _corners(item.detection.box_px)
         _points(message, stamp_ns, PointsAnnotation.LINE_LOOP, corners, colour, thickness)
-        _text(message, stamp_ns, camera, corners[0], _caption(item), colour)
+        _text(message, stamp_ns, camera, corners[0], caption(item), colour)
     return message.SerializeToString()
 
 
@@ -138,7 +138,8 @@ def _box_style(item: Object) -> tuple[tuple[float, float, float], float]:
     return (_YELLOW if item.class_ratio is None else _GREEN), 3.0
 
 
-def _caption(item: Object) -> str:
+def caption(item: Object) -> str:
+    """Label, distance and time to impact of an object; of one that was dropped its share of class pixels."""
     parts = [item.detection.label]
     if item.distance_m is not None:
         parts.append(f"{item.distance_m:.1f} m")

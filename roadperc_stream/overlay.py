@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from roadperc_stream.datatypes import Absent, Box, Image, Lanes, Mask, Object, Objects
+from roadperc_stream.drawing import caption
 from roadperc_stream.geometry import Float
 
 Colour = tuple[int, int, int]
@@ -171,16 +172,10 @@ def _colour_of(item: Object) -> Colour:
     return _UNJUDGED if item.class_ratio is None else _KEPT
 
 
-def _caption(item: Object) -> str:
-    distance = "" if item.distance_m is None else f" {item.distance_m:.1f} m"
-    impact = "" if item.time_to_impact_s is None else f" in {item.time_to_impact_s:.1f} s"
-    return f"{item.detection.label}{distance}{impact}"
-
-
 def _label_place(canvas: Image, item: Object, taken: Iterable[Box], pen: _Pen) -> Box | None:
     """Where the text goes: above the box, inside at its top or below it, whichever is free; None where none is."""
     box = _scaled_box(item.detection.box_px, pen)
-    width, height = _text_size(canvas, _caption(item), pen)
+    width, height = _text_size(canvas, caption(item), pen)
     columns, rows = pen.size
     x = float(np.clip(box.x_min, 0, max(columns - width, 0)))
     taken = tuple(taken)
@@ -195,7 +190,7 @@ def _draw_label(canvas: Image, item: Object, place: Box, pen: _Pen) -> None:
     start, end = _whole((place.x_min, place.y_min)), _whole((place.x_max, place.y_max))
     cv2.rectangle(canvas, start, end, _BEHIND_TEXT, cv2.FILLED)
     baseline = round(place.y_min + 0.95 * pen.text_px)
-    cv2.putText(canvas, _caption(item), (start[0] + 2, baseline), _colour_of(item), _face(), pen.text_px)
+    cv2.putText(canvas, caption(item), (start[0] + 2, baseline), _colour_of(item), _face(), pen.text_px)
 
 
 def _text_size(canvas: Image, text: str, pen: _Pen) -> tuple[int, int]:

@@ -7,6 +7,7 @@ from typing import Final
 from ..grid import percent, rounded
 from ..quantities import SEEN, SIDES, STAGES, TOTAL, TRUTH, Quantity
 from ..scores import Score
+from ..sections import boundary
 from ..statistics import Statistics
 from ..summary import Summary
 from .histograms import better
@@ -149,16 +150,7 @@ def _lanes(summaries: Sequence[Summary]) -> Iterator[Row]:
 
 
 def _lane(summary: Summary, side: str) -> tuple[str, ...]:
-    offset = summary.statistics.get(f"lane_{side}_offset_m")
-    shares = (percent(summary.share(f"lane_{side}_status", status)) for status in _STATUSES)
-    jitters = [summary.statistics.get(f"lane_{side}_{kind}second_difference_m") for kind in ("", "raw_")]
-    lag = summary.lag_frames(side)
-    return (
-        *shares,
-        f"{offset.median:z.2f}" if offset else UNKNOWN,
-        *(f"{100 * jitter.std:.2f}" if jitter else UNKNOWN for jitter in jitters),
-        UNKNOWN if lag is None else str(lag),
-    )
+    return tuple(cell or UNKNOWN for cell in boundary(summary, side))
 
 
 def _scores(summaries: Sequence[Summary]) -> Iterator[Row]:

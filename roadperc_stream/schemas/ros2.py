@@ -18,15 +18,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.errors import DecodeError, LogError
 
-IMAGE: Final = "sensor_msgs/msg/Image"
-IMAGE_DEFINITION: Final = b"""std_msgs/Header header
-uint32 height
-uint32 width
-string encoding
-uint8 is_bigendian
-uint32 step
-uint8[] data
-================================================================================
+_HEADER_DEFINITION: Final = b"""================================================================================
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
@@ -35,19 +27,26 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
+IMAGE: Final = "sensor_msgs/msg/Image"
+IMAGE_DEFINITION: Final = (
+    b"""std_msgs/Header header
+uint32 height
+uint32 width
+string encoding
+uint8 is_bigendian
+uint32 step
+uint8[] data
+"""
+    + _HEADER_DEFINITION
+)
 OCCUPANCY_GRID: Final = "nav_msgs/msg/OccupancyGrid"
-OCCUPANCY_GRID_DEFINITION: Final = b"""std_msgs/Header header
+OCCUPANCY_GRID_DEFINITION: Final = (
+    b"""std_msgs/Header header
 nav_msgs/MapMetaData info
 int8[] data
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-================================================================================
+"""
+    + _HEADER_DEFINITION
+    + b"""================================================================================
 MSG: nav_msgs/MapMetaData
 builtin_interfaces/Time map_load_time
 float32 resolution
@@ -70,6 +69,7 @@ float64 y
 float64 z
 float64 w
 """
+)
 DEFINITIONS: Final = {IMAGE: IMAGE_DEFINITION, OCCUPANCY_GRID: OCCUPANCY_GRID_DEFINITION}
 _NANOSECONDS: Final = 1_000_000_000
 LAST_STAMP_NS: Final = 2**31 * _NANOSECONDS - 1
