@@ -18,7 +18,7 @@ from .grid import grid, percent
 from .lane_files.recorded import RunLanes, default_rows, lane_frame, open_lanes
 from .lane_files.scoring import FrameScore, LaneScores, Pairing, by_key, paired, score_frame, summed, unanswered
 from .lane_files.tusimple import LaneFileError, LaneFrame, lane_writer, read_frames
-from .terminal import console_for
+from .terminal import console_for, print_lines
 
 NAMED: Final = 10
 """Missing frames that are named; of more the number is told."""
@@ -109,9 +109,7 @@ def _lanes(path: Path, options: _Options) -> None:
     size = options.size or (source.camera.width, source.camera.height)
     with lane_writer(options.target) if options.target else nullcontext(_pass) as write:
         lines = _score(source, truth, options.pairing, size, write) if truth else [_export(source, size, write)]
-    console = console_for(sys.stdout)
-    for line in lines:
-        console.print(line, crop=False, soft_wrap=isinstance(line, str))
+    print_lines(console_for(sys.stdout), *lines, unbroken=True)
 
 
 def _pass(_frame: LaneFrame) -> None:

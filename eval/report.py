@@ -12,7 +12,7 @@ from roadperc_stream.errors import TableError
 from .html.page import write_page
 from .runs import find_runs
 from .summary import summarise_all, summarise_run
-from .terminal import console_for, print_empty, print_one, print_several
+from .terminal import console_for, print_empty, print_lines, print_one, print_several
 
 WORST_FRAMES = 3
 _EXAMPLE = """\
@@ -85,4 +85,4 @@ def _report(arguments: Sequence[str], worst: int, html: Path | None) -> None:
     else:
         print_several(console, *summarise_all(filled, worst))
     if html is not None:
-        console.print(f"\npage   {html}", soft_wrap=True)
+        print_lines(console, "", f"page   {html}", unbroken=True)

@@ -5,7 +5,6 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from textwrap import wrap
 
 from roadperc_stream import __version__
 from roadperc_stream.channels import parse_topic_options
@@ -20,7 +19,7 @@ from .sweeping.ranking import METRICS, scores
 from .sweeping.replaying import Job
 from .sweeping.settings import Combination, combinations, reference_of, varied
 from .sweeping.tables import LEGEND, best_settings, effects, without_effect
-from .terminal import console_for
+from .terminal import console_for, print_lines, print_table
 
 _EXAMPLE = """\
 example:
@@ -113,8 +112,8 @@ def _jobs(arguments: argparse.Namespace, folder: Path, made: tuple[Combination, 
 def _print(folder: Path, made: Sequence[Combination], reference: Combination) -> None:
     console, files = console_for(sys.stdout), tables(folder)
     found = [(metric, scores(files, made, metric)) for metric in METRICS]
-    console.print(f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}", soft_wrap=True)
+    said = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
+    print_lines(console, said, unbroken=True)
     for table in (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings)):
-        if table.row_count:
-            console.print("", table, sep="\n", crop=False)
-    console.print("", *wrap(without_effect(found), console.width), *LEGEND, sep="\n")
+        print_table(console, table)
+    print_lines(console, "", without_effect(found), *LEGEND)

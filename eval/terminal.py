@@ -20,30 +20,32 @@ _SECONDS: Final = "s: seconds from the log's first frame"
 
 def print_one(console: Console, summary: Summary) -> None:
     """The report of one run."""
-    _lines(console, sections.identity(summary), sections.extent(summary), sections.inputs(summary))
+    print_lines(console, sections.identity(summary), sections.extent(summary), sections.inputs(summary))
     _print_sections(console, summary)
 
 
 def print_empty(console: Console, runs: Iterable[Run]) -> None:
     """Name the tables that hold no frames and are left out."""
-    _lines(console, *(f"{run.path}: no frames in this table" for run in runs))
+    print_lines(console, *(f"{run.path}: no frames in this table" for run in runs))
 
 
 def print_several(console: Console, summaries: Sequence[Summary], together: Summary) -> None:
     """The report over several runs, and each beside the others."""
-    _lines(console, sections.identity(together), sections.extent(together), sections.inputs(together))
+    print_lines(console, sections.identity(together), sections.extent(together), sections.inputs(together))
     if together.rank_error:
-        _lines(console, sections.precision(together))
+        print_lines(console, sections.precision(together))
     listed = log_by_log.listed(summaries)
-    _table(console, log_by_log.logs(listed))
+    print_table(console, log_by_log.logs(listed))
     _print_sections(console, together)
-    _table(console, log_by_log.coverage_by_log(listed))
-    _table(console, log_by_log.accuracy_by_log(summaries))
-    _table(console, log_by_log.times_by_log(summaries))
+    print_table(console, log_by_log.coverage_by_log(listed))
+    print_table(console, log_by_log.accuracy_by_log(summaries))
+    print_table(console, log_by_log.times_by_log(summaries))
     if len(summaries) > len(listed):
-        _lines(console, f"listed: the {len(listed)} of {len(summaries)} logs that were seen least")
+        print_lines(console, f"listed: the {len(listed)} of {len(summaries)} logs that were seen least")
     if len(summaries) > log_by_log.LOGS_SHOWN:
-        _lines(console, f"log by log: in each block the {log_by_log.LOGS_SHOWN} of {len(summaries)} with the worst p95")
+        print_lines(
+            console, f"log by log: in each block the {log_by_log.LOGS_SHOWN} of {len(summaries)} with the worst p95"
+        )
 
 
 def console_for(stream: TextIO) -> Console:
@@ -53,32 +55,35 @@ def console_for(stream: TextIO) -> Console:
 
 
 def _print_sections(console: Console, summary: Summary) -> None:
-    _table(console, sections.seen(summary))
+    print_table(console, sections.seen(summary))
     lag = _LAG if sections.has_lag(summary) else ""
-    _table(console, sections.lane_boundaries(summary), _JITTER, lag, sections.beyond_lanes(summary))
+    print_table(console, sections.lane_boundaries(summary), _JITTER, lag, sections.beyond_lanes(summary))
     absent = sections.no_values(summary)
     if absent:
-        _lines(console, "", f"no values: {absent}")
+        print_lines(console, "", f"no values: {absent}")
     if sections.has_truth(summary):
-        _table(console, sections.right(summary), _ERRORS)
-        _table(console, sections.counted(summary))
+        print_table(console, sections.right(summary), _ERRORS)
+        print_table(console, sections.counted(summary))
     else:
-        _lines(console, "", "Is it right? No frame has a truth for what was replayed.")
-    _table(console, sections.fast(summary), sections.speed(summary))
-    _table(console, sections.worst(summary), _SECONDS)
-    _table(console, sections.reasons(summary))
+        print_lines(console, "", "Is it right? No frame has a truth for what was replayed.")
+    print_table(console, sections.fast(summary), sections.speed(summary))
+    print_table(console, sections.worst(summary), _SECONDS)
+    print_table(console, sections.reasons(summary))
 
 
-def _table(console: Console, table: Table, *notes: str) -> None:
+def print_table(console: Console, table: Table, *notes: str) -> None:
     """Print a table that has rows, with a line of air before it and notes below."""
     if table.row_count:
-        _lines(console, "", table, *(note for note in notes if note))
+        print_lines(console, "", table, *(note for note in notes if note))
 
 
-def _lines(console: Console, *lines: str | Table) -> None:
-    """Print without the blanks that fill lines up to the right margin; what does not fit runs over, uncut."""
+def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -> None:
+    """Print without the blanks that fill lines up to the right margin; what does not fit runs over, uncut.
+
+    Text folds between its words, unless ``unbroken``: what somebody may search for stays on its line.
+    """
     with console.capture() as capture:
         for line in lines:
-            console.print(line, crop=False)
+            console.print(line, crop=False, soft_wrap=unbroken and isinstance(line, str))
     for line in capture.get().splitlines():
         console.file.write(f"{line.rstrip()}\n")

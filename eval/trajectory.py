@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
-from rich.console import Console
 from rich.table import Table
 
 from roadperc_stream import __version__
@@ -16,7 +15,7 @@ from roadperc_stream.command import run
 from roadperc_stream.errors import TableError
 
 from .runs import Run, find_runs
-from .terminal import console_for
+from .terminal import console_for, print_lines
 from .trajectories import tables
 from .trajectories.alignment import Alignment
 from .trajectories.columns import read_poses
@@ -112,11 +111,11 @@ def _print_runs(runs: Sequence[Run], options: _Options) -> None:
     if not judged and not exported:
         raise refused[0]
     console = console_for(sys.stdout)
-    _print(console, *(str(reason) for reason in refused))
+    print_lines(console, *(str(reason) for reason in refused), unbroken=True)
     if len(judged) == 1:
-        _print(console, *_one(judged[0]))
+        print_lines(console, *_one(judged[0]), unbroken=True)
     elif judged:
-        _print(console, *_several(judged))
+        print_lines(console, *_several(judged), unbroken=True)
 
 
 def _export(poses: RunPoses, options: _Options) -> bool:
@@ -137,9 +136,3 @@ def _one(judgement: Judgement) -> list[str | Table]:
 def _several(judged: Sequence[Judgement]) -> list[str | Table]:
     notes = [f"{judgement.run.name}: {note}" for judgement in judged if (note := tables.without_scale(judgement))]
     return [tables.runs(judged), "", tables.side_by_side(judged), *notes]
-
-
-def _print(console: Console, *items: str | Table) -> None:
-    """Tables uncut, and lines unbroken: the terminal wraps what is longer than it is wide."""
-    for item in items:
-        console.print(item, crop=False, soft_wrap=isinstance(item, str))

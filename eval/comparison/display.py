@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ..grid import grid
+from ..terminal import print_lines, print_table
 from .agreement import Agreement, Agreements, Value
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparing import Comparison
@@ -21,16 +22,10 @@ TEXT_SHOWN = 48
 
 def print_comparison(console: Console, found: Comparison) -> None:
     """Which runs, where their fields part, their metrics and times, and the verdict."""
-    _lines(console, *_heading(found), *_fields(found))
+    print_lines(console, *_heading(found), *_fields(found), unbroken=True)
     for table in (_metrics(found), _times(found)):
-        if table.row_count:
-            console.print("", table, sep="\n", crop=False)
-    _lines(console, "", *_verdict(found))
-
-
-def _lines(console: Console, *lines: str) -> None:
-    for line in lines:
-        console.print(line, soft_wrap=True)
+        print_table(console, table)
+    print_lines(console, "", *_verdict(found), unbroken=True)
 
 
 def _heading(found: Comparison) -> Iterator[str]:
