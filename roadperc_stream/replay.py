@@ -4,7 +4,7 @@ import hashlib
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 
@@ -17,22 +17,20 @@ from roadperc_stream.chain import ChainState, step
 from roadperc_stream.channels import PRODUCER, RESULTS, schema
 from roadperc_stream.command import no_progress
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.datatypes import Absent, FrameResult, Odometry, Sample
+from roadperc_stream.datatypes import Odometry, Sample
 from roadperc_stream.errors import LogError
 from roadperc_stream.geometry import Float
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.metrics import frame_metrics, object_metrics
-from roadperc_stream.results import result_messages
+from roadperc_stream.results import as_written, result_messages
 from roadperc_stream.roles import Problems, is_result
 from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics, ObjectMetrics
-from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
 from roadperc_stream.survey import WHOLE, Cut, Survey, input_messages, samples, survey_log
 from roadperc_stream.sync import SyncCounts
 from roadperc_stream.table import TableWriter, beside
 
 CONFIG_ATTACHMENT = "roadperc.toml"
 METADATA_RECORD = "roadperc"
-_BEYOND_ROS_2 = f"the frame's stamp is beyond {LAST_STAMP_NS} ns (2038-01-19), the last one ROS 2 messages hold"
 TRAJECTORY_POSES = 200
 """Length of the trajectory that each frame shows: ten seconds at 20 Hz."""
 
@@ -136,7 +134,7 @@ def replay(
             timer = StageTimer()
             with timer("total"):
                 state, made = step(cfg, state, sample.frame, timer)
-                result, written = _as_written(made)
+                result, written = as_written(made)
                 row = frame_metrics(cfg, log_id, sample, result, previous)
                 if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
                     trajectory.append(result.odometry.odom_T_ego)
@@ -199,20 +197,6 @@ def _require_free(source: Path, target: Path, force: bool) -> None:
             raise LogError(f"{path}: is a folder, expected the name of a file")
         if path.exists() and not force:
             raise LogError(f"{path}: exists already; --force replaces it")
-
-
-def _as_written(result: FrameResult) -> tuple[FrameResult, FrameResult]:
-    """A frame's result, and what of it the log can carry: ROS 2 messages end in 2038, all others go on.
-
-    The metrics are those of the whole result, which says what is not written.
-    """
-    if result.stamp_ns <= LAST_STAMP_NS:
-        return result, result
-    outputs = {"stereo": result.stereo, "occupancy": result.occupancy}
-    left_out = [name for name, output in outputs.items() if not isinstance(output, Absent)]
-    reasons = (f"{name}: not written, {_BEYOND_ROS_2}" for name in left_out)
-    result = replace(result, problems=(*result.problems, *reasons))
-    return result, replace(result, stereo=Absent(_BEYOND_ROS_2), occupancy=Absent(_BEYOND_ROS_2))
 
 
 def _result_channel(topic: str, schema_name: str) -> Channel:

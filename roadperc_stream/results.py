@@ -1,7 +1,7 @@
 """What a frame's results look like in the log: topics and bytes."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -12,10 +12,12 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
+from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
 from roadperc_stream.semantics import Colour
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), (0, 200, 80))
 ODOM, EGO = "odom", "ego"
+_BEYOND_ROS_2 = f"the frame's stamp is beyond {LAST_STAMP_NS} ns (2038-01-19), the last one ROS 2 messages hold"
 Written = Iterator[tuple[str, bytes]]
 
 
@@ -49,6 +51,20 @@ def result_messages(
     for reason in metrics.reasons:
         if reason not in previous_reasons:
             yield "/perception/log", encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")
+
+
+def as_written(result: FrameResult) -> tuple[FrameResult, FrameResult]:
+    """A frame's result, and what of it the log can carry: ROS 2 messages end in 2038, all others go on.
+
+    The metrics are those of the whole result, which says what is not written.
+    """
+    if result.stamp_ns <= LAST_STAMP_NS:
+        return result, result
+    outputs = {"stereo": result.stereo, "occupancy": result.occupancy}
+    left_out = [name for name, output in outputs.items() if not isinstance(output, Absent)]
+    reasons = (f"{name}: not written, {_BEYOND_ROS_2}" for name in left_out)
+    result = replace(result, problems=(*result.problems, *reasons))
+    return result, replace(result, stereo=Absent(_BEYOND_ROS_2), occupancy=Absent(_BEYOND_ROS_2))
 
 
 def _surface(sample: Sample, result: FrameResult) -> Written:
