@@ -18,7 +18,7 @@ demo: $(VENV)/.installed
 	$(BIN)/roadperc-replay logs/sample.mcap $(DEMO)/sample.mcap --force
 	$(BIN)/roadperc-report $(DEMO)/sample.metrics.parquet
 	@echo
-	@echo "log with results   $(DEMO)/sample.mcap             (open it in Foxglove or Rerun)"
+	@echo "log with results   $(DEMO)/sample.mcap             (see it: $(BIN)/roadperc-view $(DEMO)/sample.mcap)"
 	@echo "a row per frame    $(DEMO)/sample.metrics.parquet"
 	@echo "a row per object   $(DEMO)/sample.objects.parquet"
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from roadperc_stream import __version__
 from roadperc_stream.command import run
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.terminal import console_for
 
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.display import print_comparison
 from .comparison.pairing import logged_runs, pair_runs
 from .comparison.reference import Copy, carry_out, first_copies, is_new, require_updatable, update_copies
 from .comparison.rules import Rules, allowance, tolerance
-from .terminal import console_for
 
 _EXAMPLE = """\
 example:

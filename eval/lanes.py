@@ -13,12 +13,12 @@ from rich.table import Table
 
 from roadperc_stream import __version__
 from roadperc_stream.command import run
+from roadperc_stream.terminal import console_for, grid, print_lines
 
-from .grid import grid, percent
+from .grid import percent
 from .lane_files.recorded import RunLanes, default_rows, lane_frame, open_lanes
 from .lane_files.scoring import FrameScore, LaneScores, Pairing, by_key, paired, score_frame, summed, unanswered
 from .lane_files.tusimple import LaneFileError, LaneFrame, lane_writer, read_frames
-from .terminal import console_for, print_lines
 
 NAMED: Final = 10
 """Missing frames that are named; of more the number is told."""

@@ -5,7 +5,9 @@ from typing import Final
 
 from rich.table import Table
 
-from .grid import grid, percent
+from roadperc_stream.terminal import grid
+
+from .grid import percent
 from .quantities import STAGES, TRUTH, Quantity
 from .sections import accuracy, accuracy_grid, speed_grid, times
 from .statistics import Statistics

@@ -8,11 +8,12 @@ from pathlib import Path
 from roadperc_stream import __version__
 from roadperc_stream.command import run, whole_number
 from roadperc_stream.errors import TableError
+from roadperc_stream.terminal import console_for, print_lines
 
 from .html.page import write_page
 from .runs import find_runs
 from .summary import summarise_all, summarise_run
-from .terminal import console_for, print_empty, print_lines, print_one, print_several
+from .terminal import print_empty, print_one, print_several
 
 WORST_FRAMES = 3
 _EXAMPLE = """\

@@ -6,7 +6,9 @@ from typing import Final
 
 from rich.table import Table
 
-from .grid import grid, percent, rounded
+from roadperc_stream.terminal import grid
+
+from .grid import percent, rounded
 from .quantities import CATEGORIES, SEEN, SIDES, SKEW, STAGES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
 from .summary import Summary, WorstFrame
 

@@ -12,6 +12,7 @@ from roadperc_stream.cli import add_input_arguments, cut_of
 from roadperc_stream.command import frame_progress, run, whole_number
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError
+from roadperc_stream.terminal import console_for, print_lines, print_table
 
 from .sweeping.dataset import dataset, describe, table_names, tables
 from .sweeping.processes import sweep_logs
@@ -19,7 +20,6 @@ from .sweeping.ranking import METRICS, scores
 from .sweeping.replaying import Job
 from .sweeping.settings import Combination, combinations, reference_of, varied
 from .sweeping.tables import LEGEND, best_settings, effects, without_effect
-from .terminal import console_for, print_lines, print_table
 
 _EXAMPLE = """\
 example:

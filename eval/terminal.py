@@ -1,17 +1,16 @@
-"""Prints a report on the terminal, or as plain text where it is piped."""
+"""Prints a report: its sections in the order in which they are asked for."""
 
 from collections.abc import Iterable, Sequence
-from typing import Final, TextIO
+from typing import Final
 
 from rich.console import Console
-from rich.table import Table
+
+from roadperc_stream.terminal import print_lines, print_table
 
 from . import log_by_log, sections
 from .runs import Run
 from .summary import Summary
 
-NARROWEST, WIDEST = 80, 120
-"""Columns a report is laid out for; a narrower terminal wraps its lines rather than losing digits."""
 _JITTER: Final = "jitter: standard deviation of the offset's second difference, smoothed and raw"
 _LAG: Final = "lag: frames by which the smoothed offset lies behind the true one"
 _ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the median error"
@@ -48,12 +47,6 @@ def print_several(console: Console, summaries: Sequence[Summary], together: Summ
         )
 
 
-def console_for(stream: TextIO) -> Console:
-    """A console that keeps numbers whole, takes names as they are, and colours nothing where it is piped."""
-    width = min(max(Console(file=stream).width, NARROWEST), WIDEST)
-    return Console(file=stream, width=width, highlight=False, markup=False, emoji=False)
-
-
 def _print_sections(console: Console, summary: Summary) -> None:
     print_table(console, sections.seen(summary))
     lag = _LAG if sections.has_lag(summary) else ""
@@ -69,21 +62,3 @@ def _print_sections(console: Console, summary: Summary) -> None:
     print_table(console, sections.fast(summary), sections.speed(summary))
     print_table(console, sections.worst(summary), _SECONDS)
     print_table(console, sections.reasons(summary))
-
-
-def print_table(console: Console, table: Table, *notes: str) -> None:
-    """Print a table that has rows, with a line of air before it and notes below."""
-    if table.row_count:
-        print_lines(console, "", table, *(note for note in notes if note))
-
-
-def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -> None:
-    """Print without the blanks that fill lines up to the right margin; what does not fit runs over, uncut.
-
-    Text folds between its words, unless ``unbroken``: what somebody may search for stays on its line.
-    """
-    with console.capture() as capture:
-        for line in lines:
-            console.print(line, crop=False, soft_wrap=unbroken and isinstance(line, str))
-    for line in capture.get().splitlines():
-        console.file.write(f"{line.rstrip()}\n")

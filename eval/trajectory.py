@@ -13,9 +13,9 @@ from rich.table import Table
 from roadperc_stream import __version__
 from roadperc_stream.command import run
 from roadperc_stream.errors import TableError
+from roadperc_stream.terminal import console_for, print_lines
 
 from .runs import Run, find_runs
-from .terminal import console_for, print_lines
 from .trajectories import tables
 from .trajectories.alignment import Alignment
 from .trajectories.columns import read_poses

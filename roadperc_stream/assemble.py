@@ -21,10 +21,11 @@ from roadperc_stream.datatypes import (
 )
 from roadperc_stream.decoding import Transform
 from roadperc_stream.errors import ChannelError
-from roadperc_stream.geometry import Camera, Float, level_mounting
+from roadperc_stream.geometry import Camera, Float, inverse, level_mounting
 from roadperc_stream.sync import Held, Moment, Stamped
 
-EGO = "ego"
+EGO_FRAMES: Final = ("ego", "base_footprint", "base_link", "ego_vehicle", "hero")
+"""What recorders call the vehicle's own frame, the one on the road before the one above it (REP 105 and 120, CARLA)."""
 _SAME_PLACE: Final = 1e-6
 """Metres and radians by which two cameras in one place may differ."""
 T = TypeVar("T")
@@ -46,7 +47,7 @@ def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str
     depth = _payload(parts, "depth", DepthImage)
     camera = _camera(moment, topics)
     depth_camera = _depth_camera(held, camera, depth)
-    mounting = held.lookup(EGO, camera.frame_id)
+    mounting = ego_T_camera_of(held, camera)
     ego_T_camera = level_mounting(cfg.surface.assumed_height_m) if mounting is None else mounting
     left_camera = _left_camera(moment, camera, topics)
     left = _payload(parts, "left", CameraImage) if "left" in topics and moment.reference.role != "left" else None
@@ -72,7 +73,7 @@ def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str
         ego_T_lidar=None if points is None else _lidar_mounting(held, ego_T_camera, camera, points.frame_id),
     )
     missing = tuple(role for role in topics if _expected(role) and role not in parts)
-    return Sample(index, moment.reference.log_time_ns, frame, _truth(parts), missing, moment.skew_ns)
+    return Sample(index, moment.reference.log_time_ns, frame, _truth(parts, held, camera), missing, moment.skew_ns)
 
 
 def _expected(role: str) -> bool:
@@ -136,6 +137,34 @@ def _is_front(held: Held, camera: Camera, other: Camera) -> bool:
     return camera_T_other is not None and np.allclose(camera_T_other, np.eye(4), atol=_SAME_PLACE)
 
 
+def ego_T_camera_of(held: Held, camera: Camera) -> Float | None:
+    """The camera's mounting; None where no transform tells it, or its frame is the vehicle's and no optical one."""
+    frame = ego_frame_of(held, camera)
+    return None if frame is None else held.lookup(frame, camera.frame_id)
+
+
+def ego_frame_of(held: Held, camera: Camera) -> str | None:
+    """The frame of the transform tree that is ego for a camera; None where the camera has no mounting."""
+    return None if camera.frame_id in EGO_FRAMES else _ego_frame(held, camera.frame_id)
+
+
+def _ego_T(held: Held, frame_id: str, sensor: str = "") -> Float | None:
+    """ego_T_frame; None where the tree does not connect the frame with ego."""
+    frame = _ego_frame(held, frame_id, sensor)
+    return None if frame is None else held.lookup(frame, frame_id)
+
+
+def _ego_frame(held: Held, frame_id: str, sensor: str = "") -> str | None:
+    """Ego under the first of its names that the tree connects with a frame; None where it connects none.
+
+    CARLA's bridge calls a vehicle's frame by its role name, and its sensors' frames ``role_name/sensor``: where the
+    frame itself is no sensor's, ``sensor`` is the frame of one.
+    """
+    owner, separator, _ = (sensor or frame_id).partition("/")
+    names = (*EGO_FRAMES, owner) if separator else EGO_FRAMES
+    return next((name for name in names if held.lookup(name, frame_id) is not None), None)
+
+
 def _mounting(held: Held, ego_T_camera: Float, camera: Camera, other: Camera) -> Float:
     """ego_T_other by the transform tree; without one the other camera stands where the front camera does."""
     camera_T_other = held.lookup(camera.frame_id, other.frame_id)
@@ -149,16 +178,21 @@ def _lidar_mounting(held: Held, ego_T_camera: Float, camera: Camera, frame_id: s
     camera's or in ego's own frame need no transform.
     """
     camera_T_lidar = held.lookup(camera.frame_id, frame_id)
-    return held.lookup(EGO, frame_id) if camera_T_lidar is None else ego_T_camera @ camera_T_lidar
+    return _ego_T(held, frame_id) if camera_T_lidar is None else ego_T_camera @ camera_T_lidar
 
 
-def _truth(parts: Mapping[str, Stamped]) -> Truth:
-    pose = _payload(parts, "truth_pose", Transform)
+def _truth(parts: Mapping[str, Stamped], held: Held, camera: Camera) -> Truth:
     return Truth(
-        odom_T_ego=pose.parent_T_child if pose else None,
+        odom_T_ego=_true_pose(_payload(parts, "truth_pose", Transform), held, camera),
         surface=_payload(parts, "truth_surface", Surface),
         lanes=_payload(parts, "truth_lanes", Lanes),
         objects=_payload(parts, "truth_objects", Objects),
         depth=_payload(parts, "truth_depth", DepthImage),
         segmentation=_payload(parts, "truth_segmentation", TagImage),
     )
+
+
+def _true_pose(pose: Transform | None, held: Held, camera: Camera) -> Float | None:
+    """odom_T_ego, whichever frame of the vehicle the pose is of; None where no transform connects that with ego."""
+    ego_T_child = None if pose is None else _ego_T(held, pose.child, camera.frame_id)
+    return None if pose is None or ego_T_child is None else pose.parent_T_child @ inverse(ego_T_child)

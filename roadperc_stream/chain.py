@@ -92,7 +92,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     """
     problems: list[str] = []
     if state.stamp_ns is not None and frame.stamp_ns <= state.stamp_ns:
-        problems.append(f"time went back from {state.stamp_ns} to {frame.stamp_ns} ns: memory of the stages cleared")
+        problems.append(f"{_time_in_words(state.stamp_ns, frame.stamp_ns)}: memory of the stages cleared")
         state = ChainState()
     rng = np.random.default_rng((cfg.seed, frame.stamp_ns % 2**63))
     with timer("decode"):
@@ -131,6 +131,15 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     return ChainState(frame.stamp_ns, odometry_state, lanes_state, objects_state), result
 
 
+def _time_in_words(last_ns: int, stamp_ns: int) -> str:
+    """How a stamp that is not after the last one stands to it."""
+    return (
+        f"time stood still at {stamp_ns} ns"
+        if stamp_ns == last_ns
+        else f"time went back from {last_ns} to {stamp_ns} ns"
+    )
+
+
 def _depth(
     frame: Frame, sensor: DepthView | None, matched: StereoDepth | Absent, problems: list[str]
 ) -> DepthView | None:
@@ -156,6 +165,7 @@ def _odometry(
     if not cfg.odometry.enabled:
         return state.odometry, OFF
     frame, movable = view.frame, view.labels(_MOVABLE)
+    unusable = "its image cannot be used" if frame.image is not None and view.grey is None else ""
     return odometry.step(
         cfg.odometry,
         state.odometry,
@@ -167,6 +177,7 @@ def _odometry(
         _trusted(front, frame),
         rng,
         frame.stamp_ns,
+        unusable,
     )
 
 

@@ -1,6 +1,6 @@
 """The channel table: which topic fills which role, and which topics the results go to. Knows no mcap."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -23,6 +23,8 @@ class Role:
     schema: str
     """Schema that ``roadperc-convert`` writes."""
     truth: bool = False
+    elsewhere: tuple[str, ...] = ()
+    """Topics of other recorders, ``*`` standing for any one name: here those of CARLA's ROS bridge."""
 
 
 @dataclass(frozen=True)
@@ -42,19 +44,45 @@ POINTS_SCHEMA: Final = "foxglove.PointCloud"
 ROLES: Final = {
     role.name: role
     for role in (
-        Role("image", "/camera/front/image", "image", IMAGE_SCHEMA),
-        Role("calibration", "/camera/front/calibration", "calibration", CALIBRATION_SCHEMA),
-        Role("depth", "/camera/front/depth", "depth", ros2.IMAGE),
-        Role("depth_calibration", "/camera/front/depth/calibration", "calibration", CALIBRATION_SCHEMA),
-        Role("segmentation", "/camera/front/segmentation", "tags", IMAGE_SCHEMA),
+        Role("image", "/camera/front/image", "image", IMAGE_SCHEMA, elsewhere=("/carla/*/rgb_front/image",)),
+        Role(
+            "calibration",
+            "/camera/front/calibration",
+            "calibration",
+            CALIBRATION_SCHEMA,
+            elsewhere=("/carla/*/rgb_front/camera_info",),
+        ),
+        Role("depth", "/camera/front/depth", "depth", ros2.IMAGE, elsewhere=("/carla/*/depth_front/image",)),
+        Role(
+            "depth_calibration",
+            "/camera/front/depth/calibration",
+            "calibration",
+            CALIBRATION_SCHEMA,
+            elsewhere=("/carla/*/depth_front/camera_info",),
+        ),
+        Role(
+            "segmentation",
+            "/camera/front/segmentation",
+            "tags",
+            IMAGE_SCHEMA,
+            elsewhere=("/carla/*/semantic_segmentation_front/image",),
+        ),
         Role("detections", "/camera/front/detections", "detections", "roadperc.Detections"),
         Role("left", "/camera/left/image", "image", IMAGE_SCHEMA),
         Role("left_calibration", "/camera/left/calibration", "calibration", CALIBRATION_SCHEMA),
         Role("right", "/camera/right/image", "image", IMAGE_SCHEMA),
         Role("right_calibration", "/camera/right/calibration", "calibration", CALIBRATION_SCHEMA),
-        Role("lidar", "/lidar/points", "points", POINTS_SCHEMA),
+        Role("lidar", "/lidar/points", "points", POINTS_SCHEMA, elsewhere=("/carla/*/lidar",)),
         Role("tf", "/tf", "tf", "foxglove.FrameTransforms"),
-        Role("truth_pose", "/truth/pose", "pose", "foxglove.PoseInFrame", truth=True),
+        Role("tf_static", "/tf_static", "tf", "foxglove.FrameTransforms"),
+        Role(
+            "truth_pose",
+            "/truth/pose",
+            "pose",
+            "foxglove.PoseInFrame",
+            truth=True,
+            elsewhere=("/carla/*/odometry",),
+        ),
         Role("truth_surface", "/truth/surface", "surface", "roadperc.Surface", truth=True),
         Role("truth_lanes", "/truth/lanes", "lanes", "roadperc.Lanes", truth=True),
         Role("truth_objects", "/truth/objects", "objects", "roadperc.Objects", truth=True),
@@ -69,6 +97,12 @@ REFERENCE_ROLES: Final = ("image", "left", "depth", "segmentation")
 PRODUCER: Final = ("producer", "roadperc")
 """Channel metadata by which a later replay knows the results of an earlier one."""
 TAG_TABLE_KEY: Final = "tag_table"
+METADATA_RECORD: Final = "roadperc"
+"""Metadata record of a result: how it came about."""
+TOPIC_KEY: Final = "topic."
+"""Keys of that record which begin so name a role, and the topic that was chosen for it."""
+CARLA_BRIDGE: Final = "/carla/"
+"""How the topics of CARLA's ROS bridge begin."""
 
 RESULTS: Final[Mapping[str, str]] = {
     "/perception/surface": "roadperc.Surface",
@@ -80,6 +114,7 @@ RESULTS: Final[Mapping[str, str]] = {
     "/perception/lanes/scene": "foxglove.SceneUpdate",
     "/perception/objects": "roadperc.Objects",
     "/perception/objects/annotations": "foxglove.ImageAnnotations",
+    "/perception/objects/scene": "foxglove.SceneUpdate",
     "/perception/stereo/depth": ros2.IMAGE,
     "/perception/odometry": "foxglove.PoseInFrame",
     "/perception/odometry/state": "roadperc.Odometry",
@@ -89,6 +124,26 @@ RESULTS: Final[Mapping[str, str]] = {
     "/perception/log": "foxglove.Log",
 }
 """Result topics and their schemas, in the order in which their channels are registered."""
+
+METRICS_TOPIC: Final = "/perception/metrics"
+Request = Literal["overlay", "debug"]
+ON_REQUEST: Final[Mapping[str, Request]] = {
+    "/perception/overlay": "overlay",
+    "/perception/debug/lanes": "debug",
+    "/perception/debug/matches": "debug",
+    "/perception/debug/template": "debug",
+    "/perception/debug/disparity": "debug",
+}
+"""Topics of pictures, foxglove.CompressedImage all, that are made only where somebody asks for them, and for what."""
+
+LIVE_ONLY: Final[Mapping[str, str]] = {"/perception/times": "roadperc.StageTimes"}
+"""Topics that a live server adds to those of the log: a log of the same input is the same bytes every time, and the
+times of its stages are not."""
+
+
+def result_schemas(requests: Collection[Request]) -> dict[str, str]:
+    """Topics and schemas of a replay's results, those on request among them."""
+    return dict(RESULTS) | {topic: IMAGE_SCHEMA for topic, request in ON_REQUEST.items() if request in requests}
 
 
 def schema(name: str) -> Schema:

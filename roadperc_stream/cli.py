@@ -4,18 +4,21 @@ import argparse
 from pathlib import Path
 
 from roadperc_stream import __version__
-from roadperc_stream.channels import parse_topic_options
+from roadperc_stream.channels import Request, parse_topic_options
 from roadperc_stream.command import frame_progress, run, seconds, whole_number
 from roadperc_stream.config import NEEDS, STAGES, load_config, switched_off
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.replay import ReplaySummary, replay
+from roadperc_stream.replay import ReplaySummary, replay, unwatched
 from roadperc_stream.survey import Cut
 from roadperc_stream.table import beside
+from roadperc_stream.view.live.options import add_serving_arguments, given_options, serving_options
+from roadperc_stream.view.live.serving import LiveReplay
 
 _REPLAY_EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap out.mcap --set lanes.hold_s=0.8 --set surface.inlier_m=0.03
   roadperc-report out.metrics.parquet
+  roadperc-replay logs/sample.mcap pictures.mcap --overlay --debug
 
 A log with topics of its own names them by role, such as --topic image=/front/rgb --topic depth=/front/depth.
 """
@@ -23,7 +26,10 @@ A log with topics of its own names them by role, such as --topic image=/front/rg
 
 def replay_main(argv: list[str] | None = None) -> int:
     """``roadperc-replay``: the main job."""
-    arguments = _replay_parser().parse_args(argv)
+    parser = _replay_parser()
+    arguments = parser.parse_args(argv)
+    if given_options(arguments) and not arguments.live:
+        parser.error(f"--{given_options(arguments)[0]}: for --live only")
     return run(lambda: _replay(arguments))
 
 
@@ -45,8 +51,16 @@ def _replay_parser() -> argparse.ArgumentParser:
         help=f"some of {','.join(STAGES)}, with what they need; without a depth sensor name stereo among them",
     )
     parser.add_argument("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
+    parser.add_argument(
+        "--overlay", action="store_true", help="write /perception/overlay: the camera image with everything drawn in"
+    )
+    parser.add_argument(
+        "--debug", action="store_true", help="write /perception/debug/...: proposed lines, matches, template, disparity"
+    )
     parser.add_argument("--force", action="store_true", help="replace an existing OUT.mcap")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.add_argument("--live", action="store_true", help="serve the results to Foxglove while they are computed")
+    add_serving_arguments(parser)
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
 
@@ -84,19 +98,29 @@ def _replay(arguments: argparse.Namespace) -> None:
     only = arguments.only or STAGES
     off = tuple(switched_off(stage) for stage in STAGES if stage not in only)
     cut = cut_of(arguments)
-    with frame_progress("replaying", not arguments.quiet) as progress:
-        summary = replay(
-            arguments.source,
-            arguments.target,
-            load_config(arguments.config, (*arguments.set, *off)),
-            overrides=parse_topic_options(arguments.topic),
-            cut=cut,
-            results_only=arguments.results_only,
-            force=arguments.force,
-            progress=progress,
-        )
-    if not arguments.quiet:
-        _print_summary(arguments.target, summary)
+    with LiveReplay(serving_options(arguments), quiet=arguments.quiet) as live:
+        with frame_progress("replaying", not arguments.quiet) as progress:
+            summary = replay(
+                arguments.source,
+                arguments.target,
+                load_config(arguments.config, (*arguments.set, *off)),
+                overrides=parse_topic_options(arguments.topic),
+                cut=cut,
+                results_only=arguments.results_only,
+                on_request=_requests(arguments),
+                force=arguments.force,
+                progress=progress,
+                opened=live.start if arguments.live else unwatched,
+            )
+        if not arguments.quiet:
+            _print_summary(arguments.target, summary)
+        live.wait()
+
+
+def _requests(arguments: argparse.Namespace) -> tuple[Request, ...]:
+    """The pictures that the options ask for."""
+    asked: dict[Request, bool] = {"overlay": arguments.overlay, "debug": arguments.debug}
+    return tuple(request for request, wanted in asked.items() if wanted)
 
 
 def _print_summary(target: Path, summary: ReplaySummary) -> None:

@@ -13,8 +13,8 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
 from roadperc_stream.datatypes import Boundary, Detection, Lanes, Line, Object, Objects, Occupancy, Odometry, Surface
 from roadperc_stream.decoding import Transform
+from roadperc_stream.formats.images import depth_to_mm
 from roadperc_stream.geometry import Camera, Float, Float32, Lens, quaternion
-from roadperc_stream.images import depth_to_mm
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import RosGrid, RosImage, pack_image, pack_occupancy_grid

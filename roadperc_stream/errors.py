@@ -27,3 +27,7 @@ class DumpError(RoadpercError):
 
 class TableError(RoadpercError):
     """A metrics table that cannot be read or reported."""
+
+
+class TargetError(RoadpercError):
+    """A file that may not be written under the name asked for."""

@@ -64,6 +64,11 @@ def grey_of(role: str, image: CameraImage | None, camera: Camera | None, problem
     return _pixels(role, image, lambda image: image.grey, camera, problems)
 
 
+def colours_of(frame: Frame) -> Image | None:
+    """(H, W, 3) colours of the front camera's image; None where it is missing or cannot be used."""
+    return _pixels("image", frame.image, lambda image: image.bgr, frame.camera, [])
+
+
 def sensor_depth(frame: Frame, problems: list[str]) -> DepthView | None:
     """The depth camera's view."""
     depth_m = _pixels("depth", frame.depth, lambda image: image.depth_m, frame.depth_camera, problems)
@@ -109,8 +114,8 @@ def _pixels(
     except DecodeError as error:
         problems.append(f"{role}: {error}")
         return None
-    if pixels.shape != camera.size:
-        height, width = pixels.shape
+    if pixels.shape[:2] != camera.size:
+        height, width = pixels.shape[:2]
         problems.append(f"{role}: {width}x{height} pixels, its calibration says {camera.width}x{camera.height}")
         return None
     return pixels

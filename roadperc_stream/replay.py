@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,23 +14,23 @@ from threadpoolctl import threadpool_limits
 
 from roadperc_stream import __version__, log
 from roadperc_stream.chain import ChainState, step
-from roadperc_stream.channels import PRODUCER, RESULTS, schema
+from roadperc_stream.channels import METADATA_RECORD, PRODUCER, TOPIC_KEY, Request, result_schemas, schema
 from roadperc_stream.command import no_progress
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import Odometry, Sample
-from roadperc_stream.errors import LogError
 from roadperc_stream.geometry import Float
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.metrics import frame_metrics, object_metrics
+from roadperc_stream.pictures.on_request import PictureMaker
 from roadperc_stream.results import as_written, result_messages
 from roadperc_stream.roles import Problems, is_result
 from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics, ObjectMetrics
-from roadperc_stream.survey import WHOLE, Cut, Survey, input_messages, samples, survey_log
+from roadperc_stream.survey import WHOLE, Cut, Survey, input_messages, samples, span_ns, survey_log
 from roadperc_stream.sync import SyncCounts
 from roadperc_stream.table import TableWriter, beside
+from roadperc_stream.targets import require_free
 
 CONFIG_ATTACHMENT = "roadperc.toml"
-METADATA_RECORD = "roadperc"
 TRAJECTORY_POSES = 200
 """Length of the trajectory that each frame shows: ten seconds at 20 Hz."""
 
@@ -90,6 +90,15 @@ def one_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
+Timed = Callable[[FrameMetrics, Mapping[str, float]], None]
+"""Takes a frame's row and its time columns in milliseconds, before anything of a later frame is written."""
+
+
+def unwatched(_writer: LogWriter, _span_ns: tuple[int, int]) -> Timed:
+    """Nobody follows the output while it is written."""
+    return lambda _row, _times_ms: None
+
+
 def replay(
     source: Path,
     target: Path,
@@ -98,8 +107,10 @@ def replay(
     overrides: dict[str, str] | None = None,
     cut: Cut = WHOLE,
     results_only: bool = False,
+    on_request: Collection[Request] = (),
     force: bool = False,
     progress: Callable[[int, int], None] = no_progress,
+    opened: Callable[[LogWriter, tuple[int, int]], Timed] = unwatched,
 ) -> ReplaySummary:
     """Replay a log through the chain.
 
@@ -110,8 +121,11 @@ def replay(
         overrides: topic of each role that is not on the contract's topic.
         cut: part of the log to replay; the copy of the input is cut with it.
         results_only: leave the input's messages out of ``target``.
+        on_request: pictures to write beside the results; drawing them counts as encoding.
         force: replace an existing ``target``.
         progress: called with frames done and frames expected.
+        opened: called once before the first message with the output and its first and last log time in nanoseconds;
+            gives who takes each frame's times, which are not in the output.
 
     Raises:
         RoadpercError: the input cannot be read or replayed, or the output cannot be written; nothing is left behind.
@@ -128,8 +142,10 @@ def replay(
     frames = TableWriter(beside(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(beside(target, "objects"), ObjectMetrics, facts)
     writer = LogWriter(target, summary.profile)
+    schemas, pictures = result_schemas(on_request), PictureMaker(on_request)
     with one_thread(), discarding(frames, detections, writer), frames, detections, writer:
-        copy = InputCopy(summary, survey, cfg, writer, results_only)
+        copy = InputCopy(summary, survey, cfg, writer, schemas, results_only)
+        timed = opened(writer, span_ns(summary, survey))
         for sample in samples(summary, survey, cfg, counts, problems):
             timer = StageTimer()
             with timer("total"):
@@ -141,8 +157,10 @@ def replay(
                 copy.through(sample.log_time_ns)
                 with timer("encode"):
                     messages = list(result_messages(sample, written, row, reasons, tuple(trajectory)))
+                    messages += pictures.messages(sample, result, row)
                 for topic, data in messages:
-                    writer.write(_result_message(topic, sample, data))
+                    writer.write(_result_message(topic, schemas[topic], sample, data))
+            timed(row, timer.columns())
             frames.append(row, **timer.columns())
             for detection in object_metrics(log_id, sample, result):
                 detections.append(detection)
@@ -155,7 +173,7 @@ def replay(
         counts.frames,
         writer.messages,
         perf_counter() - started,
-        (*survey.filled.notes, *(survey.problems.first | problems.first).values()),
+        (*survey.filled.notes, *(survey.problems.first | problems.first).values(), *pictures.notes()),
         dict(counts.dropped),
         dict(problems.counts),
     )
@@ -165,13 +183,19 @@ class InputCopy:
     """Copies the input's messages to the output, as far as the results have come."""
 
     def __init__(
-        self, summary: LogSummary, survey: Survey, cfg: ReplayConfig, writer: LogWriter, results_only: bool
+        self,
+        summary: LogSummary,
+        survey: Survey,
+        cfg: ReplayConfig,
+        writer: LogWriter,
+        schemas: Mapping[str, str],
+        results_only: bool,
     ) -> None:
         self._writer = writer
         channels = [] if results_only else [c for c in summary.channels if not is_result(c)]
         for channel in channels:
             writer.register(channel)
-        for topic, name in RESULTS.items():
+        for topic, name in schemas.items():
             writer.register(_result_channel(topic, name))
         self._messages = iter(()) if results_only else input_messages(summary, cfg, survey)
         self._next = next(self._messages, None)
@@ -188,15 +212,9 @@ class InputCopy:
 
 
 def _require_free(source: Path, target: Path, force: bool) -> None:
-    if target.suffix != ".mcap":
-        raise LogError(f"{target}: expected a name that ends in .mcap")
-    if target.exists() and source.exists() and target.samefile(source):
-        raise LogError(f"{target}: is the input itself; name another output")
-    for path in (target, beside(target, "metrics"), beside(target, "objects")):
-        if path.is_dir():
-            raise LogError(f"{path}: is a folder, expected the name of a file")
-        if path.exists() and not force:
-            raise LogError(f"{path}: exists already; --force replaces it")
+    require_free(target, force=force, source=source, suffix=".mcap")
+    for table in (beside(target, "metrics"), beside(target, "objects")):
+        require_free(table, force=force)
 
 
 def _result_channel(topic: str, schema_name: str) -> Channel:
@@ -204,8 +222,8 @@ def _result_channel(topic: str, schema_name: str) -> Channel:
     return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata=(PRODUCER,))
 
 
-def _result_message(topic: str, sample: Sample, data: bytes) -> Message:
-    channel = _result_channel(topic, RESULTS[topic])
+def _result_message(topic: str, schema_name: str, sample: Sample, data: bytes) -> Message:
+    channel = _result_channel(topic, schema_name)
     return Message(channel, sample.log_time_ns, sample.log_time_ns, sample.index, data)
 
 
@@ -235,6 +253,7 @@ def _describe(writer: LogWriter, summary: LogSummary, survey: Survey, cfg: Repla
         "digest": survey.digest,
         "input_messages": str(survey.messages),
         "frames": str(counts.frames),
+        **{f"{TOPIC_KEY}{role}": topic for role, topic in sorted(survey.filled.chosen.items())},
         **{f"dropped.{role}": str(number) for role, number in sorted(counts.dropped.items())},
     }
     writer.describe(Metadata(METADATA_RECORD, tuple(facts.items())))

@@ -1,23 +1,36 @@
 """What a frame's results look like in the log: topics and bytes."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from typing import Final, get_args
 
 import numpy as np
+from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream import drawing, encoding, images
+from roadperc_stream import colours, drawing, encoding
 from roadperc_stream.datatypes import Absent, FrameResult, Mask, Odometry, Sample
+from roadperc_stream.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceSource
 from roadperc_stream.decoding import Transform
+from roadperc_stream.decoding.payload import require_finite
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats import images
 from roadperc_stream.geometry import Float
-from roadperc_stream.rows import FrameMetrics
+from roadperc_stream.rows import Columns, FrameMetrics
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
 from roadperc_stream.semantics import Colour
 
-DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), (0, 200, 80))
+DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
 ODOM, EGO = "odom", "ego"
 _BEYOND_ROS_2 = f"the frame's stamp is beyond {LAST_STAMP_NS} ns (2038-01-19), the last one ROS 2 messages hold"
+_COLUMNS = {field.name for field in fields(FrameMetrics)}
+_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "surface_source": get_args(SurfaceSource),
+    "lane_left_status": get_args(BoundaryStatus),
+    "lane_right_status": get_args(BoundaryStatus),
+    "odometry_status": get_args(OdometryStatus),
+}
 Written = Iterator[tuple[str, bytes]]
 
 
@@ -89,6 +102,8 @@ def _lanes_and_objects(sample: Sample, result: FrameResult) -> Written:
     if not isinstance(result.objects, Absent):
         yield "/perception/objects", encoding.encode_objects(stamp_ns, camera.frame_id, result.objects)
         yield "/perception/objects/annotations", drawing.object_annotations(stamp_ns, camera, result.objects)
+        scene = drawing.objects_scene(stamp_ns, camera, sample.frame.ego_T_camera, result.objects)
+        yield "/perception/objects/scene", scene
 
 
 def _odometry(stamp_ns: int, odometry: Odometry, trajectory: Sequence[Float]) -> Written:
@@ -107,6 +122,26 @@ def encode_metrics(frame_id: str, metrics: FrameMetrics) -> bytes:
     message = pb.FrameMetrics(frame_id=frame_id, **known)
     set_stamp(message, metrics.stamp_ns)
     return message.SerializeToString()
+
+
+def decode_metrics(data: bytes) -> FrameMetrics:
+    """The row of a roadperc.FrameMetrics.
+
+    Raises:
+        DecodeError: the bytes are none, a number is not finite, or a status is none of its stage's.
+    """
+    try:
+        message = pb.FrameMetrics.FromString(data)
+    except ProtobufError as error:
+        raise DecodeError(f"{len(data)} bytes are no roadperc.FrameMetrics: {error}") from error
+    always: Columns = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
+    known: Columns = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
+    require_finite("metrics", *(value for value in known.values() if isinstance(value, float)))
+    for column, words in _WORDS.items():
+        if known.get(column, words[0]) not in words:
+            raise DecodeError(f"{column} {known[column]!r}: expected one of {', '.join(words)}")
+    lists = {"missing": tuple(message.missing), "reasons": tuple(message.reasons)}
+    return FrameMetrics(**always | known | lists)
 
 
 def _drivable(stamp_ns: int, frame_id: str, mask: Mask) -> bytes:

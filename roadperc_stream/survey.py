@@ -13,7 +13,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import Sample
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.log import LogSummary, Message, MessageDigest
-from roadperc_stream.roles import Filled, Problems, fill_roles, is_result, stamped_messages
+from roadperc_stream.roles import Filled, Problems, is_result, roles_of_log, stamped_messages
 from roadperc_stream.sync import HELD_KINDS, Held, Stamped, SyncCounts, reference_role, synchronise
 
 _NANOSECONDS = 1_000_000_000
@@ -71,12 +71,11 @@ def survey_log(summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, s
         ChannelError: the channels do not fit the roles.
         LogError: the log is damaged, or the part asked for holds no frame.
     """
-    used = [c for c in summary.channels if summary.counts.get(c.source_id)]
+    filled = roles_of_log(summary, overrides)
     try:
-        filled = fill_roles(used, overrides)
         reference = reference_role(filled.topics)
     except ChannelError as error:
-        raise ChannelError(f"{summary.path}: {error}") from error
+        raise ChannelError("; ".join((f"{summary.path}: {error}", *filled.unfilled))) from error
     window, problems = _window(summary, cfg, cut, filled, reference), Problems()
     held, held_messages = _held_at(summary, cfg, filled, window, problems)
     survey = Survey(filled, window, held, held_messages, problems)
@@ -115,6 +114,15 @@ def input_messages(
         late_until_ns = window.end_ns + round(cfg.sync.max_wait_s * _NANOSECONDS)
         late = (m for m in read(start_ns=window.end_ns, end_ns=late_until_ns) if not is_result(m.channel))
         yield from (m for m in late if _belongs_before(m, survey, cfg, window.end_stamp_ns))
+
+
+def span_ns(summary: LogSummary, survey: Survey) -> tuple[int, int]:
+    """First and last log time of the part to replay; what held before and what arrives late lie outside."""
+    first_ns, last_ns = summary.first_ns or 0, summary.last_ns or 0
+    window = survey.window
+    start_ns = first_ns if window.start_ns is None else max(window.start_ns, first_ns)
+    end_ns = last_ns if window.end_ns is None else min(window.end_ns, last_ns)
+    return start_ns, max(start_ns, end_ns)
 
 
 def _belongs_before(message: Message, survey: Survey, cfg: ReplayConfig, end_stamp_ns: int) -> bool:
@@ -205,7 +213,11 @@ def samples(
     reference = reference_role(filled.topics)
     for index, moment in enumerate(synchronise(cfg.sync, items, reference, filled.topics, survey.held, counts)):
         try:
-            yield sample_of(cfg, moment, index, filled.topics)
+            sample = sample_of(cfg, moment, index, filled.topics)
         except ChannelError as error:
-            broken = "".join(f"; {text}" for text in survey.problems.first.values())
-            raise ChannelError(f"{summary.path}: {error}{broken}") from error
+            known = (*survey.problems.first.values(), *filled.unfilled)
+            raise ChannelError("; ".join((f"{summary.path}: {error}", *known))) from error
+        if "truth_pose" in moment.parts and sample.truth.odom_T_ego is None:
+            topic = filled.topics["truth_pose"]
+            problems.tell(topic, f"{topic}: no transform connects the frame of its poses with ego: they are no truth")
+        yield sample

@@ -3,9 +3,9 @@
 import os
 import types
 import typing
-from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import asdict, fields
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -50,6 +50,64 @@ def _field(name: str, hint: Any) -> pa.Field:
     options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
     (kind,) = (option for option in options if option is not types.NoneType)
     return pa.field(name, _ARROW_TYPES[kind], nullable=types.NoneType in options)
+
+
+@dataclass(frozen=True)
+class TableFooter:
+    """What a table says without its rows being read."""
+
+    rows: int
+    facts: Mapping[str, str]
+    log_id: str | None
+    """Log of its rows; None where it has no rows."""
+
+
+def read_footer(path: Path) -> TableFooter:
+    """The end of a Parquet file.
+
+    Raises:
+        TableError: the file cannot be read, or is no Parquet.
+    """
+    with _opened(path) as table:
+        footer = table.metadata
+        log_ids = table.read_row_group(0, ["log_id"])["log_id"] if footer.num_rows else []
+    facts = {
+        key.decode(errors="replace"): value.decode(errors="replace") for key, value in (footer.metadata or {}).items()
+    }
+    return TableFooter(footer.num_rows, facts, log_ids[0].as_py() if len(log_ids) else None)
+
+
+def read_rows_around(path: Path, frame: int, columns: Iterable[str]) -> list[dict[str, Any]]:
+    """Some columns of the row group that holds a frame; no other is read. Empty where none does.
+
+    Raises:
+        TableError: the file cannot be read, is no Parquet, or lacks a column.
+    """
+    with _opened(path) as table:
+        wanted = _present(path, table, ("frame", *columns))
+        frames = table.schema_arrow.names.index("frame")
+        spans = [table.metadata.row_group(i).column(frames).statistics for i in range(table.num_row_groups)]
+        group = next((i for i, span in enumerate(spans) if span and span.min <= frame <= span.max), None)
+        return [] if group is None else table.read_row_group(group, wanted).to_pylist()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[pq.ParquetFile]:
+    try:
+        with pq.ParquetFile(path) as table:
+            yield table
+    except OSError as error:
+        raise TableError(f"{path}: {error.strerror or error}") from error
+    except (pa.ArrowException, KeyError) as error:
+        raise TableError(f"{path}: is no table of a replay, or was cut short") from error
+
+
+def _present(path: Path, table: pq.ParquetFile, columns: Iterable[str]) -> list[str]:
+    wanted = list(columns)
+    for column in wanted:
+        if column not in table.schema_arrow.names:
+            raise TableError(f"{path}: no column {column}")
+    return wanted
 
 
 class TableWriter:

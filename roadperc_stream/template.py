@@ -7,7 +7,7 @@ the image is the patch but for brightness and contrast.
 import cv2
 import numpy as np
 
-from roadperc_stream.datatypes import Box, Image, Mask
+from roadperc_stream.datatypes import Box, Correlation, Image, Mask
 
 _FLAT = 0.5
 """Standard deviation in grey levels up to which pixels show nothing: what is left of rounding."""
@@ -26,6 +26,21 @@ def find_patch(image: Image, patch: Image, around: Box | None, min_score: float)
         The patch's box in the image and its correlation; None where nothing reaches ``min_score``, the patch is empty
         or flat, or it does not fit into the box.
     """
+    found = correlate(image, patch, around)
+    return None if found is None else found.match(min_score)
+
+
+def correlate(image: Image, patch: Image, around: Box | None) -> Correlation | None:
+    """How well the patch fits everywhere in a box.
+
+    Args:
+        image: (H, W) grey.
+        patch: (h, w) grey, what is looked for.
+        around: where it may lie, wholly, clipped to the image; None is the whole image.
+
+    Returns:
+        None where the patch is empty or flat, or does not fit into the box.
+    """
     height, width = image.shape
     x0, y0, x1, y1 = (0, 0, width, height) if around is None else around.rounded(width, height)
     rows, columns = patch.shape
@@ -35,12 +50,7 @@ def find_patch(image: Image, patch: Image, around: Box | None, min_score: float)
     scores = np.asarray(cv2.matchTemplate(window, patch, cv2.TM_CCOEFF_NORMED), np.float32)
     # Where the image is flat a correlation is 0 / 0, for which OpenCV may say 1.
     scores[_flat(window, rows, columns)] = -np.inf
-    row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
-    score = min(float(scores[row, column]), 1.0)
-    if score < min_score or not np.isfinite(score):
-        return None
-    left, top = float(x0 + column), float(y0 + row)
-    return Box(left, top, left + columns, top + rows), score
+    return Correlation(x0, y0, (columns, rows), scores)
 
 
 def _flat(image: Image, rows: int, columns: int) -> Mask:

@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from roadperc_stream import encoding, images
+from roadperc_stream import encoding
 from roadperc_stream.channels import ROLES, TAG_TABLE_KEY, schema
 from roadperc_stream.decoding import Transform
+from roadperc_stream.formats import images
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import STEP_NS, Road, box

@@ -9,7 +9,7 @@ import pytest
 from roadperc_stream import geometry as g
 from roadperc_stream.chain import ChainState, step
 from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.datatypes import Absent, DepthImage, TagImage
+from roadperc_stream.datatypes import Absent, CameraImage, DepthImage, TagImage
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import ROAD, Road, box
@@ -116,6 +116,21 @@ def test_time_that_goes_back_clears_the_memory():
     _, results = run([*frames, frames[0]])
     assert any("time went back" in problem for problem in results[-1].problems)
     assert results[-1].lanes.side("left").status == "measured"
+
+
+def test_time_that_stands_still_is_told_from_time_that_goes_back():
+    frame = drive(1)[0]
+    _, results = run([frame, frame])
+    assert f"time stood still at {frame.stamp_ns} ns: memory of the stages cleared" in results[-1].problems
+
+
+def test_an_image_that_cannot_be_used_is_lost_and_one_that_is_not_there_is_no_odometry():
+    without = drive(1)[0]
+    _, (absent,) = run([replace(without, image=None)])
+    assert absent.odometry == Absent("no image")
+    _, (lost,) = run([replace(without, image=CameraImage("camera", broken, broken))])
+    assert lost.odometry.status == "lost"
+    assert "odometry: lost, its image cannot be used" in lost.reasons()
 
 
 def test_switched_off_stages_say_so():

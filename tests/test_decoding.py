@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from roadperc_stream import encoding, images
+from roadperc_stream import encoding
 from roadperc_stream.datatypes import Boundary, Lanes
 from roadperc_stream.decoding import Context, Transform, decode
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats import images
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
@@ -23,7 +24,7 @@ def read(kind, schema, data, encoding_name="protobuf", log_time_ns=STAMP):
     return decode(kind, schema, encoding_name, data, log_time_ns, Context(TABLE))
 
 
-@pytest.mark.parametrize("wild", [np.nan, np.inf])
+@pytest.mark.parametrize("wild", [np.nan, np.inf, 1e300])
 def test_a_box_that_is_not_finite_is_refused(wild):
     data = encoding.encode_detections(STAMP, "c", [box("Car", 0, 0, wild, 5)])
     with pytest.raises(DecodeError, match="detection 'Car': a number is not finite"):
@@ -103,6 +104,15 @@ def test_a_header_that_claims_a_huge_image_is_refused():
     data[29:33] = zlib.crc32(data[12:29]).to_bytes(4)
     with pytest.raises(DecodeError, match="hundred million pixels"):
         images.decode_indices(bytes(data))
+
+
+@pytest.mark.parametrize("decoder", [images.decode_bgr, images.decode_grey])
+def test_a_billion_pixels_are_a_stated_error(decoder):
+    data = bytearray(packed(GREY, "PNG"))
+    data[16:24] = (100_000).to_bytes(4) * 2
+    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4)
+    with pytest.raises(DecodeError, match="bytes are no image"):
+        decoder(bytes(data))
 
 
 def test_indices_come_back():

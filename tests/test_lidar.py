@@ -15,7 +15,7 @@ from roadperc_stream.datatypes import Absent, DepthImage, PointCloud, StereoDept
 from roadperc_stream.decoding import Transform
 from roadperc_stream.encoding import encode_transforms
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.points import encode_points
+from roadperc_stream.formats.points import encode_points
 from roadperc_stream.registration import depth_of_points
 from roadperc_stream.replay import replay
 from roadperc_stream.table import beside
@@ -323,8 +323,8 @@ def test_points_nobody_asked_for_are_not_used_but_told(tmp_path):
     source = log_of(tmp_path / "in.mcap", np.eye(4), "ego")
     others = renamed(source, "others.mcap", ("/velodyne", "/radar", "/rear", "/side"))
     summary = replay(others, tmp_path / "out.mcap", ReplayConfig())
-    told = ("/radar", "/rear", "/side")
-    assert summary.notes == tuple(f"{t} holds foxglove.PointCloud; --topic lidar={t} would use it" for t in told)
+    told = ", ".join(f"{topic} (foxglove.PointCloud)" for topic in ("/radar", "/rear", "/side"))
+    assert summary.notes == (f"role lidar: not filled; candidates: {told}, ...: --topic lidar=/radar",)
     table = pl.read_parquet(beside(tmp_path / "out.mcap", "metrics"))
     assert set(table["surface_source"]) == {"assumed"}
     both = renamed(source, "both.mcap", ("/lidar/points", "/velodyne"))

@@ -13,7 +13,7 @@ from roadperc_stream import log
 from roadperc_stream.channels import RESULTS
 from roadperc_stream.cli import replay_main
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import ChannelError, LogError
+from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.replay import replay
 from roadperc_stream.survey import Cut
@@ -201,12 +201,12 @@ def test_what_was_wrong_with_a_calibration_is_said(tmp_path):
 @pytest.mark.parametrize("table", ["out.metrics.parquet", "out.objects.parquet"])
 def test_tables_are_not_overwritten_either(source, table):
     source.with_name(table).write_bytes(b"mine")
-    with pytest.raises(LogError, match="--force"):
+    with pytest.raises(TargetError, match="--force"):
         run(source)
     assert source.with_name(table).read_bytes() == b"mine"
     source.with_name(table).unlink()
     source.with_name(table).mkdir()
-    with pytest.raises(LogError, match="is a folder"):
+    with pytest.raises(TargetError, match="is a folder"):
         run(source, force=True)
     assert not source.with_name("out.mcap").exists()
 
@@ -360,14 +360,14 @@ def test_a_file_that_is_no_log_is_one_line_and_no_file(tmp_path, capsys, kind):
 
 def test_an_existing_output_is_refused_without_force(source):
     run(source)
-    with pytest.raises(LogError, match="--force"):
+    with pytest.raises(TargetError, match="--force"):
         run(source)
     run(source, force=True)
 
 
 def test_the_input_is_never_the_output(source):
     before = source.read_bytes()
-    with pytest.raises(LogError, match="is the input itself"):
+    with pytest.raises(TargetError, match="is the input itself"):
         replay(source, source, CFG, force=True)
     assert source.read_bytes() == before
 

@@ -8,10 +8,11 @@ import polars as pl
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
-from roadperc_stream import encoding, images, log
+from roadperc_stream import encoding, log
 from roadperc_stream import geometry as g
 from roadperc_stream.config import load_config
 from roadperc_stream.decoding import Transform
+from roadperc_stream.formats import images
 from roadperc_stream.metrics import intersection_over_union
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas import ros2

@@ -16,6 +16,7 @@ from roadperc_stream import __version__
 from roadperc_stream.command import run
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata
+from roadperc_stream.targets import require_free
 
 from .carla_dump.messages import channels, messages
 from .carla_dump.plan import Options, Plan, make_plan
@@ -125,10 +126,7 @@ class _Progress:
 
 
 def _convert(dump: Path, out: Path, options: Options, *, force: bool, quiet: bool) -> None:
-    if out.is_dir():
-        raise DumpError(f"{out} is a folder, expected the name of a log")
-    if out.exists() and not force:
-        raise DumpError(f"{out} exists; --force replaces it")
+    require_free(out, force=force)
     started = time.monotonic()
     plan = make_plan(dump, options)
     terminal = console(quiet=quiet)

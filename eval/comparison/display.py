@@ -8,8 +8,8 @@ from itertools import groupby
 from rich.console import Console
 from rich.table import Table
 
-from ..grid import grid
-from ..terminal import print_lines, print_table
+from roadperc_stream.terminal import grid, print_lines, print_table
+
 from .agreement import Agreement, Agreements, Value
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparing import Comparison

@@ -12,9 +12,10 @@ from google.protobuf.message import DecodeError as ProtobufError
 from google.protobuf.message import Message as ProtobufMessage
 from numpy.typing import NDArray
 
-from roadperc_stream import images, log
+from roadperc_stream import log
 from roadperc_stream.channels import IMAGE_SCHEMA
 from roadperc_stream.errors import DecodeError, LogError
+from roadperc_stream.formats import images
 from roadperc_stream.log import Message
 from roadperc_stream.roles import is_result
 from roadperc_stream.schemas import ros2
@@ -133,7 +134,7 @@ def _decoded(message: Message) -> Fields:
         image = ros2.unpack_image(data)
         return {"stamp_ns": image.stamp_ns, "frame_id": image.frame_id, "pixels": _digest(image.pixels)}
     if schema == ros2.OCCUPANCY_GRID:
-        stamp_ns, frame_id = ros2.unpack_header(data)
+        stamp_ns, frame_id = ros2.unpack_header(data, schema)
         return {"stamp_ns": stamp_ns, "frame_id": frame_id, "grid": hashlib.sha256(data).hexdigest()[:12]}
     if schema not in MESSAGE_TYPES:
         return {"data": hashlib.sha256(data).hexdigest()[:12]}

@@ -1,9 +1,7 @@
 """Puts the page together: everything in one file, the charting library included."""
 
 import json
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +10,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from roadperc_stream.errors import TableError
+from roadperc_stream.targets import completing
 
 from ..runs import Run
 from ..summary import summarise_all
@@ -31,19 +29,12 @@ def write_page(target: Path, runs: Sequence[Run]) -> None:
     """Write the page over runs with frames; it appears under its name only when complete.
 
     Raises:
-        TableError: a table cannot be read, or the page cannot be written.
+        TableError: a table cannot be read.
+        TargetError: the page cannot be written.
     """
     text = page(runs)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.partial")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+    with completing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-        temporary.replace(target)
-    except OSError as error:
-        raise TableError(f"{target}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def page(runs: Sequence[Run]) -> str:

@@ -10,12 +10,13 @@ import cv2
 
 from roadperc_stream.datatypes import Image
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.overlay import draw_overlay
+from roadperc_stream.pictures.overlay import draw_overlay
+from roadperc_stream.roles import Problems
+from roadperc_stream.view.seen import read_frame
 
 from ..grid import rounded
 from ..quantities import COUNT, RATIO, SUSPECT, TRUTH, Quantity
 from ..summary import Summary, WorstFrame
-from .frames import read_frame
 from .sources import Sources
 
 WORST: Final = 10
@@ -133,6 +134,7 @@ def _of_run(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str
         name = files.log.name if files.log else "its log"
         return {}, f"{name} is not where the table says, so there are no pictures of its frames."
     images: dict[Key, str] = {}
+    problems = Problems()
     try:
         if files.is_replayed_again(log):
             return (
@@ -140,17 +142,19 @@ def _of_run(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str
                 f"{log.name} was replayed again with another configuration, so it has no pictures of this run.",
             )
         for frame in frames:
-            image = _drawn(log, frame)
+            image = _drawn(log, frame, problems)
             images |= {(frame.run, frame.frame): image} if image else {}
     except RoadpercError as error:
         return images, f"no more pictures: {str(error).replace(str(log), log.name)}"
     lacking = len(frames) - len(images)
-    return images, f"{log.name} holds no camera image of {lacking} of these frames." if lacking else ""
+    notes = [f"{log.name} holds no camera image of {lacking} of these frames."] if lacking else []
+    notes += [f"What could not be read is not drawn: {'; '.join(problems.first.values())}."] if problems.first else []
+    return images, " ".join(notes)
 
 
-def _drawn(log: Path, frame: WorstFrame) -> str:
+def _drawn(log: Path, frame: WorstFrame, problems: Problems) -> str:
     """A frame's picture as a data URI, empty where the log has no camera image of it."""
-    seen = read_frame(log, frame.stamp_ns)
+    seen = read_frame(log, frame.stamp_ns, problems)
     if seen is None:
         return ""
     return data_uri(draw_overlay(seen.image_bgr, seen.lanes, seen.objects, seen.drivable, width_px=WIDTH_PX))

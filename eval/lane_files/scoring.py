@@ -7,9 +7,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from roadperc_stream import lane_scores
 from roadperc_stream.geometry import Float
-from roadperc_stream.lane_scores import Counts, TuSimpleScore
+from roadperc_stream.metrics import lane_scores
+from roadperc_stream.metrics.lane_scores import Counts, TuSimpleScore
 from roadperc_stream.metrics.lanes import CULANE_COLUMNS, CULANE_THRESHOLDS, TUSIMPLE_COLUMNS
 
 from ..scores import Score

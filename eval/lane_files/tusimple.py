@@ -1,6 +1,5 @@
 """Lanes as TuSimple's JSON lines: an object a frame, each lane a column in px at each of the frame's rows."""
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.geometry import Float
+from roadperc_stream.targets import completing
 
 NOWHERE: Final = -2
 """The column of a point that is not there; any negative one is read as such."""
@@ -111,14 +111,8 @@ def _unknown_as_nan(lane: Float) -> Float:
 @contextmanager
 def lane_writer(target: Path) -> Iterator[Callable[[LaneFrame], None]]:
     """A function that appends frames to a file, which appears under its name only when complete."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.partial")
-    try:
-        with temporary.open("w", encoding="utf-8") as stream:
-            yield lambda frame: _append(stream.write, frame)
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with completing(target) as temporary, temporary.open("w", encoding="utf-8") as stream:
+        yield lambda frame: _append(stream.write, frame)
 
 
 def _append(write: Callable[[str], int], frame: LaneFrame) -> None:

@@ -6,8 +6,9 @@ from typing import Final
 from rich.table import Table
 
 from roadperc_stream.table import Scalar
+from roadperc_stream.terminal import grid
 
-from ..grid import grid, percent, rounded
+from ..grid import percent, rounded
 from .ranking import Metric, Score, best, effect
 from .settings import Combination, shown
 

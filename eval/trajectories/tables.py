@@ -5,7 +5,9 @@ from typing import Final
 
 from rich.table import Table
 
-from ..grid import grid, percent
+from roadperc_stream.terminal import grid
+
+from ..grid import percent
 from .alignment import Alignment
 from .errors import Delta, ErrorStatistics
 from .judgement import Judgement, Segments

@@ -7,10 +7,12 @@ from roadperc_stream.datatypes.results import (
     Absent,
     Boundary,
     BoundaryStatus,
+    Correlation,
     FrameResult,
     HeightGrid,
     Lanes,
     Line,
+    Matches,
     Object,
     Objects,
     ObjectStatus,
@@ -21,6 +23,7 @@ from roadperc_stream.datatypes.results import (
     StereoDepth,
     Surface,
     SurfaceSource,
+    Verdict,
 )
 from roadperc_stream.datatypes.sample import Sample, Truth
 
@@ -31,6 +34,7 @@ __all__ = [
     "BoundaryStatus",
     "Box",
     "CameraImage",
+    "Correlation",
     "DepthImage",
     "Detection",
     "Frame",
@@ -40,6 +44,7 @@ __all__ = [
     "Lanes",
     "Line",
     "Mask",
+    "Matches",
     "Object",
     "ObjectStatus",
     "Objects",
@@ -54,5 +59,6 @@ __all__ = [
     "SurfaceSource",
     "TagImage",
     "Truth",
+    "Verdict",
     "read_only",
 ]

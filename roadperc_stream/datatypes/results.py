@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.datatypes.arrays import Mask, read_only
-from roadperc_stream.datatypes.frame import Detection
+from roadperc_stream.datatypes.frame import Box, Detection
 from roadperc_stream.geometry import Float, Float32, Plane
 
 Side = Literal["left", "right"]
@@ -15,6 +15,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "assumed", "truth"]
 BoundaryStatus = Literal["measured", "held", "lost"]
 ObjectStatus = Literal["measured", "tracked", "lost"]
+Verdict = Literal["kept", "unjudged", "dropped"]
 OdometryStatus = Literal["first", "tracked", "lost"]
 Line = tuple[float, float, float, float]
 """x1, y1, x2, y2 in pixels: from the image's bottom edge (y1 = height) to the road's far end."""
@@ -74,12 +75,30 @@ class StereoDepth:
 
 
 @dataclass(frozen=True)
+class Matches:
+    """Features of the odometry's keyframe that a frame shows again: (N, 2) pixels there and here, in whole images.
+
+    ``inliers`` (N,) are those that agree on the motion.
+    """
+
+    key_px: Float32
+    px: Float32
+    inliers: Mask
+
+    def __post_init__(self) -> None:
+        read_only(self.key_px, np.float32, (None, 2), "key_px")
+        read_only(self.px, np.float32, (len(self.key_px), 2), "px")
+        read_only(self.inliers, np.bool_, (len(self.key_px),), "inliers")
+
+
+@dataclass(frozen=True)
 class Odometry:
     """Where the ego frame is. ``step`` maps this frame's ego coordinates to the last one's (last_T_this).
 
     With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
     x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is when ``step`` begins: the last frame
-    that was not missing. ``reason`` says why a frame is ``lost``; its pose is then the last one known.
+    that was not missing. ``reason`` says why a frame is ``lost``; its pose is then the last one known. ``matches`` are
+    what the motion was told from, None where there was none.
     """
 
     status: OdometryStatus
@@ -90,6 +109,7 @@ class Odometry:
     covariance: tuple[float, ...] = ()
     since_ns: int | None = None
     reason: str = ""
+    matches: Matches | None = None
 
     def __post_init__(self) -> None:
         read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
@@ -138,13 +158,19 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Lanes:
-    """The ego lane's two boundaries, and the lines they were chosen from as (N, 4) x1, y1, x2, y2 in pixels."""
+    """The ego lane's two boundaries, and the lines they were chosen from as (N, 4) x1, y1, x2, y2 in pixels.
+
+    ``edges`` are the (H, W) edge pixels along which the lines were proposed, None where none were looked for.
+    """
 
     boundaries: tuple[Boundary, ...]
     proposals_px: Float = field(default_factory=lambda: np.empty((0, 4)))
     merged_px: Float = field(default_factory=lambda: np.empty((0, 4)))
+    edges: Mask | None = None
 
     def __post_init__(self) -> None:
+        if self.edges is not None:
+            read_only(self.edges, np.bool_, (None, None), "edges")
         read_only(self.proposals_px, np.float64, (None, 4), "proposals_px")
         read_only(self.merged_px, np.float64, (None, 4), "merged_px")
 
@@ -170,12 +196,53 @@ class Object:
     status: ObjectStatus = "measured"
     track_id: str = ""
 
+    @property
+    def verdict(self) -> Verdict:
+        """What became of it: ``unjudged`` ones are kept because nothing could judge them."""
+        if not self.kept:
+            return "dropped"
+        return "unjudged" if self.class_ratio is None else "kept"
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """How well a patch fits an image, by the place of its first pixel.
+
+    ``scores[row, column]``, -1 to 1, is that of the patch whose first pixel lies on (x_px + column, y_px + row); -inf
+    where the image shows nothing. ``patch_px`` are its columns and rows.
+    """
+
+    x_px: int
+    y_px: int
+    patch_px: tuple[int, int]
+    scores: Float32
+
+    def __post_init__(self) -> None:
+        read_only(self.scores, np.float32, (None, None), "scores")
+
+    @property
+    def peak(self) -> tuple[Box, float]:
+        """Where the patch fits best, and how well."""
+        row, column = np.unravel_index(int(np.argmax(self.scores)), self.scores.shape)
+        left, top = float(self.x_px + column), float(self.y_px + row)
+        place = Box(left, top, left + self.patch_px[0], top + self.patch_px[1])
+        return place, min(float(self.scores[row, column]), 1.0)
+
+    def match(self, min_score: float) -> tuple[Box, float] | None:
+        """The peak, if it reaches a score; None where the image shows nothing at all."""
+        place, score = self.peak
+        return None if score < min_score or not np.isfinite(score) else (place, score)
+
 
 @dataclass(frozen=True)
 class Objects:
-    """All detections of a frame, kept and dropped, in the detector's order."""
+    """All detections of a frame, kept and dropped, in the detector's order, then those found by their image alone.
+
+    ``searches`` are where that was looked for.
+    """
 
     objects: tuple[Object, ...]
+    searches: tuple[Correlation, ...] = ()
 
 
 @dataclass(frozen=True)

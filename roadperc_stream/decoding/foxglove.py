@@ -1,46 +1,55 @@
-"""Foxglove's well-known messages as protobuf."""
+"""Foxglove's well-known messages: as protobuf, and as JSON, which is read into the protobuf message first."""
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudProto
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from roadperc_stream import images, points
-from roadperc_stream.datatypes import CameraImage, PointCloud, TagImage
+from roadperc_stream.channels import Kind
+from roadperc_stream.datatypes import PointCloud
+from roadperc_stream.decoding import pictures
 from roadperc_stream.decoding.calibration import camera_from_calibration
 from roadperc_stream.decoding.payload import Context, Decoded, Transform, pose_matrix
-from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats import points
+from roadperc_stream.formats.raster import Raster
 from roadperc_stream.geometry import Float32
 from roadperc_stream.schemas.protobuf import stamp_ns
 
 
-def image(data: bytes, _: Context) -> Decoded:
-    """foxglove.CompressedImage of a camera."""
-    message = CompressedImage.FromString(data)
-    content = message.data
-    decoded = CameraImage(message.frame_id, lambda: images.decode_bgr(content), lambda: images.decode_grey(content))
-    return Decoded(stamp_ns(message.timestamp), decoded)
+def _compressed_image(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), pictures.encoded_image(message.frame_id, message.data))
 
 
-def tags(data: bytes, context: Context) -> Decoded:
-    """foxglove.CompressedImage whose palette indices are tags."""
-    message = CompressedImage.FromString(data)
-    content = message.data
-    if context.tag_table is None:
-        raise DecodeError("the log does not say its tag table; set tag_table, such as --set tag_table=0.9.15")
-    return Decoded(
-        stamp_ns(message.timestamp),
-        TagImage(message.frame_id, context.tag_table, lambda: images.decode_indices(content)),
-    )
+def _compressed_tags(message: Any, context: Context) -> Decoded:
+    tags = pictures.encoded_tags(message.frame_id, message.data, context.tag_table)
+    return Decoded(stamp_ns(message.timestamp), tags)
 
 
-def point_cloud(data: bytes, _: Context) -> Decoded:
-    """foxglove.PointCloud."""
-    message = PointCloudProto.FromString(data)
+def _raw_image(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), pictures.raw_image(message.frame_id, _raster(message)))
+
+
+def _raw_depth(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), pictures.raw_depth(message.frame_id, _raster(message)))
+
+
+def _raw_tags(message: Any, context: Context) -> Decoded:
+    tags = pictures.raw_tags(message.frame_id, _raster(message), context.tag_table)
+    return Decoded(stamp_ns(message.timestamp), tags)
+
+
+def _raster(message: Any) -> Raster:
+    return Raster(message.encoding, message.width, message.height, message.step, message.data)
+
+
+def _point_cloud(message: Any, _: Context) -> Decoded:
     return Decoded(stamp_ns(message.timestamp), PointCloud(message.frame_id, lambda: _points_m(message)))
 
 
@@ -52,25 +61,42 @@ def _points_m(message: Any) -> Float32:
     )
 
 
-def calibration(data: bytes, _: Context) -> Decoded:
-    """foxglove.CameraCalibration."""
-    message = CameraCalibration.FromString(data)
+def _calibration(message: Any, _: Context) -> Decoded:
     return Decoded(stamp_ns(message.timestamp), camera_from_calibration(message))
 
 
-def transforms(data: bytes, _: Context) -> Decoded:
-    """foxglove.FrameTransforms; the first one's stamp is the message's."""
-    message = FrameTransforms.FromString(data)
-    edges = tuple(
-        Transform(t.parent_frame_id, t.child_frame_id, pose_matrix(t.translation, t.rotation))
-        for t in message.transforms
-    )
+def _transform(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), (_edge(message),))
+
+
+def _transforms(message: Any, _: Context) -> Decoded:
+    """The first transform's stamp is the message's."""
+    edges = tuple(_edge(transform) for transform in message.transforms)
     stamp = stamp_ns(message.transforms[0].timestamp) if edges else 0
     return Decoded(stamp, edges)
 
 
-def pose(data: bytes, _: Context) -> Decoded:
-    """foxglove.PoseInFrame of the ego frame."""
-    message = PoseInFrame.FromString(data)
+def _edge(message: Any) -> Transform:
+    matrix = pose_matrix(message.translation, message.rotation)
+    return Transform(message.parent_frame_id, message.child_frame_id, matrix)
+
+
+def _pose(message: Any, _: Context) -> Decoded:
+    """A pose of the ego frame."""
     matrix = pose_matrix(message.pose.position, message.pose.orientation)
     return Decoded(stamp_ns(message.timestamp), Transform(message.frame_id, "ego", matrix))
+
+
+DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
+    ("image", CompressedImage): _compressed_image,
+    ("image", RawImage): _raw_image,
+    ("tags", CompressedImage): _compressed_tags,
+    ("tags", RawImage): _raw_tags,
+    ("depth", RawImage): _raw_depth,
+    ("points", PointCloudProto): _point_cloud,
+    ("calibration", CameraCalibration): _calibration,
+    ("tf", FrameTransforms): _transforms,
+    ("tf", FrameTransform): _transform,
+    ("pose", PoseInFrame): _pose,
+}
+"""By kind and type of message."""

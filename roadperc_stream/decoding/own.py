@@ -31,6 +31,9 @@ _SIDE_OF: Final[Mapping[int, Side]] = {1: "left", 2: "right"}
 _BOUNDARY_STATUS_OF: Final[Mapping[int, BoundaryStatus]] = {1: "measured", 2: "held", 3: "lost"}
 _OBJECT_STATUS_OF: Final[Mapping[int, ObjectStatus]] = {1: "measured", 2: "tracked", 3: "lost"}
 """A truth need not say its status: it is what is there."""
+_FEWEST: Final = 2
+"""Heights along each side of a grid: between fewer there is nothing."""
+_FINEST_M, _FARTHEST_M = 1e-3, 1e7
 
 
 def detections(data: bytes, _: Context) -> Decoded:
@@ -52,8 +55,7 @@ def surface(data: bytes, _: Context) -> Decoded:
     normal = np.array([message.normal.x, message.normal.y, message.normal.z])
     if not np.linalg.norm(normal) > 0:
         raise DecodeError("surface without a normal")
-    grid = message.height_grid
-    require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d, *grid.z_m)
+    require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d)
     decoded = Surface(
         source="truth",
         frame_id=message.frame_id,
@@ -63,13 +65,24 @@ def surface(data: bytes, _: Context) -> Decoded:
         pitch=message.pitch,
         roll=message.roll,
         inlier_ratio=optional(message, "inlier_ratio"),
-        height_grid=HeightGrid(
-            grid.x_min_m, grid.y_min_m, grid.step_m, np.array(grid.z_m, np.float32).reshape(grid.rows, grid.columns)
-        )
-        if message.HasField("height_grid")
-        else None,
+        height_grid=_height_grid(message.height_grid) if message.HasField("height_grid") else None,
     )
     return Decoded(stamp_ns(message.timestamp), decoded)
+
+
+def _height_grid(grid: Any) -> HeightGrid:
+    heights = np.array(grid.z_m, np.float32)
+    if grid.rows < _FEWEST or grid.columns < _FEWEST or heights.size != grid.rows * grid.columns:
+        size = f"{grid.rows} rows of {grid.columns}, {heights.size} heights"
+        raise DecodeError(f"height grid: {size}: expected rows times columns, {_FEWEST} or more of each")
+    require_finite("height grid", grid.x_min_m, grid.y_min_m, grid.step_m, heights.min(), heights.max())
+    farthest_m = max(abs(grid.x_min_m), abs(grid.y_min_m), grid.step_m, float(np.abs(heights).max()))
+    if not (grid.step_m >= _FINEST_M and farthest_m <= _FARTHEST_M):
+        found = f"up to {farthest_m:g} m, in steps of {grid.step_m:g} m"
+        raise DecodeError(
+            f"height grid: {found}: expected up to {_FARTHEST_M:g} m, in steps of {_FINEST_M:g} m or more"
+        )
+    return HeightGrid(grid.x_min_m, grid.y_min_m, grid.step_m, heights.reshape(grid.rows, grid.columns))
 
 
 def lanes(data: bytes, _: Context) -> Decoded:

@@ -1,7 +1,7 @@
 """What a decoder gives, and what it may need beside the bytes."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from roadperc_stream.datatypes import (
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float, rigid, rotation_from_quaternion
 from roadperc_stream.semantics import TagTable
+
+_LARGEST: Final = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,11 @@ class Context:
     """What a decoder may need beside the bytes."""
 
     tag_table: TagTable | None = None
+    definition: bytes = b""
+    """How the log defines the message, where its encoding does not say by itself (cdr); empty: as ROS 2 defines it."""
+    definition_encoding: str = "ros2msg"
+    carla_bridge: bool = False
+    """Whether CARLA's ROS bridge wrote it: its principal point, half the image's size, counts from a pixel's corner."""
 
 
 def pose_matrix(position: Any, orientation: Any) -> Float:
@@ -77,10 +84,10 @@ def require_finite(what: str, *values: float | None) -> None:
     """Refuse numbers that are none; unknown ones are None.
 
     Raises:
-        DecodeError: one is NaN or infinite.
+        DecodeError: one is NaN, infinite, or larger than the 32 bits hold in which it is computed with and shown.
     """
-    if not np.isfinite([value for value in values if value is not None]).all():
-        raise DecodeError(f"{what}: a number is not finite")
+    if not (np.abs([value for value in values if value is not None]) <= _LARGEST).all():
+        raise DecodeError(f"{what}: a number is not finite in 32 bits")
 
 
 def optional(message: Any, name: str) -> Any:

@@ -27,16 +27,26 @@ def require_whole(path: Path, stream: IO[bytes]) -> None:
     Raises:
         LogError: it is one of these.
     """
+    require_log(path, stream)
     size = stream.seek(0, os.SEEK_END)
-    stream.seek(0)
-    if size == 0:
-        raise LogError(f"{path}: empty file, expected an MCAP log")
-    if stream.read(len(MAGIC)) != MAGIC:
-        raise LogError(f"{path}: not an MCAP log (it does not start with the MCAP magic)")
     stream.seek(max(size - len(MAGIC), 0))
     if stream.read(len(MAGIC)) != MAGIC or size < 2 * len(MAGIC):
         raise LogError(f"{path}: cut off: the MCAP footer is missing after {size} bytes")
     stream.seek(0)
+
+
+def require_log(path: Path, stream: IO[bytes]) -> None:
+    """Refuse a file that does not even start as an MCAP log; the stream is then at the first record.
+
+    Raises:
+        LogError: it is empty, or something else.
+    """
+    stream.seek(0)
+    magic = stream.read(len(MAGIC))
+    if not magic:
+        raise LogError(f"{path}: empty file, expected an MCAP log")
+    if magic != MAGIC:
+        raise LogError(f"{path}: not an MCAP log (it does not start with the MCAP magic)")
 
 
 def check_sections(path: Path, stream: IO[bytes]) -> bool:

@@ -49,7 +49,7 @@ def summarise(path: Path) -> LogSummary:
         stream.seek(0)
         reader = make_reader(stream)
         profile = reader.get_header().profile
-        index = _usable_index(reader)
+        index = usable_index(reader)
         attachments = tuple(
             Attachment(a.name, a.media_type, a.data, a.log_time, a.create_time)
             for a in _beside_messages(stream, lambda reader: reader.iter_attachments())
@@ -61,7 +61,7 @@ def summarise(path: Path) -> LogSummary:
     if index is None:
         return _scan(path, profile, attachments, metadata, sealed)
     channels = tuple(
-        _channel(index.channels[i], index.schemas.get(index.channels[i].schema_id)) for i in sorted(index.channels)
+        channel_of(index.channels[i], index.schemas.get(index.channels[i].schema_id)) for i in sorted(index.channels)
     )
     statistics = index.statistics
     assert statistics is not None
@@ -103,17 +103,17 @@ def read(
     known: dict[int, Channel] = {}
     with _reading(path) as stream:
         reader: McapReader = make_reader(stream, validate_crcs=validate_crcs)
-        if _usable_index(reader) is None:
+        if usable_index(reader) is None:
             stream.seek(0)
             reader = NonSeekingReader(stream, validate_crcs=validate_crcs)
         wanted = None if topics is None else list(topics)
         for schema, channel, message in reader.iter_messages(wanted, starting_at=start_ns, ending_before=end_ns):
             if channel.id not in known:
-                known[channel.id] = _channel(channel, schema)
+                known[channel.id] = channel_of(channel, schema)
             yield Message(known[channel.id], message.log_time, message.publish_time, message.sequence, message.data)
 
 
-def _usable_index(reader: McapReader) -> Summary | None:
+def usable_index(reader: McapReader) -> Summary | None:
     """The log's index, where it names every chunk, channel and schema its messages use."""
     index = reader.get_summary()
     if index is None or index.statistics is None or not index.chunk_indexes:
@@ -154,7 +154,8 @@ def _scan(
     return LogSummary(path, profile, ordered, counts, attachments, metadata, first, last, sealed)
 
 
-def _channel(channel: McapChannel, schema: McapSchema | None) -> Channel:
+def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
+    """A channel with its schema, free of the library."""
     return Channel(
         channel.topic,
         channel.message_encoding,

@@ -11,6 +11,7 @@ from mcap.writer import CompressionType, Writer
 
 from roadperc_stream import __version__
 from roadperc_stream.errors import LogError
+from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
 
 CHUNK_SIZE_BYTES = 1024 * 1024
@@ -29,6 +30,8 @@ class LogWriter:
     """Messages written so far."""
     _channel_ids: dict[Channel, int] = field(default_factory=dict)
     _schema_ids: dict[tuple[str, str, bytes], int] = field(default_factory=dict)
+    _growing: GrowingLog | None = None
+    _end_byte: int = 0
 
     def __post_init__(self) -> None:
         self._temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
@@ -60,6 +63,26 @@ class LogWriter:
             publish_time=message.publish_time_ns,
             sequence=message.sequence,
         )
+        if self._growing is not None:
+            self._growing.append(self._channel_ids[message.channel], message)
+            self._note_chunk(self._growing)
+
+    def while_written(self) -> GrowingLog:
+        """The log for a reader in another thread, from now to the end; before the first message.
+
+        What is written stays the same, byte for byte.
+        """
+        assert not self.messages
+        self._growing, self._end_byte = GrowingLog(self._temporary, tuple(self._channel_ids)), self._stream.tell()
+        return self._growing
+
+    def _note_chunk(self, growing: GrowingLog) -> None:
+        """The library writes to the file only whole chunks: where the file has grown, one was closed."""
+        end_byte = self._stream.tell()
+        if end_byte > self._end_byte:
+            self._stream.flush()
+            growing.close_chunk(self._end_byte, end_byte)
+        self._end_byte = end_byte
 
     def register(self, channel: Channel) -> None:
         """Make a channel known, also where it never gets a message."""
@@ -76,6 +99,8 @@ class LogWriter:
             schema_id=self._schema_ids.get(schema, 0),
             metadata=dict(channel.metadata),
         )
+        if self._growing is not None:
+            self._note_chunk(self._growing)
 
     def attach(self, attachment: Attachment) -> None:
         """Add an attachment."""
@@ -86,10 +111,12 @@ class LogWriter:
             media_type=attachment.media_type,
             data=attachment.data,
         )
+        self._end_byte = self._stream.tell()
 
     def describe(self, metadata: Metadata) -> None:
         """Add a metadata record."""
         self._writer.add_metadata(metadata.name, dict(metadata.values))
+        self._end_byte = self._stream.tell()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -98,13 +125,19 @@ class LogWriter:
             if kind is None:
                 self._writer.finish()  # type: ignore[no-untyped-call]
                 self._stream.close()
-                self._temporary.replace(self.path)
+                self._name()
         except OSError as failure:
             raise LogError(f"{self.path}: {failure.strerror or failure}") from failure
         finally:
             with suppress(OSError):  # closing flushes, and a full disk fails again
                 self._stream.close()
             self.discard()
+
+    def _name(self) -> None:
+        if self._growing is not None:
+            self._growing.finish(self._temporary, self.path)
+        else:
+            self._temporary.replace(self.path)
 
     def discard(self) -> None:
         """Remove what is not complete."""

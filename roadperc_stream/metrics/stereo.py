@@ -4,8 +4,8 @@ import numpy as np
 
 from roadperc_stream.datatypes import Absent, Sample, StereoDepth
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.metrics.stereo_errors import stereo_errors
 from roadperc_stream.rows import Columns
-from roadperc_stream.stereo_errors import stereo_errors
 
 STEREO_NEAREST_QUANTILE = 0.02
 

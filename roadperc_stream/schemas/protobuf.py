@@ -34,6 +34,7 @@ MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {
         roadperc_pb2.Lanes,
         roadperc_pb2.Objects,
         roadperc_pb2.Odometry,
+        roadperc_pb2.StageTimes,
         roadperc_pb2.Surface,
     )
 }

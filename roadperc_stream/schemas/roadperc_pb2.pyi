@@ -692,6 +692,93 @@ class Odometry(_message.Message):
 Global___Odometry: _TypeAlias = Odometry  # noqa: Y015
 
 @_typing.final
+class StageTimes(_message.Message):
+    DESCRIPTOR: _descriptor.Descriptor
+
+    TIMESTAMP_FIELD_NUMBER: _builtins.int
+    FRAME_ID_FIELD_NUMBER: _builtins.int
+    DECODE_MS_FIELD_NUMBER: _builtins.int
+    SURFACE_MS_FIELD_NUMBER: _builtins.int
+    LANES_MS_FIELD_NUMBER: _builtins.int
+    OBJECTS_MS_FIELD_NUMBER: _builtins.int
+    STEREO_MS_FIELD_NUMBER: _builtins.int
+    ODOMETRY_MS_FIELD_NUMBER: _builtins.int
+    OCCUPANCY_MS_FIELD_NUMBER: _builtins.int
+    ENCODE_MS_FIELD_NUMBER: _builtins.int
+    TOTAL_MS_FIELD_NUMBER: _builtins.int
+    frame_id: _builtins.str
+    decode_ms: _builtins.float
+    surface_ms: _builtins.float
+    lanes_ms: _builtins.float
+    objects_ms: _builtins.float
+    stereo_ms: _builtins.float
+    odometry_ms: _builtins.float
+    occupancy_ms: _builtins.float
+    encode_ms: _builtins.float
+    total_ms: _builtins.float
+    @_builtins.property
+    def timestamp(self) -> _timestamp_pb2.Timestamp:
+        """One field per time column of the metrics table, milliseconds; a stage that did not run is absent."""
+
+    def __init__(
+        self,
+        *,
+        timestamp: _timestamp_pb2.Timestamp | None = ...,
+        frame_id: _builtins.str = ...,
+        decode_ms: _builtins.float | None = ...,
+        surface_ms: _builtins.float | None = ...,
+        lanes_ms: _builtins.float | None = ...,
+        objects_ms: _builtins.float | None = ...,
+        stereo_ms: _builtins.float | None = ...,
+        odometry_ms: _builtins.float | None = ...,
+        occupancy_ms: _builtins.float | None = ...,
+        encode_ms: _builtins.float | None = ...,
+        total_ms: _builtins.float | None = ...,
+    ) -> None: ...
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_decode_ms", b"_decode_ms", "_encode_ms", b"_encode_ms", "_lanes_ms", b"_lanes_ms", "_objects_ms", b"_objects_ms", "_occupancy_ms", b"_occupancy_ms", "_odometry_ms", b"_odometry_ms", "_stereo_ms", b"_stereo_ms", "_surface_ms", b"_surface_ms", "_total_ms", b"_total_ms", "decode_ms", b"decode_ms", "encode_ms", b"encode_ms", "lanes_ms", b"lanes_ms", "objects_ms", b"objects_ms", "occupancy_ms", b"occupancy_ms", "odometry_ms", b"odometry_ms", "stereo_ms", b"stereo_ms", "surface_ms", b"surface_ms", "timestamp", b"timestamp", "total_ms", b"total_ms"]  # noqa: Y015
+    def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_decode_ms", b"_decode_ms", "_encode_ms", b"_encode_ms", "_lanes_ms", b"_lanes_ms", "_objects_ms", b"_objects_ms", "_occupancy_ms", b"_occupancy_ms", "_odometry_ms", b"_odometry_ms", "_stereo_ms", b"_stereo_ms", "_surface_ms", b"_surface_ms", "_total_ms", b"_total_ms", "decode_ms", b"decode_ms", "encode_ms", b"encode_ms", "frame_id", b"frame_id", "lanes_ms", b"lanes_ms", "objects_ms", b"objects_ms", "occupancy_ms", b"occupancy_ms", "odometry_ms", b"odometry_ms", "stereo_ms", b"stereo_ms", "surface_ms", b"surface_ms", "timestamp", b"timestamp", "total_ms", b"total_ms"]  # noqa: Y015
+    def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__decode_ms: _TypeAlias = _typing.Literal["decode_ms"]  # noqa: Y015
+    _WhichOneofArgType__decode_ms: _TypeAlias = _typing.Literal["_decode_ms", b"_decode_ms"]  # noqa: Y015
+    _WhichOneofReturnType__encode_ms: _TypeAlias = _typing.Literal["encode_ms"]  # noqa: Y015
+    _WhichOneofArgType__encode_ms: _TypeAlias = _typing.Literal["_encode_ms", b"_encode_ms"]  # noqa: Y015
+    _WhichOneofReturnType__lanes_ms: _TypeAlias = _typing.Literal["lanes_ms"]  # noqa: Y015
+    _WhichOneofArgType__lanes_ms: _TypeAlias = _typing.Literal["_lanes_ms", b"_lanes_ms"]  # noqa: Y015
+    _WhichOneofReturnType__objects_ms: _TypeAlias = _typing.Literal["objects_ms"]  # noqa: Y015
+    _WhichOneofArgType__objects_ms: _TypeAlias = _typing.Literal["_objects_ms", b"_objects_ms"]  # noqa: Y015
+    _WhichOneofReturnType__occupancy_ms: _TypeAlias = _typing.Literal["occupancy_ms"]  # noqa: Y015
+    _WhichOneofArgType__occupancy_ms: _TypeAlias = _typing.Literal["_occupancy_ms", b"_occupancy_ms"]  # noqa: Y015
+    _WhichOneofReturnType__odometry_ms: _TypeAlias = _typing.Literal["odometry_ms"]  # noqa: Y015
+    _WhichOneofArgType__odometry_ms: _TypeAlias = _typing.Literal["_odometry_ms", b"_odometry_ms"]  # noqa: Y015
+    _WhichOneofReturnType__stereo_ms: _TypeAlias = _typing.Literal["stereo_ms"]  # noqa: Y015
+    _WhichOneofArgType__stereo_ms: _TypeAlias = _typing.Literal["_stereo_ms", b"_stereo_ms"]  # noqa: Y015
+    _WhichOneofReturnType__surface_ms: _TypeAlias = _typing.Literal["surface_ms"]  # noqa: Y015
+    _WhichOneofArgType__surface_ms: _TypeAlias = _typing.Literal["_surface_ms", b"_surface_ms"]  # noqa: Y015
+    _WhichOneofReturnType__total_ms: _TypeAlias = _typing.Literal["total_ms"]  # noqa: Y015
+    _WhichOneofArgType__total_ms: _TypeAlias = _typing.Literal["_total_ms", b"_total_ms"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__decode_ms) -> _WhichOneofReturnType__decode_ms | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__encode_ms) -> _WhichOneofReturnType__encode_ms | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__lanes_ms) -> _WhichOneofReturnType__lanes_ms | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__objects_ms) -> _WhichOneofReturnType__objects_ms | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__occupancy_ms) -> _WhichOneofReturnType__occupancy_ms | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__odometry_ms) -> _WhichOneofReturnType__odometry_ms | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_ms) -> _WhichOneofReturnType__stereo_ms | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__surface_ms) -> _WhichOneofReturnType__surface_ms | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__total_ms) -> _WhichOneofReturnType__total_ms | None: ...
+
+Global___StageTimes: _TypeAlias = StageTimes  # noqa: Y015
+
+@_typing.final
 class FrameMetrics(_message.Message):
     DESCRIPTOR: _descriptor.Descriptor
 

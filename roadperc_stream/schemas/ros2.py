@@ -1,4 +1,4 @@
-"""ROS 2 messages in CDR, packed by hand: a depth frame costs 0.2 ms instead of 6 with a generic writer.
+"""ROS 2 messages that this project writes, packed by hand: a depth frame costs 0.2 ms, with a generic writer 6.
 
 Layout after the 4-byte encapsulation header (OMG CDR, little endian, each number aligned to its size from there):
 
@@ -16,7 +16,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.errors import DecodeError, LogError
+from roadperc_stream.errors import LogError
+from roadperc_stream.formats.raster import Raster
+from roadperc_stream.schemas import cdr
 
 _HEADER_DEFINITION: Final = b"""================================================================================
 MSG: std_msgs/Header
@@ -75,12 +77,11 @@ _NANOSECONDS: Final = 1_000_000_000
 LAST_STAMP_NS: Final = 2**31 * _NANOSECONDS - 1
 """The seconds of builtin_interfaces/Time, an int32, end on 2038-01-19."""
 _LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
-_DTYPES: Final[dict[str, np.dtype[Any]]] = {"16UC1": np.dtype("u2"), "mono16": np.dtype("u2"), "32FC1": np.dtype("f4")}
 
 
 @dataclass(frozen=True)
 class RosImage:
-    """An image message with its pixels as an (H, W) array."""
+    """An image message with its pixels as an (H, W) array, or (H, W, channels)."""
 
     stamp_ns: int
     frame_id: str
@@ -127,63 +128,33 @@ def pack_image(image: RosImage) -> bytes:
     return _LITTLE_ENDIAN + body + struct.pack("<I", image.pixels.nbytes) + image.pixels.tobytes()
 
 
-def unpack_header(data: bytes) -> tuple[int, str]:
-    """Stamp in nanoseconds and frame_id of any message that starts with a std_msgs/Header.
+def unpack_header(data: bytes, name: str) -> tuple[int, str]:
+    """Stamp in nanoseconds and frame_id of a message of this module's.
 
     Raises:
-        DecodeError: the bytes end early.
+        DecodeError: the bytes are no such message.
 
     """
-    try:
-        order = _byte_order(data)
-        sec, nanosec = struct.unpack_from(order + "iI", data, 4)
-        frame_id, _ = _unpack_string(data, 12, order)
-    except (struct.error, UnicodeDecodeError, IndexError) as error:
-        raise DecodeError(f"{len(data)} bytes are no ROS 2 header: {error}") from error
-    return sec * _NANOSECONDS + nanosec, frame_id
+    header = cdr.read(data, name, DEFINITIONS[name]).header
+    return cdr.stamp_ns(header.stamp), header.frame_id
 
 
 def unpack_image(data: bytes) -> RosImage:
-    """A single-channel image of 16UC1, mono16 or 32FC1.
+    """An image of any encoding that ``Raster`` knows.
 
     Raises:
         DecodeError: the bytes are no such image; the message says what was found.
 
     """
-    try:
-        return _unpack_image(data)
-    except (struct.error, UnicodeDecodeError, IndexError) as error:
-        raise DecodeError(f"{len(data)} bytes are no {IMAGE}: {error}") from error
+    message = cdr.read(data, IMAGE, IMAGE_DEFINITION)
+    pixels = image_raster(message).pixels()
+    return RosImage(cdr.stamp_ns(message.header.stamp), message.header.frame_id, message.encoding, pixels)
 
 
-def _unpack_image(data: bytes) -> RosImage:
-    stamp_ns, frame_id = unpack_header(data)
-    order = _byte_order(data)
-    _, at = _unpack_string(data, 12, order)
-    height, width = struct.unpack_from(order + "II", data, _align(at))
-    encoding, at = _unpack_string(data, _align(at) + 8, order)
-    big_endian_pixels, at = data[at], _align(at + 1)
-    step, size = struct.unpack_from(order + "II", data, at)
-    dtype = _DTYPES.get(encoding)
-    if dtype is None:
-        raise DecodeError(f"image encoding {encoding!r}: expected one of {', '.join(_DTYPES)}")
-    pixels = data[at + 8 : at + 8 + size]
-    if len(pixels) != size or size < step * height or step < dtype.itemsize * width:
-        raise DecodeError(f"{encoding} image {width}x{height} with step {step} needs more than its {len(pixels)} bytes")
-    rows: NDArray[Any] = np.frombuffer(pixels, np.uint8, step * height).reshape(height, step)
-    array = np.ascontiguousarray(rows[:, : dtype.itemsize * width]).view(
-        dtype.newbyteorder(">" if big_endian_pixels else "<")
-    )
-    return RosImage(stamp_ns, frame_id, encoding, array)
-
-
-def _byte_order(data: bytes) -> str:
-    return "<" if data[1] & 1 else ">"
-
-
-def _align(at: int, size: int = 4) -> int:
-    """Next multiple of ``size`` counted from behind the encapsulation header."""
-    return at + (4 - at) % size
+def image_raster(message: Any) -> Raster:
+    """Pixels of a sensor_msgs/msg/Image, big-endian ones too."""
+    size = int(message.width), int(message.height), int(message.step)
+    return Raster(str(message.encoding), *size, np.asarray(message.data, np.uint8), bool(message.is_bigendian))
 
 
 def _aligned(body: bytes, size: int) -> bytes:
@@ -199,8 +170,3 @@ def _pack_stamp(stamp_ns: int) -> bytes:
 def _pack_string(text: str) -> bytes:
     encoded = text.encode() + b"\x00"
     return struct.pack("<I", len(encoded)) + encoded
-
-
-def _unpack_string(data: bytes, at: int, order: str) -> tuple[str, int]:
-    (length,) = struct.unpack_from(order + "I", data, at)
-    return data[at + 4 : at + 4 + max(length - 1, 0)].decode(), at + 4 + length

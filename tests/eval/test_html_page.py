@@ -179,6 +179,13 @@ def test_worst_frames_have_a_picture_each_once(tmp_path):
     assert "in.mcap" in captions
 
 
+def test_a_picture_goes_without_what_cannot_be_read_and_the_page_says_so(tmp_path):
+    log = write_log(tmp_path / "out.mcap", objects=b"\xff\xfe")
+    page, _ = report(tmp_path, with_log(tmp_path / "out.metrics.parquet", log, [STAMP], stereo_epe_px=0.5))
+    assert len(page.images) == 1
+    assert f"could not be read is not drawn: /perception/objects: message at {STAMP} ns: 2 bytes are no" in page.text
+
+
 def test_where_the_log_is_gone_the_page_says_so(tmp_path):
     gone = with_log(tmp_path / "a.metrics.parquet", tmp_path / "gone.mcap", [STAMP], stereo_epe_px=0.5)
     page, _ = report(tmp_path, gone)

@@ -9,16 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream import encoding, images
+from roadperc_stream import encoding
 from roadperc_stream.channels import PRODUCER, schema
 from roadperc_stream.datatypes import Absent, Boundary, Lanes, Object, Objects
 from roadperc_stream.eval.html.figures import line, numbers
-from roadperc_stream.eval.html.frames import read_frame
 from roadperc_stream.eval.html.histograms import bin_edges, histograms
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.series import Series, thinned
 from roadperc_stream.eval.html.trajectory import trajectory, ways
+from roadperc_stream.formats import images
 from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.roles import Problems
+from roadperc_stream.view.seen import read_frame
 from tests.analytic import box
 
 STAMP = 1_600_000_000_000_000_000
@@ -163,8 +165,9 @@ OBJECTS = Objects(
 )
 
 
-def write_log(path, late_ns=0, image=True):
+def write_log(path, late_ns=0, image=True, objects=None):
     """Two frames 50 ms apart; only the first has results; log times lie ``late_ns`` behind the stamps."""
+    objects = encoding.encode_objects(STAMP, "camera", OBJECTS) if objects is None else objects
     grey = cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
     mask = np.zeros((48, 64), np.uint8)
     mask[40:] = 1
@@ -177,7 +180,7 @@ def write_log(path, late_ns=0, image=True):
                 writer.write(Message(image_channel(), stamp + late_ns, stamp + late_ns, number, content))
         for topic, name, data in (
             ("/perception/lanes", "roadperc.Lanes", encoding.encode_lanes(STAMP, "camera", LANES)),
-            ("/perception/objects", "roadperc.Objects", encoding.encode_objects(STAMP, "camera", OBJECTS)),
+            ("/perception/objects", "roadperc.Objects", objects),
             ("/perception/drivable", "foxglove.CompressedImage", drivable),
         ):
             writer.write(Message(result_channel(topic, name), STAMP + late_ns, STAMP + late_ns, 0, data))
@@ -186,7 +189,7 @@ def write_log(path, late_ns=0, image=True):
 
 @pytest.mark.parametrize("late_ns", [0, 120_000_000])
 def test_a_frame_comes_back_as_it_was_written(tmp_path, late_ns):
-    found = read_frame(write_log(tmp_path / "out.mcap", late_ns), STAMP)
+    found = read_frame(write_log(tmp_path / "out.mcap", late_ns), STAMP, Problems())
     assert found.image_bgr.shape == (48, 64, 3)
     assert (found.drivable.sum(), found.drivable[39].any()) == (8 * 64, False)
     left, right = found.lanes.boundaries
@@ -199,12 +202,21 @@ def test_a_frame_comes_back_as_it_was_written(tmp_path, late_ns):
 
 
 def test_results_of_another_frame_are_not_taken(tmp_path):
-    found = read_frame(write_log(tmp_path / "out.mcap"), STAMP + 50_000_000)
+    found = read_frame(write_log(tmp_path / "out.mcap"), STAMP + 50_000_000, Problems())
     assert isinstance(found.lanes, Absent)
     assert isinstance(found.objects, Absent)
     assert isinstance(found.drivable, Absent)
 
 
+def test_a_pairs_right_camera_is_not_the_one_the_results_belong_to(tmp_path):
+    path = tmp_path / "right.mcap"
+    grey = cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
+    with LogWriter(path) as writer:
+        content = encoding.encode_image(STAMP, "right", "png", grey)
+        writer.write(Message(image_channel("/camera/right/image"), STAMP, STAMP, 0, content))
+    assert read_frame(path, STAMP, Problems()) is None
+
+
 def test_a_log_without_the_image_has_no_frame(tmp_path):
-    assert read_frame(write_log(tmp_path / "none.mcap", image=False), STAMP) is None
-    assert read_frame(write_log(tmp_path / "out.mcap"), STAMP + 1) is None
+    assert read_frame(write_log(tmp_path / "none.mcap", image=False), STAMP, Problems()) is None
+    assert read_frame(write_log(tmp_path / "out.mcap"), STAMP + 1, Problems()) is None

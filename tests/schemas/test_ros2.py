@@ -76,13 +76,13 @@ def test_an_occupancy_is_a_grid_of_the_ego_frame():
     message = DecoderFactory().decoder_for("cdr", schema)(data)
     assert (message.header.frame_id, message.info.origin.position.y) == ("ego", -0.2)
     assert list(message.data) == [-1, 0, 100, 0, -1, 100]
-    assert ros2.unpack_header(data) == (1_500_000_000, "ego")
+    assert ros2.unpack_header(data, ros2.OCCUPANCY_GRID) == (1_500_000_000, "ego")
 
 
 @pytest.mark.parametrize("stamp_ns", [2**31 * 10**9, 2**62])
 def test_a_stamp_from_2038_on_has_no_place(stamp_ns):
     last_ns = 2**31 * 10**9 - 1
-    assert ros2.unpack_header(ros2.pack_image(replace(image(), stamp_ns=last_ns)))[0] == last_ns
+    assert ros2.unpack_header(ros2.pack_image(replace(image(), stamp_ns=last_ns)), ros2.IMAGE)[0] == last_ns
     grid = ros2.RosGrid(stamp_ns, "ego", 0.2, 1.5, -15.0, np.zeros((2, 3), np.int8))
     for pack, message in ((ros2.pack_image, replace(image(), stamp_ns=stamp_ns)), (ros2.pack_occupancy_grid, grid)):
         with pytest.raises(LogError, match=f"stamp {stamp_ns} ns: expected at most {last_ns} ns"):

@@ -16,8 +16,8 @@ from roadperc_stream.config import StereoConfig
 from roadperc_stream.datatypes import Absent, Box
 from roadperc_stream.decoding import camera_from_calibration
 from roadperc_stream.encoding import encode_calibration
+from roadperc_stream.metrics.stereo_errors import stereo_errors
 from roadperc_stream.stages import stereo
-from roadperc_stream.stereo_errors import stereo_errors
 from roadperc_stream.template import find_patch
 from roadperc_stream.tools import render_scene
 from tests import pair

@@ -1,7 +1,6 @@
 """CARLA's semantic tags from raw images, palette images and CSV text. Decided by content, once for a sensor."""
 
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.datatypes import Image
 from roadperc_stream.errors import DumpError
+from roadperc_stream.formats.palette import PALETTE_TABLE, UNKNOWN, tags_by_code
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, TABLES, TagTable, table_for_version
 
 from .pixel_files import Pixels, surveyed
@@ -17,7 +17,6 @@ from .pixel_files import Pixels, surveyed
 TagEncoding = Literal["raw in red", "raw grey", "raw numbers", "palette colours"]
 
 LOSSY_TAGS: Final = "tags are taken as the nearest that exists where they are not exact (--allow-lossy-tags)"
-_UNKNOWN: Final = 255
 _RAW_LIMIT: Final = 40
 """Raw tags of every version, and what JPEG makes of them, stay below; palette colours go far above."""
 _SHOWN: Final = 12
@@ -92,7 +91,7 @@ def choose_table(
     if version is not None:
         return table_for_version(version), f"CARLA {version}"
     if encoding == "palette colours":
-        return CARLA_FROM_0_9_14, "colours name the classes in every version"
+        return PALETTE_TABLE, "colours name the classes in every version"
     if seen and max(seen) >= len(CARLA_BEFORE_0_9_14.names):
         return CARLA_FROM_0_9_14, f"tag {max(seen)} exists only there"
     meanings = "; ".join(
@@ -141,8 +140,8 @@ def _known_tags(pixels: Pixels, raw: NDArray[Any], table: TagTable, *, allow_los
 
 def _tags_of_colours(pixels: Pixels, table: TagTable, *, allow_lossy: bool) -> Image:
     codes = _colour_codes(pixels)
-    tags: Image = _tags_by_code(table)[codes]
-    unknown = tags == _UNKNOWN
+    tags: Image = tags_by_code(table)[codes]
+    unknown = tags == UNKNOWN
     if not unknown.any():
         return tags
     if not allow_lossy:
@@ -158,15 +157,6 @@ def _colour_codes(pixels: Pixels) -> NDArray[Any]:
         return np.asarray(table[pixels.values])
     blue, green, red = (pixels.values[..., c].astype(np.uint32) for c in range(3))
     return (red << 16) | (green << 8) | blue
-
-
-@cache
-def _tags_by_code(table: TagTable) -> Image:
-    """(2^24,) tag of every colour code."""
-    tags = np.full(1 << 24, _UNKNOWN, np.uint8)
-    for (r, g, b), tag in table.tag_by_colour().items():
-        tags[(r << 16) | (g << 8) | b] = tag
-    return tags
 
 
 def _nearest(codes: NDArray[np.uint32], table: TagTable) -> Image:

@@ -82,7 +82,8 @@ def step(
     if observation is None:
         return after, Lanes(boundaries)
     merged = [lines.drawn(group, float(camera.height), observation.far) for group in observation.groups]
-    return after, Lanes(boundaries, observation.proposals, np.array(merged).reshape(-1, 4))
+    merged_px = np.array(merged).reshape(-1, 4)
+    return after, Lanes(boundaries, observation.proposals, merged_px, observation.edge_pixels)
 
 
 def _look(

@@ -42,16 +42,20 @@ def without_salt(cfg: LanesConfig, separators: Image) -> Image:
     return np.asarray(cv2.medianBlur(separators, size | 1), np.uint8)
 
 
-def propose(cfg: LanesConfig, separators: Image) -> Float:
-    """(N, 4) x1, y1, x2, y2 of Hough lines along the separators' edges.
+def edges_of(cfg: LanesConfig, separators: Image) -> Image:
+    """(H, W) uint8, 255 at the edges of (H, W) separators, which are 255 in 0."""
+    mask = without_salt(cfg, separators)
+    return np.asarray(cv2.Canny(mask, cfg.canny_low, cfg.canny_high, apertureSize=cfg.canny_aperture), np.uint8)
+
+
+def propose(cfg: LanesConfig, edges: Image) -> Float:
+    """(N, 4) x1, y1, x2, y2 of Hough lines along edges.
 
     Args:
         cfg: thresholds, for 960 rows.
-        separators: (H, W) uint8, 255 at separators.
+        edges: (H, W) uint8, 255 at edges.
     """
-    scale = separators.shape[0] / REFERENCE_ROWS
-    mask = without_salt(cfg, separators)
-    edges = cv2.Canny(mask, cfg.canny_low, cfg.canny_high, apertureSize=cfg.canny_aperture)
+    scale = edges.shape[0] / REFERENCE_ROWS
     found = cv2.HoughLinesP(
         edges,
         cfg.hough_rho_px * scale,

@@ -67,12 +67,16 @@ class Edges:
 
 @dataclass(frozen=True)
 class Observation:
-    """Everything one frame shows of the lane; ``far`` is the row of the road's far end."""
+    """Everything one frame shows of the lane; ``far`` is the row of the road's far end.
+
+    ``edge_pixels`` (H, W) are those along which lines were proposed, ``edges`` those that face the ego lane.
+    """
 
     view: View
     tags: Image
     table: TagTable
     far: float
+    edge_pixels: Mask | None = None
     proposals: Float = field(default_factory=lambda: np.empty((0, 4)))
     groups: tuple[LineGroup, ...] = ()
     edges: dict[Side, Edges] = field(default_factory=dict)
@@ -118,10 +122,11 @@ def observe(cfg: LanesConfig, view: View, tags: Image, table: TagTable, road: Ma
     if far is None:
         return Observation(view, tags, table, float(view.camera.cy))
     separators = np.asarray(cv2.LUT(tags, table.lookup(cfg.separators)), np.uint8)
-    proposals = lines.propose(cfg, separators * np.uint8(255))
+    edge_pixels = lines.edges_of(cfg, separators * np.uint8(255))
+    proposals = lines.propose(cfg, edge_pixels)
     groups = lines.merge(cfg, lines.on_road(cfg, proposals, road), view.camera.height)
     edges = {side: _edges(view, separators[far:], road, side, far) for side in SIDES} if cfg.model == "curve" else {}
-    seen = Observation(view, tags, table, float(far), proposals, groups, edges)
+    seen = Observation(view, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
     chosen = _ego_lane(cfg, view, groups)
     return replace(
         seen, sightings={side: Sighting(group, _curve(cfg, seen, side, group)) for side, group in chosen.items()}

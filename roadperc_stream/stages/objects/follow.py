@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.datatypes import Absent, Box, Detection, Image, Object, Objects
+from roadperc_stream.datatypes import Absent, Box, Correlation, Detection, Image, Object, Objects
 from roadperc_stream.geometry import Camera, Float32
 from roadperc_stream.semantics import TagTable
 from roadperc_stream.stages.objects import tracking
@@ -64,6 +64,15 @@ class _Seen:
     positions: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class _Searched:
+    """An object that no detection shows: its track, the object where its image was found, and where that was sought."""
+
+    track: Track
+    item: Object | None = None
+    correlation: Correlation | None = None
+
+
 def step(
     cfg: ObjectsConfig,
     state: ObjectsState,
@@ -106,14 +115,14 @@ def step(
     detected = _detected(cfg, state.next_number, scene, known, seen, pairs, stamp_ns)
     unseen = [track for k, track in enumerate(known) if k not in pairs]
     searched = [_searched(cfg, scene, track, seen) for track in unseen]
-    found = tuple(with_motion(cfg, item, track) for track, item in searched if item is not None)
-    tracks = _remembered([*detected.values(), *(track for track, _ in searched)])
+    found = tuple(with_motion(cfg, s.item, s.track) for s in searched if s.item is not None)
+    tracks = _remembered([*detected.values(), *(s.track for s in searched)])
     fresh = len(seen.items) - len(pairs)
     after = ObjectsState(tracks, state.next_number + fresh)
     if isinstance(judged, Absent) and not found:
         return after, judged
     followed = tuple(with_motion(cfg, item, detected[k]) if k in detected else item for k, item in enumerate(own))
-    return after, Objects(followed + found)
+    return after, Objects(followed + found, tuple(s.correlation for s in searched if s.correlation is not None))
 
 
 def _kept(scene: _Scene, objects: Sequence[Object]) -> _Seen:
@@ -161,36 +170,36 @@ def _with_patch(scene: _Scene, track: Track) -> Track:
     return replace(track, patch=cut(scene.grey, track.box_px, distance_m))
 
 
-def _searched(cfg: ObjectsConfig, scene: _Scene, track: Track, seen: _Seen) -> tuple[Track, Object | None]:
-    """The track and its object as the image shows it, judged as detections are; the track alone if it does not.
+def _searched(cfg: ObjectsConfig, scene: _Scene, track: Track, seen: _Seen) -> _Searched:
+    """The track and its object as the image shows it, judged as detections are; no object if it does not.
 
     What a detection shows already is not said twice, and where the tags say otherwise the match is chance.
     """
-    box_px = _place(cfg, scene, track) if tracking.proven(cfg, track) else None
-    if box_px is None:
-        return track, None
+    if track.patch is None or scene.grey is None or not tracking.proven(cfg, track):
+        return _Searched(track)
+    scale = tracking.zoom(track.patch.distance_m, track.distance_m)
+    correlation = track.patch.search(scene.grey, _around(track), scale)
+    found = None if correlation is None else correlation.match(cfg.template_min_score)
+    lost = _Searched(track, None, correlation)
+    if found is None:
+        return lost
+    box_px = scene.within(track.patch.whole(found[0], scale))
     judged = scene.judge(cfg, (replace(track.detection, box_px=box_px),))
     if isinstance(judged, Absent) or not judged.objects[0].kept:
-        return track, None
+        return lost
     item = replace(judged.objects[0], status="tracked")
     after = tracking.carried(cfg, track, item)
-    if similarities(cfg, [after], seen.items, seen.boxes).any():
-        return track, None
-    return after, item
+    shown = similarities(cfg, [after], seen.items, seen.boxes).any()
+    return lost if shown else _Searched(after, item, correlation)
 
 
-def _place(cfg: ObjectsConfig, scene: _Scene, track: Track) -> Box | None:
-    """Where the object's last image is seen near its predicted place, within the image."""
-    if track.patch is None or scene.grey is None:
-        return None
+def _around(track: Track) -> Box:
+    """Where the object's middle may be: near its predicted place."""
     width, height = track.box_px.x_max - track.box_px.x_min, track.box_px.y_max - track.box_px.y_min
     x, y = track.x_px.value, track.y_px.value
     aside = min(_SEARCH_SIGMAS * sqrt(track.x_px.value_var), _SEARCH_SIDES * width) + 1.0
     above = min(_SEARCH_SIGMAS * sqrt(track.y_px.value_var), _SEARCH_SIDES * height) + 1.0
-    around = Box(x - aside, y - above, x + aside, y + above)
-    scale = tracking.zoom(track.patch.distance_m, track.distance_m)
-    found = track.patch.find(scene.grey, around, scale, cfg.template_min_score)
-    return None if found is None else scene.within(found)
+    return Box(x - aside, y - above, x + aside, y + above)
 
 
 def _remembered(tracks: Sequence[Track]) -> tuple[Track, ...]:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from roadperc_stream.datatypes import Box, Image, read_only
-from roadperc_stream.template import find_patch
+from roadperc_stream.datatypes import Box, Correlation, Image, read_only
+from roadperc_stream.template import correlate
 
 _LARGEST_PX = 96
 """Longest side that is kept: the middle of a larger object is enough to find it."""
@@ -29,14 +29,13 @@ class Patch:
     def __post_init__(self) -> None:
         read_only(self.grey, np.uint8, (None, None), "patch")
 
-    def find(self, image_grey: Image, around: Box, scale: float, min_score: float) -> Box | None:
-        """The whole object's box in an image where it appears ``scale`` times as large; None where it is not found.
+    def search(self, image_grey: Image, around: Box, scale: float) -> Correlation | None:
+        """How well it fits an image where the object appears ``scale`` times as large; None where that says nothing.
 
         Args:
             image_grey: (H, W) uint8.
             around: where the object's middle may be.
             scale: 1 is the size at which it was cut out.
-            min_score: least normalised cross-correlation.
         """
         pixels = _resized(self.grey, scale)
         rows, columns = pixels.shape
@@ -47,10 +46,11 @@ class Patch:
             around.x_max + x + columns / 2,
             around.y_max + y + rows / 2,
         )
-        found = find_patch(image_grey, pixels, region, min_score)
-        if found is None:
-            return None
-        place, _ = found
+        return correlate(image_grey, pixels, region)
+
+    def whole(self, place: Box, scale: float) -> Box:
+        """The whole object's box where the patch, ``scale`` times as large, lies at a place."""
+        x, y = (off * scale for off in self.off_px)
         centre_x, centre_y = (place.x_min + place.x_max) / 2 - x, (place.y_min + place.y_max) / 2 - y
         width, height = (side * scale for side in self.sides_px)
         return Box(centre_x - width / 2, centre_y - height / 2, centre_x + width / 2, centre_y + height / 2)

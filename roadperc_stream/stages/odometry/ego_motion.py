@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.config import OdometryConfig
-from roadperc_stream.datatypes import Absent, Image, Mask, Odometry, Surface, read_only
+from roadperc_stream.datatypes import Absent, Image, Mask, Matches, Odometry, Surface, read_only
 from roadperc_stream.geometry import Camera, Float, Float32, inverse, project, transform
 from roadperc_stream.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.stages.odometry.features import FRONTENDS, scaled
@@ -74,6 +74,7 @@ def step(
     road: Surface | None,
     rng: np.random.Generator,
     stamp_ns: int,
+    unusable: str = "",
 ) -> tuple[OdometryState, Odometry | Absent]:
     """Follow the camera from the last frames to this one.
 
@@ -91,12 +92,14 @@ def step(
         road: the road in that camera's frame, which gives the scale where there is no depth; None: it is not known.
         rng: seeds OpenCV's random numbers.
         stamp_ns: the frame's time, later than the last frame's.
+        unusable: why the frame's image gives no pixels, where it has one.
 
     Returns:
         The new state, and the pose; absent where there has been no image yet.
     """
     if grey is None:
-        return state, _lost(state.odom_T_ego, "no image") if state.keyframe else Absent("no image")
+        missed = bool(unusable or state.keyframe)
+        return state, _lost(state.odom_T_ego, unusable or "no image") if missed else Absent("no image")
     cv2.setRNGSeed(int(rng.integers(2**31)))
     view = make_view(cfg, camera, ego_T_camera, grey, depth_m, movable, road, stamp_ns)
     if state.keyframe is None or state.fix is None:
@@ -133,6 +136,7 @@ def _continued(
         not metric,
         _row_by_row(covariance, fix.covariance),
         fix.stamp_ns,
+        matches=_matches(keyframe, view, sighting),
     )
     if not motion.scaled:
         keyframe = replace(keyframe, places=replace(keyframe.places, points_m=motion.points_m, metric=metric))
@@ -143,6 +147,13 @@ def _continued(
         found_px, covariance = keyframe.places.features.px, np.zeros((6, 6))
     velocity = _velocity(last_T_this, (view.stamp_ns - fix.stamp_ns) / _NANOSECONDS)
     return OdometryState(sighting.odom_T_ego, keyframe, Fix(view.stamp_ns, velocity, found_px, covariance)), out
+
+
+def _matches(keyframe: Keyframe, view: View, sighting: _Sighting) -> Matches:
+    """What was found again, in pixels of the whole images."""
+    found = np.isfinite(sighting.px).all(axis=1)
+    key_px = view.whole(keyframe.places.features.px[found])
+    return Matches(key_px, view.whole(sighting.px[found]), sighting.motion.inliers[found])
 
 
 def _look(cfg: OdometryConfig, odom_T_last: Float, keyframe: Keyframe, fix: Fix, view: View) -> _Sighting | Absent:

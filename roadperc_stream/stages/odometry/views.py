@@ -28,6 +28,10 @@ class View:
     road: Surface | None
     stamp_ns: int
 
+    def whole(self, px: Float32) -> Float32:
+        """(N, 2) pixels of the tracked image in the frame's: pixel centres are at integers in both."""
+        return np.asarray((px + 0.5) * self.shrink - 0.5, np.float32)
+
     def on_movable(self, px: Float32) -> Mask:
         """(N,) which of (N, 2) pixels lie on movable things; NaN lies on none."""
         on = np.zeros(len(px), bool)

@@ -71,7 +71,7 @@ def test_public_figures_of_course_frame_0(data_dir):
     """9 proposals and 5 merged lines, with the settings printed there."""
     tags = np.loadtxt(data_dir / "course_frames" / "segmentation" / "0.dat", delimiter=",").astype(np.uint8)
     cfg = load_config(None, tuple(f"lanes.{setting}" for setting in PUBLIC)).lanes
-    proposals = lines.propose(cfg, TABLE.lookup(cfg.separators)[tags] * np.uint8(255))
+    proposals = lines.propose(cfg, lines.edges_of(cfg, TABLE.lookup(cfg.separators)[tags] * np.uint8(255)))
     assert len(proposals) == 9
     road = TABLE.lookup(["road", "road_line"])[tags].view(bool)
     assert len(lines.merge(cfg, lines.on_road(cfg, proposals, road), 960)) == 5

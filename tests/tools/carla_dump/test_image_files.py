@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from roadperc_stream.images import encode_indices
+from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.tools.carla_dump.image_files import UnreadableFrameError, read_header, require_whole
 from roadperc_stream.tools.carla_dump.pixel_files import load_pixels
 from tests.tools.dump_writer import camera_pixels, jpeg, png

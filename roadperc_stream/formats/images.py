@@ -2,7 +2,7 @@
 
 import io
 import warnings
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -39,10 +39,18 @@ def decode_grey(data: bytes) -> Image:
 
 
 def _decoded(data: bytes, mode: int) -> Image:
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode) if data else None
+    pixels = decode_pixels(data, mode)
     if pixels is None:
         raise DecodeError(f"{len(data)} bytes are no image")
     return pixels.astype(np.uint8, copy=False)
+
+
+def decode_pixels(data: bytes, mode: int) -> NDArray[Any] | None:
+    """Pixels as OpenCV's ``mode`` has them; None of what it does not read, such as a billion pixels."""
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), mode) if data else None
+    except cv2.error:
+        return None
 
 
 def decode_indices(data: bytes) -> Image:
@@ -75,6 +83,12 @@ def encode_indices(indices: Image, colours: tuple[Colour, ...]) -> bytes:
     stream = io.BytesIO()
     image.save(stream, "PNG", compress_level=3)
     return stream.getvalue()
+
+
+def encode_jpeg(pixels_bgr: Image, quality: int) -> bytes:
+    """JPEG of (H, W, 3) pixels."""
+    _, encoded = cv2.imencode(".jpg", pixels_bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return encoded.tobytes()
 
 
 def depth_from_mm(depth_mm: NDArray[np.generic]) -> Float32:

@@ -12,7 +12,7 @@ from roadperc_stream import geometry as g
 from roadperc_stream.channels import POINTS_SCHEMA
 from roadperc_stream.decoding import Context, decode
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.points import encode_points
+from roadperc_stream.formats.points import encode_points
 
 STAMP = 1_600_000_000_000_000_000
 TYPES = {

@@ -6,12 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadperc_stream.colours import DRIVABLE
 from roadperc_stream.datatypes import Absent, Boundary, Lanes, Object, Objects
-from roadperc_stream.overlay import draw_overlay
+from roadperc_stream.pictures.overlay import draw_overlay
 from tests.analytic import box
 
 NOTHING = Absent("not run")
-GREEN, ORANGE, GREY = (70, 230, 40), (0, 150, 255), (170, 170, 170)
+GREEN, ORANGE, GREY = (77, 230, 26), (0, 128, 255), (165, 165, 165)
 
 
 def black(rows=240, columns=320):
@@ -68,7 +69,9 @@ def test_only_drivable_pixels_are_tinted():
     drawn = draw_overlay(black(), NOTHING, NOTHING, mask)
     assert not drawn[:200].any()
     assert (drawn[200:] == drawn[-1, -1]).all()
-    assert drawn[-1, -1, 0] > drawn[-1, -1, 2]
+    blue, green, red = drawn[-1, -1].astype(int)
+    assert blue > green > red > 0
+    np.testing.assert_allclose(np.array((red, green, blue)) / blue, np.array(DRIVABLE) / DRIVABLE[2], atol=0.03)
 
 
 def test_kept_boxes_are_solid_and_dropped_ones_dashed():

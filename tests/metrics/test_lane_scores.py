@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.lane_scores import (
+from roadperc_stream.metrics.lane_scores import (
     Counts,
     TuSimpleScore,
     counts_above,

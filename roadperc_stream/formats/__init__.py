@@ -1,0 +1,1 @@
+"""How pixels and points are stored in messages and files."""

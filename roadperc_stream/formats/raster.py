@@ -1,0 +1,134 @@
+"""Raw pixels of sensor_msgs/msg/Image and foxglove.RawImage, whose encodings bear the same names.
+
+Source of the names: ``sensor_msgs/image_encodings.hpp``. A row takes ``step`` bytes, of which the last may be padding.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.datatypes import Image
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats import images
+from roadperc_stream.formats.palette import tags_of_colours
+from roadperc_stream.geometry import Float32
+from roadperc_stream.semantics import TagTable
+
+_LAYOUTS: Final[Mapping[str, tuple[str, int]]] = {
+    "bgr8": ("u1", 3),
+    "rgb8": ("u1", 3),
+    "bgra8": ("u1", 4),
+    "rgba8": ("u1", 4),
+    "mono8": ("u1", 1),
+    "mono16": ("u2", 1),
+    "8UC1": ("u1", 1),
+    "8UC3": ("u1", 3),
+    "8UC4": ("u1", 4),
+    "16UC1": ("u2", 1),
+    "32FC1": ("f4", 1),
+}
+"""numpy's name of a number, and numbers a pixel."""
+_TO_BGR: Final[Mapping[str, int]] = {
+    "rgb8": cv2.COLOR_RGB2BGR,
+    "bgra8": cv2.COLOR_BGRA2BGR,
+    "8UC4": cv2.COLOR_BGRA2BGR,
+    "rgba8": cv2.COLOR_RGBA2BGR,
+    "mono8": cv2.COLOR_GRAY2BGR,
+    "8UC1": cv2.COLOR_GRAY2BGR,
+}
+_COLOURS: Final = ("bgr8", "8UC3")
+_GREYS: Final = ("mono8", "8UC1")
+_DEPTHS: Final = ("16UC1", "mono16", "32FC1")
+
+
+@dataclass(frozen=True)
+class Raster:
+    """An image message's pixels, as they stand in it."""
+
+    encoding: str
+    width: int
+    height: int
+    step: int
+    data: bytes | NDArray[np.uint8]
+    big_endian: bool = False
+
+    def pixels(self) -> NDArray[Any]:
+        """(H, W) or (H, W, channels) numbers; a view of ``data`` where rows are not padded.
+
+        Raises:
+            DecodeError: an unknown encoding, or not the bytes that the size asks for.
+        """
+        if self.encoding not in _LAYOUTS:
+            raise DecodeError(f"image encoding {self.encoding!r}: expected one of {', '.join(_LAYOUTS)}")
+        kind, channels = _LAYOUTS[self.encoding]
+        dtype = np.dtype(kind).newbyteorder(">" if self.big_endian else "<")
+        used, found = dtype.itemsize * channels * self.width, len(self.data)
+        if not (self.width and self.height) or self.step < used or found < self.step * self.height:
+            size = f"{self.encoding!r} image {self.width}x{self.height} with step {self.step}"
+            raise DecodeError(f"{size}: expected {max(self.step, used) * self.height} bytes or more, found {found}")
+        rows = np.frombuffer(self.data, np.uint8, self.step * self.height).reshape(self.height, self.step)
+        shape = (self.height, self.width) + (channels,) * (channels > 1)
+        return np.ascontiguousarray(rows[:, :used]).view(dtype).reshape(shape)
+
+    def bgr(self) -> Image:
+        """(H, W, 3) uint8, of a grey image too.
+
+        Raises:
+            DecodeError: no camera's image.
+        """
+        if self.encoding == "mono16":
+            return np.repeat(self._grey16()[..., np.newaxis], 3, axis=2)
+        if self.encoding in _COLOURS:
+            return self.pixels()
+        if self.encoding in _LAYOUTS and self.encoding not in _TO_BGR:
+            raise DecodeError(f"image encoding {self.encoding!r}: expected colours, mono8 or mono16")
+        pixels = self.pixels()
+        return cv2.cvtColor(pixels, _TO_BGR[self.encoding]).astype(np.uint8, copy=False)
+
+    def grey(self) -> Image:
+        """(H, W) uint8.
+
+        Raises:
+            DecodeError: no camera's image.
+        """
+        if self.encoding == "mono16":
+            return self._grey16()
+        if self.encoding in _GREYS:
+            return self.pixels()
+        return cv2.cvtColor(self.bgr(), cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
+
+    def depth(self) -> tuple[Float32, float]:
+        """(H, W) float32 metres, NaN unknown, and the depth at which the encoding ends.
+
+        Raises:
+            DecodeError: no depth.
+        """
+        if self.encoding not in _DEPTHS:
+            raise DecodeError(f"depth of encoding {self.encoding!r}: expected one of {', '.join(_DEPTHS)}")
+        pixels = self.pixels()
+        if pixels.dtype.kind == "u":
+            return images.depth_from_mm(pixels), images.DEPTH_LIMIT_MM / 1000
+        depth_m = pixels.astype(np.float32)
+        depth_m[~(depth_m > 0)] = np.nan
+        return depth_m, np.inf
+
+    @property
+    def indexed(self) -> bool:
+        """Whether a pixel is one small number: in a segmentation a tag, not its colour."""
+        return self.encoding in _GREYS
+
+    def tags(self, table: TagTable) -> Image:
+        """(H, W) uint8 tags: the numbers themselves, or those of CARLA's class colours.
+
+        Raises:
+            DecodeError: no tags, or a colour of no class.
+        """
+        return self.pixels() if self.indexed else tags_of_colours(self.bgr(), table)
+
+    def _grey16(self) -> Image:
+        grey: Image = (self.pixels() >> 8).astype(np.uint8)
+        return grey

@@ -1,0 +1,123 @@
+"""A log's facts, from one pass over it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.assemble import ego_T_camera_of
+from roadperc_stream.channels import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
+from roadperc_stream.geometry import Camera
+from roadperc_stream.info.facts import CameraFacts, ChannelFacts, FileFacts, LogFacts, ReplayFacts
+from roadperc_stream.info.provenance import provenance_of
+from roadperc_stream.info.scan import Scan
+from roadperc_stream.info.tally import Tally
+from roadperc_stream.log import Channel, Salvage
+from roadperc_stream.roles import is_result
+
+_NANOSECONDS: Final = 1_000_000_000
+
+
+def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
+    """Read a log once and say what is in it.
+
+    Args:
+        path: the log.
+        overrides: topic by role, from ``--topic``.
+
+    Raises:
+        LogError: the file cannot be opened, or is no log at all; of one that is damaged the facts tell how.
+    """
+    scan = Scan.of(path, overrides)
+    salvage, tallies = scan.salvage, scan.tallies.values()
+    first_ns = min((tally.first_ns for tally in tallies if tally.first_ns is not None), default=None)
+    last_ns = max((tally.last_ns for tally in tallies), default=None)
+    result = any(record.name == METADATA_RECORD for record in salvage.metadata)
+    result = result or any(is_result(channel) for channel in salvage.channels.values())
+    digest = scan.digest()
+    return LogFacts(
+        log=str(path),
+        kind="result" if result else "input",
+        log_id=None if digest is None else digest[:16],
+        file=_file_facts(salvage),
+        messages=salvage.counts.total(),
+        first_ns=first_ns,
+        last_ns=last_ns,
+        span_s=_seconds(last_ns, first_ns) or 0.0,
+        log_times_back=scan.log_times_back,
+        channels=tuple(_channel_facts(salvage.channels[i], scan, first_ns) for i in sorted(salvage.channels)),
+        replay=_replay_facts(scan),
+        provenance=provenance_of(path, salvage.metadata, salvage.attachments, digest) if result else None,
+    )
+
+
+def _seconds(at_ns: int | None, from_ns: int | None) -> float | None:
+    return None if at_ns is None or from_ns is None else (at_ns - from_ns) / _NANOSECONDS
+
+
+def _file_facts(salvage: Salvage) -> FileFacts:
+    return FileFacts(
+        size_bytes=salvage.size_bytes,
+        profile=salvage.profile,
+        library=salvage.library,
+        chunks=dict(salvage.chunks),
+        whole=salvage.whole,
+        damages=tuple(salvage.damages),
+        last_good_ns=salvage.last_good_ns,
+        absent=salvage.absent,
+        attachments={item.name: len(item.data) for item in salvage.attachments},
+        metadata=tuple(record.name for record in salvage.metadata),
+    )
+
+
+def _channel_facts(channel: Channel, scan: Scan, first_ns: int | None) -> ChannelFacts:
+    tally = scan.tallies.get(channel.source_id, Tally(None))
+    median_s = tally.intervals.quantile_s(0.5)
+    return ChannelFacts(
+        topic=channel.topic,
+        schema=channel.schema_name,
+        schema_encoding=channel.schema_encoding,
+        message_encoding=channel.message_encoding,
+        result=PRODUCER in channel.metadata,
+        messages=tally.messages,
+        size_bytes=tally.size_bytes,
+        first_ns=tally.first_ns,
+        last_ns=tally.last_ns if tally.messages else None,
+        rate_hz=1 / median_s if median_s else None,
+        jitter_s=tally.intervals.jitter_s(),
+        longest_gap_s=None if median_s is None else tally.longest_gap_ns / _NANOSECONDS,
+        gap_at_s=_seconds(tally.gap_after_ns, first_ns),
+        log_times_back=tally.log_times_back,
+        stamps_back=tally.stamps_back,
+        stamps_back_at_s=_seconds(tally.first_back_ns, first_ns),
+        stamps_repeated=tally.stamps_repeated,
+        stamps_unset=tally.stamps_unset,
+    )
+
+
+def _replay_facts(scan: Scan) -> ReplayFacts:
+    roles, topics = scan.roles, scan.roles.filled.topics
+    return ReplayFacts(
+        refusal=roles.refusal,
+        notes=roles.filled.notes,
+        roles=roles.states,
+        reference=roles.reference,
+        frames=scan.counts.frames,
+        alone=dict(scan.alone),
+        unused=dict(scan.counts.dropped),
+        skew_s=_seconds(scan.skew_ns, 0),
+        cameras=tuple(_camera_facts(role, camera, scan) for role, camera in scan.held.cameras.items()),
+        tag_table=_tag_table(scan, topics.get("segmentation")),
+        unreadable=dict(scan.problems.counts),
+        problems=tuple(scan.problems.first.values()),
+    )
+
+
+def _camera_facts(role: str, camera: Camera, scan: Scan) -> CameraFacts:
+    ego_T_camera = ego_T_camera_of(scan.held, camera)
+    return CameraFacts(role, camera, None if ego_T_camera is None else tuple(map(tuple, ego_T_camera.tolist())))
+
+
+def _tag_table(scan: Scan, topic: str | None) -> str | None:
+    """The tag table that the segmentation's channel names."""
+    channels = (channel for channel in scan.salvage.channels.values() if channel.topic == topic)
+    return next((channel.label(TAG_TABLE_KEY) for channel in channels if channel.label(TAG_TABLE_KEY)), None)

@@ -1,0 +1,176 @@
+"""Prints a log's facts: the file, its channels and their times, a replay's view of it, where a result comes from."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Final
+
+from rich.console import Console
+from rich.table import Table
+
+from roadperc_stream.info.facts import ChannelFacts, LogFacts
+from roadperc_stream.info.provenance import Provenance
+from roadperc_stream.info.replay_printing import print_replay
+from roadperc_stream.info.text import listed, number, plain, rounded, size
+from roadperc_stream.terminal import grid, print_lines, print_table
+
+_DAMAGES_SHOWN: Final = 5
+_ODD_JITTER, _ODD_GAP = 0.2, 1.5
+"""Median intervals from which on jitter and the longest gap are worth a line: from 1.5 on a message is missing."""
+_FEWEST: Final = 4
+_NUMBERS_WIDTH: Final = 20
+"""Columns that messages, Hz and the gaps beside them need."""
+_NANOSECONDS: Final = 1_000_000_000
+_LAST_DATE_S: Final = 253_402_300_800
+_NATURAL: Final = {".": "protobuf", "/": "cdr"}
+_INTERVALS_NOTE: Final = (
+    "jitter: 95 % of the intervals differ from the median by no more, where that is a fifth of it or more; "
+    "gap: the longest, where it is 1.5 times the median or more; from s: seconds after the log's first message"
+)
+_STAMPS_NOTE: Final = (
+    "back, same: own stamps before, or equal to, the one before; unset: zero, or not to be read; "
+    "late: messages in the file behind one of a later log time"
+)
+
+
+def print_log(console: Console, facts: LogFacts) -> None:
+    """All that is known of a log."""
+    print_lines(console, *_file_lines(facts), unbroken=True)
+    print_table(console, _channels(facts.channels, console.width))
+    print_table(console, _odd_intervals(facts.channels), _INTERVALS_NOTE)
+    print_table(console, _odd_stamps(facts.channels), _STAMPS_NOTE)
+    print_replay(console, facts)
+    if facts.provenance is not None:
+        print_lines(console, "", *_provenance_lines(facts.provenance), unbroken=True)
+        print_table(console, _settings(facts.provenance))
+
+
+def _file_lines(facts: LogFacts) -> Iterator[str]:
+    file = facts.file
+    called = f", log {facts.log_id}" if facts.log_id else ""
+    yield f"{plain(facts.log)}: {'whole' if file.whole else 'DAMAGED'}, {_KINDS[facts.kind]}{called}"
+    written = f" written by {plain(file.library)}" if file.library else ""
+    profile = f", profile {plain(file.profile)}" if file.profile else ""
+    yield f"{size(file.size_bytes)}{written}{profile}, {_chunks(file.chunks)}"
+    yield f"{number(facts.messages, 'message')} on {number(len(facts.channels), 'channel')}{_span(facts)}"
+    beside = [f"attachment {plain(name)} ({size(length)})" for name, length in file.attachments.items()]
+    beside += [f"metadata {plain(name)}" for name in file.metadata]
+    if beside:
+        yield listed(beside)
+    yield from _damage_lines(facts)
+    if file.absent:
+        yield f"without {', without '.join(file.absent)}"
+    if facts.log_times_back:
+        yield f"{number(facts.log_times_back, 'message')} in the file behind one of a later log time"
+
+
+_KINDS: Final = {"input": "an input", "result": "a result of roadperc-replay"}
+
+
+def _chunks(chunks: Mapping[str, int]) -> str:
+    counted = [f"{number(n, 'chunk')} ({plain(name) or 'not compressed'})" for name, n in chunks.items()]
+    return ", ".join(counted) or "no chunks"
+
+
+def _span(facts: LogFacts) -> str:
+    if facts.first_ns is None:
+        return ""
+    seconds = facts.first_ns / _NANOSECONDS
+    if seconds >= _LAST_DATE_S:
+        return f" over {facts.span_s:.2f} s from {facts.first_ns} ns"
+    return f" over {facts.span_s:.2f} s from {datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _damage_lines(facts: LogFacts) -> Iterator[str]:
+    file = facts.file
+    for damage in file.damages[:_DAMAGES_SHOWN]:
+        yield f"byte {damage.byte}: {plain(damage.words)}"
+    if len(file.damages) > _DAMAGES_SHOWN:
+        yield f"and {len(file.damages) - _DAMAGES_SHOWN} damages more"
+    if file.damages and file.last_good_ns is not None and facts.first_ns is not None:
+        after_s = (file.last_good_ns - facts.first_ns) / _NANOSECONDS
+        yield f"the last message before that is at {after_s:.3f} s ({file.last_good_ns} ns); below is what can be read"
+
+
+def _channels(channels: Sequence[ChannelFacts], width: int) -> Table:
+    """Schemas stand behind the numbers, or below the topics where the two are too long for one line."""
+    ordered = sorted(channels, key=lambda channel: (channel.result, channel.topic))
+    topics, schemas = [plain(channel.topic) for channel in ordered], [_schema(channel) for channel in ordered]
+    numbers = [(str(channel.messages), rounded(channel.rate_hz)) for channel in ordered]
+    if max(map(len, topics), default=0) + max(map(len, schemas), default=0) + _NUMBERS_WIDTH <= width:
+        table = grid("Channel", "messages", "Hz", text="schema", label_columns=12)
+        for topic, schema, cells in zip(topics, schemas, numbers, strict=True):
+            table.add_row(topic, *cells, schema)
+        return table
+    table = grid("Channel, schema", "messages", "Hz")
+    for topic, schema, cells in zip(topics, schemas, numbers, strict=True):
+        table.add_row(f"{topic}\n  {schema}", *cells)
+    return table
+
+
+def _schema(channel: ChannelFacts) -> str:
+    """The schema's name, with the encoding where it is not the one that such names have."""
+    name = plain(channel.schema) or "no schema"
+    natural = next((encoding for sign, encoding in _NATURAL.items() if sign in name), "")
+    return name if channel.message_encoding == natural else f"{name} ({plain(channel.message_encoding)})"
+
+
+def _odd_intervals(channels: Iterable[ChannelFacts]) -> Table:
+    table = grid("Odd intervals", "jitter ms", "gap s", "from s")
+    for channel in (c for c in channels if not c.result):  # results come as the frames have them
+        jitter_ms = 1000 * (channel.jitter_s or 0)
+        jitter = (rounded(jitter_ms),) if _is_odd(channel, _ODD_JITTER, channel.jitter_s) else ("",)
+        gap = (channel.longest_gap_s, channel.gap_at_s) if _is_odd(channel, _ODD_GAP, channel.longest_gap_s) else ()
+        if any(jitter) or gap:
+            table.add_row(plain(channel.topic), *jitter, *map(rounded, gap))
+    return table
+
+
+def _odd_stamps(channels: Iterable[ChannelFacts]) -> Table:
+    table = grid("Odd stamps", "back", "from s", "same", "unset", "late")
+    for channel in channels:
+        counts = (channel.stamps_back, channel.stamps_repeated, channel.stamps_unset, channel.log_times_back)
+        if any(counts):
+            back, *others = (str(count or "") for count in counts)
+            table.add_row(plain(channel.topic), back, rounded(channel.stamps_back_at_s), *others)
+    return table
+
+
+def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:
+    """Whether a time is at least so many of a channel's median intervals; few messages have no rhythm to break."""
+    if seconds is None or channel.rate_hz is None or channel.messages < _FEWEST:
+        return False
+    return seconds * channel.rate_hz >= least
+
+
+def _provenance_lines(provenance: Provenance) -> Iterator[str]:
+    config = (provenance.config_digest or "unknown")[:8]
+    version, seed = plain(provenance.version) or "unknown", plain(provenance.seed) or "unknown"
+    frames = "" if provenance.frames is None else f", {number(provenance.frames, 'frame')}"
+    yield f"replayed by version {version}, configuration {config}, seed {seed}{frames}"
+    yield _digest_line(provenance)
+    if provenance.dropped:
+        dropped = ", ".join(f"{plain(role)} {count}" for role, count in provenance.dropped.items())
+        yield f"messages that belonged to no frame: {dropped}"
+    for table in provenance.tables:
+        rows = "" if table.rows is None else f" ({number(table.rows, 'row')})"
+        yield f"{plain(table.path)}{rows}: {plain(table.fault) or 'belongs to this log'}"
+    if provenance.config_fault:
+        yield f"settings: {plain(provenance.config_fault)}"
+    elif not provenance.settings:
+        yield "settings: all at their defaults"
+
+
+def _digest_line(provenance: Provenance) -> str:
+    digest = plain(provenance.digest)[:16] or "unknown"
+    if provenance.digest_found is None:
+        return f"input {digest}: not in the file (--results-only), or not all of it can be read"
+    if provenance.changed:
+        return f"input {digest}: CHANGED since, its messages now give {provenance.digest_found[:16]}"
+    return f"input {digest}: its messages are those that were replayed"
+
+
+def _settings(provenance: Provenance) -> Table:
+    table = grid("Settings not at their defaults", "value", "default")
+    for setting in provenance.settings:
+        table.add_row(plain(setting.key), plain(setting.value), plain(setting.default or "no such setting"))
+    return table

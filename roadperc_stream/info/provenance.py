@@ -1,0 +1,131 @@
+"""Where a result comes from: version, seed and settings of the replay that wrote it, and the tables beside it."""
+
+import hashlib
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from roadperc_stream.channels import METADATA_RECORD
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.errors import TableError
+from roadperc_stream.log import Attachment, Metadata
+from roadperc_stream.replay import CONFIG_ATTACHMENT
+from roadperc_stream.table import beside, read_footer
+
+_DROPPED: Final = "dropped."
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A setting that is not at its default."""
+
+    key: str
+    value: str
+    default: str | None
+    """None where this version knows no such setting."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table beside the log."""
+
+    path: str
+    rows: int | None
+    fault: str = ""
+    """Why it is none of this log's; empty where it is."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a result says of the replay that wrote it."""
+
+    version: str
+    seed: str
+    digest: str
+    digest_found: str | None
+    """Digest of the input's messages as they are in the file now; None where they are not there or not all readable."""
+    frames: int | None
+    dropped: Mapping[str, int]
+    """Messages by role that belonged to no frame."""
+    config_digest: str | None
+    settings: tuple[Setting, ...]
+    config_fault: str
+    tables: tuple[Table, ...]
+
+    @property
+    def changed(self) -> bool:
+        """Whether the input's messages are not those that were replayed."""
+        return self.digest_found is not None and self.digest_found != self.digest
+
+
+def provenance_of(
+    path: Path, metadata: Iterable[Metadata], attachments: Iterable[Attachment], digest_found: str | None
+) -> Provenance:
+    """What the log's metadata record and its configuration say, and whether the tables beside it belong to it."""
+    facts = next((dict(record.values) for record in metadata if record.name == METADATA_RECORD), {})
+    toml = next((item.data for item in attachments if item.name == CONFIG_ATTACHMENT), None)
+    config_digest = None if toml is None else hashlib.sha256(toml).hexdigest()
+    settings, fault = _settings(toml)
+    digest = facts.get("digest", "")
+    return Provenance(
+        version=facts.get("version", ""),
+        seed=facts.get("seed", ""),
+        digest=digest,
+        digest_found=digest_found,
+        frames=_number(facts.get("frames", "")),
+        dropped={
+            name.removeprefix(_DROPPED): _number(value) or 0
+            for name, value in facts.items()
+            if name.startswith(_DROPPED)
+        },
+        config_digest=config_digest,
+        settings=settings,
+        config_fault=fault,
+        tables=tuple(_table(beside(path, name), digest, config_digest) for name in ("metrics", "objects")),
+    )
+
+
+def _settings(toml: bytes | None) -> tuple[tuple[Setting, ...], str]:
+    """The settings that differ from this version's defaults, or why there is no knowing."""
+    if toml is None:
+        return (), f"no attachment {CONFIG_ATTACHMENT}"
+    try:
+        found = _flat(tomllib.loads(toml.decode()))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        return (), f"attachment {CONFIG_ATTACHMENT} is not TOML: {error}"
+    defaults = _flat(tomllib.loads(ReplayConfig().to_toml()))
+    differing = (key for key, value in found.items() if key not in defaults or defaults[key] != value)
+    return tuple(Setting(key, _said(found[key]), _said(defaults.get(key))) for key in differing), ""
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Settings by their dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return flat
+
+
+def _said(value: Any) -> Any:
+    """A value as a command line would give it; None stays None."""
+    return value if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _number(text: str) -> int | None:
+    return int(text) if text.isdecimal() else None
+
+
+def _table(path: Path, digest: str, config_digest: str | None) -> Table:
+    if not path.exists():
+        return Table(str(path), None, "is not there")
+    try:
+        footer = read_footer(path)
+    except TableError as error:
+        return Table(str(path), None, str(error).removeprefix(f"{path}: "))
+    if footer.log_id not in (None, digest[:16]):
+        return Table(str(path), footer.rows, f"is of log {footer.log_id}")
+    if footer.facts.get("roadperc.config_digest") != config_digest:
+        return Table(str(path), footer.rows, "is of another configuration")
+    return Table(str(path), footer.rows)

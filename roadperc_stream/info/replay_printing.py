@@ -1,0 +1,98 @@
+"""Prints what a replay would make of a log: the roles, the frames, the cameras."""
+
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+from rich.console import Console
+from rich.table import Table
+
+from roadperc_stream.info.facts import CameraFacts, LogFacts, ReplayFacts
+from roadperc_stream.info.role_states import RoleState
+from roadperc_stream.info.text import listed, number, plain, rounded
+from roadperc_stream.terminal import grid, print_lines, print_table
+
+_ASIDE: Final = {"depth_calibration": "depth", "left_calibration": "left", "right_calibration": "right"}
+"""Calibrations that nobody misses where the camera itself is missing."""
+_CHOICES: Final = {
+    "contract": "",
+    "known": " (a name that other recorders use)",
+    "guessed": " (guessed: no other topic fits)",
+    "--topic": " (--topic)",
+}
+
+
+def print_replay(console: Console, facts: LogFacts) -> None:
+    """What a replay would make of the log."""
+    replay = facts.replay
+    print_table(console, _roles(replay.roles))
+    print_lines(console, "", *_frame_lines(facts.file.whole, replay))
+    print_table(console, _cameras(replay.cameras))
+
+
+def _roles(states: Iterable[RoleState]) -> Table:
+    table = grid("Role", text="topic, or what a replay does without", label_columns=18)
+    states = tuple(states)
+    filled = {state.role for state in states if state.state == "filled"}
+    for state in states:
+        if _worth_a_line(state, filled):
+            table.add_row(state.role, _said(state))
+    return table
+
+
+def _worth_a_line(state: RoleState, filled: set[str]) -> bool:
+    """Whether the role is filled, or somebody may miss it."""
+    if state.state != "missing" or state.candidates or state.why:
+        return True
+    missed_with = _ASIDE.get(state.role)
+    return bool(state.cost) and (missed_with is None or missed_with in filled)
+
+
+def _said(state: RoleState) -> str:
+    if state.state == "filled":
+        return f"{plain(state.topic or '')}{_CHOICES[state.why]}"
+    where = f" {plain(state.topic)}:" if state.topic else ""
+    fault = f"{where} {plain(state.why)}" if state.why else ""
+    cost = f": {state.cost}" if state.cost else ""
+    could = [f"--topic {state.role}={plain(topic)}" for topic in state.candidates]
+    return f"{state.state}{fault}{cost}" + (f"; could be {listed(could, 3)}" if could else "")
+
+
+def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
+    if not whole:
+        yield "a replay refuses the file as it is; mcap recover (of the mcap command) writes one of what can be read"
+    if replay.refusal is not None:
+        yield f"a replay stops: {plain(replay.refusal)}"
+    if replay.reference is not None:
+        skew = "" if replay.skew_s is None else f", stamps within a frame differ by up to {1000 * replay.skew_s:.1f} ms"
+        yield f"{number(replay.frames, 'frame')}, one per message of role {replay.reference}{skew}"
+    if replay.alone:
+        alone = ", ".join(f"{role} {count}" for role, count in sorted(replay.alone.items()))
+        yield f"frames without a message of a role within the tolerance: {alone}"
+    if replay.unused:
+        unused = ", ".join(f"{role} {count}" for role, count in sorted(replay.unused.items()))
+        yield f"messages that belong to no frame: {unused}"
+    yield from _tag_lines(replay)
+    for topic, count in replay.unreadable.items():
+        yield f"{plain(topic)}: {number(count, 'message')} cannot be decoded"
+    for problem in replay.problems:
+        yield f"first of these: {plain(problem)}"
+
+
+def _tag_lines(replay: ReplayFacts) -> Iterator[str]:
+    if any(state.role == "segmentation" and state.state == "filled" for state in replay.roles):
+        yield (
+            f"tag table {plain(replay.tag_table)}"
+            if replay.tag_table
+            else ("no tag table is named: a replay needs one, such as --set tag_table=0.9.15")
+        )
+
+
+def _cameras(cameras: Iterable[CameraFacts]) -> Table:
+    table = grid("Camera", "pixels", "fx px", "baseline m", "height m", text="remark", label_columns=18)
+    for found in cameras:
+        camera, height_m = found.camera, None if found.ego_T_camera is None else found.ego_T_camera[2][3]
+        remarks = ["not rectified"] if camera.lens is not None or camera.distortion else []
+        remarks += ["no transform from ego"] if height_m is None else []
+        cells = (f"{camera.width}x{camera.height}", rounded(camera.fx), rounded(camera.baseline_m), rounded(height_m))
+        table.add_row(found.role, *cells, ", ".join(remarks))
+    return table

@@ -1,0 +1,146 @@
+"""Which role of a replay is filled by what, which is not and why, and what a replay has to do without then."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from roadperc_stream.channels import REFERENCE_ROLES, ROLES, Role
+from roadperc_stream.decoding import schemas_of_kind
+from roadperc_stream.errors import ChannelError
+from roadperc_stream.log import Channel
+from roadperc_stream.roles import Filled, candidates, fill_roles, is_result
+
+State = Literal["filled", "missing", "wrong schema", "several channels"]
+_SHARED_KINDS: Final = ("tf",)
+_COSTS: Final = {
+    "calibration": "a replay stops: the camera is not known",
+    "segmentation": "no lanes, no detection is judged, the lower image stands in for the road",
+    "detections": "no objects",
+    "tf": "the camera is taken as level, at the height of the setting surface.assumed_height_m",
+}
+
+
+@dataclass(frozen=True)
+class RoleState:
+    """A role, and the channel that fills it or why none does."""
+
+    role: str
+    state: State
+    topic: str | None = None
+    """The topic that fills it, or the one whose channel does not fit."""
+    why: str = ""
+    """How the topic was chosen (``contract``, ``known``, ``guessed``, ``--topic``), or what is wrong with it."""
+    candidates: tuple[str, ...] = ()
+    """Topics that could fill it with ``--topic``."""
+    cost: str = ""
+    """What a replay has to do without."""
+
+
+@dataclass(frozen=True)
+class Roles:
+    """All roles of a log."""
+
+    states: tuple[RoleState, ...]
+    filled: Filled
+    refusal: str | None = None
+    """Why a replay with these topics stops before its first frame."""
+
+    @property
+    def reference(self) -> str | None:
+        """The role whose messages make the frames."""
+        return next((role for role in REFERENCE_ROLES if role in self.filled.topics), None)
+
+
+def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str]) -> Roles:
+    """The state of every role.
+
+    Args:
+        channels: of the log, those with messages.
+        overrides: topic by role, from ``--topic``.
+    """
+    inputs = [channel for channel in channels if not is_result(channel)]
+    refusal = None
+    try:
+        filled = fill_roles(inputs, overrides)
+    except ChannelError as error:
+        refusal, filled = str(error), Filled(_named(inputs, overrides))
+    found = Roles((), filled, refusal)
+    if refusal is None and found.reference is None:
+        refusal = f"no channel fills any of the roles {', '.join(REFERENCE_ROLES)}: nothing to replay"
+    could = candidates(inputs, filled.topics)
+    states = (_state(role, inputs, found, overrides, could.get(role.name, ())) for role in ROLES.values())
+    return Roles(tuple(states), filled, refusal)
+
+
+def _named(inputs: Sequence[Channel], overrides: Mapping[str, str]) -> dict[str, str]:
+    """The roles whose own topic is there and fits: what is sure where a replay would refuse the log."""
+    topics = {role.name: overrides.get(role.name, role.topic) for role in ROLES.values()}
+    return {name: topic for name, topic in topics.items() if _fault(ROLES[name], _on(topic, inputs)) == ("filled", "")}
+
+
+def _on(topic: str, channels: Sequence[Channel]) -> list[Channel]:
+    return [channel for channel in channels if channel.topic == topic]
+
+
+def _fault(role: Role, named: Sequence[Channel]) -> tuple[State, str]:
+    """What is wrong with the channels on a role's topic."""
+    if not named:
+        return "missing", ""
+    fitting = schemas_of_kind(role.kind)
+    for channel in named:
+        if (channel.schema_name, channel.message_encoding) not in fitting:
+            expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in fitting)
+            found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding or 'no encoding'})"
+            return "wrong schema", f"found {found}, expected {expected}"
+    if len(named) > 1 and role.kind not in _SHARED_KINDS:
+        return "several channels", f"{len(named)} channels carry this topic, expected one"
+    return "filled", ""
+
+
+def _state(
+    role: Role, inputs: Sequence[Channel], roles: Roles, overrides: Mapping[str, str], could: tuple[str, ...]
+) -> RoleState:
+    topic = roles.filled.topics.get(role.name)
+    if topic is not None:
+        return RoleState(role.name, "filled", topic, _choice(role, topic, roles.filled, overrides))
+    named = overrides.get(role.name, role.topic)
+    state, fault = _fault(role, _on(named, inputs))
+    if role.name in overrides and state == "missing":
+        fault = "no such topic"
+    cost = _cost(role.name, roles)
+    if state == "filled":  # it fits, but the log as a whole is refused before this role has its turn
+        state = "missing"
+    return RoleState(role.name, state, named if fault else None, fault, could, cost)
+
+
+def _choice(role: Role, topic: str, filled: Filled, overrides: Mapping[str, str]) -> str:
+    if role.name in overrides:
+        return "--topic"
+    if topic == role.topic:
+        return "contract"
+    return "guessed" if any(note.startswith(f"role {role.name}: {topic},") for note in filled.notes) else "known"
+
+
+def _cost(role: str, roles: Roles) -> str:
+    """What a replay does without, given what else is there; empty where that is nothing."""
+    there: Collection[str] = roles.filled.topics
+    if role == "image":
+        return "no images: no odometry" if "left" not in there else ""
+    if role == "calibration":
+        instead = {"left": "left_calibration", "depth": "depth_calibration"}.get(roles.reference or "", "")
+        return "" if instead in there else _COSTS[role]
+    if role == "depth":
+        return _depth_cost(there)
+    if role == "left_calibration":
+        return "a replay stops: the left camera is not known" if "left" in there else ""
+    if role == "right_calibration":
+        return "no stereo: the baseline is not known" if "right" in there else ""
+    return _COSTS.get(role, "")
+
+
+def _depth_cost(there: Collection[str]) -> str:
+    if {"right", "right_calibration"} <= set(there):
+        return "surface, distances and occupancy from stereo"
+    if "lidar" in there:
+        return "surface, distances and occupancy from the lidar's points, which are sparse"
+    return "surface from the mounting, no distances, no occupancy, no scale but by the camera's height"

@@ -1,0 +1,144 @@
+"""A log that is read while it is written: finished chunks from the file, the open one from memory."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from itertools import islice
+from pathlib import Path
+from threading import Lock
+
+from mcap.exceptions import McapError
+from mcap.records import Chunk
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader, breakup_chunk
+from zstandard import ZstdError
+
+from roadperc_stream.errors import LogError
+from roadperc_stream.log.records import Channel, Message
+
+
+@dataclass(frozen=True)
+class WrittenChunk:
+    """Where a finished chunk stands in the file, and what it holds."""
+
+    start_byte: int
+    end_byte: int
+    first_ns: int
+    last_ns: int
+    topics: frozenset[str]
+
+    def may_hold(self, topics: Collection[str] | None, start_ns: int, end_ns: int | None) -> bool:
+        """Whether a message of these topics and times can be in it."""
+        in_time = self.last_ns >= start_ns and (end_ns is None or self.first_ns < end_ns)
+        return in_time and (topics is None or not self.topics.isdisjoint(topics))
+
+
+@dataclass
+class GrowingLog:
+    """What a ``LogWriter`` has written so far, for one reader in another thread.
+
+    A chunk's place and time span are kept, and the messages of the one chunk that is still open: the memory is that of
+    a chunk, however long the log. Messages come in the order of the file.
+    """
+
+    path: Path
+    """Where the bytes stand now: the temporary name, then the final one."""
+    channels: tuple[Channel, ...]
+    """Those registered when reading began."""
+    _channels_by_id: dict[int, Channel] = field(default_factory=dict)
+    _chunks: list[WrittenChunk] = field(default_factory=list)
+    _open: list[Message] = field(default_factory=list)
+    _last_ns: int | None = None
+    _complete: bool = False
+    _lock: Lock = field(default_factory=Lock)
+
+    def append(self, channel_id: int, message: Message) -> None:
+        """Take note of a message in the open chunk."""
+        with self._lock:
+            self._channels_by_id[channel_id] = message.channel
+            self._open.append(message)
+            self._last_ns = max(message.log_time_ns, self._last_ns or 0)
+
+    def close_chunk(self, start_byte: int, end_byte: int) -> None:
+        """The open chunk stands in the file now, between these bytes."""
+        times = [message.log_time_ns for message in self._open]
+        topics = frozenset(message.channel.topic for message in self._open)
+        with self._lock:
+            self._chunks.append(WrittenChunk(start_byte, end_byte, min(times), max(times), topics))
+            self._open.clear()
+
+    def finish(self, temporary: Path, final: Path) -> None:
+        """Give the complete file its name; nobody reads from it meanwhile."""
+        with self._lock:
+            temporary.replace(final)
+            self.path, self._complete = final, True
+
+    def progress(self) -> tuple[int | None, bool]:
+        """Latest log time written, None before the first message; and whether the log is complete."""
+        with self._lock:
+            return self._last_ns, self._complete
+
+    def read(
+        self, *, topics: Collection[str] | None = None, start_ns: int = 0, end_ns: int | None = None
+    ) -> Iterator[Message]:
+        """The messages written so far, as ``log.read`` gives those of a finished log.
+
+        Raises:
+            LogError: the file cannot be read.
+        """
+        with self._lock:
+            chunks, tail = tuple(self._chunks), tuple(self._open)
+        for chunk in chunks:
+            if chunk.may_hold(topics, start_ns, end_ns):
+                yield from (m for m in self._load(chunk) if _wanted(m, topics, start_ns, end_ns))
+        yield from (m for m in tail if _wanted(m, topics, start_ns, end_ns))
+
+    def follow(self, start_ns: int) -> Iterator[Message | None]:
+        """All messages from a log time on; None where there is no more yet. It ends with the complete log.
+
+        Raises:
+            LogError: the file cannot be read.
+        """
+        chunk_index = taken = 0
+        while True:
+            with self._lock:
+                chunk = self._chunks[chunk_index] if chunk_index < len(self._chunks) else None
+                tail = () if chunk else tuple(self._open[taken:])
+                complete = self._complete
+            if chunk is not None:
+                messages = self._load(chunk) if chunk.may_hold(None, start_ns, None) else iter(())
+                yield from (m for m in islice(messages, taken, None) if m.log_time_ns >= start_ns)
+                chunk_index, taken = chunk_index + 1, 0
+            elif tail:
+                yield from (m for m in tail if m.log_time_ns >= start_ns)
+                taken += len(tail)
+            elif complete:
+                return
+            else:
+                yield None
+
+    def _load(self, chunk: WrittenChunk) -> Iterator[Message]:
+        try:
+            yield from self._messages(self._bytes(chunk))
+        except OSError as error:
+            raise LogError(f"{self.path}: {error.strerror or error}") from error
+        except (McapError, EOFError, ZstdError) as error:
+            raise LogError(f"{self.path}: damaged MCAP: {error}") from error
+
+    def _bytes(self, chunk: WrittenChunk) -> bytes:
+        with self._lock, self.path.open("rb") as stream:
+            stream.seek(chunk.start_byte)
+            return stream.read(chunk.end_byte - chunk.start_byte)
+
+    def _messages(self, data: bytes) -> Iterator[Message]:
+        chunk = next(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
+        assert isinstance(chunk, Chunk)
+        for record in breakup_chunk(chunk):
+            if isinstance(record, McapMessage):
+                channel = self._channels_by_id[record.channel_id]
+                yield Message(channel, record.log_time, record.publish_time, record.sequence, record.data)
+
+
+def _wanted(message: Message, topics: Collection[str] | None, start_ns: int, end_ns: int | None) -> bool:
+    in_time = message.log_time_ns >= start_ns and (end_ns is None or message.log_time_ns < end_ns)
+    return in_time and (topics is None or message.channel.topic in topics)

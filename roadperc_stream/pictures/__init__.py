@@ -1,0 +1,1 @@
+"""What the chain saw, drawn into the camera image."""

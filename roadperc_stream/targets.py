@@ -1,0 +1,49 @@
+"""Files that commands write: none is replaced unasked, and each appears under its name only when complete."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from roadperc_stream.errors import TargetError
+
+
+def require_free(target: Path, *, force: bool, source: Path | None = None, suffix: str = "") -> None:
+    """See that a file may be written.
+
+    Args:
+        target: the file.
+        force: an existing file may be replaced.
+        source: what the file is made from, which it must not replace.
+        suffix: how its name must end; empty for anyhow.
+
+    Raises:
+        TargetError: it may not.
+    """
+    if suffix and target.suffix.lower() != suffix:
+        raise TargetError(f"{target}: expected a name that ends in {suffix}")
+    if target.is_dir():
+        raise TargetError(f"{target}: is a folder, expected the name of a file")
+    if source is not None and target.exists() and source.exists() and target.samefile(source):
+        raise TargetError(f"{target}: is the input itself; name another output")
+    if target.exists() and not force:
+        raise TargetError(f"{target}: exists already; --force replaces it")
+
+
+@contextmanager
+def completing(target: Path) -> Iterator[Path]:
+    """A name beside the target to write to, which becomes the target where the block ends without an error.
+
+    Raises:
+        TargetError: the folder or the file cannot be written.
+    """
+    temporary = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        temporary.replace(target)
+    except OSError as error:
+        raise TargetError(f"{target}: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)

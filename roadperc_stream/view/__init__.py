@@ -1,0 +1,1 @@
+"""What people see of a log: Rerun, Foxglove, a film."""

@@ -1,0 +1,153 @@
+"""Serving a finished log until Ctrl-C, and the output of a replay while it is computed."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from threading import Thread
+from time import monotonic_ns
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from roadperc_stream.errors import LogError
+from roadperc_stream.log import LogWriter
+from roadperc_stream.table import beside
+from roadperc_stream.view.live.options import PlaybackOptions
+from roadperc_stream.view.live.player import Inbox, Player
+from roadperc_stream.view.live.server import serving
+from roadperc_stream.view.live.source import FinishedLog, RunningReplay, Source
+from roadperc_stream.view.live.timed import TimedSource
+from roadperc_stream.view.stage_times import ReplayTimes, TableTimes
+
+if TYPE_CHECKING:
+    from roadperc_stream.replay import Timed
+
+_NANOSECONDS = 1_000_000_000
+
+
+def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:
+    """Serve a finished log to Foxglove until Ctrl-C or SIGTERM, which ``command.run`` turns into Ctrl-C.
+
+    Args:
+        path: the log.
+        options: speed, start, loop and address.
+        quiet: print nothing.
+
+    Raises:
+        LogError: the log cannot be read or holds no message, or ``--start`` lies outside.
+        TableError: the metrics table beside it cannot be read.
+        ServeError: the port cannot be had.
+    """
+    log = FinishedLog.opened(path)
+    start_ns, span_ns = _start(log, options.start_s), (log.first_ns, log.last_ns)
+    with suppress(KeyboardInterrupt), playing(with_times(log), path.name, span_ns, options, start_ns, quiet) as player:
+        player.run()
+
+
+def with_times(log: FinishedLog) -> Source:
+    """A log with the times of its stages, where the table beside it has them.
+
+    Raises:
+        TableError: the table cannot be read.
+    """
+    timed = TimedSource(log, TableTimes(beside(log.path, "metrics")))
+    return timed if timed.has_times() else log
+
+
+class LiveReplay:
+    """Serves the output of a replay from its first message on. Use it as a context manager around ``replay``."""
+
+    def __init__(self, options: PlaybackOptions, *, quiet: bool = False) -> None:
+        self._options, self._quiet = options, quiet
+        self._until_exit = ExitStack()
+        self._thread: Thread | None = None
+        self._error: Exception | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def start(self, writer: LogWriter, span_ns: tuple[int, int]) -> "Timed":
+        """Begin: ``replay`` calls it when all channels are known and nothing is written yet.
+
+        Args:
+            writer: writes the output.
+            span_ns: first and last log time it will have.
+
+        Returns:
+            Takes each frame's times.
+
+        Raises:
+            ServeError: the port cannot be had.
+        """
+        times = ReplayTimes()
+        source = TimedSource(RunningReplay(writer.while_written(), span_ns[0]), times)
+        start_ns = source.reach().first_ns
+        served = playing(source, writer.path.name, span_ns, self._options, start_ns, self._quiet)
+        player = self._until_exit.enter_context(served)
+        self._thread = Thread(target=self._run, args=(player,), name="player", daemon=True)
+        self._thread.start()
+        self._until_exit.callback(self._thread.join)
+        self._until_exit.callback(player.stop)
+        return times.note
+
+    def wait(self) -> None:
+        """Go on serving the complete output until Ctrl-C; return at once where nothing is served.
+
+        Raises:
+            LogError: it can no longer be read.
+        """
+        if self._thread is not None:
+            with suppress(KeyboardInterrupt):
+                if not self._quiet:
+                    print("the replay is complete and still served: Ctrl-C ends", flush=True)
+                self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def _run(self, player: Player) -> None:
+        try:
+            player.run()
+        except Exception as error:
+            self._error = error
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._until_exit.close()
+
+
+@contextmanager
+def playing(
+    source: Source, name: str, span_ns: tuple[int, int], options: PlaybackOptions, start_ns: int, quiet: bool
+) -> Iterator[Player]:
+    """A player that is served under an address; the caller runs it.
+
+    Args:
+        source: what to play.
+        name: what viewers call it.
+        span_ns: first and last log time there will be.
+        options: speed, loop and address.
+        start_ns: log time to start at.
+        quiet: do not print where to connect.
+    """
+    inbox = Inbox()
+    with serving(name, options.host, options.port, span_ns, source.channels, inbox) as (audience, port):
+        if not quiet:
+            print(_invitation(options.host, port), flush=True)
+        yield Player(source, audience, inbox, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
+
+
+def _start(source: FinishedLog, start_s: float) -> int:
+    start_ns = source.first_ns + round(start_s * _NANOSECONDS)
+    if source.reach().clamp(start_ns) != start_ns:
+        length_s = (source.last_ns - source.first_ns) / _NANOSECONDS
+        raise LogError(f"{source.path}: --start {start_s:g}: expected 0 to {length_s:.3f}, the log's length in seconds")
+    return start_ns
+
+
+def _invitation(host: str, port: int) -> str:
+    address = f"[{host}]" if ":" in host else host
+    return (
+        f"serving ws://{address}:{port} (Ctrl-C ends)\n"
+        "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open\n"
+        "layout: roadperc-view --foxglove-layout FILE, then Layouts > Import from file"
+    )

@@ -1,0 +1,209 @@
+"""What the viewer shows where: the image with its overlays large, the scene beside it, plots and log below."""
+
+from collections.abc import Iterable, Mapping, Set
+from dataclasses import dataclass
+from typing import Final
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from roadperc_stream.channels import METRICS_TOPIC
+from roadperc_stream.results import EGO
+from roadperc_stream.view.rerun.plots import MISSING, STATES
+from roadperc_stream.view.rerun.tree import TREE
+from roadperc_stream.view.stage_times import TIMES
+
+_IN_THE_IMAGE: Final = ("/perception/lanes/annotations", "/perception/objects/annotations")
+_IN_SPACE: Final = (
+    "/perception/surface",
+    "/perception/drivable/scene",
+    "/perception/lanes/scene",
+    "/perception/objects/scene",
+    "/perception/occupancy",
+    "/perception/odometry",
+    "/perception/trajectory",
+    "/perception/tf",
+)
+_CURVES: Final[Mapping[str, tuple[str, ...]]] = {
+    "lane offsets, m": (
+        "lane_left_offset_m",
+        "lane_left_raw_offset_m",
+        "lane_right_offset_m",
+        "lane_right_raw_offset_m",
+    ),
+    "nearest object, m; time to impact, s": ("nearest_object_m", "time_to_impact_s"),
+    "motion": ("step_m", "turn_deg"),
+    "odometry inliers": ("odometry_inliers",),
+    "road": ("camera_pitch_deg", "camera_roll_deg", "camera_height_m", "surface_inlier_ratio"),
+    "errors of road and depth": ("surface_angle_error_deg", "camera_height_error_m", "stereo_epe_px", "stereo_abs_rel"),
+    "errors, m": ("lane_left_error_m", "lane_right_error_m", "object_distance_error_m", "step_error_m"),
+}
+"""Titles of the plots and their metrics."""
+_COLOURS: Final = {
+    "lane_left_offset_m": (26, 230, 77),
+    "lane_left_raw_offset_m": (150, 170, 60),
+    "lane_right_offset_m": (26, 160, 255),
+    "lane_right_raw_offset_m": (90, 120, 170),
+    "nearest_object_m": (255, 170, 0),
+    "time_to_impact_s": (255, 80, 80),
+}
+STAGE_COLOURS: Final = {
+    "decode": (150, 150, 150),
+    "surface": (0, 200, 120),
+    "lanes": (255, 220, 60),
+    "objects": (255, 110, 90),
+    "stereo": (60, 150, 255),
+    "odometry": (80, 220, 240),
+    "occupancy": (190, 120, 255),
+    "encode": (255, 150, 220),
+    "total": (240, 240, 240),
+}
+_WIDTHS: Final = (4.0, 2.0, 3.5)
+_SMOOTHED_WIDTH: Final = 2.0
+_RAW_WIDTH: Final = 0.8
+_EYE: Final = rrb.EyeControls3D(position=(-10.0, 0.0, 7.0), look_target=(12.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a log has: the topic of each role, and every entity logged."""
+
+    topics: Mapping[str, str]
+    entities: Set[str]
+
+    def has(self, entity: str) -> bool:
+        """Whether anything stands at or below an entity."""
+        return any(known == entity or known.startswith(f"{entity}/") for known in self.entities)
+
+    def present(self, entities: Iterable[str | None]) -> list[str]:
+        """Those that are there."""
+        return [entity for entity in entities if entity is not None and self.has(entity)]
+
+
+def blueprint(log: Log, timeline: str) -> rrb.Blueprint:
+    """Panels of what the log has, and no empty ones."""
+    rows = [_row(_WIDTHS, *_pictures(log)), _row((1.0, 1.0, 1.0), *_numbers(log))]
+    filled = [row for row in rows if row is not None]
+    return rrb.Blueprint(
+        rrb.Vertical(*filled, row_shares=[2.0, 1.0][: len(filled)]),
+        rrb.TimePanel(timeline=timeline, state="collapsed"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+        auto_views=not filled,
+    )
+
+
+def _row(widths: Iterable[float], *parts: rrb.Container | rrb.View | None) -> rrb.Container | None:
+    there = [(part, width) for part, width in zip(parts, widths, strict=False) if part is not None]
+    shares = [width for _, width in there]
+    return rrb.Horizontal(*(part for part, _ in there), column_shares=shares) if there else None
+
+
+def _tabs(views: list[rrb.View]) -> rrb.Container | rrb.View | None:
+    return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else next(iter(views), None)
+
+
+def _pictures(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
+    """The front image, the other pictures and the scene."""
+    return _tabs(_front(log)), _aside(log), _space(log)
+
+
+def _front(log: Log) -> list[rrb.View]:
+    """The image with what was found drawn over it; where there is no image, what takes its place."""
+    under = log.present(log.topics.get(role) for role in ("image", "left", "segmentation", "depth"))[:1]
+    results, inputs = log.present(_IN_THE_IMAGE), log.present([log.topics.get("detections")])
+    name = "image and results" if results else "image and detections" if inputs else "image"
+    views: list[rrb.View] = [_picture(name, entity, (*(results or inputs),)) for entity in under]
+    made = sorted(e for e in log.entities if e.startswith(("/perception/overlay", "/perception/debug/")))
+    return views + [_picture(entity.rpartition("/")[2], entity) for entity in made]
+
+
+def _aside(log: Log) -> rrb.Container | None:
+    """Tags and depth, each with what was found of it behind."""
+    tags = {"tags": log.topics.get("segmentation"), "drivable": "/perception/drivable"}
+    depth = {"depth": log.topics.get("depth"), "stereo depth": "/perception/stereo/depth"}
+    more = {"left": log.topics.get("left"), "right": log.topics.get("right")}
+    stacks = [_tabs(_named(log, names)) for names in (tags, depth | more)]
+    there = [stack for stack in stacks if stack is not None]
+    return rrb.Vertical(*there) if there else None
+
+
+def _named(log: Log, entities: Mapping[str, str | None]) -> list[rrb.View]:
+    return [
+        _picture(name, entity) for name, entity in entities.items() if entity is not None and entity in log.entities
+    ]
+
+
+def _picture(name: str, entity: str, over: tuple[str, ...] = ()) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(origin=entity, name=name, contents=[entity, *(f"{part}/**" for part in over)])
+
+
+def _space(log: Log) -> rrb.View | None:
+    """Seen from behind the car and above it; the depth, or what stereo found of it, as points."""
+    depth = log.present([log.topics.get("depth"), "/perception/stereo/depth"])[:1]
+    inputs = log.present(log.topics.get(role) for role in ("image", "calibration", "lidar", "truth_lanes"))
+    parts = [*depth, *inputs, *log.present([TREE]), *log.present(_IN_SPACE)]
+    if not (depth or log.present(_IN_SPACE) or log.has(log.topics.get("lidar", "?"))):
+        return None
+    return rrb.Spatial3DView(
+        origin="/",
+        name="scene (car's frame)",
+        contents=[f"{part}/**" for part in parts],
+        spatial_information=rrb.SpatialInformation(target_frame=EGO),
+        eye_controls=_EYE,
+        line_grid=False,
+    )
+
+
+def _numbers(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
+    """Lane offsets, all other metrics, and times, states and words."""
+    plots = {title: _plot(log, title, names) for title, names in _CURVES.items()}
+    lanes = plots.pop("lane offsets, m")
+    return lanes, _tabs([plot for plot in plots.values() if plot is not None]), _tabs(_stages_and_words(log))
+
+
+def _plot(log: Log, title: str, names: tuple[str, ...]) -> rrb.View | None:
+    there = [name for name in names if f"{METRICS_TOPIC}/{name}" in log.entities]
+    if not there:
+        return None
+    return rrb.TimeSeriesView(
+        name=title,
+        contents=[f"{METRICS_TOPIC}/{name}" for name in there],
+        overrides={f"{METRICS_TOPIC}/{name}": _line(name) for name in there if name in _COLOURS},
+        plot_legend=rrb.Corner2D.RightTop,
+    )
+
+
+def _line(name: str) -> rr.SeriesLines:
+    short = name.removeprefix("lane_").replace("_offset_m", "").replace("_", " ")
+    width = _RAW_WIDTH if "_raw_" in name else _SMOOTHED_WIDTH
+    return rr.SeriesLines(colors=_COLOURS[name], widths=width, names=short)
+
+
+def _times(log: Log) -> rrb.View:
+    """Milliseconds of the stages that ran; the legend lies over the curves, so it is short."""
+    there = [stage for stage in STAGE_COLOURS if f"{TIMES}/{stage}_ms" in log.entities]
+    return rrb.TimeSeriesView(
+        name="time per stage, ms",
+        contents=[f"{TIMES}/{stage}_ms" for stage in there],
+        overrides={f"{TIMES}/{stage}_ms": _stage_line(stage) for stage in there},
+        plot_legend=rrb.Corner2D.RightTop,
+    )
+
+
+def _stage_line(stage: str) -> rr.SeriesLines:
+    width = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH
+    return rr.SeriesLines(colors=STAGE_COLOURS[stage], widths=width, names=stage)
+
+
+def _stages_and_words(log: Log) -> list[rrb.View]:
+    views: list[rrb.View] = []
+    if log.has(TIMES):
+        views.append(_times(log))
+    states = sorted(e for e in log.entities if e.startswith(METRICS_TOPIC) and e.endswith((*STATES, MISSING)))
+    if states:
+        views.append(rrb.StateTimelineView(name="states", contents=states))
+    lines = log.present(("/perception/log", f"{METRICS_TOPIC}/reasons"))
+    if lines:
+        views.append(rrb.TextLogView(name="log", contents=lines))
+    return views

@@ -1,0 +1,132 @@
+"""Which channels of a log are drawn, and how: messages to entries."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from typing import Any, Final
+
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import DecodeError as ProtobufError
+
+from roadperc_stream.channels import IMAGE_SCHEMA, METRICS_TOPIC, ON_REQUEST, Kind, result_schemas
+from roadperc_stream.decoding import Context, context_of_channel, decode
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.log import Channel, Message
+from roadperc_stream.results import DRIVABLE_COLOURS
+from roadperc_stream.roles import Filled, is_result
+from roadperc_stream.schemas import cdr, ros2
+from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.semantics import TagTable
+from roadperc_stream.view.rerun import boxes, lanes, pictures, plots, scene
+from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.view.stage_times import TIMES, StageTimes
+
+Drawer = Callable[[Message], Iterator[Entry]]
+
+_KINDS: Final[Mapping[Kind, Callable[[str, str, Any, World], Iterator[Entry]]]] = {
+    "image": pictures.image,
+    "tags": pictures.tags,
+    "depth": pictures.depth,
+    "calibration": pictures.calibration,
+    "points": scene.points,
+    "tf": scene.transforms,
+    "pose": scene.pose,
+    "surface": scene.road,
+    "detections": boxes.detections,
+    "objects": boxes.objects,
+    "lanes": lanes.lanes,
+}
+_RESULT_KINDS: Final[Mapping[str, tuple[Kind, str]]] = {
+    "/perception/surface": ("surface", "result"),
+    "/perception/drivable": ("tags", "image"),
+    "/perception/lanes": ("lanes", "result"),
+    "/perception/objects": ("objects", "result"),
+    "/perception/stereo/depth": ("depth", "left"),
+    "/perception/odometry": ("pose", "result"),
+    "/perception/tf": ("tf", "result"),
+}
+"""Results that are written as inputs of a role are, and the role whose camera they belong to."""
+_SCHEMAS: Final = result_schemas(tuple(ON_REQUEST.values()))
+_PICTURES: Final = ("/perception/overlay", "/perception/debug/")
+_DRIVABLE: Final = TagTable("drivable", ("other", "drivable"), DRIVABLE_COLOURS)
+_PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], Iterator[Entry]]]]] = {
+    "/perception/drivable/scene": (SceneUpdate.FromString, scene.outlines),
+    "/perception/trajectory": (PosesInFrame.FromString, scene.trajectory),
+    "/perception/log": (Log.FromString, plots.log_line),
+    "/perception/occupancy": (
+        lambda data: cdr.read(data, ros2.OCCUPANCY_GRID, ros2.DEFINITIONS[ros2.OCCUPANCY_GRID]),
+        scene.occupancy,
+    ),
+}
+
+
+def drawers(channels: Iterable[Channel], filled: Filled, world: World, times: StageTimes) -> dict[Channel, Drawer]:
+    """How the messages of each channel are drawn; channels that are not are left out."""
+    found = {channel: _drawer(channel, filled, world, times) for channel in channels}
+    return {channel: drawer for channel, drawer in found.items() if drawer is not None}
+
+
+def _drawer(channel: Channel, filled: Filled, world: World, times: StageTimes) -> Drawer | None:
+    if is_result(channel):
+        return _result_drawer(channel, world, times)
+    roles = filled.roles_of(channel.topic)
+    if not roles:
+        return None
+    return _kind_drawer(channel, roles[0].kind, roles[0].name, world)
+
+
+def _result_drawer(channel: Channel, world: World, times: StageTimes) -> Drawer | None:
+    topic = channel.topic
+    if channel.schema_name != _SCHEMAS.get(topic):
+        return None
+    if topic == METRICS_TOPIC:
+        return partial(_parsed, FrameMetrics.FromString, partial(_numbers, times, world))
+    if topic in _PARSERS:
+        return partial(_parsed, *_PARSERS[topic])
+    if topic.startswith(_PICTURES):
+        return partial(_encoded, "image", world)
+    if topic in _RESULT_KINDS:
+        return _kind_drawer(channel, *_RESULT_KINDS[topic], world)
+    return None
+
+
+def _kind_drawer(channel: Channel, kind: Kind, role: str, world: World) -> Drawer:
+    if kind == "image" and (channel.schema_name, channel.message_encoding) == (IMAGE_SCHEMA, "protobuf"):
+        return partial(_encoded, role, world)
+    context = context_of_channel(channel, "auto")
+    context = Context(_DRIVABLE) if kind == "tags" and is_result(channel) else context
+    return partial(_decoded, kind, role, context, world)
+
+
+def _parsed(
+    parse: Callable[[bytes], Any], draw: Callable[[str, Any], Iterator[Entry]], message: Message
+) -> Iterator[Entry]:
+    try:
+        content = parse(message.data)
+    except ProtobufError as error:
+        raise DecodeError(f"{len(message.data)} bytes are no {message.channel.schema_name}: {error}") from error
+    return draw(message.channel.topic, content)
+
+
+def _numbers(times: StageTimes, world: World, entity: str, message: Any) -> Iterator[Entry]:
+    """A frame's metrics, and the times of its stages, which stand in the table alone."""
+    yield from plots.metrics(entity, message, world)
+    yield from plots.times(TIMES, times.of(message.log_id, message.frame))
+
+
+def _encoded(role: str, world: World, message: Message) -> Iterator[Entry]:
+    """The image's own bytes: nothing is decoded."""
+    return _parsed(CompressedImage.FromString, partial(_as_it_is, role, world), message)
+
+
+def _as_it_is(role: str, world: World, entity: str, content: Any) -> Iterator[Entry]:
+    yield pictures.encoded(entity, content.data, content.format, world.image_frame(role, content.frame_id))
+
+
+def _decoded(kind: Kind, role: str, context: Context, world: World, message: Message) -> Iterator[Entry]:
+    channel = message.channel
+    schema, encoding = channel.schema_name, channel.message_encoding
+    decoded = decode(kind, schema, encoding, message.data, message.log_time_ns, context)
+    return _KINDS[kind](channel.topic, role, decoded.payload, world)

@@ -1,0 +1,49 @@
+"""Messages of one log time together, with the number of their frame."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import groupby
+
+from google.protobuf.message import DecodeError as ProtobufError
+
+from roadperc_stream.log import Message
+from roadperc_stream.roles import holds_metrics
+from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+
+
+@dataclass(frozen=True)
+class Moment:
+    """All messages of one log time."""
+
+    log_time_ns: int
+    frame: int
+    """Number of the frame it belongs to, from 0; what comes before the first frame counts to it."""
+    messages: tuple[Message, ...]
+
+    @property
+    def has_results(self) -> bool:
+        """Whether a frame's results are among them: each frame has its metrics."""
+        return any(holds_metrics(message.channel) for message in self.messages)
+
+
+def moments(messages: Iterable[Message], reference: str | None) -> Iterator[Moment]:
+    """Group messages by log time.
+
+    Args:
+        messages: in log-time order.
+        reference: topic of which every message is a frame, where no metrics number it; None where there is none.
+    """
+    frame = -1
+    for log_time_ns, together in groupby(messages, key=lambda message: message.log_time_ns):
+        group = tuple(together)
+        frame = _frame(group, reference, frame)
+        yield Moment(log_time_ns, max(frame, 0), group)
+
+
+def _frame(group: tuple[Message, ...], reference: str | None, last: int) -> int:
+    """The number that the metrics of these messages say, else the next one where a frame is among them."""
+    for message in (m for m in group if holds_metrics(m.channel)):
+        with suppress(ProtobufError):  # a damaged one is told of where it would be drawn
+            return int(FrameMetrics.FromString(message.data).frame)
+    return last + any(message.channel.topic == reference for message in group)

@@ -1,0 +1,73 @@
+"""Images, tags and depth as Rerun shows them."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import rerun as rr
+
+from roadperc_stream.datatypes import CameraImage, DepthImage, TagImage
+from roadperc_stream.formats.images import depth_to_mm, encode_jpeg
+from roadperc_stream.geometry import Camera
+from roadperc_stream.view.rerun.entry import Entry, World, annotation_context, image_plane
+from roadperc_stream.view.rerun.tree import new_edges
+
+_MM_PER_M: Final = 1000.0
+_COLOURED_MM: Final = (0.0, 40_000.0)
+"""Beyond it the road is a few rows high, and all would be one colour."""
+_JPEG_QUALITY: Final = 90
+_PIXEL_CENTRE: Final = 0.5
+"""Rerun counts pixels from the image's corner, this project from the first pixel's centre."""
+
+
+def encoded(entity: str, contents: bytes, image_format: str, frame: str) -> Entry:
+    """An image as the log holds it."""
+    return Entry(entity, rr.EncodedImage(contents=contents, media_type=f"image/{image_format}"), frame)
+
+
+def image(entity: str, role: str, payload: CameraImage, world: World) -> Iterator[Entry]:
+    """An image of raw pixels, or of a message that is no foxglove.CompressedImage: encoded here."""
+    jpeg = encode_jpeg(payload.bgr, _JPEG_QUALITY)
+    yield encoded(entity, jpeg, "jpeg", world.image_frame(role, payload.frame_id))
+
+
+def tags(entity: str, role: str, payload: TagImage, world: World) -> Iterator[Entry]:
+    """Class ids, and the names and colours of their table."""
+    yield Entry(entity, annotation_context(payload.table.names, payload.table.colours))
+    yield Entry(entity, rr.SegmentationImage(payload.tags), world.image_frame(role, payload.frame_id))
+
+
+def depth(entity: str, role: str, payload: DepthImage, world: World) -> Iterator[Entry]:
+    """Millimetres, 0 where the depth is unknown or saturated: such pixels are no points in space."""
+    camera = world.camera_of(role)
+    borrowed = "depth_calibration" not in world.held.cameras
+    if camera and borrowed and payload.frame_id not in ("", camera.frame_id):
+        yield pinhole(f"{entity}/camera", replace(camera, frame_id=payload.frame_id))
+    known_mm = np.where(payload.depth_m < payload.limit_m, depth_to_mm(payload.depth_m), 0).astype(np.uint16)
+    picture = rr.DepthImage(known_mm, meter=_MM_PER_M, colormap="turbo", depth_range=_COLOURED_MM, point_fill_ratio=0.5)
+    yield Entry(entity, picture, image_plane(payload.frame_id or (camera.frame_id if camera else "")))
+
+
+def calibration(entity: str, role: str, payload: Camera, world: World) -> Iterator[Entry]:
+    """A camera; the front one's frame tells which frame of the tree is ego."""
+    world.hold(role, payload)
+    yield pinhole(entity, payload)
+    yield from new_edges(world)
+
+
+def pinhole(entity: str, payload: Camera) -> Entry:
+    """The image plane below a camera's frame."""
+    K = payload.K.copy()
+    K[:2, 2] += _PIXEL_CENTRE
+    return Entry(
+        entity,
+        rr.Pinhole(
+            image_from_camera=K,
+            resolution=(payload.width, payload.height),
+            camera_xyz=rr.ViewCoordinates.RDF,
+            parent_frame=payload.frame_id,
+            child_frame=image_plane(payload.frame_id),
+            image_plane_distance=1.0,
+        ),
+    )

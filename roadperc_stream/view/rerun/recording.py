@@ -1,0 +1,198 @@
+"""A log to a Rerun viewer or into a recording, message by message."""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import rerun as rr
+
+from roadperc_stream import log
+from roadperc_stream.channels import REFERENCE_ROLES, RESULTS
+from roadperc_stream.command import no_progress
+from roadperc_stream.errors import DecodeError, LogError, TargetError
+from roadperc_stream.log import LogSummary
+from roadperc_stream.roles import Filled, Problems, roles_of_log
+from roadperc_stream.table import beside
+from roadperc_stream.targets import completing, require_free
+from roadperc_stream.view.rerun.blueprint import Log, blueprint
+from roadperc_stream.view.rerun.drawing import drawers
+from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.view.rerun.moments import Moment, moments
+from roadperc_stream.view.rerun.viewer import URL, start_viewer
+from roadperc_stream.view.stage_times import TableTimes
+
+LOG_TIME, FRAME = "message_log_time", "frame"
+_APPLICATION: Final = "roadperc"
+_END_OF_TIME_NS: Final = 2**63
+_LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), flush_num_bytes=16 * 2**20)
+"""A recording's footer, held in memory, names every chunk: small ones cost 0.25 MB a frame."""
+_MOST_WAITING: Final = 25
+"""Moments that may wait to be written or sent: the queue to the thread that does it has no end of its own."""
+_FOOTER: Final = b"FOOT"
+_TAIL_BYTES: Final = 16
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What went to Rerun, for the person who asked."""
+
+    frames: int
+    notes: tuple[str, ...]
+    problems: Mapping[str, int]
+
+
+def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = no_progress) -> Exported:
+    """Open the viewer and send it a log; it stays open.
+
+    Raises:
+        RoadpercError: the log cannot be read, or the viewer does not start or does not answer.
+    """
+    summary, filled = _opened(path, overrides)
+    start_viewer()
+    recording = _recording(path)
+    with _stated(f"{URL}: the viewer is gone"):
+        recording.connect_grpc(URL)
+        exported = _export(recording, summary, filled, progress, arrange_early=True)
+        recording.flush()
+    return exported
+
+
+def save_recording(
+    path: Path, target: Path, overrides: Mapping[str, str], *, force: bool = False, progress: Progress = no_progress
+) -> Exported:
+    """Write a log as a Rerun recording with its blueprint; the file appears under its name only when complete.
+
+    Raises:
+        RoadpercError: the log cannot be read, ``target`` exists and ``force`` is not set, or it cannot be written
+            whole; nothing is left behind.
+    """
+    require_free(target, force=force, source=path)
+    summary, filled = _opened(path, overrides)
+    broken = f"{target}: could not be written whole; is there room for it?"
+    with completing(target) as temporary, _stated(broken):
+        recording = _recording(path, _LARGE_CHUNKS)
+        recording.save(temporary)
+        exported = _export(recording, summary, filled, progress, arrange_early=False)
+        recording.disconnect()
+        if not _is_whole(temporary):
+            raise TargetError(broken)
+    return exported
+
+
+@contextmanager
+def _stated(fault: str) -> Iterator[None]:
+    """What the SDK throws where its file or its viewer is gone, in words."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise TargetError(fault) from error
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a recording has its footer: the SDK does not say so where it could not write it."""
+    with path.open("rb") as stream:
+        stream.seek(-min(_TAIL_BYTES, path.stat().st_size), os.SEEK_END)
+        return _FOOTER in stream.read()
+
+
+def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, Filled]:
+    summary = log.summarise(path)
+    return summary, roles_of_log(summary, overrides)
+
+
+def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
+    recording = rr.RecordingStream(_APPLICATION, batcher_config=batches)
+    recording.set_log_time_enabled(False)  # when this program ran is of no interest to who looks at the log
+    recording.send_recording_name(path.name)
+    return recording
+
+
+def _export(
+    recording: rr.RecordingStream, summary: LogSummary, filled: Filled, progress: Progress, *, arrange_early: bool
+) -> Exported:
+    """Log every message, and arrange what was logged."""
+    role = next((role for role in REFERENCE_ROLES if role in filled.topics), "")
+    reference = filled.topics.get(role)
+    sender = _Sender(recording, summary, filled, World(role))
+    expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == reference)
+    frames = 0
+    messages = log.read(summary.path, validate_crcs=not summary.sealed)
+    for count, moment in enumerate(moments(messages, reference), 1):
+        sender.send(moment)
+        if count % _MOST_WAITING == 0:
+            recording.flush()
+        if arrange_early and frames == 1 and moment.frame == 1:  # the first frame is there: it has most of what comes
+            recording.send_blueprint(sender.arranged())
+        frames = max(frames, moment.frame + 1)
+        progress(frames, expected)
+    recording.send_blueprint(sender.arranged())
+    return Exported(frames, (*filled.notes, *sender.problems.first.values()), dict(sender.problems.counts))
+
+
+class _Sender:
+    """Sends moments to a recording; what a frame does not have any more is cleared."""
+
+    def __init__(self, recording: rr.RecordingStream, summary: LogSummary, filled: Filled, world: World) -> None:
+        self._recording = recording
+        self._filled = filled
+        self._drawers = drawers(summary.channels, filled, world, TableTimes(beside(summary.path, "metrics")))
+        self._contexts: dict[str, rr.AsComponents] = {}
+        self._drawn: set[str] = set()
+        self._entities: set[str] = set()
+        self.problems = Problems()
+
+    def arranged(self) -> rr.blueprint.Blueprint:
+        """The blueprint of what has been sent."""
+        return blueprint(Log(self._filled.topics, frozenset(self._entities)), LOG_TIME)
+
+    def send(self, moment: Moment) -> None:
+        """Log one moment.
+
+        Raises:
+            LogError: its time is none that Rerun can show.
+        """
+        if moment.log_time_ns >= _END_OF_TIME_NS:
+            raise LogError(f"log time {moment.log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
+        self._recording.set_time(LOG_TIME, timestamp=np.datetime64(moment.log_time_ns, "ns"))
+        self._recording.set_time(FRAME, sequence=moment.frame)
+        entries = list(self._entries(moment))
+        for entry in entries:
+            self._log(entry)
+        if moment.has_results:
+            self._clear({entry.entity for entry in entries if _is_of_a_frame(entry)})
+
+    def _entries(self, moment: Moment) -> Iterator[Entry]:
+        for message in moment.messages:
+            drawer = self._drawers.get(message.channel)
+            topic = message.channel.topic
+            try:
+                yield from drawer(message) if drawer else ()
+            except DecodeError as error:
+                self.problems.add(topic, f"{topic}: message at {message.log_time_ns} ns: {error}")
+
+    def _log(self, entry: Entry) -> None:
+        self._entities.add(entry.entity)
+        if isinstance(entry.archetype, rr.AnnotationContext):
+            if entry.entity not in self._contexts:  # it holds for all of the recording
+                self._contexts[entry.entity] = entry.archetype
+                self._recording.log(entry.entity, entry.archetype, static=True)
+        elif entry.frame:
+            self._recording.log(entry.entity, entry.archetype, rr.CoordinateFrame(entry.frame))
+        else:
+            self._recording.log(entry.entity, entry.archetype)
+
+    def _clear(self, drawn: set[str]) -> None:
+        """The viewer shows the last of everything: what this frame has not would be shown of an earlier one."""
+        for entity in sorted(self._drawn - drawn):
+            self._recording.log(entity, rr.Clear(recursive=False))
+        self._drawn = drawn
+
+
+def _is_of_a_frame(entry: Entry) -> bool:
+    return bool(entry.frame) and entry.entity.startswith(tuple(RESULTS))

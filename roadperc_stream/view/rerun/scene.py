@@ -1,0 +1,95 @@
+"""The road, the map around the car and its way, in space."""
+
+from collections.abc import Iterator
+from itertools import chain
+from typing import Any, Final
+
+import numpy as np
+import rerun as rr
+
+from roadperc_stream import colours
+from roadperc_stream.datatypes import PointCloud, Surface
+from roadperc_stream.decoding import Transform
+from roadperc_stream.decoding.payload import require_finite
+from roadperc_stream.drawing import patch_triangles, road_patch
+from roadperc_stream.geometry import level_mounting
+from roadperc_stream.results import EGO
+from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.view.rerun.tree import edge_entry, known_as, new_edges
+
+_ROAD: Final = (*colours.DRIVABLE, 70)
+_WAY: Final = (255, 170, 0)
+_BELOW_THE_ROAD_M: Final = -0.05
+"""The map lies a little lower than the road's plane: in one plane they would flicker."""
+
+
+def transforms(entity: str, role: str, payload: tuple[Transform, ...], world: World) -> Iterator[Entry]:
+    """What a message changes in the tree, or where odometry sees the car."""
+    if role == "result":
+        yield from (edge_entry(entity, edge) for edge in payload)
+    else:
+        world.hold(role, payload)
+        yield from new_edges(world)
+
+
+def pose(entity: str, _role: str, payload: Transform, _world: World) -> Iterator[Entry]:
+    """Where the car is and looks to: an arrow of 2 m."""
+    matrix = payload.parent_T_child
+    arrow = rr.Arrows3D(origins=[matrix[:3, 3]], vectors=[2.0 * matrix[:3, 0]], colors=[_WAY], radii=[0.1])
+    yield Entry(entity, arrow, payload.parent)
+
+
+def road(entity: str, role: str, payload: Surface, world: World) -> Iterator[Entry]:
+    """A patch of the road ahead; and from the first one the mounting of a camera that the log does not place."""
+    if role.startswith("truth"):
+        return  # it would cover the road that was found
+    if world.assumed_mounting is None:
+        world.assumed_mounting = level_mounting(_assumed_height_m(payload))
+        yield from new_edges(world)
+    patch = road_patch(payload)
+    mesh = rr.Mesh3D(vertex_positions=patch, triangle_indices=patch_triangles(patch), albedo_factor=_ROAD)
+    yield Entry(entity, mesh, EGO)
+
+
+def _assumed_height_m(surface: Surface) -> float:
+    """Height of a level camera above the ego origin: what is between its height above the road and the road's."""
+    return float((surface.camera_height_m - surface.ego_plane.offset_m) / surface.ego_plane.normal[2])
+
+
+def points(entity: str, _role: str, payload: PointCloud, _world: World) -> Iterator[Entry]:
+    """A lidar's points."""
+    cloud = rr.Points3D(payload.points_m, radii=rr.Radius.ui_points(1.5))
+    yield Entry(entity, cloud, known_as(payload.frame_id))
+
+
+def outlines(entity: str, message: Any) -> Iterator[Entry]:
+    """Lines of a foxglove.SceneUpdate; the road's own patch is drawn from the surface."""
+    for part in message.entities:
+        strips = [_closed([(p.x, p.y, p.z) for p in line.points]) for line in part.lines]
+        lines = rr.LineStrips3D(strips, radii=rr.Radius.ui_points(2.0), colors=[colours.DRIVABLE] * len(strips))
+        yield Entry(f"{entity}/{part.id}", lines, part.frame_id)
+
+
+def _closed(strip: list[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
+    return strip + strip[:1]
+
+
+def occupancy(entity: str, message: Any) -> Iterator[Entry]:
+    """The map of a nav_msgs/msg/OccupancyGrid."""
+    info = message.info
+    grid = rr.GridMap(
+        data=np.ascontiguousarray(message.data).tobytes(),
+        format=rr.components.ImageFormat(width=info.width, height=info.height, color_model="L", channel_datatype="U8"),
+        cell_size=info.resolution,
+        translation=(info.origin.position.x, info.origin.position.y, info.origin.position.z + _BELOW_THE_ROAD_M),
+        colormap="rvizmap",
+        opacity=0.6,
+    )
+    yield Entry(entity, grid, message.header.frame_id)
+
+
+def trajectory(entity: str, message: Any) -> Iterator[Entry]:
+    """The way of a foxglove.PosesInFrame."""
+    way = [(pose.position.x, pose.position.y, pose.position.z) for pose in message.poses]
+    require_finite("way", *chain.from_iterable(way))
+    yield Entry(entity, rr.LineStrips3D([way], colors=[_WAY], radii=0.08), message.frame_id)

@@ -1,0 +1,75 @@
+"""The transform tree as Rerun draws it: the car's frame of the results on top, and one parent for each frame."""
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+import numpy as np
+import rerun as rr
+
+from roadperc_stream.assemble import ego_frame_of
+from roadperc_stream.decoding import Transform
+from roadperc_stream.geometry import inverse
+from roadperc_stream.results import EGO, ODOM
+from roadperc_stream.view.rerun.entry import Entry, World
+
+TREE: Final = "/tf"
+"""Below it each frame of the log has one entity, whichever topic places it: of two entities neither would hold."""
+
+
+def new_edges(world: World) -> Iterator[Entry]:
+    """The edges that are not drawn yet as they are now."""
+    for child, edge in ego_tree(world).items():
+        if not _same(edge, world.edges.get(child)):
+            world.edges[child] = edge
+            yield edge_entry(TREE, edge)
+
+
+def _same(edge: Transform, drawn: Transform | None) -> bool:
+    if drawn is None or drawn.parent != edge.parent:
+        return False
+    return np.array_equal(drawn.parent_T_child, edge.parent_T_child)
+
+
+def known_as(frame_id: str) -> str:
+    """What a frame of the log is called: its own odom is not the one of the results, which starts with them."""
+    return f"{ODOM} of the log" if frame_id == ODOM else frame_id
+
+
+def ego_tree(world: World) -> Mapping[str, Transform]:
+    """The edges by child, as the chain reads them: what it takes for ego hangs on ego.
+
+    Without a mounting that is the front camera itself, as soon as a result tells how high it was taken to be.
+    """
+    camera, assumed = world.front, world.assumed_mounting
+    own = ego_frame_of(world.held, camera) if camera else None
+    if camera and own is None and assumed is not None:
+        return _below_ego(world.held.transforms, camera.frame_id, Transform(EGO, camera.frame_id, assumed))
+    return _below_ego(world.held.transforms, own or EGO, Transform(EGO, own or EGO, np.eye(4)))
+
+
+def _below_ego(edges: Mapping[str, Transform], frame: str, ego_T_frame: Transform) -> Mapping[str, Transform]:
+    """The tree with a frame on top, and that frame below ego."""
+    tree = _hung_from(edges, frame) | {frame: ego_T_frame}
+    return {
+        child: Transform(known_as(edge.parent), known_as(child), edge.parent_T_child)
+        for child, edge in tree.items()
+        if child != EGO  # odometry alone says where ego is
+    }
+
+
+def _hung_from(edges: Mapping[str, Transform], frame: str) -> dict[str, Transform]:
+    """The tree with a frame on top: the edges above it are turned round, so that what hangs on them is not lost."""
+    tree, at = dict(edges), frame
+    above = tree.pop(frame, None)
+    while above is not None:
+        turned = Transform(at, above.parent, inverse(above.parent_T_child))
+        at, above = above.parent, tree.get(above.parent)
+        tree[at] = turned
+    return tree
+
+
+def edge_entry(entity: str, edge: Transform) -> Entry:
+    """An edge, at an entity named by its child."""
+    rotation, translation = edge.parent_T_child[:3, :3], edge.parent_T_child[:3, 3]
+    drawn = rr.Transform3D(translation=translation, mat3x3=rotation, parent_frame=edge.parent, child_frame=edge.child)
+    return Entry(f"{entity}/{rr.escape_entity_path_part(edge.child)}", drawn)

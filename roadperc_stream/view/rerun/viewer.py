@@ -1,0 +1,64 @@
+"""The Rerun viewer as a program of its own, which stays open."""
+
+import socket
+import subprocess
+import sys
+from contextlib import suppress
+from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException
+from time import monotonic, sleep
+from typing import Final
+
+from roadperc_stream.errors import RoadpercError
+
+URL: Final = "rerun+http://127.0.0.1:9876/proxy"
+_ADDRESS: Final = ("127.0.0.1", 9876)
+_COMMAND: Final = (sys.executable, "-m", "rerun", "--bind", _ADDRESS[0], "--port", str(_ADDRESS[1]))
+_STARTS_WITHIN_S: Final = 30.0
+_ANSWERS_WITHIN_S: Final = 5.0
+_FALLS_WITHIN_S: Final = 2.0
+"""A viewer without a display listens for a moment before it notices."""
+
+
+def start_viewer() -> None:
+    """Start a viewer on the loopback address; where one listens there already, it is the one that is used.
+
+    The SDK's own ``spawn`` listens on all addresses, and waits for ever for a viewer that has no display.
+
+    Raises:
+        RoadpercError: no viewer comes up, or another program has its port.
+    """
+    if _listening():
+        if not _is_viewer():
+            where = f"{_ADDRESS[0]}:{_ADDRESS[1]}"
+            raise RoadpercError(f"{where}: taken by a program that is no Rerun viewer; --save FILE.rrd needs no port")
+        return
+    quiet = subprocess.DEVNULL
+    viewer = subprocess.Popen(_COMMAND, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
+    deadline = monotonic() + _STARTS_WITHIN_S
+    while monotonic() < deadline and viewer.poll() is None and not _listening():
+        sleep(0.1)
+    with suppress(subprocess.TimeoutExpired):
+        viewer.wait(_FALLS_WITHIN_S)
+    if viewer.poll() is not None or not _listening():
+        raise RoadpercError("the Rerun viewer does not start, is there a display? --save FILE.rrd writes a recording")
+
+
+def _listening() -> bool:
+    try:
+        socket.create_connection(_ADDRESS, timeout=1.0).close()
+    except OSError:
+        return False
+    return True
+
+
+def _is_viewer() -> bool:
+    """Whether what listens answers as a viewer does: the SDK would wait for ever for a program that does not."""
+    connection = HTTPConnection(*_ADDRESS, timeout=_ANSWERS_WITHIN_S)
+    try:
+        connection.request("OPTIONS", "/proxy")
+        return connection.getresponse().status == HTTPStatus.OK
+    except (OSError, HTTPException):
+        return False
+    finally:
+        connection.close()

@@ -1,0 +1,217 @@
+"""A film of a log's overlays, for people without a viewer: VP9 in an MP4 file.
+
+VP9 is what OpenCV's wheels can write that browsers play; they hold no encoder of H.264.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Final, Self
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from google.protobuf.message import DecodeError as ProtobufError
+
+from roadperc_stream import log
+from roadperc_stream.command import no_progress
+from roadperc_stream.datatypes import Image
+from roadperc_stream.errors import DecodeError, LogError
+from roadperc_stream.formats import images
+from roadperc_stream.pictures.overlay import draw_overlay
+from roadperc_stream.pictures.strip import draw_strip
+from roadperc_stream.roles import Problems
+from roadperc_stream.targets import completing, require_free
+from roadperc_stream.view.seen import METRICS, SeenFrame, content_of, is_result_of, read_frames, read_rows, row_of
+
+OVERLAY: Final = "/perception/overlay"
+_CODEC: Final = "vp09"
+_MOST_COLUMNS: Final = 960
+"""A broader film is made smaller: the time that VP9 takes grows with its pixels."""
+_SLOWEST_HZ, _FASTEST_HZ = 1.0, 120.0
+_LONGEST_STILL_S: Final = 10.0
+_NANOSECONDS: Final = 1e9
+
+
+@dataclass(frozen=True)
+class Film:
+    """What was filmed: pictures written at ``rate_hz``, of so many frames of the log, so many of them without image."""
+
+    pictures: int
+    rate_hz: float
+    frames: int
+    without_image: int
+    shortened: int
+    """Gaps of the log that lasted longer than a still is shown."""
+    problems: Problems
+    """Messages that could not be read: they are not in the picture."""
+
+
+def write_video(
+    source: Path, target: Path, *, force: bool = False, progress: Callable[[int, int], None] = no_progress
+) -> Film:
+    """Film a log with results: its overlays, or, where it has none, the camera image with the results drawn in.
+
+    The film runs at the log's own pace, by the frames' stamps: its rate is that of their median interval, frames that
+    come faster are left out, and in a gap the last picture stands still, for 10 s at most.
+
+    Args:
+        source: a log that ``roadperc-replay`` wrote.
+        target: the film, ``.mp4``.
+        force: replace an existing film.
+        progress: called with frames done and frames expected.
+
+    Raises:
+        LogError: the log cannot be read, holds no results or no pictures, or the film cannot be written; nothing is
+            left behind.
+    """
+    require_free(target, force=force, source=source, suffix=".mp4")
+    stamps, problems = _frame_stamps(source), Problems()
+    rate_hz = frame_rate_hz(stamps)
+    shown = pictures_shown(stamps, rate_hz)
+    filmed = without_image = 0
+    with completing(target) as temporary, _FilmWriter(target, temporary, rate_hz) as film:
+        for picture, times in zip(_shots(source, problems), shown, strict=True):
+            without_image += picture is None
+            film.show(picture, times)
+            filmed += 1
+            progress(filmed, len(stamps))
+        if not film.pictures:
+            why = "".join(f"; {text}" for text in problems.first.values())
+            raise LogError(f"{source}: no camera image to film in any of {filmed} frames{why}")
+    still = (later - earlier > _LONGEST_STILL_S * _NANOSECONDS for earlier, later in pairwise(stamps))
+    return Film(film.pictures, rate_hz, filmed, without_image, sum(still), problems)
+
+
+def _frame_stamps(source: Path) -> list[int]:
+    problems = Problems()
+    stamps = [row.stamp_ns for row in read_rows(source, problems)]
+    if problems.first and not stamps:
+        raise LogError(f"{source}: no results to film; {problems.first[METRICS]}")
+    if not stamps:
+        raise LogError(f"{source}: no results to film; roadperc-replay {source.name} OUT.mcap makes them")
+    return stamps
+
+
+def frame_rate_hz(stamps_ns: Sequence[int]) -> float:
+    """Rate of the median interval between frames, within what players take; stamps that go back do not count."""
+    forward = [later - earlier for earlier, later in pairwise(stamps_ns) if later > earlier]
+    if not forward:
+        return _SLOWEST_HZ
+    return float(np.clip(_NANOSECONDS / float(np.median(forward)), _SLOWEST_HZ, _FASTEST_HZ))
+
+
+def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
+    """How many of the film's pictures show each frame, so that film time follows the frames' time.
+
+    None of a frame that comes faster than the film's rate; where stamps go back, the film goes on with one.
+    """
+    elapsed, ticks = 0.0, [0]
+    for earlier, later in pairwise(stamps_ns):
+        seconds = (later - earlier) / _NANOSECONDS
+        elapsed += min(seconds, _LONGEST_STILL_S) if seconds > 0 else 1 / rate_hz
+        # Half a picture late rather than by turns early and late, where intervals are those of the rate.
+        ticks.append(int(elapsed * rate_hz + 0.5))
+    return [later - earlier for earlier, later in pairwise([*ticks, ticks[-1] + 1])]
+
+
+def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
+    """Every frame's picture in order, None where there is no image."""
+    summary = log.summarise(source)
+    written = [channel for channel in summary.channels if is_result_of(channel, OVERLAY)]
+    if any(summary.counts.get(channel.source_id) for channel in written):
+        yield from _overlays(source, problems)
+        return
+    first_ns: int | None = None
+    for row, seen in read_frames(source, problems):
+        first_ns = row.stamp_ns if first_ns is None else first_ns
+        picture = None if seen is None else _drawn(seen)
+        if picture is not None:
+            draw_strip(picture, row, (row.stamp_ns - first_ns) / _NANOSECONDS)
+        yield picture
+
+
+def _overlays(source: Path, problems: Problems) -> Iterator[Image | None]:
+    """The overlays of a log: each stands behind the metrics of its frame."""
+    frames, picture = 0, None
+    for message in log.read(source, topics=(OVERLAY, METRICS)):
+        if is_result_of(message.channel, OVERLAY):
+            picture = content_of(partial(_decoded, message.data), OVERLAY, message.log_time_ns, problems)
+        elif row_of(message, problems):
+            if frames:
+                yield picture
+            frames, picture = frames + 1, None
+    if frames:
+        yield picture
+
+
+def _decoded(data: bytes) -> Image:
+    try:
+        return images.decode_bgr(CompressedImage.FromString(data).data)
+    except ProtobufError as error:
+        raise DecodeError(f"{len(data)} bytes are no foxglove.CompressedImage: {error}") from error
+
+
+def _drawn(seen: SeenFrame) -> Image:
+    width_px = min(seen.image_bgr.shape[1], _MOST_COLUMNS)
+    return draw_overlay(seen.image_bgr, seen.lanes, seen.objects, seen.drivable, width_px=width_px)
+
+
+class _FilmWriter:
+    """Writes a film of the size of its first picture; what it writes to becomes ``target``."""
+
+    def __init__(self, target: Path, temporary: Path, rate_hz: float) -> None:
+        self.pictures = 0
+        self._target, self._temporary, self._rate_hz = target, temporary, rate_hz
+        self._writer: cv2.VideoWriter | None = None
+        self._last: Image | None = None
+
+    def show(self, picture: Image | None, times: int) -> None:
+        """Show a picture, or None the one before, for a number of the film's pictures."""
+        if picture is not None:
+            self._last = self._fitted(picture)
+        if self._last is None:
+            return
+        if self._writer is None:
+            self._writer = self._opened(self._last)
+        for _ in range(times):
+            self._writer.write(self._last)
+        self.pictures += times
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._writer is not None:
+            self._writer.release()
+        if kind is None and _pictures_in(self._temporary) != self.pictures:
+            raise LogError(f"{self._target}: the film could not be written whole; is there room for it?")
+
+    def _fitted(self, picture: Image) -> Image:
+        """Of the film's size, which is even: the coder halves the resolution of colours."""
+        if self._last is not None:
+            rows, columns = self._last.shape[:2]
+        else:
+            scale = min(_MOST_COLUMNS / picture.shape[1], 1.0)
+            rows, columns = (2 * max(int(side * scale / 2), 1) for side in picture.shape[:2])
+        if picture.shape[:2] == (rows, columns):
+            return picture
+        return np.asarray(cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
+
+    def _opened(self, picture: Image) -> cv2.VideoWriter:
+        rows, columns = picture.shape[:2]
+        fourcc = cv2.VideoWriter.fourcc(*_CODEC)
+        writer = cv2.VideoWriter(str(self._temporary), cv2.CAP_FFMPEG, fourcc, self._rate_hz, (columns, rows))
+        if not writer.isOpened():
+            raise LogError(f"{self._target}: cannot be written, or this OpenCV has no VP9 encoder")
+        return writer
+
+
+def _pictures_in(path: Path) -> int:
+    """Pictures that a film's index counts; 0 where it cannot be read."""
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    capture.release()
+    return count

@@ -1,0 +1,1 @@
+"""Tests of how pixels and points are stored."""

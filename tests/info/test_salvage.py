@@ -1,0 +1,114 @@
+"""What can be read of a damaged log is read, and where it breaks is said."""
+
+import pytest
+from mcap.writer import CompressionType, Writer
+
+from roadperc_stream.errors import LogError
+from roadperc_stream.log import Salvage, read
+from tests.info.odd import WRITERS, write
+
+TIMES = [10 * k for k in range(1, 61)]
+
+
+def salvaged(path):
+    salvage = Salvage(path)
+    return salvage, list(salvage.messages())
+
+
+@pytest.mark.parametrize("options", WRITERS.values(), ids=WRITERS)
+def test_a_whole_log_of_any_writer_is_whole(tmp_path, options):
+    salvage, messages = salvaged(write(tmp_path / "a.mcap", TIMES, **options))
+    assert (salvage.whole, salvage.damages) == (True, [])
+    assert [m.log_time_ns for m in messages] == TIMES
+    assert messages == list(read(tmp_path / "a.mcap"))
+
+
+def test_a_log_cut_anywhere_gives_what_was_whole_before_the_cut(tmp_path):
+    path = write(tmp_path / "a.mcap", TIMES, use_chunking=False, enable_data_crcs=True)
+    whole = path.read_bytes()
+    ends = [whole.index(message.data) + len(message.data) for message in read(path)]
+    for length in range(8, len(whole), 37):
+        path.write_bytes(whole[:length])
+        salvage, messages = salvaged(path)
+        expected = sum(end <= length for end in ends)
+        assert [m.log_time_ns for m in messages] == TIMES[:expected], length
+        assert not salvage.whole
+        assert salvage.damages[-1].byte <= length
+        assert salvage.last_good_ns == (TIMES[expected - 1] if expected else None)
+
+
+def test_a_damaged_chunk_costs_its_own_messages_only(tmp_path):
+    path = write(tmp_path / "a.mcap", TIMES)
+    whole = path.read_bytes()
+    at = whole.index(b'"nsec": 300}')
+    path.write_bytes(whole[:at] + b'"nsec": 301}' + whole[at + 12 :])
+    salvage, messages = salvaged(path)
+    lost = sorted(set(TIMES) - {m.log_time_ns for m in messages})
+    assert 300 in lost
+    assert lost == list(range(lost[0], lost[-1] + 1, 10))
+    assert len(lost) < 10
+    assert "crc" in salvage.damages[0].words
+    assert salvage.last_good_ns == lost[0] - 10
+
+
+def test_reading_goes_on_behind_a_record_whose_length_is_nonsense(tmp_path):
+    path = write(tmp_path / "a.mcap", TIMES)
+    whole = bytearray(path.read_bytes())
+    at = next(k for k in range(900, len(whole)) if whole[k] == 6 and whole[k + 4 : k + 9] == bytes(5))
+    whole[at + 8] = 0x7F  # the highest byte of a chunk's length
+    path.write_bytes(whole)
+    salvage, messages = salvaged(path)
+    assert salvage.damages[0].byte == at
+    assert messages[-1].log_time_ns == TIMES[-1]
+    assert len(messages) < len(TIMES)
+
+
+@pytest.mark.parametrize("sealed", [True, False])
+def test_a_log_says_what_it_does_without(tmp_path, sealed):
+    salvage, _ = salvaged(write(tmp_path / "a.mcap", TIMES, enable_data_crcs=sealed))
+    assert ("CRC of the data section" in salvage.absent) is not sealed
+
+
+def test_a_wrong_byte_is_found_by_the_crc_of_the_data_section_alone(tmp_path):
+    path = write(tmp_path / "a.mcap", TIMES, use_chunking=False, enable_data_crcs=True)
+    path.write_bytes(path.read_bytes().replace(b"xxxxx", b"xxyxx", 1))
+    salvage, messages = salvaged(path)
+    assert len(messages) == len(TIMES)
+    assert "CRC of the data section" in salvage.damages[0].words
+
+
+def test_a_changed_summary_and_a_changed_attachment_are_found(tmp_path):
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start()
+        writer.add_attachment(1, 1, "a.txt", "text/plain", b"content")
+        writer.add_metadata("notes", {"k": "v"})
+        writer.finish()
+    salvage, messages = salvaged(path)
+    assert (salvage.whole, messages) == (True, [])
+    assert [a.data for a in salvage.attachments] == [b"content"]
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b"content", b"contend"))
+    assert "CRC of the attachment" in salvaged(path)[0].damages[0].words
+    at = whole.rindex(b"notes")
+    path.write_bytes(whole[:at] + b"nodes" + whole[at + 5 :])
+    assert "CRC of the summary" in salvaged(path)[0].damages[0].words
+
+
+@pytest.mark.parametrize(("content", "words"), [(b"", "empty file"), (b"not a log at all", "not an MCAP log")])
+def test_what_is_no_log_is_refused(tmp_path, content, words):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=words):
+        Salvage(path)
+
+
+def test_a_tail_of_zeros_is_where_the_log_ends(tmp_path):
+    path = write(tmp_path / "a.mcap", TIMES, use_chunking=False)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2] + bytes(len(whole) // 2))
+    salvage, messages = salvaged(path)
+    assert [m.log_time_ns for m in messages[:-1]] == TIMES[: len(messages) - 1]
+    assert len(messages) > 10
+    assert "no record starts here" in salvage.damages[-1].words

@@ -1,0 +1,110 @@
+"""A viewer for tests: speaks foxglove.sdk.v1, and waits for what it expects, never for a time to pass."""
+
+import base64
+import json
+import struct
+import time
+from collections import Counter, namedtuple
+from itertools import count
+
+from websockets.sync.client import connect
+
+Shown = namedtuple("Shown", "topic log_time_ns data")
+State = namedtuple("State", "status log_ns rate moved request_id")
+PATIENCE_S = 60
+STATUS = ["playing", "paused", "buffering", "ended"]
+
+
+class Viewer:
+    """Connects, and remembers what it was told."""
+
+    def __init__(self, port, host="127.0.0.1"):
+        self.socket = connect(f"ws://{host}:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None)
+        self.info, self.channels, self.heard, self.warnings, self.requests = {}, {}, [], [], count(1)
+        self.subscriptions, self.fresh, self.arrived = {}, count(1), set()
+        self.until(lambda: self.channels)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.socket.close()
+
+    def until(self, done):
+        """Listen until what is asked holds; gives its value."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not (value := done()):
+            self.hear(self.socket.recv(timeout=max(deadline - time.monotonic(), 0)))
+        return value
+
+    def hear(self, frame):
+        if isinstance(frame, bytes):
+            self.heard.append(self.binary(frame))
+            return
+        told = json.loads(frame)
+        if told["op"] == "serverInfo":
+            self.info = told
+        elif told["op"] == "advertise":
+            self.channels |= {channel["id"]: channel for channel in told["channels"]}
+        elif told["op"] == "status":
+            self.warnings.append(told["message"])
+
+    def binary(self, frame):
+        if frame[0] == 1:
+            subscription, log_time_ns = struct.unpack_from("<IQ", frame, 1)
+            self.arrived.add(subscription)
+            return Shown(self.subscriptions[subscription], log_time_ns, frame[13:])
+        if frame[0] == 2:
+            return struct.unpack_from("<Q", frame, 1)
+        status, log_ns, rate, moved, length = struct.unpack_from("<BQfBI", frame, 1)
+        return State(STATUS[status], log_ns, rate, bool(moved), frame[19 : 19 + length].decode())
+
+    def subscribe(self, *topics):
+        """Ask for some topics, or for all; gives the ids under which they come."""
+        wanted = {next(self.fresh): c for c in self.channels.values() if not topics or c["topic"] in topics}
+        self.subscriptions |= {i: channel["topic"] for i, channel in wanted.items()}
+        ask = [{"id": i, "channelId": channel["id"]} for i, channel in wanted.items()]
+        self.socket.send(json.dumps({"op": "subscribe", "subscriptions": ask}))
+        return list(wanted)
+
+    def settle(self):
+        """Hear all messages that are on their way while playback stands.
+
+        Answers and messages come by two ways, in no order between them. Who subscribes anew is shown what holds, and
+        that comes behind all messages sent before.
+        """
+        counted = Counter((shown.topic, shown.log_time_ns) for shown in self.shown())
+        topic = next((topic for (topic, _), number in counted.items() if number == 1), None)
+        if topic is None:
+            return
+        old = max(i for i, known in self.subscriptions.items() if known == topic)
+        self.socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": [old]}))
+        fresh = set(self.subscribe(topic))
+        self.until(lambda: fresh <= self.arrived)
+
+    def control(self, *, play, rate=1.0, seek_ns=None):
+        """Press a button; gives the answer, and forgets what was shown before it was obeyed.
+
+        Where playback was standing and goes elsewhere, what is shown there is heard.
+        """
+        name = str(next(self.requests)).encode()
+        fields = (3, 0 if play else 1, rate, seek_ns is not None, seek_ns or 0, len(name))
+        known, self.heard = self.heard, []
+        self.socket.send(struct.pack("<BBfBQI", *fields) + name)
+        state = self.until(lambda: next((s for s in self.states() if s.request_id == name.decode()), None))
+        if not play and not state.moved:
+            self.heard = known + self.heard
+            self.settle()
+            self.heard.clear()
+        return state
+
+    def states(self):
+        return [item for item in self.heard if isinstance(item, State)]
+
+    def shown(self, topic=None):
+        return [item for item in self.heard if isinstance(item, Shown) and topic in {None, item.topic}]
+
+    def schema(self, channel):
+        """The schema's bytes: binary ones come in base64."""
+        text = channel["schema"]
+        return base64.b64decode(text) if channel["schemaEncoding"] == "protobuf" else text.encode()

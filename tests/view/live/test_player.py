@@ -1,0 +1,176 @@
+"""The player on a clock that moves only while it waits, with the log and the viewers scripted."""
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from roadperc_stream.log import Channel, Message
+from roadperc_stream.view.live.player import Inbox, Player, Request, Stop, Subscribed
+from roadperc_stream.view.live.playhead import Order, Reach, Status
+
+S = 1_000_000_000
+CALIBRATION, IMAGE = Channel("/calibration", "raw"), Channel("/image", "raw")
+
+
+def message(channel, time_s):
+    return Message(channel, round(time_s * S), 0, 0, b"")
+
+
+@dataclass
+class Script:
+    """A log, those who watch it, and a clock: each wait moves the clock and may bring a word."""
+
+    messages: list = field(default_factory=list)
+    words: dict = field(default_factory=dict)
+    """Second of the clock: what is asked then."""
+    complete_at_s: float = 0.0
+    clock_ns: int = 0
+    events: list = field(default_factory=list)
+    channels = (CALIBRATION, IMAGE)
+
+    def reach(self):
+        there = self.there()
+        return Reach(0, there[-1].log_time_ns if there else 0, self.clock_ns >= self.complete_at_s * S)
+
+    def there(self):
+        """A running replay makes a second of log in two seconds of the clock."""
+        if self.clock_ns >= self.complete_at_s * S:
+            return self.messages
+        return [m for m in self.messages if m.log_time_ns * 2 <= self.clock_ns]
+
+    def read(self, topics, start_ns, end_ns):
+        return (m for m in self.there() if m.channel.topic in topics and start_ns <= m.log_time_ns < end_ns)
+
+    def follow(self, start_ns):
+        index = next((i for i, m in enumerate(self.messages) if m.log_time_ns >= start_ns), len(self.messages))
+        while index < len(self.messages):
+            known = index < len(self.there())
+            yield self.messages[index] if known else None
+            index += known
+
+    def now(self):
+        return self.clock_ns
+
+    def take(self, wait_s):
+        due_s = min(self.words, default=None)
+        assert due_s is not None or wait_s is not None, "the player waits for ever"
+        until_ns = round(due_s * S) if wait_s is None else self.clock_ns + round(wait_s * S)
+        if due_s is not None and due_s * S <= until_ns:
+            self.clock_ns = max(self.clock_ns, round(due_s * S))
+            return self.words.pop(due_s)
+        self.clock_ns = until_ns
+        return []
+
+    def close(self):
+        self.events.append("closed")
+
+    def send(self, sent):
+        self.events.append((sent.channel.topic, sent.log_time_ns / S, self.clock_ns / S))
+
+    def time(self, log_ns):
+        self.told_ns = log_ns
+
+    def state(self, answer):
+        self.events.append((answer.playhead.status, answer.playhead.log_ns / S, answer.moved))
+
+    def warn(self, text):
+        self.events.append(text)
+
+    def run(self, start_s=0.0, **options):
+        Player(self, self, self, self.now, start_ns=round(start_s * S), **options).run()
+        return self
+
+    def sent(self):
+        return [event for event in self.events if event[0] in {"/calibration", "/image"}]
+
+
+def drive():
+    return [message(CALIBRATION, 0), *(message(IMAGE, k) for k in range(5))]
+
+
+WATCH = [Subscribed("/calibration"), Subscribed("/image")]
+
+
+def test_nothing_is_played_to_nobody():
+    assert Script(drive(), {9: [Stop()]}).run().sent() == []
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.5, 2.0])
+def test_messages_come_at_their_time_once_somebody_watches(rate):
+    script = Script(drive(), {3: WATCH, 30: [Stop()]}).run(rate=rate)
+    assert script.sent() == [("/calibration", 0, 3), *(("/image", k, pytest.approx(3 + k / rate)) for k in range(5))]
+    assert script.events[-2:] == [(Status.ENDED, 4, False), "closed"]
+
+
+def test_starting_later_shows_what_holds_there():
+    script = Script(drive(), {0: WATCH, 9: [Stop()]}).run(start_s=2.5)
+    assert [event[:2] for event in script.sent()] == [("/calibration", 0), ("/image", 2), ("/image", 3), ("/image", 4)]
+
+
+def test_who_comes_late_sees_what_holds_once():
+    words = {0: [Subscribed("/image")], 1.5: [Subscribed("/calibration")], 9: [Stop()]}
+    assert ("/calibration", 0, 1.5) in Script(drive(), words).run().sent()
+
+
+def test_a_pause_stops_and_play_goes_on():
+    pause, play = Request(Order(play=False, rate=1.0)), Request(Order(play=True, rate=2.0))
+    script = Script(drive(), {0: WATCH, 1.5: [pause], 10: [play], 20: [Stop()]}).run()
+    times = [pytest.approx(at) for at in (0, 1, 10.25, 10.75, 11.25)]
+    assert [event[2] for event in script.sent() if event[0] == "/image"] == times
+    assert pause.answer.result(0).playhead.log_ns == round(1.5 * S)
+
+
+def test_a_paused_seek_shows_the_whole_frame():
+    seek = Request(Order(play=False, rate=1.0, seek_ns=3 * S))
+    script = Script(drive(), {0: WATCH, 1.5: [seek], 20: [Stop()]}).run()
+    assert script.sent()[-2:] == [("/calibration", 0, 1.5), ("/image", 3, 1.5)]
+    assert seek.answer.result(0).moved
+    assert script.told_ns == 3 * S
+
+
+def test_seeking_back_plays_again_from_there():
+    words = {0: WATCH, 3.5: [Request(Order(play=True, rate=1.0, seek_ns=1 * S))], 20: [Stop()]}
+    images = [event[1] for event in Script(drive(), words).run().sent() if event[0] == "/image"]
+    assert images == [0, 1, 2, 3, 1, 2, 3, 4]
+
+
+def test_a_loop_goes_round():
+    script = Script(drive(), {0: WATCH, 8.5: [Stop()]}).run(loop=True)
+    assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4] * 2 + [0]
+    assert (Status.PLAYING, 0, True) in script.events
+
+
+def test_a_loop_goes_back_to_where_it_started():
+    script = Script(drive(), {0: WATCH, 3.5: [Stop()]}).run(start_s=2.0, loop=True)
+    assert [event[1] for event in script.sent() if event[0] == "/image"] == [2, 3, 4, 2, 3]
+
+
+def test_a_running_replay_is_waited_for_and_nothing_is_lost():
+    script = Script(drive(), {0: WATCH, 30: [Stop()]}, complete_at_s=9).run()
+    assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
+    assert any(event[0] is Status.WAITING for event in script.events)
+    assert script.events[-2:] == [(Status.ENDED, 4, False), "closed"]
+
+
+def test_seeking_beyond_what_is_computed_is_told():
+    seek = Request(Order(play=True, rate=1.0, seek_ns=4 * S))
+    script = Script(drive(), {0: WATCH, 2.5: [seek], 30: [Stop()]}, complete_at_s=9).run()
+    assert seek.answer.result(0).playhead.log_ns == 1 * S
+    assert any("3.0 s before the time asked for" in event for event in script.events if isinstance(event, str))
+
+
+def test_a_request_to_a_player_that_ended_is_cancelled():
+    inbox, before, after = Inbox(), Request(Order(True, 1.0)), Request(Order(True, 1.0))
+    inbox.put(before)
+    inbox.close()
+    inbox.put(after)
+    assert before.answer.cancelled()
+    assert after.answer.cancelled()
+
+
+def test_the_inbox_gives_all_there_is_in_order():
+    inbox = Inbox()
+    for topic in "abc":
+        inbox.put(Subscribed(topic))
+    assert [word.topic for word in inbox.take(None)] == ["a", "b", "c"]
+    assert inbox.take(0) == []

@@ -1,0 +1,362 @@
+"""The real server, driven as a viewer does over a WebSocket: a finished log, and a replay that is running."""
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+from contextlib import ExitStack, contextmanager
+from threading import Event, Thread
+
+import polars as pl
+import pytest
+from websockets.exceptions import WebSocketException
+
+from roadperc_stream import log
+from roadperc_stream.channels import RESULTS
+from roadperc_stream.cli import replay_main
+from roadperc_stream.config import load_config
+from roadperc_stream.errors import LogError
+from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.replay import replay
+from roadperc_stream.rows import TIME_COLUMNS
+from roadperc_stream.schemas.roadperc_pb2 import StageTimes
+from roadperc_stream.table import beside
+from roadperc_stream.view.live.options import PlaybackOptions
+from roadperc_stream.view.live.server import ServeError
+from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, with_times
+from roadperc_stream.view.live.source import FinishedLog
+from roadperc_stream.view.stage_times import TIMES
+from tests import logs
+from tests.analytic import STEP_NS
+from tests.view.live.client import PATIENCE_S, Viewer
+
+S = 1_000_000_000
+CHANNELS = (
+    Channel("/calibration", "protobuf", "x.Calibration", "protobuf", b"\x00\xff", (("sensor", "front"),)),
+    Channel("/image", "cdr", "y/msg/Image", "ros2msg", b"uint8[] data"),
+    Channel("/silent", "protobuf", "x.Silent", "protobuf", b"\x01"),
+    Channel("/plain", "raw"),
+)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A minute: a calibration at the start, an image ten times a second."""
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        for channel in CHANNELS:
+            writer.register(channel)
+        writer.write(Message(CHANNELS[0], 1000 * S, 1000 * S, 0, b"calibration"))
+        for k in range(600):
+            time_ns = 1000 * S + k * S // 10
+            writer.write(Message(CHANNELS[1], time_ns, time_ns, k, b"image %d" % k))
+    return tmp_path / "log.mcap"
+
+
+@contextmanager
+def served(path, start_s=0.0, **options):
+    port = free_port()
+    source = FinishedLog.opened(path)
+    span_ns, start_ns = (source.first_ns, source.last_ns), source.first_ns + round(start_s * S)
+    with playing(
+        with_times(source), "log", span_ns, PlaybackOptions(port=port, **options), start_ns, quiet=True
+    ) as player:
+        thread = Thread(target=player.run)
+        thread.start()
+        try:
+            yield port
+        finally:
+            player.stop()
+            thread.join()
+
+
+def test_the_server_says_what_it_can_and_has(path):
+    with served(path) as port, Viewer(port) as viewer:
+        assert viewer.socket.subprotocol == "foxglove.sdk.v1"
+        assert {"time", "playbackControl"} <= set(viewer.info["capabilities"])
+        assert viewer.info["dataStartTime"] == {"sec": 1000, "nsec": 0}
+        assert viewer.info["dataEndTime"] == {"sec": 1059, "nsec": 900_000_000}
+        told = {c["topic"]: c for c in viewer.channels.values()}
+        assert told.keys() == {channel.topic for channel in CHANNELS}
+        for channel in CHANNELS[:3]:
+            found = told[channel.topic]
+            assert (found["encoding"], found["schemaName"]) == (channel.message_encoding, channel.schema_name)
+            assert (found["schemaEncoding"], viewer.schema(found)) == (channel.schema_encoding, channel.schema_data)
+        assert told["/calibration"]["metadata"] == {"sensor": "front"}
+
+
+def test_messages_come_with_their_log_times_and_bytes(path):
+    with served(path, start_s=50.0) as port, Viewer(port) as viewer:
+        viewer.control(play=False)  # all is subscribed before the first message is due
+        viewer.subscribe()
+        logged = [(m.channel.topic, m.log_time_ns, m.data) for m in log.read(path)]
+        held, played = logged[:1], [item for item in logged if item[1] >= 1050 * S]
+        viewer.until(lambda: len(viewer.shown()) == 2)
+        assert sorted(map(tuple, viewer.shown())) == held + played[:1]
+        viewer.control(play=True, rate=20.0)
+        viewer.until(lambda: [s for s in viewer.states() if s.status == "ended"] and len(viewer.shown()) == 99)
+        assert [tuple(m) for m in viewer.shown()] == played[1:]
+        assert viewer.states()[-1][1:4] == (1000 * S + 59_900_000_000, 20.0, False)
+
+
+def test_pause_seek_and_speed(path):
+    with served(path) as port, Viewer(port) as viewer:
+        viewer.subscribe()
+        viewer.until(lambda: len(viewer.shown("/image")) > 2)
+        paused = viewer.control(play=False)
+        assert (paused.status, paused.moved) == ("paused", False)
+        assert viewer.control(play=False).log_ns == paused.log_ns  # the time stands
+        sought = viewer.control(play=False, seek_ns=1030 * S + 1)
+        assert sought[:4] == ("paused", 1030 * S + 1, 1.0, True)
+        viewer.until(lambda: len(viewer.shown()) == 2)  # a whole frame, and nothing from before the seek
+        assert sorted(viewer.shown()) == [
+            ("/calibration", 1000 * S, b"calibration"),
+            ("/image", 1030 * S, b"image 300"),
+        ]
+        fast = viewer.control(play=True, rate=20.0)
+        assert (fast.status, fast.rate) == ("playing", 20.0)
+        viewer.until(lambda: len(viewer.shown()) == 50)
+        assert [m.data for m in viewer.shown()] == [b"image %d" % k for k in range(301, 351)]
+        back = viewer.control(play=True, seek_ns=1010 * S)
+        assert (back.log_ns, back.moved) == (1010 * S, True)
+        viewer.until(lambda: [m for m in viewer.shown() if m.data == b"image 102"])
+
+
+def test_a_pause_lets_nothing_through(path):
+    with served(path, rate=20.0) as port, Viewer(port) as viewer:
+        viewer.subscribe("/image")
+        viewer.until(viewer.shown)
+        viewer.control(play=False)
+        at = viewer.control(play=False, seek_ns=1050 * S)
+        viewer.until(viewer.shown)
+        assert viewer.control(play=False).log_ns == at.log_ns == 1050 * S
+        viewer.subscribe("/calibration")  # its answer comes after all that was sent before
+        viewer.until(lambda: viewer.shown("/calibration"))
+        assert viewer.shown("/image") == []
+
+
+def test_a_second_viewer_sees_the_paused_frame(path):
+    with served(path) as port, Viewer(port) as first:
+        first.subscribe()
+        first.until(lambda: first.shown("/image"))
+        first.control(play=False, seek_ns=1040 * S)
+        with Viewer(port) as second:
+            second.subscribe()
+            second.until(lambda: len(second.shown()) >= 2)
+            assert {m.data for m in second.shown()} == {b"calibration", b"image 400"}
+            assert second.until(second.states)[-1][:2] == ("paused", 1040 * S)
+
+
+def test_who_comes_after_the_end_knows_the_time_and_sees_the_last_frame(path):
+    with served(path, start_s=59.0, rate=20.0) as port:
+        with Viewer(port) as first:
+            first.subscribe()
+            first.until(lambda: [s for s in first.states() if s.status == "ended"])
+        with Viewer(port) as second:
+            second.subscribe()
+            second.until(lambda: len(second.shown()) >= 2)
+            assert {m.data for m in second.shown()} == {b"calibration", b"image 599"}
+            assert (1059_900_000_000,) in second.until(lambda: [t for t in second.heard if len(t) == 1])
+
+
+def test_a_viewer_that_sleeps_does_not_keep_the_server_from_ending(tmp_path):
+    path, image = tmp_path / "large.mcap", CHANNELS[1]
+    with log.LogWriter(path) as writer:
+        for k in range(100):
+            writer.write(log.Message(image, 1000 * S + k, 1000 * S + k, k, bytes(500_000)))
+    serving = ExitStack()
+    port = serving.enter_context(served(path))
+    asleep = Viewer(port)
+    asleep.subscribe()
+    asleep.until(asleep.shown)  # and from here on it hears nothing more
+    with Viewer(port) as awake:
+        awake.subscribe()
+        awake.until(lambda: [s for s in awake.states() if s.status == "ended"])
+    ending = Thread(target=serving.close, daemon=True)
+    ending.start()
+    ending.join(PATIENCE_S)
+    assert not ending.is_alive()
+    asleep.socket.close_socket()
+
+
+def test_only_this_machine_unless_told_otherwise(path):
+    with served(path) as port, pytest.raises(ConnectionRefusedError):
+        Viewer(port, "127.0.0.2")
+    with served(path, host="0.0.0.0") as port, Viewer(port, "127.0.0.2") as viewer:
+        assert viewer.channels
+
+
+def test_a_port_in_use_is_stated(path):
+    with served(path) as port, pytest.raises(ServeError, match=rf"127\.0\.0\.1:{port}: .*in use.*--port 0"):
+        serve_log(path, PlaybackOptions(port=port))
+
+
+@pytest.mark.parametrize("start_s", [-1, 60])
+def test_a_start_outside_the_log_is_stated(path, start_s):
+    with pytest.raises(LogError, match=r"--start .*expected 0 to 59\.900"):
+        serve_log(path, PlaybackOptions(port=0, start_s=start_s))
+
+
+FRAMES = 8
+FIRST_NS = logs.START_NS
+
+
+@pytest.fixture
+def source(tmp_path):
+    return logs.write(tmp_path / "in.mcap", logs.items(FRAMES))
+
+
+def told_times(viewer):
+    """Log time and milliseconds of each stage, as they came."""
+    told = [(m.log_time_ns, StageTimes.FromString(m.data)) for m in viewer.shown(TIMES)]
+    return [(log_time_ns, *(getattr(times, name) for name in TIME_COLUMNS)) for log_time_ns, times in told]
+
+
+def table_times(target):
+    """The same from the table; a stage that did not run took no time."""
+    times = pl.read_parquet(beside(target, "metrics")).select("stamp_ns", pl.col(TIME_COLUMNS).fill_null(0.0))
+    return times.rows()
+
+
+@contextmanager
+def replay_held_at(frame, source, target):
+    """A replay in a thread that stops at a frame; gives its port and how to let it come to its end."""
+    port, reached, on = free_port(), Event(), Event()
+
+    def progress(done, _expected):
+        if done == frame:
+            reached.set()
+            on.wait()
+
+    def finish():
+        on.set()
+        thread.join()
+
+    with LiveReplay(PlaybackOptions(port=port), quiet=True) as live:
+        job = {"progress": progress, "opened": live.start}
+        thread = Thread(target=replay, args=(source, target, load_config(None, ())), kwargs=job)
+        thread.start()
+        try:
+            assert reached.wait(20)
+            yield port, finish
+        finally:
+            finish()
+
+
+def test_a_running_replay_is_watched_and_sought(source, tmp_path):
+    target, computed_ns = tmp_path / "out.mcap", FIRST_NS + 4 * STEP_NS
+    with replay_held_at(5, source, target) as (port, finish), Viewer(port) as viewer:
+        viewer.subscribe()
+        viewer.until(lambda: any(s.status == "buffering" for s in viewer.states()))
+        assert not target.exists()
+        viewer.control(play=False)
+        beyond = viewer.control(play=False, seek_ns=FIRST_NS + 7 * STEP_NS)
+        assert (beyond.log_ns, beyond.moved) == (computed_ns - 1, True)
+        assert re.match(r"computed only up to 0\.\d s before", viewer.until(lambda: viewer.warnings)[0])
+        viewer.until(lambda: viewer.shown("/perception/lanes"))
+        viewer.control(play=False)
+        back = viewer.control(play=False, seek_ns=FIRST_NS + STEP_NS)
+        assert back.log_ns == FIRST_NS + STEP_NS
+        viewer.until(lambda: viewer.shown("/perception/lanes"))
+        assert viewer.shown("/perception/lanes")[-1].log_time_ns == FIRST_NS + STEP_NS
+        viewer.control(play=False)
+        finish()
+        viewer.control(play=True, rate=5.0, seek_ns=FIRST_NS)
+        written = [(m.channel.topic, m.log_time_ns, m.data) for m in log.read(target)]
+        viewer.until(lambda: len(viewer.shown()) == len(written) + FRAMES)
+        assert sorted(tuple(m) for m in viewer.shown() if m.topic != TIMES) == sorted(written)
+        assert told_times(viewer) == table_times(target)
+
+
+def test_a_finished_log_is_served_with_the_times_of_its_table(source, tmp_path):
+    target = tmp_path / "out.mcap"
+    replay(source, target, load_config(None, ()))
+    with served(target) as port, Viewer(port) as viewer:
+        viewer.subscribe(TIMES)
+        viewer.until(lambda: len(viewer.shown()) == FRAMES)
+        assert told_times(viewer) == table_times(target)
+        viewer.control(play=False, seek_ns=FIRST_NS + 3 * STEP_NS)
+        viewer.until(viewer.shown)
+        assert told_times(viewer) == table_times(target)[3:4]
+
+
+@pytest.mark.parametrize("table", ["none", "another log's"])
+def test_without_a_table_of_its_own_no_times_are_offered(source, tmp_path, table):
+    target, other = tmp_path / "out.mcap", tmp_path / "other.mcap"
+    replay(source, target, load_config(None, ()))
+    beside(target, "metrics").unlink()
+    if table != "none":
+        replay(logs.write(tmp_path / "in2.mcap", logs.items(FRAMES - 1)), other, load_config(None, ()))
+        beside(other, "metrics").replace(beside(target, "metrics"))
+    with served(target) as port, Viewer(port) as viewer:
+        told = {channel["topic"] for channel in viewer.channels.values()}
+        assert set(RESULTS) <= told
+        assert TIMES not in told
+
+
+def test_the_output_is_the_same_watched_or_not(source, tmp_path):
+    replay(source, tmp_path / "alone.mcap", load_config(None, ()))
+    port = free_port()
+    with LiveReplay(PlaybackOptions(port=port, rate=50.0), quiet=True) as live:
+        replay(source, tmp_path / "live.mcap", load_config(None, ()), opened=live.start)
+    assert (tmp_path / "live.mcap").read_bytes() == (tmp_path / "alone.mcap").read_bytes()
+    with pytest.raises((ConnectionError, WebSocketException)):  # refused, or cut off by a server that is ending
+        Viewer(port)
+
+
+def test_a_replay_whose_port_is_taken_leaves_nothing(source, tmp_path, capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        assert replay_main([str(source), str(tmp_path / "out.mcap"), "--live", "--port", port]) == 1
+    assert f"error: 127.0.0.1:{port}" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["in.mcap"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--rate", "2"],
+        ["--loop"],
+        ["--host", "::1"],
+        ["--port", "0"],
+        ["--live", "--rate", "0"],
+        ["--live", "--port", "70000"],
+    ],
+)
+def test_wrong_usage(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        replay_main(["in.mcap", "out.mcap", *arguments])
+    assert ended.value.code == 2
+    assert next(word for word in arguments[::-1] if word.startswith("--")) in capsys.readouterr().err
+
+
+SERVE = "import sys; from pathlib import Path; from roadperc_stream.command import run;"
+SERVE += "from roadperc_stream.view.live.serving import serve_log; from roadperc_stream.view.live.options import *;"
+SERVE += "sys.exit(run(lambda: serve_log(Path(sys.argv[1]), PlaybackOptions(port=0))))"
+REPLAY = "import sys; from roadperc_stream.cli import replay_main; sys.exit(replay_main(sys.argv[1:]))"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("command", ["serve", "replay"])
+def test_ctrl_c_ends_it_well(source, tmp_path, command, number):
+    target = tmp_path / "out.mcap"
+    code, arguments = (SERVE, [source]) if command == "serve" else (REPLAY, [source, target, "--live", "--port", "0"])
+    started = subprocess.Popen([sys.executable, "-c", code, *map(str, arguments)], stdout=-1, stderr=-1, text=True)
+    port = int(re.search(r"ws://127\.0\.0\.1:(\d+) ", started.stdout.readline())[1])
+    with Viewer(port) as viewer:
+        viewer.subscribe("/camera/front/image")
+        viewer.until(viewer.shown)
+        if command == "replay":
+            assert any("still served" in line for line in started.stdout)
+        started.send_signal(number)
+        _, errors = started.communicate(timeout=20)
+    assert (started.returncode, errors) == (0, "")
+    assert target.exists() == (command == "replay")

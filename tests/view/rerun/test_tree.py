@@ -1,0 +1,174 @@
+"""The transform tree that is drawn: one parent for each frame, and the camera where the chain has it."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.assemble import ego_T_camera_of
+from roadperc_stream.datatypes import Surface
+from roadperc_stream.decoding import Transform
+from roadperc_stream.geometry import Camera, Plane, inverse, level_mounting, rigid, rotation_from_rpy
+from roadperc_stream.view.rerun import pictures, scene
+from roadperc_stream.view.rerun.entry import World
+
+
+def edge(parent, child, x_m, roll=0.0, yaw=0.0):
+    return Transform(parent, child, rigid(rotation_from_rpy(roll, 0.0, yaw), np.array([x_m, 0.5 * x_m, 0.3 * x_m])))
+
+
+def camera(frame_id):
+    return Camera(frame_id, 320, 240, 160.0, 160.0, 159.5, 119.5)
+
+
+class Drawn:
+    """What the entries so far place: each frame by one entity, and so below one parent at a time."""
+
+    def __init__(self):
+        self.edges = {}
+        self.frame_at = {}
+
+    def add(self, entries):
+        for entry in entries:
+            found = entry.archetype
+            if found.archetype() == "rerun.archetypes.Transform3D":
+                child, parent = (f.as_arrow_array().to_pylist()[0] for f in (found.child_frame, found.parent_frame))
+                assert self.frame_at.setdefault(entry.entity, child) == child
+                rotation = np.array(found.mat3x3.as_arrow_array().to_pylist()).reshape(3, 3, order="F")
+                self.edges[child] = parent, rigid(rotation, np.array(found.translation.as_arrow_array().to_pylist()[0]))
+        assert sorted(self.frame_at.values()) == sorted(self.edges)
+
+    def ego_T(self, frame):
+        """None where the frame does not hang below ego."""
+        ego_T_frame, steps = np.eye(4), 0
+        while frame in self.edges and steps <= len(self.edges):
+            frame, parent_T_frame = self.edges[frame]
+            ego_T_frame, steps = parent_T_frame @ ego_T_frame, steps + 1
+        return ego_T_frame if frame == "ego" else None
+
+
+FOOT, MOUNT = edge("base_footprint", "base_link", 0.4), edge("base_link", "camera", 1.1, roll=-1.5)
+TREES = {
+    "ego": ("camera", [[edge("ego", "camera", 1.4)]]),
+    "foot first": ("camera", [[FOOT, MOUNT]]),
+    "camera first": ("camera", [[MOUNT, FOOT]]),
+    "two messages": ("camera", [[MOUNT], [FOOT]]),
+    "foot below": ("camera", [[MOUNT], [edge("base_link", "base_footprint", -0.4, yaw=0.1)]]),
+    "carla": ("ego_vehicle/rgb_front", [[edge("ego_vehicle", "ego_vehicle/rgb_front", 2.0)]]),
+    "hero": ("rgb", [[edge("map", "hero", 7.0)], [edge("hero", "rgb", 2.0)]]),
+    "a name of its own": ("truck7/rgb", [[edge("map", "truck7", 50.0), edge("truck7", "truck7/rgb", 2.0)]]),
+    "moving": (
+        "ego_vehicle/rgb",
+        [
+            [edge("map", "ego_vehicle", 50.0), edge("ego_vehicle", "ego_vehicle/rgb", 2.0)],
+            [edge("map", "ego_vehicle", 51.0, yaw=0.2)],
+        ],
+    ),
+    "turning camera": ("camera", [[FOOT, MOUNT], [edge("base_link", "camera", 1.1, yaw=0.3)]]),
+    "odometry": ("camera", [[edge("map", "odom", 3.0)], [edge("odom", "base_link", 9.0)], [MOUNT]]),
+    "by odometry alone": ("camera", [[edge("odom", "base_link", 9.0), edge("odom", "camera", 8.0, yaw=0.1)]]),
+    "ego below": ("camera", [[edge("map", "ego", 5.0)], [edge("ego", "camera", 1.4)]]),
+}
+
+
+@pytest.mark.parametrize("known_early", [True, False])
+@pytest.mark.parametrize("role", ["tf", "tf_static"])
+@pytest.mark.parametrize("name", TREES)
+def test_the_camera_is_where_the_chain_has_it(name, role, known_early):
+    """After every message, whether the calibration comes before the transforms or after them."""
+    frame_id, messages = TREES[name]
+    world, drawn = World(), Drawn()
+    parts = [("/tf", role, tuple(message), world) for message in messages]
+    steps = [(scene.transforms, part) for part in parts]
+    steps.insert(
+        0 if known_early else len(steps), (pictures.calibration, ("/c", "calibration", camera(frame_id), world))
+    )
+    for draw, part in steps:
+        drawn.add(draw(*part))
+        if world.front:
+            found = placed(world, drawn, frame_id)
+    assert found
+
+
+def placed(world, drawn, frame_id):
+    wanted, found = ego_T_camera_of(world.held, camera(frame_id)), drawn.ego_T(frame_id)
+    assert (wanted is None) == (found is None)
+    assert wanted is None or found == pytest.approx(wanted, abs=1e-5)
+    assert "ego" not in drawn.edges  # odometry places it
+    assert "odom" not in drawn.edges
+    return wanted is not None
+
+
+def test_frames_above_the_car_are_kept_below_it():
+    world, drawn = World(), Drawn()
+    drawn.add(pictures.calibration("/c", "calibration", camera("cam"), world))
+    above = edge("map", "base_link", 50.0, yaw=0.3)
+    messages = (above, edge("base_link", "cam", 1.0)), (edge("map", "sign", 60.0),)
+    for message in messages:
+        drawn.add(scene.transforms("/tf", "tf", message, world))
+    wanted = inverse(above.parent_T_child) @ messages[1][0].parent_T_child
+    assert drawn.ego_T("sign") == pytest.approx(wanted, abs=1e-4)
+
+
+def test_only_what_changes_is_drawn_again():
+    world = World()
+    world.hold("calibration", camera("camera"))
+    assert len(list(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))) == 3
+    assert not list(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))
+    (again,) = scene.transforms("/tf", "tf", (edge("base_link", "camera", 1.2),), world)
+    assert again.entity == "/tf/camera"
+
+
+def test_a_frame_that_is_moved_to_another_parent_is_drawn_again():
+    world, drawn = World(), Drawn()
+    moved = Transform("base_footprint", "camera", MOUNT.parent_T_child)
+    drawn.add(pictures.calibration("/c", "calibration", camera("camera"), world))
+    for message in ((FOOT, MOUNT), (moved,)):
+        drawn.add(scene.transforms("/tf", "tf", message, world))
+    assert placed(world, drawn, "camera")
+
+
+def test_an_edge_that_closes_a_loop_is_left_out():
+    world, drawn = World(), Drawn()
+    drawn.add(pictures.calibration("/c", "calibration", camera("camera"), world))
+    drawn.add(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))
+    drawn.add(scene.transforms("/tf", "tf", (edge("camera", "base_footprint", 1.0),), world))
+    assert placed(world, drawn, "camera")
+
+
+def surface(height_m):
+    """A road 0.2 m below ego's origin, seen by a camera so high above that."""
+    plane = Plane((0.0, 0.0, 1.0), 0.2)
+    return Surface("assumed", "", plane, plane, height_m + 0.2, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("frame_id", ["camera", "base_link"])
+def test_a_camera_nobody_places_stands_as_high_as_the_chain_took_it_to_be(frame_id):
+    """The vehicle's own frame is no optical one: its camera is not placed, wherever the tree has the frame."""
+    world, drawn = World(), Drawn()
+    drawn.add(pictures.calibration("/c", "calibration", camera(frame_id), world))
+    drawn.add(scene.transforms("/tf", "tf", (edge("ego", "base_link", 9.0), edge("map", "camera", 9.0)), world))
+    drawn.add(e for e in scene.road("/perception/surface", "result", surface(1.7), world))
+    assert drawn.ego_T(frame_id) == pytest.approx(level_mounting(1.7), abs=1e-6)
+    assert "ego" not in drawn.edges
+
+
+def test_a_transform_that_comes_later_takes_the_place_of_what_was_assumed():
+    world, drawn = World(), Drawn()
+    drawn.add(pictures.calibration("/c", "calibration", camera("camera"), world))
+    drawn.add(scene.road("/perception/surface", "result", surface(1.7), world))
+    drawn.add(scene.transforms("/tf_static", "tf_static", (FOOT, MOUNT), world))
+    assert placed(world, drawn, "camera")
+
+
+def test_a_right_image_without_calibration_is_not_in_the_front_cameras_plane():
+    world = World()
+    world.hold("calibration", camera("camera"))
+    planes = {role: world.image_frame(role, f"{role}_camera") for role in ("image", "left", "depth", "right")}
+    front = "camera_image_plane"
+    assert planes == {"image": front, "left": front, "depth": front, "right": "right_camera_image_plane"}
+
+
+def test_results_are_those_of_the_camera_that_makes_the_frames():
+    world = World("left")
+    world.hold("calibration", camera("camera"))
+    world.hold("left_calibration", camera("left"))
+    assert world.front == camera("left")

@@ -1,0 +1,148 @@
+"""A log's frames with messages that cannot be read: those are left out and counted, the others come back."""
+
+import cv2
+import numpy as np
+import pytest
+
+from roadperc_stream import encoding
+from roadperc_stream.channels import PRODUCER, schema
+from roadperc_stream.datatypes import Absent, Boundary, Lanes
+from roadperc_stream.errors import LogError
+from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.results import encode_metrics
+from roadperc_stream.roles import Problems
+from roadperc_stream.rows import FrameMetrics
+from roadperc_stream.view.command import main
+from roadperc_stream.view.seen import read_frame, read_frames, read_rows
+from roadperc_stream.view.video import write_video
+
+START = 1_600_000_000_000_000_000
+STAMPS = [START + k * 50_000_000 for k in range(3)]
+BAD = b"\xff\xfe"
+PNG = cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
+LANES = Lanes((Boundary("left", "held"), Boundary("right", "lost")))
+IMAGE, METRICS = "/camera/front/image", "/perception/metrics"
+SCHEMAS = {
+    IMAGE: "foxglove.CompressedImage",
+    "/perception/lanes": "roadperc.Lanes",
+    "/perception/drivable": "foxglove.CompressedImage",
+    "/perception/overlay": "foxglove.CompressedImage",
+    METRICS: "roadperc.FrameMetrics",
+}
+
+
+def channel(topic, name=""):
+    found = schema(name or SCHEMAS[topic])
+    marks = () if topic == IMAGE else (PRODUCER,)
+    return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, marks)
+
+
+def contents(frame, status):
+    stamp = STAMPS[frame]
+    return {
+        IMAGE: encoding.encode_image(stamp, "camera", "png", PNG),
+        "/perception/lanes": encoding.encode_lanes(stamp, "camera", LANES),
+        METRICS: encode_metrics("camera", FrameMetrics("log", frame, stamp, lane_left_status=status)),
+    }
+
+
+def write_log(path, bad=None, foreign="", status="held"):
+    """Three frames; ``bad`` are messages of the second one, ``status`` is its left boundary's."""
+    with LogWriter(path) as writer:
+        for frame, stamp in enumerate(STAMPS):
+            messages = contents(frame, status if frame == 1 else "held") | ((bad or {}) if frame == 1 else {})
+            for topic in sorted(messages, key=list(SCHEMAS).index):
+                known = channel(topic, "sensor_msgs/msg/Image" if topic == foreign else "")
+                writer.write(Message(known, stamp, stamp, frame, messages[topic]))
+    return path
+
+
+def frames(path):
+    problems = Problems()
+    return list(read_frames(path, problems)), problems
+
+
+def test_a_part_that_cannot_be_read_is_not_there_and_is_counted(tmp_path):
+    found, problems = frames(write_log(tmp_path / "out.mcap", {"/perception/lanes": BAD}))
+    assert [isinstance(seen.lanes, Absent) for _, seen in found] == [False, True, False]
+    assert problems.counts == {"/perception/lanes": 1}
+    assert problems.first["/perception/lanes"].startswith(
+        f"/perception/lanes: message at {STAMPS[1]} ns: 2 bytes are no"
+    )
+
+
+@pytest.mark.parametrize(
+    "image", [BAD, encoding.encode_image(STAMPS[1], "camera", "png", b"no png")], ids=["message", "pixels"]
+)
+def test_a_frame_whose_image_cannot_be_read_has_none(tmp_path, image):
+    found, problems = frames(write_log(tmp_path / "out.mcap", {IMAGE: image}))
+    assert [seen is None for _, seen in found] == [False, True, False]
+    assert problems.counts == {IMAGE: 1}
+
+
+def test_a_mask_that_is_no_png_is_not_there(tmp_path):
+    mask = encoding.encode_image(STAMPS[1], "camera", "png", b"no png")
+    found, problems = frames(write_log(tmp_path / "out.mcap", {"/perception/drivable": mask}))
+    assert [isinstance(seen.drivable, Absent) for _, seen in found] == [True] * 3
+    assert problems.counts == {"/perception/drivable": 1}
+
+
+@pytest.mark.parametrize("status", ["weird", ""])
+def test_a_row_with_an_unknown_status_is_left_out(tmp_path, status):
+    path = write_log(tmp_path / "out.mcap", status=status)
+    found, problems = frames(path)
+    assert [row.frame for row, _ in found] == [0, 2]
+    assert [row.frame for row in read_rows(path, Problems())] == [0, 2]
+    assert f"lane_left_status {status!r}: expected one of measured, held, lost" in problems.first[METRICS]
+
+
+def test_a_row_with_a_number_that_is_none_is_left_out(tmp_path):
+    row = encode_metrics("camera", FrameMetrics("log", 1, STAMPS[1], lane_left_offset_m=np.inf))
+    found, problems = frames(write_log(tmp_path / "out.mcap", {METRICS: row}))
+    assert [row.frame for row, _ in found] == [0, 2]
+    assert "metrics: a number is not finite" in problems.first[METRICS]
+
+
+def test_results_of_a_foreign_schema_are_no_results(tmp_path):
+    found, problems = frames(write_log(tmp_path / "lanes.mcap", foreign="/perception/lanes"))
+    assert [isinstance(seen.lanes, Absent) for _, seen in found] == [True] * 3
+    assert not list(read_rows(write_log(tmp_path / "rows.mcap", foreign=METRICS), problems))
+    assert not problems.counts
+
+
+def test_one_frame_goes_without_what_cannot_be_read(tmp_path):
+    problems = Problems()
+    seen = read_frame(write_log(tmp_path / "out.mcap", {"/perception/lanes": BAD}), STAMPS[1], problems)
+    assert isinstance(seen.lanes, Absent)
+    assert list(problems.counts) == ["/perception/lanes"]
+
+
+def test_the_film_goes_on_and_says_what_is_not_in_it(tmp_path, capsys):
+    source = write_log(tmp_path / "out.mcap", {"/perception/lanes": BAD})
+    assert main([str(source), "--video", str(tmp_path / "film.mp4")]) == 0
+    said = capsys.readouterr().out
+    assert "note: /perception/lanes: message at" in said
+    assert "warning: 1 messages on /perception/lanes could not be read" in said
+    assert "(3 pictures at 20 Hz, of 3 frames)" in said
+
+
+def test_an_overlay_that_cannot_be_read_is_a_still(tmp_path):
+    good = encoding.encode_image(STAMPS[0], "camera", "png", PNG)
+    path = tmp_path / "out.mcap"
+    with LogWriter(path) as writer:
+        for frame, content in enumerate((good, BAD, good)):
+            stamp = STAMPS[frame]
+            row = contents(frame, "held")[METRICS]
+            writer.write(Message(channel(METRICS), stamp, stamp, frame, row))
+            writer.write(Message(channel("/perception/overlay"), stamp, stamp, frame, content))
+    film = write_video(path, tmp_path / "film.mp4")
+    assert (film.pictures, film.without_image) == (3, 1)
+    assert film.problems.counts == {"/perception/overlay": 1}
+
+
+def test_a_log_of_rows_that_cannot_be_read_says_why(tmp_path):
+    path = tmp_path / "out.mcap"
+    with LogWriter(path) as writer:
+        writer.write(Message(channel(METRICS), START, START, 0, BAD))
+    with pytest.raises(LogError, match=r"no results to film; /perception/metrics: message at \d+ ns: 2 bytes are no"):
+        write_video(path, tmp_path / "film.mp4")

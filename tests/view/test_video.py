@@ -1,0 +1,154 @@
+"""A film shows the log's frames at the log's pace."""
+
+import cv2
+import numpy as np
+import pytest
+
+from roadperc_stream import encoding
+from roadperc_stream.channels import PRODUCER, schema
+from roadperc_stream.config import load_config
+from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.replay import replay
+from roadperc_stream.results import encode_metrics
+from roadperc_stream.rows import FrameMetrics
+from roadperc_stream.view.video import frame_rate_hz, pictures_shown, write_video
+from tests import logs
+
+CFG = load_config()
+MS = 1_000_000
+START = 1_600_000_000_000_000_000
+
+
+def stamps(*ms):
+    return [START + round(m * MS) for m in ms]
+
+
+def result(topic, name):
+    found = schema(name)
+    return Channel(topic, found.message_encoding, name, found.schema_encoding, found.data, (PRODUCER,))
+
+
+def overlays(path, times, colours, size=(91, 121)):
+    """A log of overlays of one colour each; None: a frame without."""
+    metrics, overlay = (
+        result("/perception/metrics", "roadperc.FrameMetrics"),
+        result("/perception/overlay", "foxglove.CompressedImage"),
+    )
+    with LogWriter(path) as writer:
+        for k, (stamp, colour) in enumerate(zip(times, colours, strict=True)):
+            row = encode_metrics("camera", FrameMetrics("log", k, stamp))
+            writer.write(Message(metrics, stamp, stamp, k, row))
+            if colour is not None:
+                jpeg = cv2.imencode(".jpg", np.full((*size, 3), colour, np.uint8))[1].tobytes()
+                data = encoding.encode_image(stamp, "camera", "jpeg", jpeg)
+                writer.write(Message(overlay, stamp, stamp, k, data))
+    return path
+
+
+def film(path):
+    capture = cv2.VideoCapture(str(path))
+    pictures = []
+    while True:
+        there, picture = capture.read()
+        if not there:
+            return pictures, capture.get(cv2.CAP_PROP_FPS)
+        pictures.append(picture)
+
+
+def blue_red(picture):
+    blue, _, red = (int(v) for v in picture[40, 60])
+    return "blue" if blue > red + 100 else "red" if red > blue + 100 else "other"
+
+
+def test_the_rate_is_that_of_the_median_interval():
+    assert frame_rate_hz(stamps(0, 50, 100, 150, 1000)) == pytest.approx(20)
+    assert frame_rate_hz(stamps(0)) == 1
+    assert frame_rate_hz(stamps(0, 0, 0)) == 1
+    assert frame_rate_hz(stamps(0, 0.1, 0.2)) == 120
+
+
+@pytest.mark.parametrize(
+    ("times", "shown"),
+    [
+        ([0, 50, 100, 150], [1, 1, 1, 1]),
+        ([0, 51, 99, 152, 199], [1, 1, 1, 1, 1]),
+        ([0, 50, 250, 300], [1, 4, 1, 1]),
+        ([0, 5, 50, 100, 150, 200], [0, 1, 1, 1, 1, 1]),
+        ([500, 550, 0, 50, 100], [1, 1, 1, 1, 1]),
+        ([0, 50, 100, 3_600_000, 3_600_050], [1, 1, 200, 1, 1]),
+    ],
+)
+def test_film_time_follows_the_frames_time(times, shown):
+    assert pictures_shown(stamps(*times), 20.0) == shown
+
+
+def test_the_film_shows_the_overlays_and_a_gap_as_a_still(tmp_path):
+    """The missing overlay of the second frame is one, too."""
+    times = stamps(0, 50, 100, 150, 350, 400)
+    colours = [(220, 0, 0), None, (0, 0, 220), (0, 0, 220), (220, 0, 0), (220, 0, 0)]
+    done = write_video(overlays(tmp_path / "out.mcap", times, colours), tmp_path / "film.mp4")
+    assert (done.pictures, done.frames, done.without_image, done.shortened) == (9, 6, 1, 0)
+    pictures, rate_hz = film(tmp_path / "film.mp4")
+    assert rate_hz == pytest.approx(20)
+    assert [blue_red(p) for p in pictures] == ["blue"] * 2 + ["red"] * 5 + ["blue"] * 2
+    assert pictures[0].shape == (90, 120, 3)
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_without_overlays_they_are_drawn_and_look_the_same(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(3))
+    bare, full = tmp_path / "bare.mcap", tmp_path / "full.mcap"
+    replay(source, bare, CFG)
+    replay(source, full, CFG, on_request=("overlay",))
+    for path in (bare, full):
+        assert write_video(path, path.with_suffix(".mp4")).pictures == 3
+    drawn, written = film(bare.with_suffix(".mp4"))[0], film(full.with_suffix(".mp4"))[0]
+    for a, b in zip(drawn, written, strict=True):
+        assert np.abs(a.astype(int) - b).mean() < 4
+        assert a[200, 160, 0] > a[200, 160, 2] + 20
+
+
+def test_an_existing_film_is_kept_unless_forced(tmp_path):
+    source = overlays(tmp_path / "out.mcap", stamps(0, 50), [(220, 0, 0)] * 2)
+    target = tmp_path / "film.mp4"
+    target.write_bytes(b"mine")
+    with pytest.raises(TargetError, match=r"film.mp4: exists already; --force replaces it"):
+        write_video(source, target)
+    assert target.read_bytes() == b"mine"
+    write_video(source, target, force=True)
+    assert len(film(target)[0]) == 2
+
+
+@pytest.mark.parametrize("name", ["film.avi", "film"])
+def test_other_containers_are_refused(tmp_path, name):
+    with pytest.raises(TargetError, match=r"expected a name that ends in .mp4"):
+        write_video(tmp_path / "out.mcap", tmp_path / name)
+
+
+def test_a_log_without_results_says_how_to_get_them(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(2))
+    with pytest.raises(LogError, match=r"in.mcap: no results to film; roadperc-replay in.mcap OUT.mcap makes them"):
+        write_video(source, tmp_path / "film.mp4")
+    assert not (tmp_path / "film.mp4").exists()
+
+
+def test_a_log_without_images_leaves_nothing_behind(tmp_path):
+    source = overlays(tmp_path / "out.mcap", stamps(0, 50), [None, None])
+    with pytest.raises(LogError, match=r"no camera image to film in any of 2 frames"):
+        write_video(source, tmp_path / "film.mp4")
+    assert {p.name for p in tmp_path.iterdir()} == {"out.mcap"}
+
+
+def test_a_folder_that_cannot_be_written_is_an_error(tmp_path):
+    source = overlays(tmp_path / "out.mcap", stamps(0, 50), [(220, 0, 0)] * 2)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(TargetError, match=r"film\.mp4: "):
+        write_video(source, tmp_path / "file" / "film.mp4")
+
+
+def test_every_frame_is_told_of(tmp_path):
+    source = overlays(tmp_path / "out.mcap", stamps(0, 50, 100), [(220, 0, 0)] * 3)
+    told = []
+    write_video(source, tmp_path / "film.mp4", progress=lambda done, total: told.append((done, total)))
+    assert told == [(1, 3), (2, 3), (3, 3)]
