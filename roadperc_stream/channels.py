@@ -104,6 +104,8 @@ TOPIC_KEY: Final = "topic."
 CARLA_BRIDGE: Final = "/carla/"
 """How the topics of CARLA's ROS bridge begin."""
 
+METRICS_TOPIC: Final = "/perception/metrics"
+"""Of each frame's row."""
 RESULTS: Final[Mapping[str, str]] = {
     "/perception/surface": "roadperc.Surface",
     "/perception/drivable": IMAGE_SCHEMA,
@@ -120,12 +122,11 @@ RESULTS: Final[Mapping[str, str]] = {
     "/perception/odometry/state": "roadperc.Odometry",
     "/perception/trajectory": "foxglove.PosesInFrame",
     "/perception/tf": "foxglove.FrameTransforms",
-    "/perception/metrics": "roadperc.FrameMetrics",
+    METRICS_TOPIC: "roadperc.FrameMetrics",
     "/perception/log": "foxglove.Log",
 }
 """Result topics and their schemas, in the order in which their channels are registered."""
 
-METRICS_TOPIC: Final = "/perception/metrics"
 Request = Literal["overlay", "debug"]
 ON_REQUEST: Final[Mapping[str, Request]] = {
     "/perception/overlay": "overlay",

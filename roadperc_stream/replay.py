@@ -17,7 +17,7 @@ from roadperc_stream.chain import ChainState, step
 from roadperc_stream.channels import METADATA_RECORD, PRODUCER, TOPIC_KEY, Request, result_schemas, schema
 from roadperc_stream.command import no_progress
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.datatypes import Odometry, Sample
+from roadperc_stream.datatypes import FrameResult, Odometry, Sample
 from roadperc_stream.geometry import Float
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.metrics import frame_metrics, object_metrics
@@ -136,15 +136,14 @@ def replay(
     survey = survey_log(summary, cfg, overrides or {}, cut)
     counts, problems, facts = SyncCounts(), Problems(), table_facts(source, target, cfg)
     log_id, state = survey.digest[:16], ChainState()
-    reasons: tuple[str, ...] = ()
     previous: Sample | None = None
-    trajectory = deque[Float](maxlen=TRAJECTORY_POSES)
     frames = TableWriter(beside(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(beside(target, "objects"), ObjectMetrics, facts)
     writer = LogWriter(target, summary.profile)
-    schemas, pictures = result_schemas(on_request), PictureMaker(on_request)
+    pictures = PictureMaker(on_request)
     with one_thread(), discarding(frames, detections, writer), frames, detections, writer:
-        copy = InputCopy(summary, survey, cfg, writer, schemas, results_only)
+        copy = InputCopy(summary, survey, cfg, writer, results_only)
+        results = ResultWriter(writer, pictures)
         timed = opened(writer, span_ns(summary, survey))
         for sample in samples(summary, survey, cfg, counts, problems):
             timer = StageTimer()
@@ -152,19 +151,13 @@ def replay(
                 state, made = step(cfg, state, sample.frame, timer)
                 result, written = as_written(made)
                 row = frame_metrics(cfg, log_id, sample, result, previous)
-                if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
-                    trajectory.append(result.odometry.odom_T_ego)
                 copy.through(sample.log_time_ns)
-                with timer("encode"):
-                    messages = list(result_messages(sample, written, row, reasons, tuple(trajectory)))
-                    messages += pictures.messages(sample, result, row)
-                for topic, data in messages:
-                    writer.write(_result_message(topic, schemas[topic], sample, data))
+                results.write(sample, result, written, row, timer)
             timed(row, timer.columns())
             frames.append(row, **timer.columns())
             for detection in object_metrics(log_id, sample, result):
                 detections.append(detection)
-            reasons, previous = row.reasons, sample
+            previous = sample
             progress(counts.frames, survey.expected_frames)
         copy.rest()
         _describe(writer, summary, survey, cfg, counts)
@@ -188,15 +181,12 @@ class InputCopy:
         survey: Survey,
         cfg: ReplayConfig,
         writer: LogWriter,
-        schemas: Mapping[str, str],
         results_only: bool,
     ) -> None:
         self._writer = writer
         channels = [] if results_only else [c for c in summary.channels if not is_result(c)]
         for channel in channels:
             writer.register(channel)
-        for topic, name in schemas.items():
-            writer.register(_result_channel(topic, name))
         self._messages = iter(()) if results_only else input_messages(summary, cfg, survey)
         self._next = next(self._messages, None)
 
@@ -211,6 +201,32 @@ class InputCopy:
         self.through(None)
 
 
+class ResultWriter:
+    """Writes what the frames gave, and remembers what a later frame's messages show: the way, and the reasons told."""
+
+    def __init__(self, writer: LogWriter, pictures: PictureMaker) -> None:
+        self._writer, self._pictures = writer, pictures
+        self._channels = {t: _result_channel(t, name) for t, name in result_schemas(pictures.requests).items()}
+        for channel in self._channels.values():
+            writer.register(channel)
+        self._way = deque[Float](maxlen=TRAJECTORY_POSES)
+        self._reasons: tuple[str, ...] = ()
+
+    def write(
+        self, sample: Sample, result: FrameResult, written: FrameResult, row: FrameMetrics, timer: StageTimer
+    ) -> None:
+        """Write a frame's results; ``written`` is what of ``result`` the log can carry."""
+        if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
+            self._way.append(result.odometry.odom_T_ego)
+        with timer("encode"):
+            messages = list(result_messages(sample, written, row, self._reasons, tuple(self._way)))
+            messages += self._pictures.messages(sample, result, row)
+        for topic, data in messages:
+            time_ns = sample.log_time_ns
+            self._writer.write(Message(self._channels[topic], time_ns, time_ns, sample.index, data))
+        self._reasons = row.reasons
+
+
 def _require_free(source: Path, target: Path, force: bool) -> None:
     require_free(target, force=force, source=source, suffix=".mcap")
     for table in (beside(target, "metrics"), beside(target, "objects")):
@@ -220,11 +236,6 @@ def _require_free(source: Path, target: Path, force: bool) -> None:
 def _result_channel(topic: str, schema_name: str) -> Channel:
     found = schema(schema_name)
     return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata=(PRODUCER,))
-
-
-def _result_message(topic: str, schema_name: str, sample: Sample, data: bytes) -> Message:
-    channel = _result_channel(topic, schema_name)
-    return Message(channel, sample.log_time_ns, sample.log_time_ns, sample.index, data)
 
 
 def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:

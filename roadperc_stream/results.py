@@ -8,6 +8,7 @@ import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream import colours, drawing, encoding
+from roadperc_stream.channels import METRICS_TOPIC
 from roadperc_stream.datatypes import Absent, FrameResult, Mask, Odometry, Sample
 from roadperc_stream.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceSource
 from roadperc_stream.decoding import Transform
@@ -60,7 +61,7 @@ def result_messages(
         yield "/perception/occupancy", encoding.encode_occupancy(stamp_ns, result.occupancy)
     if not isinstance(result.odometry, Absent):
         yield from _odometry(stamp_ns, result.odometry, trajectory)
-    yield "/perception/metrics", encode_metrics(sample.frame.camera.frame_id, metrics)
+    yield METRICS_TOPIC, encode_metrics(sample.frame.camera.frame_id, metrics)
     for reason in metrics.reasons:
         if reason not in previous_reasons:
             yield "/perception/log", encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")

@@ -5,16 +5,17 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
+from typing import Final
 
 from roadperc_stream.channels import (
     METADATA_RECORD,
-    METRICS_TOPIC,
+    ON_REQUEST,
     PRODUCER,
     REFERENCE_ROLES,
-    RESULTS,
     ROLES,
     TOPIC_KEY,
     Role,
+    result_schemas,
 )
 from roadperc_stream.decoding import Context, context_of_channel, decode, schemas_of_kind
 from roadperc_stream.errors import ChannelError, DecodeError
@@ -39,6 +40,8 @@ _MOST_TOLD = 3
 """Candidates of a role, in notes."""
 _SHARED_KINDS = ("tf",)
 """Kinds whose topic may carry several channels."""
+_SCHEMAS: Final = result_schemas(tuple(ON_REQUEST.values()))
+"""Of every result, by topic."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +68,10 @@ class Problems:
     counts: Counter[str] = field(default_factory=Counter)
     first: dict[str, str] = field(default_factory=dict)
 
-    def add(self, topic: str, text: str) -> None:
-        """Count one more."""
+    def add(self, topic: str, time_ns: int, error: DecodeError) -> None:
+        """Count one more, by its log time or by the stamp of its frame."""
         self.counts[topic] += 1
-        self.first.setdefault(topic, text)
+        self.first.setdefault(topic, f"{topic}: message at {time_ns} ns: {error}")
 
     def tell(self, topic: str, text: str) -> None:
         """Keep the first of these words of a topic's messages that are read, but not as they stand."""
@@ -80,9 +83,9 @@ def is_result(channel: Channel) -> bool:
     return PRODUCER in channel.metadata
 
 
-def holds_metrics(channel: Channel) -> bool:
-    """Whether an earlier replay's rows are on this channel: each frame has one."""
-    return channel.topic == METRICS_TOPIC and is_result(channel) and channel.schema_name == RESULTS[METRICS_TOPIC]
+def is_result_of(channel: Channel, topic: str) -> bool:
+    """Whether a replay wrote this channel: others call topics so as well, and fill them with messages of their own."""
+    return channel.topic == topic and is_result(channel) and channel.schema_name == _SCHEMAS.get(topic)
 
 
 def roles_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> Filled:
@@ -97,7 +100,7 @@ def roles_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> Filled:
         filled = fill_roles(present, named)
     except ChannelError as error:
         raise ChannelError(f"{summary.path}: {error}") from error
-    return replace(filled, chosen=_choices(present, named))
+    return replace(filled, chosen=_choices(present, named)) if named else filled
 
 
 def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str, str]:
@@ -284,6 +287,6 @@ def stamped_messages(
                     contexts[channel],
                 )
             except DecodeError as error:
-                problems.add(channel.topic, f"{channel.topic}: message at {message.log_time_ns} ns: {error}")
+                problems.add(channel.topic, message.log_time_ns, error)
                 continue
             yield Stamped(role.name, message.log_time_ns, decoded.stamp_ns, decoded.payload)

@@ -180,15 +180,13 @@ def without_loops(items: Iterable[Stamped], held: Held, filled: Filled, problems
         problems: filled in.
     """
     for item in items:
-        looped = held.in_loops(item) if item.edges else ()
+        kept, looped = held.without_loops(item)
         if looped:
             topic = filled.topics[item.role]
             problems.tell(topic, f"{topic}: message at {item.log_time_ns} ns: {_loop_in_words(item, looped)}")
-        left = tuple(edge for edge in item.edges if edge.child not in looped)
-        kept = replace(item, payload=left) if looped else item
-        if left:
+        if kept.edges:
             held = held.updated(kept)
-        if left or not looped:
+        if kept.edges or not looped:
             yield kept
 
 

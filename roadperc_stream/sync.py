@@ -7,7 +7,7 @@ order and may arrive late: a frame waits until every stream has passed its stamp
 
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -69,6 +69,12 @@ class Held:
             found |= loops
             edges = {child: parent for child, parent in edges.items() if child not in loops}
         return tuple(dict.fromkeys(edge.child for edge in item.edges if edge.child in found))
+
+    def without_loops(self, item: Stamped) -> tuple[Stamped, tuple[str, ...]]:
+        """The item without the edges that would be part of a loop, and these edges' children."""
+        looped = self.in_loops(item) if item.edges else ()
+        kept = tuple(edge for edge in item.edges if edge.child not in looped)
+        return replace(item, payload=kept) if looped else item, looped
 
     def lookup(self, target: str, source: str) -> Float | None:
         """target_T_source along the tree; None where the frames are not connected.

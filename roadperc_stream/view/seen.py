@@ -6,18 +6,17 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from roadperc_stream import log
-from roadperc_stream.channels import IMAGE_SCHEMA, RESULTS, ROLES, TAG_TABLE_KEY, Kind
+from roadperc_stream.channels import METRICS_TOPIC, ROLES, TAG_TABLE_KEY, Kind
 from roadperc_stream.datatypes import Absent, CameraImage, Image, Lanes, Mask, Objects, TagImage
 from roadperc_stream.decoding import Decoded, Payload, context_of_channel, decode, schemas_of_kind
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.results import decode_metrics
-from roadperc_stream.roles import Problems, is_result
+from roadperc_stream.roles import Problems, is_result, is_result_of
 from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14
 
 Content = TypeVar("Content")
-METRICS: Final = "/perception/metrics"
 LANES, OBJECTS, DRIVABLE = "/perception/lanes", "/perception/objects", "/perception/drivable"
 LATENESS_NS: Final = (0, 2_000_000_000)
 """How far a message's log time may lie from its stamp: first the window that is cheap to read is tried."""
@@ -74,7 +73,7 @@ def read_frames(path: Path, problems: Problems) -> Iterator[tuple[FrameMetrics, 
         LogError: the log cannot be read.
     """
     channels = log.summarise(path).channels
-    topics = {channel.topic for channel in channels if _kind(channel) or _is_metrics(channel)}
+    topics = {channel.topic for channel in channels if _kind(channel) or is_result_of(channel, METRICS_TOPIC)}
     waiting: dict[int, dict[str, Decoded]] = {}
     for message in log.read(path, topics=topics):
         if row := row_of(message, problems):
@@ -96,15 +95,15 @@ def read_rows(path: Path, problems: Problems) -> Iterator[FrameMetrics]:
     Raises:
         LogError: the log cannot be read.
     """
-    rows = (row_of(message, problems) for message in log.read(path, topics=(METRICS,)))
+    rows = (row_of(message, problems) for message in log.read(path, topics=(METRICS_TOPIC,)))
     return (row for row in rows if row is not None)
 
 
 def row_of(message: Message, problems: Problems) -> FrameMetrics | None:
     """A frame's row; None of a message that is none, or cannot be read, which is counted."""
-    if not _is_metrics(message.channel):
+    if not is_result_of(message.channel, METRICS_TOPIC):
         return None
-    return content_of(lambda: decode_metrics(message.data), METRICS, message.log_time_ns, problems)
+    return content_of(lambda: decode_metrics(message.data), METRICS_TOPIC, message.log_time_ns, problems)
 
 
 def content_of(content: Callable[[], Content], topic: str, time_ns: int, problems: Problems) -> Content | None:
@@ -112,7 +111,7 @@ def content_of(content: Callable[[], Content], topic: str, time_ns: int, problem
     try:
         return content()
     except DecodeError as error:
-        problems.add(topic, f"{topic}: message at {time_ns} ns: {error}")
+        problems.add(topic, time_ns, error)
         return None
 
 
@@ -150,22 +149,12 @@ def _decoded(message: Message, problems: Problems) -> Decoded | None:
     )
 
 
-def is_result_of(channel: Channel, topic: str) -> bool:
-    """Whether a replay wrote this channel: others call topics so as well, and fill them with messages of their own."""
-    written = (channel.schema_name, channel.message_encoding) == (RESULTS.get(topic, IMAGE_SCHEMA), "protobuf")
-    return channel.topic == topic and is_result(channel) and written
-
-
 def _kind(channel: Channel) -> Kind | None:
     """What a channel is read as; None for those a picture does not need."""
     if is_result(channel):
         return _KINDS.get(channel.topic) if is_result_of(channel, channel.topic) else None
     pictures = (channel.schema_name, channel.message_encoding) in schemas_of_kind("image")
     return "image" if pictures and not channel.label(TAG_TABLE_KEY) and not _is_no_picture(channel.topic) else None
-
-
-def _is_metrics(channel: Channel) -> bool:
-    return is_result_of(channel, METRICS)
 
 
 def _is_no_picture(topic: str) -> bool:

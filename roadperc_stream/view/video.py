@@ -16,15 +16,16 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream import log
+from roadperc_stream.channels import METRICS_TOPIC
 from roadperc_stream.command import no_progress
 from roadperc_stream.datatypes import Image
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.formats import images
 from roadperc_stream.pictures.overlay import draw_overlay
 from roadperc_stream.pictures.strip import draw_strip
-from roadperc_stream.roles import Problems
+from roadperc_stream.roles import Problems, is_result_of
 from roadperc_stream.targets import completing, require_free
-from roadperc_stream.view.seen import METRICS, SeenFrame, content_of, is_result_of, read_frames, read_rows, row_of
+from roadperc_stream.view.seen import SeenFrame, content_of, read_frames, read_rows, row_of
 
 OVERLAY: Final = "/perception/overlay"
 _CODEC: Final = "vp09"
@@ -89,7 +90,7 @@ def _frame_stamps(source: Path) -> list[int]:
     problems = Problems()
     stamps = [row.stamp_ns for row in read_rows(source, problems)]
     if problems.first and not stamps:
-        raise LogError(f"{source}: no results to film; {problems.first[METRICS]}")
+        raise LogError(f"{source}: no results to film; {problems.first[METRICS_TOPIC]}")
     if not stamps:
         raise LogError(f"{source}: no results to film; roadperc-replay {source.name} OUT.mcap makes them")
     return stamps
@@ -136,7 +137,7 @@ def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
 def _overlays(source: Path, problems: Problems) -> Iterator[Image | None]:
     """The overlays of a log: each stands behind the metrics of its frame."""
     frames, picture = 0, None
-    for message in log.read(source, topics=(OVERLAY, METRICS)):
+    for message in log.read(source, topics=(OVERLAY, METRICS_TOPIC)):
         if is_result_of(message.channel, OVERLAY):
             picture = content_of(partial(_decoded, message.data), OVERLAY, message.log_time_ns, problems)
         elif row_of(message, problems):

@@ -106,7 +106,7 @@ class LiveReplay:
     def _run(self, player: Player) -> None:
         try:
             player.run()
-        except Exception as error:
+        except Exception as error:  # Whatever ends this thread is raised where the command waits for it.
             self._error = error
 
     def __exit__(

@@ -8,7 +8,7 @@ from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.channels import LIVE_ONLY, METRICS_TOPIC, PRODUCER, schema
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.roles import holds_metrics
+from roadperc_stream.roles import is_result_of
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.view.live.playhead import Reach
 from roadperc_stream.view.live.source import Source
@@ -58,7 +58,7 @@ class TimedSource:
             found = self._times_of(waiting)
             yield from found
             yield message
-            waiting = message if message and holds_metrics(message.channel) else None if found else waiting
+            waiting = message if _is_metrics(message) else None if found else waiting
         yield from self._times_of(waiting)
 
     def has_times(self) -> bool:
@@ -77,9 +77,13 @@ class TimedSource:
         return [replace(message, channel=self.channel, data=times.SerializeToString())]
 
 
+def _is_metrics(message: Message | None) -> bool:
+    return message is not None and is_result_of(message.channel, METRICS_TOPIC)
+
+
 def _frame_of(message: Message | None) -> pb.FrameMetrics | None:
     """A frame's metrics; None where the message is something else, or damaged."""
     try:
-        return pb.FrameMetrics.FromString(message.data) if message and holds_metrics(message.channel) else None
+        return pb.FrameMetrics.FromString(message.data) if message and _is_metrics(message) else None
     except ProtobufError:
         return None

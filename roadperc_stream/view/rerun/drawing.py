@@ -10,12 +10,12 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.channels import IMAGE_SCHEMA, METRICS_TOPIC, ON_REQUEST, Kind, result_schemas
+from roadperc_stream.channels import IMAGE_SCHEMA, METRICS_TOPIC, Kind
 from roadperc_stream.decoding import Context, context_of_channel, decode
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.results import DRIVABLE_COLOURS
-from roadperc_stream.roles import Filled, is_result
+from roadperc_stream.roles import Filled, is_result, is_result_of
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 from roadperc_stream.semantics import TagTable
@@ -48,7 +48,6 @@ _RESULT_KINDS: Final[Mapping[str, tuple[Kind, str]]] = {
     "/perception/tf": ("tf", "result"),
 }
 """Results that are written as inputs of a role are, and the role whose camera they belong to."""
-_SCHEMAS: Final = result_schemas(tuple(ON_REQUEST.values()))
 _PICTURES: Final = ("/perception/overlay", "/perception/debug/")
 _DRIVABLE: Final = TagTable("drivable", ("other", "drivable"), DRIVABLE_COLOURS)
 _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], Iterator[Entry]]]]] = {
@@ -79,7 +78,7 @@ def _drawer(channel: Channel, filled: Filled, world: World, times: StageTimes) -
 
 def _result_drawer(channel: Channel, world: World, times: StageTimes) -> Drawer | None:
     topic = channel.topic
-    if channel.schema_name != _SCHEMAS.get(topic):
+    if not is_result_of(channel, topic):
         return None
     if topic == METRICS_TOPIC:
         return partial(_parsed, FrameMetrics.FromString, partial(_numbers, times, world))

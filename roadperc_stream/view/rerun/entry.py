@@ -1,7 +1,7 @@
 """What is logged to Rerun, and what holds from one message to the next."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final
 
 import rerun as rr
@@ -54,10 +54,8 @@ class World:
 
     def hold(self, role: str, payload: Payload) -> None:
         """Take in a calibration or transforms; edges that close a loop are left out, as the chain leaves them out."""
-        item = Stamped(role, 0, 0, payload)
-        looped = self.held.in_loops(item)
-        kept = tuple(edge for edge in item.edges if edge.child not in looped)
-        self.held = self.held.updated(replace(item, payload=kept) if looped else item)
+        kept, _ = self.held.without_loops(Stamped(role, 0, 0, payload))
+        self.held = self.held.updated(kept)
 
 
 def image_plane(frame_id: str) -> str:

@@ -7,8 +7,9 @@ from itertools import groupby
 
 from google.protobuf.message import DecodeError as ProtobufError
 
+from roadperc_stream.channels import METRICS_TOPIC
 from roadperc_stream.log import Message
-from roadperc_stream.roles import holds_metrics
+from roadperc_stream.roles import is_result_of
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 
 
@@ -24,7 +25,7 @@ class Moment:
     @property
     def has_results(self) -> bool:
         """Whether a frame's results are among them: each frame has its metrics."""
-        return any(holds_metrics(message.channel) for message in self.messages)
+        return any(is_result_of(message.channel, METRICS_TOPIC) for message in self.messages)
 
 
 def moments(messages: Iterable[Message], reference: str | None) -> Iterator[Moment]:
@@ -43,7 +44,7 @@ def moments(messages: Iterable[Message], reference: str | None) -> Iterator[Mome
 
 def _frame(group: tuple[Message, ...], reference: str | None, last: int) -> int:
     """The number that the metrics of these messages say, else the next one where a frame is among them."""
-    for message in (m for m in group if holds_metrics(m.channel)):
+    for message in (m for m in group if is_result_of(m.channel, METRICS_TOPIC)):
         with suppress(ProtobufError):  # a damaged one is told of where it would be drawn
             return int(FrameMetrics.FromString(message.data).frame)
     return last + any(message.channel.topic == reference for message in group)

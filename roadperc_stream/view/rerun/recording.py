@@ -174,7 +174,7 @@ class _Sender:
             try:
                 yield from drawer(message) if drawer else ()
             except DecodeError as error:
-                self.problems.add(topic, f"{topic}: message at {message.log_time_ns} ns: {error}")
+                self.problems.add(topic, message.log_time_ns, error)
 
     def _log(self, entry: Entry) -> None:
         self._entities.add(entry.entity)
