@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roadperc_stream.errors import TableError
+from roadperc_stream.targets import naming
 
 ROW_GROUP_ROWS: Final = 1000
 _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
@@ -131,22 +132,25 @@ class TableWriter:
         self._rows: list[dict[str, Any]] = []
 
     def __enter__(self) -> Self:
-        try:
+        with naming(self._path):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = pq.ParquetWriter(self._temporary, self._schema, compression="zstd")
-        except OSError as error:
-            raise TableError(f"{self._path}: {error.strerror or error}") from error
         return self
 
     def append(self, row: Any, **extra: float) -> None:
-        """Add a row: a dataclass, and values of the extra columns."""
+        """Add a row: a dataclass, and values of the extra columns.
+
+        Raises:
+            TargetError: it cannot be written, as when the disk is full.
+        """
         self._rows.append(asdict(row) | extra | self._constant)
         if len(self._rows) >= ROW_GROUP_ROWS:
             self._flush()
 
     def _flush(self) -> None:
         if self._rows:
-            self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
+            with naming(self._path):
+                self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
             self._rows.clear()
 
     def __exit__(
@@ -155,10 +159,9 @@ class TableWriter:
         try:
             if kind is None:
                 self._flush()
-                self._writer.close()
-                self._temporary.replace(self._path)
-        except OSError as failure:
-            raise TableError(f"{self._path}: {failure.strerror or failure}") from failure
+                with naming(self._path):
+                    self._writer.close()
+                    self._temporary.replace(self._path)
         finally:
             with suppress(OSError):  # closing writes the footer, and a full disk fails again
                 self._writer.close()

@@ -31,6 +31,19 @@ def require_free(target: Path, *, force: bool, source: Path | None = None, suffi
 
 
 @contextmanager
+def naming(target: Path) -> Iterator[None]:
+    """What the system refuses in writing a file, as an error that names the file.
+
+    Raises:
+        TargetError: the folder or the file cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise TargetError(f"{target}: {error.strerror or error}") from error
+
+
+@contextmanager
 def completing(target: Path) -> Iterator[Path]:
     """A name beside the target to write to, which becomes the target where the block ends without an error.
 
@@ -39,11 +52,10 @@ def completing(target: Path) -> Iterator[Path]:
     """
     temporary = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        temporary.replace(target)
-    except OSError as error:
-        raise TargetError(f"{target}: {error.strerror or error}") from error
+        with naming(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            temporary.replace(target)
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)

@@ -1,12 +1,12 @@
 """A reference run that is kept, in a repository maybe: only its metrics tables are needed."""
 
-import os
 import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from roadperc_stream.errors import TableError
+from roadperc_stream.targets import completing
 
 from ..runs import SUFFIX
 from .pairing import LoggedRun, Pairing, RunPair
@@ -67,18 +67,11 @@ def carry_out(copies: Iterable[Copy]) -> None:
     """Copy each table; it appears under its name only when complete.
 
     Raises:
-        TableError: a table cannot be read or written.
+        TargetError: a table cannot be copied.
     """
     for copy in copies:
-        temporary = copy.target.with_name(f".{copy.target.name}.{os.getpid()}.partial")
-        try:
-            copy.target.parent.mkdir(parents=True, exist_ok=True)
+        with completing(copy.target) as temporary:
             shutil.copyfile(copy.source, temporary)
-            temporary.replace(copy.target)
-        except OSError as error:
-            raise TableError(f"{copy.target}: {error.strerror or error}") from error
-        finally:
-            temporary.unlink(missing_ok=True)
 
 
 def _replacement(pair: RunPair) -> Copy:

@@ -12,6 +12,7 @@ import tomli_w
 from roadperc_stream import __version__
 from roadperc_stream.errors import TableError
 from roadperc_stream.replay import CONFIG_ATTACHMENT
+from roadperc_stream.targets import naming
 
 from ..runs import SUFFIX, distinct_names
 from .settings import Combination
@@ -44,12 +45,18 @@ def dataset(target: Path, force: bool) -> Iterator[Path]:
 
 
 def describe(folder: Path, made: Sequence[Combination], logs: Sequence[Path]) -> None:
-    """Write what was varied over which logs, and the whole configuration of each combination."""
+    """Write what was varied over which logs, and the whole configuration of each combination.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
     vary = {key: list(dict.fromkeys(item.settings[key] for item in made)) for key in made[0].settings}
     facts = {"version": __version__, "logs": [str(log.absolute()) for log in logs], "vary": vary}
-    (folder / MARK).write_text(tomli_w.dumps(facts), encoding="utf-8")
-    for item in made:
-        (folder / item.folder / CONFIG_ATTACHMENT).write_text(item.cfg.to_toml(), encoding="utf-8")
+    texts = {folder / MARK: tomli_w.dumps(facts)}
+    texts |= {folder / item.folder / CONFIG_ATTACHMENT: item.cfg.to_toml() for item in made}
+    for path, text in texts.items():
+        with naming(path):
+            path.write_text(text, encoding="utf-8")
 
 
 def table_names(logs: Sequence[Path]) -> list[str]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.geometry import Float, inverse
+from roadperc_stream.targets import completing
 
 from .poses import RunPoses
 
@@ -15,13 +16,21 @@ _NS_PER_S = 1_000_000_000
 
 
 def export_tum(folder: Path, run: RunPoses) -> None:
-    """Write NAME.est.tum and, where there is truth, NAME.true.tum, each pose in its own world."""
+    """Write NAME.est.tum and, where there is truth, NAME.true.tum, each pose in its own world.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
     for path, poses in _targets(folder, run, "tum"):
         _write(path, tum_lines(run.stamps_ns, poses))
 
 
 def export_kitti(folder: Path, run: RunPoses) -> None:
-    """Write NAME.est.kitti and, where there is truth, NAME.true.kitti, each pose against its file's first."""
+    """Write NAME.est.kitti and, where there is truth, NAME.true.kitti, each pose against its file's first.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
     for path, poses in _targets(folder, run, "kitti"):
         _write(path, kitti_lines(poses))
 
@@ -59,5 +68,5 @@ def _targets(folder: Path, run: RunPoses, suffix: str) -> list[tuple[Path, Float
 
 
 def _write(path: Path, lines: Iterable[str]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
+    with completing(path) as temporary:
+        temporary.write_text("".join(f"{line}\n" for line in lines), encoding="ascii")

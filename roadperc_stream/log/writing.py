@@ -10,9 +10,9 @@ from typing import Self
 from mcap.writer import CompressionType, Writer
 
 from roadperc_stream import __version__
-from roadperc_stream.errors import LogError
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
+from roadperc_stream.targets import naming
 
 CHUNK_SIZE_BYTES = 1024 * 1024
 
@@ -37,11 +37,9 @@ class LogWriter:
         self._temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
 
     def __enter__(self) -> Self:
-        try:
+        with naming(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self._temporary.open("wb")
-        except OSError as error:
-            raise LogError(f"{self.path}: {error.strerror or error}") from error
         self._writer = Writer(
             self._stream,
             chunk_size=CHUNK_SIZE_BYTES,
@@ -53,16 +51,21 @@ class LogWriter:
         return self
 
     def write(self, message: Message) -> None:
-        """Append a message; its channel and schema are registered at their first use."""
+        """Append a message; its channel and schema are registered at their first use.
+
+        Raises:
+            TargetError: it cannot be written, as when the disk is full; so with all that is added to a log.
+        """
         self.register(message.channel)
         self.messages += 1
-        self._writer.add_message(
-            channel_id=self._channel_ids[message.channel],
-            log_time=message.log_time_ns,
-            data=message.data,
-            publish_time=message.publish_time_ns,
-            sequence=message.sequence,
-        )
+        with naming(self.path):
+            self._writer.add_message(
+                channel_id=self._channel_ids[message.channel],
+                log_time=message.log_time_ns,
+                data=message.data,
+                publish_time=message.publish_time_ns,
+                sequence=message.sequence,
+            )
         if self._growing is not None:
             self._growing.append(self._channel_ids[message.channel], message)
             self._note_chunk(self._growing)
@@ -104,18 +107,20 @@ class LogWriter:
 
     def attach(self, attachment: Attachment) -> None:
         """Add an attachment."""
-        self._writer.add_attachment(
-            create_time=attachment.create_time_ns,
-            log_time=attachment.log_time_ns,
-            name=attachment.name,
-            media_type=attachment.media_type,
-            data=attachment.data,
-        )
+        with naming(self.path):
+            self._writer.add_attachment(
+                create_time=attachment.create_time_ns,
+                log_time=attachment.log_time_ns,
+                name=attachment.name,
+                media_type=attachment.media_type,
+                data=attachment.data,
+            )
         self._end_byte = self._stream.tell()
 
     def describe(self, metadata: Metadata) -> None:
         """Add a metadata record."""
-        self._writer.add_metadata(metadata.name, dict(metadata.values))
+        with naming(self.path):
+            self._writer.add_metadata(metadata.name, dict(metadata.values))
         self._end_byte = self._stream.tell()
 
     def __exit__(
@@ -123,11 +128,10 @@ class LogWriter:
     ) -> None:
         try:
             if kind is None:
-                self._writer.finish()  # type: ignore[no-untyped-call]
-                self._stream.close()
-                self._name()
-        except OSError as failure:
-            raise LogError(f"{self.path}: {failure.strerror or failure}") from failure
+                with naming(self.path):
+                    self._writer.finish()  # type: ignore[no-untyped-call]
+                    self._stream.close()
+                    self._name()
         finally:
             with suppress(OSError):  # closing flushes, and a full disk fails again
                 self._stream.close()

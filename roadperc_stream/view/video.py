@@ -3,7 +3,9 @@
 VP9 is what OpenCV's wheels can write that browsers play; they hold no encoder of H.264.
 """
 
+import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -19,7 +21,7 @@ from roadperc_stream import log
 from roadperc_stream.channels import METRICS_TOPIC
 from roadperc_stream.command import no_progress
 from roadperc_stream.datatypes import Image
-from roadperc_stream.errors import DecodeError, LogError
+from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.formats import images
 from roadperc_stream.pictures.overlay import draw_overlay
 from roadperc_stream.pictures.strip import draw_strip
@@ -34,6 +36,7 @@ _MOST_COLUMNS: Final = 960
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 120.0
 _LONGEST_STILL_S: Final = 10.0
 _NANOSECONDS: Final = 1e9
+_FFMPEG_QUIET: Final = -8
 
 
 @dataclass(frozen=True)
@@ -65,15 +68,15 @@ def write_video(
         progress: called with frames done and frames expected.
 
     Raises:
-        LogError: the log cannot be read, holds no results or no pictures, or the film cannot be written; nothing is
-            left behind.
+        LogError: the log cannot be read, or holds no results or no pictures.
+        TargetError: the film exists and ``force`` is not set, or it cannot be written whole; nothing is left behind.
     """
     require_free(target, force=force, source=source, suffix=".mp4")
     stamps, problems = _frame_stamps(source), Problems()
     rate_hz = frame_rate_hz(stamps)
     shown = pictures_shown(stamps, rate_hz)
     filmed = without_image = 0
-    with completing(target) as temporary, _FilmWriter(target, temporary, rate_hz) as film:
+    with completing(target) as temporary, _quiet_opencv(), _FilmWriter(target, temporary, rate_hz) as film:
         for picture, times in zip(_shots(source, problems), shown, strict=True):
             without_image += picture is None
             film.show(picture, times)
@@ -188,7 +191,7 @@ class _FilmWriter:
         if self._writer is not None:
             self._writer.release()
         if kind is None and _pictures_in(self._temporary) != self.pictures:
-            raise LogError(f"{self._target}: the film could not be written whole; is there room for it?")
+            raise TargetError(f"{self._target}: the film could not be written whole; is there room for it?")
 
     def _fitted(self, picture: Image) -> Image:
         """Of the film's size, which is even: the coder halves the resolution of colours."""
@@ -206,8 +209,20 @@ class _FilmWriter:
         fourcc = cv2.VideoWriter.fourcc(*_CODEC)
         writer = cv2.VideoWriter(str(self._temporary), cv2.CAP_FFMPEG, fourcc, self._rate_hz, (columns, rows))
         if not writer.isOpened():
-            raise LogError(f"{self._target}: cannot be written, or this OpenCV has no VP9 encoder")
+            raise TargetError(f"{self._target}: cannot be written, or this OpenCV has no VP9 encoder")
         return writer
+
+
+@contextmanager
+def _quiet_opencv() -> Iterator[None]:
+    """Keep OpenCV from telling of every picture that it cannot write, and FFmpeg of the film that came of it."""
+    before = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", str(_FFMPEG_QUIET))
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(before)
 
 
 def _pictures_in(path: Path) -> int:

@@ -149,7 +149,7 @@ def test_without_truth_and_without_export_it_is_an_error_of_one_line(tmp_path, c
 def test_a_folder_that_cannot_be_written_is_an_error(shifted, tmp_path, capsys):
     code, _, err = trajectory(capsys, shifted, "--export-tum", shifted)
     assert code == 1
-    assert err == f"error: {shifted}: File exists\n"
+    assert err == f"error: {shifted}/drive.est.tum: File exists\n"
 
 
 @pytest.mark.parametrize(

@@ -100,19 +100,3 @@ def test_a_program_that_is_no_viewer_is_not_sent_the_log(source, monkeypatch, ca
         monkeypatch.setattr(viewer, "_ANSWERS_WITHIN_S", 0.2)
         assert main([str(source)]) == 1
     assert "taken by a program that is no Rerun viewer" in capsys.readouterr().err
-
-
-def test_a_full_disk_leaves_no_recording_behind(source, tmp_path):
-    """A limit on the size of files stands in for the disk; its signal is ignored, so that writing fails."""
-    target = tmp_path / "out.rrd"
-    code = (
-        "import resource, signal, sys; from roadperc_stream.view.command import main;"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000));"
-        "sys.exit(main(sys.argv[1:]))"
-    )
-    command = [sys.executable, "-c", code, str(source), "--save", str(target)]
-    ended = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
-    assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr == f"error: {target}: could not be written whole; is there room for it?\n"
-    assert not list(tmp_path.glob("*.rrd*"))
-    assert not list(tmp_path.glob(".*"))

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.targets import completing
 
 from .drive import BASELINE_M, MOUNT_X_M, MOUNT_Z_M
 from .ground import FAR_M
@@ -65,7 +66,7 @@ def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
     """Encodes by the path's suffix, ``.png`` or ``.jpg``.
 
     Raises:
-        DumpError: the file cannot be written.
+        TargetError: the file cannot be written.
     """
     settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
     _, encoded = cv2.imencode(path.suffix, picture, settings)
@@ -76,7 +77,7 @@ def write_points(path: Path, points: Float32) -> None:
     """(N, 4) x, y, z and intensity as ``carla.LidarMeasurement.save_to_disk`` writes them: PLY text, four decimals.
 
     Raises:
-        DumpError: the file cannot be written.
+        TargetError: the file cannot be written.
     """
     properties = "".join(f"property float32 {name}\n" for name in "xyzI")
     header = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
@@ -85,18 +86,15 @@ def write_points(path: Path, points: Float32) -> None:
 
 
 def _write_sensor_file(path: Path, data: bytes) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    except OSError as error:
-        raise DumpError(f"{path}: {error.strerror}") from error
+    with completing(path) as temporary:
+        temporary.write_bytes(data)
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Compact JSON; floats as they are, so round them before.
 
     Raises:
-        DumpError: the file cannot be written.
+        TargetError: the file cannot be written.
     """
     write_text(path, json.dumps(content, separators=(",", ":")) + "\n")
 
@@ -105,12 +103,10 @@ def write_text(path: Path, text: str) -> None:
     """A small text file.
 
     Raises:
-        DumpError: the file cannot be written.
+        TargetError: the file cannot be written.
     """
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DumpError(f"{path}: {error.strerror}") from error
+    with completing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def depth_picture(depth_m: Float32) -> NDArray[np.uint8]:

@@ -1,8 +1,6 @@
 """A log to a Rerun viewer or into a recording, message by message."""
 
-import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -23,6 +21,7 @@ from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
 from roadperc_stream.view.rerun.entry import Entry, World
 from roadperc_stream.view.rerun.moments import Moment, moments
+from roadperc_stream.view.rerun.outlet import saving
 from roadperc_stream.view.rerun.viewer import URL, start_viewer
 from roadperc_stream.view.stage_times import TableTimes
 
@@ -33,8 +32,6 @@ _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), f
 """A recording's footer, held in memory, names every chunk: small ones cost 0.25 MB a frame."""
 _MOST_WAITING: Final = 25
 """Moments that may wait to be written or sent: the queue to the thread that does it has no end of its own."""
-_FOOTER: Final = b"FOOT"
-_TAIL_BYTES: Final = 16
 Progress = Callable[[int, int], None]
 
 
@@ -56,10 +53,12 @@ def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = n
     summary, filled = _opened(path, overrides)
     start_viewer()
     recording = _recording(path)
-    with _stated(f"{URL}: the viewer is gone"):
+    try:
         recording.connect_grpc(URL)
-        exported = _export(recording, summary, filled, progress, arrange_early=True)
+        exported = _export(recording, summary, filled, progress, recording.flush, arrange_early=True)
         recording.flush()
+    except RuntimeError as error:  # what the SDK throws
+        raise TargetError(f"{URL}: the viewer is gone") from error
     return exported
 
 
@@ -74,31 +73,14 @@ def save_recording(
     """
     require_free(target, force=force, source=path)
     summary, filled = _opened(path, overrides)
-    broken = f"{target}: could not be written whole; is there room for it?"
-    with completing(target) as temporary, _stated(broken):
-        recording = _recording(path, _LARGE_CHUNKS)
-        recording.save(temporary)
-        exported = _export(recording, summary, filled, progress, arrange_early=False)
-        recording.disconnect()
-        if not _is_whole(temporary):
-            raise TargetError(broken)
-    return exported
+    recording = _recording(path, _LARGE_CHUNKS)
+    with completing(target) as temporary, saving(recording, temporary) as outlet:
 
+        def keep_up() -> None:
+            recording.flush()
+            outlet.check()
 
-@contextmanager
-def _stated(fault: str) -> Iterator[None]:
-    """What the SDK throws where its file or its viewer is gone, in words."""
-    try:
-        yield
-    except RuntimeError as error:
-        raise TargetError(fault) from error
-
-
-def _is_whole(path: Path) -> bool:
-    """Whether a recording has its footer: the SDK does not say so where it could not write it."""
-    with path.open("rb") as stream:
-        stream.seek(-min(_TAIL_BYTES, path.stat().st_size), os.SEEK_END)
-        return _FOOTER in stream.read()
+        return _export(recording, summary, filled, progress, keep_up, arrange_early=False)
 
 
 def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, Filled]:
@@ -114,9 +96,15 @@ def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.R
 
 
 def _export(
-    recording: rr.RecordingStream, summary: LogSummary, filled: Filled, progress: Progress, *, arrange_early: bool
+    recording: rr.RecordingStream,
+    summary: LogSummary,
+    filled: Filled,
+    progress: Progress,
+    keep_up: Callable[[], None],
+    *,
+    arrange_early: bool,
 ) -> Exported:
-    """Log every message, and arrange what was logged."""
+    """Log every message, and arrange what was logged; ``keep_up`` waits until what was logged has arrived."""
     role = next((role for role in REFERENCE_ROLES if role in filled.topics), "")
     reference = filled.topics.get(role)
     sender = _Sender(recording, summary, filled, World(role))
@@ -126,7 +114,7 @@ def _export(
     for count, moment in enumerate(moments(messages, reference), 1):
         sender.send(moment)
         if count % _MOST_WAITING == 0:
-            recording.flush()
+            keep_up()
         if arrange_early and frames == 1 and moment.frame == 1:  # the first frame is there: it has most of what comes
             recording.send_blueprint(sender.arranged())
         frames = max(frames, moment.frame + 1)

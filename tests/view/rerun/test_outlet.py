@@ -1,0 +1,58 @@
+"""The pipe between Rerun's SDK and a file."""
+
+import pytest
+import rerun as rr
+
+from roadperc_stream.view.rerun.outlet import saving
+from tests.view.rerun.chunks import recorded
+
+
+@pytest.fixture
+def recording():
+    return rr.RecordingStream("test")
+
+
+def log(recording, values):
+    for k in range(values):
+        recording.set_time("message_log_time", sequence=k)
+        recording.log("value", rr.TextLog(f"{k:04} " * 100))
+
+
+def test_what_comes_through_the_pipe_is_a_whole_recording(recording, tmp_path):
+    target = tmp_path / "out.rrd"
+    with saving(recording, target) as outlet:
+        log(recording, 500)
+        recording.flush()
+        outlet.check()
+    assert recorded(target)["/value"].column("TextLog:text") == [[f"{k:04} " * 100] for k in range(500)]
+    assert b"FOOT" in target.read_bytes()[-16:]  # the table of contents, without which a viewer must read all of it
+
+
+def save_and_fail(recording, target):
+    with saving(recording, target):
+        log(recording, 500)
+        raise KeyError(target)
+
+
+def test_an_error_of_the_block_ends_the_pipe_too(recording, tmp_path):
+    with pytest.raises(KeyError):
+        save_and_fail(recording, tmp_path / "out.rrd")
+
+
+def save_for_ever(recording, target):
+    with saving(recording, target) as outlet:
+        while True:
+            log(recording, 100)
+            recording.flush()
+            outlet.check()
+
+
+def test_a_file_that_cannot_be_written_is_told_while_it_goes_on(recording, tmp_path):
+    with pytest.raises(IsADirectoryError):
+        save_for_ever(recording, tmp_path)
+
+
+def test_a_pipe_that_cannot_be_had_is_told(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr(recording, "save", lambda _path: (_ for _ in ()).throw(RuntimeError("no")))
+    with pytest.raises(RuntimeError), saving(recording, tmp_path / "out.rrd"):
+        pytest.fail("nothing can be logged")
