@@ -1,0 +1,50 @@
+"""A viewer that goes away while it is sent a log: Rerun's own server, without a window."""
+
+import socket
+import subprocess
+from pathlib import Path
+from time import monotonic, sleep
+
+import pytest
+import rerun_cli
+
+from roadperc_stream.errors import TargetError
+from roadperc_stream.view.rerun import open_viewer, recording, viewer
+from tests import logs
+
+
+@pytest.fixture
+def server(monkeypatch, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = free.getsockname()
+    monkeypatch.setattr(viewer, "_ADDRESS", address)
+    monkeypatch.setattr(recording, "URL", f"rerun+http://127.0.0.1:{address[1]}/proxy")
+    binary = Path(rerun_cli.__file__).with_name("rerun")
+    command = [binary, "--serve-grpc", "--bind", address[0], "--port", str(address[1])]
+    with (tmp_path / "server.log").open("wb") as told:
+        process = subprocess.Popen(command, stdout=told, stderr=told)
+    deadline = monotonic() + 60
+    while not viewer._listening():
+        assert monotonic() < deadline, (tmp_path / "server.log").read_text()
+        sleep(0.1)
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_a_log_is_sent_whole(server, tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=3))
+    assert open_viewer(source, {}).frames == 3
+    assert server.poll() is None
+
+
+def test_a_viewer_that_goes_away_is_an_error(server, tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=60))
+
+    def close_window(frames, _expected):
+        if frames == 10:
+            server.kill()
+            server.wait()
+
+    with pytest.raises(TargetError, match=r"127\.0\.0\.1:\d+/proxy: the viewer is gone"):
+        open_viewer(source, {}, close_window)
