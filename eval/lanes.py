@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("log", metavar="OUT.mcap", type=Path, help="a log with results, as roadperc-replay writes it")
-    add("--tusimple", metavar="FILE.json", type=_json_path, help="write the lanes into this file")
+    add("--tusimple", metavar="FILE.json", type=Path, help="write the lanes into this file")
     add("--truth", metavar="FILE.json", type=Path, help="true lanes in TuSimple's format")
     add(
         "--pair",
@@ -83,14 +83,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--size", metavar="WxH", type=_size, help="image in whose pixels FILE.json is (default the camera's)")
     add("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
-
-
-def _json_path(text: str) -> Path:
-    """An argument that names a file to write: anything else might be a log that would be replaced."""
-    path = Path(text)
-    if path.suffix.lower() not in {".json", ".jsonl"}:
-        raise argparse.ArgumentTypeError(f"{text}: expected a name that ends in .json")
-    return path
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -1,15 +1,17 @@
 """The tables that lay several runs side by side: a row per run."""
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import islice
 from typing import Final
 
 from rich.table import Table
 
+from roadperc_stream.reasons import ranked
 from roadperc_stream.terminal import grid
 
 from .grid import percent
 from .quantities import STAGES, TRUTH, Quantity
-from .sections import accuracy, accuracy_grid, speed_grid, times
+from .sections import REASONS_SHOWN, accuracy, accuracy_grid, given, reasons_grid, speed_grid, times
 from .statistics import Statistics
 from .summary import Summary
 
@@ -52,11 +54,31 @@ def logs(summaries: Iterable[Summary]) -> Table:
 
 
 def coverage_by_log(summaries: Sequence[Summary]) -> Table:
-    """A row per run: share of frames with all inputs, and with a value of each stage that has any."""
+    """A row per run: share of frames with all inputs' messages, and with a value of each stage that has any."""
     shown = {what: column for what, column in _COVERED.items() if any(column in s.statistics for s in summaries)}
-    table = grid("Seen, % of frames", "inputs", *shown, label_columns=17)
+    table = grid("Seen, % of frames", "messages", *shown, label_columns=17)
     for summary in summaries:
         table.add_row(summary.name, *(percent(share) for share in _shares(summary, shown.values())))
+    return table
+
+
+def reasons_by_log(summaries: Sequence[Summary], together: Summary) -> Table:
+    """A block per reason that is not as frequent in all runs, a row per run that has it; of too many the most frequent.
+
+    Args:
+        summaries: of the runs.
+        together: over all of them.
+    """
+    table = reasons_grid("Why not, log by log")
+    for kind, reason in islice(ranked(together.reasons).items(), REASONS_SHOWN):
+        shares = [summary.reason_share(kind) for summary in summaries]
+        if min(shares) == max(shares):
+            continue
+        table.add_row(str(reason))
+        least = sorted(shares)[-LOGS_SHOWN:][0]
+        having = [s for s, share in zip(summaries, shares, strict=True) if share >= least and kind in s.reasons]
+        for summary in having[:LOGS_SHOWN]:
+            table.add_row(f"  {summary.name}", *given(summary.reasons[kind], summary))
     return table
 
 
@@ -94,7 +116,7 @@ def _shown(summaries: Sequence[Summary], quantity: Quantity) -> list[Summary]:
 
 
 def _shares(summary: Summary, columns: Iterable[str]) -> list[float]:
-    """The share of frames with all inputs, and that with a value in each column."""
+    """The share of frames with all inputs' messages, and that with a value in each column."""
     return [1 - summary.incomplete / summary.frames, *(summary.coverage(column) for column in columns)]
 
 

@@ -6,13 +6,14 @@ from typing import Final
 
 from rich.table import Table
 
+from roadperc_stream.reasons import Reason, ranked
 from roadperc_stream.terminal import grid
 
 from .grid import percent, rounded
 from .quantities import CATEGORIES, SEEN, SIDES, SKEW, STAGES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
 from .summary import Summary, WorstFrame
 
-REASONS_SHOWN: Final = 8
+REASONS_SHOWN: Final = 10
 
 
 def identity(summary: Summary) -> str:
@@ -37,12 +38,12 @@ def extent(summary: Summary) -> str:
 
 
 def inputs(summary: Summary) -> str:
-    """What was missing, and how far apart the sensors' stamps lie."""
+    """Whose messages were missing, usable or not, and how far apart the sensors' stamps lie."""
     if summary.incomplete:
         roles = ", ".join(f"{role} {percent(n / summary.frames)} %" for role, n in summary.missing.most_common())
         said = f"something missing in {percent(summary.incomplete / summary.frames)} % of the frames: {roles}"
     else:
-        said = "no input missing in any frame"
+        said = "no message missing in any frame"
     skew = summary.statistics.get(SKEW.column)
     return said if skew is None else f"{said}; sync skew median {skew.median:.1f} ms, p95 {skew.p95:.1f} ms"
 
@@ -174,15 +175,25 @@ def worst(summary: Summary) -> Table:
 
 
 def reasons(summary: Summary) -> Table:
-    """Why something is absent, as the chain put it, and in how many frames; the rarest are counted together."""
-    table = grid("Why not", "frames", "frames %")
-    shown = summary.reasons.most_common(REASONS_SHOWN)
-    for text, number in shown:
-        table.add_row(text, str(number), percent(number / summary.frames))
-    if len(shown) < len(summary.reasons):
-        rest = summary.reasons.total() - sum(number for _, number in shown)
-        table.add_row(f"{len(summary.reasons) - len(shown)} other reasons", str(rest))
+    """Why something is absent, as the chain put it, and in how many frames; of the rarest only how many there are."""
+    table = reasons_grid("Why not?")
+    found = list(ranked(summary.reasons).values())
+    for reason in found[:REASONS_SHOWN]:
+        table.add_row(str(reason), *given(reason, summary))
+    rest = len(found) - REASONS_SHOWN
+    if rest > 0:
+        table.add_row(f"{rest} other reason{'s' * (rest > 1)}")
     return table
+
+
+def reasons_grid(title: str) -> Table:
+    """An empty table for rows of ``given``."""
+    return grid(title, "frames", "frames %")
+
+
+def given(reason: Reason, summary: Summary) -> list[str]:
+    """In how many frames a reason was given, and the share in percent."""
+    return [str(reason.frames), percent(reason.frames / summary.frames)]
 
 
 def accuracy_grid(title: str) -> Table:

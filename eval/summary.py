@@ -14,6 +14,8 @@ from typing import Any, Final
 import numpy as np
 import polars as pl
 
+from roadperc_stream.reasons import Reasons, grouped, merged
+
 from .distribution import Distribution, Sketch, exactly, thinned
 from .quantities import CATEGORIES, NUMBERS, SUSPECT, TRUTH, Quantity
 from .runs import Run
@@ -50,9 +52,9 @@ class Summary:
     ``log_ids`` are digests of the logs' messages, ``configs`` and ``versions`` what made the tables; ``span_s`` are the
     seconds from first to last frame of each table, ``longest_gap_s`` the longest time between two frames.
     ``statistics`` holds the numeric columns that have values; ``categories`` counts the values of each text column;
-    ``missing`` counts frames per missing role, ``incomplete`` frames where any role is missing, ``reasons`` frames per
-    text; ``worst`` holds the worst frames, the worst first. ``totals`` are the sums of the counting columns that have
-    values, ``correlations`` per side those of the smoothed offset with its truth, by shift.
+    ``missing`` counts frames per role without a message, ``incomplete`` frames where any role is without, ``reasons``
+    say why something is absent; ``worst`` holds the worst frames, the worst first. ``totals`` are the sums of the
+    counting columns that have values, ``correlations`` per side those of the smoothed offset with its truth, by shift.
     """
 
     name: str
@@ -67,7 +69,7 @@ class Summary:
     statistics: Mapping[str, Statistics]
     categories: Mapping[str, Counter[str]]
     missing: Counter[str]
-    reasons: Counter[str]
+    reasons: Reasons
     totals: Mapping[str, int]
     correlations: Mapping[str, tuple[float | None, ...]]
     worst: Mapping[str, tuple[WorstFrame, ...]] = field(repr=False)
@@ -85,6 +87,11 @@ class Summary:
     def share(self, column: str, *values: str) -> float:
         """Share of the frames that have one of these values in a text column."""
         return sum(self.categories[column][value] for value in values) / self.frames
+
+    def reason_share(self, kind: str) -> float:
+        """Share of the frames that gave a reason."""
+        found = self.reasons.get(kind)
+        return found.frames / self.frames if found else 0.0
 
     @property
     def rank_error(self) -> float:
@@ -155,7 +162,7 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
         present,
         {name: _counter(found[name]) for name in CATEGORIES},
         _counter(found["missing"]),
-        _counter(found["reasons"]),
+        grouped(_counter(found["reasons"])),
         {name: found[name] for name in COUNTS if found[name] is not None},
         {side: tuple(found[f"correlations {side}"]) for side in TRACED},
         {q.column: _ranking(run, found[f"worst {q.column}"]) for q in _RANKED if q.column in present},
@@ -177,7 +184,7 @@ def _together(summaries: Sequence[Summary], sketches: Mapping[str, Sketch], wors
         {q.column: _statistics(summaries, q.column, sketches[q.column]) for q in NUMBERS if q.column in sketches},
         {name: _added(summary.categories[name] for summary in summaries) for name in CATEGORIES},
         _added(summary.missing for summary in summaries),
-        _added(summary.reasons for summary in summaries),
+        merged(summary.reasons for summary in summaries),
         _added(summary.totals for summary in summaries),
         {side: averaged((summary.frames, summary.correlations[side]) for summary in summaries) for side in TRACED},
         {q.column: ranking for q in _RANKED if (ranking := _merged(summaries, q, worst))},

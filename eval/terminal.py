@@ -37,6 +37,7 @@ def print_several(console: Console, summaries: Sequence[Summary], together: Summ
     print_table(console, log_by_log.logs(listed))
     _print_sections(console, together)
     print_table(console, log_by_log.coverage_by_log(listed))
+    print_table(console, log_by_log.reasons_by_log(summaries, together))
     print_table(console, log_by_log.accuracy_by_log(summaries))
     print_table(console, log_by_log.times_by_log(summaries))
     if len(summaries) > len(listed):
@@ -54,6 +55,7 @@ def _print_sections(console: Console, summary: Summary) -> None:
     absent = sections.no_values(summary)
     if absent:
         print_lines(console, "", f"no values: {absent}")
+    print_table(console, sections.reasons(summary))
     if sections.has_truth(summary):
         print_table(console, sections.right(summary), _ERRORS)
         print_table(console, sections.counted(summary))
@@ -61,4 +63,3 @@ def _print_sections(console: Console, summary: Summary) -> None:
         print_lines(console, "", "Is it right? No frame has a truth for what was replayed.")
     print_table(console, sections.fast(summary), sections.speed(summary))
     print_table(console, sections.worst(summary), _SECONDS)
-    print_table(console, sections.reasons(summary))

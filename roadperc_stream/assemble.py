@@ -8,6 +8,9 @@ import numpy as np
 from roadperc_stream.channels import ROLES
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import (
+    EGO,
+    ODOM,
+    OWN_ODOM,
     CameraImage,
     DepthImage,
     Frame,
@@ -17,6 +20,7 @@ from roadperc_stream.datatypes import (
     Sample,
     Surface,
     TagImage,
+    Tie,
     Truth,
 )
 from roadperc_stream.decoding import Transform
@@ -24,14 +28,16 @@ from roadperc_stream.errors import ChannelError
 from roadperc_stream.geometry import Camera, Float, inverse, level_mounting
 from roadperc_stream.sync import Held, Moment, Stamped
 
-EGO_FRAMES: Final = ("ego", "base_footprint", "base_link", "ego_vehicle", "hero")
+EGO_FRAMES: Final = (EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
 """What recorders call the vehicle's own frame, the one on the road before the one above it (REP 105 and 120, CARLA)."""
 _SAME_PLACE: Final = 1e-6
 """Metres and radians by which two cameras in one place may differ."""
 T = TypeVar("T")
 
 
-def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str, str]) -> Sample:
+def sample_of(
+    cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str, str], parent_of: Mapping[str, str]
+) -> Sample:
     """The sample of a moment.
 
     Args:
@@ -39,6 +45,7 @@ def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str
         moment: the messages of one instant.
         index: number of the frame in the replay, from 0.
         topics: topic of each role the log fills.
+        parent_of: parents of all frames that the log places, at this instant or any other.
 
     Raises:
         ChannelError: a camera without calibration; the message names it.
@@ -73,7 +80,8 @@ def sample_of(cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str
         ego_T_lidar=None if points is None else _lidar_mounting(held, ego_T_camera, camera, points.frame_id),
     )
     missing = tuple(role for role in topics if _expected(role) and role not in parts)
-    return Sample(index, moment.reference.log_time_ns, frame, _truth(parts, held, camera), missing, moment.skew_ns)
+    truth, tie = _truth(parts, held, camera), _tie(held, camera, ego_T_camera, parent_of)
+    return Sample(index, moment.reference.log_time_ns, frame, truth, missing, moment.skew_ns, tie)
 
 
 def _expected(role: str) -> bool:
@@ -146,6 +154,15 @@ def ego_T_camera_of(held: Held, camera: Camera) -> Float | None:
 def ego_frame_of(held: Held, camera: Camera) -> str | None:
     """The frame of the transform tree that is ego for a camera; None where the camera has no mounting."""
     return None if camera.frame_id in EGO_FRAMES else _ego_frame(held, camera.frame_id)
+
+
+def _tie(held: Held, camera: Camera, ego_T_camera: Float, parent_of: Mapping[str, str]) -> Tie:
+    """By the frame of the log that is ego; where it has none, by the camera, as it is taken to be mounted."""
+    own = camera.frame_id if camera.frame_id in EGO_FRAMES else ego_frame_of(held, camera)
+    frame_id, ego_T_frame = (camera.frame_id, ego_T_camera) if own is None else (own, np.eye(4))
+    placed = frame_id in parent_of
+    odom_taken = placed or ODOM in parent_of or ODOM in parent_of.values()
+    return Tie("" if frame_id == EGO else frame_id, ego_T_frame, placed, OWN_ODOM if odom_taken else ODOM)
 
 
 def _ego_T(held: Held, frame_id: str, sensor: str = "") -> Float | None:

@@ -273,6 +273,8 @@ def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[
         return OFF
     if frame.right is None:
         return Absent("no right image")
+    if frame.right_camera is None:
+        return Absent("no calibration of the right camera")
     left_grey = grey if _left_is_front(frame) else inputs.grey_of("left", frame.left, frame.left_camera, problems)
     right_grey = inputs.grey_of("right", frame.right, frame.right_camera, problems)
     return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)

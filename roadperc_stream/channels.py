@@ -97,6 +97,8 @@ REFERENCE_ROLES: Final = ("image", "left", "depth", "segmentation")
 PRODUCER: Final = ("producer", "roadperc")
 """Channel metadata by which a later replay knows the results of an earlier one."""
 TAG_TABLE_KEY: Final = "tag_table"
+"""Names the table of a channel's tags: in the channel's metadata, or, where its recorder did not, in a result's record
+of how it came about."""
 METADATA_RECORD: Final = "roadperc"
 """Metadata record of a result: how it came about."""
 TOPIC_KEY: Final = "topic."

@@ -124,7 +124,7 @@ def _requests(arguments: argparse.Namespace) -> tuple[Request, ...]:
 
 
 def _print_summary(target: Path, summary: ReplaySummary) -> None:
-    for note in summary.notes:
+    for note in (*summary.notes, *summary.throughout):
         print(f"note: {note}")
     for topic, number in summary.problems.items():
         print(f"warning: {number} messages on {topic} could not be read; they are copied, their frames go without")

@@ -1,8 +1,8 @@
 """The pixels of a frame: decoded only where a stage asks for them, and brought into the front camera's view."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from roadperc_stream.registration import depth_of_points, sample_labels, warp_de
 
 T = TypeVar("T")
 P = TypeVar("P", bound=np.generic)
+_OTHER_SIZE: Final = " pixels, its calibration says "
 
 
 @dataclass(frozen=True)
@@ -65,8 +66,13 @@ def grey_of(role: str, image: CameraImage | None, camera: Camera | None, problem
 
 
 def colours_of(frame: Frame) -> Image | None:
-    """(H, W, 3) colours of the front camera's image; None where it is missing or cannot be used."""
-    return _pixels("image", frame.image, lambda image: image.bgr, frame.camera, [])
+    """(H, W, 3) colours of the front camera's image, whatever its size; None where it is missing or cannot be read."""
+    return _decoded("image", frame.image, lambda image: image.bgr, [])
+
+
+def image_fits(reasons: Iterable[str]) -> bool:
+    """Whether a frame's reasons leave it open that its camera image is of its calibration's size."""
+    return not any(reason.startswith("image: ") and _OTHER_SIZE in reason for reason in reasons)
 
 
 def sensor_depth(frame: Frame, problems: list[str]) -> DepthView | None:
@@ -106,16 +112,21 @@ def lidar_view(frame: Frame, problems: list[str]) -> DepthView | None:
 def _pixels(
     role: str, image: T | None, decode: Callable[[T], NDArray[P]], camera: Camera, problems: list[str]
 ) -> NDArray[P] | None:
-    """Decoded pixels; what cannot be decoded becomes a problem and counts as missing."""
+    """Decoded pixels of the camera's size; what cannot be used becomes a problem and counts as missing."""
+    pixels = _decoded(role, image, decode, problems)
+    if pixels is not None and pixels.shape[:2] != camera.size:
+        height, width = pixels.shape[:2]
+        problems.append(f"{role}: {width}x{height}{_OTHER_SIZE}{camera.width}x{camera.height}")
+        return None
+    return pixels
+
+
+def _decoded(role: str, image: T | None, decode: Callable[[T], NDArray[P]], problems: list[str]) -> NDArray[P] | None:
+    """Decoded pixels, of any size; what cannot be decoded becomes a problem and counts as missing."""
     if image is None:
         return None
     try:
-        pixels = decode(image)
+        return decode(image)
     except DecodeError as error:
         problems.append(f"{role}: {error}")
         return None
-    if pixels.shape[:2] != camera.size:
-        height, width = pixels.shape[:2]
-        problems.append(f"{role}: {width}x{height} pixels, its calibration says {camera.width}x{camera.height}")
-        return None
-    return pixels

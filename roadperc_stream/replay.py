@@ -1,7 +1,7 @@
 """The one loop: a log in, the log with results and the metrics tables out."""
 
 import hashlib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,7 +14,15 @@ from threadpoolctl import threadpool_limits
 
 from roadperc_stream import __version__, log
 from roadperc_stream.chain import ChainState, step
-from roadperc_stream.channels import METADATA_RECORD, PRODUCER, TOPIC_KEY, Request, result_schemas, schema
+from roadperc_stream.channels import (
+    METADATA_RECORD,
+    PRODUCER,
+    TAG_TABLE_KEY,
+    TOPIC_KEY,
+    Request,
+    result_schemas,
+    schema,
+)
 from roadperc_stream.command import no_progress
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import FrameResult, Odometry, Sample
@@ -22,8 +30,9 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.pictures.on_request import PictureMaker
+from roadperc_stream.reasons import Reasons, grouped, merged, throughout
 from roadperc_stream.results import as_written, result_messages
-from roadperc_stream.roles import Problems, is_result
+from roadperc_stream.roles import Problems, is_result, tag_table_needed
 from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.survey import WHOLE, Cut, Survey, input_messages, samples, span_ns, survey_log
 from roadperc_stream.sync import SyncCounts
@@ -66,6 +75,8 @@ class ReplaySummary:
     notes: tuple[str, ...]
     dropped: dict[str, int]
     problems: dict[str, int]
+    throughout: tuple[str, ...]
+    """The reasons that held in all frames, in words."""
 
 
 @contextmanager
@@ -135,7 +146,7 @@ def replay(
     summary = log.summarise(source)
     survey = survey_log(summary, cfg, overrides or {}, cut)
     counts, problems, facts = SyncCounts(), Problems(), table_facts(source, target, cfg)
-    log_id, state = survey.digest[:16], ChainState()
+    log_id, state, reasons = survey.digest[:16], ChainState(), Reasons()
     previous: Sample | None = None
     frames = TableWriter(beside(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(beside(target, "objects"), ObjectMetrics, facts)
@@ -157,6 +168,7 @@ def replay(
             frames.append(row, **timer.columns())
             for detection in object_metrics(log_id, sample, result):
                 detections.append(detection)
+            reasons = merged((reasons, grouped(Counter(row.reasons))))
             previous = sample
             progress(counts.frames, survey.expected_frames)
         copy.rest()
@@ -169,6 +181,7 @@ def replay(
         (*survey.filled.notes, *(survey.problems.first | problems.first).values(), *pictures.notes()),
         dict(counts.dropped),
         dict(problems.counts),
+        throughout(reasons, counts.frames, survey.filled.topics),
     )
 
 
@@ -230,7 +243,7 @@ class ResultWriter:
 def _require_free(source: Path, target: Path, force: bool) -> None:
     require_free(target, force=force, source=source, suffix=".mcap")
     for table in (beside(target, "metrics"), beside(target, "objects")):
-        require_free(table, force=force)
+        require_free(table, force=force, suffix=".parquet")
 
 
 def _result_channel(topic: str, schema_name: str) -> Channel:
@@ -258,6 +271,7 @@ def _describe(writer: LogWriter, summary: LogSummary, survey: Survey, cfg: Repla
     for record in summary.metadata:
         if record.name != METADATA_RECORD:
             writer.describe(record)
+    tag_table = tag_table_needed(summary.channels, survey.filled, cfg.tag_table)
     facts = {
         "version": __version__,
         "seed": str(cfg.seed),
@@ -265,6 +279,7 @@ def _describe(writer: LogWriter, summary: LogSummary, survey: Survey, cfg: Repla
         "input_messages": str(survey.messages),
         "frames": str(counts.frames),
         **{f"{TOPIC_KEY}{role}": topic for role, topic in sorted(survey.filled.chosen.items())},
+        **({TAG_TABLE_KEY: tag_table} if tag_table else {}),
         **{f"dropped.{role}": str(number) for role, number in sorted(counts.dropped.items())},
     }
     writer.describe(Metadata(METADATA_RECORD, tuple(facts.items())))

@@ -9,13 +9,13 @@ from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream import colours, drawing, encoding
 from roadperc_stream.channels import METRICS_TOPIC
-from roadperc_stream.datatypes import Absent, FrameResult, Mask, Odometry, Sample
+from roadperc_stream.datatypes import EGO, Absent, FrameResult, Mask, Odometry, Sample, Tie
 from roadperc_stream.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceSource
 from roadperc_stream.decoding import Transform
 from roadperc_stream.decoding.payload import require_finite
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
-from roadperc_stream.geometry import Float
+from roadperc_stream.geometry import Float, inverse
 from roadperc_stream.rows import Columns, FrameMetrics
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
@@ -23,7 +23,6 @@ from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
 from roadperc_stream.semantics import Colour
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
-ODOM, EGO = "odom", "ego"
 _BEYOND_ROS_2 = f"the frame's stamp is beyond {LAST_STAMP_NS} ns (2038-01-19), the last one ROS 2 messages hold"
 _COLUMNS = {field.name for field in fields(FrameMetrics)}
 _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -60,7 +59,9 @@ def result_messages(
     if not isinstance(result.occupancy, Absent):
         yield "/perception/occupancy", encoding.encode_occupancy(stamp_ns, result.occupancy)
     if not isinstance(result.odometry, Absent):
-        yield from _odometry(stamp_ns, result.odometry, trajectory)
+        yield from _odometry(stamp_ns, sample.tie.odom, result.odometry, trajectory)
+    if edges := _edges(sample.tie, result.odometry):
+        yield "/perception/tf", encoding.encode_transforms(stamp_ns, edges)
     yield METRICS_TOPIC, encode_metrics(sample.frame.camera.frame_id, metrics)
     for reason in metrics.reasons:
         if reason not in previous_reasons:
@@ -107,14 +108,27 @@ def _lanes_and_objects(sample: Sample, result: FrameResult) -> Written:
         yield "/perception/objects/scene", scene
 
 
-def _odometry(stamp_ns: int, odometry: Odometry, trajectory: Sequence[Float]) -> Written:
+def _odometry(stamp_ns: int, odom: str, odometry: Odometry, trajectory: Sequence[Float]) -> Written:
     """Of a lost frame the state alone says where the car was last: as a pose of this frame it would be false."""
     yield "/perception/odometry/state", encoding.encode_odometry(stamp_ns, EGO, odometry)
-    yield "/perception/trajectory", encoding.encode_poses(stamp_ns, ODOM, trajectory)
+    yield "/perception/trajectory", encoding.encode_poses(stamp_ns, odom, trajectory)
     if odometry.status != "lost":
-        yield "/perception/odometry", encoding.encode_pose(stamp_ns, ODOM, odometry.odom_T_ego)
-        edge = Transform(ODOM, EGO, odometry.odom_T_ego)
-        yield "/perception/tf", encoding.encode_transforms(stamp_ns, [edge])
+        yield "/perception/odometry", encoding.encode_pose(stamp_ns, odom, odometry.odom_T_ego)
+
+
+def _edges(tie: Tie, odometry: Odometry | Absent) -> list[Transform]:
+    """What joins ego with the log's own tree, and odom with ego: from above, or from below where the log is above."""
+    edges = [_hung(tie.frame_id, EGO, inverse(tie.ego_T_frame), tie.placed)] if tie.frame_id else []
+    if not isinstance(odometry, Absent) and odometry.status != "lost":
+        edges.append(_hung(tie.odom, EGO, odometry.odom_T_ego, not tie.placed))
+    return edges
+
+
+def _hung(frame_id: str, other: str, frame_T_other: Float, above: bool) -> Transform:
+    """The edge between two frames with the first one above or below."""
+    if above:
+        return Transform(frame_id, other, frame_T_other)
+    return Transform(other, frame_id, inverse(frame_T_other))
 
 
 def encode_metrics(frame_id: str, metrics: FrameMetrics) -> bytes:

@@ -1,10 +1,9 @@
 """Which channel of a log fills which role, and the messages of the filled roles, decoded."""
 
-import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import takewhile
+from functools import partial
 from typing import Final
 
 from roadperc_stream.channels import (
@@ -13,35 +12,36 @@ from roadperc_stream.channels import (
     PRODUCER,
     REFERENCE_ROLES,
     ROLES,
+    TAG_TABLE_KEY,
     TOPIC_KEY,
+    Kind,
     Role,
     result_schemas,
 )
+from roadperc_stream.contents import holds
 from roadperc_stream.decoding import Context, context_of_channel, decode, schemas_of_kind
 from roadperc_stream.errors import ChannelError, DecodeError
+from roadperc_stream.guessing import choice, could_fill, free, guess
 from roadperc_stream.log import Channel, LogSummary, Message, Metadata
+from roadperc_stream.semantics import TABLES
 from roadperc_stream.sync import Stamped
+from roadperc_stream.topic_names import distinct, fits, known_elsewhere, without_a_word
 
-_GUESSED_ROLES = ("image", "calibration", "depth", "segmentation", "detections", "tf")
-"""Roles that a topic of another name may fill, where only one fits."""
-_NEEDED_ROLES = ("image", "calibration")
-"""Roles without which no frame can be made: where several topics fit, somebody must choose."""
-_CAMERA_OF = {"depth_calibration": "depth", "left_calibration": "left", "right_calibration": "right"}
-"""Whose images the other calibrations speak of."""
-_WORDS = {
-    "depth": ("depth",),
-    "segmentation": ("seg", "semantic", "label"),
-    "left": ("left",),
-    "right": ("right",),
-    "truth": ("truth",),
-    "tf_static": ("static",),
-}
+_UNNAMED_ROLES = ("depth", "segmentation")
+"""Roles whose images any name may have: what is in them tells, where no name does."""
 _MOST_TOLD = 3
 """Candidates of a role, in notes."""
 _SHARED_KINDS = ("tf",)
 """Kinds whose topic may carry several channels."""
 _SCHEMAS: Final = result_schemas(tuple(ON_REQUEST.values()))
 """Of every result, by topic."""
+Looks = Callable[[Kind, Channel], bool]
+"""Whether what is in a channel is of a kind."""
+
+
+def _unseen(_kind: Kind, _channel: Channel) -> bool:
+    """Nobody looks what is in the channels."""
+    return False
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,8 @@ class Filled:
     """Of these the roles that some topic of the log could fill, with the topics."""
     chosen: Mapping[str, str] = field(default_factory=dict)
     """Topics that are taken because the user named them, in this replay or in the one that made the log."""
+    tag_table: str = ""
+    """Table of tags whose channel names none, as the user of the replay named it that made the log; empty: nobody."""
 
     def roles_of(self, topic: str) -> list[Role]:
         """Roles a topic fills."""
@@ -97,10 +99,11 @@ def roles_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> Filled:
     present = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
     named = {**chosen_topics(summary.metadata, present), **overrides}
     try:
-        filled = fill_roles(present, named)
+        filled = fill_roles(present, named, partial(holds, summary.path))
     except ChannelError as error:
         raise ChannelError(f"{summary.path}: {error}") from error
-    return replace(filled, chosen=_choices(present, named)) if named else filled
+    chosen = _choices(present, named) if named else {}
+    return replace(filled, chosen=chosen, tag_table=chosen_tag_table(summary.metadata))
 
 
 def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str, str]:
@@ -114,17 +117,47 @@ def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str,
 
 def chosen_topics(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> dict[str, str]:
     """Topics by role that the user of an earlier replay named, as its result records them; those that are there."""
-    record = next((dict(record.values) for record in metadata if record.name == METADATA_RECORD), {})
+    record = _record(metadata)
     named = {key.removeprefix(TOPIC_KEY): topic for key, topic in record.items() if key.startswith(TOPIC_KEY)}
     there = {channel.topic for channel in channels if not is_result(channel)}
     return {role: topic for role, topic in named.items() if role in ROLES and topic in there}
 
 
-def fill_roles(channels: Iterable[Channel], overrides: Mapping[str, str]) -> Filled:
+def chosen_tag_table(metadata: Iterable[Metadata]) -> str:
+    """The tag table that the user of an earlier replay named, as its result records it; empty where none is known."""
+    name = _record(metadata).get(TAG_TABLE_KEY, "")
+    return name if name in TABLES else ""
+
+
+def tag_table_needed(channels: Iterable[Channel], filled: Filled, configured: str) -> str:
+    """The table to be recorded: what the user named, now or earlier, where a channel of tags names none; else empty.
+
+    Args:
+        channels: of the log.
+        filled: roles and topics.
+        configured: table of this replay, or ``auto``.
+    """
+    tags = (c for c in channels if any(role.kind == "tags" for role in filled.roles_of(c.topic)) and not is_result(c))
+    if all(channel.label(TAG_TABLE_KEY) for channel in tags):
+        return ""
+    return filled.tag_table if configured == "auto" else configured
+
+
+def _record(metadata: Iterable[Metadata]) -> dict[str, str]:
+    """What a result says of how it came about; empty of other logs."""
+    return next((dict(record.values) for record in metadata if record.name == METADATA_RECORD), {})
+
+
+def fill_roles(channels: Iterable[Channel], overrides: Mapping[str, str], looks: Looks = _unseen) -> Filled:
     """Match channels to roles: by the user's word, by topics that are known, else by the only topic that fits.
 
     Where several fit, those in the namespace of the role's camera come first; a role that is not needed stays unfilled
     where they still are several.
+
+    Args:
+        channels: of the log; results of earlier replays do not count.
+        overrides: topic by role, from ``--topic``.
+        looks: tells candidates whose names do not.
 
     Raises:
         ChannelError: a topic asked for is not there or has the wrong schema, or several fit a role that is needed.
@@ -141,28 +174,35 @@ def fill_roles(channels: Iterable[Channel], overrides: Mapping[str, str]) -> Fil
             _require_one_fitting(role, named)
             topics[role.name] = topic
     for role in ROLES.values():
-        if role.name not in topics and (known := _choice(role, _elsewhere(role, inputs, topics), topics)):
+        if role.name not in topics and (known := choice(role, known_elsewhere(role, free(inputs, topics)), topics)):
             topics[role.name] = known
     notes = []
     for role in ROLES.values():
-        if role.name not in topics and (guess := _guess(role, inputs, topics)):
-            topics[role.name] = guess
-            notes.append(f"role {role.name}: {guess}, the only topic that fits")
-    unfilled = _unfilled_in_words(candidates(inputs, topics), inputs)
+        if role.name not in topics and (guessed := guess(role, inputs, topics)):
+            topics[role.name] = guessed
+            notes.append(f"role {role.name}: {guessed}, the only topic that fits")
+    unfilled = _unfilled_in_words(candidates(inputs, topics, looks), inputs)
     return Filled({name: topics[name] for name in ROLES if name in topics}, (*notes, *unfilled), unfilled)
 
 
-def candidates(channels: Iterable[Channel], filled: Mapping[str, str]) -> Mapping[str, tuple[str, ...]]:
+def candidates(
+    channels: Iterable[Channel], filled: Mapping[str, str], looks: Looks = _unseen
+) -> Mapping[str, tuple[str, ...]]:
     """Topics that could fill the roles a log leaves unfilled, by role; roles without any, and truths, are left out.
 
     Args:
         channels: of the log; results of earlier replays do not count.
         filled: topic of each role that is filled; these topics are nobody's candidates.
+        looks: tells depth and tags whose names do not, where no better name is there.
     """
-    unused = [c for c in channels if not is_result(c) and c.topic not in filled.values()]
-    found = {role.name: _fitting(role, unused) for role in ROLES.values() if role.name not in filled and not role.truth}
+    unused = free((channel for channel in channels if not is_result(channel)), filled)
+    unfilled = [role for role in ROLES.values() if role.name not in filled and not role.truth]
+    found = {role.name: could_fill(role, unused, filled) for role in unfilled}
     if not (filled.keys() | {name for name, topics in found.items() if topics}) & set(REFERENCE_ROLES):
-        found["image"] = _distinct(c for c in unused if _fits(ROLES["image"], c))
+        found["image"] = distinct(c for c in unused if fits(ROLES["image"], c))
+    for name in _UNNAMED_ROLES:
+        if name in found and not found[name]:
+            found[name] = distinct(c for c in without_a_word(ROLES[name], unused) if looks(ROLES[name].kind, c))
     return {name: topics for name, topics in found.items() if topics}
 
 
@@ -177,86 +217,14 @@ def _unfilled_in_words(found: Mapping[str, tuple[str, ...]], channels: Iterable[
     return tuple(lines)
 
 
-def _elsewhere(role: Role, inputs: Iterable[Channel], topics: Mapping[str, str]) -> tuple[str, ...]:
-    """Topics of other recorders that are known to be this role's."""
-    patterns = [re.compile(re.escape(known).replace(r"\*", "[^/]+")) for known in role.elsewhere]
-    matching = (c for c in inputs if any(pattern.fullmatch(c.topic) for pattern in patterns) and _fits(role, c))
-    return _distinct(c for c in matching if c.topic not in topics.values())
-
-
-def _fitting(role: Role, channels: Iterable[Channel]) -> tuple[str, ...]:
-    """Topics of the right schema whose names do not speak of another role."""
-    return _distinct(c for c in channels if _fits(role, c) and _sounds_like(role, c))
-
-
-def _distinct(channels: Iterable[Channel]) -> tuple[str, ...]:
-    """Topics in alphabetical order."""
-    return tuple(sorted({channel.topic for channel in channels}))
-
-
-def _fits(role: Role, channel: Channel) -> bool:
-    return (channel.schema_name, channel.message_encoding) in schemas_of_kind(role.kind)
-
-
 def _require_one_fitting(role: Role, channels: list[Channel]) -> None:
     for channel in channels:
-        if not _fits(role, channel):
+        if not fits(role, channel):
             expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in schemas_of_kind(role.kind))
             found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding})"
             raise ChannelError(f"{channel.topic}: role {role.name} expects {expected}, found {found}")
     if len(channels) > 1 and role.kind not in _SHARED_KINDS:
         raise ChannelError(f"{role.topic}: {len(channels)} channels carry this topic, role {role.name} takes one")
-
-
-def _guess(role: Role, inputs: Iterable[Channel], topics: Mapping[str, str]) -> str | None:
-    """The topic of another name that fills a role; None where there is none, or nothing tells which.
-
-    A pair's or a depth's calibration is looked for where its images are; points and a pair's images are not guessed,
-    for those of a radar, or of another camera, are of the same schema.
-
-    Raises:
-        ChannelError: there are several, and the role is needed.
-    """
-    if role.name not in _GUESSED_ROLES and _CAMERA_OF.get(role.name) not in topics:
-        return None
-    return _choice(role, _fitting(role, (c for c in inputs if c.topic not in topics.values())), topics)
-
-
-def _choice(role: Role, fitting: tuple[str, ...], topics: Mapping[str, str]) -> str | None:
-    """The one of a role's topics, in its camera's namespace where there are several; None where that does not tell.
-
-    Raises:
-        ChannelError: there are several, and the role is needed.
-    """
-    camera_topic = topics.get(_CAMERA_OF.get(role.name, "image"), "")
-    near = _nearest(fitting, camera_topic) if len(fitting) > 1 else fitting
-    if len(near) > 1 and role.name in _NEEDED_ROLES:
-        raise ChannelError(
-            f"{len(near)} topics fit role {role.name}: {', '.join(near)}; choose one with --topic {role.name}={near[0]}"
-        )
-    return near[0] if len(near) == 1 else None
-
-
-def _nearest(topics: tuple[str, ...], topic: str) -> tuple[str, ...]:
-    """Those that share most of another topic's namespace; all where none shares any."""
-    shared = {other: _shared_parts(_namespace(other), _namespace(topic)) for other in topics}
-    return tuple(other for other in topics if shared[other] == max(shared.values()))
-
-
-def _shared_parts(one: list[str], other: list[str]) -> int:
-    return len(list(takewhile(lambda pair: pair[0] == pair[1], zip(one, other, strict=False))))
-
-
-def _namespace(topic: str) -> list[str]:
-    return topic.strip("/").split("/")[:-1]
-
-
-def _sounds_like(role: Role, channel: Channel) -> bool:
-    """Whether a topic's name speaks of this role and not of another one of the same schema."""
-    topic = channel.topic.lower()
-    spoken = {word for word, parts in _WORDS.items() if any(part in topic for part in parts)}
-    word = role.name.removesuffix("_calibration")
-    return spoken == ({word} if word in _WORDS else set())
 
 
 def stamped_messages(
@@ -267,7 +235,7 @@ def stamped_messages(
     Args:
         messages: in log-time order.
         filled: roles and topics.
-        tag_table: configured table, or ``auto``.
+        tag_table: configured table, or ``auto``: the channel's, else the one an earlier replay was told.
         problems: filled in.
     """
     contexts: dict[Channel, Context] = {}
@@ -275,7 +243,7 @@ def stamped_messages(
     for message in messages:
         channel = message.channel
         if channel not in contexts:
-            contexts[channel] = context_of_channel(channel, tag_table)
+            contexts[channel] = context_of_channel(channel, tag_table, filled.tag_table)
         for role in roles.get(channel.topic, ()):
             try:
                 decoded = decode(

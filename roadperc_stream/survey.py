@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 
@@ -59,6 +59,8 @@ class Survey:
     held: Held
     held_messages: tuple[Message, ...]
     problems: Problems
+    parent_of: Mapping[str, str] = field(default_factory=dict)
+    """The last parent of every frame that the transforms of the part place."""
     digest: str = ""
     messages: int = 0
     expected_frames: int = 0
@@ -80,13 +82,36 @@ def survey_log(summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, s
     held, held_messages = _held_at(summary, cfg, filled, window, problems)
     survey = Survey(filled, window, held, held_messages, problems)
     digest, counts = MessageDigest(), Counter[str]()
-    for message in input_messages(summary, cfg, survey, validate_crcs=not summary.sealed):
-        digest.update(message)
-        counts[message.channel.topic] += 1
+    messages = _counted(input_messages(summary, cfg, survey, validate_crcs=not summary.sealed), digest, counts)
+    parent_of = _parents(messages, filled, cfg)
     frames = counts[filled.topics[reference]]
     if not frames:
-        raise LogError(f"{summary.path}: no message on {filled.topics[reference]} in the part asked for")
-    return replace(survey, digest=digest.hexdigest(), messages=counts.total(), expected_frames=frames)
+        raise LogError(
+            f"{summary.path}: no message on {filled.topics[reference]} in the part asked for; "
+            f"the log lasts {_length_s(summary):.3f} s"
+        )
+    return replace(
+        survey, parent_of=parent_of, digest=digest.hexdigest(), messages=counts.total(), expected_frames=frames
+    )
+
+
+def _counted(messages: Iterable[Message], digest: MessageDigest, counts: Counter[str]) -> Iterator[Message]:
+    for message in messages:
+        digest.update(message)
+        counts[message.channel.topic] += 1
+        yield message
+
+
+def _parents(messages: Iterable[Message], filled: Filled, cfg: ReplayConfig) -> dict[str, str]:
+    """The last parent of every frame that transforms among the messages place; all messages are gone through."""
+    topics = {topic for role, topic in filled.topics.items() if ROLES[role].kind == "tf"}
+    transforms = (message for message in messages if message.channel.topic in topics)
+    items = stamped_messages(transforms, filled, cfg.tag_table, Problems())
+    return {edge.child: edge.parent for item in items for edge in item.edges}
+
+
+def _length_s(summary: LogSummary) -> float:
+    return ((summary.last_ns or 0) - (summary.first_ns or 0)) / _NANOSECONDS
 
 
 def input_messages(
@@ -211,7 +236,7 @@ def samples(
     reference = reference_role(filled.topics)
     for index, moment in enumerate(synchronise(cfg.sync, items, reference, filled.topics, survey.held, counts)):
         try:
-            sample = sample_of(cfg, moment, index, filled.topics)
+            sample = sample_of(cfg, moment, index, filled.topics, survey.parent_of)
         except ChannelError as error:
             known = (*survey.problems.first.values(), *filled.unfilled)
             raise ChannelError("; ".join((f"{summary.path}: {error}", *known))) from error

@@ -8,26 +8,35 @@ from pathlib import Path
 from roadperc_stream.errors import TargetError
 
 
-def require_free(target: Path, *, force: bool, source: Path | None = None, suffix: str = "") -> None:
+def require_free(target: Path, *, force: bool, suffix: str, source: Path | None = None) -> None:
     """See that a file may be written.
 
     Args:
         target: the file.
         force: an existing file may be replaced.
+        suffix: how its name must end.
         source: what the file is made from, which it must not replace.
-        suffix: how its name must end; empty for anyhow.
 
     Raises:
         TargetError: it may not.
     """
-    if suffix and target.suffix.lower() != suffix:
-        raise TargetError(f"{target}: expected a name that ends in {suffix}")
     if target.is_dir():
         raise TargetError(f"{target}: is a folder, expected the name of a file")
+    require_suffix(target, suffix)
     if source is not None and target.exists() and source.exists() and target.samefile(source):
         raise TargetError(f"{target}: is the input itself; name another output")
     if target.exists() and not force:
         raise TargetError(f"{target}: exists already; --force replaces it")
+
+
+def require_suffix(target: Path, *suffixes: str) -> None:
+    """See that a file's name says what will be in it: a file of another kind might be a log or a table.
+
+    Raises:
+        TargetError: it ends in none of ``suffixes``.
+    """
+    if target.suffix.lower() not in suffixes:
+        raise TargetError(f"{target}: expected a name that ends in {' or '.join(suffixes)}")
 
 
 @contextmanager

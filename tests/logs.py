@@ -69,6 +69,12 @@ def frame_items(stamp, road):
     ]
 
 
+def foreign():
+    """A message of a channel that this project does not know."""
+    unknown = Channel("/rosout", "cdr", "rcl_interfaces/msg/Log", "ros2msg", b"string msg\n")
+    return Message(unknown, 5, 5, 0, b"\0\1\0\0\0\0\0\0")
+
+
 def write(path, messages, extra=()):
     with LogWriter(path) as writer:
         for sequence, item in enumerate(messages):

@@ -91,7 +91,7 @@ def test_a_pickled_state_goes_on_as_if_nothing_had_happened(drive, request):
     assert same(run(frames[3:], pickle.loads(pickle.dumps(state)))[1], run(frames)[1][3:])
 
 
-@pytest.mark.parametrize("missing", ["image", "right", "depth", "segmentation", "detections", "points"])
+@pytest.mark.parametrize("missing", ["image", "right", "right_camera", "depth", "segmentation", "detections", "points"])
 def test_any_input_may_be_missing(frames, whole, missing):
     _, results = run([replace(frame, **{missing: None}) for frame in frames[:3]])
     if missing == "points":
@@ -105,6 +105,8 @@ def test_any_input_may_be_missing(frames, whole, missing):
         assert last.stereo == Absent("no left image")
     if missing == "right":
         assert last.stereo == Absent("no right image")
+    if missing == "right_camera":
+        assert last.stereo == Absent("no calibration of the right camera")
     if missing == "depth":
         assert last.surface.source == "stereo"
         assert last.odometry.status == "tracked"

@@ -42,7 +42,8 @@ def test_defaults_need_no_file():
         ("lanes.hough_rho_px=inf", "lanes.hough_rho_px"),
         ("sync.max_wait_s=1e300", "sync.max_wait_s"),
         ("lanes.fit_max_m=nan", "lanes.fit_max_m"),
-        ("lanes.holds_s=1", "did you mean hold_s"),
+        ("lanes.holds_s=1", r"did you mean lanes\.hold_s\?"),
+        ("lane.hold_s=1", r"did you mean lanes\?"),
         ("surface.zzz=1", "known: enabled, model"),
     ],
 )

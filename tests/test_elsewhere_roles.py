@@ -51,6 +51,107 @@ def test_a_camera_info_is_looked_for_beside_its_images():
     assert "depth_calibration" not in topics
 
 
+def calibrations(channels, **overrides):
+    topics = fill_roles(channels, overrides).topics
+    return {name: topic for name, topic in topics.items() if name.endswith("calibration")}
+
+
+PAIR = {"image": "/robot/cam0/color", "right": "/robot/cam1/color"}
+
+
+def test_a_pair_whose_names_say_no_side_has_each_its_own_calibration():
+    channels = ros(robot__cam0__color=IMAGE, robot__cam1__color=IMAGE, robot__cam0__calib=INFO, robot__cam1__calib=INFO)
+    own = {"calibration": "/robot/cam0/calib", "right_calibration": "/robot/cam1/calib"}
+    assert calibrations(channels, **PAIR) == own
+    swapped = {"image": PAIR["right"], "right": PAIR["image"]}
+    assert calibrations(channels, **swapped) == {
+        "calibration": "/robot/cam1/calib",
+        "right_calibration": "/robot/cam0/calib",
+    }
+    assert fill_roles(channels, PAIR).notes == (
+        "role calibration: /robot/cam0/calib, the only topic that fits",
+        "role right_calibration: /robot/cam1/calib, the only topic that fits",
+    )
+
+
+def test_a_left_camera_of_its_own_has_its_calibration():
+    names = {f"{camera}/{part}": kind for camera in "abc" for part, kind in (("rgb", IMAGE), ("info", INFO))}
+    channels = [Channel(f"/{name}", "cdr", schema) for name, schema in names.items()]
+    assert calibrations(channels, image="/a/rgb", left="/b/rgb", right="/c/rgb") == {
+        "calibration": "/a/info",
+        "left_calibration": "/b/info",
+        "right_calibration": "/c/info",
+    }
+
+
+@pytest.mark.parametrize("named", [PAIR, {"image": PAIR["image"], "left": PAIR["right"]}])
+def test_a_calibration_beside_another_camera_is_never_taken(named):
+    """The front camera has none: that of the other one is not the only topic that fits."""
+    channels = ros(robot__cam0__color=IMAGE, robot__cam1__color=IMAGE, robot__cam1__calib=INFO)
+    assert "calibration" not in calibrations(channels, **named)
+    channels = ros(robot__cam0__color=IMAGE, robot__cam1__color=IMAGE, robot__cam0__calib=INFO)
+    assert calibrations(channels, **named) == {"calibration": "/robot/cam0/calib"}
+
+
+def test_two_calibrations_beside_a_camera_are_candidates():
+    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, b__info_rectified=INFO, c__info=INFO)
+    filled = fill_roles(channels, {"image": "/a/rgb", "right": "/b/rgb"})
+    assert "right_calibration" not in filled.topics
+    assert candidates(channels, filled.topics) == {"right_calibration": ("/b/info", "/b/info_rectified", "/c/info")}
+
+
+def test_what_is_left_over_after_another_camera_was_served_is_not_taken():
+    """Of three cameras in one namespace, with calibrations of two: that of the third is not the right one's."""
+    channels = ros(s__a=IMAGE, s__b=IMAGE, s__c=IMAGE, s__a_info=INFO, s__c_info=INFO)
+    filled = fill_roles(channels, {"image": "/s/a", "right": "/s/b", "calibration": "/s/a_info"})
+    assert "right_calibration" not in filled.topics
+    assert candidates(channels, filled.topics)["right_calibration"] == ("/s/c_info",)
+
+
+def test_one_calibration_beside_two_cameras_is_nobodys_until_somebody_says():
+    channels = ros(s__a=IMAGE, s__b=IMAGE, s__info=INFO)
+    assert calibrations(channels, image="/s/a", right="/s/b") == {}
+    assert calibrations(channels, image="/s/a") == {"calibration": "/s/info"}
+
+
+def test_names_tell_calibrations_in_one_namespace_apart():
+    channels = ros(s__left_image=IMAGE, s__right_image=IMAGE, s__left_info=INFO, s__right_info=INFO)
+    own = {"calibration": "/s/left_info", "right_calibration": "/s/right_info"}
+    assert calibrations(channels, image="/s/left_image", right="/s/right_image") == own
+
+
+def test_a_namespace_goes_before_a_name_elsewhere():
+    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, old__right_info=INFO)
+    assert calibrations(channels, image="/a/rgb", right="/b/rgb")["right_calibration"] == "/b/info"
+    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, old__right_info=INFO)
+    assert calibrations(channels, image="/a/rgb", right="/b/rgb")["right_calibration"] == "/old/right_info"
+
+
+def test_topics_without_a_namespace_tell_nothing():
+    channels = ros(color=IMAGE, other=IMAGE, front__rgb=IMAGE, front__info=INFO, info=INFO)
+    assert calibrations(channels, image="/front/rgb", right="/other") == {"calibration": "/front/info"}
+
+
+def test_compressed_images_have_their_calibration_beside_the_raw_ones():
+    channels = ros(a__rgb__compressed="sensor_msgs/msg/CompressedImage", a__info=INFO, b__info=INFO)
+    assert calibrations(channels, image="/a/rgb/compressed") == {"calibration": "/a/info"}
+
+
+def test_a_depth_beside_its_image_goes_with_the_images_calibration():
+    channels = ros(cam__rgb=IMAGE, cam__range=IMAGE, cam__info=INFO)
+    assert calibrations(channels, image="/cam/rgb", depth="/cam/range") == {"calibration": "/cam/info"}
+    channels = ros(cam__rgb=IMAGE, tof__range=IMAGE, cam__info=INFO, tof__info=INFO)
+    assert calibrations(channels, image="/cam/rgb", depth="/tof/range") == {
+        "calibration": "/cam/info",
+        "depth_calibration": "/tof/info",
+    }
+
+
+def test_a_depth_takes_no_calibration_that_may_be_a_pairs():
+    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__range=IMAGE, b__info=INFO)
+    assert calibrations(channels, image="/a/rgb", right="/b/rgb", depth="/b/range") == {"calibration": "/a/info"}
+
+
 def test_a_depth_camera_has_its_own_calibration():
     channels = ros(color__image=IMAGE, color__info=INFO, depth__image=IMAGE, depth__info=INFO)
     topics = fill_roles(channels, {}).topics

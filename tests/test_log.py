@@ -132,6 +132,18 @@ def test_what_is_no_log_is_said_in_one_line(tmp_path, kind, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("kind", ["half", "flipped"])
+def test_a_log_that_is_not_whole_names_the_command_that_says_more(tmp_path, kind):
+    (tmp_path / "my logs").mkdir()
+    path = broken(tmp_path / "my logs", kind)
+    with pytest.raises(LogError) as caught:
+        read_whole(path)
+    assert str(caught.value).endswith(f"; roadperc-info '{path}' tells what is whole")
+    with pytest.raises(LogError) as caught:
+        read_whole(broken(tmp_path, "text"))
+    assert "roadperc-info" not in str(caught.value)
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_any_flipped_byte_is_read_or_refused_never_a_crash(tmp_path_factory, data):

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from roadperc_stream.errors import TargetError
-from roadperc_stream.targets import completing, require_free
+from roadperc_stream.targets import completing, require_free, require_suffix
 
 
 def test_a_free_name_may_be_written(tmp_path):
@@ -16,11 +16,15 @@ def test_a_free_name_may_be_written(tmp_path):
 def test_what_must_never_be_written(tmp_path, force):
     source = tmp_path / "in.mcap"
     source.write_bytes(b"log")
+    (tmp_path / "folder.mp4").mkdir()
     for target, suffix, why in (
-        (tmp_path, "", "is a folder"),
+        (tmp_path, ".mp4", "is a folder"),
+        (tmp_path / "folder.mp4", ".mp4", "is a folder"),
         (tmp_path / "out.avi", ".mp4", "expected a name that ends in .mp4"),
-        (source, "", "is the input itself"),
-        (tmp_path / "." / "in.mcap", "", "is the input itself"),
+        (tmp_path / "mp4", ".mp4", "expected a name that ends in .mp4"),
+        (source, ".mp4", "expected a name that ends in .mp4"),
+        (source, ".mcap", "is the input itself"),
+        (tmp_path / "." / "in.mcap", ".mcap", "is the input itself"),
     ):
         with pytest.raises(TargetError, match=f"{re.escape(str(target))}: {why}"):
             require_free(target, force=force, source=source, suffix=suffix)
@@ -29,9 +33,16 @@ def test_what_must_never_be_written(tmp_path, force):
 def test_an_existing_file_is_replaced_when_told_so_only(tmp_path):
     target = tmp_path / "out.mp4"
     target.write_bytes(b"old")
-    require_free(target, force=True)
+    require_free(target, force=True, suffix=".mp4")
     with pytest.raises(TargetError, match="exists already; --force replaces it"):
-        require_free(target, force=False)
+        require_free(target, force=False, suffix=".mp4")
+
+
+def test_a_name_may_end_in_one_of_several_suffixes_however_it_is_spelled(tmp_path):
+    for name in ("a.html", "a.HTM", "a.b.Html"):
+        require_suffix(tmp_path / name, ".html", ".htm")
+    with pytest.raises(TargetError, match=r"a\.mcap: expected a name that ends in \.html or \.htm$"):
+        require_suffix(tmp_path / "a.mcap", ".html", ".htm")
 
 
 def test_a_file_appears_when_it_is_complete(tmp_path):

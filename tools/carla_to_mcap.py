@@ -126,7 +126,7 @@ class _Progress:
 
 
 def _convert(dump: Path, out: Path, options: Options, *, force: bool, quiet: bool) -> None:
-    require_free(out, force=force)
+    require_free(out, force=force, suffix=".mcap")
     started = time.monotonic()
     plan = make_plan(dump, options)
     terminal = console(quiet=quiet)

@@ -10,7 +10,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from roadperc_stream.targets import completing
+from roadperc_stream.targets import completing, require_suffix
 
 from ..runs import Run
 from ..summary import summarise_all
@@ -26,12 +26,13 @@ _COLUMNS: Final = (*over_time.COLUMNS, *trajectory.COLUMNS, *histograms.COLUMNS)
 
 
 def write_page(target: Path, runs: Sequence[Run]) -> None:
-    """Write the page over runs with frames; it appears under its name only when complete.
+    """Write the page over runs with frames, ``.html`` or ``.htm``; it appears under its name only when complete.
 
     Raises:
         TableError: a table cannot be read.
-        TargetError: the page cannot be written.
+        TargetError: the page cannot be written, or not under this name.
     """
+    require_suffix(target, ".html", ".htm")
     text = page(runs)
     with completing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -10,7 +10,7 @@ import cv2
 
 from roadperc_stream.datatypes import Image
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.pictures.overlay import draw_overlay
+from roadperc_stream.pictures.frame import draw_results
 from roadperc_stream.roles import Problems
 from roadperc_stream.view.seen import read_frame
 
@@ -157,4 +157,4 @@ def _drawn(log: Path, frame: WorstFrame, problems: Problems) -> str:
     seen = read_frame(log, frame.stamp_ns, problems)
     if seen is None:
         return ""
-    return data_uri(draw_overlay(seen.image_bgr, seen.lanes, seen.objects, seen.drivable, width_px=WIDTH_PX))
+    return data_uri(draw_results(seen, WIDTH_PX))

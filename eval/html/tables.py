@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final
+
+from roadperc_stream.reasons import merged, ranked
 
 from ..grid import percent, rounded
 from ..quantities import SEEN, SIDES, STAGES, TOTAL, TRUTH, Quantity
 from ..scores import Score
-from ..sections import boundary
+from ..sections import REASONS_SHOWN, boundary
 from ..statistics import Statistics
 from ..summary import Summary
 from .histograms import better
@@ -71,12 +74,12 @@ def _facts(summary: Summary, files: Sources) -> dict[str, str]:
         "output": files.log.name if files.log else "not named",
         "frames": f"{summary.frames} over {summary.span_s:.2f} s{rate}",
         "longest gap": f"{summary.longest_gap_s:.2f} s",
-        "inputs missing": missing or "none in any frame",
+        "messages missing": missing or "none in any frame",
     }
 
 
 def summary_tables(summaries: Sequence[Summary]) -> Iterator[Table]:
-    """Right, lanes, seen, fast: the first always, for it says what has no truth, the others where they have rows."""
+    """Right, lanes, seen, why not, fast: the first always, as it says what has no truth, the others where not empty."""
     yield _right(summaries)
     seen = _table("Does it see?", ("coverage %", "p5", "median", "p95"), SEEN, summaries, _values)
     fast = _table("How fast?", ("median", "p95", "p99", "share %"), STAGES, summaries, _times)
@@ -85,6 +88,7 @@ def summary_tables(summaries: Sequence[Summary]) -> Iterator[Table]:
         Table("Precision and recall", ("precision", "recall", "F1"), tuple(_scores(summaries)), "Higher is better."),
         Table("Lane boundaries", boundaries, tuple(_lanes(summaries)), _OF_BOUNDARIES),
         seen,
+        Table("Why not?", ("frames %",), tuple(_reasons(summaries)), "What was missing or could not be used."),
         Table(fast.title, fast.headers, fast.rows, "Milliseconds a frame; lower is better."),
     )
     yield from (table for table in tables if table.rows)
@@ -140,6 +144,13 @@ def _times(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str
     total = summary.statistics.get(TOTAL.column)
     share = percent(found.total / total.total) if total and total.total > 0 else UNKNOWN
     return (*(rounded(value, quantity) for value in (found.median, found.p95, found.p99)), share)
+
+
+def _reasons(summaries: Sequence[Summary]) -> Iterator[Row]:
+    """The most frequent reasons over all runs, and in which share of each run's frames they were given."""
+    found = ranked(merged(summary.reasons for summary in summaries))
+    for kind, reason in islice(found.items(), REASONS_SHOWN):
+        yield Row(str(reason), "", tuple((percent(summary.reason_share(kind)),) for summary in summaries))
 
 
 def _lanes(summaries: Sequence[Summary]) -> Iterator[Row]:

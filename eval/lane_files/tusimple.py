@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.geometry import Float
-from roadperc_stream.targets import completing
+from roadperc_stream.targets import completing, require_suffix
 
 NOWHERE: Final = -2
 """The column of a point that is not there; any negative one is read as such."""
@@ -110,7 +110,12 @@ def _unknown_as_nan(lane: Float) -> Float:
 
 @contextmanager
 def lane_writer(target: Path) -> Iterator[Callable[[LaneFrame], None]]:
-    """A function that appends frames to a file, which appears under its name only when complete."""
+    """A function that appends frames to a file, ``.json`` or ``.jsonl``, which has its name only when complete.
+
+    Raises:
+        TargetError: it cannot be written, or not under this name.
+    """
+    require_suffix(target, ".json", ".jsonl")
     with completing(target) as temporary, temporary.open("w", encoding="utf-8") as stream:
         yield lambda frame: _append(stream.write, frame)
 

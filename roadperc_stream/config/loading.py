@@ -46,7 +46,7 @@ def _complaint(error: ValidationError) -> str:
     for section in sections:
         model = type(model.model_fields[section].default)
     close = difflib.get_close_matches(name, model.model_fields, n=1)
-    known = f"did you mean {close[0]}?" if close else f"known: {', '.join(model.model_fields)}"
+    known = f"did you mean {'.'.join((*sections, close[0]))}?" if close else f"known: {', '.join(model.model_fields)}"
     return f"no setting {key}; {known}"
 
 

@@ -25,9 +25,12 @@ from roadperc_stream.datatypes.results import (
     SurfaceSource,
     Verdict,
 )
-from roadperc_stream.datatypes.sample import Sample, Truth
+from roadperc_stream.datatypes.sample import EGO, ODOM, OWN_ODOM, Sample, Tie, Truth
 
 __all__ = [
+    "EGO",
+    "ODOM",
+    "OWN_ODOM",
     "SIDES",
     "Absent",
     "Boundary",
@@ -58,6 +61,7 @@ __all__ = [
     "Surface",
     "SurfaceSource",
     "TagImage",
+    "Tie",
     "Truth",
     "Verdict",
     "read_only",

@@ -1,5 +1,6 @@
 """What each stage makes of a frame. Unknown is None in scalars and NaN in arrays, never 0 or -1."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -243,6 +244,21 @@ class Objects:
 
     objects: tuple[Object, ...]
     searches: tuple[Correlation, ...] = ()
+
+    @property
+    def nearest(self) -> Object | None:
+        """The nearest of the kept objects; None where no distance is known."""
+        return self._first_kept([item.distance_m for item in self.objects])
+
+    @property
+    def most_urgent(self) -> Object | None:
+        """The kept object with the least time to impact; None where none is known."""
+        return self._first_kept([item.time_to_impact_s for item in self.objects])
+
+    def _first_kept(self, values: Sequence[float | None]) -> Object | None:
+        """The kept object of the least of these values, of equals the first."""
+        known = {k: value for k, value in enumerate(values) if value is not None and self.objects[k].kept}
+        return self.objects[min(known, key=known.__getitem__)] if known else None
 
 
 @dataclass(frozen=True)

@@ -72,15 +72,21 @@ def schemas_of_kind(kind: Kind) -> tuple[tuple[str, str], ...]:
     return tuple((schema, encoding) for known, schema, encoding in DECODERS if known == kind)
 
 
-def context_of(metadata: Mapping[str, str], configured: str) -> Context:
-    """Decoding context of a channel; the configured tag table (not ``auto``) wins over the channel's own."""
-    name = metadata.get(TAG_TABLE_KEY, "") if configured == "auto" else configured
+def context_of(metadata: Mapping[str, str], configured: str, otherwise: str = "") -> Context:
+    """Decoding context of a channel.
+
+    Args:
+        metadata: of the channel, which may name its tag table.
+        configured: the tag table that wins over the channel's own, or ``auto``.
+        otherwise: that of a channel that names none.
+    """
+    name = metadata.get(TAG_TABLE_KEY, otherwise) if configured == "auto" else configured
     return Context(TABLES.get(name))
 
 
-def context_of_channel(channel: Channel, configured: str) -> Context:
-    """Decoding context of a channel whose messages are laid out as its own schema says."""
-    context = context_of(dict(channel.metadata), configured)
+def context_of_channel(channel: Channel, configured: str, otherwise: str = "") -> Context:
+    """Decoding context of a channel whose messages are laid out as its own schema says; as ``context_of``."""
+    context = context_of(dict(channel.metadata), configured, otherwise)
     context = replace(context, carla_bridge=channel.topic.startswith(CARLA_BRIDGE))
     if not channel.schema_data:
         return context

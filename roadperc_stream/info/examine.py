@@ -13,6 +13,7 @@ from roadperc_stream.info.scan import Scan
 from roadperc_stream.info.tally import Tally
 from roadperc_stream.log import Channel, Salvage
 from roadperc_stream.roles import is_result
+from roadperc_stream.topic_names import CAMERA_OF
 
 _NANOSECONDS: Final = 1_000_000_000
 
@@ -114,10 +115,12 @@ def _replay_facts(scan: Scan) -> ReplayFacts:
 
 def _camera_facts(role: str, camera: Camera, scan: Scan) -> CameraFacts:
     ego_T_camera = ego_T_camera_of(scan.held, camera)
-    return CameraFacts(role, camera, None if ego_T_camera is None else tuple(map(tuple, ego_T_camera.tolist())))
+    mounting = None if ego_T_camera is None else tuple(map(tuple, ego_T_camera.tolist()))
+    return CameraFacts(role, camera, mounting, scan.sizes.get(CAMERA_OF[role]))
 
 
 def _tag_table(scan: Scan, topic: str | None) -> str | None:
-    """The tag table that the segmentation's channel names."""
+    """The tag table that the segmentation's channel names, else the one a result was made with."""
     channels = (channel for channel in scan.salvage.channels.values() if channel.topic == topic)
-    return next((channel.label(TAG_TABLE_KEY) for channel in channels if channel.label(TAG_TABLE_KEY)), None)
+    named = next((channel.label(TAG_TABLE_KEY) for channel in channels if channel.label(TAG_TABLE_KEY)), None)
+    return named or scan.roles.filled.tag_table or None

@@ -75,6 +75,8 @@ class CameraFacts:
     camera: Camera
     ego_T_camera: tuple[tuple[float, ...], ...] | None
     """The camera's place by the transforms; None where they do not tell it."""
+    image_size: tuple[int, int] | None
+    """(width, height) of the first of its images that can be decoded; None where there is none."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ class ReplayFacts:
     """Largest difference of stamps within a frame."""
     cameras: tuple[CameraFacts, ...]
     tag_table: str | None
+    """As the segmentation's channel names it, else as the user of the replay did that made the log."""
     unreadable: Mapping[str, int]
     """Messages of filled roles that cannot be decoded, by topic."""
     problems: tuple[str, ...]

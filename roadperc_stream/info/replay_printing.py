@@ -65,9 +65,7 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
     if replay.reference is not None:
         skew = "" if replay.skew_s is None else f", stamps within a frame differ by up to {1000 * replay.skew_s:.1f} ms"
         yield f"{number(replay.frames, 'frame')}, one per message of role {replay.reference}{skew}"
-    if replay.alone:
-        alone = ", ".join(f"{role} {count}" for role, count in sorted(replay.alone.items()))
-        yield f"frames without a message of a role within the tolerance: {alone}"
+    yield from _alone_lines(replay)
     if replay.unused:
         unused = ", ".join(f"{role} {count}" for role, count in sorted(replay.unused.items()))
         yield f"messages that belong to no frame: {unused}"
@@ -76,6 +74,16 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
         yield f"{plain(topic)}: {number(count, 'message')} cannot be decoded"
     for problem in replay.problems:
         yield f"first of these: {plain(problem)}"
+
+
+def _alone_lines(replay: ReplayFacts) -> Iterator[str]:
+    """Frames that a role leaves alone, those apart whose messages may be there and cannot be decoded."""
+    unreadable = {state.role for state in replay.roles if state.topic in replay.unreadable}
+    reasons = {False: "within the tolerance", True: "that is within the tolerance and can be decoded"}
+    for broken, reason in reasons.items():
+        alone = [f"{role} {n}" for role, n in sorted(replay.alone.items()) if (role in unreadable) is broken]
+        if alone:
+            yield f"frames without a message of a role {reason}: {', '.join(alone)}"
 
 
 def _tag_lines(replay: ReplayFacts) -> Iterator[str]:
@@ -91,8 +99,14 @@ def _cameras(cameras: Iterable[CameraFacts]) -> Table:
     table = grid("Camera", "pixels", "fx px", "baseline m", "height m", text="remark", label_columns=18)
     for found in cameras:
         camera, height_m = found.camera, None if found.ego_T_camera is None else found.ego_T_camera[2][3]
-        remarks = ["not rectified"] if camera.lens is not None or camera.distortion else []
+        remarks = [] if found.image_size in (None, (camera.width, camera.height)) else [_other_size(found)]
+        remarks += ["not rectified"] if camera.lens is not None or camera.distortion else []
         remarks += ["no transform from ego"] if height_m is None else []
         cells = (f"{camera.width}x{camera.height}", rounded(camera.fx), rounded(camera.baseline_m), rounded(height_m))
         table.add_row(found.role, *cells, ", ".join(remarks))
     return table
+
+
+def _other_size(found: CameraFacts) -> str:
+    width, height = found.image_size or (0, 0)
+    return f"images of {width}x{height}"

@@ -8,7 +8,8 @@ from roadperc_stream.channels import REFERENCE_ROLES, ROLES, Role
 from roadperc_stream.decoding import schemas_of_kind
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.log import Channel
-from roadperc_stream.roles import Filled, candidates, fill_roles, is_result
+from roadperc_stream.roles import Filled, Looks, candidates, fill_roles, is_result
+from roadperc_stream.topic_names import distinct, fits
 
 State = Literal["filled", "missing", "wrong schema", "several channels"]
 _SHARED_KINDS: Final = ("tf",)
@@ -18,6 +19,11 @@ _COSTS: Final = {
     "detections": "no objects",
     "tf": "the camera is taken as level, at the height of the setting surface.assumed_height_m",
 }
+_SPARED_BY: Final = {"tf": "tf_static"}
+"""Roles that nobody misses where another one is filled."""
+_UNTOLD_TRUTH: Final = (
+    "steps and turns are compared with no truth; a pose or an odometry is an estimate, and the truth only if you say so"
+)
 
 
 @dataclass(frozen=True)
@@ -51,12 +57,13 @@ class Roles:
         return next((role for role in REFERENCE_ROLES if role in self.filled.topics), None)
 
 
-def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str]) -> Roles:
+def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], looks: Looks) -> Roles:
     """The state of every role.
 
     Args:
         channels: of the log, those with messages.
         overrides: topic by role, from ``--topic``.
+        looks: as ``candidates`` takes it.
     """
     inputs = [channel for channel in channels if not is_result(channel)]
     refusal = None
@@ -67,9 +74,14 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str]) -> Roles
     found = Roles((), filled, refusal)
     if refusal is None and found.reference is None:
         refusal = f"no channel fills any of the roles {', '.join(REFERENCE_ROLES)}: nothing to replay"
-    could = candidates(inputs, filled.topics)
+    could = {**candidates(inputs, filled.topics, looks), "truth_pose": _poses(inputs, filled.topics)}
     states = (_state(role, inputs, found, overrides, could.get(role.name, ())) for role in ROLES.values())
     return Roles(tuple(states), filled, refusal)
+
+
+def _poses(inputs: Sequence[Channel], filled: Mapping[str, str]) -> tuple[str, ...]:
+    """Topics whose poses the user may know to be true."""
+    return distinct(c for c in inputs if fits(ROLES["truth_pose"], c) and c.topic not in filled.values())
 
 
 def _named(inputs: Sequence[Channel], overrides: Mapping[str, str]) -> dict[str, str]:
@@ -107,7 +119,7 @@ def _state(
     state, fault = _fault(role, _on(named, inputs))
     if role.name in overrides and state == "missing":
         fault = "no such topic"
-    cost = _cost(role.name, roles)
+    cost = _UNTOLD_TRUTH if role.truth and could else _cost(role.name, roles)
     if state == "filled":  # it fits, but the log as a whole is refused before this role has its turn
         state = "missing"
     return RoleState(role.name, state, named if fault else None, fault, could, cost)
@@ -135,7 +147,7 @@ def _cost(role: str, roles: Roles) -> str:
         return "a replay stops: the left camera is not known" if "left" in there else ""
     if role == "right_calibration":
         return "no stereo: the baseline is not known" if "right" in there else ""
-    return _COSTS.get(role, "")
+    return "" if _SPARED_BY.get(role) in there else _COSTS.get(role, "")
 
 
 def _depth_cost(there: Collection[str]) -> str:

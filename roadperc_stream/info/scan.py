@@ -2,20 +2,23 @@
 
 import heapq
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream import log
 from roadperc_stream.channels import ROLES
 from roadperc_stream.config import SyncConfig
-from roadperc_stream.errors import LogError
+from roadperc_stream.contents import holds
+from roadperc_stream.datatypes import CameraImage, DepthImage
+from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.info.role_states import Roles, roles_of
 from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.info.tally import Tally
-from roadperc_stream.log import Channel, Message, MessageDigest, Salvage
-from roadperc_stream.roles import Problems, chosen_topics, is_result, stamped_messages
+from roadperc_stream.log import Channel, Message, MessageDigest, Metadata, Salvage
+from roadperc_stream.roles import Problems, chosen_tag_table, chosen_topics, is_result, stamped_messages
 from roadperc_stream.survey import without_loops
 from roadperc_stream.sync import HELD_KINDS, Held, Stamped, SyncCounts, synchronise
 
@@ -36,6 +39,8 @@ class Scan:
     counts: SyncCounts = field(default_factory=SyncCounts)
     alone: Counter[str] = field(default_factory=Counter)
     """Frames without a message of a filled role, by role."""
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """(width, height) of the first image that can be decoded, by role."""
     skew_ns: int | None = None
     log_times_back: int = 0
     inputs: int = 0
@@ -52,7 +57,11 @@ class Scan:
         """
         salvage = Salvage(path)
         channels = _used_channels(salvage)
-        scan = cls(salvage, roles_of(channels, {**_chosen(path, channels), **overrides}))
+        metadata = _metadata(path)
+        named = {**chosen_topics(metadata, channels), **overrides}
+        roles = roles_of(channels, named, cache(partial(holds, path)))
+        filled = replace(roles.filled, tag_table=chosen_tag_table(metadata))
+        scan = cls(salvage, replace(roles, filled=filled))
         scan._run()
         return scan
 
@@ -112,7 +121,18 @@ class Scan:
             if ROLES[item.role].kind in HELD_KINDS:
                 self.held = self.held.updated(item)
             else:
+                self._measure(item)
                 yield replace(item, payload=())
+
+    def _measure(self, item: Stamped) -> None:
+        """Keep the size of a camera's first image."""
+        if item.role in self.sizes or not isinstance(item.payload, CameraImage | DepthImage):
+            return
+        try:
+            pixels = item.payload.grey if isinstance(item.payload, CameraImage) else item.payload.depth_m
+        except DecodeError:
+            return
+        self.sizes[item.role] = (pixels.shape[1], pixels.shape[0])
 
 
 def in_log_time_order(items: Iterable[Stamped], most: int) -> Iterator[Stamped]:
@@ -126,12 +146,12 @@ def in_log_time_order(items: Iterable[Stamped], most: int) -> Iterator[Stamped]:
         yield heapq.heappop(waiting)[2]
 
 
-def _chosen(path: Path, channels: Sequence[Channel]) -> dict[str, str]:
-    """Topics that a result was made with; none of a damaged file, whose metadata come too late."""
+def _metadata(path: Path) -> tuple[Metadata, ...]:
+    """What a result says of how it was made; nothing of a damaged file, whose metadata come too late."""
     try:
-        return chosen_topics(log.summarise(path).metadata, channels)
+        return log.summarise(path).metadata
     except LogError:
-        return {}
+        return ()
 
 
 def _used_channels(salvage: Salvage) -> tuple[Channel, ...]:

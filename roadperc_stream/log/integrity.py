@@ -5,6 +5,7 @@ alone cover logs without chunks, the index and the attachments. Layout: https://
 """
 
 import os
+import shlex
 import struct
 import zlib
 from pathlib import Path
@@ -21,6 +22,11 @@ _CRC_BYTES: Final = 4
 _BLOCK_BYTES: Final = 4 * 1024 * 1024
 
 
+def damaged(path: Path, what: str) -> LogError:
+    """The error of a log that is not whole; it names the command that says where, and what can still be read."""
+    return LogError(f"{path}: {what}; roadperc-info {shlex.quote(str(path))} tells what is whole")
+
+
 def require_whole(path: Path, stream: IO[bytes]) -> None:
     """Tell an empty, a foreign and a cut file apart: the library's own words do not.
 
@@ -31,7 +37,7 @@ def require_whole(path: Path, stream: IO[bytes]) -> None:
     size = stream.seek(0, os.SEEK_END)
     stream.seek(max(size - len(MAGIC), 0))
     if stream.read(len(MAGIC)) != MAGIC or size < 2 * len(MAGIC):
-        raise LogError(f"{path}: cut off: the MCAP footer is missing after {size} bytes")
+        raise damaged(path, f"cut off: the MCAP footer is missing after {size} bytes")
     stream.seek(0)
 
 
@@ -61,7 +67,7 @@ def check_sections(path: Path, stream: IO[bytes]) -> bool:
     footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
     opcode, _, summary_start, _, summary_crc = _unpack(stream, _FOOTER, footer_start)
     if opcode != _FOOTER_OPCODE:
-        raise LogError(f"{path}: damaged MCAP: no footer record at byte {footer_start}")
+        raise damaged(path, f"damaged MCAP: no footer record at byte {footer_start}")
     if summary_start and summary_crc:
         _require_crc(path, stream, "summary", summary_start, footer_start + _FOOTER.size - _CRC_BYTES, summary_crc)
     data_end = (summary_start or footer_start) - _DATA_END.size
@@ -83,4 +89,4 @@ def _require_crc(path: Path, stream: IO[bytes], what: str, start: int, end: int,
     while left > 0 and (block := stream.read(min(left, _BLOCK_BYTES))):
         crc, left = zlib.crc32(block, crc), left - len(block)
     if crc != expected:
-        raise LogError(f"{path}: damaged MCAP: CRC of the {what} is {crc:#010x}, expected {expected:#010x}")
+        raise damaged(path, f"damaged MCAP: CRC of the {what} is {crc:#010x}, expected {expected:#010x}")

@@ -15,7 +15,7 @@ from mcap.summary import Summary
 from zstandard import ZstdError
 
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.integrity import check_sections, require_whole
+from roadperc_stream.log.integrity import check_sections, damaged, require_whole
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
 
 T = TypeVar("T")
@@ -31,9 +31,9 @@ def _reading(path: Path) -> Iterator[IO[bytes]]:
     except OSError as error:
         raise LogError(f"{path}: {error.strerror or error}") from error
     except McapError as error:
-        raise LogError(f"{path}: damaged MCAP: {error}") from error
+        raise damaged(path, f"damaged MCAP: {error}") from error
     except (EOFError, ValueError, KeyError, OverflowError, RuntimeError, struct.error, ZstdError) as error:
-        raise LogError(f"{path}: damaged MCAP: {type(error).__name__}: {error}") from error
+        raise damaged(path, f"damaged MCAP: {type(error).__name__}: {error}") from error
 
 
 def summarise(path: Path) -> LogSummary:

@@ -72,19 +72,16 @@ def object_columns(objects: Objects | Absent) -> Columns:
     if isinstance(objects, Absent):
         return {}
     kept = [item for item in objects.objects if item.kept]
-    known = [(item.distance_m, item.detection.label) for item in kept if item.distance_m is not None]
-    nearest_m, nearest_class = min(known, default=(None, None))
-    impacts = [(i.time_to_impact_s, i.time_to_impact_std_s) for i in kept if i.time_to_impact_s is not None]
-    soonest_s, soonest_std_s = min(impacts, key=lambda impact: impact[0], default=(None, None))
+    nearest, urgent = objects.nearest, objects.most_urgent
     return {
         "detections": sum(item.status == "measured" for item in objects.objects),
         "detections_kept": sum(item.status == "measured" for item in kept),
         "objects_carried": sum(item.status == "tracked" for item in kept),
         "detections_unjudged": sum(item.kept and item.class_ratio is None for item in objects.objects),
-        "nearest_object_m": nearest_m,
-        "nearest_object_class": nearest_class,
-        "time_to_impact_s": soonest_s,
-        "time_to_impact_std_s": soonest_std_s,
+        "nearest_object_m": None if nearest is None else nearest.distance_m,
+        "nearest_object_class": None if nearest is None else nearest.detection.label,
+        "time_to_impact_s": None if urgent is None else urgent.time_to_impact_s,
+        "time_to_impact_std_s": None if urgent is None else urgent.time_to_impact_std_s,
     }
 
 

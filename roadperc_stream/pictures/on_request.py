@@ -9,8 +9,7 @@ from roadperc_stream.channels import Request
 from roadperc_stream.datatypes import Frame, FrameResult, Image, Lanes, Objects, Odometry, Sample, StereoDepth
 from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.pictures.debug import disparity_picture, lanes_picture, matches_picture, template_picture
-from roadperc_stream.pictures.overlay import draw_overlay
-from roadperc_stream.pictures.strip import draw_strip
+from roadperc_stream.pictures.frame import SeenFrame, draw_frame
 from roadperc_stream.rows import FrameMetrics
 
 _JPEG_QUALITY: Final = 85
@@ -26,6 +25,8 @@ class PictureMaker:
     requests: Collection[Request]
     without_image: int = 0
     """Frames whose pictures could not be drawn, for want of a camera image."""
+    misfits: int = 0
+    """Frames whose camera image is shown, and too large or too small to draw into."""
     _first_ns: int | None = None
 
     def messages(self, sample: Sample, result: FrameResult, metrics: FrameMetrics) -> Iterator[tuple[str, bytes]]:
@@ -42,28 +43,25 @@ class PictureMaker:
 
     def notes(self) -> tuple[str, ...]:
         """What the person who asked for pictures should know."""
-        if not self.without_image:
-            return ()
         asked = " and ".join(f"--{request}" for request in self.requests)
-        return (f"{asked}: frames without a camera image that can be drawn into: {self.without_image}",)
+        counts = {
+            "frames without a camera image that can be read": self.without_image,
+            "frames with nothing drawn into an image that is not of its calibration's size": self.misfits,
+        }
+        return tuple(f"{asked}: {what}: {number}" for what, number in counts.items() if number)
 
     def _drawn(self, sample: Sample, result: FrameResult, metrics: FrameMetrics) -> Iterator[Picture]:
         self._first_ns = result.stamp_ns if self._first_ns is None else self._first_ns
         image = inputs.colours_of(sample.frame)
-        if image is None:
-            self.without_image += 1
-        elif "overlay" in self.requests:
+        fits = image is not None and image.shape[:2] == sample.frame.camera.size
+        self.without_image += image is None
+        self.misfits += image is not None and not fits
+        if image is not None and "overlay" in self.requests:
+            seen = SeenFrame(image, result.lanes, result.objects, result.drivable, fits)
             since_start_s = (result.stamp_ns - self._first_ns) / _NANOSECONDS
-            yield "/perception/overlay", result.frame_id, overlay_picture(image, result, metrics, since_start_s)
+            yield "/perception/overlay", result.frame_id, draw_frame(seen, metrics, since_start_s, image.shape[1])
         if "debug" in self.requests:
-            yield from _debug(sample.frame, image, result)
-
-
-def overlay_picture(image_bgr: Image, result: FrameResult, metrics: FrameMetrics, since_start_s: float) -> Image:
-    """The (H, W, 3) camera image with everything drawn in, and the frame's numbers above."""
-    canvas = draw_overlay(image_bgr, result.lanes, result.objects, result.drivable)
-    draw_strip(canvas, metrics, since_start_s)
-    return canvas
+            yield from _debug(sample.frame, image if fits else None, result)
 
 
 def _debug(frame: Frame, image: Image | None, result: FrameResult) -> Iterator[Picture]:

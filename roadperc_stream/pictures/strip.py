@@ -8,7 +8,7 @@ import numpy as np
 
 from roadperc_stream import colours
 from roadperc_stream.colours import bgr
-from roadperc_stream.datatypes import Image
+from roadperc_stream.datatypes import Absent, Image, Object, Objects
 from roadperc_stream.pictures.canvas import BEHIND_TEXT, Colour, Pen, text_size, write
 from roadperc_stream.rows import FrameMetrics
 
@@ -29,16 +29,17 @@ LEGEND: Final[tuple[Phrase, ...]] = (
 )
 
 
-def draw_strip(canvas: Image, metrics: FrameMetrics, since_start_s: float) -> None:
+def draw_strip(canvas: Image, metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> None:
     """Write a frame's numbers and the legend over the topmost rows; a narrow image takes more lines.
 
     Args:
         canvas: (H, W, 3) uint8, drawn into.
         metrics: the frame's row; what is null there is left out.
+        objects: the frame's objects, of which the nearest and the most urgent are named.
         since_start_s: the frame's time, from the first frame.
     """
     pen = Pen.of(canvas, 1.0)
-    numbers, legend = _lines(canvas, frame_phrases(metrics, since_start_s), pen), _lines(canvas, LEGEND, pen)
+    numbers, legend = _lines(canvas, frame_phrases(metrics, objects, since_start_s), pen), _lines(canvas, LEGEND, pen)
     lines = [*numbers, *legend]
     shaded = canvas[: len(lines) * pen.row_px]
     shaded[...] = cv2.addWeighted(shaded, 1 - _SHADE, np.full_like(shaded, BEHIND_TEXT), _SHADE, 0)
@@ -47,16 +48,14 @@ def draw_strip(canvas: Image, metrics: FrameMetrics, since_start_s: float) -> No
             write(canvas, text, (x, row * pen.row_px), colour, pen)
 
 
-def frame_phrases(metrics: FrameMetrics, since_start_s: float) -> Iterator[Phrase]:
-    """What a frame's row says, the most telling numbers first."""
+def frame_phrases(metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Iterator[Phrase]:
+    """What a frame's row says, and of which objects it speaks, the most telling numbers first."""
     yield f"frame {metrics.frame}", _PLAIN
     yield f"{since_start_s:.2f} s", _PLAIN
     yield from _lane("left", metrics.lane_left_status, metrics.lane_left_offset_m)
     yield from _lane("right", metrics.lane_right_status, metrics.lane_right_offset_m)
-    if metrics.nearest_object_m is not None:
-        yield f"nearest {metrics.nearest_object_class or 'object'} {metrics.nearest_object_m:.1f} m", _PLAIN
-    if metrics.time_to_impact_s is not None:
-        yield f"impact in {metrics.time_to_impact_s:.1f} s", _PLAIN
+    if not isinstance(objects, Absent):
+        yield from _objects(objects.nearest, objects.most_urgent)
     yield from _odometry(metrics)
     if metrics.surface_source is not None:
         yield f"surface: {metrics.surface_source}", _PLAIN
@@ -66,6 +65,23 @@ def _lane(side: str, status: str | None, offset_m: float | None) -> Iterator[Phr
     if status is not None:
         said = status if offset_m is None else f"{offset_m:+.2f} m"
         yield f"lane {side} {said}", bgr(colours.BOUNDARY[status])
+
+
+def _objects(nearest: Object | None, urgent: Object | None) -> Iterator[Phrase]:
+    """The most urgent object before the nearest: the time to impact need not be the nearest one's."""
+    if urgent is not None and urgent is nearest:
+        yield f"nearest {_named(urgent)}, impact in {urgent.time_to_impact_s:.1f} s", _PLAIN
+        return
+    if urgent is not None:
+        yield f"impact: {_named(urgent)} in {urgent.time_to_impact_s:.1f} s", _PLAIN
+    if nearest is not None:
+        yield f"nearest {_named(nearest)}", _PLAIN
+
+
+def _named(item: Object) -> str:
+    """Label and distance, as far as there is one."""
+    name = item.detection.label or "object"
+    return name if item.distance_m is None else f"{name} {item.distance_m:.1f} m"
 
 
 def _odometry(metrics: FrameMetrics) -> Iterator[Phrase]:

@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pathlib import Path
+from shlex import quote
 
 from roadperc_stream import __version__
 from roadperc_stream.channels import parse_topic_options
@@ -48,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     modes = parser.add_mutually_exclusive_group()
     modes.add_argument("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording and open nothing")
     modes.add_argument("--foxglove", action="store_true", help="serve the log live to Foxglove")
-    modes.add_argument("--foxglove-layout", metavar="FILE", type=Path, help="write Foxglove's layout for the log")
+    modes.add_argument("--foxglove-layout", metavar="FILE.json", type=Path, help="write Foxglove's layout for the log")
     modes.add_argument("--video", metavar="FILE.mp4", type=Path, help="write a film of the log")
     parser.add_argument("--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role")
     parser.add_argument("--force", action="store_true", help="replace an existing file")
@@ -110,7 +111,8 @@ def _save(arguments: argparse.Namespace) -> None:
         )
     if not arguments.quiet:
         _print_summary(exported.notes, exported.problems)
-        print(f"wrote {arguments.save} ({exported.frames} frames); open it with: rerun {arguments.save}")
+        frames = f" ({exported.frames} frames)" if exported.frames else ""
+        print(f"wrote {arguments.save}{frames}; open it with: rerun {quote(str(arguments.save))}")
 
 
 def _open(arguments: argparse.Namespace) -> None:

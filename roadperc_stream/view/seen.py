@@ -1,18 +1,20 @@
 """What a log with results holds of its frames: the camera image, and what the chain saw in it."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, TypeVar
 
 from roadperc_stream import log
-from roadperc_stream.channels import METRICS_TOPIC, ROLES, TAG_TABLE_KEY, Kind
-from roadperc_stream.datatypes import Absent, CameraImage, Image, Lanes, Mask, Objects, TagImage
-from roadperc_stream.decoding import Decoded, Payload, context_of_channel, decode, schemas_of_kind
-from roadperc_stream.errors import DecodeError
-from roadperc_stream.log import Channel, Message
+from roadperc_stream.channels import METRICS_TOPIC, Kind
+from roadperc_stream.datatypes import Absent, CameraImage, Lanes, Mask, Objects, TagImage
+from roadperc_stream.decoding import Decoded, Payload, context_of_channel, decode
+from roadperc_stream.errors import ChannelError, DecodeError
+from roadperc_stream.inputs import image_fits
+from roadperc_stream.log import Channel, LogSummary, Message
+from roadperc_stream.pictures.frame import SeenFrame
 from roadperc_stream.results import decode_metrics
-from roadperc_stream.roles import Problems, is_result, is_result_of
+from roadperc_stream.roles import Problems, is_result, is_result_of, roles_of_log
 from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14
 
@@ -20,30 +22,16 @@ Content = TypeVar("Content")
 LANES, OBJECTS, DRIVABLE = "/perception/lanes", "/perception/objects", "/perception/drivable"
 LATENESS_NS: Final = (0, 2_000_000_000)
 """How far a message's log time may lie from its stamp: first the window that is cheap to read is tried."""
-_IMAGE_TOPICS: Final = (ROLES["image"].topic, ROLES["left"].topic)
 _KINDS: Final[Mapping[str, Kind]] = {LANES: "lanes", OBJECTS: "objects", DRIVABLE: "tags"}
 _NOTHING: Final = Absent("not in the log")
-_NO_PICTURES: Final = ("depth", "seg", "semantic", "label")
-"""Words in the topics of images that are no camera's."""
 _MOST_WAITING: Final = 64
 """Instants that wait for their metrics at a time: of a sensor that is no frame's they never come."""
-
-
-@dataclass(frozen=True)
-class SeenFrame:
-    """A frame as it stands in a log with results."""
-
-    image_bgr: Image
-    lanes: Lanes | Absent
-    objects: Objects | Absent
-    drivable: Mask | Absent
 
 
 def read_frame(path: Path, stamp_ns: int, problems: Problems) -> SeenFrame | None:
     """The frame of a stamp, None where the log holds no camera image of it. Reads no more of the log than its part.
 
-    The image is that of ``/camera/front/image``, else of ``/camera/left/image``, else of the first other camera, a
-    pair's right one excepted: the one the chain saw where a log has but one. What cannot be read is not there.
+    The image is that of the camera the results are of. What cannot be read is not there.
 
     Args:
         path: the log.
@@ -53,9 +41,10 @@ def read_frame(path: Path, stamp_ns: int, problems: Problems) -> SeenFrame | Non
     Raises:
         LogError: the log cannot be read.
     """
+    image_topic = _image_topic(log.summarise(path))
     for lateness_ns in LATENESS_NS:
-        seen = _seen(_messages(path, stamp_ns, lateness_ns, problems), stamp_ns, problems)
-        if seen is not None:
+        found, reasons = _messages(path, image_topic, stamp_ns, lateness_ns, problems)
+        if seen := _seen(found, image_topic, reasons, stamp_ns, problems):
             return seen
     return None
 
@@ -72,14 +61,13 @@ def read_frames(path: Path, problems: Problems) -> Iterator[tuple[FrameMetrics, 
     Raises:
         LogError: the log cannot be read.
     """
-    channels = log.summarise(path).channels
-    topics = {channel.topic for channel in channels if _kind(channel) or is_result_of(channel, METRICS_TOPIC)}
+    image_topic = _image_topic(log.summarise(path))
     waiting: dict[int, dict[str, Decoded]] = {}
-    for message in log.read(path, topics=topics):
+    for message in log.read(path, topics={image_topic, METRICS_TOPIC, *_KINDS}):
         if row := row_of(message, problems):
-            yield row, _seen(waiting.pop(row.stamp_ns, {}), row.stamp_ns, problems)
+            yield row, _seen(waiting.pop(row.stamp_ns, {}), image_topic, row.reasons, row.stamp_ns, problems)
             waiting = {stamp_ns: found for stamp_ns, found in waiting.items() if stamp_ns > row.stamp_ns}
-        elif content := _decoded(message, problems):
+        elif content := _decoded(message, image_topic, problems):
             waiting.setdefault(content.stamp_ns, {})[message.channel.topic] = content
             if len(waiting) > _MOST_WAITING:
                 waiting.pop(next(iter(waiting)))
@@ -115,27 +103,48 @@ def content_of(content: Callable[[], Content], topic: str, time_ns: int, problem
         return None
 
 
-def _seen(found: Mapping[str, Decoded], stamp_ns: int, problems: Problems) -> SeenFrame | None:
-    topic, image = _image(found)
-    if image is None:
+def _image_topic(summary: LogSummary) -> str:
+    """The topic of the results' camera, as the replay chose it or was told to; empty where the log has it no more."""
+    try:
+        topics = roles_of_log(summary, {}).topics
+    except ChannelError:  # an input, of which nobody has said yet what is what
+        return ""
+    return topics.get("image") or topics.get("left", "")
+
+
+def _seen(
+    found: Mapping[str, Decoded], image_topic: str, reasons: Iterable[str], stamp_ns: int, problems: Problems
+) -> SeenFrame | None:
+    image = _payload(found, image_topic)
+    if not isinstance(image, CameraImage):
         return None
-    image_bgr = content_of(lambda: image.bgr, topic, stamp_ns, problems)
+    image_bgr = content_of(lambda: image.bgr, image_topic, stamp_ns, problems)
     if image_bgr is None:
         return None
-    drivable = content_of(lambda: _drivable(found, image_bgr), DRIVABLE, stamp_ns, problems)
-    return SeenFrame(image_bgr, _lanes(found), _objects(found), _NOTHING if drivable is None else drivable)
+    mask = content_of(lambda: _drivable(found), DRIVABLE, stamp_ns, problems)
+    drivable = _NOTHING if mask is None else mask
+    # A mask of another size belongs to another camera than this image, and so do lanes and objects.
+    fits = image_fits(reasons) and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
+    return SeenFrame(image_bgr, _lanes(found), _objects(found), drivable, fits)
 
 
-def _messages(path: Path, stamp_ns: int, lateness_ns: int, problems: Problems) -> dict[str, Decoded]:
-    """Images and results of one stamp by topic."""
-    window = log.read(path, start_ns=max(stamp_ns - lateness_ns, 0), end_ns=stamp_ns + lateness_ns + 1)
-    decoded = ((message.channel.topic, _decoded(message, problems)) for message in window)
-    return {topic: content for topic, content in decoded if content and content.stamp_ns == stamp_ns}
+def _messages(
+    path: Path, image_topic: str, stamp_ns: int, lateness_ns: int, problems: Problems
+) -> tuple[dict[str, Decoded], tuple[str, ...]]:
+    """Images and results of one stamp by topic, and its row's reasons."""
+    found: dict[str, Decoded] = {}
+    reasons: tuple[str, ...] = ()
+    for message in log.read(path, start_ns=max(stamp_ns - lateness_ns, 0), end_ns=stamp_ns + lateness_ns + 1):
+        if row := row_of(message, problems):
+            reasons = row.reasons if row.stamp_ns == stamp_ns else reasons
+        elif (content := _decoded(message, image_topic, problems)) and content.stamp_ns == stamp_ns:
+            found[message.channel.topic] = content
+    return found, reasons
 
 
-def _decoded(message: Message, problems: Problems) -> Decoded | None:
+def _decoded(message: Message, image_topic: str, problems: Problems) -> Decoded | None:
     channel, log_time_ns = message.channel, message.log_time_ns
-    kind = _kind(channel)
+    kind = _kind(channel, image_topic)
     if kind is None:
         return None
     # A mask's indices are no tags; the decoder wants a table all the same.
@@ -149,25 +158,11 @@ def _decoded(message: Message, problems: Problems) -> Decoded | None:
     )
 
 
-def _kind(channel: Channel) -> Kind | None:
+def _kind(channel: Channel, image_topic: str) -> Kind | None:
     """What a channel is read as; None for those a picture does not need."""
     if is_result(channel):
         return _KINDS.get(channel.topic) if is_result_of(channel, channel.topic) else None
-    pictures = (channel.schema_name, channel.message_encoding) in schemas_of_kind("image")
-    return "image" if pictures and not channel.label(TAG_TABLE_KEY) and not _is_no_picture(channel.topic) else None
-
-
-def _is_no_picture(topic: str) -> bool:
-    others = {role.topic for role in ROLES.values() if role.kind == "tags" or role.name == "right"}
-    return topic in others or any(word in topic.lower() for word in _NO_PICTURES)
-
-
-def _image(found: Mapping[str, Decoded]) -> tuple[str, CameraImage | None]:
-    for topic in (*_IMAGE_TOPICS, *found):
-        image = _payload(found, topic)
-        if isinstance(image, CameraImage):
-            return topic, image
-    return "", None
+    return "image" if channel.topic == image_topic else None
 
 
 def _lanes(found: Mapping[str, Decoded]) -> Lanes | Absent:
@@ -180,12 +175,9 @@ def _objects(found: Mapping[str, Decoded]) -> Objects | Absent:
     return objects if isinstance(objects, Objects) else _NOTHING
 
 
-def _drivable(found: Mapping[str, Decoded], image_bgr: Image) -> Mask | Absent:
-    """The mask, unless it belongs to another camera than the image."""
+def _drivable(found: Mapping[str, Decoded]) -> Mask | Absent:
     tags = _payload(found, DRIVABLE)
-    if not isinstance(tags, TagImage) or tags.tags.shape != image_bgr.shape[:2]:
-        return _NOTHING
-    return tags.tags > 0
+    return tags.tags > 0 if isinstance(tags, TagImage) else _NOTHING
 
 
 def _payload(found: Mapping[str, Decoded], topic: str) -> Payload | None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from shlex import quote
 from typing import Final, Self
 
 import cv2
@@ -23,11 +24,10 @@ from roadperc_stream.command import no_progress
 from roadperc_stream.datatypes import Image
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.formats import images
-from roadperc_stream.pictures.overlay import draw_overlay
-from roadperc_stream.pictures.strip import draw_strip
+from roadperc_stream.pictures.frame import draw_frame
 from roadperc_stream.roles import Problems, is_result_of
 from roadperc_stream.targets import completing, require_free
-from roadperc_stream.view.seen import SeenFrame, content_of, read_frames, read_rows, row_of
+from roadperc_stream.view.seen import content_of, read_frames, read_rows, row_of
 
 OVERLAY: Final = "/perception/overlay"
 _CODEC: Final = "vp09"
@@ -95,7 +95,7 @@ def _frame_stamps(source: Path) -> list[int]:
     if problems.first and not stamps:
         raise LogError(f"{source}: no results to film; {problems.first[METRICS_TOPIC]}")
     if not stamps:
-        raise LogError(f"{source}: no results to film; roadperc-replay {source.name} OUT.mcap makes them")
+        raise LogError(f"{source}: no results to film; roadperc-replay {quote(str(source))} OUT.mcap makes them")
     return stamps
 
 
@@ -131,10 +131,9 @@ def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
     first_ns: int | None = None
     for row, seen in read_frames(source, problems):
         first_ns = row.stamp_ns if first_ns is None else first_ns
-        picture = None if seen is None else _drawn(seen)
-        if picture is not None:
-            draw_strip(picture, row, (row.stamp_ns - first_ns) / _NANOSECONDS)
-        yield picture
+        since_start_s = (row.stamp_ns - first_ns) / _NANOSECONDS
+        width_px = 0 if seen is None else min(seen.image_bgr.shape[1], _MOST_COLUMNS)
+        yield None if seen is None else draw_frame(seen, row, since_start_s, width_px)
 
 
 def _overlays(source: Path, problems: Problems) -> Iterator[Image | None]:
@@ -156,11 +155,6 @@ def _decoded(data: bytes) -> Image:
         return images.decode_bgr(CompressedImage.FromString(data).data)
     except ProtobufError as error:
         raise DecodeError(f"{len(data)} bytes are no foxglove.CompressedImage: {error}") from error
-
-
-def _drawn(seen: SeenFrame) -> Image:
-    width_px = min(seen.image_bgr.shape[1], _MOST_COLUMNS)
-    return draw_overlay(seen.image_bgr, seen.lanes, seen.objects, seen.drivable, width_px=width_px)
 
 
 class _FilmWriter:

@@ -251,6 +251,14 @@ def test_logs_without_lanes_or_camera_are_refused(tmp_path, capsys):
     assert (code, "no calibration of 'camera'" in error) == (1, True)
 
 
+def test_no_log_is_replaced_by_lanes(tmp_path, capsys):
+    log = run_log(tmp_path / "a.mcap", [seen(STAMPS_NS[0], upright(LEFT_PX))])
+    before = log.read_bytes()
+    code, _, error = lanes(capsys, log, "--tusimple", log)
+    assert (code, "a.mcap: expected a name that ends in .json or .jsonl" in error) == (1, True)
+    assert log.read_bytes() == before
+
+
 def test_what_fails_half_way_leaves_no_file(tmp_path, capsys):
     broken = replace(seen(STAMPS_NS[1]), data=b"\xff\xff")
     log = run_log(tmp_path / "a.mcap", [seen(STAMPS_NS[0], upright(LEFT_PX)), broken])
@@ -260,7 +268,7 @@ def test_what_fails_half_way_leaves_no_file(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
-@pytest.mark.parametrize("arguments", [[], ["--tusimple", "out.mcap"], ["--truth", "a.json", "--size", "0x5"]])
+@pytest.mark.parametrize("arguments", [[], ["--truth", "a.json", "--size", "0x5"]])
 def test_wrong_usage_is_two(arguments):
     with pytest.raises(SystemExit) as stopped:
         main(["a.mcap", *arguments])

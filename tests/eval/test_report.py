@@ -201,10 +201,49 @@ def test_reasons_are_counted_and_names_are_taken_as_they_are(tmp_path, capsys):
 
 
 def test_rare_reasons_are_counted_together(tmp_path, capsys):
-    rows = [row(k, reasons=(f"surface: problem {k}", "objects: none")) for k in range(10)]
+    rows = [row(k, reasons=(f"surface: problem {chr(97 + k)}", "objects: none")) for k in range(12)]
     _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
-    assert line_of(text, "objects: none")[-2:] == ["10", "100.0"]
-    assert line_of(text, "3 other reasons")[-1] == "3"
+    assert line_of(text, "objects: none")[-2:] == ["12", "100.0"]
+    assert line_of(text, "3 other reasons") == ["3", "other", "reasons"]
+
+
+def test_reasons_that_differ_in_numbers_are_one_and_inputs_come_before_stages(tmp_path, capsys):
+    rows = [row(k, reasons=("lanes: no surface", f"image: {k} bytes", f"time {-k / 4} s")) for k in range(4)]
+    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
+    said = text.partition("Why not?")[2].splitlines()[2:5]
+    assert [line.split() for line in said] == [
+        ["image:", "0", "bytes", "(numbers", "vary)", "4", "100.0"],
+        ["time", "-0.25", "s", "(numbers", "vary)", "4", "100.0"],
+        ["lanes:", "no", "surface", "4", "100.0"],
+    ]
+
+
+def test_no_reasons_no_table(drive, capsys):
+    assert "Why not" not in report(capsys, drive)[1]
+
+
+def test_reasons_of_some_runs_are_told_log_by_log(tmp_path, capsys):
+    """What all runs say alike is said once; of the others, which run says it how often."""
+    both = "objects: no detections"
+    seen = [row(k, reasons=(both,)) for k in range(4)]
+    blind = [row(k, reasons=(both, f"image: {k}x9 pixels")) for k in range(2)] + seen[2:]
+    paths = [write(tmp_path / f"{n}.metrics.parquet", rows) for n, rows in (("seen", seen), ("blind", blind))]
+    _, text, _ = report(capsys, *paths)
+    assert line_of(text, both)[-2:] == ["8", "100.0"]
+    assert line_of(text, "image: 0x9 pixels (numbers vary)")[-2:] == ["2", "25.0"]
+    by_log = text.partition("Why not, log by log")[2].split("\n\n")[0].splitlines()[2:]
+    assert [line.split() for line in by_log] == [
+        ["image:", "0x9", "pixels", "(numbers", "vary)"],
+        ["blind", "2", "50.0"],
+    ]
+
+
+def test_an_image_that_cannot_be_used_is_not_said_to_be_there(tmp_path, capsys):
+    rows = [row(k, reasons=("image: 520x360 pixels, its calibration says 640x480",)) for k in range(2)]
+    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
+    assert "no input missing" not in text
+    assert "no message missing in any frame" in text
+    assert line_of(text, "image: 520x360")[-2:] == ["2", "100.0"]
 
 
 def test_missing_inputs_are_told_per_role(tmp_path, capsys):

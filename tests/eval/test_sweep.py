@@ -197,7 +197,7 @@ def test_a_log_given_twice_is_wrong_usage(source, capsys):
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        ("lanes.process_nose=1,2", "did you mean process_noise?"),
+        ("lanes.process_nose=1,2", "did you mean lanes.process_noise?"),
         ("lanes.process_noise=0.1,x", "lanes.process_noise: Input should be a valid number"),
         ("lanes.process_noise=0.1,-3", "got -3"),
         ("lanes=1,2", "lanes"),

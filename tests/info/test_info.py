@@ -155,6 +155,40 @@ def test_what_a_missing_role_costs(tmp_path, capsys, role, cost):
     assert cost in info(capsys, path)[1]
 
 
+def test_transforms_that_are_all_static_cost_nothing(tmp_path, capsys):
+    items = [replace(item, topic="/tf_static" if item.role == "tf" else "") for item in logs.items(2)]
+    path = logs.write(tmp_path / "in.mcap", items)
+    found = states(facts_of(path))
+    assert (found["tf_static"].state, found["tf"].state, found["tf"].cost) == ("filled", "missing", "")
+    assert "assumed_height_m" not in info(capsys, path)[1]
+
+
+def test_an_odometry_could_be_the_truth_and_is_not_unless_it_is_said(tmp_path, capsys):
+    odometry = Message(Channel("/odom", "cdr", "nav_msgs/msg/Odometry", "ros2msg", b""), logs.START_NS, 1, 0, b"")
+    path = logs.write(tmp_path / "in.mcap", logs.items(2), [odometry])
+    found = states(facts_of(path))["truth_pose"]
+    assert (found.state, found.candidates) == ("missing", ("/odom",))
+    said = " ".join(info(capsys, path)[1].split())
+    assert "the truth only if you say so; could be --topic truth_pose=/odom" in said
+    assert not any("truth" in note for note in facts_of(path).replay.notes)
+    assert states(facts_of(path, truth_pose="/odom"))["truth_pose"].why == "--topic"
+
+
+def test_a_log_without_poses_does_not_speak_of_the_truth(drive, capsys):
+    assert "truth" not in info(capsys, drive)[1]
+
+
+def test_images_that_are_not_of_their_calibrations_size(tmp_path, drive, capsys):
+    assert facts_of(drive).replay.cameras[0].image_size == (logs.SMALL.width, logs.SMALL.height)
+    assert "images of" not in info(capsys, drive)[1]
+    wide = [item for item in logs.items(2, road=replace(logs.SMALL, width=400)) if item.role == "calibration"]
+    others = [item for item in logs.items(2) if item.role != "calibration"]
+    path = logs.write(tmp_path / "wide.mcap", [*wide, *others])
+    (camera,) = facts_of(path).replay.cameras
+    assert (camera.camera.width, camera.image_size) == (400, (320, 240))
+    assert "images of 320x240" in info(capsys, path)[1]
+
+
 def test_a_wrong_schema_says_what_is_there_and_what_should_be(tmp_path):
     items = [replace(item, topic="/camera/front/detections") for item in logs.items(3) if item.role == "image"]
     state = states(facts_of(logs.write(tmp_path / "in.mcap", [*logs.items(3, roles=("calibration", "tf")), *items])))
@@ -199,11 +233,14 @@ def moved_by(items, late_ns):
         yield anew.get(item.role, item.data)
 
 
-def test_messages_that_cannot_be_decoded_are_counted(tmp_path):
+def test_messages_that_cannot_be_decoded_are_counted(tmp_path, capsys):
     items = [replace(item, data=b"\xff") if item.role == "detections" else item for item in logs.items(3)]
-    replay = facts_of(logs.write(tmp_path / "in.mcap", items)).replay
+    path = logs.write(tmp_path / "in.mcap", items)
+    replay = facts_of(path).replay
     assert dict(replay.unreadable) == {"/camera/front/detections": 3}
     assert len(replay.problems) == 1
+    said = " ".join(info(capsys, path)[1].split())
+    assert "a role that is within the tolerance and can be decoded: detections 3" in said
 
 
 @pytest.fixture

@@ -1,7 +1,10 @@
 """Pictures on request: which are written, that they are pictures of the frame, and that nothing else changes."""
 
 import dataclasses
+from dataclasses import replace
 
+import cv2
+import numpy as np
 import pytest
 
 from roadperc_stream import encoding, log
@@ -10,6 +13,7 @@ from roadperc_stream.cli import replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.decoding import Context, decode
 from roadperc_stream.replay import replay
+from roadperc_stream.view.video import write_video
 from tests import logs
 
 CFG = load_config()
@@ -99,7 +103,7 @@ def test_frames_without_an_image_are_told_of_and_not_drawn(tmp_path):
     target = tmp_path / "out.mcap"
     summary = replay(source, target, CFG, on_request=("overlay",))
     assert not pictures(target)
-    assert "--overlay: frames without a camera image that can be drawn into: 3" in summary.notes
+    assert "--overlay: frames without a camera image that can be read: 3" in summary.notes
 
 
 def test_the_command_has_both_options(source):
@@ -117,4 +121,40 @@ def test_a_broken_image_leaves_its_frame_without_pictures(tmp_path):
     found = pictures(tmp_path / "out.mcap")
     assert [m.sequence for m in found["/perception/overlay"]] == [0, 2]
     assert [m.sequence for m in found["/perception/debug/lanes"]] == [0, 2]
-    assert "--overlay and --debug: frames without a camera image that can be drawn into: 1" in summary.notes
+    assert "--overlay and --debug: frames without a camera image that can be read: 1" in summary.notes
+
+
+def test_an_image_of_another_size_is_shown_with_nothing_drawn_in(tmp_path):
+    """The road is seen, for its tags are of the calibration's size: it would be drawn where it is not."""
+    white = cv2.imencode(".png", np.full((200, 400, 3), 255, np.uint8))[1].tobytes()
+    source = logs.write(
+        tmp_path / "in.mcap",
+        [
+            replace(item, data=encoding.encode_image(item.stamp_ns, "camera", "png", white))
+            if item.role == "image"
+            else item
+            for item in logs.items(3)
+        ],
+    )
+    summary = replay(source, tmp_path / "out.mcap", CFG, on_request=("overlay", "debug"))
+    found = pictures(tmp_path / "out.mcap")
+    assert "/perception/drivable" in {message.channel.topic for message in log.read(tmp_path / "out.mcap")}
+    assert set(found) == {"/perception/overlay"}
+    for message in found["/perception/overlay"]:
+        picture = decode("image", message.channel.schema_name, "protobuf", message.data, 0, Context()).payload.bgr
+        assert picture.shape == (200, 400, 3)
+        assert picture[:10].min() < 100
+        assert picture[100:].min() > 245
+    told = "frames with nothing drawn into an image that is not of its calibration's size: 3"
+    assert f"--overlay and --debug: {told}" in summary.notes
+    assert "in all 3 frames: image: 400x200 pixels, its calibration says 320x240" in summary.throughout
+    assert write_video(tmp_path / "out.mcap", tmp_path / "overlays.mp4").pictures == 3
+    replay(source, tmp_path / "bare.mcap", CFG)
+    assert write_video(tmp_path / "bare.mcap", tmp_path / "drawn.mp4").pictures == 3
+    written, drawn = (first_picture(tmp_path / f"{name}.mp4") for name in ("overlays", "drawn"))
+    assert np.abs(written.astype(int) - drawn).mean() < 3
+    assert np.abs(written.astype(int) - drawn)[100:].max() < 12
+
+
+def first_picture(path):
+    return cv2.VideoCapture(str(path)).read()[1]

@@ -336,6 +336,13 @@ def test_an_output_that_cannot_be_written_is_named(dump, tmp_path, capsys):
     assert "is a folder" in failure(capsys, dump, tmp_path, "--quiet", "--force")
 
 
+def test_only_a_log_is_written_over(dump, tmp_path, capsys):
+    table = tmp_path / "in.metrics.parquet"
+    table.write_bytes(b"a table")
+    assert "expected a name that ends in .mcap" in failure(capsys, dump, table, "--quiet", "--force")
+    assert table.read_bytes() == b"a table"
+
+
 @pytest.mark.parametrize("make", [lambda _: None, lambda path: path.mkdir(), lambda path: path.write_text("")])
 def test_a_dump_that_is_none(tmp_path, capsys, make):
     make(tmp_path / "dump")

@@ -24,6 +24,35 @@ def test_save_writes_a_recording_and_says_so(source, capsys):
     assert "/camera/front/image" in recorded(target)
 
 
+def test_what_opens_a_recording_can_be_pasted(tmp_path, capsys):
+    (tmp_path / "my logs").mkdir()
+    source = logs.write(tmp_path / "my logs" / "in.mcap", logs.items(frames=0))
+    target = source.with_suffix(".rrd")
+    assert main([str(source), "--save", str(target)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"wrote {target}; open it with: rerun '{target}'"
+
+
+@pytest.mark.parametrize("option", ["--save", "--foxglove-layout", "--video"])
+def test_no_log_is_replaced_by_something_else(source, option, capsys):
+    other = source.with_name("other.mcap")
+    other.write_bytes(b"a log")
+    assert main([str(source), option, str(other), "--force"]) == 1
+    assert f"error: {other}: expected a name that ends in ." in capsys.readouterr().err
+    assert other.read_bytes() == b"a log"
+
+
+@pytest.mark.parametrize("options", [[], ["--save", "a.rrd"], ["--foxglove-layout", "a.json"]])
+def test_a_log_with_nothing_to_show_is_an_error(tmp_path, options, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    logs.write(tmp_path / "in.mcap", [], extra=[logs.foreign()])
+    assert main(["in.mcap", *options]) == 1
+    assert capsys.readouterr().err == (
+        "error: in.mcap: nothing here that this project shows; "
+        "rerun in.mcap or roadperc-view in.mcap --foxglove may show what there is\n"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+
+
 def test_a_topic_of_another_name_fills_a_role(tmp_path):
     items = [logs.Item(i.role, i.stamp_ns, i.data, "/a" if i.role == "image" else "") for i in logs.items(frames=1)]
     source = logs.write(tmp_path / "in.mcap", items)

@@ -3,10 +3,14 @@
 import json
 import re
 
+import numpy as np
 import pytest
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from roadperc_stream.channels import LIVE_ONLY, ON_REQUEST, RESULTS, ROLES, result_schemas
-from roadperc_stream.errors import ChannelError, TargetError
+from roadperc_stream.errors import ChannelError, LogError, TargetError
+from roadperc_stream.log import Channel, Message
 from roadperc_stream.rows import TIME_COLUMNS
 from roadperc_stream.schemas import roadperc_pb2
 from roadperc_stream.view.layout import foxglove_layout, topics_in, write_layout
@@ -129,6 +133,21 @@ def test_a_log_of_this_project_s_topics_gets_the_file_as_shipped(tmp_path):
     assert json.loads(target.read_text("utf-8")) == LAYOUT
 
 
+@pytest.mark.parametrize(("encoding", "dtype", "most"), [("32FC1", "<f4", 60), ("16UC1", "<u2", 60_000)])
+def test_depth_is_coloured_in_the_unit_of_the_log(tmp_path, encoding, dtype, most):
+    """Viewers colour the numbers as they stand: metres in floats, millimetres in whole numbers."""
+    pixels = np.full((4, 6), 30 if encoding == "32FC1" else 30_000, dtype)
+    message = RawImage(width=6, height=4, encoding=encoding, step=pixels.strides[0], data=pixels.tobytes())
+    channel = Channel(
+        "/depth", "protobuf", "foxglove.RawImage", "protobuf", build_file_descriptor_set(RawImage).SerializeToString()
+    )
+    depth = [Message(channel, 1, 1, k, data) for k, data in enumerate((b"broken", message.SerializeToString()))]
+    source, target = logs.write(tmp_path / "in.mcap", [], extra=depth), tmp_path / "layout.json"
+    write_layout(target, source, {"depth": "/depth"}, force=False)
+    panel = json.loads(target.read_text("utf-8"))["configById"]["Image!depth"]["imageMode"]
+    assert (panel["imageTopic"], panel["maxValue"]) == ("/depth", most)
+
+
 def test_the_left_camera_stands_for_the_front_one_where_there_is_none(tmp_path):
     items = logs.items(frames=1, roles=("calibration", "image"))
     left = {"image": "left", "calibration": "left_calibration"}
@@ -147,8 +166,17 @@ def test_a_topic_that_is_not_there_names_the_log(tmp_path):
 
 def test_a_layout_never_replaces_its_log(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(frames=1))
-    with pytest.raises(TargetError, match="is the input itself"):
+    before = source.read_bytes()
+    with pytest.raises(TargetError, match=r"in\.mcap: expected a name that ends in \.json"):
         write_layout(source, source, force=True)
+    assert source.read_bytes() == before
+
+
+def test_a_log_with_nothing_to_show_gets_no_layout(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", [], extra=[logs.foreign()])
+    with pytest.raises(LogError, match=r"in\.mcap: nothing here that this project shows"):
+        write_layout(tmp_path / "layout.json", source, force=False)
+    assert not (tmp_path / "layout.json").exists()
 
 
 def test_a_layout_is_written_and_replaced_only_when_told(tmp_path):

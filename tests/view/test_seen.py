@@ -1,20 +1,25 @@
 """A log's frames with messages that cannot be read: those are left out and counted, the others come back."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from roadperc_stream import encoding
 from roadperc_stream.channels import PRODUCER, schema
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import Absent, Boundary, Lanes
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.replay import replay
 from roadperc_stream.results import encode_metrics
 from roadperc_stream.roles import Problems
 from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.view.command import main
 from roadperc_stream.view.seen import read_frame, read_frames, read_rows
 from roadperc_stream.view.video import write_video
+from tests import logs
 
 START = 1_600_000_000_000_000_000
 STAMPS = [START + k * 50_000_000 for k in range(3)]
@@ -146,3 +151,23 @@ def test_a_log_of_rows_that_cannot_be_read_says_why(tmp_path):
         writer.write(Message(channel(METRICS), START, START, 0, BAD))
     with pytest.raises(LogError, match=r"no results to film; /perception/metrics: message at \d+ ns: 2 bytes are no"):
         write_video(path, tmp_path / "film.mp4")
+
+
+def test_the_image_is_that_of_the_camera_the_replay_was_told_to_take(tmp_path):
+    """Other cameras' topics may come before it, and nothing in its name need speak of a camera."""
+    source, target = tmp_path / "in.mcap", tmp_path / "out.mcap"
+    of_front = [item for item in logs.items(frames=2) if item.role in ("calibration", "image")]
+    black = cv2.imencode(".png", np.zeros((240, 320, 3), np.uint8))[1].tobytes()
+    items = []
+    for item in of_front:
+        if item.role == "image":
+            side = encoding.encode_image(item.stamp_ns, "side", "png", black)
+            items += [logs.Item("image", item.stamp_ns, side, "/a"), replace(item, topic="/b")]
+        else:
+            items.append(item)
+    logs.write(source, items)
+    replay(source, target, ReplayConfig(), overrides={"image": "/b"})
+    seen = [frame for _, frame in read_frames(target, Problems())]
+    assert [frame.image_bgr.max() > 0 for frame in seen] == [True, True]
+    stamp_ns = next(item.stamp_ns for item in items if item.topic == "/b")
+    assert read_frame(target, stamp_ns, Problems()).image_bgr.max() > 0

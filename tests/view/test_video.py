@@ -127,8 +127,9 @@ def test_other_containers_are_refused(tmp_path, name):
 
 
 def test_a_log_without_results_says_how_to_get_them(tmp_path):
-    source = logs.write(tmp_path / "in.mcap", logs.items(2))
-    with pytest.raises(LogError, match=r"in.mcap: no results to film; roadperc-replay in.mcap OUT.mcap makes them"):
+    (tmp_path / "my logs").mkdir()
+    source = logs.write(tmp_path / "my logs" / "in.mcap", logs.items(2))
+    with pytest.raises(LogError, match=f"in.mcap: no results to film; roadperc-replay '{source}' OUT.mcap makes them"):
         write_video(source, tmp_path / "film.mp4")
     assert not (tmp_path / "film.mp4").exists()
 

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Final
 
 from roadperc_stream.errors import DumpError
@@ -198,9 +199,8 @@ def _one_per_role(candidates: Iterable[Sensor]) -> dict[str, Sensor]:
     for sensor in candidates:
         if sensor.role in sensors:
             first = sensors[sensor.role].source
-            raise DumpError(
-                f"{first} and {sensor.source} both look like {sensor.role}: choose with --role {sensor.role}={first}"
-            )
+            choice = f"--role {sensor.role}={quote(first)}"
+            raise DumpError(f"{first} and {sensor.source} both look like {sensor.role}: choose with {choice}")
         sensors[sensor.role] = sensor
     return sensors
 

@@ -149,5 +149,5 @@ def _invitation(host: str, port: int) -> str:
     return (
         f"serving ws://{address}:{port} (Ctrl-C ends)\n"
         "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open\n"
-        "layout: roadperc-view --foxglove-layout FILE, then Layouts > Import from file"
+        "layout: roadperc-view --foxglove-layout roadperc.json, then Layouts > Import from file"
     )

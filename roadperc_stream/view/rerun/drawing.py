@@ -73,7 +73,7 @@ def _drawer(channel: Channel, filled: Filled, world: World, times: StageTimes) -
     roles = filled.roles_of(channel.topic)
     if not roles:
         return None
-    return _kind_drawer(channel, roles[0].kind, roles[0].name, world)
+    return _kind_drawer(channel, roles[0].kind, roles[0].name, world, filled.tag_table)
 
 
 def _result_drawer(channel: Channel, world: World, times: StageTimes) -> Drawer | None:
@@ -91,10 +91,10 @@ def _result_drawer(channel: Channel, world: World, times: StageTimes) -> Drawer 
     return None
 
 
-def _kind_drawer(channel: Channel, kind: Kind, role: str, world: World) -> Drawer:
+def _kind_drawer(channel: Channel, kind: Kind, role: str, world: World, tag_table: str = "") -> Drawer:
     if kind == "image" and (channel.schema_name, channel.message_encoding) == (IMAGE_SCHEMA, "protobuf"):
         return partial(_encoded, role, world)
-    context = context_of_channel(channel, "auto")
+    context = context_of_channel(channel, "auto", tag_table)
     context = Context(_DRIVABLE) if kind == "tags" and is_result(channel) else context
     return partial(_decoded, kind, role, context, world)
 

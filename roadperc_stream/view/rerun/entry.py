@@ -52,6 +52,11 @@ class World:
         camera = self.camera_of(role)
         return image_plane(camera.frame_id if camera else frame_id)
 
+    def knows(self, frame_id: str) -> bool:
+        """Whether the log's transforms place a frame, or others below it."""
+        edges = self.held.transforms
+        return frame_id in edges or any(edge.parent == frame_id for edge in edges.values())
+
     def hold(self, role: str, payload: Payload) -> None:
         """Take in a calibration or transforms; edges that close a loop are left out, as the chain leaves them out."""
         kept, _ = self.held.without_loops(Stamped(role, 0, 0, payload))

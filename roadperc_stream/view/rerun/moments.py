@@ -19,7 +19,7 @@ class Moment:
 
     log_time_ns: int
     frame: int
-    """Number of the frame it belongs to, from 0; what comes before the first frame counts to it."""
+    """Number of the frame it belongs to, from 0; -1 before the first."""
     messages: tuple[Message, ...]
 
     @property
@@ -39,7 +39,7 @@ def moments(messages: Iterable[Message], reference: str | None) -> Iterator[Mome
     for log_time_ns, together in groupby(messages, key=lambda message: message.log_time_ns):
         group = tuple(together)
         frame = _frame(group, reference, frame)
-        yield Moment(log_time_ns, max(frame, 0), group)
+        yield Moment(log_time_ns, frame, group)
 
 
 def _frame(group: tuple[Message, ...], reference: str | None, last: int) -> int:

@@ -23,6 +23,7 @@ from roadperc_stream.view.rerun.entry import Entry, World
 from roadperc_stream.view.rerun.moments import Moment, moments
 from roadperc_stream.view.rerun.outlet import saving
 from roadperc_stream.view.rerun.viewer import URL, start_viewer
+from roadperc_stream.view.shown import nothing_shown, require_shown
 from roadperc_stream.view.stage_times import TableTimes
 
 LOG_TIME, FRAME = "message_log_time", "frame"
@@ -40,6 +41,7 @@ class Exported:
     """What went to Rerun, for the person who asked."""
 
     frames: int
+    """0 where no message makes a frame."""
     notes: tuple[str, ...]
     problems: Mapping[str, int]
 
@@ -48,7 +50,8 @@ def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = n
     """Open the viewer and send it a log; it stays open.
 
     Raises:
-        RoadpercError: the log cannot be read, or the viewer does not start or does not answer.
+        RoadpercError: the log cannot be read or holds nothing that is shown, or the viewer does not start or does not
+            answer.
     """
     summary, filled = _opened(path, overrides)
     start_viewer()
@@ -68,10 +71,10 @@ def save_recording(
     """Write a log as a Rerun recording with its blueprint; the file appears under its name only when complete.
 
     Raises:
-        RoadpercError: the log cannot be read, ``target`` exists and ``force`` is not set, or it cannot be written
-            whole; nothing is left behind.
+        RoadpercError: the log cannot be read or holds nothing that is shown, ``target`` is no ``.rrd``, exists and
+            ``force`` is not set, or it cannot be written whole; nothing is left behind.
     """
-    require_free(target, force=force, source=path)
+    require_free(target, force=force, source=path, suffix=".rrd")
     summary, filled = _opened(path, overrides)
     recording = _recording(path, _LARGE_CHUNKS)
     with completing(target) as temporary, saving(recording, temporary) as outlet:
@@ -85,7 +88,9 @@ def save_recording(
 
 def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, Filled]:
     summary = log.summarise(path)
-    return summary, roles_of_log(summary, overrides)
+    filled = roles_of_log(summary, overrides)
+    require_shown(summary, filled)
+    return summary, filled
 
 
 def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
@@ -119,6 +124,8 @@ def _export(
             recording.send_blueprint(sender.arranged())
         frames = max(frames, moment.frame + 1)
         progress(frames, expected)
+    if not sender.has_sent:
+        raise nothing_shown(summary.path, sender.problems.first.values())
     recording.send_blueprint(sender.arranged())
     return Exported(frames, (*filled.notes, *sender.problems.first.values()), dict(sender.problems.counts))
 
@@ -135,6 +142,11 @@ class _Sender:
         self._entities: set[str] = set()
         self.problems = Problems()
 
+    @property
+    def has_sent(self) -> bool:
+        """Whether any message gave something to look at."""
+        return bool(self._entities)
+
     def arranged(self) -> rr.blueprint.Blueprint:
         """The blueprint of what has been sent."""
         return blueprint(Log(self._filled.topics, frozenset(self._entities)), LOG_TIME)
@@ -148,7 +160,7 @@ class _Sender:
         if moment.log_time_ns >= _END_OF_TIME_NS:
             raise LogError(f"log time {moment.log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
         self._recording.set_time(LOG_TIME, timestamp=np.datetime64(moment.log_time_ns, "ns"))
-        self._recording.set_time(FRAME, sequence=moment.frame)
+        self._recording.set_time(FRAME, sequence=max(moment.frame, 0))  # what comes before counts to the first frame
         entries = list(self._entries(moment))
         for entry in entries:
             self._log(entry)

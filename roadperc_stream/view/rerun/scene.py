@@ -8,14 +8,13 @@ import numpy as np
 import rerun as rr
 
 from roadperc_stream import colours
-from roadperc_stream.datatypes import PointCloud, Surface
+from roadperc_stream.datatypes import EGO, PointCloud, Surface
 from roadperc_stream.decoding import Transform
 from roadperc_stream.decoding.payload import require_finite
 from roadperc_stream.drawing import patch_triangles, road_patch
 from roadperc_stream.geometry import level_mounting
-from roadperc_stream.results import EGO
 from roadperc_stream.view.rerun.entry import Entry, World
-from roadperc_stream.view.rerun.tree import edge_entry, known_as, new_edges
+from roadperc_stream.view.rerun.tree import edge_entry, known_as, new_edges, of_odometry
 
 _ROAD: Final = (*colours.DRIVABLE, 70)
 _WAY: Final = (255, 170, 0)
@@ -26,17 +25,18 @@ _BELOW_THE_ROAD_M: Final = -0.05
 def transforms(entity: str, role: str, payload: tuple[Transform, ...], world: World) -> Iterator[Entry]:
     """What a message changes in the tree, or where odometry sees the car."""
     if role == "result":
-        yield from (edge_entry(entity, edge) for edge in payload)
+        yield from (edge_entry(entity, edge) for edge in payload if of_odometry(edge))
     else:
         world.hold(role, payload)
         yield from new_edges(world)
 
 
-def pose(entity: str, _role: str, payload: Transform, _world: World) -> Iterator[Entry]:
+def pose(entity: str, role: str, payload: Transform, world: World) -> Iterator[Entry]:
     """Where the car is and looks to: an arrow of 2 m."""
     matrix = payload.parent_T_child
     arrow = rr.Arrows3D(origins=[matrix[:3, 3]], vectors=[2.0 * matrix[:3, 0]], colors=[_WAY], radii=[0.1])
-    yield Entry(entity, arrow, payload.parent)
+    in_the_tree = role != "result" and world.knows(payload.parent)
+    yield Entry(entity, arrow, known_as(payload.parent) if in_the_tree else payload.parent)
 
 
 def road(entity: str, role: str, payload: Surface, world: World) -> Iterator[Entry]:

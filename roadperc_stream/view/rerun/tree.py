@@ -7,9 +7,9 @@ import numpy as np
 import rerun as rr
 
 from roadperc_stream.assemble import ego_frame_of
+from roadperc_stream.datatypes import EGO, ODOM, OWN_ODOM
 from roadperc_stream.decoding import Transform
 from roadperc_stream.geometry import inverse
-from roadperc_stream.results import EGO, ODOM
 from roadperc_stream.view.rerun.entry import Entry, World
 
 TREE: Final = "/tf"
@@ -33,6 +33,11 @@ def _same(edge: Transform, drawn: Transform | None) -> bool:
 def known_as(frame_id: str) -> str:
     """What a frame of the log is called: its own odom is not the one of the results, which starts with them."""
     return f"{ODOM} of the log" if frame_id == ODOM else frame_id
+
+
+def of_odometry(edge: Transform) -> bool:
+    """Whether an edge of the results says where the car is; the others tie ego to the log's tree, as is done here."""
+    return {edge.parent, edge.child} in ({EGO, ODOM}, {EGO, OWN_ODOM})
 
 
 def ego_tree(world: World) -> Mapping[str, Transform]:

@@ -118,7 +118,7 @@ def test_files_without_a_number_are_mentioned(tmp_path):
 
 def two_depths(folder: Path) -> None:
     plain_dump(folder)
-    png(folder / "CameraDepth" / "0.png", camera_pixels())
+    png(folder / "Camera Depth" / "0.png", camera_pixels())
 
 
 def one_number_twice(folder: Path) -> None:
@@ -151,7 +151,7 @@ def detections_twice(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (two_depths, ["CameraDepth", "depth", "--role depth="]),
+        (two_depths, ["Camera Depth", "depth", "--role depth='Camera Depth'"]),
         (one_number_twice, ["000001.png", "1.png", "frame 1"]),
         (no_number, ["rgb", "no frame number", "first.png"]),
         (only_junk, ["no sensor found", "holiday/", "notes.txt"]),

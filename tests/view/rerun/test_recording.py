@@ -230,11 +230,33 @@ def test_times_of_another_run_are_left_out(tmp_path):
     assert not [e for e in recorded(tmp_path / "out.rrd") if e.startswith("/perception/times")]
 
 
-def test_a_log_with_nothing_gives_an_empty_recording(tmp_path):
-    with LogWriter(tmp_path / "empty.mcap"):
-        pass
-    assert save_recording(tmp_path / "empty.mcap", tmp_path / "empty.rrd", {}).frames == 0
-    assert set(recorded(tmp_path / "empty.rrd")) == {"/__properties"}
+@pytest.mark.parametrize(
+    ("items", "extra", "why"),
+    [
+        ([], [logs.foreign()], ""),
+        ([logs.Item("lidar", 5, b"", "/radar")], [], "role lidar: not filled; .* --topic lidar=/radar; "),
+        ([logs.Item("image", 5, b"\xff\xfe\x07bad")], [], "/camera/front/image: message at 5 ns: 6 bytes are no .*; "),
+    ],
+    ids=["nothing known", "a topic that could fill a role", "nothing that can be read"],
+)
+def test_a_log_with_nothing_to_show_gives_no_recording(tmp_path, items, extra, why):
+    source = logs.write(tmp_path / "in.mcap", items, extra)
+    with pytest.raises(LogError, match=rf"in\.mcap: nothing here that this project shows; {why}rerun {source} or "):
+        save_recording(source, tmp_path / "out.rrd", {})
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_a_log_without_messages_gives_no_recording(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", [])
+    with pytest.raises(LogError, match=r"in\.mcap: no message to show$"):
+        save_recording(source, tmp_path / "out.rrd", {})
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_what_makes_no_frame_is_not_counted_as_one(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=0))
+    assert save_recording(source, tmp_path / "in.rrd", {}).frames == 0
+    assert {"/camera/front/calibration", "/tf/camera"} <= set(recorded(tmp_path / "in.rrd"))
 
 
 def test_a_message_that_cannot_be_read_is_counted(tmp_path):
@@ -264,7 +286,7 @@ def test_an_existing_file_is_replaced_only_by_force(tmp_path):
     assert target.read_text() == "mine"
     save_recording(source, target, {}, force=True)
     assert "/camera/front/image" in recorded(target)
-    with pytest.raises(TargetError, match="is the input itself"):
+    with pytest.raises(TargetError, match=r"in\.mcap: expected a name that ends in \.rrd"):
         save_recording(source, source, {}, force=True)
 
 

@@ -172,3 +172,26 @@ def test_results_are_those_of_the_camera_that_makes_the_frames():
     world.hold("calibration", camera("camera"))
     world.hold("left_calibration", camera("left"))
     assert world.front == camera("left")
+
+
+@pytest.mark.parametrize(
+    "odometry", [edge("odom", "ego", 3.0), edge("ego", "perception_odom", -3.0)], ids=["above", "below"]
+)
+def test_of_the_results_only_odometry_is_drawn(odometry):
+    """What ties ego to the log's frames stands in the tree already, the other way round."""
+    ties = (edge("base_link", "ego", 0.0), edge("ego", "camera", 1.0))
+    (drawn,) = scene.transforms("/perception/tf", "result", (*ties, odometry), World())
+    assert drawn.entity == f"/perception/tf/{odometry.child}"
+
+
+@pytest.mark.parametrize(("role", "frame"), [("truth_pose", "odom of the log"), ("result", "odom")])
+def test_a_pose_stands_in_the_odom_of_who_tells_it(role, frame):
+    world = World()
+    world.hold("tf", (edge("odom", "base_link", 9.0),))
+    (arrow,) = scene.pose("/pose", role, edge("odom", "car", 2.0), world)
+    assert arrow.frame == frame
+
+
+def test_a_pose_of_an_odom_that_the_log_does_not_place_stands_in_that_of_the_results():
+    (arrow,) = scene.pose("/truth/pose", "truth_pose", edge("odom", "ego", 2.0), World())
+    assert arrow.frame == "odom"
