@@ -173,6 +173,9 @@ def replay(
             progress(counts.frames, survey.expected_frames)
         copy.rest()
         _describe(writer, summary, survey, cfg, counts)
+        for output in (frames, detections, writer):
+            output.complete()  # a disk that is full is full for all three
+        _require_free(source, target, force)  # another program may have written them meanwhile
     return ReplaySummary(
         log_id,
         counts.frames,

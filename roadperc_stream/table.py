@@ -153,14 +153,23 @@ class TableWriter:
                 self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
             self._rows.clear()
 
+    def complete(self) -> None:
+        """Write what is still to be written: then nothing is left but to give the file its name.
+
+        Raises:
+            TargetError: it cannot be written.
+        """
+        self._flush()
+        with naming(self._path):
+            self._writer.close()
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
             if kind is None:
-                self._flush()
+                self.complete()
                 with naming(self._path):
-                    self._writer.close()
                     self._temporary.replace(self._path)
         finally:
             with suppress(OSError):  # closing writes the footer, and a full disk fails again

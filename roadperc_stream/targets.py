@@ -20,13 +20,28 @@ def require_free(target: Path, *, force: bool, suffix: str, source: Path | None 
     Raises:
         TargetError: it may not.
     """
-    if target.is_dir():
-        raise TargetError(f"{target}: is a folder, expected the name of a file")
+    require_plain(target)
     require_suffix(target, suffix)
     if source is not None and target.exists() and source.exists() and target.samefile(source):
         raise TargetError(f"{target}: is the input itself; name another output")
     if target.exists() and not force:
         raise TargetError(f"{target}: exists already; --force replaces it")
+
+
+def require_plain(target: Path) -> None:
+    """See that a name is, or can become, that of a file: links and devices would be replaced, not written to.
+
+    Raises:
+        TargetError: it is anything else, or no text, which not every library takes for a name.
+    """
+    if os.fsencode(target).decode("utf-8", "replace") != str(target):
+        raise TargetError(f"{str(target)!a}: expected a name in UTF-8")
+    if target.is_symlink():
+        raise TargetError(f"{target}: is a link; name the file that it is to stand for")
+    if target.is_dir():
+        raise TargetError(f"{target}: is a folder, expected the name of a file")
+    if target.exists() and not target.is_file():
+        raise TargetError(f"{target}: is a device or a pipe, expected the name of a file")
 
 
 def require_suffix(target: Path, *suffixes: str) -> None:
@@ -53,17 +68,24 @@ def naming(target: Path) -> Iterator[None]:
 
 
 @contextmanager
-def completing(target: Path) -> Iterator[Path]:
+def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
     """A name beside the target to write to, which becomes the target where the block ends without an error.
 
+    Args:
+        target: the file.
+        force: replace what has come to stand there meanwhile.
+
     Raises:
-        TargetError: the folder or the file cannot be written.
+        TargetError: the folder or the file cannot be written, or may not be.
     """
+    require_plain(target)
     temporary = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
     try:
         with naming(target):
             target.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
+            if target.exists() and not force:
+                raise TargetError(f"{target}: exists now, written by another program; --force replaces it")
             temporary.replace(target)
     finally:
         with suppress(OSError):

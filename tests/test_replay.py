@@ -7,6 +7,7 @@ import sys
 import time
 
 import polars as pl
+import pyarrow.parquet as pq
 import pytest
 
 from roadperc_stream import log
@@ -209,6 +210,33 @@ def test_tables_are_not_overwritten_either(source, table):
     with pytest.raises(TargetError, match="is a folder"):
         run(source, force=True)
     assert not source.with_name("out.mcap").exists()
+
+
+@pytest.mark.parametrize("name", ["out.mcap", "out.objects.parquet"])
+def test_what_another_replay_wrote_meanwhile_stays(source, name):
+    def other(done, expected):
+        if done == expected:
+            source.with_name(name).write_bytes(b"theirs")
+
+    with pytest.raises(TargetError, match=f"{name}: exists already"):
+        run(source, progress=other)
+    assert {path.name for path in source.parent.iterdir()} == {"in.mcap", name}
+    assert source.with_name(name).read_bytes() == b"theirs"
+
+
+@pytest.mark.parametrize("table", ["metrics", "objects"])
+def test_a_disk_that_is_full_at_the_end_leaves_neither_log_nor_table(source, monkeypatch, table):
+    closing = pq.ParquetWriter.close
+
+    def close(writer):
+        closing(writer)
+        if f".{table}." in str(writer.where):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(pq.ParquetWriter, "close", close)
+    with pytest.raises(TargetError, match=rf"out\.{table}\.parquet: No space left on device"):
+        run(source)
+    assert [path.name for path in source.parent.iterdir()] == ["in.mcap"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])

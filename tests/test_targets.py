@@ -1,5 +1,6 @@
 """Files that are written: what may be replaced, and that none appears half written."""
 
+import os
 import re
 
 import pytest
@@ -74,4 +75,53 @@ def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         write_half(target)
     assert target.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def node(path, kind):
+    """Something that is no file: what a rename would replace, where writing would go elsewhere."""
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        if kind == "link":
+            path.with_name("real.mp4").write_bytes(b"old")
+        path.symlink_to("real.mp4" if kind != "loop" else path.name)
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [("pipe", "is a device or a pipe"), ("link", "is a link"), ("dangling", "is a link"), ("loop", "is a link")],
+)
+def test_what_is_no_file_is_not_replaced(tmp_path, kind, why):
+    target = tmp_path / "out.mp4"
+    node(target, kind)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(TargetError, match=re.escape(f"{target}: {why}")):
+        require_free(target, force=True, suffix=".mp4")
+    with pytest.raises(TargetError, match=why), completing(target):
+        pytest.fail("nothing can be written")
+    assert sorted(tmp_path.iterdir()) == before
+    assert target.is_fifo() or target.is_symlink()
+
+
+def test_a_name_that_is_no_text_is_refused(tmp_path):
+    """The libraries that write the files take text, and one of them ends the program where it is none."""
+    target = tmp_path / os.fsdecode(b"out\xff.mp4")
+    with pytest.raises(TargetError, match=r"out\\udcff\.mp4': expected a name in UTF-8"):
+        require_free(target, force=True, suffix=".mp4")
+
+
+def write_while_another_does(target, force):
+    with completing(target, force=force) as temporary:
+        temporary.write_bytes(b"mine")
+        target.write_bytes(b"theirs")
+
+
+def test_what_another_program_wrote_meanwhile_stays(tmp_path):
+    target = tmp_path / "out.mp4"
+    with pytest.raises(TargetError, match="exists now"):
+        write_while_another_does(target, force=False)
+    assert target.read_bytes() == b"theirs"
+    write_while_another_does(target, force=True)
+    assert target.read_bytes() == b"mine"
     assert list(tmp_path.iterdir()) == [target]

@@ -123,14 +123,24 @@ class LogWriter:
             self._writer.add_metadata(metadata.name, dict(metadata.values))
         self._end_byte = self._stream.tell()
 
+    def complete(self) -> None:
+        """Write what is still to be written: then nothing is left but to give the file its name.
+
+        Raises:
+            TargetError: it cannot be written.
+        """
+        if not self._stream.closed:
+            with naming(self.path):
+                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._stream.close()
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
             if kind is None:
+                self.complete()
                 with naming(self.path):
-                    self._writer.finish()  # type: ignore[no-untyped-call]
-                    self._stream.close()
                     self._name()
         finally:
             with suppress(OSError):  # closing flushes, and a full disk fails again

@@ -73,7 +73,7 @@ def write_layout(
     """
     require_free(target, force=force, source=source, suffix=".json")
     layout = _layout_of(source, overrides) if source else foxglove_layout()
-    with completing(target) as temporary:
+    with completing(target, force=force) as temporary:
         temporary.write_text(layout, "utf-8")
 
 

@@ -76,7 +76,7 @@ def write_video(
     rate_hz = frame_rate_hz(stamps)
     shown = pictures_shown(stamps, rate_hz)
     filmed = without_image = 0
-    with completing(target) as temporary, _quiet_opencv(), _FilmWriter(target, temporary, rate_hz) as film:
+    with completing(target, force=force) as temporary, _quiet_opencv(), _FilmWriter(target, temporary, rate_hz) as film:
         for picture, times in zip(_shots(source, problems), shown, strict=True):
             without_image += picture is None
             film.show(picture, times)

@@ -30,9 +30,15 @@ class Outlet:
         self._copier.start()
 
     def open(self, recording: rr.RecordingStream) -> None:
-        """Have a recording written into the pipe; its end is the SDK's alone from here on."""
+        """Have a recording written into the pipe; its end is the SDK's alone from here on.
+
+        Raises:
+            OSError: the SDK cannot open it.
+        """
         try:
             recording.save(f"/dev/fd/{self._writable}")
+        except RuntimeError as error:  # what the SDK throws
+            raise OSError(str(error)) from error
         finally:
             os.close(self._writable)
 

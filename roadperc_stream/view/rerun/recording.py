@@ -22,7 +22,7 @@ from roadperc_stream.view.rerun.drawing import drawers
 from roadperc_stream.view.rerun.entry import Entry, World
 from roadperc_stream.view.rerun.moments import Moment, moments
 from roadperc_stream.view.rerun.outlet import saving
-from roadperc_stream.view.rerun.viewer import URL, start_viewer
+from roadperc_stream.view.rerun.viewer import URL, ending_at_once, start_viewer
 from roadperc_stream.view.shown import nothing_shown, require_shown
 from roadperc_stream.view.stage_times import TableTimes
 
@@ -57,9 +57,11 @@ def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = n
     start_viewer()
     recording = _recording(path)
     try:
-        recording.connect_grpc(URL)
-        exported = _export(recording, summary, filled, progress, recording.flush, arrange_early=True)
-        recording.flush()
+        with ending_at_once():
+            recording.connect_grpc(URL)
+            exported = _export(recording, summary, filled, progress, recording.flush, arrange_early=True)
+            recording.flush()
+            recording.disconnect()  # it waits until all is sent
     except RuntimeError as error:  # what the SDK throws
         raise TargetError(f"{URL}: the viewer is gone") from error
     return exported
@@ -77,7 +79,7 @@ def save_recording(
     require_free(target, force=force, source=path, suffix=".rrd")
     summary, filled = _opened(path, overrides)
     recording = _recording(path, _LARGE_CHUNKS)
-    with completing(target) as temporary, saving(recording, temporary) as outlet:
+    with completing(target, force=force) as temporary, saving(recording, temporary) as outlet:
 
         def keep_up() -> None:
             recording.flush()

@@ -1,9 +1,12 @@
 """The Rerun viewer as a program of its own, which stays open."""
 
+import signal
 import socket
 import subprocess
 import sys
-from contextlib import suppress
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException
 from time import monotonic, sleep
@@ -16,6 +19,7 @@ _ADDRESS: Final = ("127.0.0.1", 9876)
 _COMMAND: Final = (sys.executable, "-m", "rerun", "--bind", _ADDRESS[0], "--port", str(_ADDRESS[1]))
 _STARTS_WITHIN_S: Final = 30.0
 _ANSWERS_WITHIN_S: Final = 5.0
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _FALLS_WITHIN_S: Final = 2.0
 """A viewer without a display listens for a moment before it notices."""
 
@@ -42,6 +46,21 @@ def start_viewer() -> None:
         viewer.wait(_FALLS_WITHIN_S)
     if viewer.poll() is not None or not _listening():
         raise RoadpercError("the Rerun viewer does not start, is there a display? --save FILE.rrd writes a recording")
+
+
+@contextmanager
+def ending_at_once() -> Iterator[None]:
+    """Let a signal end the program where it stands, as is right where no file is open.
+
+    The SDK waits for a viewer that takes nothing, stopped or in a debugger, and no handler of Python's runs meanwhile.
+    """
+    signals = _SIGNALS if threading.current_thread() is threading.main_thread() else ()
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _listening() -> bool:

@@ -54,5 +54,5 @@ def test_a_file_that_cannot_be_written_is_told_while_it_goes_on(recording, tmp_p
 
 def test_a_pipe_that_cannot_be_had_is_told(recording, tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "save", lambda _path: (_ for _ in ()).throw(RuntimeError("no")))
-    with pytest.raises(RuntimeError), saving(recording, tmp_path / "out.rrd"):
+    with pytest.raises(OSError, match="no"), saving(recording, tmp_path / "out.rrd"):
         pytest.fail("nothing can be logged")

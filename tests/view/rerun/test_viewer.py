@@ -1,7 +1,9 @@
 """A viewer that goes away while it is sent a log: Rerun's own server, without a window."""
 
+import signal
 import socket
 import subprocess
+import sys
 from pathlib import Path
 from time import monotonic, sleep
 
@@ -48,3 +50,35 @@ def test_a_viewer_that_goes_away_is_an_error(server, tmp_path):
 
     with pytest.raises(TargetError, match=r"127\.0\.0\.1:\d+/proxy: the viewer is gone"):
         open_viewer(source, {}, close_window)
+
+
+SENDING = """
+import sys
+from pathlib import Path
+from roadperc_stream.view.rerun import open_viewer, recording, viewer
+
+def stopped(frames, expected):
+    if frames == 1:
+        print("stop", flush=True)
+        sys.stdin.readline()
+
+viewer._ADDRESS = ("127.0.0.1", int(sys.argv[2]))
+recording.URL = f"rerun+http://127.0.0.1:{sys.argv[2]}/proxy"
+open_viewer(Path(sys.argv[1]), {}, stopped)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_what_waits_for_a_viewer_that_takes_nothing(server, tmp_path, number):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=3))
+    command = [sys.executable, "-c", SENDING, str(source), str(viewer._ADDRESS[1])]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as sender:
+        assert sender.stdout.readline() == "stop\n"
+        server.send_signal(signal.SIGSTOP)
+        sender.stdin.write("\n")
+        sender.stdin.close()
+        with pytest.raises(subprocess.TimeoutExpired):  # it waits
+            sender.wait(3)
+        sender.send_signal(number)
+        assert sender.wait(60) == -number
