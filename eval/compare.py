@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from roadperc_stream import __version__
-from roadperc_stream.command import run
+from roadperc_stream.command import run, telling
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.terminal import console_for
 
@@ -89,7 +89,8 @@ def _compare(arguments: argparse.Namespace) -> None:
     pairing = pair_runs(logged_runs(arguments.reference), candidate, arguments.other_log)
     rules = Rules(tuple(arguments.ignore), tuple(arguments.tolerance), tuple(arguments.allow))
     found = compare_runs(pairing, _logs(arguments), rules)
-    print_comparison(console_for(sys.stdout), found)
+    with telling():
+        print_comparison(console_for(sys.stdout), found)
     if arguments.update_reference:
         _update(update_copies(arguments.reference, pairing))
     else:

@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("log", metavar="OUT.mcap", type=Path, help="a log with results, as roadperc-replay writes it")
-    add("--tusimple", metavar="FILE.json", type=Path, help="write the lanes into this file")
+    add("--tusimple", metavar="FILE.json", type=Path, help="write the lanes into this file; replaces an earlier one")
     add("--truth", metavar="FILE.json", type=Path, help="true lanes in TuSimple's format")
     add(
         "--pair",

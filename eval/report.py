@@ -58,7 +58,8 @@ def _parser() -> argparse.ArgumentParser:
         "--html",
         metavar="FILE.html",
         type=Path,
-        help="also write one self-contained page: summary, charts, trajectory, pictures of the worst frames",
+        help="also write one self-contained page: summary, charts, trajectory, pictures of the worst frames; "
+        "replaces an earlier one",
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     return parser

@@ -83,8 +83,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--delta", metavar="N", type=_positive, default=1.0, help="how far apart the poses of a pair are (default 1)")
     add("--delta-unit", choices=("frames", "metres"), default="frames", help="unit of N (default frames)")
-    add("--export-tum", metavar="DIR", type=Path, help="write TUM files into this folder")
-    add("--export-kitti", metavar="DIR", type=Path, help="write KITTI files into this folder")
+    add("--export-tum", metavar="DIR", type=Path, help="write TUM files into this folder; replaces earlier ones")
+    add("--export-kitti", metavar="DIR", type=Path, help="write KITTI files into this folder; replaces earlier ones")
     add("--version", action="version", version=f"%(prog)s {__version__}")
     return parser
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roadperc_stream import __version__
 from roadperc_stream.channels import Request, parse_topic_options
-from roadperc_stream.command import frame_progress, run, seconds, whole_number
+from roadperc_stream.command import frame_progress, run, seconds, telling, whole_number
 from roadperc_stream.config import NEEDS, STAGES, load_config, switched_off
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.replay import ReplaySummary, replay, unwatched
@@ -113,7 +113,8 @@ def _replay(arguments: argparse.Namespace) -> None:
                 opened=live.start if arguments.live else unwatched,
             )
         if not arguments.quiet:
-            _print_summary(arguments.target, summary)
+            with telling():
+                _print_summary(arguments.target, summary)
         live.wait()
 
 

@@ -1,4 +1,4 @@
-"""What every command shares: errors and signals to exit codes, progress on a terminal, checked numbers."""
+"""What every command shares: errors and signals to exit codes, telling, progress on a terminal, checked numbers."""
 
 import argparse
 import math
@@ -9,14 +9,17 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.launch import ending_signals
 
 EXIT_DONE, EXIT_ERROR = 0, 1
-_ENDING_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+_LONGEST_NAME = 255
+"""Bytes of a file's name, on the file systems in use."""
 
 
 def run(command: Callable[[], None]) -> int:
@@ -32,22 +35,53 @@ def run(command: Callable[[], None]) -> int:
         return _say(str(error))
     except KeyboardInterrupt:
         return _say("interrupted")
-    except BrokenPipeError:  # the reader has seen enough, as with | head; what is still buffered goes nowhere
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader has seen enough, as with | head
+        _lead_nowhere(sys.stdout)
         return EXIT_DONE
     except OSError as error:
-        return _say(f"{error.filename or 'output'}: {error.strerror or error}")
+        return _say(": ".join(str(part) for part in (error.filename, error.strerror or error) if part))
+    except UnicodeEncodeError as error:
+        return _say(_unspeakable(error))
     return EXIT_DONE
 
 
 def _say(text: str) -> int:
-    print("error:", " ".join(text.split("\n")), file=sys.stderr)
+    with telling(sys.stderr):
+        print("error:", " ".join(text.split("\n")), file=sys.stderr)
     return EXIT_ERROR
+
+
+def _unspeakable(error: UnicodeEncodeError) -> str:
+    """A text that a library cannot take, such as a file's name; of a long one what surrounds the character."""
+    text = error.object[max(error.start - _LONGEST_NAME, 0) : error.end + _LONGEST_NAME]
+    return f"{text!r}: expected a name in {error.encoding.upper()}"
+
+
+@contextmanager
+def telling(stream: TextIO | None = None) -> Iterator[None]:
+    """Around what is printed while there is work left: where nobody reads it any more, the work goes on.
+
+    Args:
+        stream: what is printed to, stdout where none is named.
+    """
+    stream = stream or sys.stdout
+    try:
+        yield
+        stream.flush()
+    except BrokenPipeError:
+        _lead_nowhere(stream)
+
+
+def _lead_nowhere(stream: TextIO) -> None:
+    """What is still buffered for a stream that nobody reads, and all that follows, goes nowhere."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, stream.fileno())
+    os.close(null)
 
 
 @contextmanager
 def _signals_unwind() -> Iterator[None]:
-    before = {number: signal.signal(number, _interrupt) for number in _ENDING_SIGNALS} if _in_main_thread() else {}
+    before = {number: signal.signal(number, _interrupt) for number in ending_signals()} if _in_main_thread() else {}
     try:
         yield
     finally:
@@ -72,6 +106,7 @@ def frame_progress(what: str, enabled: bool) -> Iterator[Callable[[int, int], No
         return
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
+        console.show_cursor(True)  # a program that ends at once does not give it back
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 

@@ -13,10 +13,11 @@ from rich.console import Console
 from rich.progress import Progress
 
 from roadperc_stream import __version__
-from roadperc_stream.command import run
+from roadperc_stream.command import run, telling
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata
 from roadperc_stream.targets import require_free
+from roadperc_stream.terminal import print_lines
 
 from .carla_dump.messages import channels, messages
 from .carla_dump.plan import Options, Plan, make_plan
@@ -130,20 +131,23 @@ def _convert(dump: Path, out: Path, options: Options, *, force: bool, quiet: boo
     started = time.monotonic()
     plan = make_plan(dump, options)
     terminal = console(quiet=quiet)
-    print_plan(terminal, plan)
+    with telling():
+        print_plan(terminal, plan)
     _warn((*plan.warnings, *map(_MISSING.format, plan.unreadable)))
-    done = _write(plan, out, quiet=quiet)
+    done = _write(plan, out, force=force, quiet=quiet)
     _warn(map(_MISSING.format, done.unreadable))
     megabytes, seconds = out.stat().st_size / 1e6, time.monotonic() - started
-    terminal.print(f"{done.counts.total()} messages, {megabytes:.1f} MB, {seconds:.1f} s: {out}", soft_wrap=True)
+    said = f"{done.counts.total()} messages, {megabytes:.1f} MB, {seconds:.1f} s: {out}"
+    print_lines(terminal, said, unbroken=True)
 
 
 def _warn(texts: Iterable[str]) -> None:
-    for text in texts:
-        print(f"warning: {text}", file=sys.stderr)
+    with telling(sys.stderr):
+        for text in texts:
+            print(f"warning: {text}", file=sys.stderr)
 
 
-def _write(plan: Plan, out: Path, *, quiet: bool) -> _Progress:
+def _write(plan: Plan, out: Path, *, force: bool, quiet: bool) -> _Progress:
     done = _Progress(Counter(), [])
     with LogWriter(out) as log:
         for channel in channels(plan).values():
@@ -155,6 +159,7 @@ def _write(plan: Plan, out: Path, *, quiet: bool) -> _Progress:
         if lost:
             raise DumpError(f"{lost[0]}: no file can be read; {(done.unreadable or ['none has a frame'])[0]}")
         log.describe(_description(plan))
+        require_free(out, force=force, suffix=".mcap")  # another program may have written it meanwhile
     return done
 
 

@@ -4,6 +4,7 @@ from rich.console import Console
 from rich.table import Table
 
 from roadperc_stream.geometry import Camera
+from roadperc_stream.terminal import print_lines
 
 from .camera_rig import LIDAR
 from .plan import Plan
@@ -21,14 +22,12 @@ def console(*, quiet: bool) -> Console:
 
 def print_plan(out: Console, plan: Plan) -> None:
     """Roles, counts, sizes, encodings, time, tag table, cameras, mountings and notes."""
-    out.print(f"{plan.layout.dump}: {len(plan.stamps_ns)} frames")
-    out.print(_sensor_table(plan))
     facts = _facts(plan)
     width = max(len(name) for name, _ in facts)
-    for name, text in facts:
-        out.print(f" {name:<{width}}  {text}", soft_wrap=True)
-    for note in plan.notes:
-        out.print(f" note: {note}", soft_wrap=True)
+    said = (f" {name:<{width}}  {text}" for name, text in facts)
+    notes = (f" note: {note}" for note in plan.notes)
+    title = f"{plan.layout.dump}: {len(plan.stamps_ns)} frames"
+    print_lines(out, title, _sensor_table(plan), *said, *notes, unbroken=True)
 
 
 def _sensor_table(plan: Plan) -> Table:

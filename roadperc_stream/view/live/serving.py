@@ -8,6 +8,7 @@ from time import monotonic_ns
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from roadperc_stream.command import telling
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
 from roadperc_stream.table import beside
@@ -98,7 +99,8 @@ class LiveReplay:
         if self._thread is not None:
             with suppress(KeyboardInterrupt):
                 if not self._quiet:
-                    print("the replay is complete and still served: Ctrl-C ends", flush=True)
+                    with telling():
+                        print("the replay is complete and still served: Ctrl-C ends")
                 self._thread.join()
         if self._error is not None:
             raise self._error
@@ -132,7 +134,8 @@ def playing(
     inbox = Inbox()
     with serving(name, options.host, options.port, span_ns, source.channels, inbox) as (audience, port):
         if not quiet:
-            print(_invitation(options.host, port), flush=True)
+            with telling():
+                print(_invitation(options.host, port))
         yield Player(source, audience, inbox, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
 
 

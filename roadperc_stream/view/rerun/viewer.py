@@ -13,13 +13,13 @@ from time import monotonic, sleep
 from typing import Final
 
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.launch import ending_signals
 
 URL: Final = "rerun+http://127.0.0.1:9876/proxy"
 _ADDRESS: Final = ("127.0.0.1", 9876)
 _COMMAND: Final = (sys.executable, "-m", "rerun", "--bind", _ADDRESS[0], "--port", str(_ADDRESS[1]))
 _STARTS_WITHIN_S: Final = 30.0
 _ANSWERS_WITHIN_S: Final = 5.0
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _FALLS_WITHIN_S: Final = 2.0
 """A viewer without a display listens for a moment before it notices."""
 
@@ -54,7 +54,7 @@ def ending_at_once() -> Iterator[None]:
 
     The SDK waits for a viewer that takes nothing, stopped or in a debugger, and no handler of Python's runs meanwhile.
     """
-    signals = _SIGNALS if threading.current_thread() is threading.main_thread() else ()
+    signals = ending_signals() if threading.current_thread() is threading.main_thread() else ()
     before = {number: signal.signal(number, signal.SIG_DFL) for number in signals}
     try:
         yield
