@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from threading import Event
-from typing import Protocol
+from typing import Final, Protocol
 
 from roadperc_stream.log import Message
 from roadperc_stream.view.live.playhead import Move, Order, Playhead, Status, decide, obey
@@ -64,6 +64,10 @@ class Audience(Protocol):
         ...
 
 
+LONGEST_WAIT_S: Final = 0.5
+"""For which a signal may go unheeded."""
+
+
 class Inbox:
     """What is asked of the player, from any thread."""
 
@@ -78,10 +82,13 @@ class Inbox:
             self.close()
 
     def take(self, wait_s: float | None) -> list[Word]:
-        """All there is, after at most so long a wait for the first; None waits for ever."""
+        """All there is, after a wait for the first: as long as is said, None without end, but now and then for nothing.
+
+        A signal that comes just before a wait is heeded only after it.
+        """
         words = list[Word]()
         with suppress(Empty):
-            words.append(self._words.get(block=wait_s != 0, timeout=wait_s))
+            words.append(self._words.get(timeout=LONGEST_WAIT_S if wait_s is None else min(wait_s, LONGEST_WAIT_S)))
             while True:
                 words.append(self._words.get_nowait())
         return words

@@ -13,7 +13,7 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
 from roadperc_stream.table import beside
 from roadperc_stream.view.live.options import PlaybackOptions
-from roadperc_stream.view.live.player import Inbox, Player
+from roadperc_stream.view.live.player import LONGEST_WAIT_S, Inbox, Player
 from roadperc_stream.view.live.server import serving
 from roadperc_stream.view.live.source import FinishedLog, RunningReplay, Source
 from roadperc_stream.view.live.timed import TimedSource
@@ -101,7 +101,8 @@ class LiveReplay:
                 if not self._quiet:
                     with telling():
                         print("the replay is complete and still served: Ctrl-C ends")
-                self._thread.join()
+                while self._thread.is_alive():
+                    self._thread.join(LONGEST_WAIT_S)
         if self._error is not None:
             raise self._error
 

@@ -174,3 +174,8 @@ def test_the_inbox_gives_all_there_is_in_order():
         inbox.put(Subscribed(topic))
     assert [word.topic for word in inbox.take(None)] == ["a", "b", "c"]
     assert inbox.take(0) == []
+
+
+def test_an_inbox_never_waits_without_end():
+    """A signal that comes just before the wait begins is heeded only after it."""
+    assert Inbox().take(None) == []
