@@ -18,8 +18,8 @@ from roadperc_stream.errors import RoadpercError
 from roadperc_stream.launch import ending_signals
 
 EXIT_DONE, EXIT_ERROR = 0, 1
-_LONGEST_NAME = 255
-"""Bytes of a file's name, on the file systems in use."""
+_MOST_CHARACTERS = 255
+"""To either side of the one that a text must not have: a file's name is no longer."""
 
 
 def run(command: Callable[[], None]) -> int:
@@ -53,7 +53,7 @@ def _say(text: str) -> int:
 
 def _unspeakable(error: UnicodeEncodeError) -> str:
     """A text that a library cannot take, such as a file's name; of a long one what surrounds the character."""
-    text = error.object[max(error.start - _LONGEST_NAME, 0) : error.end + _LONGEST_NAME]
+    text = error.object[max(error.start - _MOST_CHARACTERS, 0) : error.end + _MOST_CHARACTERS]
     return f"{text!r}: expected a name in {error.encoding.upper()}"
 
 

@@ -3,7 +3,7 @@
 import hashlib
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -80,13 +80,19 @@ class ReplaySummary:
 
 
 @contextmanager
-def discarding(*outputs: TableWriter | LogWriter) -> Iterator[None]:
-    """Leave nothing half written, even where a signal comes while an output is being opened."""
-    try:
-        yield
-    finally:
+def all_or_none(*outputs: TableWriter | LogWriter) -> Iterator[None]:
+    """Open outputs that get their names when all are complete: a disk that is full is full for all of them.
+
+    Nothing half written stays, even where a signal comes while an output is being opened.
+    """
+    with ExitStack() as stack:
         for output in outputs:
-            output.discard()
+            stack.callback(output.discard)
+        for output in outputs:
+            stack.enter_context(output)
+        yield
+        for output in outputs:
+            output.complete()
 
 
 @contextmanager
@@ -146,13 +152,13 @@ def replay(
     summary = log.summarise(source)
     survey = survey_log(summary, cfg, overrides or {}, cut)
     counts, problems, facts = SyncCounts(), Problems(), table_facts(source, target, cfg)
-    log_id, state, reasons = survey.digest[:16], ChainState(), Reasons()
+    log_id, state = survey.digest[:16], ChainState()
     previous: Sample | None = None
     frames = TableWriter(beside(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(beside(target, "objects"), ObjectMetrics, facts)
     writer = LogWriter(target, summary.profile)
     pictures = PictureMaker(on_request)
-    with one_thread(), discarding(frames, detections, writer), frames, detections, writer:
+    with one_thread(), all_or_none(frames, detections, writer):
         copy = InputCopy(summary, survey, cfg, writer, results_only)
         results = ResultWriter(writer, pictures)
         timed = opened(writer, span_ns(summary, survey))
@@ -168,13 +174,10 @@ def replay(
             frames.append(row, **timer.columns())
             for detection in object_metrics(log_id, sample, result):
                 detections.append(detection)
-            reasons = merged((reasons, grouped(Counter(row.reasons))))
             previous = sample
             progress(counts.frames, survey.expected_frames)
         copy.rest()
         _describe(writer, summary, survey, cfg, counts)
-        for output in (frames, detections, writer):
-            output.complete()  # a disk that is full is full for all three
         _require_free(source, target, force)  # another program may have written them meanwhile
     return ReplaySummary(
         log_id,
@@ -184,7 +187,7 @@ def replay(
         (*survey.filled.notes, *(survey.problems.first | problems.first).values(), *pictures.notes()),
         dict(counts.dropped),
         dict(problems.counts),
-        throughout(reasons, counts.frames, survey.filled.topics),
+        throughout(results.reasons, counts.frames, survey.filled.topics),
     )
 
 
@@ -218,7 +221,10 @@ class InputCopy:
 
 
 class ResultWriter:
-    """Writes what the frames gave, and remembers what a later frame's messages show: the way, and the reasons told."""
+    """Writes what the frames gave, and remembers what a later frame's messages show: the way, and the reasons told.
+
+    ``reasons`` are those of all frames so far.
+    """
 
     def __init__(self, writer: LogWriter, pictures: PictureMaker) -> None:
         self._writer, self._pictures = writer, pictures
@@ -226,7 +232,8 @@ class ResultWriter:
         for channel in self._channels.values():
             writer.register(channel)
         self._way = deque[Float](maxlen=TRAJECTORY_POSES)
-        self._reasons: tuple[str, ...] = ()
+        self._last_reasons: tuple[str, ...] = ()
+        self.reasons: Reasons = {}
 
     def write(
         self, sample: Sample, result: FrameResult, written: FrameResult, row: FrameMetrics, timer: StageTimer
@@ -235,12 +242,13 @@ class ResultWriter:
         if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
             self._way.append(result.odometry.odom_T_ego)
         with timer("encode"):
-            messages = list(result_messages(sample, written, row, self._reasons, tuple(self._way)))
+            messages = list(result_messages(sample, written, row, self._last_reasons, tuple(self._way)))
             messages += self._pictures.messages(sample, result, row)
         for topic, data in messages:
             time_ns = sample.log_time_ns
             self._writer.write(Message(self._channels[topic], time_ns, time_ns, sample.index, data))
-        self._reasons = row.reasons
+        self._last_reasons = row.reasons
+        self.reasons = merged((self.reasons, grouped(Counter(row.reasons))))
 
 
 def _require_free(source: Path, target: Path, force: bool) -> None:

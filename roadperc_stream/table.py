@@ -1,6 +1,5 @@
 """Rows of dataclasses to Parquet files, row group by row group."""
 
-import os
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -14,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.targets import naming
+from roadperc_stream.targets import naming, partial_of
 
 ROW_GROUP_ROWS: Final = 1000
 _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
@@ -126,7 +125,7 @@ class TableWriter:
         constant: Mapping[str, Scalar] | None = None,
     ) -> None:
         self._path = path
-        self._temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        self._temporary = partial_of(path)
         self._constant = dict(constant or {})
         self._schema = arrow_schema(row_type, extra, facts, self._constant)
         self._rows: list[dict[str, Any]] = []

@@ -67,6 +67,16 @@ def naming(target: Path) -> Iterator[None]:
         raise TargetError(f"{target}: {error.strerror or error}") from error
 
 
+def partial_of(target: Path, suffix: str = "") -> Path:
+    """The hidden name beside a target under which this process writes it.
+
+    Args:
+        target: the file or folder.
+        suffix: how the name is to end, for libraries that go by it; by default as no file that is looked for does.
+    """
+    return target.with_name(f".{target.name}.{os.getpid()}.partial{suffix}")
+
+
 @contextmanager
 def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
     """A name beside the target to write to, which becomes the target where the block ends without an error.
@@ -79,7 +89,7 @@ def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
         TargetError: the folder or the file cannot be written, or may not be.
     """
     require_plain(target)
-    temporary = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
+    temporary = partial_of(target, target.suffix)
     try:
         with naming(target):
             target.parent.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,5 @@
 """The folder a sweep writes: there when complete, and a former one replaced only when asked."""
 
-import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,7 +11,7 @@ import tomli_w
 from roadperc_stream import __version__
 from roadperc_stream.errors import TableError
 from roadperc_stream.replay import CONFIG_ATTACHMENT
-from roadperc_stream.targets import naming
+from roadperc_stream.targets import naming, partial_of
 
 from ..runs import SUFFIX, distinct_names
 from .settings import Combination
@@ -29,7 +28,7 @@ def dataset(target: Path, force: bool) -> Iterator[Path]:
         TableError: the name is taken: by a former sweep without ``force``, or by anything else.
     """
     _require_free(target, force)
-    hidden = target.absolute().with_name(f".{target.absolute().name}.{os.getpid()}.partial")
+    hidden = partial_of(target.absolute())
     former = hidden.with_suffix(".former")
     try:
         hidden.mkdir(parents=True)

@@ -1,6 +1,5 @@
 """Logs out: a file appears under its name only when complete."""
 
-import os
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,7 @@ from mcap.writer import CompressionType, Writer
 from roadperc_stream import __version__
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
-from roadperc_stream.targets import naming
+from roadperc_stream.targets import naming, partial_of
 
 CHUNK_SIZE_BYTES = 1024 * 1024
 
@@ -34,7 +33,7 @@ class LogWriter:
     _end_byte: int = 0
 
     def __post_init__(self) -> None:
-        self._temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
+        self._temporary = partial_of(self.path)
 
     def __enter__(self) -> Self:
         with naming(self.path):
