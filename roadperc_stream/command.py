@@ -2,7 +2,6 @@
 
 import argparse
 import math
-import os
 import signal
 import sys
 import threading
@@ -11,13 +10,12 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TextIO
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.launch import ending_signals
+from roadperc_stream.launch import EXIT_DONE, EXIT_ERROR, discard, ending_signals
+from roadperc_stream.terminal import PipeConsole
 
-EXIT_DONE, EXIT_ERROR = 0, 1
 _MOST_CHARACTERS = 255
 """To either side of the one that a text must not have: a file's name is no longer."""
 
@@ -36,7 +34,7 @@ def run(command: Callable[[], None]) -> int:
     except KeyboardInterrupt:
         return _say("interrupted")
     except BrokenPipeError:  # the reader has seen enough, as with | head
-        _lead_nowhere(sys.stdout)
+        discard(sys.stdout.fileno())
         return EXIT_DONE
     except OSError as error:
         return _say(": ".join(str(part) for part in (error.filename, error.strerror or error) if part))
@@ -69,14 +67,7 @@ def telling(stream: TextIO | None = None) -> Iterator[None]:
         yield
         stream.flush()
     except BrokenPipeError:
-        _lead_nowhere(stream)
-
-
-def _lead_nowhere(stream: TextIO) -> None:
-    """What is still buffered for a stream that nobody reads, and all that follows, goes nowhere."""
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, stream.fileno())
-    os.close(null)
+        discard(stream.fileno())
 
 
 @contextmanager
@@ -100,7 +91,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 @contextmanager
 def frame_progress(what: str, enabled: bool) -> Iterator[Callable[[int, int], None]]:
     """A progress bar over frames on a terminal, nothing where the output is piped."""
-    console = Console(stderr=True)
+    console = PipeConsole(stderr=True)
     if not (enabled and console.is_terminal):
         yield no_progress
         return

@@ -9,6 +9,8 @@ from importlib import import_module
 from io import TextIOWrapper
 from types import FrameType
 
+EXIT_DONE, EXIT_ERROR = 0, 1
+
 
 def ending_signals() -> list[int]:
     """The signals that end a command; not those it was started to ignore, as under nohup."""
@@ -24,7 +26,37 @@ def _launch(module: str, main: str = "main") -> int:
     _print_any_name()
     for number in ending_signals():
         signal.signal(number, _end)
-    return int(getattr(import_module(f"roadperc_stream.{module}"), main)())
+    try:
+        code = int(getattr(import_module(f"roadperc_stream.{module}"), main)())
+    except SystemExit as end:  # argparse, after the help, the version or a usage error
+        code = end.code if isinstance(end.code, int) else EXIT_ERROR
+    return _flushed(code)
+
+
+def _flushed(code: int) -> int:
+    """The exit code, once buffered text is written; the interpreter would print a traceback where that fails."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:  # the reader has seen enough, as with | head
+            discard(stream.fileno())
+        except OSError as error:
+            discard(stream.fileno())
+            code = code or _refused(error)
+    return code
+
+
+def _refused(error: OSError) -> int:
+    with suppress(OSError):
+        os.write(2, f"error: {error.strerror or error}\n".encode())
+    return EXIT_ERROR
+
+
+def discard(descriptor: int) -> None:
+    """Send what is still buffered for a stream that takes no more, and all that follows, to the null device."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, descriptor)
+    os.close(null)
 
 
 def _open_closed_streams() -> None:
@@ -45,7 +77,7 @@ def _end(_number: int, _frame: FrameType | None) -> None:
     """End at once: outside ``command.run`` nothing is half written, and what is being imported may swallow errors."""
     with suppress(OSError):
         os.write(2, b"error: interrupted\n")
-    os._exit(1)
+    os._exit(EXIT_ERROR)
 
 
 compare = partial(_launch, "eval.compare")

@@ -6,15 +6,25 @@ from rich.box import Box
 from rich.console import Console
 from rich.table import Table
 
+from roadperc_stream.launch import discard
+
 NARROWEST, WIDEST = 80, 120
 """Columns a text is laid out for; a narrower terminal wraps its lines rather than losing digits."""
 _RULE_BELOW_HEADER: Final = Box("\n".join(["    ", "    ", " ── ", "    ", "    ", "    ", "    ", "    "]))
 
 
+class PipeConsole(Console):
+    """A console whose reader may go: rich would end the command with exit code 1, here it goes on unread."""
+
+    def on_broken_pipe(self) -> None:
+        """Send what is still buffered, and all that follows, to the null device."""
+        discard(self.file.fileno())
+
+
 def console_for(stream: TextIO) -> Console:
     """A console that keeps numbers whole, takes names as they are, and colours nothing where it is piped."""
-    width = min(max(Console(file=stream).width, NARROWEST), WIDEST)
-    return Console(file=stream, width=width, highlight=False, markup=False, emoji=False)
+    width = min(max(PipeConsole(file=stream).width, NARROWEST), WIDEST)
+    return PipeConsole(file=stream, width=width, highlight=False, markup=False, emoji=False)
 
 
 def grid(title: str, *headers: str, text: str = "", label_columns: int = 26) -> Table:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from rich.console import Console
 from rich.progress import Progress
 
 from roadperc_stream import __version__
@@ -17,7 +16,7 @@ from roadperc_stream.command import run, telling
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata
 from roadperc_stream.targets import require_free
-from roadperc_stream.terminal import print_lines
+from roadperc_stream.terminal import PipeConsole, print_lines
 
 from .carla_dump.messages import channels, messages
 from .carla_dump.plan import Options, Plan, make_plan
@@ -165,7 +164,7 @@ def _write(plan: Plan, out: Path, *, force: bool, quiet: bool) -> _Progress:
 
 def _shown(stream: Iterable[tuple[str, Message]], plan: Plan, *, quiet: bool) -> Iterator[tuple[str, Message]]:
     """The same messages, with a progress bar on a terminal."""
-    terminal = Console(stderr=True)
+    terminal = PipeConsole(stderr=True)
     with Progress(console=terminal, disable=quiet or not terminal.is_terminal, transient=True) as bar:
         task = bar.add_task("writing", total=len(plan.stamps_ns))
         for role, message in stream:

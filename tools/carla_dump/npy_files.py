@@ -18,6 +18,7 @@ from .image_files import UnreadableFrameError
 
 NPY_MAGIC: Final = npy_format.MAGIC_PREFIX
 _NUMBERS: Final = "fiu"
+_SHOWN_BYTES: Final = 60
 _HEADER_READERS: Final = {
     (1, 0): npy_format.read_array_header_1_0,
     (2, 0): npy_format.read_array_header_2_0,
@@ -51,7 +52,8 @@ def read_npy(path: Path, data: bytes) -> NDArray[Any]:
             raise UnreadableFrameError(f"{path}: .npy version {version}, expected (1, 0) or (2, 0)")
         shape, fortran, dtype = _HEADER_READERS[version](stream)
     except _FAULTS as error:
-        raise UnreadableFrameError(f"{path}: damaged .npy: {_in_words(error)}") from error
+        found = data[:_SHOWN_BYTES]  # not the error's text: it differs between versions of Python and numpy
+        raise UnreadableFrameError(f"{path}: damaged .npy: expected an array's header, found {found!r}") from error
     if dtype.kind not in _NUMBERS or any(type(side) is not int or side < 0 for side in shape):
         raise UnreadableFrameError(f"{path}: .npy of {dtype} {shape}, expected an array of plain numbers")
     start, size = stream.tell(), prod(shape) * dtype.itemsize
@@ -63,8 +65,3 @@ def read_npy(path: Path, data: bytes) -> NDArray[Any]:
         return np.ndarray(shape, dtype, data, start, order="F" if fortran else "C").copy(order="K")
     except (ValueError, OverflowError, MemoryError) as error:  # (10**30, 0): empty, yet beyond any array
         raise UnreadableFrameError(f"{path}: .npy of shape {shape}: {error}") from error
-
-
-def _in_words(error: BaseException) -> str:
-    """One line; an error of Python's parser may have several, or none at all."""
-    return " ".join(str(error).split())[:200] or type(error).__name__

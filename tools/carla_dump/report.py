@@ -4,7 +4,7 @@ from rich.console import Console
 from rich.table import Table
 
 from roadperc_stream.geometry import Camera
-from roadperc_stream.terminal import print_lines
+from roadperc_stream.terminal import PipeConsole, print_lines
 
 from .camera_rig import LIDAR
 from .plan import Plan
@@ -14,7 +14,7 @@ _PIPED_WIDTH = 140
 
 def console(*, quiet: bool) -> Console:
     """Console on stdout that prints text as it is; wide where it is not a terminal."""
-    plain = Console(markup=False, highlight=False, emoji=False, quiet=quiet)
+    plain = PipeConsole(markup=False, highlight=False, emoji=False, quiet=quiet)
     if not plain.is_terminal:
         plain.width = _PIPED_WIDTH
     return plain
