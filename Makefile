@@ -2,11 +2,12 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+PARALLEL := -n auto --maxprocesses 4 --dist loadfile
 DEMO := logs/runs/demo
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test accuracy bench bench-report lint proto sample clean
+.PHONY: demo test test-hostile accuracy bench bench-report lint proto sample clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -23,7 +24,10 @@ demo: $(VENV)/.installed
 	@echo "a row per object   $(DEMO)/sample.objects.parquet"
 
 test: $(VENV)/.installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PARALLEL)
+
+test-hostile: $(VENV)/.installed  # the tests that run commands, on a machine unlike a developer's
+	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy'
 
 accuracy: $(VENV)/.installed
 	$(BIN)/python -m pytest -m accuracy -s

@@ -1,11 +1,59 @@
-"""Fixtures every test may use."""
+"""Fixtures every test may use, the environment all run in, and which tests run commands."""
 
+import ast
 import os
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+from roadperc_stream import launch
+from tests.commands import SCRIPTS
+
 DEFAULT_DATA = Path(__file__).parents[2] / "shared" / "data"
+STREAM_VARIABLES = (
+    "PYTHONUNBUFFERED",
+    "PYTHONIOENCODING",
+    "PYTHONWARNINGS",
+    "PYTHONDEVMODE",
+    "FORCE_COLOR",
+    "NO_COLOR",
+    "TTY_COMPATIBLE",
+    "TTY_INTERACTIVE",
+)
+"""What developers and CI services set, and what changes how a command prints: a fault must not hide behind it."""
+
+for _name in STREAM_VARIABLES:
+    os.environ.pop(_name, None)
+
+
+def pytest_collection_modifyitems(items):
+    """Mark every module that starts a process or imports a command's main function."""
+    for item in items:
+        if _runs_commands(item.path):
+            item.add_marker(pytest.mark.commands)
+
+
+@cache
+def _runs_commands(path):
+    return not _imported(path).isdisjoint({"subprocess", "tests.commands", *_mains()})
+
+
+def _imported(path):
+    """Modules, and what is imported from them, by their full names."""
+    nodes = list(ast.walk(ast.parse(path.read_text("utf-8"))))
+    imports = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    sources = [node for node in nodes if isinstance(node, ast.ImportFrom)]
+    names = {f"{node.module}.{alias.name}" for node in sources for alias in node.names}
+    return imports | names | {"tests.commands" for node in sources if node.module == "tests.commands"}
+
+
+def _mains():
+    """The commands' modules, and their main functions."""
+    for script in SCRIPTS.values():
+        module, *function = getattr(launch, script.partition(":")[2]).args
+        yield f"roadperc_stream.{module}"
+        yield f"roadperc_stream.{module}.{(function or ['main'])[0]}"
 
 
 @pytest.fixture(scope="session")

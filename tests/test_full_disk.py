@@ -6,11 +6,10 @@ A limit on the size of files stands in for the disk; its signal is ignored, so t
 import re
 import resource
 import signal
-import subprocess
-import sys
 
 import pytest
 
+from tests.commands import run
 from tests.test_sample import SAMPLE
 
 _LEAST_BYTES = 1500
@@ -21,19 +20,14 @@ def roadperc(command, *arguments, limit=resource.RLIM_INFINITY):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    module, _, function = command.partition(":")
-    code = (
-        f"import sys; from roadperc_stream.{module} import {function or 'main'} as main; sys.exit(main(sys.argv[1:]))"
-    )
-    words = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(words, check=False, capture_output=True, text=True, timeout=120, preexec_fn=limited)
+    return run(command, *arguments, timeout=120, preexec_fn=limited)
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
-    drive = ("tools.render_scene", folder / "drive", "--size", "160x120", "--seconds", "0.2")
-    for command, *arguments in (("cli:replay_main", SAMPLE, folder / "run.mcap"), drive):
+    drive = ("roadperc-render", folder / "drive", "--size", "160x120", "--seconds", "0.2")
+    for command, *arguments in (("roadperc-replay", SAMPLE, folder / "run.mcap"), drive):
         ended = roadperc(command, *arguments)
         assert ended.returncode == 0, ended.stderr
     return folder
@@ -42,19 +36,22 @@ def made(tmp_path_factory):
 @pytest.mark.parametrize(
     ("command", "arguments"),
     [
-        ("cli:replay_main", [SAMPLE, "OUT/run.mcap", "--frames", "2"]),
-        ("cli:replay_main", [SAMPLE, "OUT/run.mcap", "--frames", "2", "--live", "--port", "0"]),
-        ("view.command", ["MADE/run.mcap", "--save", "OUT/run.rrd"]),
-        ("view.command", ["MADE/run.mcap", "--video", "OUT/run.mp4"]),
-        ("view.command", ["--foxglove-layout", "OUT/layout.json"]),
-        ("tools.carla_to_mcap", ["MADE/drive", "OUT/drive.mcap"]),
-        ("tools.render_scene", ["OUT/drive", "--size", "160x120", "--seconds", "0.1"]),
-        ("eval.report", ["MADE/run.mcap", "--html", "OUT/report.html"]),
-        ("eval.lanes", ["MADE/run.mcap", "--tusimple", "OUT/lanes.json"]),
-        ("eval.trajectory", ["MADE/run.mcap", "--export-tum", "OUT/paths"]),
-        ("eval.trajectory", ["MADE/run.mcap", "--export-kitti", "OUT/paths"]),
-        ("eval.compare", ["OUT/reference", "MADE/run.metrics.parquet", "--update-reference"]),
-        ("eval.sweep", [SAMPLE, "--vary", "lanes.model=line", "--frames", "2", "--jobs", "1", "--out", "OUT/sweep"]),
+        ("roadperc-replay", [SAMPLE, "OUT/run.mcap", "--frames", "2"]),
+        ("roadperc-replay", [SAMPLE, "OUT/run.mcap", "--frames", "2", "--live", "--port", "0"]),
+        ("roadperc-view", ["MADE/run.mcap", "--save", "OUT/run.rrd"]),
+        ("roadperc-view", ["MADE/run.mcap", "--video", "OUT/run.mp4"]),
+        ("roadperc-view", ["--foxglove-layout", "OUT/layout.json"]),
+        ("roadperc-convert", ["MADE/drive", "OUT/drive.mcap"]),
+        ("roadperc-render", ["OUT/drive", "--size", "160x120", "--seconds", "0.1"]),
+        ("roadperc-report", ["MADE/run.mcap", "--html", "OUT/report.html"]),
+        ("roadperc-lanes", ["MADE/run.mcap", "--tusimple", "OUT/lanes.json"]),
+        ("roadperc-trajectory", ["MADE/run.mcap", "--export-tum", "OUT/paths"]),
+        ("roadperc-trajectory", ["MADE/run.mcap", "--export-kitti", "OUT/paths"]),
+        ("roadperc-compare", ["OUT/reference", "MADE/run.metrics.parquet", "--update-reference"]),
+        (
+            "roadperc-sweep",
+            [SAMPLE, "--vary", "lanes.model=line", "--frames", "2", "--jobs", "1", "--out", "OUT/sweep"],
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

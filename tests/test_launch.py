@@ -6,28 +6,15 @@ import signal
 import subprocess
 import sys
 import time
-import tomllib
 from pathlib import Path
 
 import pytest
 
+from tests.commands import BUFFERINGS, SCRIPTS, environment, run, status, words
 from tests.test_sample import SAMPLE
 
 ROOT = Path(__file__).parents[1]
-SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
-ODD = os.fsdecode(b"bad\xff.mcap")
-
-
-def words(command, *arguments):
-    """What the console script of a command runs."""
-    module, _, function = SCRIPTS[command].partition(":")
-    code = f"import sys; from {module} import {function}; sys.exit({function}())"
-    return [sys.executable, "-c", code, *map(str, arguments)]
-
-
-def run(command, *arguments, **options):
-    options = {"capture_output": True, "text": True, "timeout": 60} | options
-    return subprocess.run(words(command, *arguments), check=False, **options)
+FULL = Path("/dev/full")
 
 
 def signalling(folder, library, number):
@@ -36,7 +23,7 @@ def signalling(folder, library, number):
         f"import os, time\ntry:\n    os.kill(os.getpid(), {int(number)})\n    time.sleep(20)\n"
         "except BaseException:\n    pass\nraise SystemExit('went on')\n"
     )
-    return os.environ | {"PYTHONPATH": str(folder)}
+    return environment(PYTHONPATH=str(folder))
 
 
 @pytest.mark.parametrize("command", SCRIPTS)
@@ -90,37 +77,50 @@ WRITING = [
 ]
 
 
-@pytest.mark.parametrize("state", ["closed", "unread"])
+NOBODY = [("closed", "buffered"), *(("unread", buffering) for buffering in BUFFERINGS)]
+
+
+@pytest.mark.parametrize(("state", "buffering"), NOBODY)
 @pytest.mark.parametrize(("command", "arguments"), WRITING, ids=[command for command, _ in WRITING])
-def test_the_work_is_done_where_nobody_reads(command, arguments, state, made, tmp_path):
+def test_the_work_is_done_where_nobody_reads(command, arguments, state, buffering, made, tmp_path):
     given = [re.sub("^MADE", str(made), re.sub("^OUT", str(tmp_path), str(argument))) for argument in arguments]
-    ended = unread(state, words(command, *given))
-    assert ended == 0
+    assert status(words(command, *given), state, buffering) == 0
     assert [path.name for path in tmp_path.glob("file*")]
 
 
-@pytest.mark.parametrize("state", ["closed", "unread"])
-def test_an_error_has_its_exit_code_where_nobody_reads(state, tmp_path):
-    assert unread(state, words("roadperc-report", tmp_path / "none.mcap")) == 1
+@pytest.mark.parametrize(("state", "buffering"), NOBODY)
+def test_an_error_has_its_exit_code_where_nobody_reads(state, buffering, tmp_path):
+    assert status(words("roadperc-report", tmp_path / "none.mcap"), state, buffering) == 1
 
 
-def test_a_comparison_that_nobody_reads_has_its_exit_code(made, tmp_path):
+@pytest.mark.parametrize("buffering", BUFFERINGS)
+def test_a_comparison_that_nobody_reads_has_its_exit_code(buffering, made, tmp_path):
     other = tmp_path / "run.mcap"
     replayed = run("roadperc-replay", SAMPLE, other, "--frames", "3", "--set", "surface.inlier_m=0.5")
     assert replayed.returncode == 0, replayed.stderr
-    assert unread("unread", words("roadperc-compare", made / "run.mcap", other, "--exact")) == 1
+    assert status(words("roadperc-compare", made / "run.mcap", other, "--exact"), "unread", buffering) == 1
 
 
-def unread(state, command):
-    """Exit code of a command whose stdout and stderr are closed, or pipes that nobody reads."""
-    if state == "closed":
-        return subprocess.run(["sh", "-c", 'exec "$@" >&- 2>&-', "sh", *command], check=False, timeout=60).returncode
-    reading, writing = os.pipe()
-    os.close(reading)
-    try:
-        return subprocess.run(command, check=False, timeout=60, stdout=writing, stderr=writing).returncode
-    finally:
-        os.close(writing)
+@pytest.mark.parametrize("buffering", BUFFERINGS)
+@pytest.mark.parametrize("command", SCRIPTS)
+def test_help_that_nobody_reads_is_no_error(command, buffering):
+    assert status(words(command, "--help"), "unread", buffering) == 0
+
+
+@pytest.mark.parametrize(("state", "buffering"), NOBODY)
+def test_wrong_usage_has_its_exit_code_where_nobody_reads(state, buffering):
+    assert status(words("roadperc-report", "--worst", "many"), state, buffering) == 2
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="no /dev/full on this system")
+@pytest.mark.parametrize(("buffering", "argument"), [("buffered", "--version"), *((b, "INFO") for b in BUFFERINGS)])
+def test_text_that_finds_no_space_is_one_line(buffering, argument):
+    """Not ``--version`` unbuffered: argparse itself passes over what it cannot print."""
+    given = [SAMPLE] if argument == "INFO" else [argument]
+    with FULL.open("w") as full:
+        options = {"stdout": full, "stderr": subprocess.PIPE, "capture_output": False}
+        ended = run("roadperc-info", *given, env=environment(buffering), **options)
+    assert (ended.returncode, ended.stderr) == (1, "error: No space left on device\n")
 
 
 def test_a_live_replay_goes_on_where_nobody_reads_its_address(tmp_path):
@@ -153,7 +153,7 @@ def test_a_name_of_another_encoding_is_one_line_at_most(command, name, made, tmp
     """The table's or log's content does not matter: what is told is its name."""
     for suffix in (".mcap", ".metrics.parquet", ".objects.parquet"):
         (tmp_path / f"{name}{suffix}").write_bytes((made / f"run{suffix}").read_bytes())
-    plain = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    plain = environment(LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0")
     options = ["--tusimple", tmp_path / "lanes.json"] if command == "roadperc-lanes" else []
     ended = run(command, tmp_path / f"{name}.mcap", *options, env=plain)
     assert "Traceback" not in ended.stderr

@@ -9,6 +9,7 @@ import pytest
 
 from roadperc_stream.eval import summary
 from roadperc_stream.eval.report import main
+from tests.commands import BUFFERINGS, environment
 from tests.eval.tables import row, write
 
 TRUTHFUL = {
@@ -279,10 +280,12 @@ def test_wrong_usage(arguments, capsys):
     assert stopped.value.code == 2
 
 
-def test_reader_that_closes_early_is_no_error(drive):
+@pytest.mark.parametrize("buffering", BUFFERINGS)
+def test_reader_that_closes_early_is_no_error(drive, buffering):
     """As ``roadperc-report ... | head -1`` does, here with a reader that is gone from the start."""
     code = f"import sys; from roadperc_stream.eval.report import main; sys.exit(main([{str(drive)!r}]))"
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], env=environment(buffering), **pipes) as process:
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 0
