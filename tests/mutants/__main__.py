@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import random
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -52,6 +53,7 @@ def main(arguments: list[str]) -> int:
     if asked.again:
         known = {tuple(fault.values()) for fault in json.loads(survivors_file.read_text("utf-8"))}
         drawn = [fault for fault in drawn if tuple(asdict(fault).values()) in known]
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that no process is left behind
     if not drawn:
         print("no faults to try")
         return 0

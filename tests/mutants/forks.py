@@ -82,6 +82,7 @@ def _start(job: Job, folder: Path, work: Callable[[Job, Path], int]) -> int:
     code = 70  # what an exception in `work` ends with
     try:
         os.setsid()
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
         _divert_output(folder / OUTPUT)
         code = work(job, folder)
     except BaseException:

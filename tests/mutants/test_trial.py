@@ -35,8 +35,14 @@ def test_the_nearest_tests_are_run(asked, budget_s, tests):
     assert planned(asked, REACHES, budget_s).tests == tests
 
 
+def test_the_first_cases_of_each_test_come_before_many_of_one():
+    many = tuple(TimedTest(f"tests/test_other.py::many[{k}]", 0.1 + k / 100, True) for k in range(6))
+    known = Reach((*many, SLOW), {"p/calc.py": {3: tuple(range(7))}}, ("p/calc.py",), {})
+    assert planned(fault(), [known], 60.0).tests == (*many[:3], SLOW, *many[3:])
+
+
 def test_a_test_hangs_when_it_takes_much_longer_than_the_slowest():
-    assert planned(fault(), REACHES, 60.0).patience_s == 20.0 + 8.0 * 5.0
+    assert planned(fault(), REACHES, 60.0).patience_s == 60.0 + 8.0 * 5.0
 
 
 def test_what_is_kept_comes_back(tmp_path):

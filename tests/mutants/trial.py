@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import os
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -15,8 +16,9 @@ from tests.mutants.faults import Fault
 from tests.mutants.reach import Reach, TimedTest, quietly
 
 HOOK = Path(__file__).parent / "hook"
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 PATIENCE_FACTOR = 8.0
+FIRST_CASES = 3
 NOTICED_BY = "noticed_by"
 
 
@@ -29,15 +31,16 @@ class Trial:
 
     @property
     def patience_s(self) -> float:
-        """How long one test may take until it hangs."""
+        """How long one test may take until it hangs, on a machine that may do other work as well."""
         return PATIENCE_S + PATIENCE_FACTOR * max((test.seconds for test in self.tests), default=0.0)
 
 
 def planned(fault: Fault, reaches: Iterable[Reach], budget_s: float) -> Trial:
     """The trial of a fault: of the tests that execute it the nearest, as many as fit into the budget, at least one.
 
-    Near is first a test whose file is named after the module, then a quick one. What stands outside functions is
-    executed when it is imported: there the tests count that execute anything in the module, or import it.
+    Near is first a test whose file is named after the module, then the first few cases of a test, then a quick one.
+    What stands outside functions is executed when it is imported: there the tests count that execute anything in the
+    module, or import it.
     """
     found: set[TimedTest] = set()
     for reach in reaches:
@@ -45,12 +48,17 @@ def planned(fault: Fault, reaches: Iterable[Reach], budget_s: float) -> Trial:
         found |= here
     if not found:
         found = {test for reach in reaches for test in reach.anywhere_in(fault.path)}
-    ordered = sorted((test for test in found if test.passed), key=lambda test: _distance(test, fault.path))
-    return Trial(fault, tuple(_within(ordered, budget_s)))
+    return Trial(fault, tuple(_within(_nearest_first([test for test in found if test.passed], fault.path), budget_s)))
 
 
-def _distance(test: TimedTest, path: str) -> tuple[bool, float, str]:
-    return not _mirrors(test.file, path), test.seconds, test.nodeid
+def _nearest_first(tests: list[TimedTest], path: str) -> list[TimedTest]:
+    cases: Counter[str] = Counter()
+    keys = {}
+    for test in sorted(tests, key=lambda test: (test.seconds, test.nodeid)):
+        name = test.nodeid.partition("[")[0]
+        cases[name] += 1
+        keys[test] = not _mirrors(test.file, path), cases[name] > FIRST_CASES, test.seconds, test.nodeid
+    return sorted(tests, key=keys.__getitem__)
 
 
 def _mirrors(test_file: str, path: str) -> bool:
