@@ -104,6 +104,16 @@ def test_what_no_road_leads_to_does_not_bend_it():
     assert np.abs(height_at(surface, x, np.zeros_like(x)) - HILL.z(x, 0.0)).max() < 2.0
 
 
+def test_a_road_that_bends_behind_a_gap_is_found_again():
+    """Nothing known from 12 m to 26 m; there the road lies 0.5 m above where it would go straight on."""
+    hill = replace(HILL, grade=0.1, wave_m=120.0)
+    depth_m = hill.depth_m()
+    depth_m[(depth_m > 12) & (depth_m < 26)] = np.nan
+    surface = fit(hill, depth_m)
+    x = np.arange(27.0, 45.0)
+    np.testing.assert_allclose(height_at(surface, x, np.zeros_like(x)), hill.z(x, 0.0), atol=0.05)
+
+
 def test_noise_makes_no_waves():
     assert np.abs(second_differences(fit(HILL, noisy(HILL.depth_m(), 0.03)))).max() < 0.01
 
