@@ -7,7 +7,7 @@ DEMO := logs/runs/demo
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test test-hostile accuracy bench bench-report lint proto sample clean
+.PHONY: demo test test-hostile mutants accuracy bench bench-report lint proto sample clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -28,6 +28,12 @@ test: $(VENV)/.installed
 
 test-hostile: $(VENV)/.installed  # the tests that run commands, on a machine unlike a developer's
 	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy'
+
+N ?= 200
+SEED ?= 1
+JOBS ?= $(shell nproc)
+mutants: $(VENV)/.installed  # small faults in the code: are they noticed? A quarter of an hour, the first time a half
+	$(BIN)/python -m tests.mutants --count $(N) --seed $(SEED) --jobs $(JOBS)
 
 accuracy: $(VENV)/.installed
 	$(BIN)/python -m pytest -m accuracy -s

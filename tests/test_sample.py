@@ -16,6 +16,8 @@ from roadperc_stream.tools import carla_to_mcap, render_scene
 
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "logs" / "sample.mcap"
+LOCALLY_LEVELS = 5
+"""By how much 9 by 9 pixels may differ in the mean: codecs round differently, and a line's edge may move a little."""
 TOPICS = {role.topic: role for role in ROLES.values()}
 
 
@@ -56,7 +58,8 @@ def test_its_commands_make_it_again(remade):
 
 def alike(a, b):
     if isinstance(a, CameraImage):
-        return cv2.absdiff(a.bgr, b.bgr).mean() < 1.0
+        difference = cv2.absdiff(a.bgr, b.bgr)
+        return difference.mean() < 1.0 and cv2.blur(difference, (9, 9)).max() <= LOCALLY_LEVELS
     if isinstance(a, TagImage):
         return np.mean(a.tags == b.tags) > 0.999
     if isinstance(a, DepthImage):

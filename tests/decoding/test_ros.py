@@ -148,6 +148,7 @@ def test_compressed_depth_of_both_kinds():
     for layout, head in (("16UC1; compressedDepth png", bytes(12)), ("16UC1; png compressed", b"")):
         depth = read("depth", COMPRESSED, compressed(layout, head + png(mm))).payload
         np.testing.assert_allclose(depth.depth_m, [[1.5, np.nan, 65.535]], rtol=1e-6)
+        assert depth.limit_m == 65.535
     scale, offset = 5000.0, 90.0
     head = np.int32(0).tobytes() + np.float32([scale, offset]).tobytes()
     quantised = np.array([[scale / 2.5 + offset, 0, 50]], np.uint16)

@@ -1,6 +1,7 @@
 """What roadperc-info says of logs whose contents are known."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -262,6 +263,7 @@ def test_a_result_says_where_it_comes_from(drive, result, capsys):
     code, out, _ = info(capsys, result)
     assert code == 0
     assert all(words in out for words in ("a result of", "seed 0, 5 frames", "those that were replayed"))
+    assert re.search(r"lanes\.hold_s\W+2\.0\W+0\.5", out)
 
 
 def test_an_input_changed_after_the_replay_is_seen(result, tmp_path, capsys):

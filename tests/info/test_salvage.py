@@ -69,6 +69,20 @@ def test_a_log_says_what_it_does_without(tmp_path, sealed):
     assert ("CRC of the data section" in salvage.absent) is not sealed
 
 
+@pytest.mark.parametrize("indexed", [True, False])
+def test_a_log_without_an_index_says_so(tmp_path, indexed):
+    options = {} if indexed else WRITERS["no index"]
+    salvage, _ = salvaged(write(tmp_path / "a.mcap", TIMES, enable_data_crcs=True, **options))
+    assert salvage.absent == (() if indexed else ("index",))
+    topics = salvage.indexed_channels and [channel.topic for channel in salvage.indexed_channels]
+    assert topics == (["/a"] if indexed else None)
+
+
+def test_a_log_says_how_many_chunks_have_no_crc(tmp_path):
+    salvage, _ = salvaged(write(tmp_path / "a.mcap", TIMES, enable_crcs=False))
+    assert salvage.absent == ("CRC of the data section", f"CRCs of {salvage.chunks.total()} chunks")
+
+
 def test_a_wrong_byte_is_found_by_the_crc_of_the_data_section_alone(tmp_path):
     path = write(tmp_path / "a.mcap", TIMES, use_chunking=False, enable_data_crcs=True)
     path.write_bytes(path.read_bytes().replace(b"xxxxx", b"xxyxx", 1))

@@ -18,6 +18,7 @@ from roadperc_stream.decoding import camera_from_calibration
 from roadperc_stream.encoding import encode_calibration
 from roadperc_stream.metrics.stereo_errors import stereo_errors
 from roadperc_stream.stages import stereo
+from roadperc_stream.stages.stereo import matching
 from roadperc_stream.template import find_patch
 from roadperc_stream.tools import render_scene
 from tests import pair
@@ -428,3 +429,9 @@ def test_rendered_stereo_at_full_size(tmp_path, scene):
     epe_px, d1_ratio, coverage = figures(FULL, *drive)
     figures(FAST, *drive)
     assert (epe_px < 0.6, d1_ratio < 0.03, coverage >= 0.85) == (True, True, True)
+
+
+def test_halving_an_odd_image_counts_its_last_row_and_column_twice():
+    image = np.array([[0, 4, 10], [8, 12, 20], [30, 50, 90]], np.uint8)
+    np.testing.assert_array_equal(matching._halved(image), [[6, 15], [40, 90]])
+    np.testing.assert_array_equal(matching._halved(image[:2, :2]), [[6]])

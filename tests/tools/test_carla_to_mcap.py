@@ -160,7 +160,7 @@ def test_kitti_raw_keeps_its_own_dates(tmp_path):
 
 
 def test_frames_stepping_by_more_than_one_are_told(tmp_path, capsys):
-    dump = plain_dump(tmp_path / "dump", frames=(142916, 142920, 142924))
+    dump = plain_dump(tmp_path / "dump", frames=(142917, 142921, 142925))
     out = tmp_path / "out.mcap"
     assert main([str(dump), str(out)]) == 0
     assert "frame numbers go in steps of 4: 0.2 s from frame to frame at 20 Hz" in capsys.readouterr().out

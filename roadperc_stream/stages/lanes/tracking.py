@@ -58,7 +58,8 @@ def start(state: Float, covariance: Float, stamp_ns: int) -> Track:
     """A new track: its state equals the first measurement."""
     mean = np.zeros(4)
     mean[_MEASURED] = state
-    P = np.diag([0.0, _FIRST_RATE_STD_MPS**2, 0.0, 0.0])
+    P = np.zeros((4, 4))
+    P[_RATE, _RATE] = _FIRST_RATE_STD_MPS**2
     P[np.ix_(_MEASURED, _MEASURED)] = covariance
     return Track(mean, P, stamp_ns, stamp_ns)
 
@@ -77,9 +78,11 @@ def predict(cfg: LanesConfig, track: Track, stamp_ns: int, last_T_this: Float | 
     dt = (stamp_ns - track.stamp_ns) / _NANOSECONDS
     F = np.eye(4)
     F[_OFFSET, _RATE] = dt
-    Q = np.diag([0.0, 0.0, _HEADING_WALK**2 * dt, _CURVATURE_WALK_PER_M**2 * dt])
     pull = np.array([dt**2 / 2, dt])
+    Q = np.zeros((4, 4))
     Q[:2, :2] = cfg.process_noise**2 * np.outer(pull, pull)
+    Q[_HEADING, _HEADING] = _HEADING_WALK**2 * dt
+    Q[_CURVATURE, _CURVATURE] = _CURVATURE_WALK_PER_M**2 * dt
     return Track(F @ track.mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
 
 

@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, block_length, mean_interval
+from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, _block_means, block_length, mean_interval
 
 
 def drive(rng, frames, correlation):
@@ -66,6 +66,11 @@ def test_block_length_of_a_known_process():
 def test_the_same_every_time():
     values = drive(np.random.default_rng(4), 300, 0.5)
     assert mean_interval([values]) == mean_interval([values.copy()])
+
+
+def test_blocks_start_at_each_frame_and_go_round_the_end():
+    np.testing.assert_allclose(_block_means(np.array([1.0, 2.0, 3.0, 6.0]), 2), [1.5, 2.5, 4.5, 3.5])
+    np.testing.assert_allclose(_block_means(np.array([1.0, 2.0, 3.0, 6.0]), 1), [1.0, 2.0, 3.0, 6.0])
 
 
 def test_many_logs_are_the_blocks():

@@ -75,3 +75,15 @@ def test_public_figures_of_course_frame_0(data_dir):
     assert len(proposals) == 9
     road = TABLE.lookup(["road", "road_line"])[tags].view(bool)
     assert len(lines.merge(cfg, lines.on_road(cfg, proposals, road), 960)) == 5
+
+
+@pytest.mark.parametrize(("gap_px", "found"), [(60, True), (80, False)])
+def test_dashes_are_one_line_where_their_gaps_are_short(gap_px, found):
+    """Dashes of 60 px along a diagonal: none is a line by itself, but over gaps of up to 50 columns they are one."""
+    edges = np.zeros((960, 1280), np.uint8)
+    along = np.arange(600)
+    drawn = along[along % (60 + gap_px) < 60] / np.sqrt(2)
+    edges[(900 - drawn).astype(int), (300 + drawn).astype(int)] = 255
+    proposals = lines.propose(CFG.model_copy(update={"hough_threshold": 100}), edges)
+    lengths = np.hypot(proposals[:, 2] - proposals[:, 0], proposals[:, 3] - proposals[:, 1])
+    assert bool((lengths > 400).any()) == found

@@ -88,6 +88,66 @@ def test_a_step_aside_and_a_turn_are_taken_off():
     assert after.mean[1] == pytest.approx(-0.1 / 0.05)
 
 
+def exactly_known(state, rate=0.0):
+    """A track without any uncertainty: what a prediction adds is the motion's own."""
+    mean = np.insert(np.array(state, np.float64), 1, rate)
+    return tracking.Track(mean, np.zeros((4, 4)), 0, 0)
+
+
+def test_without_odometry_the_noise_is_a_random_sideways_acceleration():
+    """After 0.5 s of a constant acceleration with 2 m/s^2 deviation: 0.25 m and 1 m/s, fully correlated."""
+    cfg = CFG.model_copy(update={"process_noise": 2.0})
+    covariance = tracking.predict(cfg, exactly_known((1.7, 0.0, 0.0)), 10 * DT_NS, None).covariance
+    np.testing.assert_allclose(covariance[:2, :2], [[0.25**2, 0.25], [0.25, 1.0]])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)[2:] / 0.5), [0.02, 0.003])
+    np.testing.assert_array_equal(covariance[2:, :2], 0.0)
+
+
+def test_without_odometry_the_offset_goes_on_at_its_rate():
+    after = tracking.predict(CFG, exactly_known((1.7, 0.01, 0.002), rate=-0.4), 10 * DT_NS, None)
+    np.testing.assert_allclose(after.mean, [1.5, -0.4, 0.01, 0.002])
+
+
+@pytest.mark.parametrize("dx", [4.0, -4.0])
+def test_with_odometry_the_noise_is_that_of_a_step_and_of_the_road_driven(dx):
+    covariance = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0)), DT_NS, moved(dx)).covariance
+    np.testing.assert_allclose(covariance, np.diag([0.005, 0.3, 0.0015, 0.001 * np.sqrt(4.0)]) ** 2)
+
+
+def test_with_odometry_what_was_uncertain_is_seen_from_further_on():
+    """2 m ahead an uncertain heading has become offset: 2 * 0.01; an uncertain curvature both: 2 * 0.02, 2 * 0.01."""
+    known = exactly_known((1.7, 0.0, 0.0))
+    for column, seen in ((2, [0.02, 0.01, 0.0]), (3, [0.02, 0.02, 0.01])):
+        uncertain = np.zeros((4, 4))
+        uncertain[column, column] = 0.01**2
+        track = tracking.Track(known.mean, uncertain, 0, 0)
+        added = (
+            tracking.predict(CFG, track, DT_NS, moved(2.0)).state_covariance
+            - tracking.predict(CFG, known, DT_NS, moved(2.0)).state_covariance
+        )
+        np.testing.assert_allclose(added, np.outer(seen, seen), atol=1e-12)
+
+
+def test_a_new_track_knows_nothing_of_its_rate():
+    np.testing.assert_array_equal(tracking.start(np.array([1.7, 0.0, 0.0]), R, 0).covariance[1], [0.0, 1.0, 0.0, 0.0])
+
+
+def test_an_update_weighs_both_by_their_variances():
+    """Two equally good offsets meet in the middle with half the variance; what neither measures stays."""
+    track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
+    after = tracking.update(CFG, track, np.array([1.74, 0.002, 0.0]), R)
+    np.testing.assert_allclose(after.state, [1.72, 0.001, 0.0], atol=1e-12)
+    np.testing.assert_allclose(after.state_covariance, R / 2, atol=1e-15)
+    assert after.covariance[1, 1] == 1.0
+
+
+@pytest.mark.parametrize(("sigmas", "taken"), [(0.99, True), (1.01, False)])
+def test_the_gate_is_a_squared_distance_in_standard_deviations(sigmas, taken):
+    track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
+    aside = np.array([1.7 + sigmas * np.sqrt(CFG.gate * 2 * R[0, 0]), 0.0, 0.0])
+    assert (tracking.update(CFG, track, aside, R) is not None) == taken
+
+
 def test_following_the_bend_keeps_the_boundary_where_it_was():
     track = tracking.start(np.array([1.7, 0.0, 1 / 150]), R, 0)
     for k in range(1, 40):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.datatypes import Absent
+from roadperc_stream.datatypes import Absent, Box
 from roadperc_stream.stages.objects import ObjectsState, follow, step
 from tests.analytic import STEP_NS, box
 from tests.stages.objects.frames import CAMERA, CFG, FAR_M, LIMIT_M, Follower, depth_of, moved, tags_of, texture
@@ -65,6 +65,20 @@ def test_deviations_are_those_of_many_noisy_drives():
         impacts.append((item.time_to_impact_s - distance / 8.0) / item.time_to_impact_std_s)
     assert 0.3 < np.std(errors) < 1.1
     assert 0.3 < np.std(impacts) < 1.1
+
+
+@pytest.mark.parametrize(
+    ("corners", "expected"),
+    [
+        ((10.0, 20.0, 30.0, 40.0), (10.0, 20.0, 30.0, 40.0)),
+        ((-5.0, -6.0, 400.0, 300.0), (0.0, 0.0, 320.0, 240.0)),
+        ((330.0, 250.0, 340.0, 260.0), (320.0, 240.0, 320.0, 240.0)),
+        ((-9.0, -8.0, -2.0, -1.0), (0.0, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_of_a_box_the_part_in_the_image_counts(corners, expected):
+    scene = follow._Scene(CAMERA, None, None, None, LIMIT_M, None)
+    assert astuple(scene.within(Box(*corners))) == expected
 
 
 def test_one_distance_tells_no_speed():

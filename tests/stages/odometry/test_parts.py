@@ -1,5 +1,7 @@
 """The odometry's functions, each against what can be computed by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -174,6 +176,42 @@ def test_halving_keeps_rays():
     view = make_view(CFG, CAMERA, EGO_T_CAMERA, shot.grey, None, None, None, 0)
     assert (view.shrink, view.grey.shape) == (2, (240, 320))
     np.testing.assert_allclose(g.rays(view.camera, np.array([10.0, 20.0])), g.rays(CAMERA, np.array([20.5, 40.5])))
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "shrink"),
+    [(480, 640, 2), (960, 1280, 4), (478, 640, 1), (481, 640, 1), (480, 641, 1), (482, 642, 2), (240, 640, 1)],
+)
+def test_an_image_is_halved_while_it_is_even_and_keeps_enough_rows(rows, columns, shrink):
+    camera = replace(CAMERA, width=columns, height=rows)
+    view = make_view(CFG, camera, EGO_T_CAMERA, np.zeros((rows, columns), np.uint8), None, None, None, 0)
+    assert view.shrink == shrink
+    assert view.grey.shape == view.camera.size == (rows // shrink, columns // shrink)
+
+
+@pytest.mark.parametrize("shrink", [1, 2, 4])
+def test_pixels_of_the_tracked_image_lie_where_the_frame_has_them(shrink):
+    camera = g.Camera("front", 640, 240 * shrink, 300.0, 310.0, 333.0, 111.0)
+    view = make_view(CFG, camera, EGO_T_CAMERA, np.zeros(camera.size, np.uint8), None, None, None, 0)
+    X = np.array([[1.0, -0.5, 7.0], [-2.0, 0.4, 20.0]])
+    assert view.shrink == shrink
+    np.testing.assert_allclose(view.whole(g.project(view.camera, X)), g.project(camera, X), rtol=1e-6)
+
+
+def test_what_moves_is_avoided_with_the_reach_of_a_window():
+    """20 px of 960 rows are 5 of 240, so that a margin of two pixels surrounds each thing."""
+    movable = np.zeros((480, 640), bool)
+    movable[200:210, 300:320] = True
+    view = make_view(CFG, CAMERA, EGO_T_CAMERA, np.zeros((480, 640), np.uint8), None, movable, None, 0)
+    rows, columns = np.nonzero(view.movable)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (98, 106, 148, 161)
+    px = np.float32([[148, 98], [161.4, 106.4], [147, 100], [162, 100], [150, 97], [150, 107], [np.nan, 100]])
+    np.testing.assert_array_equal(view.on_movable(px), [True, True, False, False, False, False, False])
+
+
+def test_nothing_moves_where_nobody_says_what_does():
+    view = make_view(CFG, CAMERA, EGO_T_CAMERA, np.zeros((480, 640), np.uint8), None, None, None, 0)
+    np.testing.assert_array_equal(view.on_movable(np.float32([[3, 4], [np.nan, 5]])), [False, False])
 
 
 def test_places_by_depth_lie_where_the_depth_says():

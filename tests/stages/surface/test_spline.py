@@ -15,7 +15,7 @@ from roadperc_stream.metrics import surface_height_error_m
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.stages import lanes
 from roadperc_stream.stages.lanes import LanesState
-from roadperc_stream.stages.surface import assumed_surface, drivable_mask, fit_surface
+from roadperc_stream.stages.surface import assumed_surface, drivable_mask, fit_surface, spline
 from tests.analytic import LINE, ROAD
 from tests.hills import Hill
 
@@ -104,6 +104,16 @@ def test_what_no_road_leads_to_does_not_bend_it():
     assert np.abs(height_at(surface, x, np.zeros_like(x)) - HILL.z(x, 0.0)).max() < 2.0
 
 
+def test_a_road_that_bends_behind_a_gap_is_found_again():
+    """Nothing known from 12 m to 26 m; there the road lies 0.5 m above where it would go straight on."""
+    hill = replace(HILL, grade=0.1, wave_m=120.0)
+    depth_m = hill.depth_m()
+    depth_m[(depth_m > 12) & (depth_m < 26)] = np.nan
+    surface = fit(hill, depth_m)
+    x = np.arange(27.0, 45.0)
+    np.testing.assert_allclose(height_at(surface, x, np.zeros_like(x)), hill.z(x, 0.0), atol=0.05)
+
+
 def test_noise_makes_no_waves():
     assert np.abs(second_differences(fit(HILL, noisy(HILL.depth_m(), 0.03)))).max() < 0.01
 
@@ -153,6 +163,27 @@ def test_a_range_beyond_all_roads_takes_neither_time_nor_memory():
     assert surface.height_grid.z_m.shape == (21, 201)
     heights = height_at(surface, *np.meshgrid(np.arange(40.0), np.arange(-5.0, 6.0)))
     np.testing.assert_allclose(heights, usual, atol=0.02)
+
+
+def information(coefficients):
+    """How unlikely coefficients are by the prior alone: the square of how many deviations they lie off."""
+    band = spline._prior(CFG)
+    middle = len(band) // 2
+    rows, columns = np.indices((len(coefficients), len(coefficients)))
+    near = np.abs(rows - columns) <= middle
+    prior = np.where(near, band[np.where(near, rows - columns + middle, 0), columns], 0.0)
+    return coefficients @ prior @ coefficients
+
+
+def test_the_prior_counts_deviations_of_curvature_and_of_bank():
+    count = spline._splines(CFG)
+    heights = CFG.spline_curvature_per_m * (CFG.spline_knot_m * np.arange(count)) ** 2 / 2
+    leaning = np.full(count, spline._BANK_STD * CFG.spline_half_width_m)
+    nothing = np.zeros(count)
+    assert information(np.stack((heights, nothing), -1).ravel()) == pytest.approx(count - 2)
+    assert information(np.stack((heights * 2, nothing), -1).ravel()) == pytest.approx(4 * (count - 2))
+    assert information(np.stack((nothing, leaning), -1).ravel()) == pytest.approx(count)
+    assert information(np.stack((nothing, heights), -1).ravel()) > count - 2
 
 
 def test_drivable_pixels_are_near_the_field():

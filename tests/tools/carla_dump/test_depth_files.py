@@ -87,6 +87,40 @@ def test_a_frame_of_sky_does_not_decide(tmp_path):
     np.testing.assert_allclose(depth_metres(load_pixels(sky), "logarithmic grey"), 1000.0)
 
 
+def test_where_no_file_tells_the_kind_of_number_does(tmp_path):
+    """Black PNGs of an all-black drive and zeros in .npy: any encoding says "nothing known" of them."""
+    empty = [npy(tmp_path / f"{k}.npy", np.zeros((2, 2))) for k in range(2)]
+    black = [png(tmp_path / f"{k}.png", np.zeros((2, 2, 3), np.uint8)) for k in range(2)]
+    assert depth_encoding(empty) == "metres"
+    assert depth_encoding(black) == "carla 24 bit"
+    assert np.isnan(depth_metres(load_pixels(black[0]), "carla 24 bit")).all()
+
+
+def test_the_first_file_that_tells_decides(tmp_path):
+    black = png(tmp_path / "0.png", np.zeros((2, 2, 3), np.uint8))
+    codes = png(tmp_path / "1.png", carla_codes(depth_m()))
+    grey = png(tmp_path / "2.png", log_grey(depth_m()))
+    assert depth_encoding([black, codes, grey]) == "carla 24 bit"
+    assert depth_encoding([grey, black, codes]) == "logarithmic grey"
+
+
+@pytest.mark.parametrize("metres", [1.0, 1.001])
+def test_one_is_the_far_plane_and_beyond_it_are_metres(tmp_path, metres):
+    path = npy(tmp_path / "0.npy", np.array([[0.0, 0.2, metres]]))
+    assert depth_encoding([path]) == ("metres / 1000" if metres == 1.0 else "metres")
+
+
+def test_grey_of_a_palette_is_its_colour_not_its_index(tmp_path):
+    indices = np.array([[0, 1], [2, 2]], np.uint8)
+    image = Image.fromarray(indices, "P")
+    image.putpalette([255, 255, 255, 10, 10, 10, 100, 100, 100])
+    image.save(tmp_path / "0.png")
+    assert depth_encoding([tmp_path / "0.png"]) == "logarithmic grey"
+    found = depth_metres(load_pixels(tmp_path / "0.png"), "logarithmic grey")
+    expected = 1000.0 * np.exp((np.array([[255, 10], [100, 100]]) / 255.0 - 1.0) * 5.70378)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
 def test_unknown_numbers_are_not_a_number(tmp_path):
     path = npy(tmp_path / "0.npy", np.array([[np.nan, 0.0, -1.0, 5.0]]))
     np.testing.assert_array_equal(depth_metres(load_pixels(path), "metres"), [[np.nan, np.nan, np.nan, 5.0]])

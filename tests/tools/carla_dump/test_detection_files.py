@@ -30,6 +30,15 @@ def test_coco_results_with_standard_categories(tmp_path):
     assert notes == ("COCO categories without a name: 62",)
 
 
+def test_cocos_own_numbers_name_what_a_road_holds(tmp_path):
+    """Of https://cocodataset.org's 91 categories those between person (1) and stop sign (13) that a road holds."""
+    known = {1: "person", 2: "bicycle", 3: "car", 4: "motorcycle", 6: "bus", 7: "train", 8: "truck",
+             10: "traffic light", 13: "stop sign"}  # fmt: skip
+    entries = [{"image_id": 7, "category_id": number, "bbox": [0, 0, 1, 1], "score": 0.5} for number in range(1, 15)]
+    detections, _, _ = load_detections(document(tmp_path / "detections.json", entries))
+    assert [d.label for d in detections[7]] == [known.get(number, f"coco_{number}") for number in range(1, 15)]
+
+
 def test_coco_annotations_with_images_and_categories(tmp_path):
     data = {
         "images": [{"id": 100, "file_name": "rgb/000004.png"}, {"id": 101, "file_name": "rgb/000005.png"}],

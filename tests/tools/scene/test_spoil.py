@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.tools.scene.spoil import noisy_depth, noisy_rgb, noisy_tags
+from roadperc_stream.tools.scene.spoil import _wobbled, noisy_depth, noisy_rgb, noisy_tags
 
 
 def stripes():
@@ -44,3 +44,20 @@ def test_depth_noise_is_relative_and_spares_the_sky():
 def test_rgb_noise_has_its_deviation():
     grey = np.full((200, 300, 3), 120, np.uint8)
     assert noisy_rgb(grey, 4.0, np.random.default_rng(0)).std() == pytest.approx(4.0, rel=0.05)
+
+
+def test_a_pixel_comes_from_a_place_nearby_and_its_neighbours_from_beside_it():
+    """Of tags that are their own column and row the displacement can be read off; 16 px a cell, 3 px deviation."""
+    columns, rows = np.meshgrid(np.arange(240), np.arange(240))
+    right, down = (
+        (_wobbled(places.astype(np.uint8), 3.0, 16.0, np.random.default_rng(0)) - places)[20:-20, 20:-20]
+        for places in (columns, rows)
+    )
+    for displacement in (right, down):
+        assert displacement.std() == pytest.approx(3.0, rel=0.1)
+        assert np.abs(displacement.mean()) < 0.6
+        neighbours = [np.abs(np.diff(displacement, axis=axis)) for axis in (0, 1)]
+        assert max(step.mean() for step in neighbours) < 0.5
+        apart = [displacement[:, :-32] * displacement[:, 32:], displacement[:-32] * displacement[32:]]
+        assert max(product.mean() for product in apart) < 0.3 * 9.0
+    assert abs(np.corrcoef(right.ravel(), down.ravel())[0, 1]) < 0.3

@@ -6,6 +6,7 @@ import pytest
 
 from roadperc_stream.view.live.playhead import (
     EDGE_POLL_S,
+    RESUME_LEAD_S,
     TICK_S,
     Move,
     Order,
@@ -35,6 +36,14 @@ def test_log_time_stands_still_otherwise(status):
 def test_a_message_is_sent_when_its_time_has_come():
     assert decide(PLAYING, 111 * S, LOG, 8 * S) == Move(PLAYING, send=True)
     assert decide(PLAYING, 111 * S, LOG, 8 * S - 1).send is False
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
+@pytest.mark.parametrize(("ahead", "status"), [(0.99, Status.WAITING), (1.0, Status.PLAYING)])
+def test_at_the_edge_playback_goes_on_once_it_can_for_a_while_at_its_rate(rate, ahead, status):
+    head = Playhead(Status.WAITING, 150 * S, 9 * S, rate)
+    reach = Reach(100 * S, 150 * S + round(ahead * RESUME_LEAD_S * rate * S), complete=False)
+    assert decide(head, 150 * S, reach, 20 * S).playhead.status is status
 
 
 @pytest.mark.parametrize(("rate", "wait_s"), [(1.0, 0.05), (0.5, TICK_S), (2.0, 0.025)])

@@ -138,3 +138,9 @@ def test_whether_there_are_times():
     assert TimedSource(Script(LOG), known(0)).has_times()
     assert not TimedSource(Script(LOG), known(5)).has_times()
     assert not TimedSource(Script([image(0)]), known(0)).has_times()
+
+
+def test_the_times_of_a_frame_at_the_logs_very_end_are_found():
+    assert TimedSource(Script([metrics(9)]), known(9)).has_times()
+    assert not TimedSource(Script([metrics(9)]), known(8)).has_times()
+    assert not TimedSource(Script([image(9)]), known(9)).has_times()
