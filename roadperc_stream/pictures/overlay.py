@@ -112,10 +112,10 @@ def _draw_objects(canvas: Image, objects: Sequence[Object], pen: Pen, top_px: in
     text_sizes = [text_size(caption(item), pen) for item in objects]
     places = label_places(pen.size, top_px, objects, boxes, text_sizes)
     for item, box, place in zip(objects, boxes, places, strict=True):
-        if place is not None:
+        if place is not None and caption(item):
             _draw_tie(canvas, item, box, place)
     for item, place in zip(objects, places, strict=True):
-        if place is not None:
+        if place is not None and caption(item):
             colour = bgr(colours.OBJECT[item.verdict])
             write_on_plate(canvas, caption(item), (place.x_min, place.y_min), colour, pen)
 

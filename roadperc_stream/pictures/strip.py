@@ -47,7 +47,7 @@ Strip = Sequence[Sequence[tuple[int, Item]]]
 
 
 def lay_out_strip(pen: Pen, metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Strip:
-    """A frame's numbers and the legend below them; a narrow image takes more lines.
+    """A frame's numbers and the legend behind them; a narrow image takes more lines.
 
     Args:
         pen: for the image.
@@ -55,7 +55,7 @@ def lay_out_strip(pen: Pen, metrics: FrameMetrics, objects: Objects | Absent, si
         objects: the frame's objects, of which the nearest and the most urgent are named.
         since_start_s: the frame's time, from the first frame.
     """
-    return [*_lines(frame_phrases(metrics, objects, since_start_s), pen), *_lines(LEGEND, pen)]
+    return _lines((*frame_phrases(metrics, objects, since_start_s), *LEGEND), pen)
 
 
 def draw_strip(canvas: Image, strip: Strip) -> None:
