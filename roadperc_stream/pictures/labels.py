@@ -78,4 +78,6 @@ def _moved_inside(place: Box, image_size: Size) -> Box:
 
 
 def _is_free(place: Box, rows: tuple[float, float], covered: Sequence[Box]) -> bool:
-    return rows[0] <= place.y_min and place.y_max <= rows[1] and not any(map(place.overlap, covered))
+    gap = _GAP * (place.y_max - place.y_min)
+    apart = Box(place.x_min - gap, place.y_min, place.x_max + gap, place.y_max)
+    return rows[0] <= place.y_min and place.y_max <= rows[1] and not any(map(apart.overlap, covered))

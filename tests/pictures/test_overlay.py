@@ -129,7 +129,7 @@ def test_kept_boxes_are_solid_and_dropped_ones_dashed():
 
 def test_text_stays_legible_and_labels_do_not_cover_each_other():
     """Behind each label lies a dark plate at least 11 pixels high, and three boxes in one place have three of them."""
-    same = [Object(box("Car", 80, 160, 200, 220), kept=True, class_ratio=1.0, distance_m=float(m)) for m in (5, 9, 20)]
+    same = [Object(box("Car", 80, 160, 140, 220), kept=True, class_ratio=1.0, distance_m=float(m)) for m in (5, 9, 20)]
     for rows, columns in ((240, 320), (960, 1280)):
         white = np.full((rows, columns, 3), 255, np.uint8)
         plates = is_colour(draw_overlay(white, NOTHING, Objects(tuple(same)), NOTHING), (25, 25, 25)).astype(np.uint8)
