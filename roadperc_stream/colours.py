@@ -1,4 +1,4 @@
-"""The colours of what the chain saw: the same in the viewers, in pictures and in films. Red, green, blue, 0 to 255."""
+"""The colours of what the chain saw: the same in the viewers, in pictures and in videos. Red, green, blue, 0 to 255."""
 
 from collections.abc import Mapping
 from typing import Final

@@ -10,7 +10,7 @@ from roadperc_stream import colours
 from roadperc_stream.colours import bgr
 from roadperc_stream.datatypes import Correlation, Image, Lanes, Mask, Matches, StereoDepth
 from roadperc_stream.geometry import Camera, Float, Float32
-from roadperc_stream.pictures.canvas import BEHIND_TEXT, Colour, Pen, polyline, text_size, write
+from roadperc_stream.pictures.canvas import Colour, Pen, polyline, text_size, write_on_plate
 
 _EDGE: Final[Colour] = (255, 255, 255)
 _PROPOSED: Final = bgr(colours.PROPOSED_LINE)
@@ -34,7 +34,7 @@ def lanes_picture(image_bgr: Image, lanes: Lanes) -> Image:
         lanes: of that image.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas, 1.0)
+    pen = Pen.of(canvas)
     if lanes.edges is not None:
         canvas[lanes.edges] = _EDGE
     chosen = [boundary.raw_px for boundary in lanes.boundaries if boundary.raw_px is not None]
@@ -61,7 +61,7 @@ def matches_picture(image_bgr: Image, matches: Matches) -> Image:
         matches: of that image.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas, 1.0)
+    pen = Pen.of(canvas)
     groups = ((~matches.inliers, _OUTLIER, "outliers"), (matches.inliers, _INLIER, "inliers"))
     for chosen, colour, _ in groups:
         _draw_ways(canvas, matches, chosen, colour, pen)
@@ -78,7 +78,7 @@ def template_picture(image_bgr: Image, searches: Iterable[Correlation]) -> Image
         searches: in that image; of an object that is not found, too.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas, 1.0)
+    pen = Pen.of(canvas)
     for search in searches:
         _lay_heat(canvas, search)
     for search in searches:
@@ -102,7 +102,7 @@ def disparity_picture(left: Camera, baseline_m: float, stereo: StereoDepth) -> I
     """
     most_px = left.fx * baseline_m / _NEAREST_M
     canvas = _disparity_colours(left.fx * baseline_m, most_px, stereo.depth_m)
-    pen = Pen.of(canvas, 1.0)
+    pen = Pen.of(canvas)
     _draw_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)], pen)
     return canvas
 
@@ -157,7 +157,6 @@ def _draw_legend(canvas: Image, phrases: Iterable[tuple[str, Colour]], pen: Pen)
 
 def _draw_plate(canvas: Image, text: str, at_px: tuple[int, int], colour: Colour, pen: Pen) -> None:
     """Text on a dark plate, moved into the image where it would lie outside."""
-    width, height = text_size(canvas, text, pen)
+    width, height = text_size(text, pen)
     x, y = (max(min(at, size - side), 0) for at, size, side in zip(at_px, pen.size, (width, height), strict=True))
-    cv2.rectangle(canvas, (x, y), (x + width, y + height), BEHIND_TEXT, cv2.FILLED)
-    write(canvas, text, (x, y), colour, pen)
+    write_on_plate(canvas, text, (x, y), colour, pen)

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from roadperc_stream.datatypes import Absent, Image, Lanes, Mask, Objects
-from roadperc_stream.pictures.canvas import resized
+from roadperc_stream.pictures.canvas import Pen, resized
 from roadperc_stream.pictures.overlay import draw_overlay
-from roadperc_stream.pictures.strip import draw_strip
+from roadperc_stream.pictures.strip import draw_strip, lay_out_strip
 from roadperc_stream.rows import FrameMetrics
 
 
@@ -23,11 +23,14 @@ class SeenFrame:
     fits: bool = True
 
 
-def draw_results(seen: SeenFrame, width_px: int) -> Image:
-    """The image, ``width_px`` columns wide, with the results drawn in; bare where it does not fit them."""
+def draw_results(seen: SeenFrame, width_px: int, top_px: int = 0) -> Image:
+    """The image, ``width_px`` columns wide, with the results drawn in; bare where it does not fit them.
+
+    No label goes into the topmost ``top_px`` rows.
+    """
     if not seen.fits:
         return resized(seen.image_bgr, width_px / seen.image_bgr.shape[1])
-    return draw_overlay(seen.image_bgr, seen.lanes, seen.objects, seen.drivable, width_px=width_px)
+    return draw_overlay(seen.image_bgr, seen.lanes, seen.objects, seen.drivable, width_px=width_px, top_px=top_px)
 
 
 def draw_frame(seen: SeenFrame, metrics: FrameMetrics, since_start_s: float, width_px: int) -> Image:
@@ -39,6 +42,9 @@ def draw_frame(seen: SeenFrame, metrics: FrameMetrics, since_start_s: float, wid
         since_start_s: its time, from the first frame.
         width_px: columns of the picture.
     """
-    canvas = draw_results(seen, width_px)
-    draw_strip(canvas, metrics, seen.objects, since_start_s)
+    rows, columns = seen.image_bgr.shape[:2]
+    pen = Pen.of_size(columns=width_px, rows=max(round(rows * width_px / columns), 1))
+    strip = lay_out_strip(pen, metrics, seen.objects, since_start_s)
+    canvas = draw_results(seen, width_px, len(strip) * pen.row_px)
+    draw_strip(canvas, strip)
     return canvas

@@ -1,51 +1,102 @@
 """A strip of text at the top of a frame's overlay: what its numbers are, and what the colours mean."""
 
-from collections.abc import Iterable, Iterator
-from typing import Final
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
 
 import cv2
 import numpy as np
 
 from roadperc_stream import colours
 from roadperc_stream.colours import bgr
-from roadperc_stream.datatypes import Absent, Image, Object, Objects
-from roadperc_stream.pictures.canvas import BEHIND_TEXT, Colour, Pen, text_size, write
+from roadperc_stream.datatypes import Absent, Box, Image, Object, Objects
+from roadperc_stream.pictures.canvas import DARK, Colour, Pen, box_outline, dashed_line, edged_lines, text_size, write
 from roadperc_stream.rows import FrameMetrics
 
 Phrase = tuple[str, Colour]
 """A few words that stay on one line, and their colour."""
 _PLAIN: Final[Colour] = (240, 240, 240)
 _SHADE: Final = 0.7
-_GAP_CHARACTERS: Final = 1.0
+_GAP_CHARACTERS: Final = 0.6
 """Between two phrases, in heights of the text."""
-LEGEND: Final[tuple[Phrase, ...]] = (
-    ("drivable", bgr(colours.DRIVABLE)),
-    ("lane", bgr(colours.BOUNDARY["measured"])),
-    ("held", bgr(colours.BOUNDARY["held"])),
-    ("raw", bgr(colours.RAW_LINE)),
-    ("object kept", bgr(colours.OBJECT["kept"])),
-    ("not judged", bgr(colours.OBJECT["unjudged"])),
-    ("dropped", bgr(colours.OBJECT["dropped"])),
+_SYMBOL_DASHES: Final = 4.0
+Symbol = Literal["area", "line", "dashed line", "box", "dashed box"]
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """What a drawing's colour and shape mean."""
+
+    text: str
+    colour: Colour
+    symbol: Symbol
+
+
+LEGEND: Final = (
+    LegendEntry("drivable", bgr(colours.DRIVABLE), "area"),
+    LegendEntry("lane", bgr(colours.BOUNDARY["measured"]), "line"),
+    LegendEntry("held", bgr(colours.BOUNDARY["held"]), "line"),
+    LegendEntry("raw", bgr(colours.RAW_LINE), "dashed line"),
+    LegendEntry("kept", bgr(colours.OBJECT["kept"]), "box"),
+    LegendEntry("not judged", bgr(colours.OBJECT["unjudged"]), "box"),
+    LegendEntry("dropped", bgr(colours.OBJECT["dropped"]), "dashed box"),
 )
+Item = Phrase | LegendEntry
+Strip = Sequence[Sequence[tuple[int, Item]]]
+"""Lines of items, each with the column it begins at."""
 
 
-def draw_strip(canvas: Image, metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> None:
-    """Write a frame's numbers and the legend over the topmost rows; a narrow image takes more lines.
+def lay_out_strip(pen: Pen, metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Strip:
+    """A frame's numbers and the legend behind them; a narrow image takes more lines.
 
     Args:
-        canvas: (H, W, 3) uint8, drawn into.
+        pen: for the image.
         metrics: the frame's row; what is null there is left out.
         objects: the frame's objects, of which the nearest and the most urgent are named.
         since_start_s: the frame's time, from the first frame.
     """
-    pen = Pen.of(canvas, 1.0)
-    numbers, legend = _lines(canvas, frame_phrases(metrics, objects, since_start_s), pen), _lines(canvas, LEGEND, pen)
-    lines = [*numbers, *legend]
-    shaded = canvas[: len(lines) * pen.row_px]
-    shaded[...] = cv2.addWeighted(shaded, 1 - _SHADE, np.full_like(shaded, BEHIND_TEXT), _SHADE, 0)
-    for row, line in enumerate(lines):
-        for x, (text, colour) in line:
-            write(canvas, text, (x, row * pen.row_px), colour, pen)
+    return _lines((*frame_phrases(metrics, objects, since_start_s), *LEGEND), pen)
+
+
+def draw_strip(canvas: Image, strip: Strip) -> None:
+    """Write the lines over the topmost rows of the image, (H, W, 3) uint8."""
+    pen = Pen.of(canvas)
+    shaded = canvas[: len(strip) * pen.row_px]
+    shaded[...] = cv2.addWeighted(shaded, 1 - _SHADE, np.full_like(shaded, DARK), _SHADE, 0)
+    for row, line in enumerate(strip):
+        for x, item in line:
+            _draw_item(canvas, item, (x, row * pen.row_px), pen)
+
+
+def _draw_item(canvas: Image, item: Item, at_px: tuple[int, int], pen: Pen) -> None:
+    if isinstance(item, LegendEntry):
+        x, y = at_px
+        width, height = _symbol_size(pen)
+        left, top = x + pen.margin_px, y + (pen.row_px - height) // 2
+        _draw_symbol(canvas, item, Box(left, top, left + width - 1, top + height - 1), pen)
+        write(canvas, item.text, (x + width + 2 * pen.margin_px, y), _PLAIN, pen)
+    else:
+        write(canvas, item[0], at_px, item[1], pen)
+
+
+def _draw_symbol(canvas: Image, entry: LegendEntry, place: Box, pen: Pen) -> None:
+    """A piece of what the overlay draws, as broad as there."""
+    y = (place.y_min + place.y_max) / 2
+    dash_px = (place.x_max - place.x_min) / _SYMBOL_DASHES
+    ends = np.array(((place.x_min, y), (place.x_max, y)))
+    if entry.symbol == "area":
+        first, last = (int(place.x_min), int(place.y_min)), (int(place.x_max), int(place.y_max))
+        cv2.rectangle(canvas, first, last, entry.colour, cv2.FILLED)
+    elif entry.symbol == "line":
+        edged_lines(canvas, [ends], entry.colour, pen.broad_px, pen)
+    elif entry.symbol == "dashed line":
+        dashed_line(canvas, ends, entry.colour, pen.thin_px, dash_px, pen)
+    else:
+        box_outline(canvas, place, entry.colour, pen.thin_px, pen, dash_px if entry.symbol == "dashed box" else None)
+
+
+def _symbol_size(pen: Pen) -> tuple[int, int]:
+    return round(1.4 * pen.text_px), round(0.6 * pen.text_px)
 
 
 def frame_phrases(metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Iterator[Phrase]:
@@ -92,15 +143,21 @@ def _odometry(metrics: FrameMetrics) -> Iterator[Phrase]:
         yield f"odometry {said}", bgr(colours.ORANGE) if metrics.odometry_status == "lost" else _PLAIN
 
 
-def _lines(canvas: Image, phrases: Iterable[Phrase], pen: Pen) -> list[list[tuple[int, Phrase]]]:
-    """The phrases and the columns they begin at, as many on a line as fit."""
-    lines: list[list[tuple[int, Phrase]]] = [[]]
+def _lines(items: Iterable[Item], pen: Pen) -> list[list[tuple[int, Item]]]:
+    """The items and the columns they begin at, as many on a line as fit."""
+    lines: list[list[tuple[int, Item]]] = [[]]
     x = 0
-    for phrase in phrases:
-        width, _ = text_size(canvas, phrase[0], pen)
+    for item in items:
+        width = _width(item, pen)
         if lines[-1] and x + width > pen.size[0]:
             lines.append([])
             x = 0
-        lines[-1].append((x, phrase))
+        lines[-1].append((x, item))
         x += width + round(_GAP_CHARACTERS * pen.text_px)
     return lines
+
+
+def _width(item: Item, pen: Pen) -> int:
+    if isinstance(item, LegendEntry):
+        return text_size(item.text, pen)[0] + _symbol_size(pen)[0] + 2 * pen.margin_px
+    return text_size(item[0], pen)[0]

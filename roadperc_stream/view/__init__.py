@@ -1,1 +1,1 @@
-"""What people see of a log: Rerun, Foxglove, a film."""
+"""What people see of a log: Rerun, Foxglove, a video."""

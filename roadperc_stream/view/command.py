@@ -1,4 +1,4 @@
-"""``roadperc-view``: a log in Rerun, in Foxglove, or as a film."""
+"""``roadperc-view``: a log in Rerun, in Foxglove, or as a video."""
 
 import argparse
 from collections.abc import Iterable, Mapping
@@ -22,7 +22,7 @@ example:
   roadperc-view out.mcap --foxglove         for Foxglove: Open connection, ws://localhost:8765
   roadperc-view out.mcap --foxglove-layout road.json
                                             the same arrangement for Foxglove, of this log's topics: Import from file
-  roadperc-view out.mcap --video out.mp4    a film, for those who have no viewer
+  roadperc-view out.mcap --video out.mp4    a video, for those who have no viewer
 
 An input log opens as well, with what it has. rerun LOG.mcap shows the channels that this project does not know.
 """
@@ -50,7 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     modes.add_argument("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording and open nothing")
     modes.add_argument("--foxglove", action="store_true", help="serve the log live to Foxglove")
     modes.add_argument("--foxglove-layout", metavar="FILE.json", type=Path, help="write Foxglove's layout for the log")
-    modes.add_argument("--video", metavar="FILE.mp4", type=Path, help="write a film of the log")
+    modes.add_argument("--video", metavar="FILE.mp4", type=Path, help="write a video of the log")
     parser.add_argument("--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role")
     parser.add_argument("--force", action="store_true", help="replace an existing file")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
@@ -78,7 +78,7 @@ def _view(arguments: argparse.Namespace) -> None:
     elif arguments.foxglove_layout:
         _lay_out(arguments)
     elif arguments.video:
-        _film(arguments)
+        _write_video(arguments)
     elif arguments.save:
         _save(arguments)
     else:
@@ -92,12 +92,14 @@ def _lay_out(arguments: argparse.Namespace) -> None:
         print(f"wrote {arguments.foxglove_layout}")
 
 
-def _film(arguments: argparse.Namespace) -> None:
-    with frame_progress("filming", not arguments.quiet) as progress:
-        film = write_video(arguments.log, arguments.video, force=arguments.force, progress=progress)
+def _write_video(arguments: argparse.Namespace) -> None:
+    with frame_progress("encoding", not arguments.quiet) as progress:
+        video = write_video(arguments.log, arguments.video, force=arguments.force, progress=progress)
     if not arguments.quiet:
-        _print_summary(film.problems.first.values(), film.problems.counts)
-        print(f"wrote {arguments.video} ({film.pictures} pictures at {film.rate_hz:.3g} Hz, of {film.frames} frames)")
+        _print_summary(video.problems.first.values(), video.problems.counts)
+        print(
+            f"wrote {arguments.video} ({video.pictures} pictures at {video.rate_hz:.3g} Hz, of {video.frames} frames)"
+        )
 
 
 def _save(arguments: argparse.Namespace) -> None:

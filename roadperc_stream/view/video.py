@@ -1,4 +1,4 @@
-"""A film of a log's overlays, for people without a viewer: VP9 in an MP4 file.
+"""A video of a log's overlays, for people without a viewer: VP9 in an MP4 file.
 
 VP9 is what OpenCV's wheels can write that browsers play; they hold no encoder of H.264.
 """
@@ -31,8 +31,8 @@ from roadperc_stream.view.seen import content_of, read_frames, read_rows, row_of
 
 OVERLAY: Final = "/perception/overlay"
 _CODEC: Final = "vp09"
-_MOST_COLUMNS: Final = 960
-"""A broader film is made smaller: the time that VP9 takes grows with its pixels."""
+_MOST_COLUMNS: Final = 1280
+"""A broader video is made smaller: the time that VP9 takes grows with its pixels."""
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 120.0
 _LONGEST_STILL_S: Final = 10.0
 _NANOSECONDS: Final = 1e9
@@ -40,8 +40,8 @@ _FFMPEG_QUIET: Final = -8
 
 
 @dataclass(frozen=True)
-class Film:
-    """What was filmed: pictures written at ``rate_hz``, of so many frames of the log, so many of them without image."""
+class Video:
+    """Pictures written at ``rate_hz``, of so many frames of the log, so many of them without image."""
 
     pictures: int
     rate_hz: float
@@ -55,47 +55,53 @@ class Film:
 
 def write_video(
     source: Path, target: Path, *, force: bool = False, progress: Callable[[int, int], None] = no_progress
-) -> Film:
-    """Film a log with results: its overlays, or, where it has none, the camera image with the results drawn in.
+) -> Video:
+    """Write a log with results as a video: its overlays, or, where it has none, the image with the results drawn in.
 
-    The film runs at the log's own pace, by the frames' stamps: its rate is that of their median interval, frames that
+    The video runs at the log's own pace, by the frames' stamps: its rate is that of their median interval, frames that
     come faster are left out, and in a gap the last picture stands still, for 10 s at most.
 
     Args:
         source: a log that ``roadperc-replay`` wrote.
-        target: the film, ``.mp4``.
-        force: replace an existing film.
+        target: the video, ``.mp4``.
+        force: replace an existing video.
         progress: called with frames done and frames expected.
 
     Raises:
         LogError: the log cannot be read, or holds no results or no pictures.
-        TargetError: the film exists and ``force`` is not set, or it cannot be written whole; nothing is left behind.
+        TargetError: the video exists and ``force`` is not set, or it cannot be written whole; nothing is left behind.
     """
     require_free(target, force=force, source=source, suffix=".mp4")
     stamps, problems = _frame_stamps(source), Problems()
     rate_hz = frame_rate_hz(stamps)
     shown = pictures_shown(stamps, rate_hz)
-    filmed = without_image = 0
-    with completing(target, force=force) as temporary, _quiet_opencv(), _FilmWriter(target, temporary, rate_hz) as film:
+    frames = without_image = 0
+    with (
+        completing(target, force=force) as temporary,
+        _quiet_opencv(),
+        _VideoWriter(target, temporary, rate_hz) as video,
+    ):
         for picture, times in zip(_shots(source, problems), shown, strict=True):
             without_image += picture is None
-            film.show(picture, times)
-            filmed += 1
-            progress(filmed, len(stamps))
-        if not film.pictures:
+            video.show(picture, times)
+            frames += 1
+            progress(frames, len(stamps))
+        if not video.pictures:
             why = "".join(f"; {text}" for text in problems.first.values())
-            raise LogError(f"{source}: no camera image to film in any of {filmed} frames{why}")
+            raise LogError(f"{source}: no camera image in any of {frames} frames{why}")
     still = (later - earlier > _LONGEST_STILL_S * _NANOSECONDS for earlier, later in pairwise(stamps))
-    return Film(film.pictures, rate_hz, filmed, without_image, sum(still), problems)
+    return Video(video.pictures, rate_hz, frames, without_image, sum(still), problems)
 
 
 def _frame_stamps(source: Path) -> list[int]:
     problems = Problems()
     stamps = [row.stamp_ns for row in read_rows(source, problems)]
     if problems.first and not stamps:
-        raise LogError(f"{source}: no results to film; {problems.first[METRICS_TOPIC]}")
+        raise LogError(f"{source}: no results to make a video of; {problems.first[METRICS_TOPIC]}")
     if not stamps:
-        raise LogError(f"{source}: no results to film; roadperc-replay {quote(str(source))} OUT.mcap makes them")
+        raise LogError(
+            f"{source}: no results to make a video of; roadperc-replay {quote(str(source))} OUT.mcap makes them"
+        )
     return stamps
 
 
@@ -108,9 +114,9 @@ def frame_rate_hz(stamps_ns: Sequence[int]) -> float:
 
 
 def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
-    """How many of the film's pictures show each frame, so that film time follows the frames' time.
+    """How many of the video's pictures show each frame, so that video time follows the frames' time.
 
-    None of a frame that comes faster than the film's rate; where stamps go back, the film goes on with one.
+    None of a frame that comes faster than the video's rate; where stamps go back, the video goes on with one.
     """
     elapsed, ticks = 0.0, [0]
     for earlier, later in pairwise(stamps_ns):
@@ -157,8 +163,8 @@ def _decoded(data: bytes) -> Image:
         raise DecodeError(f"{len(data)} bytes are no foxglove.CompressedImage: {error}") from error
 
 
-class _FilmWriter:
-    """Writes a film of the size of its first picture; what it writes to becomes ``target``."""
+class _VideoWriter:
+    """Writes a video of the size of its first picture; what it writes to becomes ``target``."""
 
     def __init__(self, target: Path, temporary: Path, rate_hz: float) -> None:
         self.pictures = 0
@@ -167,7 +173,7 @@ class _FilmWriter:
         self._last: Image | None = None
 
     def show(self, picture: Image | None, times: int) -> None:
-        """Show a picture, or None the one before, for a number of the film's pictures."""
+        """Show a picture, or None the one before, for a number of the video's pictures."""
         if picture is not None:
             self._last = self._fitted(picture)
         if self._last is None:
@@ -185,10 +191,10 @@ class _FilmWriter:
         if self._writer is not None:
             self._writer.release()
         if kind is None and _pictures_in(self._temporary) != self.pictures:
-            raise TargetError(f"{self._target}: the film could not be written whole; is there room for it?")
+            raise TargetError(f"{self._target}: the video could not be written whole; is there room for it?")
 
     def _fitted(self, picture: Image) -> Image:
-        """Of the film's size, which is even: the coder halves the resolution of colours."""
+        """Of the video's size, which is even: the coder halves the resolution of colours."""
         if self._last is not None:
             rows, columns = self._last.shape[:2]
         else:
@@ -209,7 +215,7 @@ class _FilmWriter:
 
 @contextmanager
 def _quiet_opencv() -> Iterator[None]:
-    """Keep OpenCV from telling of every picture that it cannot write, and FFmpeg of the film that came of it."""
+    """Keep OpenCV from telling of every picture that it cannot write, and FFmpeg of the video that came of it."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", str(_FFMPEG_QUIET))
@@ -220,7 +226,7 @@ def _quiet_opencv() -> Iterator[None]:
 
 
 def _pictures_in(path: Path) -> int:
-    """Pictures that a film's index counts; 0 where it cannot be read."""
+    """Pictures that a video's index counts; 0 where it cannot be read."""
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     capture.release()

@@ -8,7 +8,8 @@ import pytest
 from roadperc_stream import colours
 from roadperc_stream.colours import bgr
 from roadperc_stream.datatypes import Absent, Object, Objects
-from roadperc_stream.pictures.strip import LEGEND, draw_strip, frame_phrases
+from roadperc_stream.pictures.canvas import Pen
+from roadperc_stream.pictures.strip import LEGEND, draw_strip, frame_phrases, lay_out_strip
 from roadperc_stream.rows import FrameMetrics
 from tests.analytic import box
 
@@ -91,17 +92,19 @@ def test_a_lane_has_the_colour_of_its_status():
 def test_the_legend_has_every_colour_that_an_overlay_draws():
     drawn = [*colours.OBJECT.values(), colours.RAW_LINE, colours.DRIVABLE]
     drawn += [colours.BOUNDARY[status] for status in ("measured", "held")]
-    assert {bgr(colour) for colour in drawn} == {colour for _, colour in LEGEND}
-    assert dict(LEGEND)["not judged"] == bgr(colours.OBJECT["unjudged"])
+    assert {bgr(colour) for colour in drawn} == {entry.colour for entry in LEGEND}
+    assert {entry.text: entry.colour for entry in LEGEND}["not judged"] == bgr(colours.OBJECT["unjudged"])
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(270, 360), (960, 1280)])
 def test_it_covers_the_topmost_rows_and_no_text_is_cut(rows, columns):
     canvas = np.full((rows, columns, 3), 200, np.uint8)
-    draw_strip(canvas, FULL, Objects((CAR, FAR_CAR)), 0.35)
+    strip = lay_out_strip(Pen.of(canvas), FULL, Objects((CAR, FAR_CAR)), 0.35)
+    draw_strip(canvas, strip)
     touched = (canvas != 200).any(axis=(1, 2))
     covered = int(touched.sum())
     assert touched[:covered].all()
+    assert covered == len(strip) * Pen.of(canvas).row_px
     assert 20 < covered < rows / 4
     shade = canvas[0, 0]
     assert (shade < 100).all()
@@ -110,4 +113,20 @@ def test_it_covers_the_topmost_rows_and_no_text_is_cut(rows, columns):
 
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (20, 30)])
 def test_an_image_that_is_too_small_gets_what_fits(rows, columns):
-    draw_strip(np.zeros((rows, columns, 3), np.uint8), FULL, Objects((CAR, FAR_CAR)), 0.0)
+    canvas = np.zeros((rows, columns, 3), np.uint8)
+    draw_strip(canvas, lay_out_strip(Pen.of(canvas), FULL, Objects((CAR, FAR_CAR)), 0.0))
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(480, 640), (960, 1280)])
+def test_the_legend_shows_what_the_overlay_draws(rows, columns):
+    """Each entry's symbol is in its colour: an area, whole and dashed lines, whole and dashed boxes."""
+    for entry in LEGEND:
+        canvas = np.zeros((rows, columns, 3), np.uint8)
+        draw_strip(canvas, [[(0, entry)]])
+        symbol = canvas[:, : round(1.8 * Pen.of(canvas).text_px)]
+        mine = (np.abs(symbol.astype(int) - entry.colour) <= 40).all(axis=-1)
+        at = mine[:, mine.any(axis=0)]
+        gaps = np.diff(np.flatnonzero(mine.any(axis=0))).max(initial=1) > 1
+        filled = at[at.any(axis=1)].mean()
+        assert gaps == entry.symbol.startswith("dashed")
+        assert (filled < 0.6) == entry.symbol.endswith("box")

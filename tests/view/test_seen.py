@@ -122,9 +122,9 @@ def test_one_frame_goes_without_what_cannot_be_read(tmp_path):
     assert list(problems.counts) == ["/perception/lanes"]
 
 
-def test_the_film_goes_on_and_says_what_is_not_in_it(tmp_path, capsys):
+def test_the_video_goes_on_and_says_what_is_not_in_it(tmp_path, capsys):
     source = write_log(tmp_path / "out.mcap", {"/perception/lanes": BAD})
-    assert main([str(source), "--video", str(tmp_path / "film.mp4")]) == 0
+    assert main([str(source), "--video", str(tmp_path / "video.mp4")]) == 0
     said = capsys.readouterr().out
     assert "note: /perception/lanes: message at" in said
     assert "warning: 1 messages on /perception/lanes could not be read" in said
@@ -140,17 +140,19 @@ def test_an_overlay_that_cannot_be_read_is_a_still(tmp_path):
             row = contents(frame, "held")[METRICS]
             writer.write(Message(channel(METRICS), stamp, stamp, frame, row))
             writer.write(Message(channel("/perception/overlay"), stamp, stamp, frame, content))
-    film = write_video(path, tmp_path / "film.mp4")
-    assert (film.pictures, film.without_image) == (3, 1)
-    assert film.problems.counts == {"/perception/overlay": 1}
+    video = write_video(path, tmp_path / "video.mp4")
+    assert (video.pictures, video.without_image) == (3, 1)
+    assert video.problems.counts == {"/perception/overlay": 1}
 
 
 def test_a_log_of_rows_that_cannot_be_read_says_why(tmp_path):
     path = tmp_path / "out.mcap"
     with LogWriter(path) as writer:
         writer.write(Message(channel(METRICS), START, START, 0, BAD))
-    with pytest.raises(LogError, match=r"no results to film; /perception/metrics: message at \d+ ns: 2 bytes are no"):
-        write_video(path, tmp_path / "film.mp4")
+    with pytest.raises(
+        LogError, match=r"no results to make a video of; /perception/metrics: message at \d+ ns: 2 bytes are no"
+    ):
+        write_video(path, tmp_path / "video.mp4")
 
 
 def test_the_image_is_that_of_the_camera_the_replay_was_told_to_take(tmp_path):

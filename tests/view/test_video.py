@@ -1,4 +1,4 @@
-"""A film shows the log's frames at the log's pace."""
+"""A video shows the log's frames at the log's pace."""
 
 import cv2
 import numpy as np
@@ -46,7 +46,7 @@ def overlays(path, times, colours, size=(91, 121)):
     return path
 
 
-def film(path):
+def read_video(path):
     capture = cv2.VideoCapture(str(path))
     pictures = []
     while True:
@@ -79,17 +79,17 @@ def test_the_rate_is_that_of_the_median_interval():
         ([0, 50, 100, 3_600_000, 3_600_050], [1, 1, 200, 1, 1]),
     ],
 )
-def test_film_time_follows_the_frames_time(times, shown):
+def test_video_time_follows_the_frames_time(times, shown):
     assert pictures_shown(stamps(*times), 20.0) == shown
 
 
-def test_the_film_shows_the_overlays_and_a_gap_as_a_still(tmp_path):
+def test_the_video_shows_the_overlays_and_a_gap_as_a_still(tmp_path):
     """The missing overlay of the second frame is one, too."""
     times = stamps(0, 50, 100, 150, 350, 400)
     colours = [(220, 0, 0), None, (0, 0, 220), (0, 0, 220), (220, 0, 0), (220, 0, 0)]
-    done = write_video(overlays(tmp_path / "out.mcap", times, colours), tmp_path / "film.mp4")
+    done = write_video(overlays(tmp_path / "out.mcap", times, colours), tmp_path / "video.mp4")
     assert (done.pictures, done.frames, done.without_image, done.shortened) == (9, 6, 1, 0)
-    pictures, rate_hz = film(tmp_path / "film.mp4")
+    pictures, rate_hz = read_video(tmp_path / "video.mp4")
     assert rate_hz == pytest.approx(20)
     assert [blue_red(p) for p in pictures] == ["blue"] * 2 + ["red"] * 5 + ["blue"] * 2
     assert pictures[0].shape == (90, 120, 3)
@@ -103,24 +103,24 @@ def test_without_overlays_they_are_drawn_and_look_the_same(tmp_path):
     replay(source, full, CFG, on_request=("overlay",))
     for path in (bare, full):
         assert write_video(path, path.with_suffix(".mp4")).pictures == 3
-    drawn, written = film(bare.with_suffix(".mp4"))[0], film(full.with_suffix(".mp4"))[0]
+    drawn, written = read_video(bare.with_suffix(".mp4"))[0], read_video(full.with_suffix(".mp4"))[0]
     for a, b in zip(drawn, written, strict=True):
         assert np.abs(a.astype(int) - b).mean() < 4
         assert a[200, 160, 0] > a[200, 160, 2] + 20
 
 
-def test_an_existing_film_is_kept_unless_forced(tmp_path):
+def test_an_existing_video_is_kept_unless_forced(tmp_path):
     source = overlays(tmp_path / "out.mcap", stamps(0, 50), [(220, 0, 0)] * 2)
-    target = tmp_path / "film.mp4"
+    target = tmp_path / "video.mp4"
     target.write_bytes(b"mine")
-    with pytest.raises(TargetError, match=r"film.mp4: exists already; --force replaces it"):
+    with pytest.raises(TargetError, match=r"video.mp4: exists already; --force replaces it"):
         write_video(source, target)
     assert target.read_bytes() == b"mine"
     write_video(source, target, force=True)
-    assert len(film(target)[0]) == 2
+    assert len(read_video(target)[0]) == 2
 
 
-@pytest.mark.parametrize("name", ["film.avi", "film"])
+@pytest.mark.parametrize("name", ["video.avi", "video"])
 def test_other_containers_are_refused(tmp_path, name):
     with pytest.raises(TargetError, match=r"expected a name that ends in .mp4"):
         write_video(tmp_path / "out.mcap", tmp_path / name)
@@ -129,27 +129,29 @@ def test_other_containers_are_refused(tmp_path, name):
 def test_a_log_without_results_says_how_to_get_them(tmp_path):
     (tmp_path / "my logs").mkdir()
     source = logs.write(tmp_path / "my logs" / "in.mcap", logs.items(2))
-    with pytest.raises(LogError, match=f"in.mcap: no results to film; roadperc-replay '{source}' OUT.mcap makes them"):
-        write_video(source, tmp_path / "film.mp4")
-    assert not (tmp_path / "film.mp4").exists()
+    with pytest.raises(
+        LogError, match=f"in.mcap: no results to make a video of; roadperc-replay '{source}' OUT.mcap makes them"
+    ):
+        write_video(source, tmp_path / "video.mp4")
+    assert not (tmp_path / "video.mp4").exists()
 
 
 def test_a_log_without_images_leaves_nothing_behind(tmp_path):
     source = overlays(tmp_path / "out.mcap", stamps(0, 50), [None, None])
-    with pytest.raises(LogError, match=r"no camera image to film in any of 2 frames"):
-        write_video(source, tmp_path / "film.mp4")
+    with pytest.raises(LogError, match=r"no camera image in any of 2 frames"):
+        write_video(source, tmp_path / "video.mp4")
     assert {p.name for p in tmp_path.iterdir()} == {"out.mcap"}
 
 
 def test_a_folder_that_cannot_be_written_is_an_error(tmp_path):
     source = overlays(tmp_path / "out.mcap", stamps(0, 50), [(220, 0, 0)] * 2)
     (tmp_path / "file").write_text("x")
-    with pytest.raises(TargetError, match=r"film\.mp4: "):
-        write_video(source, tmp_path / "file" / "film.mp4")
+    with pytest.raises(TargetError, match=r"video\.mp4: "):
+        write_video(source, tmp_path / "file" / "video.mp4")
 
 
 def test_every_frame_is_told_of(tmp_path):
     source = overlays(tmp_path / "out.mcap", stamps(0, 50, 100), [(220, 0, 0)] * 3)
     told = []
-    write_video(source, tmp_path / "film.mp4", progress=lambda done, total: told.append((done, total)))
+    write_video(source, tmp_path / "video.mp4", progress=lambda done, total: told.append((done, total)))
     assert told == [(1, 3), (2, 3), (3, 3)]
