@@ -9,7 +9,7 @@ from shlex import quote
 from roadperc_stream import __version__
 from roadperc_stream.channels import parse_topic_options
 from roadperc_stream.command import frame_progress, run
-from roadperc_stream.view.layout import write_layout
+from roadperc_stream.view.layout.writing import write_layout
 from roadperc_stream.view.live.options import add_playback_arguments, given_options, playback_options
 from roadperc_stream.view.live.serving import serve_log
 from roadperc_stream.view.video import write_video
