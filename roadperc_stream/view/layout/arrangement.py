@@ -49,7 +49,6 @@ _ROLES_IN_SPACE: Final[Mapping[str, Config]] = {
     "tf_static": {},
     "calibration": {"distance": 3, "width": 0.02, "color": "#7c6bffff"},
     "lidar": {"pointSize": 2, "colorMode": "colormap", "colorMap": "turbo", "colorField": "x"},
-    "truth_pose": {"type": "axis", "axisScale": 1},
 }
 _CAMERA: Final[Config] = {
     "distance": 22,
