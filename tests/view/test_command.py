@@ -71,6 +71,8 @@ def test_a_topic_of_another_name_fills_a_role(tmp_path):
         (["in.mcap", "--force"], "--force: only with"),
         (["in.mcap", "--foxglove", "--topic", "image=/a"], "--topic: only with"),
         (["--foxglove-layout", "a.json", "--topic", "image=/a"], "expected a log"),
+        (["--foxglove-layout", "a.json", "--foxglove"], "expected a log"),
+        (["in.mcap", "--foxglove-layout", "a.json", "--video", "a.mp4"], "not allowed with --save and --video"),
     ],
 )
 def test_wrong_usage_is_told(options, said, capsys):

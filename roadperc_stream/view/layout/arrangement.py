@@ -25,6 +25,7 @@ from roadperc_stream.view.layout.panels import (
 )
 from roadperc_stream.view.stage_times import TIMES
 
+_DRIVABLE: Final = "/perception/drivable"
 _IN_THE_IMAGE: Final = ("/perception/lanes/annotations", "/perception/objects/annotations")
 _IN_SPACE: Final[Mapping[str, Config]] = {
     "/perception/drivable/scene": {},
@@ -84,21 +85,27 @@ def layout_of(has: LogContents) -> str:
 
 def _camera(has: LogContents) -> Node | None:
     """The camera the results are of with what was found drawn over it, the pictures of the stages, other cameras."""
-    front = has.roles.get("image") or has.roles.get("left")
+    front = _front(has)
     drawn = [has.result(topic) for topic in _IN_THE_IMAGE]
-    title = "Front camera: lanes and objects" if any(drawn) else "Front camera"
+    camera = "Drivable" if front == _DRIVABLE else "Front camera"
+    shown = picture("front", f"{camera}: lanes and objects" if any(drawn) else camera, front, drawn)
     made = {topic.rpartition("/")[2].capitalize(): has.result(topic) for topic in ON_REQUEST}
     others = {side.capitalize(): has.roles.get(side) for side in ("left", "right") if has.roles.get(side) != front}
     named = made | others | {topic: topic for topic in has.more_images}
     pictures = {title: picture(title.lower(), title, topic) for title, topic in named.items()}
-    return tabs("front", {"Camera": picture("front", title, front, drawn), **pictures})
+    return tabs("front", {"Camera": shown, **pictures})
+
+
+def _front(has: LogContents) -> str | None:
+    """What lanes and objects are drawn over: the results of a log without its images are drawn over the road."""
+    return has.roles.get("image") or has.roles.get("left") or has.result(_DRIVABLE)
 
 
 def _other_pictures(has: LogContents) -> Node | None:
     """Tags and depth, what was made of them, and what is true of them."""
     roles = has.roles
     tags = picture("tags", "Tags", roles.get("segmentation"))
-    drivable = picture("drivable", "Drivable", has.result("/perception/drivable"))
+    drivable = None if _front(has) == _DRIVABLE else picture("drivable", "Drivable", has.result(_DRIVABLE))
     stereo = depth_picture("stereo", "Stereo depth", has.result("/perception/stereo/depth"))
     true_tags = picture("true_tags", "True tags", roles.get("truth_segmentation"))
     return tabs(

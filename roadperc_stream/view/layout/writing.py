@@ -12,7 +12,12 @@ _NO_OVERRIDES: Final[Mapping[str, str]] = {}
 
 
 def write_layout(
-    target: Path, source: Path | None = None, overrides: Mapping[str, str] = _NO_OVERRIDES, *, force: bool
+    target: Path,
+    source: Path | None = None,
+    overrides: Mapping[str, str] = _NO_OVERRIDES,
+    *,
+    timed: bool = False,
+    force: bool,
 ) -> None:
     """Write the layout to a file for the viewers' "import from file".
 
@@ -20,6 +25,7 @@ def write_layout(
         target: the file, ``.json``.
         source: the log it is for; None for a replay that is served live and has all this project's own topics.
         overrides: topic of each role of ``source`` that another topic fills than the one found.
+        timed: the log is served live with the times of its stages, which it does not hold itself.
         force: replace an existing file.
 
     Raises:
@@ -27,6 +33,7 @@ def write_layout(
             cannot be written.
     """
     require_free(target, force=force, source=source, suffix=".json")
-    layout = layout_of(contents_of(source, overrides) if source else OF_A_LIVE_REPLAY)
+    has = contents_of(source, overrides) if source else OF_A_LIVE_REPLAY
+    layout = layout_of(has.with_times() if timed else has)
     with completing(target, force=force) as temporary:
         temporary.write_text(layout, "utf-8")
