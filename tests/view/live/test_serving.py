@@ -24,7 +24,7 @@ from roadperc_stream.schemas.roadperc_pb2 import StageTimes
 from roadperc_stream.table import beside
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.server import ServeError
-from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, with_times
+from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, serves_times, with_times
 from roadperc_stream.view.live.source import FinishedLog
 from roadperc_stream.view.stage_times import TIMES
 from tests import logs
@@ -304,6 +304,7 @@ def test_a_running_replay_is_watched_and_sought(source, tmp_path):
 def test_a_finished_log_is_served_with_the_times_of_its_table(source, tmp_path):
     target = tmp_path / "out.mcap"
     replay(source, target, load_config(None, ()))
+    assert serves_times(target)
     with served(target) as port, Viewer(port) as viewer:
         viewer.subscribe(TIMES)
         viewer.until(lambda: len(viewer.shown()) == FRAMES)
@@ -321,6 +322,7 @@ def test_without_a_table_of_its_own_no_times_are_offered(source, tmp_path, table
     if table != "none":
         replay(logs.write(tmp_path / "in2.mcap", logs.items(FRAMES - 1)), other, load_config(None, ()))
         beside(other, "metrics").replace(beside(target, "metrics"))
+    assert not serves_times(target)
     with served(target) as port, Viewer(port) as viewer:
         told = {channel["topic"] for channel in viewer.channels.values()}
         assert set(RESULTS) <= told
