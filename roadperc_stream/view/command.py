@@ -9,9 +9,9 @@ from shlex import quote
 from roadperc_stream import __version__
 from roadperc_stream.channels import parse_topic_options
 from roadperc_stream.command import frame_progress, run
-from roadperc_stream.view.layout import write_layout
+from roadperc_stream.view.layout.writing import write_layout
 from roadperc_stream.view.live.options import add_playback_arguments, given_options, playback_options
-from roadperc_stream.view.live.serving import serve_log
+from roadperc_stream.view.live.serving import serve_log, serves_times
 from roadperc_stream.view.video import write_video
 
 _EXAMPLE = """\
@@ -22,6 +22,8 @@ example:
   roadperc-view out.mcap --foxglove         for Foxglove: Open connection, ws://localhost:8765
   roadperc-view out.mcap --foxglove-layout road.json
                                             the same arrangement for Foxglove, of this log's topics: Import from file
+  roadperc-view out.mcap --foxglove --foxglove-layout live.json
+                                            serve the log, with a layout that has the times of the stages
   roadperc-view out.mcap --video out.mp4    a video, for those who have no viewer
 
 An input log opens as well, with what it has. rerun LOG.mcap shows the channels that this project does not know.
@@ -49,8 +51,13 @@ def _parser() -> argparse.ArgumentParser:
     modes = parser.add_mutually_exclusive_group()
     modes.add_argument("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording and open nothing")
     modes.add_argument("--foxglove", action="store_true", help="serve the log live to Foxglove")
-    modes.add_argument("--foxglove-layout", metavar="FILE.json", type=Path, help="write Foxglove's layout for the log")
     modes.add_argument("--video", metavar="FILE.mp4", type=Path, help="write a video of the log")
+    parser.add_argument(
+        "--foxglove-layout",
+        metavar="FILE.json",
+        type=Path,
+        help="write Foxglove's layout for the log; with --foxglove for what is served, times of the stages included",
+    )
     parser.add_argument("--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role")
     parser.add_argument("--force", action="store_true", help="replace an existing file")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
@@ -61,22 +68,26 @@ def _parser() -> argparse.ArgumentParser:
 
 def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Wrong usage: no log, or an option that the chosen way to look does not know."""
-    if arguments.log is None and (arguments.foxglove_layout is None or arguments.topic):
+    if arguments.log is None and (arguments.foxglove_layout is None or arguments.topic or arguments.foxglove):
         parser.error("expected a log: OUT.mcap")
+    if arguments.foxglove_layout and (arguments.save or arguments.video):
+        parser.error("--foxglove-layout: not allowed with --save and --video")
     served = [*given_options(arguments), *(["start"] if arguments.start is not None else [])]
     if served and not arguments.foxglove:
         parser.error(f"--{served[0]}: only with --foxglove")
-    if arguments.topic and (arguments.foxglove or arguments.video):
+    if arguments.topic and (arguments.video or (arguments.foxglove and not arguments.foxglove_layout)):
         parser.error("--topic: only with the Rerun viewer, --save and --foxglove-layout")
     if arguments.force and not (arguments.save or arguments.foxglove_layout or arguments.video):
         parser.error("--force: only with --save, --foxglove-layout and --video")
 
 
 def _view(arguments: argparse.Namespace) -> None:
+    if arguments.foxglove_layout:
+        _lay_out(arguments)
     if arguments.foxglove:
         serve_log(arguments.log, playback_options(arguments), quiet=arguments.quiet)
     elif arguments.foxglove_layout:
-        _lay_out(arguments)
+        return
     elif arguments.video:
         _write_video(arguments)
     elif arguments.save:
@@ -87,7 +98,8 @@ def _view(arguments: argparse.Namespace) -> None:
 
 def _lay_out(arguments: argparse.Namespace) -> None:
     overrides = parse_topic_options(arguments.topic)
-    write_layout(arguments.foxglove_layout, arguments.log, overrides, force=arguments.force)
+    timed = arguments.foxglove and serves_times(arguments.log)
+    write_layout(arguments.foxglove_layout, arguments.log, overrides, timed=timed, force=arguments.force)
     if not arguments.quiet:
         print(f"wrote {arguments.foxglove_layout}")
 

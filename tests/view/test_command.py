@@ -6,6 +6,9 @@ import sys
 
 import pytest
 
+from roadperc_stream.config import load_config
+from roadperc_stream.replay import replay
+from roadperc_stream.view import command
 from roadperc_stream.view.command import main
 from roadperc_stream.view.rerun import viewer
 from tests import logs
@@ -71,6 +74,8 @@ def test_a_topic_of_another_name_fills_a_role(tmp_path):
         (["in.mcap", "--force"], "--force: only with"),
         (["in.mcap", "--foxglove", "--topic", "image=/a"], "--topic: only with"),
         (["--foxglove-layout", "a.json", "--topic", "image=/a"], "expected a log"),
+        (["--foxglove-layout", "a.json", "--foxglove"], "expected a log"),
+        (["in.mcap", "--foxglove-layout", "a.json", "--video", "a.mp4"], "not allowed with --save and --video"),
     ],
 )
 def test_wrong_usage_is_told(options, said, capsys):
@@ -96,6 +101,19 @@ def test_the_layout_takes_a_log_and_its_topics(tmp_path):
     target = tmp_path / "layout.json"
     assert main([str(source), "--foxglove-layout", str(target), "--topic", "image=/a", "--quiet"]) == 0
     assert '"imageTopic": "/a"' in target.read_text("utf-8")
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_the_layout_of_a_served_log_has_the_times_that_are_served(tmp_path, monkeypatch, timed):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=2))
+    replay(source, tmp_path / "out.mcap", load_config(None, ()))
+    if not timed:
+        (tmp_path / "out.metrics.parquet").unlink()
+    served, target = [], tmp_path / "layout.json"
+    monkeypatch.setattr(command, "serve_log", lambda path, _options, *, quiet: served.append((path, quiet)))
+    assert main([str(tmp_path / "out.mcap"), "--foxglove", "--foxglove-layout", str(target), "--quiet"]) == 0
+    assert served == [(tmp_path / "out.mcap", True)]
+    assert ("/perception/times.total_ms" in target.read_text("utf-8")) is timed
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no log"])

@@ -1,109 +1,308 @@
-"""The layout for Foxglove names what the log has, and leaves no result out."""
+"""The layout for Foxglove and Lichtblick names what one log has, and leaves nothing of it out."""
 
 import json
+import random
 import re
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from roadperc_stream.channels import LIVE_ONLY, ON_REQUEST, RESULTS, ROLES, result_schemas
+from roadperc_stream import log
+from roadperc_stream.channels import LIVE_ONLY, METRICS_TOPIC, ON_REQUEST, RESULTS, ROLES, result_schemas
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.rows import TIME_COLUMNS
+from roadperc_stream.replay import replay
+from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.schemas import roadperc_pb2
-from roadperc_stream.view.layout import foxglove_layout, topics_in, write_layout
+from roadperc_stream.view.layout import curves
+from roadperc_stream.view.layout.arrangement import layout_of
+from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
+from roadperc_stream.view.layout.panels import column, row, tabs, words
+from roadperc_stream.view.layout.writing import write_layout
+from roadperc_stream.view.stage_times import TIMES
 from tests import logs
 
-LAYOUT = json.loads(foxglove_layout())
-PANELS = LAYOUT["configById"]
-TOPICS = {role.topic: role.schema for role in ROLES.values()} | result_schemas(["overlay", "debug"]) | LIVE_ONLY
-STEP = re.compile(r"\.(\w+)(\[:\])?")
+SCHEMAS = {role.topic: role.schema for role in ROLES.values()} | result_schemas(["overlay", "debug"]) | LIVE_ONLY
 IMAGES = {"foxglove.CompressedImage", "sensor_msgs/msg/Image"}
+IN_SPACE = {
+    "foxglove.SceneUpdate",
+    "foxglove.FrameTransforms",
+    "foxglove.CameraCalibration",
+    "foxglove.PointCloud",
+    "foxglove.PoseInFrame",
+    "foxglove.PosesInFrame",
+    "nav_msgs/msg/OccupancyGrid",
+}
+STEP = re.compile(r"\.(\w+)")
+EVERYTHING = replace(OF_A_LIVE_REPLAY, results=OF_A_LIVE_REPLAY.results | set(ON_REQUEST))
 
 
-def strings(node):
-    """All strings of a JSON document, keys among them."""
+def laid_out(has):
+    return json.loads(layout_of(has))
+
+
+def panels_of(layout, kind):
+    return {key: config for key, config in layout["configById"].items() if key.startswith(f"{kind}!")}
+
+
+def arranged(layout, node):
+    """Keys of a part of the arrangement, panels in tabs among them."""
     if isinstance(node, dict):
-        node = [*node, *node.values()]
-    if isinstance(node, list):
-        for child in node:
-            yield from strings(child)
-    elif isinstance(node, str):
-        yield node
+        assert node.keys() == {"direction", "first", "second", "splitPercentage"}
+        assert node["direction"] in {"row", "column"}
+        assert 0 < node["splitPercentage"] < 100
+        return [*arranged(layout, node["first"]), *arranged(layout, node["second"])]
+    parts = layout["configById"][node].get("tabs", ())
+    return [node, *(key for tab in parts for key in arranged(layout, tab["layout"]))]
 
 
-PATHS = sorted({text for text in strings(PANELS) if text.startswith("/")})
+def made_topics(layout):
+    """The topics that the layout's own scripts make of others, by what they read."""
+    made = {}
+    for script in layout["userNodes"].values():
+        source = script["sourceCode"]
+        made[re.search(r'^export const output = "(.+)";$', source, re.M)[1]] = re.search(
+            r'^export const inputs = \["(.+)"\];$', source, re.M
+        )[1]
+    return made
 
 
-def topic_of(path):
-    return path.partition(".")[0]
+def drawn(layout):
+    """Each topic or path a panel draws, with the schemas that it can draw; None for any."""
+    for config in panels_of(layout, "Image").values():
+        yield config["imageMode"]["imageTopic"], IMAGES
+        yield from ((topic, {"foxglove.ImageAnnotations"}) for topic in config["imageMode"].get("annotations", ()))
+    for config in panels_of(layout, "3D").values():
+        yield from ((topic, IN_SPACE) for topic in config["topics"])
+    for config in [*panels_of(layout, "Plot").values(), *panels_of(layout, "StateTransitions").values()]:
+        yield from ((path["value"], {SCHEMAS[METRICS_TOPIC], SCHEMAS[TIMES]}) for path in config["paths"])
+    for config in panels_of(layout, "RosOut").values():
+        yield config["topicToRender"], {"foxglove.Log"}
+    for config in panels_of(layout, "RawMessages").values():
+        yield config["topicPath"], None
+    made = made_topics(layout)
+    for config in panels_of(layout, "Table").values():
+        yield made[config["topicPath"].removesuffix(".rows")], {"roadperc.Objects", "roadperc.Detections"}
 
 
-def arranged(node):
-    """Panels of a part of the arrangement, those in tabs among them."""
-    if isinstance(node, dict):
-        return [*arranged(node["first"]), *arranged(node["second"])]
-    tabs = PANELS[node].get("tabs", ())
-    return [node, *(panel for tab in tabs for panel in arranged(tab["layout"]))]
+def check(layout, topics):
+    """The shape that both viewers want; every panel draws something that is among ``topics``."""
+    assert layout.keys() - {"layout"} == {"configById", "globalVariables", "userNodes", "playbackConfig"}
+    root = layout.get("layout")
+    assert sorted(arranged(layout, root) if root else []) == sorted(layout["configById"])
+    for config in panels_of(layout, "Tab").values():
+        assert len(config["tabs"]) > 1
+        assert config["activeTabIdx"] == 0
+        assert len({tab["title"] for tab in config["tabs"]}) == len(config["tabs"])
+    for kind in ("Plot", "StateTransitions"):
+        assert all(config["paths"] for config in panels_of(layout, kind).values())
+    assert all(config["topics"] for config in panels_of(layout, "3D").values())
+    for path, schemas in drawn(layout):
+        topic = path.partition(".")[0]
+        assert topic in topics, path
+        assert schemas is None or topics[topic] in schemas, path
+    assert set(made_topics(layout).values()) <= set(topics)
 
 
-def resolve(descriptor, steps):
-    """The field that a path ends in; KeyError where a message has no such field. All of a list is said by ``[:]``."""
-    *way, (last, _) = steps
-    for name, every in way:
-        field = descriptor.fields_by_name[name]
-        assert field.is_repeated == bool(every), name
-        descriptor = field.message_type
-    return descriptor.fields_by_name[last]
+def shown(layout):
+    return {path.partition(".")[0] for path, _ in drawn(layout)}
 
 
-def test_every_result_is_shown_and_nothing_else_is_named():
-    shown = {topic_of(path) for path in PATHS}
-    assert set(RESULTS) | set(ON_REQUEST) | set(LIVE_ONLY) <= shown
-    assert shown <= set(TOPICS)
+def some_contents(seed):
+    """Any part of what a log may have."""
+    pick = random.Random(seed)
+    share = pick.choice((0.1, 0.5, 0.9))
+
+    def some(items):
+        return [item for item in sorted(items) if pick.random() < share]
+
+    results = frozenset(some(EVERYTHING.results))
+    return LogContents(
+        roles={role: ROLES[role].topic for role in some(ROLES)},
+        results=results,
+        columns=frozenset(some(EVERYTHING.columns)) if METRICS_TOPIC in results else frozenset(),
+        more_images=tuple(some(["/rear/image", "/side/image"])),
+        has_ego_frame=pick.random() < share,
+    )
 
 
-@pytest.mark.parametrize("path", [path for path in PATHS if "." in path])
+@pytest.mark.parametrize("seed", range(200))
+def test_any_part_of_a_log_gets_panels_for_what_is_there(seed):
+    has = some_contents(seed)
+    topics = {topic: SCHEMAS[topic] for topic in [*has.roles.values(), *has.results]}
+    topics |= dict.fromkeys(has.more_images, "foxglove.CompressedImage")
+    layout = laid_out(has)
+    check(layout, topics)
+    assert has.results & set(ON_REQUEST) <= shown(layout)
+    assert set(has.more_images) <= shown(layout)
+
+
+def test_a_log_with_everything_has_all_of_it_shown():
+    layout = laid_out(EVERYTHING)
+    check(layout, SCHEMAS)
+    assert set(RESULTS) | set(ON_REQUEST) | set(LIVE_ONLY) <= shown(layout)
+    truths = {"/truth/lanes", "/truth/surface", "/truth/objects", "/truth/pose"}  # in the metrics, as errors
+    unshown = {*truths, "/camera/front/detections", "/tf_static"} | {t for t in SCHEMAS if t.endswith("calibration")}
+    assert set(SCHEMAS) - shown(layout) <= unshown
+
+
+def test_nothing_makes_an_empty_window():
+    assert laid_out(LogContents(roles={})) == {
+        "configById": {},
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+    }
+
+
+def paths_of(layout):
+    return {path for path, _ in drawn(layout) if "." in path}
+
+
+@pytest.mark.parametrize("path", sorted(paths_of(laid_out(EVERYTHING))))
 def test_a_path_leads_to_a_field_of_its_message(path):
-    topic = topic_of(path)
-    steps = STEP.findall(path.removeprefix(topic))
-    assert topic + "".join(f".{name}{every}" for name, every in steps) == path
-    descriptor = roadperc_pb2.DESCRIPTOR.message_types_by_name[TOPICS[topic].removeprefix("roadperc.")]
-    assert resolve(descriptor, steps) is not None
+    topic = path.partition(".")[0]
+    (name,) = STEP.findall(path.removeprefix(topic))
+    descriptor = roadperc_pb2.DESCRIPTOR.message_types_by_name[SCHEMAS[topic].removeprefix("roadperc.")]
+    assert name in descriptor.fields_by_name
 
 
-def test_the_time_of_each_stage_is_shown():
-    shown = {path.partition(".")[2] for path in PATHS if topic_of(path) in LIVE_ONLY}
-    assert shown == set(TIME_COLUMNS)
+def test_every_plotted_metric_is_a_column():
+    columns = {field.name for field in fields(FrameMetrics)}
+    described = [value for value in vars(curves).values() if isinstance(value, curves.Plot)]
+    assert len(described) > 10
+    assert {curve.metric for plot in described for curve in plot.curves} <= columns
+    assert {*curves.STATES, *curves.BOUNDARY_STATES} <= columns
 
 
-def test_the_arrangement_holds_each_panel_once():
-    assert sorted(arranged(LAYOUT["layout"])) == sorted(PANELS)
+def test_the_times_are_shown_only_where_somebody_serves_them():
+    times = [path.partition(".")[2] for path in paths_of(laid_out(EVERYTHING)) if path.startswith(TIMES)]
+    assert sorted(times) == sorted(TIME_COLUMNS)
+    without = replace(EVERYTHING, results=EVERYTHING.results - {TIMES})
+    assert TIMES not in shown(laid_out(without))
+    assert laid_out(without.with_times()) == laid_out(EVERYTHING)
+    no_stereo = replace(EVERYTHING, results=EVERYTHING.results - {"/perception/stereo/depth"})
+    assert f"{TIMES}.stereo_ms" not in paths_of(laid_out(no_stereo))
 
 
-def test_panels_draw_only_what_they_can():
-    for name, panel in PANELS.items():
-        if name.startswith("Image!"):
-            mode = panel["imageMode"]
-            assert TOPICS[mode["imageTopic"]] in IMAGES
-            assert {TOPICS[topic] for topic in mode.get("annotations", ())} <= {"foxglove.ImageAnnotations"}
-        if name.startswith(("Plot!", "StateTransitions!")):
-            assert all("." in path["value"] for path in panel["paths"])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_raw_smoothed_and_true_offsets_differ_in_colour_and_style(side):
+    layout = laid_out(EVERYTHING)
+    curves_of_side = layout["configById"][f"Plot!{side}_offset"]["paths"]
+    values = [path["value"].removeprefix(f"{METRICS_TOPIC}.lane_{side}_") for path in curves_of_side]
+    assert values == ["raw_offset_m", "offset_m", "true_offset_m"]
+    assert [path["label"] for path in curves_of_side] == ["raw", "smoothed", "true"]
+    assert len({path["color"] for path in curves_of_side}) == 3
+    assert len({(path["showLine"], path["lineSize"]) for path in curves_of_side}) == 3
 
 
-def test_what_a_scene_draws_is_switched_on_in_3d():
-    scenes = {topic for topic, schema in RESULTS.items() if schema == "foxglove.SceneUpdate"}
-    topics = PANELS["3D!scene"]["topics"]
-    assert scenes <= {topic for topic, settings in topics.items() if settings["visible"]}
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_error_stands_beside_the_offset_where_the_truth_is_known(side):
+    offset, error = f"Plot!{side}_offset", f"Plot!{side}_error"
+    layout = laid_out(EVERYTHING)
+    rows = [node for node in nodes(layout) if isinstance(node, dict) and node["direction"] == "row"]
+    assert any((node["first"], node["second"]) == (offset, error) for node in rows)
+    untrue = replace(EVERYTHING, columns=EVERYTHING.columns - {f"lane_{side}_error_m", f"lane_{side}_true_offset_m"})
+    layout = laid_out(untrue)
+    assert error not in layout["configById"]
+    assert [path["label"] for path in layout["configById"][offset]["paths"]] == ["raw", "smoothed"]
 
 
-def test_the_camera_and_its_pictures_have_whole_tabs():
-    tabs = {tab["title"]: tab["layout"] for tab in PANELS["Tab!front"]["tabs"]}
-    assert tabs["Camera"] == "Image!front"
-    shown = {PANELS[panel]["imageMode"]["imageTopic"] for panel in tabs.values()}
-    assert set(ON_REQUEST) <= shown
+def nodes(layout):
+    """Every part of the arrangement, those in tabs included."""
+    waiting = [layout["layout"]]
+    waiting += [tab["layout"] for config in panels_of(layout, "Tab").values() for tab in config["tabs"]]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        if isinstance(node, dict):
+            waiting += [node["first"], node["second"]]
+
+
+def test_the_objects_table_says_status_and_verdict_in_words():
+    (script,) = laid_out(EVERYTHING)["userNodes"].values()
+    source = script["sourceCode"]
+    known = json.loads(re.search(r"statuses: .* = (\{.*\});", source)[1])
+    assert known == {"1": "measured", "2": "tracked", "3": "lost"}
+    read = set(re.findall(r"seen\.(\w+)", source))
+    assert read <= set(roadperc_pb2.Object.DESCRIPTOR.fields_by_name)
+    assert {"detection", "status", "kept", "distance_m", "time_to_impact_s"} <= read
+    assert not re.search(r"\b[A-Z]{5,}\b", source)  # no placeholder is left
+
+
+def test_a_log_without_results_has_its_detections_in_a_table():
+    layout = laid_out(LogContents(roles={"detections": "/boxes"}))
+    assert made_topics(layout) == {"/studio_script/detections_table": "/boxes"}
+    (script,) = layout["userNodes"].values()
+    assert not re.search(r"\b[A-Z]{5,}\b", script["sourceCode"])
+
+
+def test_images_name_no_calibration_which_comes_too_late_for_some_viewers():
+    assert all("calibrationTopic" not in c["imageMode"] for c in panels_of(laid_out(EVERYTHING), "Image").values())
+
+
+def test_the_scene_follows_the_car_only_where_its_frame_is_known():
+    (scene,) = panels_of(laid_out(EVERYTHING), "3D").values()
+    assert scene["followTf"] == "ego"
+    (scene,) = panels_of(laid_out(LogContents(roles={"tf": "/tf"})), "3D").values()
+    assert "followTf" not in scene
+
+
+def test_a_single_tab_is_none_and_a_missing_part_leaves_no_gap():
+    panel = words("log", "Log", "/log")
+    assert tabs("all", {"A": None, "B": panel}) is panel
+    assert row(None, panel, None) is panel
+    assert column() is None
+    shares = column(panel, panel, panel, panel, first_percent=25)
+    assert (shares.first_percent, shares.second.first_percent) == (25, pytest.approx(100 / 3))
+
+
+@pytest.fixture(scope="module")
+def replayed(tmp_path_factory):
+    """A short input, its result, and its result with all on request."""
+    folder = tmp_path_factory.mktemp("replayed")
+    source = logs.write(folder / "in.mcap", logs.items(frames=3))
+    replay(source, folder / "out.mcap", load_config(None, ()))
+    replay(source, folder / "full.mcap", load_config(None, ()), on_request=("overlay", "debug"))
+    replay(source, folder / "results.mcap", load_config(None, ()), results_only=True)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["in", "out", "full", "results"])
+def test_a_log_s_layout_names_only_topics_with_messages(replayed, name):
+    path = replayed / f"{name}.mcap"
+    target = replayed / f"{name}.json"
+    write_layout(target, path, force=True)
+    layout = json.loads(target.read_text("utf-8"))
+    summary = log_summary(path)
+    check(layout, summary)
+    results = {topic for topic in summary if topic.startswith("/perception/")}
+    assert results <= shown(layout)
+    assert ("/perception/overlay" in shown(layout)) is (name == "full")
+    under = layout["configById"]["Image!front"]["imageMode"]["imageTopic"]
+    assert under == ("/perception/drivable" if name == "results" else "/camera/front/image")
+    assert TIMES not in shown(layout)
+
+
+def log_summary(path):
+    summary = log.summarise(path)
+    return {c.topic: c.schema_name for c in summary.channels if summary.counts.get(c.source_id)}
+
+
+def test_no_two_of_these_layouts_are_the_same(replayed):
+    layouts = [layout_of(contents_of(replayed / f"{name}.mcap", {})) for name in ("in", "out", "full", "results")]
+    assert len(set(layouts)) == 4
+
+
+def test_metrics_without_a_value_are_not_plotted(replayed):
+    has = contents_of(replayed / "out.mcap", {})
+    assert "lane_left_offset_m" in has.columns
+    assert "lane_left_error_m" not in has.columns  # this log carries no truth
+    assert "Plot!left_error" not in laid_out(has)["configById"]
 
 
 def elsewhere(path, **topics):
@@ -112,25 +311,24 @@ def elsewhere(path, **topics):
     return logs.write(path, items)
 
 
-def test_a_log_s_own_topics_stand_for_this_project_s(tmp_path):
+def test_a_log_s_own_topics_are_named(tmp_path):
     source = elsewhere(tmp_path / "in.mcap", image="/a/rgb", calibration="/a/info", segmentation="/a/seg", depth="/a/d")
     target = tmp_path / "layout.json"
     write_layout(target, source, {"depth": "/a/d"}, force=False)
     panels = json.loads(target.read_text("utf-8"))["configById"]
-    front = panels["Image!front"]["imageMode"]
-    assert (front["imageTopic"], front["calibrationTopic"]) == ("/a/rgb", "/a/info")
-    assert front["annotations"] == PANELS["Image!front"]["imageMode"]["annotations"]
+    assert panels["Image!front"]["imageMode"]["imageTopic"] == "/a/rgb"
     assert panels["Image!tags"]["imageMode"]["imageTopic"] == "/a/seg"
     assert panels["Image!depth"]["imageMode"]["imageTopic"] == "/a/d"
-    calibration = PANELS["3D!scene"]["topics"]["/camera/front/calibration"]
-    assert panels["3D!scene"]["topics"]["/a/info"] == calibration
-    assert "/camera/front/calibration" not in panels["3D!scene"]["topics"]
+    assert {"/a/info", "/tf"} == set(panels["3D!scene"]["topics"])
 
 
-def test_a_log_of_this_project_s_topics_gets_the_file_as_shipped(tmp_path):
-    source, target = logs.write(tmp_path / "in.mcap", logs.items(frames=1)), tmp_path / "layout.json"
-    write_layout(target, source, force=False)
-    assert json.loads(target.read_text("utf-8")) == LAYOUT
+def test_images_without_a_role_have_their_tabs(tmp_path):
+    items = logs.items(frames=1)
+    rear = [logs.Item(i.role, i.stamp_ns, i.data, "/rear/rgb") for i in items if i.role == "image"]
+    has = contents_of(logs.write(tmp_path / "in.mcap", [*items, *rear]), {})
+    assert has.more_images == ("/rear/rgb",)
+    titles = [tab["title"] for tab in laid_out(has)["configById"]["Tab!front"]["tabs"]]
+    assert titles == ["Camera", "/rear/rgb"]
 
 
 @pytest.mark.parametrize(("encoding", "dtype", "most"), [("32FC1", "<f4", 60), ("16UC1", "<u2", 60_000)])
@@ -152,9 +350,8 @@ def test_the_left_camera_stands_for_the_front_one_where_there_is_none(tmp_path):
     items = logs.items(frames=1, roles=("calibration", "image"))
     left = {"image": "left", "calibration": "left_calibration"}
     source = logs.write(tmp_path / "in.mcap", [logs.Item(left[i.role], i.stamp_ns, i.data) for i in items])
-    topics = topics_in(source, {})
-    assert topics["/camera/front/image"] == "/camera/left/image"
-    assert topics["/camera/front/calibration"] == "/camera/left/calibration"
+    pictures = panels_of(laid_out(contents_of(source, {})), "Image")
+    assert [p["imageMode"]["imageTopic"] for p in pictures.values()] == ["/camera/left/image"]
 
 
 def test_a_topic_that_is_not_there_names_the_log(tmp_path):
@@ -182,13 +379,13 @@ def test_a_log_with_nothing_to_show_gets_no_layout(tmp_path):
 def test_a_layout_is_written_and_replaced_only_when_told(tmp_path):
     path = tmp_path / "layout.json"
     write_layout(path, force=False)
-    assert json.loads(path.read_text("utf-8")) == LAYOUT
+    assert path.read_text("utf-8") == layout_of(OF_A_LIVE_REPLAY)
     path.write_text("mine")
     with pytest.raises(TargetError, match="exists already"):
         write_layout(path, force=False)
     assert path.read_text() == "mine"
     write_layout(path, force=True)
-    assert json.loads(path.read_text("utf-8")) == LAYOUT
+    assert path.read_text("utf-8") == layout_of(OF_A_LIVE_REPLAY)
 
 
 def test_a_folder_is_no_file_for_a_layout(tmp_path):

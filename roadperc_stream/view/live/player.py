@@ -63,6 +63,10 @@ class Audience(Protocol):
         """Tell what could not be done."""
         ...
 
+    def restart(self) -> None:
+        """Have all that was shown forgotten; who still watches subscribes again."""
+        ...
+
 
 LONGEST_WAIT_S: Final = 0.5
 """For which a signal may go unheeded."""
@@ -204,13 +208,19 @@ class Player:
         move = decide(before, next_ns, reach, self._clock_ns(), loop_ns=self._loop_ns)
         self._playhead = move.playhead
         self._carry_out(move)
-        if move.playhead.status is not before.status or move.seek_ns is not None:
-            self._audience.state(Answer(move.playhead, move.seek_ns is not None))
+        if move.playhead.status is not before.status:
+            self._audience.state(Answer(move.playhead, moved=move.restart))
         return move.wait_s
 
+    def _start_over(self, log_ns: int) -> None:
+        """Wait for somebody to watch, as at first: viewers that know no seek would join the end to the start."""
+        self._audience.restart()
+        self._watched = False
+        self._follow_from(log_ns + 1)
+
     def _carry_out(self, move: Move) -> None:
-        if move.seek_ns is not None:
-            self._go_to(move.seek_ns)
+        if move.restart:
+            self._start_over(move.playhead.log_ns)
         elif move.send and self._next:
             self._audience.send(self._next)
             self._next = None

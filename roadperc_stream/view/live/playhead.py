@@ -15,6 +15,8 @@ EDGE_POLL_S: Final = 0.05
 """How often to look for more of a log that is being written."""
 RESUME_LEAD_S: Final = 0.25
 """How much must be computed, in seconds of playback, before playback goes on from the edge: otherwise it stutters."""
+LOOP_PAUSE_S: Final = 0.5
+"""How long the end is seen before playback starts over; what was sent arrives meanwhile."""
 
 
 SLOWEST: Final = 1e-3
@@ -76,11 +78,12 @@ class Order:
 
 @dataclass(frozen=True)
 class Move:
-    """What to do next: send the next message, go elsewhere in the log, or wait (None: until somebody asks)."""
+    """What to do next: send the next message, start over, or wait (None: until somebody asks)."""
 
     playhead: Playhead
     send: bool = False
-    seek_ns: int | None = None
+    restart: bool = False
+    """Playback is back where it starts over from: those who watch are to forget what was shown."""
     wait_s: float | None = 0.0
 
 
@@ -117,6 +120,8 @@ def decide(playhead: Playhead, next_ns: int | None, reach: Reach, clock_ns: int,
     """
     if playhead.status is Status.WAITING:
         return _at_the_edge(playhead, reach, clock_ns)
+    if playhead.status is Status.ENDED and loop_ns is not None:
+        return _at_the_end(playhead, clock_ns, loop_ns)
     if playhead.status is not Status.PLAYING:
         return Move(playhead, wait_s=None)
     now_ns = playhead.at(clock_ns)
@@ -134,10 +139,16 @@ def _at_the_edge(playhead: Playhead, reach: Reach, clock_ns: int) -> Move:
     return Move(playhead, wait_s=EDGE_POLL_S)
 
 
+def _at_the_end(playhead: Playhead, clock_ns: int, loop_ns: int) -> Move:
+    wait_ns = playhead.clock_ns + round(LOOP_PAUSE_S * _NANOSECONDS) - clock_ns
+    if wait_ns > 0:
+        return Move(playhead, wait_s=wait_ns / _NANOSECONDS)
+    return Move(playhead.turned(Status.PAUSED, loop_ns, clock_ns), restart=True, wait_s=None)
+
+
 def _out_of_messages(playhead: Playhead, reach: Reach, clock_ns: int, loop_ns: int | None) -> Move:
     if not reach.complete:
         edge_ns = reach.clamp(playhead.at(clock_ns))
         return Move(playhead.turned(Status.WAITING, edge_ns, clock_ns), wait_s=EDGE_POLL_S)
-    if loop_ns is not None:
-        return Move(playhead.turned(Status.PLAYING, loop_ns, clock_ns), seek_ns=loop_ns)
-    return Move(playhead.turned(Status.ENDED, reach.last_ns, clock_ns), wait_s=None)
+    wait_s = None if loop_ns is None else LOOP_PAUSE_S
+    return Move(playhead.turned(Status.ENDED, reach.last_ns, clock_ns), wait_s=wait_s)

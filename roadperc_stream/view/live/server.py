@@ -93,6 +93,16 @@ class FoxgloveAudience:
         """Show a warning in the viewer."""
         self._server.publish_status(text, StatusLevel.Warning, _STATUS_ID)
 
+    def restart(self) -> None:
+        """Begin a new session, in which viewers forget what was shown, with channels of their own.
+
+        Some viewers forget the schemas too and learn them only from channels that are new.
+        """
+        for advertised in self._channels.values():
+            advertised.close()
+        self._server.clear_session()
+        self._channels = {channel: _advertised(channel, self._context) for channel in self._channels}
+
 
 @contextmanager
 def serving(

@@ -17,7 +17,7 @@ from roadperc_stream.view.live.player import LONGEST_WAIT_S, Inbox, Player
 from roadperc_stream.view.live.server import serving
 from roadperc_stream.view.live.source import FinishedLog, RunningReplay, Source
 from roadperc_stream.view.live.timed import TimedSource
-from roadperc_stream.view.stage_times import ReplayTimes, TableTimes
+from roadperc_stream.view.stage_times import TIMES, ReplayTimes, TableTimes
 
 if TYPE_CHECKING:
     from roadperc_stream.replay import Timed
@@ -52,6 +52,16 @@ def with_times(log: FinishedLog) -> Source:
     """
     timed = TimedSource(log, TableTimes(beside(log.path, "metrics")))
     return timed if timed.has_times() else log
+
+
+def serves_times(path: Path) -> bool:
+    """Whether ``serve_log`` offers the times of a log's stages.
+
+    Raises:
+        LogError: the log cannot be read or holds no message.
+        TableError: the metrics table beside it cannot be read.
+    """
+    return any(channel.topic == TIMES for channel in with_times(FinishedLog.opened(path)).channels)
 
 
 class LiveReplay:
@@ -153,5 +163,6 @@ def _invitation(host: str, port: int) -> str:
     return (
         f"serving ws://{address}:{port} (Ctrl-C ends)\n"
         "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open\n"
-        "layout: roadperc-view --foxglove-layout roadperc.json, then Layouts > Import from file"
+        "layout: roadperc-view LOG --foxglove --foxglove-layout FILE.json (no LOG: of a running replay), "
+        "then Layouts > Import from file"
     )

@@ -21,6 +21,7 @@ class Viewer:
     def __init__(self, port, host="127.0.0.1"):
         self.socket = connect(f"ws://{host}:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None)
         self.info, self.channels, self.heard, self.warnings, self.requests = {}, {}, [], [], count(1)
+        self.sessions = []
         self.subscriptions, self.fresh, self.arrived = {}, count(1), set()
         self.until(lambda: self.channels)
 
@@ -44,8 +45,11 @@ class Viewer:
         told = json.loads(frame)
         if told["op"] == "serverInfo":
             self.info = told
+            self.sessions.append(told["sessionId"])
         elif told["op"] == "advertise":
             self.channels |= {channel["id"]: channel for channel in told["channels"]}
+        elif told["op"] == "unadvertise":
+            self.channels = {i: channel for i, channel in self.channels.items() if i not in told["channelIds"]}
         elif told["op"] == "status":
             self.warnings.append(told["message"])
 

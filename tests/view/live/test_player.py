@@ -6,7 +6,7 @@ import pytest
 
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.view.live.player import Inbox, Player, Request, Stop, Subscribed
-from roadperc_stream.view.live.playhead import Order, Reach, Status
+from roadperc_stream.view.live.playhead import LOOP_PAUSE_S, Order, Reach, Status
 
 S = 1_000_000_000
 CALIBRATION, IMAGE = Channel("/calibration", "raw"), Channel("/image", "raw")
@@ -14,6 +14,9 @@ CALIBRATION, IMAGE = Channel("/calibration", "raw"), Channel("/image", "raw")
 
 def message(channel, time_s):
     return Message(channel, round(time_s * S), 0, 0, b"")
+
+
+WATCH = [Subscribed("/calibration"), Subscribed("/image")]
 
 
 @dataclass
@@ -26,6 +29,8 @@ class Script:
     complete_at_s: float = 0.0
     clock_ns: int = 0
     events: list = field(default_factory=list)
+    watching: list = field(default_factory=lambda: list(WATCH))
+    """What those who are connected subscribe to when playback starts over."""
     channels = (CALIBRATION, IMAGE)
 
     def reach(self):
@@ -55,7 +60,7 @@ class Script:
         due_s = min(self.words, default=None)
         assert due_s is not None or wait_s is not None, "the player waits for ever"
         until_ns = round(due_s * S) if wait_s is None else self.clock_ns + round(wait_s * S)
-        if due_s is not None and due_s * S <= until_ns:
+        if due_s is not None and round(due_s * S) <= until_ns:
             self.clock_ns = max(self.clock_ns, round(due_s * S))
             return self.words.pop(due_s)
         self.clock_ns = until_ns
@@ -76,6 +81,11 @@ class Script:
     def warn(self, text):
         self.events.append(text)
 
+    def restart(self):
+        """All is forgotten; those who watch subscribe again in a tenth of a second."""
+        self.events.append("restarted")
+        self.words[self.clock_ns / S + 0.1] = self.watching
+
     def run(self, start_s=0.0, **options):
         Player(self, self, self, self.now, start_ns=round(start_s * S), **options).run()
         return self
@@ -86,9 +96,6 @@ class Script:
 
 def drive():
     return [message(CALIBRATION, 0), *(message(IMAGE, k) for k in range(5))]
-
-
-WATCH = [Subscribed("/calibration"), Subscribed("/image")]
 
 
 def test_nothing_is_played_to_nobody():
@@ -135,14 +142,36 @@ def test_seeking_back_plays_again_from_there():
 
 
 def test_a_loop_goes_round():
-    script = Script(drive(), {0: WATCH, 8.5: [Stop()]}).run(loop=True)
-    assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4] * 2 + [0]
-    assert (Status.PLAYING, 0, True) in script.events
+    """Each round is a session of its own, which begins with what holds at its start."""
+    script = Script(drive(), {0: WATCH, 9.8: [Stop()]}).run(loop=True)
+    images = [event[1] for event in script.sent() if event[0] == "/image"]
+    assert images == [0, 1, 2, 3, 4] * 2 + [0]
+    rounds = [i for i, event in enumerate(script.events) if event == "restarted"]
+    assert len(rounds) == 2
+    for start in rounds:
+        assert script.events[start - 1] == (Status.ENDED, 4, False)
+        assert script.events[start + 1 : start + 4] == [
+            (Status.PAUSED, 0, True),
+            ("/calibration", 0, pytest.approx(script.events[start + 2][2])),
+            ("/image", 0, pytest.approx(script.events[start + 2][2])),
+        ]
+        assert script.events[start + 4] == (Status.PLAYING, 0, False)
 
 
 def test_a_loop_goes_back_to_where_it_started():
-    script = Script(drive(), {0: WATCH, 3.5: [Stop()]}).run(start_s=2.0, loop=True)
+    script = Script(drive(), {0: WATCH, 3.9: [Stop()]}).run(start_s=2.0, loop=True)
     assert [event[1] for event in script.sent() if event[0] == "/image"] == [2, 3, 4, 2, 3]
+
+
+def test_a_loop_that_nobody_watches_any_more_waits():
+    script = Script(drive(), {0: WATCH, 99: [Stop()]}, watching=[]).run(loop=True)
+    assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
+    assert script.events[-2:] == [(Status.PAUSED, 0, True), "closed"]
+
+
+def test_a_loop_of_one_instant_is_no_race():
+    script = Script([message(IMAGE, 0)], {0: [Subscribed("/image")], 10: [Stop()]}).run(loop=True)
+    assert len(script.sent()) <= 10 / LOOP_PAUSE_S
 
 
 def test_a_running_replay_is_waited_for_and_nothing_is_lost():

@@ -6,6 +6,7 @@ import pytest
 
 from roadperc_stream.view.live.playhead import (
     EDGE_POLL_S,
+    LOOP_PAUSE_S,
     RESUME_LEAD_S,
     TICK_S,
     Move,
@@ -111,16 +112,27 @@ def test_playing_from_the_end_starts_over(status):
     assert (head.log_ns, head.status, moved) == (100 * S, Status.PLAYING, True)
 
 
-def test_a_loop_starts_over_by_itself():
-    move = decide(PLAYING, None, LOG, 97 * S, loop_ns=105 * S)
-    assert (move.seek_ns, move.playhead.at(98 * S), move.playhead.status) == (105 * S, 106 * S, Status.PLAYING)
+def test_a_loop_starts_over_after_a_pause_at_the_end():
+    ended = decide(PLAYING, None, LOG, 97 * S, loop_ns=105 * S)
+    assert (ended.playhead, ended.wait_s) == (PLAYING.turned(Status.ENDED, 200 * S, 97 * S), LOOP_PAUSE_S)
+    early = decide(ended.playhead, None, LOG, 97 * S + S // 10, loop_ns=105 * S)
+    assert early == Move(ended.playhead, wait_s=pytest.approx(LOOP_PAUSE_S - 0.1))
+    over = decide(ended.playhead, None, LOG, 97 * S + round(LOOP_PAUSE_S * S), loop_ns=105 * S)
+    assert (over.restart, over.wait_s) == (True, None)
+    assert (over.playhead.status, over.playhead.log_ns) == (Status.PAUSED, 105 * S)
+
+
+def test_who_paused_at_the_end_stays_there():
+    ended = PLAYING.turned(Status.ENDED, 200 * S, 97 * S)
+    paused, _ = obey(ended, Order(play=False, rate=1.0), LOG, 97 * S)
+    assert decide(paused, None, LOG, 999 * S, loop_ns=105 * S) == Move(paused, wait_s=None)
 
 
 @pytest.mark.parametrize("loop_ns", [100 * S, None])
 def test_a_growing_log_has_no_end_but_an_edge(loop_ns):
     move = decide(PLAYING, None, GROWING, 90 * S, loop_ns=loop_ns)
     assert (move.playhead.status, move.playhead.log_ns, move.wait_s) == (Status.WAITING, 150 * S, EDGE_POLL_S)
-    assert move.seek_ns is None
+    assert not move.restart
 
 
 @pytest.mark.parametrize(("lead_s", "goes_on"), [(0.1, False), (0.3, True)])

@@ -24,7 +24,7 @@ from roadperc_stream.schemas.roadperc_pb2 import StageTimes
 from roadperc_stream.table import beside
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.server import ServeError
-from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, with_times
+from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, serves_times, with_times
 from roadperc_stream.view.live.source import FinishedLog
 from roadperc_stream.view.stage_times import TIMES
 from tests import logs
@@ -185,6 +185,33 @@ def test_a_viewer_that_sleeps_does_not_keep_the_server_from_ending(tmp_path):
     asleep.socket.close_socket()
 
 
+def test_a_loop_begins_a_new_session(path):
+    """Viewers that know no seek join the last message to the next one, unless they are made to forget the last.
+
+    They forget the schemas as well, so that the channels of the new session have to be new.
+    """
+    with served(path, start_s=59.0, rate=20.0, loop=True) as port, Viewer(port) as viewer:
+        before = dict(viewer.channels)
+        viewer.subscribe()
+        viewer.until(lambda: len(viewer.sessions) == 2 and len(viewer.channels) == len(CHANNELS))
+        assert viewer.shown("/image")[-1].data == b"image 599"
+        first, second = viewer.sessions
+        assert first != second
+        assert viewer.info["dataEndTime"] == {"sec": 1059, "nsec": 900_000_000}
+        assert not before.keys() & viewer.channels.keys()
+        parts = ("topic", "encoding", "schemaName", "schema", "metadata")
+        old, new = ([[c.get(part) for part in parts] for c in known.values()] for known in (before, viewer.channels))
+        assert sorted(old, key=str) == sorted(new, key=str)
+        viewer.heard.clear()
+        viewer.subscribe()
+        viewer.until(lambda: [s for s in viewer.states() if s.status == "ended"] and len(viewer.shown()) == 11)
+        assert [m.data for m in viewer.shown("/image")] == [b"image %d" % k for k in range(590, 600)]
+        assert [m.data for m in viewer.shown("/calibration")] == [b"calibration"]
+        times = [item[0] for item in viewer.heard if len(item) == 1]
+        assert times[0] == 1059 * S
+        assert times == sorted(times)
+
+
 def test_only_this_machine_unless_told_otherwise(path):
     with served(path) as port, pytest.raises(ConnectionRefusedError):
         Viewer(port, "127.0.0.2")
@@ -277,6 +304,7 @@ def test_a_running_replay_is_watched_and_sought(source, tmp_path):
 def test_a_finished_log_is_served_with_the_times_of_its_table(source, tmp_path):
     target = tmp_path / "out.mcap"
     replay(source, target, load_config(None, ()))
+    assert serves_times(target)
     with served(target) as port, Viewer(port) as viewer:
         viewer.subscribe(TIMES)
         viewer.until(lambda: len(viewer.shown()) == FRAMES)
@@ -294,6 +322,7 @@ def test_without_a_table_of_its_own_no_times_are_offered(source, tmp_path, table
     if table != "none":
         replay(logs.write(tmp_path / "in2.mcap", logs.items(FRAMES - 1)), other, load_config(None, ()))
         beside(other, "metrics").replace(beside(target, "metrics"))
+    assert not serves_times(target)
     with served(target) as port, Viewer(port) as viewer:
         told = {channel["topic"] for channel in viewer.channels.values()}
         assert set(RESULTS) <= told

@@ -1,0 +1,225 @@
+"""What stands where: the camera's image large, the scene beside it, other pictures and numbers below."""
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from roadperc_stream.channels import ON_REQUEST, ROLES
+from roadperc_stream.datatypes import EGO
+from roadperc_stream.view.layout import curves, scripts
+from roadperc_stream.view.layout.contents import LogContents
+from roadperc_stream.view.layout.panels import (
+    Config,
+    Node,
+    Panel,
+    Script,
+    column,
+    depth_picture,
+    layout_json,
+    picture,
+    raw_messages,
+    row,
+    table,
+    tabs,
+    titled,
+    words,
+)
+from roadperc_stream.view.stage_times import TIMES
+
+_DRIVABLE: Final = "/perception/drivable"
+_IN_THE_IMAGE: Final = ("/perception/lanes/annotations", "/perception/objects/annotations")
+_IN_SPACE: Final[Mapping[str, Config]] = {
+    "/perception/drivable/scene": {},
+    "/perception/lanes/scene": {},
+    "/perception/objects/scene": {},
+    "/perception/occupancy": {
+        "frameLocked": True,
+        "colorMode": "custom",
+        "minColor": "#1e82dc50",
+        "maxColor": "#e0403ac0",
+        "unknownColor": "#00000000",
+        "invalidColor": "#00000000",
+        "alpha": 0.6,
+    },
+    "/perception/trajectory": {"type": "line", "lineWidth": 0.25, "gradient": ["#f0c419ff", "#f0c419ff"]},
+    "/perception/odometry": {"type": "axis", "axisScale": 1},
+    "/perception/tf": {},
+}
+"""Results in the scene, and how they are drawn."""
+_ROLES_IN_SPACE: Final[Mapping[str, Config]] = {
+    "tf": {},
+    "tf_static": {},
+    "calibration": {"distance": 3, "width": 0.02, "color": "#7c6bffff"},
+    "lidar": {"pointSize": 2, "colorMode": "colormap", "colorMap": "turbo", "colorField": "x"},
+}
+_CAMERA: Final[Config] = {
+    "distance": 22,
+    "perspective": True,
+    "phi": 64,
+    "target": [0, 0, 0],
+    "targetOffset": [9, 0, 0],
+    "targetOrientation": [0, 0, 0, 1],
+    "thetaOffset": 90,
+    "fovy": 45,
+    "near": 0.5,
+    "far": 5000,
+}
+"""From behind and above the car."""
+_ALWAYS_TIMED: Final = ("decode_ms", "encode_ms", "total_ms")
+_OUTPUT_OF: Final = {
+    "surface_ms": "/perception/surface",
+    "lanes_ms": "/perception/lanes",
+    "objects_ms": "/perception/objects",
+    "stereo_ms": "/perception/stereo/depth",
+    "odometry_ms": "/perception/odometry",
+    "occupancy_ms": "/perception/occupancy",
+}
+"""By the columns of times what tells whether the stage ran."""
+
+
+def layout_of(has: LogContents) -> str:
+    """The layout of a log as JSON."""
+    left = column(_camera(has), _other_pictures(has), first_percent=60)
+    right = column(_scene(has), _numbers(has), first_percent=46)
+    return layout_json(row(left, right, first_percent=46), _scripts(has))
+
+
+def _camera(has: LogContents) -> Node | None:
+    """The camera the results are of with what was found drawn over it, the pictures of the stages, other cameras."""
+    front = _front(has)
+    drawn = [has.result(topic) for topic in _IN_THE_IMAGE]
+    camera = "Drivable" if front == _DRIVABLE else "Front camera"
+    shown = picture("front", f"{camera}: lanes and objects" if any(drawn) else camera, front, drawn)
+    made = {topic.rpartition("/")[2].capitalize(): has.result(topic) for topic in ON_REQUEST}
+    others = {side.capitalize(): has.roles.get(side) for side in ("left", "right") if has.roles.get(side) != front}
+    named = made | others | {topic: topic for topic in has.more_images}
+    pictures = {title: picture(title.lower(), title, topic) for title, topic in named.items()}
+    return tabs("front", {"Camera": shown, **pictures})
+
+
+def _front(has: LogContents) -> str | None:
+    """What lanes and objects are drawn over: the results of a log without its images are drawn over the road."""
+    return has.roles.get("image") or has.roles.get("left") or has.result(_DRIVABLE)
+
+
+def _other_pictures(has: LogContents) -> Node | None:
+    """Tags and depth, what was made of them, and what is true of them."""
+    roles = has.roles
+    tags = picture("tags", "Tags", roles.get("segmentation"))
+    drivable = None if _front(has) == _DRIVABLE else picture("drivable", "Drivable", has.result(_DRIVABLE))
+    stereo = depth_picture("stereo", "Stereo depth", has.result("/perception/stereo/depth"))
+    true_tags = picture("true_tags", "True tags", roles.get("truth_segmentation"))
+    return tabs(
+        "pictures",
+        _named(
+            {
+                ("Tags", "depth"): (tags, _depth(has, "depth", "Depth")),
+                ("Drivable", "stereo"): (drivable, stereo),
+                ("True tags", "true depth"): (true_tags, _depth(has, "truth_depth", "True depth")),
+            }
+        ),
+    )
+
+
+def _named(pairs: Mapping[tuple[str, ...], tuple[Panel | None, ...]]) -> dict[str, Node | None]:
+    """Rows of panels by a title that names those that are there."""
+    rows = {}
+    for names, panels in pairs.items():
+        title = ", ".join(name for name, panel in zip(names, panels, strict=True) if panel)
+        rows[title.capitalize() if title else ", ".join(names)] = row(*panels)
+    return rows
+
+
+def _depth(has: LogContents, role: str, title: str) -> Panel | None:
+    topic = has.roles.get(role)
+    return depth_picture(role, title, topic, in_metres=topic in has.depth_in_metres)
+
+
+def _scene(has: LogContents) -> Panel | None:
+    """All that has a place in space, seen from behind the car."""
+    drawn = {topic: _IN_SPACE[topic] for topic in _IN_SPACE if topic in has.results}
+    drawn |= {has.roles[role]: _ROLES_IN_SPACE[role] for role in _ROLES_IN_SPACE if role in has.roles}
+    if not drawn:
+        return None
+    followed = {"followMode": "follow-pose", "followTf": EGO} if has.has_ego_frame else {"followMode": "follow-pose"}
+    transforms = {"showLabel": False, "axisScale": 0.6, "lineWidth": 0, "enablePreloading": True}
+    config: Config = {
+        "cameraState": _CAMERA,
+        **followed,
+        "scene": {"transforms": transforms, "labelScaleFactor": 1},
+        "transforms": {},
+        "topics": {topic: {"visible": True, **how} for topic, how in drawn.items()},
+        "layers": {},
+    }
+    title = "Road, lanes, objects, occupancy, trajectory" if has.results else "Scene"
+    return Panel("3D", "scene", {**config, **titled(title)})
+
+
+def _numbers(has: LogContents) -> Node | None:
+    """Plots of the metrics, states, and results in words."""
+    shown = has.columns
+    return tabs(
+        "numbers",
+        {
+            "Lanes": _lanes(has),
+            "Objects": column(_objects(has), row(*_plots(has, curves.NEAREST, curves.OBJECT_ERRORS)), first_percent=50),
+            "Motion": column(*_plots(has, curves.MOTION, curves.MOTION_ERRORS, curves.COUNTS), first_percent=34),
+            "Road": column(
+                row(*_plots(has, curves.CAMERA, curves.SURFACE_ERRORS)),
+                row(*_plots(has, curves.SHARES, curves.SCORES)),
+            ),
+            "States": row(
+                curves.states("states", "States", curves.STATES, shown),
+                curves.states("lane_states", "Boundaries", curves.BOUNDARY_STATES, shown),
+            ),
+            "Times": _times(has),
+            "Log": words("log", "Log: what was missing", has.result("/perception/log")),
+            "Messages": _messages(has),
+        },
+    )
+
+
+def _lanes(has: LogContents) -> Node | None:
+    """The offset of each boundary, and its error beside it where the truth is known."""
+    left = _plots(has, curves.LEFT_OFFSET, curves.LEFT_ERROR)
+    right = _plots(has, curves.RIGHT_OFFSET, curves.RIGHT_ERROR)
+    lane = curves.plot(curves.LANE, has.columns)
+    return column(row(*left, first_percent=58), row(*right, first_percent=58), lane, first_percent=37)
+
+
+def _plots(has: LogContents, *described: curves.Plot) -> list[Panel | None]:
+    return [curves.plot(one, has.columns) for one in described]
+
+
+def _objects(has: LogContents) -> Panel | None:
+    """The objects in words; the detections of a log without any."""
+    return next((table(script.name, title, f"{script.output}.{scripts.ROWS}") for title, script in _tables(has)), None)
+
+
+def _tables(has: LogContents) -> Iterable[tuple[str, Script]]:
+    if scripts.OBJECTS in has.results:
+        yield "Objects", scripts.objects_table(scripts.OBJECTS)
+    elif "detections" in has.roles:
+        yield "Detections", scripts.detections_table(has.roles["detections"])
+
+
+def _scripts(has: LogContents) -> list[Script]:
+    return [script for _, script in _tables(has)]
+
+
+def _times(has: LogContents) -> Panel | None:
+    """Of the stages that ran, where a server knows the times: no log has them."""
+    if TIMES not in has.results:
+        return None
+    ran = {column for column, topic in _OUTPUT_OF.items() if topic in has.results}
+    return curves.plot(curves.stage_times(), ran | set(_ALWAYS_TIMED))
+
+
+def _messages(has: LogContents) -> Node | None:
+    """Results as they are written; without results the truths of an input log."""
+    results = [
+        raw_messages(name.replace("/", "_"), name.capitalize(), has.result(f"/perception/{name}"))
+        for name in ("surface", "lanes", "odometry/state", "metrics")
+    ]
+    truths = [raw_messages(name, ROLES[name].topic, has.roles.get(name)) for name in ("truth_surface", "truth_lanes")]
+    first, second = (results[:2], results[2:]) if any(results) else (truths[:1], truths[1:])
+    return row(column(*first), column(*second))

@@ -1,0 +1,132 @@
+"""What a log has that a layout can show."""
+
+import math
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream import log
+from roadperc_stream.channels import METRICS_TOPIC, RESULTS, ROLES, Kind
+from roadperc_stream.datatypes import EGO, DepthImage
+from roadperc_stream.decoding import Payload, Transform, context_of_channel, decode, schemas_of_kind
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.log import Channel
+from roadperc_stream.roles import Problems, is_result, is_result_of, roles_of_log
+from roadperc_stream.rows import FrameMetrics
+from roadperc_stream.view.seen import read_rows
+from roadperc_stream.view.shown import require_shown
+from roadperc_stream.view.stage_times import TIMES
+
+_DEPTH_ROLES: Final = ("depth", "truth_depth")
+_TF_ROLES: Final = ("tf", "tf_static")
+_COLUMNS: Final = frozenset(field.name for field in fields(FrameMetrics))
+IN_THE_EGO_FRAME: Final = frozenset(
+    {
+        "/perception/drivable/scene",
+        "/perception/lanes/scene",
+        "/perception/objects/scene",
+        "/perception/occupancy",
+        "/perception/tf",
+    }
+)
+"""Results that name the ego frame."""
+
+
+@dataclass(frozen=True)
+class LogContents:
+    """Topics that have messages, and what else a panel must know of them."""
+
+    roles: Mapping[str, str]
+    """Topic by role."""
+    results: frozenset[str] = frozenset()
+    """Topics a replay wrote, those on request and those of the live server included."""
+    columns: frozenset[str] = frozenset()
+    """Metrics that some frame has."""
+    depth_in_metres: frozenset[str] = frozenset()
+    """Depth topics whose numbers are metres, not millimetres: viewers colour bare numbers."""
+    more_images: tuple[str, ...] = ()
+    """Topics of images that fill no role."""
+    has_ego_frame: bool = False
+    """Whether the log names the ego frame, which the scene can follow."""
+
+    def result(self, topic: str) -> str | None:
+        """The topic, where it has results."""
+        return topic if topic in self.results else None
+
+    def with_times(self) -> "LogContents":
+        """The same as a live server offers it that knows the times of the stages."""
+        return replace(self, results=self.results | {TIMES})
+
+
+OF_A_LIVE_REPLAY: Final = LogContents(
+    roles={name: role.topic for name, role in ROLES.items()},
+    results=frozenset(RESULTS) | {TIMES},
+    columns=_COLUMNS,
+    has_ego_frame=True,
+)
+"""All that a replay of a log with this project's own topics can serve, unless something is asked for besides."""
+
+
+def contents_of(path: Path, overrides: Mapping[str, str]) -> LogContents:
+    """What a log has.
+
+    Args:
+        path: an input log or the result of a replay.
+        overrides: topic by role, from ``--topic``.
+
+    Raises:
+        RoadpercError: the log cannot be read or holds nothing to show, or its channels do not fit the roles.
+    """
+    summary = log.summarise(path)
+    roles = roles_of_log(summary, overrides)
+    require_shown(summary, roles)
+    present = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
+    results = frozenset(channel.topic for channel in present if is_result_of(channel, channel.topic))
+    return LogContents(
+        roles=roles.topics,
+        results=results,
+        columns=_columns(path) if METRICS_TOPIC in results else frozenset(),
+        depth_in_metres=frozenset(_depth_in_metres(path, roles.topics)),
+        more_images=_more_images(present, roles.topics.values()),
+        has_ego_frame=bool(results & IN_THE_EGO_FRAME) or EGO in _frames(path, roles.topics),
+    )
+
+
+def _columns(path: Path) -> frozenset[str]:
+    """The metrics that some frame has."""
+    rows = read_rows(path, Problems())
+    return frozenset(name for row in rows for name in _COLUMNS if getattr(row, name) not in (None, ()))
+
+
+def _more_images(channels: Iterable[Channel], known: Iterable[str]) -> tuple[str, ...]:
+    """Image topics that fill no role and are no results."""
+    schemas, filled = set(schemas_of_kind("image")), set(known)
+    images = (c for c in channels if (c.schema_name, c.message_encoding) in schemas and not is_result(c))
+    return tuple(sorted({channel.topic for channel in images} - filled))
+
+
+def _depth_in_metres(path: Path, topics: Mapping[str, str]) -> Iterable[str]:
+    """Topics of depth without an end to its numbers, as 32FC1 is, by the first message that can be read."""
+    for role in _DEPTH_ROLES:
+        first = _first(path, "depth", topics[role]) if role in topics else None
+        if isinstance(first, DepthImage) and math.isinf(first.limit_m):
+            yield topics[role]
+
+
+def _frames(path: Path, topics: Mapping[str, str]) -> set[str]:
+    """The coordinate frames that the first transforms of a log join."""
+    payloads = (_first(path, "tf", topics[role]) for role in _TF_ROLES if role in topics)
+    edges = [edge for payload in payloads if isinstance(payload, tuple) for edge in payload]
+    return {name for edge in edges if isinstance(edge, Transform) for name in (edge.parent, edge.child)}
+
+
+def _first(path: Path, kind: Kind, topic: str) -> Payload | None:
+    """The first message of a topic that can be read."""
+    for message in log.read(path, topics=[topic]):
+        channel, time_ns = message.channel, message.log_time_ns
+        context = context_of_channel(channel, "auto")
+        with suppress(DecodeError):
+            return decode(kind, channel.schema_name, channel.message_encoding, message.data, time_ns, context).payload
+    return None
