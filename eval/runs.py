@@ -22,8 +22,8 @@ REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", 
 class Run:
     """One metrics table: the frames of one log under one configuration.
 
-    ``name`` tells it from the others of the same report; ``frames`` is its number of rows. ``config_digest`` and
-    ``version`` say what made it and are empty where the file does not.
+    ``name`` tells it from the others of the same report; ``frames`` is its number of rows. ``config_digest``,
+    ``version`` and ``config``, the whole configuration as TOML, say what made it and are empty where the file does not.
     """
 
     name: str
@@ -32,6 +32,7 @@ class Run:
     columns: frozenset[str]
     config_digest: str
     version: str
+    config: str = ""
 
 
 def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
@@ -63,8 +64,8 @@ def open_run(path: Path, name: str) -> Run:
     facts = {
         key.decode(errors="replace"): value.decode(errors="replace") for key, value in (footer.metadata or {}).items()
     }
-    digest, version = facts.get("roadperc.config_digest", ""), facts.get("roadperc.version", "")
-    return Run(name, path, footer.num_rows, columns, digest, version)
+    made_by = (facts.get(f"roadperc.{key}", "") for key in ("config_digest", "version", "config"))
+    return Run(name, path, footer.num_rows, columns, *made_by)
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:

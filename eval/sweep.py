@@ -19,7 +19,7 @@ from .sweeping.processes import sweep_logs
 from .sweeping.ranking import METRICS, scores
 from .sweeping.replaying import Job
 from .sweeping.settings import Combination, combinations, reference_of, varied
-from .sweeping.tables import LEGEND, best_settings, effects, without_effect
+from .sweeping.tables import LEGEND, best_settings, effects, values_taken, without_effect
 
 _EXAMPLE = """\
 example:
@@ -112,8 +112,8 @@ def _jobs(arguments: argparse.Namespace, folder: Path, made: tuple[Combination, 
 def _print(folder: Path, made: Sequence[Combination], reference: Combination) -> None:
     console, files = console_for(sys.stdout), tables(folder)
     found = [(metric, scores(files, made, metric)) for metric in METRICS]
-    said = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
-    print_lines(console, said, unbroken=True)
+    heading = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
+    print_lines(console, heading, *values_taken(made), unbroken=True)
     for table in (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings)):
         print_table(console, table)
     print_lines(console, "", without_effect(found), *LEGEND)

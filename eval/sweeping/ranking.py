@@ -1,7 +1,7 @@
 """Which setting is best for which metric: each setting's score over all its frames, and what each value does.
 
 A score is the median of a metric, without its sign, over the frames of all logs that have one, or the mean where the
-metric is a share. It stands beside the share of frames that have one, for a setting that sees less may err less.
+metric is a share. It stands beside the share of frames that have one, for a setting that lower coverage may err less.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +18,7 @@ from roadperc_stream.table import Scalar
 from ..quantities import RATIO, TOTAL, TRUTH, Quantity
 from .settings import Combination
 
-LESS_SEEN: Final = 0.01
+COVERAGE_SLACK: Final = 0.01
 """A setting that measures in fewer frames than the most, by more than this share of all, cannot be the best."""
 TIME_NOISE: Final = 0.15
 """Times differ so much from one sweep to the next where the machine has other work."""
@@ -59,10 +59,10 @@ class Score:
 
 @dataclass(frozen=True)
 class Best:
-    """Places of the best setting, and of one that is better still but sees less, if any."""
+    """Places of the best setting, and of one that is better still but lower coverage, if any."""
 
     winner: int
-    sees_less: int | None
+    less_covered: int | None
 
 
 def _finite(column: str) -> pl.Expr:
@@ -132,7 +132,7 @@ def best(metric: Metric, found: Sequence[Score], made: Sequence[Combination], re
     if not values:
         return None
     most = max(found[at].coverage for at in values)
-    seeing = {at: value for at, value in values.items() if found[at].coverage >= most - LESS_SEEN}
+    seeing = {at: value for at, value in values.items() if found[at].coverage >= most - COVERAGE_SLACK}
     winner, first = _least_bad(metric, seeing, made, reference), _least_bad(metric, values, made, reference)
     return Best(winner, None if metric.alike([values[first], values[winner]]) else first)
 

@@ -11,7 +11,7 @@ from roadperc_stream.cli import replay_main
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.trajectories.columns import read_poses
 from roadperc_stream.eval.trajectories.errors import Delta
-from roadperc_stream.eval.trajectories.judgement import judge
+from roadperc_stream.eval.trajectories.evaluation import evaluate
 from roadperc_stream.eval.trajectory import main
 from tests.eval.tables import row, write
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, write_run
@@ -169,7 +169,7 @@ def test_wrong_usage_exits_2(wrong, capsys):
 def test_the_sample_is_as_right_as_the_readme_says(tmp_path):
     log = tmp_path / "sample.mcap"
     assert replay_main([str(SAMPLE), str(log), "--only", "odometry", "--results-only", "--quiet"]) == 0
-    found = judge(read_poses(*find_runs([str(log)])), None, Delta(1, "frames"))
+    found = evaluate(read_poses(*find_runs([str(log)])), None, Delta(1, "frames"))
     assert found.driven_m == pytest.approx(19.5, abs=0.05)
     assert (found.run.coverage, found.run.up_to_scale) == (1.0, False)
     assert found.absolute_m.rmse == pytest.approx(0.009, abs=0.001)
