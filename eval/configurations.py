@@ -43,7 +43,7 @@ def grouped(runs: Sequence[Run]) -> list[Group]:
 
 
 def short_digest(digest: str) -> str:
-    """As much of a configuration's digest as tells it from others."""
+    """The first digits of a configuration's digest."""
     return digest[:_DIGITS] or UNKNOWN
 
 

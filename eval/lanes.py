@@ -27,7 +27,7 @@ Write the lanes a run saw as TuSimple's JSON lines, and score them against true 
 
 Each boundary is the smoothed line in the image (line_px), at every tenth row from 160 to 710 of 720 or the same part
 of another height; with --truth it is at the true frame's own h_samples and under its raw_file, and only frames that
-have a truth are written. raw_file is LOG/STAMP_NS, and run_time the frame's total_ms from the table beside the log,
+have a truth are written. raw_file is LOG/STAMP_NS, and run_time the frame's total_ms from the table next to the log,
 0 without one. A true frame belongs to the frame whose stamp ends its raw_file; --pair order takes them as they come.
 
 Scores are TuSimple's (20 px over the cosine of the lane's angle, lanes found at 85 % of their points) and CULane's F1

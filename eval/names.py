@@ -7,7 +7,7 @@ from typing import Final
 from rich.console import Console
 
 _NUMBERS_COLUMNS: Final = 65
-"""Characters that the widest row of numbers needs beside a run's name."""
+"""Characters that the widest row of numbers needs next to a run's name."""
 _CUT: Final = "…"
 
 

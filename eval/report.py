@@ -25,7 +25,7 @@ _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap runs/base/sample.mcap
   roadperc-replay logs/sample.mcap runs/slow/sample.mcap --set lanes.hold_s=2
-  roadperc-report runs/base/sample.mcap        one run, from the table beside the log
+  roadperc-report runs/base/sample.mcap        one run, from the table next to the log
   roadperc-report runs/                        both, side by side, as base/sample and slow/sample
   roadperc-report 'runs/*/town*.metrics.parquet' --worst 10
   roadperc-report runs/ --html report.html     and a page with charts and pictures of the worst frames
@@ -51,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
         "runs",
         metavar="RUN",
         nargs="+",
-        help="a metrics table (OUT.metrics.parquet), the OUT.mcap it lies beside, a folder with tables, or a glob",
+        help="a metrics table (OUT.metrics.parquet), the OUT.mcap it lies next to, a folder with tables, or a glob",
     )
     parser.add_argument(
         "--worst",

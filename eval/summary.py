@@ -105,7 +105,7 @@ class Summary:
         return scores(self.totals)
 
     def lag_frames(self, side: str) -> int | None:
-        """Frames by which a side's smoothed offset lies behind the truth; None where that cannot be told."""
+        """Frames by which a side's smoothed offset lies behind the truth; None where that is not known."""
         return lag_frames(self.correlations[side])
 
 

@@ -90,14 +90,14 @@ def _sweep(arguments: argparse.Namespace) -> None:
         with frame_progress(f"{len(made)} combinations", enabled=True) as bar:
             notes = sweep_logs(jobs, arguments.jobs, bar)
         describe(folder, made, arguments.logs)
-    for job, said in zip(jobs, notes, strict=True):
-        for note in said:
+    for job, texts in zip(jobs, notes, strict=True):
+        for note in texts:
             print(f"note: {job.source.name}: {note}")
     _print(arguments.out, made, reference)
 
 
 def _require_files(logs: Sequence[Path]) -> None:
-    """Say at once what would else be said after the logs before it have been replayed."""
+    """Fail at once rather than after the logs before it have been replayed."""
     for path in logs:
         if not path.is_file():
             raise LogError(f"{path}: no such file")

@@ -25,22 +25,22 @@ from .trajectories.files import export_kitti, export_tum
 from .trajectories.poses import RunPoses
 
 _DESCRIPTION = """\
-Hold the poses a run estimated against the true ones.
+Compare the poses a run estimated with the true ones.
 
 ATE is the distance between places after alignment; RPE what is left of the motion between two poses when the true one
 is undone, over all pairs --delta apart (metres: along the aligned estimate, within a tenth); KITTI's errors are over
 stretches of 100 to 800 m of the true path, or of 5 to 50 m where none of 100 m fits. Frames without an estimated or a
 true pose, and lost ones, are left out and counted. A monocular run without scale is aligned by Sim(3).
 
-TUM files (NAME.est.tum, NAME.true.tum) hold the frames that are judged, each as `timestamp x y z qx qy qz qw`; KITTI
+TUM files (NAME.est.tum, NAME.true.tum) hold the frames that are evaluated, each as `timestamp x y z qx qy qz qw`; KITTI
 files (NAME.est.kitti, NAME.true.kitti) the same frames, against the first. Both hold the ego frame (x forward, y left,
-z up, on the road), where KITTI's own files hold the left camera's: hold them against each other, not against KITTI's.
+z up, on the road), where KITTI's own files hold the left camera's: compare them with each other, not with KITTI's.
 Without truth there is only NAME.est.
 """
 _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap runs/sample.mcap
-  roadperc-trajectory runs/sample.mcap                          from the table beside the log
+  roadperc-trajectory runs/sample.mcap                          from the table next to the log
   roadperc-trajectory runs/ --align sim3                        a row a run, path shapes only
   roadperc-trajectory runs/sample.mcap --delta 5 --delta-unit metres --export-tum paths/
   evo_ape tum paths/sample.true.tum paths/sample.est.tum -a     says the same ATE
@@ -74,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("runs", metavar="RUN", nargs="+", help="OUT.metrics.parquet, the OUT.mcap beside it, a folder, or a glob")
+    add("runs", metavar="RUN", nargs="+", help="OUT.metrics.parquet, the OUT.mcap next to it, a folder, or a glob")
     add(
         "--align",
         choices=get_args(Alignment),

@@ -11,7 +11,7 @@ _ONE_VALUE: Final = ("",)
 class TextRow:
     """A row: its label, per subject the cells under the table's headers, and which way is better.
 
-    A subject without values has no cells. ``listed`` are the subjects that get a line where each has one of its own,
+    A subject without values has no cells, and cells at the end may be left out. ``listed`` are the subjects that get a line where each has one of its own,
     in that order; None for all that have values.
     """
 
@@ -62,7 +62,7 @@ def row(label: str, *cells: str) -> TextRow:
 
 def by_header(item: TextRow, headers: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
     """A row turned: of each header that any subject has a cell under, the cells of all subjects side by side."""
-    padded = [cells or ("",) * len(headers) for cells in item.cells]
+    padded = [cells + ("",) * (len(headers) - len(cells)) for cells in item.cells]
     lines = zip(headers, zip(*padded, strict=True), strict=True)
     return [(header, cells) for header, cells in lines if any(cells)]
 

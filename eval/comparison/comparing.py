@@ -69,7 +69,7 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
 
     Args:
         pairing: which runs belong together.
-        logs: the two logs whose results are compared beside their tables, if logs were named.
+        logs: the two logs whose results are compared as well as their tables, if logs were named.
         rules: what is ignored, tolerated and allowed.
 
     Raises:

@@ -169,7 +169,7 @@ def _of_run(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str
 
 def _drawn(log: Path, frame: WorstFrame, problems: Problems) -> str:
     """A frame's picture as a data URI, empty where the log has no camera image of it."""
-    seen = read_frame(log, frame.stamp_ns, problems)
-    if seen is None:
+    frame_results = read_frame(log, frame.stamp_ns, problems)
+    if frame_results is None:
         return ""
-    return data_uri(draw_results(seen, WIDTH_PX))
+    return data_uri(draw_results(frame_results, WIDTH_PX))
