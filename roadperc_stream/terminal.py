@@ -66,8 +66,12 @@ def _parts(table: TextTable, width: int) -> Iterator[TextTable]:
 
 def _needed(table: TextTable, columns: range | list[int]) -> int:
     """Characters that some of the columns need beside the least of their labels."""
-    labels = max(len(line) for item in table.rows for line in item.label.splitlines() or [""])
-    return min(labels, _LEAST_LABEL) + sum(_GAP + _column_width(table, column) for column in columns)
+    return _least_label(table) + sum(_GAP + _column_width(table, column) for column in columns)
+
+
+def _least_label(table: TextTable) -> int:
+    longest = max(len(line) for item in table.rows for line in item.label.splitlines() or [""])
+    return min(longest, _LEAST_LABEL)
 
 
 def _column_width(table: TextTable, column: int) -> int:
@@ -89,7 +93,7 @@ def _rendered(table: TextTable, width: int) -> Table:
     # One column at most may fold: of two, rich narrows both alike, below what the labels must have.
     words = table.last_is_text
     numbers = range(len(table.headers) - words)
-    room = max(width - sum(_GAP + _column_width(table, column) for column in numbers), _LEAST_LABEL)
+    room = max(width - sum(_GAP + _column_width(table, column) for column in numbers), _least_label(table))
     least = table.label_columns if words else min(table.label_columns, room)
     rendered.add_column(table.title, min_width=least, no_wrap=words, overflow="fold", header_style="bold cyan")
     for column in numbers:

@@ -88,6 +88,6 @@ def test_columns_that_do_not_fit_go_on_below_and_none_is_lost(monkeypatch, colum
 def test_words_in_the_last_column_fold_and_labels_do_not(monkeypatch):
     table = TextTable("Role", ("topic",), (row("image", "word " * 30),), last_is_text=True, label_columns=18)
     lines = printed(monkeypatch, table).splitlines()
-    assert len(lines) == 5
+    assert len(lines) == 6
     assert max(map(len, lines)) <= 80
     assert lines[4].startswith(" " * 20 + "word")

@@ -50,18 +50,20 @@ def _settings(found: Comparison) -> Iterator[str]:
     for pair, changed in zip(found.pairing.pairs, found.changes, strict=True):
         if changed is not None:
             names.setdefault(tuple(_changed(changed)), []).append(pair.name)
-    for lines, runs in names.items():
+    for (heading, *lines), runs in names.items():
         among = "" if len(runs) == len(found.pairing.pairs) else f" in {', '.join(runs)}"
-        yield f"settings that differ{among}:"
+        yield f"settings that differ{among}: {heading}".rstrip()
         yield from (f"  {line}" for line in lines)
 
 
 def _changed(changed: Change) -> Iterator[str]:
+    """What stands behind the heading, and the lines below it."""
     if changed.differing is None:
         yield f"{UNKNOWN}, for neither a table nor a log next to it says its configuration"
     elif not changed.differing:
         yield "none"
     else:
+        yield ""
         yield from (f"{key} {' → '.join(values)}" for key, values in changed.differing.items())
 
 
