@@ -29,6 +29,11 @@ class Group:
     name: str
     runs: tuple[Run, ...]
 
+    @property
+    def example(self) -> Run:
+        """The run to ask for the settings of all."""
+        return next((run for run in self.runs if run.config), self.runs[0])
+
 
 def grouped(runs: Sequence[Run]) -> list[Group]:
     """The runs by configuration and version, in the order in which these come; one that names none stands alone.

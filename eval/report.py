@@ -91,5 +91,5 @@ def _report(arguments: Sequence[str], worst: int, html: Path | None) -> None:
 def _print_several(console: Console, runs: Sequence[Run], worst: int) -> None:
     names = short_names([run.name for run in runs], name_columns(console))
     groups = grouped([replace(run, name=names[run.name]) for run in runs])
-    settings = settings_table({group.name: group.runs[0] for group in groups})
+    settings = settings_table({group.name: group.example for group in groups})
     print_several(console, [summarise_group(group, worst) for group in groups], settings, names)

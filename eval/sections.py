@@ -24,6 +24,7 @@ _STATUSES: Final = ("measured", "held", "lost")
 _JITTER: Final = "jitter: standard deviation of the offset's second difference, smoothed and raw"
 _LAG: Final = "lag: frames by which the smoothed offset lies behind the true one"
 _ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the median error"
+_COVERAGE: Final = "frames %: those with a value; p5: where high is good; worst is then the least"
 _NO_TRUTH: Final = "No frame has a truth for what was replayed."
 _SECONDS: Final = "s: seconds from the log's first frame"
 
@@ -74,7 +75,7 @@ def accuracy(summaries: Summaries) -> TextTable:
     headers = ("frames %", "bias", "median", "p95", "worst")
     rows = list(_quantities(summaries, TRUTH, _accuracy, better))
     absent = [q.label for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
-    notes = (_ERRORS, *([f"No frame has a truth for: {'; '.join(absent)}."] if absent else []))
+    notes = (_ERRORS, _COVERAGE, *([f"No frame has a truth for: {'; '.join(absent)}."] if absent else []))
     return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,))
 
 
