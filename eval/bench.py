@@ -1,4 +1,4 @@
-"""How long a report over many tables takes, and in how much memory, beside polars' bare group-by over the same files.
+"""How long a report over many tables takes, and in how much memory, against polars' bare group-by over the same files.
 
 Run it with ``make bench-report`` or ``python -m roadperc_stream.eval.bench FOLDER``.
 """

@@ -51,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    inputs = "a metrics table (OUT.metrics.parquet), an OUT.mcap with its table beside it, or a folder of tables"
+    inputs = "a metrics table (OUT.metrics.parquet), an OUT.mcap with its table next to it, or a folder of tables"
     parser.add_argument("reference", metavar="A", help=f"the reference: {inputs}")
     parser.add_argument("candidate", metavar="B", help="the candidate: the same")
     _add_rules(parser)

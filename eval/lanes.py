@@ -9,25 +9,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, get_args
 
-from rich.table import Table
-
 from roadperc_stream import __version__
 from roadperc_stream.command import run
-from roadperc_stream.terminal import console_for, grid, print_lines
+from roadperc_stream.terminal import console_for, print_parts
+from roadperc_stream.text_table import TextRow, TextTable, row
 
 from .grid import percent
 from .lane_files.recorded import RunLanes, default_rows, lane_frame, open_lanes
 from .lane_files.scoring import FrameScore, LaneScores, Pairing, by_key, paired, score_frame, summed, unanswered
 from .lane_files.tusimple import LaneFileError, LaneFrame, lane_writer, read_frames
+from .scores import Score
 
 NAMED: Final = 10
-"""Missing frames that are named; of more the number is told."""
+"""Missing frames that are named; of more only the number."""
 _DESCRIPTION = """\
 Write the lanes a run saw as TuSimple's JSON lines, and score them against true ones in the same format.
 
 Each boundary is the smoothed line in the image (line_px), at every tenth row from 160 to 710 of 720 or the same part
 of another height; with --truth it is at the true frame's own h_samples and under its raw_file, and only frames that
-have a truth are written. raw_file is LOG/STAMP_NS, and run_time the frame's total_ms from the table beside the log,
+have a truth are written. raw_file is LOG/STAMP_NS, and run_time the frame's total_ms from the table next to the log,
 0 without one. A true frame belongs to the frame whose stamp ends its raw_file; --pair order takes them as they come.
 
 Scores are TuSimple's (20 px over the cosine of the lane's angle, lanes found at 85 % of their points) and CULane's F1
@@ -100,8 +100,8 @@ def _lanes(path: Path, options: _Options) -> None:
     source = open_lanes(path)
     size = options.size or (source.camera.width, source.camera.height)
     with lane_writer(options.target) if options.target else nullcontext(_pass) as write:
-        lines = _score(source, truth, options.pairing, size, write) if truth else [_export(source, size, write)]
-    print_lines(console_for(sys.stdout), *lines, unbroken=True)
+        parts = _score(source, truth, options.pairing, size, write) if truth else [_export(source, size, write)]
+    print_parts(console_for(sys.stdout), *parts)
 
 
 def _pass(_frame: LaneFrame) -> None:
@@ -111,12 +111,12 @@ def _pass(_frame: LaneFrame) -> None:
 def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], None]) -> str:
     """Write every frame; how many there are, and in how many there are lanes."""
     rows = default_rows(size[1])
-    frames = seen = 0
+    frames = detected = 0
     for frames, frame in enumerate(source.frames(), 1):  # noqa: B007
         found = lane_frame(frame, source.camera, size, f"{source.path.stem}/{frame.stamp_ns}", rows)
-        seen += bool(found.lanes)
+        detected += bool(found.lanes)
         write(found)
-    return f"{source.path.stem}: {frames} frames, lanes in {seen}"
+    return f"{source.path.stem}: {frames} frames, lanes in {detected}"
 
 
 def _score(
@@ -125,7 +125,7 @@ def _score(
     pairing: Pairing,
     size: tuple[int, int],
     write: Callable[[LaneFrame], None],
-) -> list[str | Table]:
+) -> list[str | TextTable]:
     """Write and score the frames that have a truth; what there is to say of them."""
     scores: list[FrameScore] = []
     missing = {truth.raw_file: truth for truth in true_frames.values()}
@@ -136,7 +136,7 @@ def _score(
         missing.pop(truth.raw_file, None)
     scores += [unanswered(truth, size) for truth in missing.values()]
     result = summed(scores)
-    return [_coverage(source.path.stem, result), *_missing(list(missing)), "", _points(result), "", _lines(result)]
+    return [_coverage(source.path.stem, result), *_missing(list(missing)), _points(result), _lines(result)]
 
 
 def _coverage(name: str, scores: LaneScores) -> str:
@@ -150,17 +150,18 @@ def _missing(names: Sequence[str]) -> list[str]:
     return [f"missing in the run, scored as empty: {len(names)}: {', '.join(names[:NAMED])}{rest}"] if names else []
 
 
-def _points(scores: LaneScores) -> Table:
-    table = grid("TuSimple", "frames %", "accuracy", "FP", "FN")
+def _points(scores: LaneScores) -> TextTable:
     shares = (f"{value:.4f}" for value in scores.tusimple)
-    table.add_row("lane points", percent(scores.answered / scores.frames), *shares)
-    return table
+    found = row("lane points", percent(scores.answered / scores.frames), *shares)
+    return TextTable("TuSimple", ("frames %", "accuracy", "FP", "FN"), (found,))
 
 
-def _lines(scores: LaneScores) -> Table:
-    table = grid("CULane", "frames %", "precision", "recall", "F1", "right", "wrong", "missed")
-    for score in scores.culane:
-        ratios = ("" if ratio is None else f"{ratio:.4f}" for ratio in (score.precision, score.recall, score.f1))
-        counts = (str(count) for count in (score.tp, score.fp, score.fn))
-        table.add_row(score.name, percent(scores.answered / scores.frames), *ratios, *counts)
-    return table
+def _lines(scores: LaneScores) -> TextTable:
+    headers = ("frames %", "precision", "recall", "F1", "TP", "FP", "FN")
+    answered = percent(scores.answered / scores.frames)
+    return TextTable("CULane", headers, tuple(_line(score, answered) for score in scores.culane))
+
+
+def _line(score: Score, answered: str) -> TextRow:
+    ratios = ("" if ratio is None else f"{ratio:.4f}" for ratio in (score.precision, score.recall, score.f1))
+    return row(score.name, answered, *ratios, *(str(count) for count in (score.tp, score.fp, score.fn)))

@@ -3,16 +3,21 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+
+from rich.console import Console
 
 from roadperc_stream import __version__
 from roadperc_stream.command import run, whole_number
 from roadperc_stream.errors import TableError
 from roadperc_stream.terminal import console_for, print_lines
 
+from .configurations import grouped, settings_table
 from .html.page import write_page
-from .runs import find_runs
-from .summary import summarise_all, summarise_run
+from .names import name_columns, short_names
+from .runs import Run, find_runs
+from .summary import summarise_group, summarise_run
 from .terminal import print_empty, print_one, print_several
 
 WORST_FRAMES = 3
@@ -20,7 +25,7 @@ _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap runs/base/sample.mcap
   roadperc-replay logs/sample.mcap runs/slow/sample.mcap --set lanes.hold_s=2
-  roadperc-report runs/base/sample.mcap        one run, from the table beside the log
+  roadperc-report runs/base/sample.mcap        one run, from the table next to the log
   roadperc-report runs/                        both, side by side, as base/sample and slow/sample
   roadperc-report 'runs/*/town*.metrics.parquet' --worst 10
   roadperc-report runs/ --html report.html     and a page with charts and pictures of the worst frames
@@ -36,8 +41,9 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="roadperc-report",
-        description="Print what came out of replays: what was seen in how many frames, how right it is where\n"
-        "the log carries truth, how long it took, and the worst frames.",
+        description="Print what came out of replays: coverage, accuracy where the log carries truth, missing outputs,\n"
+        "latency and the worst frames. Runs of one configuration and version are pooled and then listed; runs of\n"
+        "different ones stand side by side below the settings that differ, and nothing is computed over both.",
         epilog=_EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -45,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
         "runs",
         metavar="RUN",
         nargs="+",
-        help="a metrics table (OUT.metrics.parquet), the OUT.mcap it lies beside, a folder with tables, or a glob",
+        help="a metrics table (OUT.metrics.parquet), the OUT.mcap it lies next to, a folder with tables, or a glob",
     )
     parser.add_argument(
         "--worst",
@@ -77,6 +83,13 @@ def _report(arguments: Sequence[str], worst: int, html: Path | None) -> None:
     if len(filled) == 1:
         print_one(console, summarise_run(filled[0], worst))
     else:
-        print_several(console, *summarise_all(filled, worst))
+        _print_several(console, filled, worst)
     if html is not None:
         print_lines(console, "", f"page   {html}", unbroken=True)
+
+
+def _print_several(console: Console, runs: Sequence[Run], worst: int) -> None:
+    names = short_names([run.name for run in runs], name_columns(console))
+    groups = grouped([replace(run, name=names[run.name]) for run in runs])
+    settings = settings_table({group.name: group.example for group in groups})
+    print_several(console, [summarise_group(group, worst) for group in groups], settings, names)

@@ -22,8 +22,8 @@ REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", 
 class Run:
     """One metrics table: the frames of one log under one configuration.
 
-    ``name`` tells it from the others of the same report; ``frames`` is its number of rows. ``config_digest`` and
-    ``version`` say what made it and are empty where the file does not.
+    ``name`` tells it from the others of the same report; ``frames`` is its number of rows. ``config_digest``,
+    ``version`` and ``config``, the whole configuration as TOML, say what made it and are empty where the file does not.
     """
 
     name: str
@@ -32,13 +32,14 @@ class Run:
     columns: frozenset[str]
     config_digest: str
     version: str
+    config: str = ""
 
 
 def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
     """The runs the arguments mean, each table once, in the order given; folders and globs in alphabetical order.
 
     Raises:
-        TableError: an argument names no table, or a file is no metrics table.
+        TableError: an argument names no table, or a file is not a metrics table.
     """
     found = [path for argument in arguments for path in _tables(argument)]
     paths = list({path.resolve(): path for path in found}.values())
@@ -49,12 +50,12 @@ def open_run(path: Path, name: str) -> Run:
     """Read a table's footer.
 
     Raises:
-        TableError: the file cannot be read, is no Parquet, or lacks columns of a metrics table.
+        TableError: the file cannot be read, is not Parquet, or lacks columns of a metrics table.
     """
     try:
         footer = pq.read_metadata(path)
     except pa.ArrowInvalid as error:
-        raise TableError(f"{path}: is no Parquet file, or was cut short ({_first_line(error)})") from error
+        raise TableError(f"{path}: is not a Parquet file, or was cut short ({_first_line(error)})") from error
     except OSError as error:
         raise TableError(f"{path}: {error.strerror or _first_line(error)}") from error
     columns = frozenset(footer.schema.to_arrow_schema().names)
@@ -63,8 +64,8 @@ def open_run(path: Path, name: str) -> Run:
     facts = {
         key.decode(errors="replace"): value.decode(errors="replace") for key, value in (footer.metadata or {}).items()
     }
-    digest, version = facts.get("roadperc.config_digest", ""), facts.get("roadperc.version", "")
-    return Run(name, path, footer.num_rows, columns, digest, version)
+    made_by = (facts.get(f"roadperc.{key}", "") for key in ("config_digest", "version", "config"))
+    return Run(name, path, footer.num_rows, columns, *made_by)
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
@@ -87,7 +88,7 @@ def _tables(argument: str) -> list[Path]:
     if path.is_dir():
         return _in_folder(path)
     if path.suffix == ".mcap":
-        return [_beside_log(path)]
+        return [_of_log(path)]
     if path.exists():
         return [path]
     if any(sign in argument for sign in "*?["):
@@ -102,11 +103,11 @@ def _in_folder(folder: Path) -> list[Path]:
     return paths
 
 
-def _beside_log(log: Path) -> Path:
+def _of_log(log: Path) -> Path:
     table = beside(log, "metrics")
     if not table.exists():
-        said = f"no {table.name} beside it; roadperc-replay writes one beside its OUT.mcap"
-        raise TableError(f"{log}: {said if log.exists() else 'no such file'}")
+        missing = f"no {table.name} next to it; roadperc-replay writes one next to its OUT.mcap"
+        raise TableError(f"{log}: {missing if log.exists() else 'no such file'}")
     return table
 
 
@@ -132,7 +133,7 @@ def _require_columns(path: Path, columns: Iterable[str]) -> None:
     hint = ""
     if path.name.endswith(OBJECTS_SUFFIX):
         hint = f"; a row per frame is in {path.name.removesuffix(OBJECTS_SUFFIX)}{SUFFIX}"
-    raise TableError(f"{path}: is no metrics table: it has no column {', '.join(missing)}{hint}")
+    raise TableError(f"{path}: is not a metrics table: it has no column {', '.join(missing)}{hint}")
 
 
 def _require_values(path: Path, footer: pq.FileMetaData) -> None:
@@ -142,7 +143,7 @@ def _require_values(path: Path, footer: pq.FileMetaData) -> None:
     for name in ("log_id", "stamp_ns", "total_ms"):
         found = [group.column(places[name]).statistics for group in groups if name in places]
         if any(part is not None and part.null_count for part in found):
-            raise TableError(f"{path}: is no metrics table: its column {name} has rows without a value")
+            raise TableError(f"{path}: is not a metrics table: its column {name} has rows without a value")
 
 
 def _first_line(error: Exception) -> str:

@@ -94,7 +94,7 @@ def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
 
 
 def _number(run: Run, name: str) -> pl.Expr:
-    """A numeric column; a value that is not finite is no value."""
+    """A numeric column; a value that is not finite counts as missing."""
     if name not in run.columns:
         return pl.lit(None, pl.Float64).alias(name)
     value = pl.col(name).cast(pl.Float64)

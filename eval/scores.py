@@ -23,7 +23,7 @@ _SHIFTS: Final = tuple(sorted(range(-6, 7), key=abs))
 _FOLLOWS: Final = 0.5
 """A correlation below says that estimate and truth do not move together, as on a road that does not bend."""
 _DISTINCT: Final = 1.25
-"""How much more of the variance other shifts leave unexplained than the one that is told."""
+"""How much more of the variance other shifts leave unexplained than the one that is reported."""
 _ROUNDING: Final = 1e-9
 _FEWEST: Final = 3
 """Frames below which two columns always correlate."""
@@ -40,7 +40,7 @@ class Score:
 
     @property
     def precision(self) -> float | None:
-        """Share of what was found that is right; None where nothing was found."""
+        """Share of what was found that is correct; None where nothing was found."""
         return _share(self.tp, self.tp + self.fp)
 
     @property
@@ -79,7 +79,7 @@ def _correlation(a: pl.Expr, b: pl.Expr) -> pl.Expr:
 def lag_frames(coefficients: Sequence[float | None]) -> int | None:
     """Frames by which an estimate lies behind its truth: the shift with the largest of ``correlations``.
 
-    None where no shift can be told: the two do not move together, or so evenly that shifts of two frames and more
+    None where no shift stands out: the two do not move together, or so evenly that shifts of two frames and more
     leave hardly more of the one unexplained by the other (on a straight line any shift does).
     """
     pairs = zip(coefficients, _SHIFTS, strict=False)
@@ -87,15 +87,17 @@ def lag_frames(coefficients: Sequence[float | None]) -> int | None:
     shift = max(known, key=lambda k: known[k], default=0)
     unexplained = {k: 1 - value * abs(value) for k, value in known.items()}
     others = min((share for k, share in unexplained.items() if abs(k - shift) > 1), default=math.inf)
-    told = known.get(shift, 0.0) >= _FOLLOWS and others > _DISTINCT * unexplained[shift] + _ROUNDING
-    return shift if told else None
+    stands_out = known.get(shift, 0.0) >= _FOLLOWS and others > _DISTINCT * unexplained[shift] + _ROUNDING
+    return shift if stands_out else None
 
 
 def averaged(parts: Iterable[tuple[int, Sequence[float | None]]]) -> tuple[float | None, ...]:
-    """Correlations over several tables, from each one's frames and correlations; empty where none tells a lag."""
-    told = [(frames, coefficients) for frames, coefficients in parts if lag_frames(coefficients) is not None]
-    total = sum(frames for frames, _ in told)
-    by_shift = zip(*([frames / total * (c or 0.0) for c in coefficients] for frames, coefficients in told), strict=True)
+    """Correlations over several tables, from each one's frames and correlations; empty where none has a lag."""
+    lagging = [(frames, coefficients) for frames, coefficients in parts if lag_frames(coefficients) is not None]
+    total = sum(frames for frames, _ in lagging)
+    by_shift = zip(
+        *([frames / total * (c or 0.0) for c in coefficients] for frames, coefficients in lagging), strict=True
+    )
     return tuple(sum(shares) for shares in by_shift)
 
 

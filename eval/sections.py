@@ -1,106 +1,222 @@
-"""The tables and lines of a report, as rich renderables: what a perception engineer asks, in that order."""
+"""The tables of a report, about one summary or several side by side: what a perception engineer asks."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
 from typing import Final
 
-from rich.table import Table
-
-from roadperc_stream.reasons import Reason, ranked
-from roadperc_stream.terminal import grid
+from roadperc_stream.reasons import merged, ranked
+from roadperc_stream.text_table import TextRow, TextTable, row
 
 from .grid import percent, rounded
-from .quantities import CATEGORIES, SEEN, SIDES, SKEW, STAGES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
+from .quantities import CATEGORIES, SEEN, SIDES, STAGES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
+from .scores import Score
+from .statistics import Statistics
 from .summary import Summary, WorstFrame
 
 REASONS_SHOWN: Final = 10
+LISTED: Final = 12
+"""Subjects that a row of several has room for; of more, those with the worst p95 are listed."""
+Summaries = Sequence[Summary]
+"""What a table is about: one run or several pooled ones, or several of these side by side."""
+_STATUSES: Final = ("measured", "held", "lost")
+_JITTER: Final = "jitter: standard deviation of the offset's second difference, smoothed and raw"
+_LAG: Final = "lag: frames by which the smoothed offset lies behind the true one"
+_ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the median error"
+_COVERAGE: Final = "frames %: those with a value; p5: where high is good; worst is then the least"
+_NO_TRUTH: Final = "No frame has a truth for what was replayed."
+_SECONDS: Final = "s: seconds from the log's first frame"
 
 
-def identity(summary: Summary) -> str:
-    """Which log, made by which configuration and version."""
-    if summary.runs > 1:
-        facts = [(summary.log_ids, "log"), (summary.configs, "configuration"), (summary.versions, "version")]
-        counts = ", ".join(f"{len(names)} {what}{'s' * (len(names) > 1)}" for names, what in facts)
-        return f"{summary.runs} runs: {counts}"
-    config, version = summary.configs[0][:8] or "unknown", summary.versions[0] or "unknown"
-    return f"{summary.name}: log {', '.join(summary.log_ids)}, configuration {config}, version {version}"
+def sections(summaries: Summaries) -> Iterator[TextTable]:
+    """All tables in their order, those without rows included."""
+    yield coverage(summaries)
+    yield lane_boundaries(summaries)
+    yield missing_outputs(summaries)
+    yield accuracy(summaries)
+    yield detection_counts(summaries)
+    yield latency(summaries)
 
 
-def extent(summary: Summary) -> str:
-    """How many frames over how long."""
-    frames = f"{summary.frames} frame{'s' * (summary.frames > 1)}"
-    if summary.rate_hz is None:
-        return frames
-    return (
-        f"{frames} over {summary.span_s:.2f} s, {summary.rate_hz:.1f} a second, "
-        f"longest gap {summary.longest_gap_s:.2f} s"
-    )
+def coverage(summaries: Summaries) -> TextTable:
+    """Coverage and typical values of what needs no truth, and which columns have no values."""
+    rows = [
+        *_states(summaries, "surface_source", "surface"),
+        *_states(summaries, "odometry_status", "odometry"),
+        *_quantities(summaries, SEEN, _typical),
+    ]
+    absent = no_values(summaries)
+    notes = (f"no values: {absent}",) if absent else ()
+    return _table("Coverage", ("frames %", "p5", "median", "p95"), rows, summaries, notes)
 
 
-def inputs(summary: Summary) -> str:
-    """Whose messages were missing, usable or not, and how far apart the sensors' stamps lie."""
-    if summary.incomplete:
-        roles = ", ".join(f"{role} {percent(n / summary.frames)} %" for role, n in summary.missing.most_common())
-        said = f"something missing in {percent(summary.incomplete / summary.frames)} % of the frames: {roles}"
+def lane_boundaries(summaries: Summaries) -> TextTable:
+    """Per side: how often measured, held or lost, where it lies, and its jitter, smoothed and raw."""
+    present = any(summary.categories[f"lane_{side}_status"] for summary in summaries for side in SIDES)
+    rows = [TextRow(side, tuple(_boundary(summary, side) for summary in summaries)) for side in SIDES if present]
+    has_lag = any(summary.lag_frames(side) is not None for summary in summaries for side in SIDES)
+    notes = (_JITTER, *([_LAG] if has_lag else []), *_remarks(summaries, _beyond_lanes)) if present else ()
+    headers = (*(f"{status} %" for status in _STATUSES), "offset m", "jitter cm", "raw cm", "lag")
+    return _table("Lane boundary", headers, rows, summaries, notes, label_columns=13)
+
+
+def missing_outputs(summaries: Summaries) -> TextTable:
+    """Why something is absent, as the chain put it, and in how many frames; of the rarest only how many there are."""
+    found = ranked(merged(summary.reasons for summary in summaries))
+    rows = [_reason(summaries, kind, str(reason)) for kind, reason in islice(found.items(), REASONS_SHOWN)]
+    rest = len(found) - REASONS_SHOWN
+    others = [row(f"{rest} other reason{'s' * (rest > 1)}")] if rest > 0 else []
+    return _table("Missing outputs", ("frames", "frames %"), [*rows, *others], summaries)
+
+
+def accuracy(summaries: Summaries) -> TextTable:
+    """Accuracy next to coverage, an error being estimate minus truth, and for what there is no truth."""
+    headers = ("frames %", "bias", "median", "p95", "worst")
+    rows = list(_quantities(summaries, TRUTH, _accuracy, better))
+    absent = [q.label for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
+    notes = (_ERRORS, _COVERAGE, *([f"No frame has a truth for: {'; '.join(absent)}."] if absent else []))
+    return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,))
+
+
+def detection_counts(summaries: Summaries) -> TextTable:
+    """Precision, recall and F1 from the counts of all frames, and the counts."""
+    found = [{score.name: score for score in summary.scores} for summary in summaries]
+    names = dict.fromkeys(name for scores in found for name in scores)
+    rows = [TextRow(name, tuple(_score(scores.get(name)) for scores in found)) for name in names]
+    return _table("Detection counts", ("precision", "recall", "F1", "TP", "FP", "FN"), rows, summaries)
+
+
+def latency(summaries: Summaries) -> TextTable:
+    """Time per stage, and how that compares with the log's own time."""
+    rows = list(_quantities(summaries, STAGES, _times))
+    headers = ("median ms", "p95 ms", "p99 ms", "share %")
+    return _table("Latency", headers, rows, summaries, tuple(_remarks(summaries, _speed)))
+
+
+def worst_frames(summaries: Summaries) -> TextTable:
+    """The worst frames by every error there is, else by signs of trouble that need no truth.
+
+    Of several summaries each has its own worst ones; with several runs a line names the frame's.
+    """
+    several = sum(summary.runs for summary in summaries) > 1
+    rows = (line for quantity in ranked_by(summaries) for line in _worst(summaries, quantity, several))
+    headers = ("value", "frame", "s", "stamp ns")
+    return TextTable("Worst frames", headers, tuple(rows), (_SECONDS,), label_columns=20)
+
+
+def ranked_by(summaries: Summaries) -> list[Quantity]:
+    """What frames are the worst by: the errors there are, else signs of trouble."""
+    present = {column for summary in summaries for column, frames in summary.worst.items() if frames}
+    return [q for q in TRUTH if q.column in present] or [q for q in SUSPECT if q.column in present]
+
+
+def no_values(summaries: Summaries) -> str:
+    """The columns that are null in every frame, those apart that need truth or say times."""
+    apart = {quantity.column for quantity in (*STAGES, *TRUTH)}
+    names = [*(q.column for q in STORED if q.column not in apart), *CATEGORIES]
+    present = {name for name in names for s in summaries if name in s.statistics or s.categories.get(name)}
+    return ", ".join(_collapsed([name for name in names if name not in present], present))
+
+
+def better(quantity: Quantity) -> str:
+    """Which way is better."""
+    if quantity.worse == "low":
+        return "higher is better"
+    return "0 is best" if quantity.signed else "lower is better"
+
+
+def _table(
+    title: str,
+    headers: tuple[str, ...],
+    rows: Iterable[TextRow],
+    summaries: Summaries,
+    notes: tuple[str, ...] = (),
+    *,
+    label_columns: int = 26,
+) -> TextTable:
+    names = tuple(summary.name for summary in summaries)
+    limited = tuple(item if item.listed is not None else replace(item, listed=_first(item)) for item in rows)
+    return TextTable(title, headers, limited, notes, names, label_columns=label_columns)
+
+
+def _first(item: TextRow) -> tuple[int, ...]:
+    """Places of the first subjects with values."""
+    return tuple(place for place, cells in enumerate(item.cells) if cells)[:LISTED]
+
+
+def _states(summaries: Summaries, column: str, label: str) -> Iterator[TextRow]:
+    """A row for each value of a text column: in which share of the frames it is."""
+    total = sum((summary.categories[column] for summary in summaries), Counter[str]())
+    for value, _ in total.most_common():
+        yield TextRow(f"{label}: {value}", tuple((percent(summary.share(column, value)),) for summary in summaries))
+
+
+def _quantities(
+    summaries: Summaries,
+    quantities: Iterable[Quantity],
+    cells: Callable[[Summary, Quantity, Statistics], tuple[str, ...]],
+    direction: Callable[[Quantity], str] = lambda _quantity: "",
+) -> Iterator[TextRow]:
+    """A row for each quantity that any summary has values of."""
+    for quantity in quantities:
+        found = [(summary, summary.statistics.get(quantity.column)) for summary in summaries]
+        if any(statistics for _, statistics in found):
+            row_cells = tuple(cells(summary, quantity, s) if s else () for summary, s in found)
+            label = quantity.name if quantity in STAGES else quantity.label
+            yield TextRow(label, row_cells, direction(quantity), listed(summaries, quantity))
+
+
+def listed(summaries: Summaries, quantity: Quantity) -> tuple[int, ...]:
+    """Places of the summaries with values, in their order; of too many, the worst."""
+    having = [place for place, summary in enumerate(summaries) if quantity.column in summary.statistics]
+    if len(having) <= LISTED:
+        return tuple(having)
+    tails = {place: _tail(summaries[place].statistics[quantity.column], quantity) for place in having}
+    return tuple(sorted(having, key=lambda place: -tails[place])[:LISTED])
+
+
+def _tail(found: Statistics, quantity: Quantity) -> float:
+    return -found.p5 if quantity.worse == "low" else found.abs_p95
+
+
+def _typical(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str, ...]:
+    values = (rounded(value, quantity) for value in (found.p5, found.median, found.p95))
+    return (percent(summary.coverage(quantity.column)), *values)
+
+
+def _accuracy(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str, ...]:
+    """Coverage, bias (median with its sign), then median, p95 and worst of the absolute error; p5 where low is bad."""
+    share = percent(summary.coverage(quantity.column))
+    bias = rounded(found.median, quantity) if quantity.signed else ""
+    if quantity.worse == "low":
+        tail, most = f"p5 {rounded(found.p5, quantity)}", found.least
     else:
-        said = "no message missing in any frame"
-    skew = summary.statistics.get(SKEW.column)
-    return said if skew is None else f"{said}; sync skew median {skew.median:.1f} ms, p95 {skew.p95:.1f} ms"
+        tail, most = rounded(found.abs_p95, quantity), found.abs_most
+    return (share, bias, rounded(found.abs_median, quantity), tail, rounded(most, quantity))
 
 
-def precision(summary: Summary) -> str:
-    """How exact the quantiles are where not all values were at hand."""
-    error = 100 * summary.rank_error
-    return (
-        f"quantiles over all {summary.frames} frames are within {error:.2f} % in rank, "
-        f"those of absolute values within {2 * error:.2f} %"
-    )
+def _times(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str, ...]:
+    """Median, p95 and p99 in milliseconds, and the share of the total time in percent."""
+    total = summary.statistics[TOTAL.column]
+    share = percent(found.total / total.total) if total.total > 0 else ""
+    return (*(rounded(value, quantity) for value in (found.median, found.p95, found.p99)), share)
 
 
-def seen(summary: Summary) -> Table:
-    """Coverage and typical values of what needs no truth."""
-    table = grid("Does it see?", "frames %", "p5", "median", "p95")
-    for column, label in (("surface_source", "surface"), ("odometry_status", "odometry")):
-        for value, number in summary.categories[column].most_common():
-            table.add_row(f"{label}: {value}", percent(number / summary.frames))
-    for quantity in SEEN:
-        found = summary.statistics.get(quantity.column)
-        if found is not None:
-            values = (rounded(value, quantity) for value in (found.p5, found.median, found.p95))
-            table.add_row(quantity.label, percent(summary.coverage(quantity.column)), *values)
-    return table
-
-
-def lane_boundaries(summary: Summary) -> Table:
-    """Per side: how often measured, held or lost, where it lies, and how it trembles, smoothed and raw."""
-    headers = ("measured %", "held %", "lost %", "offset m", "jitter cm", "raw cm", "lag")
-    table = grid("Lane boundary", *headers, label_columns=13)
-    if any(summary.categories[f"lane_{side}_status"] for side in SIDES):
-        for side in SIDES:
-            table.add_row(side, *boundary(summary, side))
-    return table
-
-
-def boundary(summary: Summary, side: str) -> list[str]:
+def _boundary(summary: Summary, side: str) -> tuple[str, ...]:
     """Percent measured, held, lost; offset in m, jitter in cm smoothed and raw, lag in frames; empty where unknown."""
-    states = [percent(summary.share(f"lane_{side}_status", state)) for state in ("measured", "held", "lost")]
     offset = summary.statistics.get(f"lane_{side}_offset_m")
     jitters = [summary.statistics.get(f"lane_{side}_{kind}second_difference_m") for kind in ("", "raw_")]
     lag = summary.lag_frames(side)
-    return [
-        *states,
+    return (
+        *(percent(summary.share(f"lane_{side}_status", status)) for status in _STATUSES),
         f"{offset.median:z.2f}" if offset else "",
         *(f"{100 * jitter.std:.2f}" if jitter else "" for jitter in jitters),
         "" if lag is None else str(lag),
-    ]
+    )
 
 
-def has_lag(summary: Summary) -> bool:
-    """Whether it can be told how far any smoothed boundary lies behind the truth."""
-    return any(summary.lag_frames(side) is not None for side in SIDES)
-
-
-def beyond_lanes(summary: Summary) -> str:
+def _beyond_lanes(summary: Summary) -> str:
     """What lies beyond the boundaries, in shares of the frames where that is known."""
     sides = [(side, summary.categories[f"lane_{side}_boundary_class"]) for side in SIDES]
     return "; ".join(
@@ -111,39 +227,24 @@ def beyond_lanes(summary: Summary) -> str:
     )
 
 
-def has_truth(summary: Summary) -> bool:
-    """Whether any frame could be held against truth."""
-    return any(quantity.column in summary.statistics for quantity in TRUTH)
+def _reason(summaries: Summaries, kind: str, text: str) -> TextRow:
+    """In how many frames of each summary a reason was given, and the share in percent."""
+    frames = [summary.reasons[kind].frames if kind in summary.reasons else 0 for summary in summaries]
+    shares = [summary.reason_share(kind) for summary in summaries]
+    least = sorted(shares)[-LISTED:][0]
+    having = [k for k, share in enumerate(shares) if share >= least and frames[k]]
+    cells = tuple((str(number), percent(share)) for number, share in zip(frames, shares, strict=True))
+    return TextRow(text, cells, listed=tuple(having[:LISTED]))
 
 
-def no_values(summary: Summary) -> str:
-    """The columns that are null in every frame, those of truth only where there is some."""
-    timed = {quantity.column for quantity in STAGES}
-    numeric = [q.column for q in STORED if q.column not in timed and (has_truth(summary) or q not in TRUTH)]
-    present = {name for name in (*numeric, *CATEGORIES) if name in summary.statistics or summary.categories.get(name)}
-    absent = [name for name in (*numeric, *CATEGORIES) if name not in present]
-    return ", ".join(_collapsed(absent, present))
+def _score(score: Score | None) -> tuple[str, ...]:
+    if score is None:
+        return ()
+    ratios = ("" if ratio is None else f"{ratio:.3f}" for ratio in (score.precision, score.recall, score.f1))
+    return (*ratios, *(str(count) for count in (score.tp, score.fp, score.fn)))
 
 
-def right(summary: Summary) -> Table:
-    """Accuracy beside coverage, an error being estimate minus truth."""
-    table = accuracy_grid("Is it right?")
-    for quantity in TRUTH:
-        if quantity.column in summary.statistics:
-            table.add_row(quantity.label, *accuracy(summary, quantity))
-    return table
-
-
-def counted(summary: Summary) -> Table:
-    """Precision, recall and F1 from the counts of all frames, and the counts."""
-    table = grid("How many of them?", "precision", "recall", "F1", "right", "wrong", "missed")
-    for score in summary.scores:
-        ratios = ("" if ratio is None else f"{ratio:.3f}" for ratio in (score.precision, score.recall, score.f1))
-        table.add_row(score.name, *ratios, str(score.tp), str(score.fp), str(score.fn))
-    return table
-
-
-def speed(summary: Summary) -> str:
+def _speed(summary: Summary) -> str:
     """Frames a second, and how that compares with the log's own time."""
     total = summary.statistics.get(TOTAL.column)
     if total is None or total.total <= 0:
@@ -153,76 +254,24 @@ def speed(summary: Summary) -> str:
     return f"{rate_hz:.1f} frames a second{against}"
 
 
-def fast(summary: Summary) -> Table:
-    """Time per stage."""
-    table = speed_grid("How fast?")
-    for quantity in STAGES:
-        if quantity.column in summary.statistics:
-            table.add_row(quantity.name, *times(summary, quantity))
-    return table
+def _remarks(summaries: Summaries, remark: Callable[[Summary], str]) -> Iterator[str]:
+    """What there is to say of each of the first summaries, with its name where there are several."""
+    for summary in summaries[:LISTED]:
+        text = remark(summary)
+        if text:
+            yield f"{summary.name}: {text}" if len(summaries) > 1 else text
 
 
-def worst(summary: Summary) -> Table:
-    """The worst frames by every error there is, else by signs of trouble that need no truth."""
-    several = summary.runs > 1
-    table = grid("Worst frames", "value", "frame", "s", "stamp ns", text="log" if several else "", label_columns=20)
-    ranked = [q for q in TRUTH if q.column in summary.worst] or [q for q in SUSPECT if q.column in summary.worst]
-    for quantity in ranked:
-        for rank, frame in enumerate(summary.worst[quantity.column]):
-            log = [frame.run] if several else []
-            table.add_row(quantity.label if rank == 0 else "", *_worst_cells(frame, quantity), *log)
-    return table
-
-
-def reasons(summary: Summary) -> Table:
-    """Why something is absent, as the chain put it, and in how many frames; of the rarest only how many there are."""
-    table = reasons_grid("Why not?")
-    found = list(ranked(summary.reasons).values())
-    for reason in found[:REASONS_SHOWN]:
-        table.add_row(str(reason), *given(reason, summary))
-    rest = len(found) - REASONS_SHOWN
-    if rest > 0:
-        table.add_row(f"{rest} other reason{'s' * (rest > 1)}")
-    return table
-
-
-def reasons_grid(title: str) -> Table:
-    """An empty table for rows of ``given``."""
-    return grid(title, "frames", "frames %")
-
-
-def given(reason: Reason, summary: Summary) -> list[str]:
-    """In how many frames a reason was given, and the share in percent."""
-    return [str(reason.frames), percent(reason.frames / summary.frames)]
-
-
-def accuracy_grid(title: str) -> Table:
-    """An empty table for rows of ``accuracy``."""
-    return grid(title, "frames %", "bias", "median", "p95", "worst")
-
-
-def accuracy(summary: Summary, quantity: Quantity) -> list[str]:
-    """Coverage, bias (median with its sign), then median, p95 and worst of the absolute error; p5 where low is bad."""
-    found = summary.statistics[quantity.column]
-    coverage = percent(summary.coverage(quantity.column))
-    bias = rounded(found.median, quantity) if quantity.signed else ""
-    if quantity.worse == "low":
-        tail, most = f"p5 {rounded(found.p5, quantity)}", found.least
+def _worst(summaries: Summaries, quantity: Quantity, several: bool) -> Iterator[TextRow]:
+    frames = [
+        frame for place in listed(summaries, quantity) for frame in summaries[place].worst.get(quantity.column, ())
+    ]
+    if several:
+        yield row(quantity.label)
+        yield from (row(f"  {frame.run}", *_worst_cells(frame, quantity)) for frame in frames)
     else:
-        tail, most = rounded(found.abs_p95, quantity), found.abs_most
-    return [coverage, bias, rounded(found.abs_median, quantity), tail, rounded(most, quantity)]
-
-
-def speed_grid(title: str) -> Table:
-    """An empty table for rows of ``times``."""
-    return grid(title, "median ms", "p95 ms", "p99 ms", "share %")
-
-
-def times(summary: Summary, quantity: Quantity) -> list[str]:
-    """Median, p95 and p99 in milliseconds, and the share of the total time in percent."""
-    found, total = summary.statistics[quantity.column], summary.statistics[TOTAL.column]
-    share = percent(found.total / total.total) if total.total > 0 else ""
-    return [*(rounded(value, quantity) for value in (found.median, found.p95, found.p99)), share]
+        labels = (quantity.label, *("" for _ in frames))
+        yield from (row(label, *_worst_cells(frame, quantity)) for label, frame in zip(labels, frames, strict=False))
 
 
 def _worst_cells(frame: WorstFrame, quantity: Quantity) -> list[str]:
@@ -231,8 +280,8 @@ def _worst_cells(frame: WorstFrame, quantity: Quantity) -> list[str]:
 
 def _collapsed(absent: Sequence[str], present: Iterable[str]) -> list[str]:
     """Names that share their first word as ``word*``, unless a column that has values begins with it, too."""
-    taken = {name.split("_")[0] for name in present}
+    used = {name.split("_")[0] for name in present}
     words = [name.split("_")[0] for name in absent]
     sizes = Counter(words)
     pairs = zip(absent, words, strict=True)
-    return list(dict.fromkeys(f"{word}*" if sizes[word] > 1 and word not in taken else name for name, word in pairs))
+    return list(dict.fromkeys(f"{word}*" if sizes[word] > 1 and word not in used else name for name, word in pairs))

@@ -7,7 +7,7 @@ whole while all tables together have no more than EXACT_FRAMES rows, and are thi
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, Final
 
@@ -16,6 +16,7 @@ import polars as pl
 
 from roadperc_stream.reasons import Reasons, grouped, merged
 
+from .configurations import Group
 from .distribution import Distribution, Sketch, exactly, thinned
 from .quantities import CATEGORIES, NUMBERS, SUSPECT, TRUTH, Quantity
 from .runs import Run
@@ -104,8 +105,29 @@ class Summary:
         return scores(self.totals)
 
     def lag_frames(self, side: str) -> int | None:
-        """Frames by which a side's smoothed offset lies behind the truth; None where that cannot be told."""
+        """Frames by which a side's smoothed offset lies behind the truth; None where that is not known."""
         return lag_frames(self.correlations[side])
+
+
+@dataclass(frozen=True)
+class GroupSummary:
+    """Summaries of runs of one configuration and version, each and ``together``."""
+
+    runs: tuple[Summary, ...]
+    together: Summary
+
+
+def summarise_group(group: Group, worst: int) -> GroupSummary:
+    """Summaries of the runs of a group, of at least one row each; the one over all has the group's name.
+
+    Raises:
+        TableError: the data of a table cannot be read.
+    """
+    if len(group.runs) == 1:
+        summary = summarise_run(group.runs[0], worst)
+        return GroupSummary((summary,), replace(summary, name=group.name))
+    summaries, together = summarise_all(group.runs, worst)
+    return GroupSummary(tuple(summaries), replace(together, name=group.name))
 
 
 def summarise_run(run: Run, worst: int) -> Summary:

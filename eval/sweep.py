@@ -19,7 +19,7 @@ from .sweeping.processes import sweep_logs
 from .sweeping.ranking import METRICS, scores
 from .sweeping.replaying import Job
 from .sweeping.settings import Combination, combinations, reference_of, varied
-from .sweeping.tables import LEGEND, best_settings, effects, without_effect
+from .sweeping.tables import LEGEND, best_settings, effects, values_taken, without_effect
 
 _EXAMPLE = """\
 example:
@@ -90,14 +90,14 @@ def _sweep(arguments: argparse.Namespace) -> None:
         with frame_progress(f"{len(made)} combinations", enabled=True) as bar:
             notes = sweep_logs(jobs, arguments.jobs, bar)
         describe(folder, made, arguments.logs)
-    for job, said in zip(jobs, notes, strict=True):
-        for note in said:
+    for job, texts in zip(jobs, notes, strict=True):
+        for note in texts:
             print(f"note: {job.source.name}: {note}")
     _print(arguments.out, made, reference)
 
 
 def _require_files(logs: Sequence[Path]) -> None:
-    """Say at once what would else be said after the logs before it have been replayed."""
+    """Fail at once rather than after the logs before it have been replayed."""
     for path in logs:
         if not path.is_file():
             raise LogError(f"{path}: no such file")
@@ -112,8 +112,8 @@ def _jobs(arguments: argparse.Namespace, folder: Path, made: tuple[Combination, 
 def _print(folder: Path, made: Sequence[Combination], reference: Combination) -> None:
     console, files = console_for(sys.stdout), tables(folder)
     found = [(metric, scores(files, made, metric)) for metric in METRICS]
-    said = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
-    print_lines(console, said, unbroken=True)
+    heading = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
+    print_lines(console, heading, *values_taken(made), unbroken=True)
     for table in (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings)):
         print_table(console, table)
     print_lines(console, "", without_effect(found), *LEGEND)

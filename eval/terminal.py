@@ -1,26 +1,23 @@
 """Prints a report: its sections in the order in which they are asked for."""
 
-from collections.abc import Iterable, Sequence
-from typing import Final
+from collections.abc import Iterable, Mapping, Sequence
 
 from rich.console import Console
 
 from roadperc_stream.terminal import print_lines, print_table
+from roadperc_stream.text_table import TextTable
 
-from . import log_by_log, sections
+from . import by_run, overview
+from .names import legend
 from .runs import Run
-from .summary import Summary
-
-_JITTER: Final = "jitter: standard deviation of the offset's second difference, smoothed and raw"
-_LAG: Final = "lag: frames by which the smoothed offset lies behind the true one"
-_ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the median error"
-_SECONDS: Final = "s: seconds from the log's first frame"
+from .sections import LISTED, sections, worst_frames
+from .summary import GroupSummary, Summary
 
 
 def print_one(console: Console, summary: Summary) -> None:
     """The report of one run."""
-    print_lines(console, sections.identity(summary), sections.extent(summary), sections.inputs(summary))
-    _print_sections(console, summary)
+    print_lines(console, overview.identity(summary), overview.extent(summary), overview.inputs(summary))
+    _print_tables(console, [summary])
 
 
 def print_empty(console: Console, runs: Iterable[Run]) -> None:
@@ -28,38 +25,48 @@ def print_empty(console: Console, runs: Iterable[Run]) -> None:
     print_lines(console, *(f"{run.path}: no frames in this table" for run in runs))
 
 
-def print_several(console: Console, summaries: Sequence[Summary], together: Summary) -> None:
-    """The report over several runs, and each beside the others."""
-    print_lines(console, sections.identity(together), sections.extent(together), sections.inputs(together))
-    if together.rank_error:
-        print_lines(console, sections.precision(together))
-    listed = log_by_log.listed(summaries)
-    print_table(console, log_by_log.logs(listed))
-    _print_sections(console, together)
-    print_table(console, log_by_log.coverage_by_log(listed))
-    print_table(console, log_by_log.reasons_by_log(summaries, together))
-    print_table(console, log_by_log.accuracy_by_log(summaries))
-    print_table(console, log_by_log.times_by_log(summaries))
-    if len(summaries) > len(listed):
-        print_lines(console, f"listed: the {len(listed)} of {len(summaries)} logs that were seen least")
-    if len(summaries) > log_by_log.LOGS_SHOWN:
-        print_lines(
-            console, f"log by log: in each block the {log_by_log.LOGS_SHOWN} of {len(summaries)} with the worst p95"
-        )
+def print_several(
+    console: Console, groups: Sequence[GroupSummary], settings: TextTable, names: Mapping[str, str]
+) -> None:
+    """The report over several runs, and each next to the others; no statistic is over two groups.
+
+    Args:
+        console: where to print.
+        groups: the runs by configuration and version.
+        settings: the settings that differ between the groups.
+        names: the whole name of each run, and what it is called here.
+    """
+    runs = [summary for group in groups for summary in group.runs]
+    print_lines(console, overview.contents(runs))
+    print_table(console, settings)
+    rows = by_run.least_covered(runs)
+    print_table(console, by_run.runs(rows, tuple(legend(names))))
+    for group in groups[:LISTED]:
+        _print_extent(console, group.together, len(groups) > 1)
+    _print_tables(console, [group.together for group in groups])
+    print_table(console, by_run.coverage_by_run(rows))
+    if len(runs) > len(groups):
+        for table in by_run.tables_by_run(runs):
+            print_table(console, table)
+    _print_what_is_left_out(console, len(runs), len(rows), len(groups))
 
 
-def _print_sections(console: Console, summary: Summary) -> None:
-    print_table(console, sections.seen(summary))
-    lag = _LAG if sections.has_lag(summary) else ""
-    print_table(console, sections.lane_boundaries(summary), _JITTER, lag, sections.beyond_lanes(summary))
-    absent = sections.no_values(summary)
-    if absent:
-        print_lines(console, "", f"no values: {absent}")
-    print_table(console, sections.reasons(summary))
-    if sections.has_truth(summary):
-        print_table(console, sections.right(summary), _ERRORS)
-        print_table(console, sections.counted(summary))
-    else:
-        print_lines(console, "", "Is it right? No frame has a truth for what was replayed.")
-    print_table(console, sections.fast(summary), sections.speed(summary))
-    print_table(console, sections.worst(summary), _SECONDS)
+def _print_extent(console: Console, summary: Summary, several: bool) -> None:
+    name = [f"{summary.name}:"] if several else []
+    print_lines(console, "", *name, overview.extent(summary), overview.inputs(summary))
+    if summary.rank_error:
+        print_lines(console, overview.precision(summary))
+
+
+def _print_tables(console: Console, summaries: Sequence[Summary]) -> None:
+    for table in (*sections(summaries), worst_frames(summaries)):
+        print_table(console, table)
+
+
+def _print_what_is_left_out(console: Console, runs: int, listed: int, groups: int) -> None:
+    if runs > listed:
+        print_lines(console, f"listed: the {listed} of {runs} runs with the least coverage")
+    if groups > LISTED:
+        print_lines(console, f"by configuration: at most {LISTED} of {groups} each time, those with the worst p95")
+    if runs > max(groups, LISTED):
+        print_lines(console, f"by run: at most {LISTED} of {runs} each time, those with the worst p95")

@@ -4,43 +4,43 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
-
-from rich.table import Table
 
 from roadperc_stream import __version__
 from roadperc_stream.command import run
 from roadperc_stream.errors import TableError
-from roadperc_stream.terminal import console_for, print_lines
+from roadperc_stream.terminal import console_for, print_lines, print_parts
+from roadperc_stream.text_table import TextTable
 
+from .names import legend, name_columns, short_names
 from .runs import Run, find_runs
 from .trajectories import tables
 from .trajectories.alignment import Alignment
 from .trajectories.columns import read_poses
 from .trajectories.errors import Delta
+from .trajectories.evaluation import Evaluation, evaluate
 from .trajectories.files import export_kitti, export_tum
-from .trajectories.judgement import Judgement, judge
 from .trajectories.poses import RunPoses
 
 _DESCRIPTION = """\
-Hold the poses a run estimated against the true ones.
+Compare the poses a run estimated with the true ones.
 
 ATE is the distance between places after alignment; RPE what is left of the motion between two poses when the true one
 is undone, over all pairs --delta apart (metres: along the aligned estimate, within a tenth); KITTI's errors are over
 stretches of 100 to 800 m of the true path, or of 5 to 50 m where none of 100 m fits. Frames without an estimated or a
 true pose, and lost ones, are left out and counted. A monocular run without scale is aligned by Sim(3).
 
-TUM files (NAME.est.tum, NAME.true.tum) hold the frames that are judged, each as `timestamp x y z qx qy qz qw`; KITTI
+TUM files (NAME.est.tum, NAME.true.tum) hold the frames that are evaluated, each as `timestamp x y z qx qy qz qw`; KITTI
 files (NAME.est.kitti, NAME.true.kitti) the same frames, against the first. Both hold the ego frame (x forward, y left,
-z up, on the road), where KITTI's own files hold the left camera's: hold them against each other, not against KITTI's.
+z up, on the road), where KITTI's own files hold the left camera's: compare them with each other, not with KITTI's.
 Without truth there is only NAME.est.
 """
 _EXAMPLE = """\
 example:
   roadperc-replay logs/sample.mcap runs/sample.mcap
-  roadperc-trajectory runs/sample.mcap                          from the table beside the log
+  roadperc-trajectory runs/sample.mcap                          from the table next to the log
   roadperc-trajectory runs/ --align sim3                        a row a run, path shapes only
   roadperc-trajectory runs/sample.mcap --delta 5 --delta-unit metres --export-tum paths/
   evo_ape tum paths/sample.true.tum paths/sample.est.tum -a     says the same ATE
@@ -74,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("runs", metavar="RUN", nargs="+", help="OUT.metrics.parquet, the OUT.mcap beside it, a folder, or a glob")
+    add("runs", metavar="RUN", nargs="+", help="OUT.metrics.parquet, the OUT.mcap next to it, a folder, or a glob")
     add(
         "--align",
         choices=get_args(Alignment),
@@ -98,24 +98,24 @@ def _positive(text: str) -> float:
 
 def _print_runs(runs: Sequence[Run], options: _Options) -> None:
     """Every run's figures; a run that has none is named, and is an error where nothing else came of the command."""
-    judged: list[Judgement] = []
+    evaluated: list[Evaluation] = []
     refused: list[TableError] = []
     exported = 0
     for item in runs:
         try:
             poses = read_poses(item)
             exported += _export(poses, options)
-            judged.append(judge(poses, options.alignment, options.delta))
+            evaluated.append(evaluate(poses, options.alignment, options.delta))
         except TableError as error:
             refused.append(error)
-    if not judged and not exported:
+    if not evaluated and not exported:
         raise refused[0]
     console = console_for(sys.stdout)
     print_lines(console, *(str(reason) for reason in refused), unbroken=True)
-    if len(judged) == 1:
-        print_lines(console, *_one(judged[0]), unbroken=True)
-    elif judged:
-        print_lines(console, *_several(judged), unbroken=True)
+    if len(evaluated) == 1:
+        print_parts(console, *_one(evaluated[0]))
+    elif evaluated:
+        print_parts(console, *_several(evaluated, name_columns(console)))
 
 
 def _export(poses: RunPoses, options: _Options) -> bool:
@@ -127,12 +127,13 @@ def _export(poses: RunPoses, options: _Options) -> bool:
     return bool(options.tum or options.kitti)
 
 
-def _one(judgement: Judgement) -> list[str | Table]:
-    facts = (tables.coverage(judgement), tables.alignment(judgement), tables.without_scale(judgement))
-    figures = (tables.errors(judgement), "", tables.stretches(judgement), tables.lengths(judgement))
-    return [*filter(None, facts), "", *figures]
+def _one(evaluation: Evaluation) -> list[str | TextTable]:
+    facts = (tables.coverage(evaluation), tables.alignment(evaluation), tables.without_scale(evaluation))
+    return [*filter(None, facts), tables.errors(evaluation), tables.stretches(evaluation)]
 
 
-def _several(judged: Sequence[Judgement]) -> list[str | Table]:
-    notes = [f"{judgement.run.name}: {note}" for judgement in judged if (note := tables.without_scale(judgement))]
-    return [tables.runs(judged), "", tables.side_by_side(judged), *notes]
+def _several(evaluated: Sequence[Evaluation], columns: int) -> list[str | TextTable]:
+    names = short_names([item.run.name for item in evaluated], columns)
+    notes = [f"{item.run.name}: {note}" for item in evaluated if (note := tables.without_scale(item))]
+    overview = replace(tables.runs(evaluated, names), notes=tuple(legend(names)))
+    return [f"{len(evaluated)} runs", overview, tables.side_by_side(evaluated, names), *notes]

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from roadperc_stream import __version__, log
 from roadperc_stream.chain import ChainState, step
 from roadperc_stream.channels import (
+    CONFIG_ATTACHMENT,
     METADATA_RECORD,
     PRODUCER,
     TAG_TABLE_KEY,
@@ -39,7 +40,6 @@ from roadperc_stream.sync import SyncCounts
 from roadperc_stream.table import TableWriter, beside
 from roadperc_stream.targets import require_free
 
-CONFIG_ATTACHMENT = "roadperc.toml"
 TRAJECTORY_POSES = 200
 """Length of the trajectory that each frame shows: ten seconds at 20 Hz."""
 
@@ -263,9 +263,14 @@ def _result_channel(topic: str, schema_name: str) -> Channel:
 
 
 def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:
-    """What a table says of where it came from: ``roadperc.log`` is the log beside it, ``roadperc.source`` the input."""
+    """What a table says of where it came from.
+
+    ``roadperc.log`` is the log it lies next to, ``roadperc.source`` the input, ``roadperc.config`` the configuration.
+    """
+    toml = cfg.to_toml()
     facts = {
-        "config_digest": hashlib.sha256(cfg.to_toml().encode()).hexdigest(),
+        "config": toml,
+        "config_digest": hashlib.sha256(toml.encode()).hexdigest(),
         "version": __version__,
         "log": str(target.absolute()),
         "source": str(source.absolute()),

@@ -66,7 +66,7 @@ def read_footer(path: Path) -> TableFooter:
     """The end of a Parquet file.
 
     Raises:
-        TableError: the file cannot be read, or is no Parquet.
+        TableError: the file cannot be read, or is not Parquet.
     """
     with _opened(path) as table:
         footer = table.metadata
@@ -81,7 +81,7 @@ def read_rows_around(path: Path, frame: int, columns: Iterable[str]) -> list[dic
     """Some columns of the row group that holds a frame; no other is read. Empty where none does.
 
     Raises:
-        TableError: the file cannot be read, is no Parquet, or lacks a column.
+        TableError: the file cannot be read, is not Parquet, or lacks a column.
     """
     with _opened(path) as table:
         wanted = _present(path, table, ("frame", *columns))
@@ -99,7 +99,7 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
     except OSError as error:
         raise TableError(f"{path}: {error.strerror or error}") from error
     except (pa.ArrowException, KeyError) as error:
-        raise TableError(f"{path}: is no table of a replay, or was cut short") from error
+        raise TableError(f"{path}: is not a table of a replay, or was cut short") from error
 
 
 def _present(path: Path, table: pq.ParquetFile, columns: Iterable[str]) -> list[str]:

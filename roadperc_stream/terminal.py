@@ -1,5 +1,7 @@
 """Tables and lines on a terminal, or as plain text where they are piped: how all commands print."""
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final, TextIO
 
 from rich.box import Box
@@ -7,10 +9,15 @@ from rich.console import Console
 from rich.table import Table
 
 from roadperc_stream.launch import discard
+from roadperc_stream.text_table import TextRow, TextTable, row, transposed
 
 NARROWEST, WIDEST = 80, 120
 """Columns a text is laid out for; a narrower terminal wraps its lines rather than losing digits."""
 _RULE_BELOW_HEADER: Final = Box("\n".join(["    ", "    ", " ── ", "    ", "    ", "    ", "    ", "    "]))
+_GAP: Final = 2
+"""Blanks between two columns."""
+_LEAST_LABEL: Final = 15
+"""Characters that labels keep, however many columns of numbers there are: rather these go on in a table below."""
 
 
 class PipeConsole(Console):
@@ -27,25 +34,85 @@ def console_for(stream: TextIO) -> Console:
     return PipeConsole(file=stream, width=width, highlight=False, markup=False, emoji=False)
 
 
-def grid(title: str, *headers: str, text: str = "", label_columns: int = 26) -> Table:
-    """A table without lines: labels on the left, columns of numbers, and maybe a column of text.
+def print_table(console: Console, table: TextTable) -> None:
+    """Print a table with a line of air before it and its notes below; without rows, its notes behind its title.
 
-    Where it gets narrow, labels and text fold; numbers neither wrap nor shorten.
+    Where it gets narrow, labels and text fold; numbers neither wrap nor shorten: columns that do not fit go below.
     """
-    table = Table(box=_RULE_BELOW_HEADER, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold")
+    if table.rows:
+        for part in _parts(table, console.width):
+            print_lines(console, "", _rendered(part, console.width))
+        print_lines(console, *table.notes)
+    elif table.notes:
+        print_lines(console, "", *(f"{table.title}: {note}" for note in table.notes))
+
+
+def print_parts(console: Console, *parts: str | TextTable) -> None:
+    """Print unbroken lines and tables in their order."""
+    for part in parts:
+        if isinstance(part, str):
+            print_lines(console, part, unbroken=True)
+        else:
+            print_table(console, part)
+
+
+def _parts(table: TextTable, width: int) -> Iterator[TextTable]:
+    """The table as flat ones that are no wider than the console, each with some of its columns."""
+    flat = table.flat()
+    if flat.last_is_text:
+        yield flat
+        return
+    if flat.headers == table.subjects and _needed(flat, range(len(flat.headers))) > width:
+        flat = transposed(flat)
+    columns: list[int] = []
+    for column in range(len(flat.headers)):
+        if columns and _needed(flat, [*columns, column]) > width:
+            yield _of_columns(flat, columns)
+            columns = []
+        columns.append(column)
+    yield _of_columns(flat, columns)
+
+
+def _needed(table: TextTable, columns: range | list[int]) -> int:
+    """Characters that some of the columns need beside the least of their labels."""
+    return _least_label(table) + sum(_GAP + _column_width(table, column) for column in columns)
+
+
+def _least_label(table: TextTable) -> int:
+    longest = max(len(line) for item in table.rows for line in item.label.splitlines() or [""])
+    return min(longest, _LEAST_LABEL)
+
+
+def _column_width(table: TextTable, column: int) -> int:
+    return max(len(table.headers[column]), *(len(_cell(item, column)) for item in table.rows))
+
+
+def _cell(item: TextRow, column: int) -> str:
+    return item.cells[0][column] if column < len(item.cells[0]) else ""
+
+
+def _of_columns(table: TextTable, columns: list[int]) -> TextTable:
+    rows = tuple(row(item.label, *(_cell(item, column) for column in columns)) for item in table.rows)
+    return replace(table, headers=tuple(table.headers[column] for column in columns), rows=rows)
+
+
+def _rendered(table: TextTable, width: int) -> Table:
+    """A table without lines: labels on the left, columns of numbers, and maybe a column of text."""
+    rendered = Table(box=_RULE_BELOW_HEADER, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold")
     # One column at most may fold: of two, rich narrows both alike, below what the labels must have.
-    table.add_column(title, min_width=label_columns, no_wrap=bool(text), overflow="fold", header_style="bold cyan")
-    for header in headers:
-        table.add_column(header, justify="right", no_wrap=True, min_width=len(header))
-    if text:
-        table.add_column(text, overflow="fold")
-    return table
-
-
-def print_table(console: Console, table: Table, *notes: str) -> None:
-    """Print a table that has rows, with a line of air before it and notes below."""
-    if table.row_count:
-        print_lines(console, "", table, *(note for note in notes if note))
+    words = table.last_is_text
+    numbers = range(len(table.headers) - words)
+    room = max(width - sum(_GAP + _column_width(table, column) for column in numbers), _least_label(table))
+    least = table.label_columns if words else min(table.label_columns, room)
+    rendered.add_column(table.title, min_width=least, no_wrap=words, overflow="fold", header_style="bold cyan")
+    for column in numbers:
+        header = table.headers[column]
+        rendered.add_column(header, justify="right", no_wrap=True, min_width=_column_width(table, column))
+    if words:
+        rendered.add_column(table.headers[-1], overflow="fold")
+    for item in table.rows:
+        rendered.add_row(item.label, *item.cells[0])
+    return rendered
 
 
 def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -> None:

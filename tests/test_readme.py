@@ -11,7 +11,7 @@ from roadperc_stream.eval import report
 from roadperc_stream.table import beside
 
 ROOT = Path(__file__).parents[1]
-WITHOUT_TIMES = "How fast?"
+WITHOUT_TIMES = "Latency"
 
 
 def shown():

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..configurations import Change, change
 from .agreement import Agreement, together
 from .messages import message_agreements
 from .metrics import FRAMES, METRICS
@@ -18,11 +19,13 @@ class Comparison:
     """What two sets of runs share and where they part.
 
     ``columns`` and ``messages`` say how fields of the tables and of the logs' results agree, the latter only where logs
-    were named; ``overlaps`` stand beside ``pairing.pairs``.
+    were named; ``overlaps`` and ``changes``, what differs between the two configurations, are those of
+    ``pairing.pairs``.
     """
 
     pairing: Pairing
     overlaps: tuple[Overlap, ...]
+    changes: tuple[Change | None, ...]
     columns: Mapping[str, Agreement]
     messages: Mapping[str, Agreement]
     verdicts: tuple[Verdict, ...]
@@ -66,7 +69,7 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
 
     Args:
         pairing: which runs belong together.
-        logs: the two logs whose results are compared beside their tables, if logs were named.
+        logs: the two logs whose results are compared as well as their tables, if logs were named.
         rules: what is ignored, tolerated and allowed.
 
     Raises:
@@ -78,6 +81,7 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
     return Comparison(
         pairing,
         overlaps,
+        tuple(change(pair.reference.run, pair.candidate.run) for pair in pairing.pairs),
         together(table_agreements(pair, rules) for pair in pairing.pairs),
         message_agreements(*logs, pairing.pairs[0].name, rules) if logs else {},
         verdicts(pairing.pairs, overlaps, rules),

@@ -6,15 +6,16 @@ from collections.abc import Iterator
 from itertools import groupby
 
 from rich.console import Console
-from rich.table import Table
 
-from roadperc_stream.terminal import grid, print_lines, print_table
+from roadperc_stream.terminal import print_lines, print_table
+from roadperc_stream.text_table import TextRow, TextTable, row
 
+from ..configurations import UNKNOWN, Change, short_digest
 from .agreement import Agreement, Agreements, Value
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparing import Comparison
 from .pairing import LoggedRun
-from .verdicts import Verdict
+from .verdicts import Mark, Verdict
 
 TEXT_SHOWN = 48
 """Characters of a text value that are shown."""
@@ -33,6 +34,7 @@ def _heading(found: Comparison) -> Iterator[str]:
     if len(pairs) == 1:
         yield _identity("reference", pairs[0].reference)
         yield _identity("candidate", pairs[0].candidate)
+    yield from _settings(found)
     yield f"{found.frames} frames compared" + (f" in {len(pairs)} pairs of runs" if len(pairs) > 1 else "")
     for pair, part in zip(pairs, found.overlaps, strict=True):
         if part.only_reference or part.only_candidate:
@@ -42,8 +44,31 @@ def _heading(found: Comparison) -> Iterator[str]:
     yield from (f"only in the candidate: {item.relative} (log {item.log_id})" for item in found.pairing.added)
 
 
+def _settings(found: Comparison) -> Iterator[str]:
+    """The settings that differ, with both values; of several pairs together for those that differ in the same ones."""
+    names: dict[tuple[str, ...], list[str]] = {}
+    for pair, changed in zip(found.pairing.pairs, found.changes, strict=True):
+        if changed is not None:
+            names.setdefault(tuple(_changed(changed)), []).append(pair.name)
+    for (heading, *lines), runs in names.items():
+        among = "" if len(runs) == len(found.pairing.pairs) else f" in {', '.join(runs)}"
+        yield f"settings that differ{among}: {heading}".rstrip()
+        yield from (f"  {line}" for line in lines)
+
+
+def _changed(changed: Change) -> Iterator[str]:
+    """What stands behind the heading, and the lines below it."""
+    if changed.differing is None:
+        yield f"{UNKNOWN}, for neither a table nor a log next to it says its configuration"
+    elif not changed.differing:
+        yield "none"
+    else:
+        yield ""
+        yield from (f"{key} {' → '.join(values)}" for key, values in changed.differing.items())
+
+
 def _identity(side: str, item: LoggedRun) -> str:
-    config, version = item.run.config_digest[:8] or "unknown", item.run.version or "unknown"
+    config, version = short_digest(item.run.config_digest), item.run.version or UNKNOWN
     return f"{side} {item.run.path}: log {item.log_id}, configuration {config}, version {version}"
 
 
@@ -94,17 +119,18 @@ def _text(value: Value, digits: int) -> str:
     return text if len(text) <= TEXT_SHOWN else f"{text[:TEXT_SHOWN]}…"
 
 
-def _metrics(found: Comparison) -> Table:
+def _metrics(found: Comparison) -> TextTable:
     """The metrics that changed, by their mark: means of both runs, and the interval of the difference."""
-    table = grid("Is it better?", "frames", "reference", "candidate", *_bounds())
-    changed = [verdict for verdict in found.verdicts if verdict.difference and verdict.judged]
-    for mark in ("worse", "unchanged", "better"):
-        rows = [verdict for verdict in changed if verdict.mark == mark]
-        if rows:
-            table.add_row(mark)
-        for verdict in rows:
-            table.add_row(f"  {verdict.metric.name}", *_compared(verdict))
-    return table
+    headers = ("frames", "reference", "candidate", *_bounds())
+    rows = (line for mark in ("worse", "unchanged", "better") for line in _marked(found, mark))
+    return TextTable("Metric", headers, tuple(rows))
+
+
+def _marked(found: Comparison, mark: Mark) -> Iterator[TextRow]:
+    changed = [verdict for verdict in found.named(mark) if verdict.difference]
+    if changed:
+        yield row(mark)
+    yield from (row(f"  {verdict.metric.name}", *_compared(verdict)) for verdict in changed)
 
 
 def _bounds() -> tuple[str, str]:
@@ -116,15 +142,17 @@ def _compared(verdict: Verdict) -> list[str]:
     return [str(verdict.frames), *means, f"{verdict.interval.low:+.3g}", f"{verdict.interval.high:+.3g}"]
 
 
-def _times(found: Comparison) -> Table:
+def _times(found: Comparison) -> TextTable:
     """Means of the times, and the candidate's as a multiple of the reference's."""
-    table = grid("Is it faster?", "reference ms", "candidate ms", "times", *_bounds())
-    for verdict in found.verdicts:
-        if verdict.metric.timed and verdict.reference > 0:
-            changes = verdict.difference, verdict.interval.low, verdict.interval.high
-            ratios = (f"{1 + change / verdict.reference:.2f}" for change in changes)
-            table.add_row(verdict.metric.name, f"{verdict.reference:.2f}", f"{verdict.candidate:.2f}", *ratios)
-    return table
+    timed = [verdict for verdict in found.verdicts if verdict.metric.timed and verdict.reference > 0]
+    headers = ("reference ms", "candidate ms", "times", *_bounds())
+    return TextTable("Latency", headers, tuple(row(verdict.metric.name, *_timed(verdict)) for verdict in timed))
+
+
+def _timed(verdict: Verdict) -> list[str]:
+    changes = verdict.difference, verdict.interval.low, verdict.interval.high
+    ratios = (f"{1 + change / verdict.reference:.2f}" for change in changes)
+    return [f"{verdict.reference:.2f}", f"{verdict.candidate:.2f}", *ratios]
 
 
 def _verdict(found: Comparison) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """Which metrics two runs are judged by, each a value per frame that knows which way is better.
 
-Errors against truth and the trembling of the lane boundaries are judged over the frames in which both runs have them;
-coverage and states over all frames both runs have, as 1 or 0. What the chain says without truth to hold it against
+Errors against truth and the jitter of the lane boundaries are judged over the frames in which both runs have them;
+coverage and states over all frames both runs have, as 1 or 0. What the chain says without truth to compare it with
 (camera height, lane width, inliers) has no better side and is left to the comparison of fields.
 """
 
@@ -14,11 +14,11 @@ from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGES, TRUTH, Quantity
 
 ANSWERED_BY_NULL: Final = ("nearest_object_m", "time_to_impact_s")
 """No value there may mean that nothing is near: neither coverage is better."""
-SAID_BY_OTHERS: Final = (
+COVERED_BY_OTHERS: Final = (
     *("lane_proposals", "lane_merged", "lane_width_m", "lane_heading_deg", "camera_pitch_deg", "camera_roll_deg"),
     *("detections_kept", "detections_unjudged", "objects_carried", "odometry_inliers", "turn_deg"),
 )
-"""Known in the same frames as what stands beside them: one loss of coverage is one metric, as far as may be."""
+"""Known in the same frames as other columns: one loss of coverage is one metric, as far as may be."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ STATES: Final = (
 )
 COVERAGE: Final = (
     _coverage("surface_source"),
-    *(_coverage(q.column) for q in (*SEEN, *OFFSETS, *TRUTH) if q.column not in ANSWERED_BY_NULL + SAID_BY_OTHERS),
+    *(_coverage(q.column) for q in (*SEEN, *OFFSETS, *TRUTH) if q.column not in ANSWERED_BY_NULL + COVERED_BY_OTHERS),
 )
 TIMES: Final = tuple(_of_quantity(quantity, timed=True) for quantity in STAGES)
 METRICS: Final = (*ACCURACY, *STATES, *COVERAGE, *TIMES)

@@ -53,7 +53,7 @@ def logged_runs(argument: str) -> tuple[LoggedRun, ...]:
     """The runs an argument means.
 
     Raises:
-        TableError: none, one that is no metrics table, or one without frames or of several logs.
+        TableError: none, one that is not a metrics table, or one without frames or of several logs.
     """
     return tuple(LoggedRun(run, _log_id(run), _relative(run, Path(argument))) for run in find_runs([argument]))
 
@@ -79,9 +79,9 @@ def pair_runs(reference: Sequence[LoggedRun], candidate: Sequence[LoggedRun], ot
         raise TableError(f"{candidate[0].run.path}: no run here has the log or the name of one in the reference")
     if not other_log:
         _require_same_log(pairs)
-    taken = {pair.candidate.relative for pair in pairs}
+    paired = {pair.candidate.relative for pair in pairs}
     missing = tuple(item for item in reference if item.relative not in partners)
-    return Pairing(pairs, missing, tuple(item for item in candidate if item.relative not in taken))
+    return Pairing(pairs, missing, tuple(item for item in candidate if item.relative not in paired))
 
 
 def numbered(frame: pl.LazyFrame) -> pl.LazyFrame:
@@ -120,8 +120,8 @@ def _only_of_their_log(runs: Iterable[LoggedRun]) -> dict[str, LoggedRun]:
 def _by_name(
     reference: Iterable[LoggedRun], candidate: Iterable[LoggedRun], partners: dict[str, LoggedRun]
 ) -> dict[str, LoggedRun]:
-    taken = {item.relative for item in partners.values()}
-    free = {item.relative: item for item in candidate if item.relative not in taken}
+    paired = {item.relative for item in partners.values()}
+    free = {item.relative: item for item in candidate if item.relative not in paired}
     names = [item.relative for item in reference if item.relative not in partners]
     return {name: free[name] for name in names if name in free}
 

@@ -15,7 +15,7 @@ from .tables import same_but_for_times
 
 @dataclass(frozen=True)
 class Copy:
-    """A table to be taken from the candidate into the reference."""
+    """A table to be copied from the candidate into the reference."""
 
     source: Path
     target: Path

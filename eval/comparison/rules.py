@@ -1,4 +1,4 @@
-"""What the user says of fields and metrics by glob: ignored, tolerated, allowed."""
+"""Options on fields and metrics by glob: ignored, tolerated, allowed."""
 
 import argparse
 import math
@@ -87,7 +87,7 @@ def _positive(text: str, number: str) -> float:
     try:
         value = float(number)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text}: {number!r} is no number") from error
+        raise argparse.ArgumentTypeError(f"{text}: {number!r} is not a number") from error
     if not math.isfinite(value) or value < 0:
         raise argparse.ArgumentTypeError(f"{text}: expected 0 or more")
     return value

@@ -8,6 +8,7 @@ import numpy as np
 from roadperc_stream.geometry import Float
 
 from ..quantities import TRUTH, Quantity
+from ..sections import better
 from .figures import Figure, Trace, colour_of, layout, line
 from .series import Series
 
@@ -25,13 +26,6 @@ def histograms(runs: Sequence[Series]) -> Iterator[Figure]:
             traces = [_trace(run, quantity, edges, place) for place, run in having]
             look = layout(quantity.label, "% of values", height=230, showlegend=len(runs) > 1)
             yield Figure(quantity.label, better(quantity), traces, look)
-
-
-def better(quantity: Quantity) -> str:
-    """Which way is better."""
-    if quantity.worse == "low":
-        return "higher is better"
-    return "0 is best" if quantity.signed else "lower is better"
 
 
 def bin_edges(values: Sequence[Float]) -> Float:

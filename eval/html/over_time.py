@@ -55,7 +55,7 @@ CHARTS: Final = (
         "Distances",
         "m",
         (Kind("nearest_object_m", "nearest object"), Kind("stereo_nearest_m", "nearest in stereo", 1.4, "dash")),
-        "The nearest kept object, and the nearest thing stereo sees.",
+        "The nearest kept object, and the nearest point of stereo.",
     ),
     TimeChart("Time to impact", "s", (Kind("time_to_impact_s", "shortest"),), "The shortest of the frame's objects."),
     TimeChart(
@@ -85,7 +85,7 @@ def over_time(runs: Sequence[Series]) -> Iterator[Figure]:
 
 
 def _traces(chart: TimeChart, run: Series, place: int, several: bool) -> Iterator[Trace]:
-    """A line per kind; of several runs the colour tells the run and the dash the kind, and each has one key."""
+    """A line per kind; of several runs the colour stands for the run, the dash for the kind, and each has one key."""
     present = [kind for kind in chart.kinds if kind.column in run.values]
     keyed = next((kind for kind in present if kind.dash == "solid"), present[0] if present else None)
     for kind in present:

@@ -11,14 +11,18 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from roadperc_stream.targets import completing, require_suffix
+from roadperc_stream.text_table import by_header
 
+from ..configurations import grouped, settings_table
 from ..runs import Run
-from ..summary import summarise_all
-from . import histograms, over_time, tables, trajectory
+from ..sections import sections
+from ..summary import summarise_group
+from . import histograms, over_time, trajectory
 from .figures import Figure
 from .pictures import WORST, gallery
 from .series import load_series
 from .sources import sources_of
+from .tables import identity
 
 RUNS_DRAWN: Final = 8
 """Runs side by side: as many as there are colours to tell them apart."""
@@ -45,22 +49,27 @@ def page(runs: Sequence[Run]) -> str:
         TableError: a table cannot be read.
     """
     drawn = runs[:RUNS_DRAWN]
-    summaries, together = summarise_all(drawn, WORST)
+    groups = grouped(drawn)
+    frames = max(WORST // len(groups), 1)
+    found = [summarise_group(group, frames) for group in groups]
+    by_name = {summary.name: summary for group in found for summary in group.runs}
+    summaries = [by_name[run.name] for run in drawn]
     sources = {run.name: sources_of(run) for run in drawn}
     series = [load_series(run, _COLUMNS) for run in drawn]
-    way = trajectory.trajectory(series)
+    from_above = trajectory.trajectory(series)
     charts = {
         "Over time": [*over_time.over_time(series), *over_time.stage_times(series, summaries)],
-        "From above": [way] if way else [],
-        "How the errors are distributed": list(histograms.histograms(series)),
+        "From above": [from_above] if from_above else [],
+        "Error distributions": list(histograms.histograms(series)),
     }
     return _render(
         names=[run.name for run in drawn],
         left_out=len(runs) - len(drawn),
-        identity=tables.identity(summaries, list(sources.values())),
-        tables=list(tables.summary_tables(summaries)),
+        overview=[settings_table({run.name: run for run in drawn}), identity(summaries, list(sources.values()))],
+        tables=list(sections(summaries)),
+        by_header=by_header,
         charts=_numbered(charts),
-        gallery=gallery(together, sources),
+        gallery=gallery([group.together for group in found], sources),
     )
 
 

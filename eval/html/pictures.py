@@ -15,16 +15,19 @@ from roadperc_stream.roles import Problems
 from roadperc_stream.view.seen import read_frame
 
 from ..grid import rounded
-from ..quantities import COUNT, RATIO, SUSPECT, TRUTH, Quantity
+from ..quantities import COUNT, RATIO, Quantity
+from ..sections import ranked_by
 from ..summary import Summary, WorstFrame
 from .sources import Sources
 
 WORST: Final = 10
-"""Frames shown of each metric."""
+"""Frames shown of each metric, of all configurations together."""
 WIDTH_PX: Final = 400
 JPEG_QUALITY: Final = 75
 Key = tuple[str, int]
 """A run's name and a frame's number."""
+Ranked = tuple[Quantity, str, tuple[WorstFrame, ...]]
+"""A metric, the name of a group of runs, and its worst frames."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +53,13 @@ class Picture:
 
 @dataclass(frozen=True)
 class Ranking:
-    """The worst frames of a metric: (anchor, run, frame, value), the worst first."""
+    """The worst frames of a metric: (anchor, run, frame, value), the worst first.
+
+    ``group`` names whose they are, where there are several configurations.
+    """
 
     metric: str
+    group: str
     frames: tuple[tuple[str, str, int, str], ...]
 
 
@@ -65,15 +72,15 @@ class Gallery:
     notes: tuple[str, ...]
 
 
-def gallery(together: Summary, sources: Mapping[str, Sources]) -> Gallery:
-    """The worst frames over all runs, by each truth metric, or, without any truth, by signs of trouble.
+def gallery(groups: Sequence[Summary], sources: Mapping[str, Sources]) -> Gallery:
+    """The worst frames, by each truth metric, or, without any truth, by signs of trouble.
 
     Args:
-        together: summary over the runs, with ``WORST`` worst frames.
+        groups: summary over the runs of each configuration, with its worst frames: each has its own.
         sources: the files of each run by its name.
     """
-    ranked = _ranked(together)
-    worst = {(f.run, f.frame): f for _, frames in ranked for f in frames}
+    ranked = _ranked(groups)
+    worst = {(f.run, f.frame): f for _, _, frames in ranked for f in frames}
     order = sorted(worst.values(), key=lambda f: (list(sources).index(f.run), f.frame))
     anchors = {(f.run, f.frame): f"frame-{k}" for k, f in enumerate(order, 1)}
     places = _places(ranked)
@@ -84,8 +91,12 @@ def gallery(together: Summary, sources: Mapping[str, Sources]) -> Gallery:
         for key in [(f.run, f.frame)]
     )
     rankings = tuple(
-        Ranking(q.label, tuple((anchors[f.run, f.frame], f.run, f.frame, shown(f.value, q)) for f in frames))
-        for q, frames in ranked
+        Ranking(
+            q.label,
+            group if len(groups) > 1 else "",
+            tuple((anchors[f.run, f.frame], f.run, f.frame, shown(f.value, q)) for f in frames),
+        )
+        for q, group, frames in ranked
     )
     return Gallery(rankings, pictures, tuple(notes))
 
@@ -102,14 +113,18 @@ def data_uri(image_bgr: Image) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
 
 
-def _ranked(together: Summary) -> list[tuple[Quantity, list[WorstFrame]]]:
-    truths = [q for q in TRUTH if together.worst.get(q.column)]
-    return [(q, list(together.worst[q.column])) for q in truths or SUSPECT if together.worst.get(q.column)]
+def _ranked(groups: Sequence[Summary]) -> list[Ranked]:
+    return [
+        (quantity, group.name, frames)
+        for quantity in ranked_by(groups)
+        for group in groups
+        if (frames := group.worst.get(quantity.column, ()))
+    ]
 
 
-def _places(ranked: Sequence[tuple[Quantity, list[WorstFrame]]]) -> dict[Key, list[Place]]:
+def _places(ranked: Sequence[Ranked]) -> dict[Key, list[Place]]:
     places: dict[Key, list[Place]] = {}
-    for quantity, frames in ranked:
+    for quantity, _, frames in ranked:
         for rank, frame in enumerate(frames, 1):
             place = Place(quantity.label, shown(frame.value, quantity), rank)
             places.setdefault((frame.run, frame.frame), []).append(place)
@@ -154,7 +169,7 @@ def _of_run(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str
 
 def _drawn(log: Path, frame: WorstFrame, problems: Problems) -> str:
     """A frame's picture as a data URI, empty where the log has no camera image of it."""
-    seen = read_frame(log, frame.stamp_ns, problems)
-    if seen is None:
+    frame_results = read_frame(log, frame.stamp_ns, problems)
+    if frame_results is None:
         return ""
-    return data_uri(draw_results(seen, WIDTH_PX))
+    return data_uri(draw_results(frame_results, WIDTH_PX))

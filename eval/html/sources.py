@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 
 from roadperc_stream import log
-from roadperc_stream.replay import CONFIG_ATTACHMENT
+from roadperc_stream.channels import CONFIG_ATTACHMENT
 
 from ..runs import SUFFIX, Run
 
@@ -36,15 +36,15 @@ class Sources:
 
 
 def sources_of(run: Run) -> Sources:
-    """What the table's footer says; a log that lies beside the table counts where the named one is gone.
+    """What the table's footer says; a log next to the table counts where the named one is gone.
 
     A run's files are often moved together, from the machine that replayed to the one that reports.
     """
     facts = pq.read_metadata(run.path).metadata or {}
     source, named = (_path(facts.get(key, b"")) for key in (b"roadperc.source", b"roadperc.log"))
-    beside = run.path.with_name(run.path.name.removesuffix(SUFFIX) + ".mcap")
-    moved = (named is None or not named.is_file()) and beside.is_file()
-    return Sources(source, beside if moved else named, run.config_digest)
+    neighbour = run.path.with_name(run.path.name.removesuffix(SUFFIX) + ".mcap")
+    moved = (named is None or not named.is_file()) and neighbour.is_file()
+    return Sources(source, neighbour if moved else named, run.config_digest)
 
 
 def _path(stored: bytes) -> Path | None:

@@ -18,23 +18,23 @@ COLUMNS: Final = tuple(name.format(which) for which in ("odom", "true") for name
 
 
 def trajectory(runs: Sequence[Series]) -> Figure | None:
-    """Odometry's way and the true one in the ego frame of each run's first pose; None where no run has a pose."""
+    """Odometry's path and the true one in the ego frame of each run's first pose; None where no run has a pose."""
     traces = [trace for place, run in enumerate(runs) for trace in _traces(run, place, len(runs) > 1)]
     if not traces:
         return None
     note = "From above: ahead of the first frame is up, left is left; both axes to one scale, in metres."
     if any(trace["line"]["dash"] != "solid" for trace in traces):
-        note += " The true way is dashed."
+        note += " The true path is dashed."
     left = axis("y to the left, m", autorange="reversed")
     ahead = axis("x ahead, m", scaleanchor="x", scaleratio=1)
     return Figure("Trajectory", note, traces, layout("", "", hovermode="closest", height=440, xaxis=left, yaxis=ahead))
 
 
-def ways(run: Series) -> dict[str, Float]:
-    """(N, 3) metres of odometry's way (``odom``) and the true one (``true``), those there are, NaN where unknown.
+def paths(run: Series) -> dict[str, Float]:
+    """(N, 3) metres of odometry's path (``odom``) and the true one (``true``), those there are, NaN where unknown.
 
     Whichever frame the poses are given in, the pose of the first frame that has all of them becomes the origin, x
-    ahead: odometry's way and the truth are compared from the same start.
+    ahead: odometry's path and the truth are compared from the same start.
     """
     poses = {which: found for which in ("odom", "true") if (found := _poses(run, which)) is not None}
     known = np.all([_usable(found) for found in poses.values()], axis=0) if poses else np.zeros(1, bool)
@@ -55,7 +55,7 @@ def _usable(poses: Float) -> NDArray[np.bool_]:
 
 
 def _from_pose(poses: Float, first: int) -> Float:
-    """(N, 3) the places in the frame of the ``first`` of (N, 7) poses."""
+    """(N, 3) positions in the frame of the ``first`` of (N, 7) poses."""
     qx, qy, qz, qw = (float(value) for value in poses[first, 3:])
     rotation = rotation_from_quaternion(qx, qy, qz, qw)
     return np.asarray((poses[:, :3] - poses[first, :3]) @ rotation, float)
@@ -68,7 +68,7 @@ def _traces(run: Series, place: int, several: bool) -> list[Trace]:
         "true": (colour_of(place) if several else TRUTH_COLOUR, {"width": 1.6, "dash": "dash"}),
     }
     traces = []
-    for which, points_m in ways(run).items():
+    for which, points_m in paths(run).items():
         kept = np.unique(np.linspace(0, len(points_m) - 1, 3 * BUCKETS).astype(int))
         colour, look = looks[which]
         traces.append(line(names[which], points_m[kept, 1], points_m[kept, 0], colour, **look))

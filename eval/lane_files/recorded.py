@@ -39,19 +39,19 @@ class RunFrame:
 
 @dataclass(frozen=True)
 class RunLanes:
-    """A log whose lanes can be read, and the camera they are seen by."""
+    """A log whose lanes can be read, and their camera."""
 
     path: Path
     camera: Camera
     times_ms: Mapping[int, float]
-    """Each frame's whole time by its stamp, in order; empty where no metrics table lies beside the log."""
+    """Each frame's whole time by its stamp, in order; empty where no metrics table lies next to the log."""
 
     def frames(self) -> Iterator[RunFrame]:
         """Every frame in order; one that the table knows and the log has no lanes of has no lines.
 
         Raises:
             LogError: the log cannot be read.
-            DecodeError: a message is no roadperc.Lanes.
+            DecodeError: a message is not a roadperc.Lanes.
         """
         waiting = deque(self.times_ms)
         for message in log.read(self.path, topics=[LANES]):
@@ -68,11 +68,11 @@ class RunLanes:
 
 
 def open_lanes(path: Path) -> RunLanes:
-    """Find a run's lanes, their camera, and the metrics table beside the log.
+    """Find a run's lanes, their camera, and the metrics table next to the log.
 
     Raises:
         LogError: the log cannot be read, or has no lanes or no calibration of their camera.
-        TableError: the table beside it cannot be read.
+        TableError: the table next to it cannot be read.
     """
     channels = log.summarise(path).channels
     if not any(c.topic == LANES and c.schema_name == _SCHEMAS["lanes"] for c in channels):
@@ -92,7 +92,7 @@ def lane_frame(frame: RunFrame, camera: Camera, size: tuple[int, int], raw_file:
 
     Args:
         frame: lines in px of the camera's image.
-        camera: the camera they are seen by.
+        camera: their camera.
         size: columns and rows of the image in whose px the result is; the camera's image scaled to it.
         raw_file: name of the frame.
         rows: (N,) px of the scaled image.

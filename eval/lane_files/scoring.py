@@ -22,7 +22,7 @@ THRESHOLDS: Final = tuple(CULANE_THRESHOLDS.values())
 
 @dataclass(frozen=True)
 class FrameScore:
-    """How right one frame's lanes are: TuSimple's figures, and CULane's counts at each of ``THRESHOLDS``."""
+    """The accuracy of one frame's lanes: TuSimple's figures, and CULane's counts at each of ``THRESHOLDS``."""
 
     tusimple: TuSimpleScore
     counts: tuple[Counts, ...]
@@ -111,14 +111,14 @@ def _polylines(frame: LaneFrame) -> list[Float]:
 
 
 def unanswered(truth: LaneFrame, size: tuple[int, int]) -> FrameScore:
-    """The score of a frame that the run lacks: that of one in which it sees nothing."""
+    """The score of a frame that the run lacks: that of one without lanes."""
     return score_frame(LaneFrame(truth.raw_file, truth.rows, ()), truth, size)
 
 
 def summed(scores: Sequence[FrameScore]) -> LaneScores:
     """TuSimple's figures as means over frames and CULane's counts as sums, as either benchmark does; of at least one.
 
-    The ``run_time`` above which TuSimple's script refuses a frame (200 ms) is not held against a replay.
+    The ``run_time`` above which TuSimple's script refuses a frame (200 ms) is not applied to a replay.
     """
     counts = np.array([score.counts for score in scores]).sum(axis=0).tolist()
     named = zip(THRESHOLDS, counts, strict=True)

@@ -70,7 +70,7 @@ def read_frames(path: Path) -> list[LaneFrame]:
     """The frames of a file, one a line; empty lines are passed over.
 
     Raises:
-        LaneFileError: a line is no JSON object of the format, or no line is there.
+        LaneFileError: a line is not a JSON object of the format, or no line is there.
         OSError: the file cannot be read.
     """
     with path.open("rb") as stream:
@@ -84,7 +84,7 @@ def _frame(text: bytes, place: str) -> LaneFrame:
     try:
         line = _Line.model_validate_json(text)
     except ValidationError as error:
-        raise LaneFileError(f"{place}: is no line of TuSimple's format: {_first(error)}") from error
+        raise LaneFileError(f"{place}: is not a line of TuSimple's format: {_first(error)}") from error
     _require_lengths(line.lanes, len(line.h_samples), place)
     lanes = tuple(_unknown_as_nan(np.array(lane, float)) for lane in line.lanes)
     return LaneFrame(line.raw_file, np.array(line.h_samples, float), lanes, line.run_time, place)

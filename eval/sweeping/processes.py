@@ -17,7 +17,7 @@ from .replaying import Job, sweep_log
 
 # A forked process inherits the locks of polars' and OpenCV's threads, but not the threads that would open them.
 _CONTEXT: Final = multiprocessing.get_context("spawn")
-_NEWS_EVERY_S: Final = 0.2
+_PROGRESS_EVERY_S: Final = 0.2
 Bar = Callable[[int, int], None]
 """Called with frames done and frames expected, of all logs together."""
 
@@ -31,7 +31,7 @@ class Tally:
     expected: int = 0
 
     def count(self, done: int, expected: int) -> None:
-        """Take the news of a log."""
+        """Count the progress of a log."""
         self.done, self.expected = self.done + done, self.expected + expected
         self.bar(self.done, self.expected)
 
@@ -45,16 +45,16 @@ class Shared:
     stop: Event
 
     def count(self, done: int, expected: int) -> None:
-        """Take the news of a log.
+        """Count the progress of a log.
 
         Raises:
             KeyboardInterrupt: the sweep has ended elsewhere.
         """
         if self.stop.is_set():
             raise KeyboardInterrupt
-        for counter, news in ((self.done, done), (self.expected, expected)):
+        for counter, more in ((self.done, done), (self.expected, expected)):
             with counter.get_lock():
-                counter.value += news
+                counter.value += more
 
 
 def sweep_logs(jobs: Sequence[Job], processes: int, bar: Bar) -> list[tuple[str, ...]]:
@@ -88,7 +88,7 @@ def _wait_for(futures: Sequence[Future[tuple[str, ...]]], shared: Shared, bar: B
     """Return when all are done, or raise what the first that failed raised."""
     pending = set(futures)
     while pending:
-        done, pending = wait(pending, _NEWS_EVERY_S, FIRST_EXCEPTION)
+        done, pending = wait(pending, _PROGRESS_EVERY_S, FIRST_EXCEPTION)
         bar(shared.done.value, shared.expected.value)
         for future in done:
             future.result()

@@ -1,7 +1,7 @@
 """Which setting is best for which metric: each setting's score over all its frames, and what each value does.
 
 A score is the median of a metric, without its sign, over the frames of all logs that have one, or the mean where the
-metric is a share. It stands beside the share of frames that have one, for a setting that sees less may err less.
+metric is a share. Next to it stands the share of frames that have one: a setting with lower coverage may err less.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +18,7 @@ from roadperc_stream.table import Scalar
 from ..quantities import RATIO, TOTAL, TRUTH, Quantity
 from .settings import Combination
 
-LESS_SEEN: Final = 0.01
+COVERAGE_SLACK: Final = 0.01
 """A setting that measures in fewer frames than the most, by more than this share of all, cannot be the best."""
 TIME_NOISE: Final = 0.15
 """Times differ so much from one sweep to the next where the machine has other work."""
@@ -59,10 +59,10 @@ class Score:
 
 @dataclass(frozen=True)
 class Best:
-    """Places of the best setting, and of one that is better still but sees less, if any."""
+    """Places of the best setting, and of one that is better still but lower coverage, if any."""
 
     winner: int
-    sees_less: int | None
+    less_covered: int | None
 
 
 def _finite(column: str) -> pl.Expr:
@@ -91,10 +91,10 @@ def _share(column: str, name: str) -> Metric:
 
 METRICS: Final = (
     *(_typical(quantity) for quantity in TRUTH),
-    _share("camera_height_m", "surface seen"),
-    _share("drivable_ratio", "drivable seen"),
+    _share("camera_height_m", "surface coverage"),
+    _share("drivable_ratio", "drivable coverage"),
     *(_share(f"lane_{side}_raw_offset_m", f"lane {side} measured") for side in ("left", "right")),
-    *(_share(f"lane_{side}_offset_m", f"lane {side} seen") for side in ("left", "right")),
+    *(_share(f"lane_{side}_offset_m", f"lane {side} coverage") for side in ("left", "right")),
     *(_jitter(side) for side in ("left", "right")),
     _share("step_m", "odometry tracked"),
     replace(_typical(replace(TOTAL, name="time a frame", decimals=0)), noise=TIME_NOISE),
@@ -110,13 +110,13 @@ def scores(tables: Sequence[Path], made: Sequence[Combination], metric: Metric) 
     """
     keys = list(made[0].settings)
     frames = pl.scan_parquet(list(tables), glob=False, hive_partitioning=False, include_file_paths=_TABLE)
-    asked = (
+    query = (
         frames.select(*keys, metric.value.alias("value"))
         .group_by(keys)
         .agg(metric.score.alias("score"), (pl.col("value").count() / pl.len()).alias("coverage"))
     )
     try:
-        rows = asked.collect().rows_by_key(keys, unique=True, named=True)
+        rows = query.collect().rows_by_key(keys, unique=True, named=True)
     except (pl.exceptions.PolarsError, OSError) as error:
         raise TableError(f"{tables[0].parent.parent}: its tables cannot be read: {error}") from error
     found = [rows[_key(item.settings)] for item in made]
@@ -132,8 +132,8 @@ def best(metric: Metric, found: Sequence[Score], made: Sequence[Combination], re
     if not values:
         return None
     most = max(found[at].coverage for at in values)
-    seeing = {at: value for at, value in values.items() if found[at].coverage >= most - LESS_SEEN}
-    winner, first = _least_bad(metric, seeing, made, reference), _least_bad(metric, values, made, reference)
+    covered = {at: value for at, value in values.items() if found[at].coverage >= most - COVERAGE_SLACK}
+    winner, first = _least_bad(metric, covered, made, reference), _least_bad(metric, values, made, reference)
     return Best(winner, None if metric.alike([values[first], values[winner]]) else first)
 
 

@@ -38,7 +38,7 @@ class Job:
 
 @dataclass
 class Candidate:
-    """A configuration on its way through a log: what its chain remembers, and its table."""
+    """A configuration, the state of its chain in the log, and its table."""
 
     cfg: ReplayConfig
     table: TableWriter

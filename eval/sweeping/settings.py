@@ -71,7 +71,7 @@ def combinations(config: Path | None, settings: Sequence[str], vary: Sequence[Va
 
 
 def reference_of(made: Sequence[Combination], cfg: ReplayConfig) -> Combination:
-    """The combination that others are held against: that of a configuration, else the first."""
+    """The combination that others are compared with: that of a configuration, else the first."""
     return next((item for item in made if item.cfg == cfg), made[0])
 
 
@@ -95,7 +95,7 @@ def setting_of(cfg: ReplayConfig, key: str) -> Scalar:
 
 
 def _decoding(cfg: ReplayConfig) -> Hashable:
-    """All that samples depend on beside the log: see ``survey.samples`` and ``assemble.sample_of``."""
+    """All that samples depend on besides the log: see ``survey.samples`` and ``assemble.sample_of``."""
     return (cfg.sync, cfg.tag_table, cfg.surface.assumed_height_m)
 
 

@@ -1,12 +1,9 @@
 """The tables of a sweep: which setting is best for which metric, and what each value does."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
-from rich.table import Table
-
-from roadperc_stream.table import Scalar
-from roadperc_stream.terminal import grid
+from roadperc_stream.text_table import TextRow, TextTable, row
 
 from ..grid import percent, rounded
 from .ranking import Metric, Score, best, effect
@@ -14,25 +11,36 @@ from .settings import Combination, shown
 
 LEGEND: Final = (
     "median of absolute values, of shares the mean; frames %: those with a value",
-    "best: of the settings that see most; sees less: better, but in fewer frames",
+    "best: of the settings with the highest coverage; lower coverage: better, but in fewer frames",
     "time: compares settings, for they share what is decoded; a replay's is longer",
 )
 Scored = tuple[Metric, Sequence[Score]]
 """A metric, and the score of every combination."""
 
 
-def best_settings(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> Table:
+def values_taken(made: Sequence[Combination]) -> Iterator[str]:
+    """A line on each varied setting with its values."""
+    for key in made[0].settings:
+        yield f"  {key} {', '.join(dict.fromkeys(shown(item.settings[key]) for item in made))}"
+
+
+def best_settings(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> TextTable:
     """A row per metric on which settings differ: score and coverage of the best and the reference, what it changes."""
-    headers = ("best", "frames %", "reference", "frames %")
-    table = grid("Which setting is best?", *headers, text="setting", label_columns=22)
-    for metric, scores in found:
-        ranked = best(metric, scores, made, reference)
-        if ranked is not None and _differ(metric, scores):
-            held_against = _cells(metric, scores[reference.number])
-            for label, at in ((metric.quantity.label, ranked.winner), ("  sees less", ranked.sees_less)):
-                if at is not None:
-                    table.add_row(label, *_cells(metric, scores[at]), *held_against, _changes(made[at], reference))
-    return table
+    headers = ("best", "frames %", "reference", "frames %", "setting")
+    rows = (line for scored in found if _differ(*scored) for line in _best_rows(scored, made, reference))
+    return TextTable("Best setting", headers, tuple(rows), last_is_text=True, label_columns=22)
+
+
+def _best_rows(scored: Scored, made: Sequence[Combination], reference: Combination) -> Iterator[TextRow]:
+    metric, scores = scored
+    ranked = best(metric, scores, made, reference)
+    places = (
+        () if ranked is None else ((metric.quantity.label, ranked.winner), ("  lower coverage", ranked.less_covered))
+    )
+    compared_with = _cells(metric, scores[reference.number])
+    for label, at in places:
+        if at is not None:
+            yield row(label, *_cells(metric, scores[at]), *compared_with, _changes(made[at], reference))
 
 
 def without_effect(found: Sequence[Scored]) -> str:
@@ -42,25 +50,25 @@ def without_effect(found: Sequence[Scored]) -> str:
     return f"no difference: {', '.join(same)}" if same else ""
 
 
-def effects(found: Sequence[Scored], made: Sequence[Combination], key: str) -> Table:
+def effects(found: Sequence[Scored], made: Sequence[Combination], key: str) -> TextTable:
     """A row per metric on which the setting has an effect: the mean score of the combinations with each value.
 
-    Where the values see differently, a second row has the mean shares of frames, in percent.
+    Where coverage differs between the values, a second row has the mean shares of frames, in percent.
     """
     values = dict.fromkeys(item.settings[key] for item in made)
-    table = grid(key, *(shown(value) for value in values), label_columns=22)
-    for metric, scores in found:
-        means = effect(scores, made, key)
-        if _differ(metric, list(means.values())):
-            table.add_row(metric.quantity.label, *(_cell(metric, score) for score in means.values()))
-            _add_coverage(table, means)
-    return table
+    rows = (line for scored in found for line in _effect_rows(scored, made, key))
+    return TextTable(key, tuple(shown(value) for value in values), tuple(rows), label_columns=22)
 
 
-def _add_coverage(table: Table, means: Mapping[Scalar, Score]) -> None:
-    shares = [percent(score.coverage) for score in means.values()]
+def _effect_rows(scored: Scored, made: Sequence[Combination], key: str) -> Iterator[TextRow]:
+    metric, scores = scored
+    means = list(effect(scores, made, key).values())
+    if not _differ(metric, means):
+        return
+    yield row(metric.quantity.label, *(_cell(metric, score) for score in means))
+    shares = [percent(score.coverage) for score in means]
     if len(set(shares)) > 1:
-        table.add_row("  frames %", *shares)
+        yield row("  frames %", *shares)
 
 
 def _differ(metric: Metric, scores: Sequence[Score]) -> bool:

@@ -30,7 +30,7 @@ def read_poses(run: Run) -> RunPoses:
     has_estimate, has_truth = _known(estimated) & ~lost, _known(true)
     if not has_estimate.any():
         raise TableError(f"{run.path}: no frame has an estimated pose (odom_x_m to odom_qw); was odometry replayed?")
-    taken = has_estimate & has_truth if has_truth.any() else has_estimate
+    used = has_estimate & has_truth if has_truth.any() else has_estimate
     turned = table["turn_deg"].is_not_null()
     return RunPoses(
         name=run.name,
@@ -41,9 +41,9 @@ def read_poses(run: Run) -> RunPoses:
         true_frames=int(has_truth.sum()),
         steps=int(turned.sum()),
         without_scale=int((turned & table["step_m"].is_null()).sum()),
-        stamps_ns=table["stamp_ns"].to_numpy()[taken],
-        estimated=pose_matrices(estimated[taken]),
-        true=pose_matrices(true[taken]) if has_truth.any() else None,
+        stamps_ns=table["stamp_ns"].to_numpy()[used],
+        estimated=pose_matrices(estimated[used]),
+        true=pose_matrices(true[used]) if has_truth.any() else None,
     )
 
 

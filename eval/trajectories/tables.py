@@ -1,16 +1,14 @@
-"""The figures of runs as tables and lines, as rich renderables."""
+"""The figures of runs as tables and lines."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from rich.table import Table
-
-from roadperc_stream.terminal import grid
+from roadperc_stream.text_table import TextTable, row
 
 from ..grid import percent
 from .alignment import Alignment
 from .errors import Delta, ErrorStatistics
-from .judgement import Judgement, Segments
+from .evaluation import Evaluation, Segments
 
 _ALIGNED: Final[Mapping[Alignment, str]] = {
     "se3": "aligned by SE(3)",
@@ -20,79 +18,101 @@ _ALIGNED: Final[Mapping[Alignment, str]] = {
 }
 
 
-def coverage(judgement: Judgement) -> str:
+def coverage(evaluation: Evaluation) -> str:
     """How much of the run the figures are over."""
-    run = judgement.run
+    run = evaluation.run
     return (
-        f"{run.name}: {run.frames} frames, {judgement.driven_m:.1f} m driven\n"
+        f"{run.name}: {run.frames} frames, {evaluation.driven_m:.1f} m driven\n"
         f"{percent(run.coverage)} % have both poses: "
         f"estimated {run.estimated_frames}, true {run.true_frames}, lost {run.lost}"
     )
 
 
-def alignment(judgement: Judgement) -> str:
+def alignment(evaluation: Evaluation) -> str:
     """How the estimate was laid over the truth."""
-    scale = f", the estimate scaled by {judgement.scale:.6g}" if judgement.alignment == "sim3" else ""
-    return f"{_ALIGNED[judgement.alignment]}{scale}"
+    scale = f", the estimate scaled by {evaluation.scale:.6g}" if evaluation.alignment == "sim3" else ""
+    return f"{_ALIGNED[evaluation.alignment]}{scale}"
 
 
-def without_scale(judgement: Judgement) -> str:
+def without_scale(evaluation: Evaluation) -> str:
     """What steps without scale mean for the figures; empty where there are none."""
-    run = judgement.run
+    run = evaluation.run
     counted = f"{run.without_scale} of {run.steps} steps have no scale"
     if run.up_to_scale:
-        rest = "" if judgement.alignment == "sim3" else ", and these are not: --align sim3"
+        rest = "" if evaluation.alignment == "sim3" else ", and these are not: --align sim3"
         return f"up to scale ({counted}): only figures aligned by Sim(3) mean anything{rest}"
     return f"{counted} of their own: those before and after them give it" if run.without_scale else ""
 
 
-def errors(judgement: Judgement) -> Table:
+def errors(evaluation: Evaluation) -> TextTable:
     """Absolute and relative errors."""
-    table = grid("Error", "values", "RMSE", "mean", "median", "std", "min", "max", "SSE", label_columns=22)
-    delta = delta_text(judgement.delta)
-    table.add_row("ATE, m", *_cells(judgement.absolute_m))
-    table.add_row(f"RPE over {delta}, m", *_cells(judgement.relative_m))
-    table.add_row(f"RPE over {delta}, deg", *_cells(judgement.relative_deg))
-    return table
+    rows = (
+        row("ATE, m", *_cells(evaluation.absolute_m)),
+        row("RPE, m", *_cells(evaluation.relative_m)),
+        row("RPE, deg", *_cells(evaluation.relative_deg)),
+    )
+    headers = ("values", "RMSE", "mean", "median", "std", "min", "max", "SSE")
+    return TextTable("Error", headers, rows, (_rpe(evaluation.delta),), label_columns=22)
 
 
-def stretches(judgement: Judgement) -> Table:
+def stretches(evaluation: Evaluation) -> TextTable:
     """KITTI's errors by length; a length of which no stretch fits has none."""
-    table = grid("KITTI", "segments", "translation %", "rotation deg/100 m")
-    for segments in (*judgement.stretches, judgement.together):
-        label = "all" if segments.length_m is None else f"{segments.length_m:.0f} m"
-        table.add_row(label, str(segments.count), *_segment_cells(segments))
-    return table
+    segments = (*evaluation.stretches, evaluation.together)
+    rows = tuple(row(_length(item), str(item.count), *_segment_cells(item)) for item in segments)
+    headers = ("segments", "translation %", "rotation deg/100 m")
+    return TextTable("KITTI", headers, rows, (lengths(evaluation),))
 
 
-def lengths(judgement: Judgement) -> str:
+def _length(segments: Segments) -> str:
+    return "all" if segments.length_m is None else f"{segments.length_m:.0f} m"
+
+
+def lengths(evaluation: Evaluation) -> str:
     """Which lengths KITTI's errors are over, and why."""
-    own = f"a segment begins at every {judgement.every}th frame, as in KITTI's benchmark"
+    own = f"a segment begins at every {evaluation.every}th frame, as in KITTI's benchmark"
     short = "no 100 m driven: shorter lengths than KITTI's; a segment begins at every frame"
-    return own if judgement.every > 1 else short
+    return own if evaluation.every > 1 else short
 
 
-def runs(judgements: Sequence[Judgement]) -> Table:
-    """How much of each of several runs the figures are over, and how they came about."""
-    headers = ("frames", "both %", "lost", "driven m", "scale")
-    table = grid("Run", *headers, text="KITTI over", label_columns=20)
-    for judgement in judgements:
-        run = judgement.run
-        counts = (str(run.frames), percent(run.coverage), str(run.lost), f"{judgement.driven_m:.1f}")
-        table.add_row(run.name, *counts, f"{judgement.scale:.4g}", _used_lengths(judgement.stretches))
-    return table
+def runs(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
+    """How much of each of several runs the figures are over, and how they came about.
+
+    Args:
+        evaluations: of the runs.
+        names: what each run is called in the table.
+    """
+    headers = ("frames", "both %", "lost", "driven m", "scale", "KITTI over")
+    rows = tuple(row(names[item.run.name], *_overview(item)) for item in evaluations)
+    return TextTable("Run", headers, rows, last_is_text=True, label_columns=20)
 
 
-def side_by_side(judgements: Sequence[Judgement]) -> Table:
-    """A row of figures for each of several runs."""
+def _overview(evaluation: Evaluation) -> list[str]:
+    run = evaluation.run
+    counts = [str(run.frames), percent(run.coverage), str(run.lost), f"{evaluation.driven_m:.1f}"]
+    return [*counts, f"{evaluation.scale:.4g}", _used_lengths(evaluation.stretches)]
+
+
+def side_by_side(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
+    """A row of figures for each of several runs.
+
+    Args:
+        evaluations: of the runs.
+        names: what each run is called in the table.
+    """
     headers = ("align", "ATE m", "RPE m", "RPE deg", "KITTI %", "deg/100 m", "segments")
-    table = grid(f"RMSE, RPE over {delta_text(judgements[0].delta)}", *headers, label_columns=20)
-    for judgement in judgements:
-        found = (judgement.absolute_m, judgement.relative_m, judgement.relative_deg)
-        rmse = [_number(statistics.rmse if statistics else None) for statistics in found]
-        together = judgement.together
-        table.add_row(judgement.run.name, judgement.alignment, *rmse, *_segment_cells(together), str(together.count))
-    return table
+    rows = tuple(row(names[item.run.name], *_figures(item)) for item in evaluations)
+    return TextTable("RMSE", headers, rows, (_rpe(evaluations[0].delta),), label_columns=20)
+
+
+def _figures(evaluation: Evaluation) -> list[str]:
+    found = (evaluation.absolute_m, evaluation.relative_m, evaluation.relative_deg)
+    rmse = [_number(statistics.rmse if statistics else None) for statistics in found]
+    together = evaluation.together
+    return [evaluation.alignment, *rmse, *_segment_cells(together), str(together.count)]
+
+
+def _rpe(delta: Delta) -> str:
+    return f"RPE over {delta_text(delta)}"
 
 
 def delta_text(delta: Delta) -> str:

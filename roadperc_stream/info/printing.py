@@ -5,13 +5,13 @@ from datetime import UTC, datetime
 from typing import Final
 
 from rich.console import Console
-from rich.table import Table
 
 from roadperc_stream.info.facts import ChannelFacts, LogFacts
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.replay_printing import print_replay
 from roadperc_stream.info.text import listed, number, plain, rounded, size
-from roadperc_stream.terminal import grid, print_lines, print_table
+from roadperc_stream.terminal import print_lines, print_table
+from roadperc_stream.text_table import TextRow, TextTable, row
 
 _DAMAGES_SHOWN: Final = 5
 _ODD_JITTER, _ODD_GAP = 0.2, 1.5
@@ -36,8 +36,8 @@ def print_log(console: Console, facts: LogFacts) -> None:
     """All that is known of a log."""
     print_lines(console, *_file_lines(facts), unbroken=True)
     print_table(console, _channels(facts.channels, console.width))
-    print_table(console, _odd_intervals(facts.channels), _INTERVALS_NOTE)
-    print_table(console, _odd_stamps(facts.channels), _STAMPS_NOTE)
+    print_table(console, _odd_intervals(facts.channels))
+    print_table(console, _odd_stamps(facts.channels))
     print_replay(console, facts)
     if facts.provenance is not None:
         print_lines(console, "", *_provenance_lines(facts.provenance), unbroken=True)
@@ -91,20 +91,17 @@ def _damage_lines(facts: LogFacts) -> Iterator[str]:
         yield f"the last message before that is at {after_s:.3f} s ({file.last_good_ns} ns); below is what can be read"
 
 
-def _channels(channels: Sequence[ChannelFacts], width: int) -> Table:
+def _channels(channels: Sequence[ChannelFacts], width: int) -> TextTable:
     """Schemas stand behind the numbers, or below the topics where the two are too long for one line."""
     ordered = sorted(channels, key=lambda channel: (channel.result, channel.topic))
     topics, schemas = [plain(channel.topic) for channel in ordered], [_schema(channel) for channel in ordered]
     numbers = [(str(channel.messages), rounded(channel.rate_hz)) for channel in ordered]
+    found = list(zip(topics, schemas, numbers, strict=True))
     if max(map(len, topics), default=0) + max(map(len, schemas), default=0) + _NUMBERS_WIDTH <= width:
-        table = grid("Channel", "messages", "Hz", text="schema", label_columns=12)
-        for topic, schema, cells in zip(topics, schemas, numbers, strict=True):
-            table.add_row(topic, *cells, schema)
-        return table
-    table = grid("Channel, schema", "messages", "Hz")
-    for topic, schema, cells in zip(topics, schemas, numbers, strict=True):
-        table.add_row(f"{topic}\n  {schema}", *cells)
-    return table
+        rows = tuple(row(topic, *cells, schema) for topic, schema, cells in found)
+        return TextTable("Channel", ("messages", "Hz", "schema"), rows, last_is_text=True, label_columns=12)
+    rows = tuple(row(f"{topic}\n  {schema}", *cells) for topic, schema, cells in found)
+    return TextTable("Channel, schema", ("messages", "Hz"), rows)
 
 
 def _schema(channel: ChannelFacts) -> str:
@@ -114,25 +111,32 @@ def _schema(channel: ChannelFacts) -> str:
     return name if channel.message_encoding == natural else f"{name} ({plain(channel.message_encoding)})"
 
 
-def _odd_intervals(channels: Iterable[ChannelFacts]) -> Table:
-    table = grid("Odd intervals", "jitter ms", "gap s", "from s")
-    for channel in (c for c in channels if not c.result):  # results come as the frames have them
-        jitter_ms = 1000 * (channel.jitter_s or 0)
-        jitter = (rounded(jitter_ms),) if _is_odd(channel, _ODD_JITTER, channel.jitter_s) else ("",)
-        gap = (channel.longest_gap_s, channel.gap_at_s) if _is_odd(channel, _ODD_GAP, channel.longest_gap_s) else ()
-        if any(jitter) or gap:
-            table.add_row(plain(channel.topic), *jitter, *map(rounded, gap))
-    return table
+def _odd_intervals(channels: Iterable[ChannelFacts]) -> TextTable:
+    inputs = (channel for channel in channels if not channel.result)  # results come as the frames have them
+    rows = tuple(row(plain(channel.topic), *cells) for channel in inputs if any(cells := _intervals(channel)))
+    return TextTable("Odd intervals", ("jitter ms", "gap s", "from s"), rows, (_INTERVALS_NOTE,) if rows else ())
 
 
-def _odd_stamps(channels: Iterable[ChannelFacts]) -> Table:
-    table = grid("Odd stamps", "back", "from s", "same", "unset", "late")
-    for channel in channels:
-        counts = (channel.stamps_back, channel.stamps_repeated, channel.stamps_unset, channel.log_times_back)
-        if any(counts):
-            back, *others = (str(count or "") for count in counts)
-            table.add_row(plain(channel.topic), back, rounded(channel.stamps_back_at_s), *others)
-    return table
+def _intervals(channel: ChannelFacts) -> tuple[str, ...]:
+    """Jitter, and the longest gap with its start, each where it is odd."""
+    jitter = rounded(1000 * (channel.jitter_s or 0)) if _is_odd(channel, _ODD_JITTER, channel.jitter_s) else ""
+    odd_gap = _is_odd(channel, _ODD_GAP, channel.longest_gap_s)
+    return (jitter, *map(rounded, (channel.longest_gap_s, channel.gap_at_s) if odd_gap else ()))
+
+
+def _odd_stamps(channels: Iterable[ChannelFacts]) -> TextTable:
+    rows = tuple(_stamps(channel) for channel in channels if any(_stamp_counts(channel)))
+    headers = ("back", "from s", "same", "unset", "late")
+    return TextTable("Odd stamps", headers, rows, (_STAMPS_NOTE,) if rows else ())
+
+
+def _stamp_counts(channel: ChannelFacts) -> tuple[int, int, int, int]:
+    return channel.stamps_back, channel.stamps_repeated, channel.stamps_unset, channel.log_times_back
+
+
+def _stamps(channel: ChannelFacts) -> TextRow:
+    back, *others = (str(count or "") for count in _stamp_counts(channel))
+    return row(plain(channel.topic), back, rounded(channel.stamps_back_at_s), *others)
 
 
 def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:
@@ -169,8 +173,9 @@ def _digest_line(provenance: Provenance) -> str:
     return f"input {digest}: its messages are those that were replayed"
 
 
-def _settings(provenance: Provenance) -> Table:
-    table = grid("Settings not at their defaults", "value", "default")
-    for setting in provenance.settings:
-        table.add_row(plain(setting.key), plain(setting.value), plain(setting.default or "no such setting"))
-    return table
+def _settings(provenance: Provenance) -> TextTable:
+    rows = tuple(
+        row(plain(setting.key), plain(setting.value), plain(setting.default or "no such setting"))
+        for setting in provenance.settings
+    )
+    return TextTable("Settings not at their defaults", ("value", "default"), rows)

@@ -1,17 +1,16 @@
 """Where a result comes from: version, seed and settings of the replay that wrote it, and the tables beside it."""
 
 import hashlib
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from roadperc_stream.channels import METADATA_RECORD
+from roadperc_stream.channels import CONFIG_ATTACHMENT, METADATA_RECORD
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.errors import TableError
+from roadperc_stream.config.settings import as_typed, settings_in
+from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.log import Attachment, Metadata
-from roadperc_stream.replay import CONFIG_ATTACHMENT
 from roadperc_stream.table import beside, read_footer
 
 _DROPPED: Final = "dropped."
@@ -92,25 +91,16 @@ def _settings(toml: bytes | None) -> tuple[tuple[Setting, ...], str]:
     if toml is None:
         return (), f"no attachment {CONFIG_ATTACHMENT}"
     try:
-        found = _flat(tomllib.loads(toml.decode()))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        return (), f"attachment {CONFIG_ATTACHMENT} is not TOML: {error}"
-    defaults = _flat(tomllib.loads(ReplayConfig().to_toml()))
-    differing = (key for key, value in found.items() if key not in defaults or defaults[key] != value)
-    return tuple(Setting(key, _said(found[key]), _said(defaults.get(key))) for key in differing), ""
+        found = settings_in(toml)
+    except ConfigError as error:
+        return (), f"attachment {CONFIG_ATTACHMENT} is {error}"
+    defaults = settings_in(ReplayConfig().to_toml().encode())
+    differing = [key for key, value in found.items() if key not in defaults or defaults[key] != value]
+    return tuple(Setting(key, as_typed(found[key]), _default(defaults, key)) for key in differing), ""
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Settings by their dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return flat
-
-
-def _said(value: Any) -> Any:
-    """A value as a command line would give it; None stays None."""
-    return value if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+def _default(defaults: Mapping[str, Any], key: str) -> str | None:
+    return as_typed(defaults[key]) if key in defaults else None
 
 
 def _number(text: str) -> int | None:

@@ -4,12 +4,12 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from rich.console import Console
-from rich.table import Table
 
 from roadperc_stream.info.facts import CameraFacts, LogFacts, ReplayFacts
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.info.text import listed, number, plain, rounded
-from roadperc_stream.terminal import grid, print_lines, print_table
+from roadperc_stream.terminal import print_lines, print_table
+from roadperc_stream.text_table import TextRow, TextTable, row
 
 _ASIDE: Final = {"depth_calibration": "depth", "left_calibration": "left", "right_calibration": "right"}
 """Calibrations that nobody misses where the camera itself is missing."""
@@ -29,14 +29,11 @@ def print_replay(console: Console, facts: LogFacts) -> None:
     print_table(console, _cameras(replay.cameras))
 
 
-def _roles(states: Iterable[RoleState]) -> Table:
-    table = grid("Role", text="topic, or what a replay does without", label_columns=18)
+def _roles(states: Iterable[RoleState]) -> TextTable:
     states = tuple(states)
     filled = {state.role for state in states if state.state == "filled"}
-    for state in states:
-        if _worth_a_line(state, filled):
-            table.add_row(state.role, _said(state))
-    return table
+    rows = tuple(row(state.role, _said(state)) for state in states if _worth_a_line(state, filled))
+    return TextTable("Role", ("topic, or what a replay does without",), rows, last_is_text=True, label_columns=18)
 
 
 def _worth_a_line(state: RoleState, filled: set[str]) -> bool:
@@ -95,16 +92,18 @@ def _tag_lines(replay: ReplayFacts) -> Iterator[str]:
         )
 
 
-def _cameras(cameras: Iterable[CameraFacts]) -> Table:
-    table = grid("Camera", "pixels", "fx px", "baseline m", "height m", text="remark", label_columns=18)
-    for found in cameras:
-        camera, height_m = found.camera, None if found.ego_T_camera is None else found.ego_T_camera[2][3]
-        remarks = [] if found.image_size in (None, (camera.width, camera.height)) else [_other_size(found)]
-        remarks += ["not rectified"] if camera.lens is not None or camera.distortion else []
-        remarks += ["no transform from ego"] if height_m is None else []
-        cells = (f"{camera.width}x{camera.height}", rounded(camera.fx), rounded(camera.baseline_m), rounded(height_m))
-        table.add_row(found.role, *cells, ", ".join(remarks))
-    return table
+def _cameras(cameras: Iterable[CameraFacts]) -> TextTable:
+    headers = ("pixels", "fx px", "baseline m", "height m", "remark")
+    return TextTable("Camera", headers, tuple(map(_camera, cameras)), last_is_text=True, label_columns=18)
+
+
+def _camera(found: CameraFacts) -> TextRow:
+    camera, height_m = found.camera, None if found.ego_T_camera is None else found.ego_T_camera[2][3]
+    remarks = [] if found.image_size in (None, (camera.width, camera.height)) else [_other_size(found)]
+    remarks += ["not rectified"] if camera.lens is not None or camera.distortion else []
+    remarks += ["no transform from ego"] if height_m is None else []
+    cells = (f"{camera.width}x{camera.height}", rounded(camera.fx), rounded(camera.baseline_m), rounded(height_m))
+    return row(found.role, *cells, ", ".join(remarks))
 
 
 def _other_size(found: CameraFacts) -> str:

@@ -8,7 +8,9 @@ from dataclasses import replace
 import polars as pl
 import pytest
 
+from roadperc_stream.config import load_config
 from roadperc_stream.eval.compare import main
+from roadperc_stream.replay import table_facts
 from tests.eval.tables import START_NS, row, write
 
 OTHER = "b" * 16
@@ -49,7 +51,7 @@ def test_an_unchanged_run_is_identical(reference, capsys):
     changed_times = other(reference, total_ms=pl.col("total_ms") * 1.5)
     code, text, error = compare(capsys, reference, changed_times, "--exact")
     assert (code, error) == (0, "")
-    assert "differ" not in text.replace("0 differ", "")
+    assert "differ" not in text.replace("0 differ", "").replace("settings that differ: unknown", "")
     assert text.endswith("verdict: identical\n")
     assert re.search(r"total_ms +10.00 +15.00 +1.50 +1.50 +1.50\n", text)
 
@@ -249,7 +251,7 @@ def other_log(path, start=0):
         (lambda path: write(path, []), [], r"b\.metrics\.parquet: no frames in this table"),
         (lambda path: write(path, [row(0), row(1, OTHER)]), [], r"b\.metrics\.parquet: holds 2 logs"),
         (lambda path: path, [], r"b\.metrics\.parquet: no such file"),
-        (lambda path: shutil.copy(__file__, path), [], r"b\.metrics\.parquet: is no Parquet file"),
+        (lambda path: shutil.copy(__file__, path), [], r"b\.metrics\.parquet: is not a Parquet file"),
     ],
     ids=["other log", "no common stamp", "empty", "two logs", "absent", "no table"],
 )
@@ -329,3 +331,41 @@ def test_help_has_a_worked_example(capsys):
     said = capsys.readouterr().out
     assert "roadperc-compare base.mcap other.mcap" in said
     assert "exit code 0" in said
+
+
+def made_by(path, *settings):
+    """The same table, carrying the configuration that made it."""
+    facts = table_facts(path, path, load_config(settings=settings))
+    pl.read_parquet(path).write_parquet(path, metadata=facts)
+    return path
+
+
+def test_the_settings_that_differ_head_the_comparison(reference, capsys):
+    candidate = made_by(other(reference), "lanes.hold_s=2", "surface.inlier_m=0.5")
+    _, text, _ = compare(capsys, made_by(reference), candidate)
+    assert text.splitlines()[2:6] == [
+        "settings that differ:",
+        "  surface.inlier_m 0.05 → 0.5",
+        "  lanes.hold_s 0.5 → 2.0",
+        "40 frames compared",
+    ]
+
+
+def test_one_configuration_has_no_settings_that_differ_and_an_unknown_one_says_so(reference, capsys):
+    candidate = made_by(other(reference))
+    assert "settings" not in compare(capsys, made_by(reference), candidate)[1]
+    pl.read_parquet(candidate).write_parquet(candidate)
+    _, text, _ = compare(capsys, reference, candidate)
+    assert "settings that differ: unknown, for neither a table nor a log next to it says its configuration\n" in text
+
+
+def test_of_several_pairs_the_settings_stand_once_for_those_that_share_them(tmp_path, capsys):
+    for folder, hold_s in (("a", 0.5), ("b", 2.0)):
+        for name, log_id in (("day", "d" * 16), ("night", "e" * 16), ("rain", "f" * 16)):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            path = write(tmp_path / folder / f"{name}.metrics.parquet", [row(k, log_id=log_id) for k in range(3)])
+            made_by(path, f"lanes.hold_s={0.5 if name == 'rain' else hold_s}")
+    _, text, _ = compare(capsys, tmp_path / "a", tmp_path / "b")
+    assert text.startswith(
+        "settings that differ in day, night:\n  lanes.hold_s 0.5 → 2.0\n9 frames compared in 3 pairs"
+    )

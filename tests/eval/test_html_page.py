@@ -12,8 +12,10 @@ import polars as pl
 import pytest
 
 from roadperc_stream.cli import replay_main
+from roadperc_stream.config import load_config
 from roadperc_stream.eval.html.page import RUNS_DRAWN
 from roadperc_stream.eval.report import main
+from roadperc_stream.replay import table_facts
 from tests.eval.tables import START_NS, STEP_NS, row, write
 from tests.eval.test_html_parts import STAMP, write_log
 
@@ -92,7 +94,7 @@ def test_accuracy_stands_beside_coverage_with_its_direction(tmp_path):
     page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", rows))
     words = " ".join(page.text.split())
     assert "lane left at 10 m, m0 is best 75.0 0.010 0.020 0.272 0.300" in words
-    assert "drivable IoUhigher is better 100.0 0.900 0.900 0.900" in words
+    assert "drivable IoUhigher is better 100.0 0.900 p5 0.900 0.900" in words
     assert "No frame has a truth for: surface angle, deg;" in words
 
 
@@ -135,9 +137,26 @@ def test_several_runs_stand_side_by_side(tmp_path):
         write(path, [row(k, stereo_epe_px=error, nearest_object_m=4.0 + k) for k in range(4)])
     page, _ = report(tmp_path, *paths)
     words = " ".join(page.text.split())
-    assert "stereo disparity, pxlower is better coverage % 100.0 100.0 median 0.10 0.20" in words
+    assert "stereo disparity, pxlower is better frames % 100.0 100.0 median 0.10 0.20" in words
     distances = next(spec for spec in page.specs.values() if "nearest object" in str(spec["data"][0]))
     assert [trace["name"] for trace in distances["data"]] == ["base/a", "slow/a"]
+
+
+def test_the_settings_that_differ_head_the_page_and_each_configuration_has_its_own_worst_frames(tmp_path):
+    paths = [tmp_path / name / "a.metrics.parquet" for name in ("base", "slow")]
+    for error, settings, path in zip((0.1, 0.2), ((), ("lanes.hold_s=2",)), paths, strict=True):
+        path.parent.mkdir()
+        write(path, [row(k, stereo_epe_px=error) for k in range(12)])
+        facts = table_facts(path, path, load_config(settings=settings))
+        pl.read_parquet(path).write_parquet(path, metadata=facts)
+    page, _ = report(tmp_path, *paths)
+    words = " ".join(page.text.split())
+    assert "Settings that differ base/a slow/a lanes.hold_s 0.5 2.0 What was replayed" in words
+    worst = words[words.index("Worst frames") :]
+    assert "stereo disparity, pxbase/a " in worst
+    assert "stereo disparity, pxslow/a " in worst
+    assert re.findall(r"base/a (\d)0\.10 px", worst) == list("01234")
+    assert re.findall(r"slow/a (\d)0\.20 px", worst) == list("01234")
 
 
 def test_more_runs_than_colours_are_left_out_and_said(tmp_path):

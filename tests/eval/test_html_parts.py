@@ -16,7 +16,7 @@ from roadperc_stream.eval.html.figures import line, numbers
 from roadperc_stream.eval.html.histograms import bin_edges, histograms
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.series import Series, thinned
-from roadperc_stream.eval.html.trajectory import trajectory, ways
+from roadperc_stream.eval.html.trajectory import paths, trajectory
 from roadperc_stream.formats import images
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.roles import Problems
@@ -104,17 +104,17 @@ def poses(which, xy, yaw_deg=0.0):
     }
 
 
-def test_the_true_way_starts_where_odometry_starts_whatever_frame_it_is_given_in():
+def test_the_true_path_starts_where_odometry_starts_whatever_frame_it_is_given_in():
     """The car drives 2 m north in the world, which its odometry calls 2 m ahead."""
     run = series(**poses("odom", [(0, 0), (1, 0), (2, 0)]), **poses("true", [(100, 50), (100, 51), (100, 52)], 90))
-    found = ways(run)
+    found = paths(run)
     np.testing.assert_allclose(found["odom"], [(0, 0, 0), (1, 0, 0), (2, 0, 0)], atol=1e-9)
     np.testing.assert_allclose(found["true"], found["odom"], atol=1e-9)
 
 
-def test_a_truth_that_comes_later_joins_the_way_there():
+def test_a_truth_that_comes_later_joins_the_path_there():
     later = {name: np.where(np.arange(3) < 1, np.nan, c) for name, c in poses("true", [(9, 9), (7, 7), (8, 7)]).items()}
-    found = ways(series(**poses("odom", [(0, 0), (1, 0), (2, 0)]), **later))
+    found = paths(series(**poses("odom", [(0, 0), (1, 0), (2, 0)]), **later))
     np.testing.assert_allclose(found["odom"][1:, 0], [0, 1], atol=1e-9)
     np.testing.assert_allclose(found["true"][1:], [(0, 0, 0), (1, 0, 0)], atol=1e-9)
 

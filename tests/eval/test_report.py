@@ -4,11 +4,15 @@ import math
 import re
 import subprocess
 import sys
+from pathlib import Path
 
+import polars as pl
 import pytest
 
+from roadperc_stream.config import load_config
 from roadperc_stream.eval import summary
 from roadperc_stream.eval.report import main
+from roadperc_stream.replay import table_facts
 from tests.commands import BUFFERINGS, environment
 from tests.eval.tables import row, write
 
@@ -29,6 +33,13 @@ def report(capsys, *arguments):
     code = main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
+
+
+def configured(path, error, *settings):
+    """A table of a frame that carries the configuration which made it."""
+    write(path, [row(0, lane_left_error_m=error)])
+    facts = table_facts(Path("in.mcap"), Path("out.mcap"), load_config(settings=settings))
+    pl.read_parquet(path).write_parquet(path, metadata=facts)
 
 
 def line_of(text, start):
@@ -76,7 +87,10 @@ def test_columns_without_values_are_one_line(drive, capsys):
     assert "stereo*" in said
     assert "nearest_object_m" in said
     assert "camera_height_m" not in said
-    assert "camera_height_error_m" in said
+    assert "error" not in said
+    untrue = text[text.index("No frame has a truth for:") :].split("\n\n")[0].replace("\n", " ")
+    assert "surface angle, deg; camera height, m;" in untrue
+    assert "drivable IoU" not in untrue
 
 
 def test_log_without_truth_says_so_and_shows_signs_of_trouble(tmp_path, capsys):
@@ -97,24 +111,40 @@ def test_piped_text_is_plain_and_numbers_stay_whole(drive, tmp_path, capsys, mon
     write(tmp_path / "a_much_longer_name_than_the_column_has_room_for_it.metrics.parquet", [row(0, **TRUTHFUL)])
     _, text, _ = report(capsys, tmp_path)
     assert "\x1b" not in text
-    assert "…" not in text
     assert "12345.678" in text
     assert "1577836800100000000" in text
     assert max(len(line) for line in text.splitlines()) <= max(80, int(columns))
     assert not any(line.endswith(" ") for line in text.splitlines())
 
 
-def test_long_names_fold_and_lose_nothing(drive, tmp_path, capsys, monkeypatch):
+def test_a_name_of_any_length_takes_one_line_a_row_and_stands_whole_in_the_legend(drive, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     name = "the_quick_brown_fox_jumps_over_the_lazy_dog"
     write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=9.0)])
     _, text, _ = report(capsys, tmp_path, "--worst", "1")
     lines = text.splitlines()
-    at = next(k for k, line in enumerate(lines) if line.startswith("lane left at 10 m, m") and "15778" in line)
-    folded = [lines[at].split()[-1]]
-    while not lines[at + len(folded)].strip().startswith("object"):
-        folded.append(lines[at + len(folded)].strip())
-    assert "".join(folded) == name
+    assert f"the_qui…azy_dog: {name}" in lines
+    assert sum(name in line for line in lines) == 1
+    at = next(k for k, line in enumerate(lines) if line == "lane left at 10 m, m" and "15778" in lines[k + 1])
+    assert lines[at + 1].split() == ["the_qui…azy_dog", "9.000", "0", "0.000", "1577836800000000000"]
+    rows = [line for line in lines if line.lstrip().startswith("the_qui…azy_dog ")]
+    assert all(re.search(r"\d$", line) for line in rows)
+
+
+def test_eight_runs_with_all_columns_have_a_line_each_in_80_columns(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    everything = {**TRUTHFUL, "drivable_ratio": 0.4, "lane_right_offset_m": -1.7, "detections": 12}
+    everything |= {"stereo_valid_ratio": 0.7, "step_m": 0.5, "lane_left_error_m": 0.1}
+    for k in range(8):
+        path = tmp_path / f"a_run_whose_name_says_what_was_changed_{k}_and_why" / "town_in_the_rain_at_night"
+        path.mkdir(parents=True)
+        write(path / "drive.metrics.parquet", [row(0, **everything)], config=f"{k}" * 64)
+        write(path / "other.metrics.parquet", [row(0, **everything)], config=f"{k}" * 64)
+    _, text, _ = report(capsys, tmp_path, "--worst", "1")
+    table = text[text.index("Coverage, %") :].split("\n\n")[0].splitlines()[2:]
+    assert [len(line.split("  ")[0]) <= 15 and line.count("100.0") for line in table] == [8] * 16
+    assert len({line.split("  ")[0] for line in table}) == 16
+    assert max(len(line) for line in text.splitlines() if "town_in_the_rain" not in line) <= 80
 
 
 def test_one_log_is_a_page(drive, capsys):
@@ -128,10 +158,68 @@ def test_same_log_under_two_configurations(tmp_path, capsys):
     _, text, _ = report(capsys, tmp_path)
     assert text.startswith("2 runs: 1 log, 2 configurations")
     assert line_of(text, "base/drive")[1:3] == ["a" * 16, "1" * 8]
-    block = text[text.index("Right, log by log") :].splitlines()
-    assert block[3].split() == ["base/drive", "100.0", "0.100", "0.100", "0.100", "0.100"]
-    assert block[4].split() == ["slow/drive", "100.0", "0.300", "0.300", "0.300", "0.300"]
-    assert line_of(text, "lane left at 10 m, m")[6:] == ["100.0", "0.200", "0.200", "0.290", "0.300"]
+    block = text[text.index("\nAccuracy") :].splitlines()
+    assert block[3].split() == ["lane", "left", "at", "10", "m,", "m"]
+    assert block[4].split() == ["base/drive", "100.0", "0.100", "0.100", "0.100", "0.100"]
+    assert block[5].split() == ["slow/drive", "100.0", "0.300", "0.300", "0.300", "0.300"]
+
+
+def test_runs_of_one_configuration_are_pooled_and_of_two_never(tmp_path, capsys):
+    for name, error, config in (("a", 0.1, "1"), ("b", 0.3, "1"), ("c", 9.0, "2")):
+        write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=error)], config=config * 64)
+    _, text, _ = report(capsys, tmp_path)
+    assert text.startswith("3 runs: 1 log, 2 configurations, 1 version")
+    block = text[text.index("\nAccuracy") :].splitlines()[4:6]
+    assert [line.split() for line in block] == [
+        ["11111111", "100.0", "0.200", "0.200", "0.290", "0.300"],
+        ["c", "100.0", "9.000", "9.000", "9.000", "9.000"],
+    ]
+    block = text[text.index("Accuracy by run") :].splitlines()[3:6]
+    assert [line.split()[:2] for line in block] == [["a", "100.0"], ["b", "100.0"], ["c", "100.0"]]
+    assert "2 frames" in text
+    assert "3 frames" not in text
+
+
+def test_one_configuration_of_two_versions_is_not_pooled(tmp_path, capsys):
+    for name, version in (("a", "1.0"), ("b", "2.0")):
+        path = write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=0.1)])
+        facts = {"roadperc.config_digest": "c" * 64, "roadperc.version": version}
+        pl.read_parquet(path).write_parquet(path, metadata=facts)
+    _, text, _ = report(capsys, tmp_path)
+    assert "2 versions" in text
+    assert line_of(text, "b  ")[1:4] == ["a" * 16, "c" * 8, "2.0"]
+    assert [line.split()[0] for line in text[text.index("\nAccuracy") :].splitlines()[4:6]] == ["a", "b"]
+
+
+def test_runs_that_name_no_configuration_stand_alone(tmp_path, capsys):
+    for name, error in (("a", 0.1), ("b", 0.3)):
+        path = write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=error)])
+        pl.read_parquet(path).write_parquet(path)
+    _, text, _ = report(capsys, tmp_path)
+    assert [line.split()[1] for line in text[text.index("\nAccuracy") :].splitlines()[4:6]] == ["100.0", "100.0"]
+    assert "Settings that differ: unknown, for neither the table nor a log next to it says" in text.replace("\n", " ")
+
+
+def test_the_settings_that_differ_head_the_report(tmp_path, capsys):
+    configured(tmp_path / "base.metrics.parquet", 0.1)
+    configured(tmp_path / "slow.metrics.parquet", 0.2, "lanes.hold_s=2", "surface.inlier_m=0.5")
+    _, text, _ = report(capsys, tmp_path)
+    assert [line.split() for line in text.splitlines()[2:6] if "─" not in line] == [
+        ["Settings", "that", "differ", "base", "slow"],
+        ["surface.inlier_m", "0.05", "0.5"],
+        ["lanes.hold_s", "0.5", "2.0"],
+    ]
+
+
+def test_many_configurations_have_a_row_each(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    for k in range(1, 9):
+        configured(tmp_path / f"a_longer_name_{k}.metrics.parquet", 0.1, f"lanes.hold_s={k}", f"lanes.gate={k / 2}")
+    _, text, _ = report(capsys, tmp_path)
+    table = text[text.index("Settings that differ") :].split("\n\n")[0].splitlines()
+    assert sorted(table[0].split()[3:]) == ["lanes.gate", "lanes.hold_s"]
+    assert [line.split()[0] for line in table[2:]] == [f"a_longer_name_{k}" for k in range(1, 9)]
+    assert {"8.0", "4.0"} <= set(table[-1].split())
 
 
 def test_of_many_logs_the_worst_are_shown(tmp_path, capsys):
@@ -139,9 +227,9 @@ def test_of_many_logs_the_worst_are_shown(tmp_path, capsys):
         rows = [row(0, f"{index:016x}", lane_left_error_m=index / 100)]
         write(tmp_path / f"log{index:02}.metrics.parquet", rows)
     _, text, _ = report(capsys, tmp_path)
-    block = text[text.index("Right, log by log") : text.index("Fast, log by log")]
+    block = text[text.index("Accuracy by run") : text.index("Latency by run")]
     assert re.findall(r"log(\d\d)", block) == [f"{index:02}" for index in range(13, 1, -1)]
-    assert "the 12 of 14 with the worst p95" in text
+    assert "at most 12 of 14 each time, those with the worst p95" in text
 
 
 def test_of_a_great_many_logs_those_seen_least_are_listed(tmp_path, capsys):
@@ -149,12 +237,12 @@ def test_of_a_great_many_logs_those_seen_least_are_listed(tmp_path, capsys):
         seen = 1.5 if index % 9 else None
         write(tmp_path / f"log{index:02}.metrics.parquet", [row(0, camera_height_m=seen), row(1, camera_height_m=1.5)])
     _, text, _ = report(capsys, tmp_path)
-    block = text[text.index("Seen, % of frames") : text.index("Fast, log by log")]
+    block = text[text.index("Coverage, %") : text.index("Latency by run")]
     shown = re.findall(r"log(\d\d)", block)
     assert len(shown) == 40
     assert shown == sorted(shown)
     assert {"00", "09", "18", "27", "36"} < set(shown)
-    assert "the 40 of 45 logs that were seen least" in text
+    assert "the 40 of 45 runs with the least coverage" in text
 
 
 def test_quantiles_that_are_not_exact_are_said_to_be(tmp_path, capsys, monkeypatch):
@@ -176,7 +264,7 @@ def test_counts_become_precision_recall_and_f1(tmp_path, capsys):
         capsys, write(tmp_path / "drive.metrics.parquet", [row(k, **TRUTHFUL, **counts) for k in range(2)])
     )
     assert line_of(text, "lanes at IoU 0.5")[4:] == ["0.750", "1.000", "0.857", "6", "2", "0"]
-    assert "detections kept  " not in text[text.index("How many") :]
+    assert "detections kept  " not in text[text.index("Detection counts") :]
 
 
 def test_lag_stands_beside_the_jitter(tmp_path, capsys):
@@ -211,7 +299,7 @@ def test_rare_reasons_are_counted_together(tmp_path, capsys):
 def test_reasons_that_differ_in_numbers_are_one_and_inputs_come_before_stages(tmp_path, capsys):
     rows = [row(k, reasons=("lanes: no surface", f"image: {k} bytes", f"time {-k / 4} s")) for k in range(4)]
     _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
-    said = text.partition("Why not?")[2].splitlines()[2:5]
+    said = text.partition("Missing outputs")[2].splitlines()[2:5]
     assert [line.split() for line in said] == [
         ["image:", "0", "bytes", "(numbers", "vary)", "4", "100.0"],
         ["time", "-0.25", "s", "(numbers", "vary)", "4", "100.0"],
@@ -220,7 +308,7 @@ def test_reasons_that_differ_in_numbers_are_one_and_inputs_come_before_stages(tm
 
 
 def test_no_reasons_no_table(drive, capsys):
-    assert "Why not" not in report(capsys, drive)[1]
+    assert "Missing outputs" not in report(capsys, drive)[1]
 
 
 def test_reasons_of_some_runs_are_told_log_by_log(tmp_path, capsys):
@@ -232,7 +320,7 @@ def test_reasons_of_some_runs_are_told_log_by_log(tmp_path, capsys):
     _, text, _ = report(capsys, *paths)
     assert line_of(text, both)[-2:] == ["8", "100.0"]
     assert line_of(text, "image: 0x9 pixels (numbers vary)")[-2:] == ["2", "25.0"]
-    by_log = text.partition("Why not, log by log")[2].split("\n\n")[0].splitlines()[2:]
+    by_log = text.partition("Missing outputs by run")[2].split("\n\n")[0].splitlines()[2:]
     assert [line.split() for line in by_log] == [
         ["image:", "0x9", "pixels", "(numbers", "vary)"],
         ["blind", "2", "50.0"],

@@ -47,7 +47,7 @@ def test_missing_path(tmp_path, argument):
 
 def test_log_without_table(tmp_path):
     (tmp_path / "in.mcap").touch()
-    with pytest.raises(TableError, match=r"in\.mcap: no in\.metrics\.parquet beside it"):
+    with pytest.raises(TableError, match=r"in\.mcap: no in\.metrics\.parquet next to it"):
         find_runs([str(tmp_path / "in.mcap")])
 
 
@@ -72,5 +72,5 @@ def test_parquet_that_is_no_metrics_table(tmp_path):
 def test_file_that_is_no_parquet_or_cut_short(tmp_path, content):
     path = write(tmp_path / "cut.metrics.parquet", [row(index) for index in range(50)])
     path.write_bytes(path.read_bytes()[:-100] if content is None else content)
-    with pytest.raises(TableError, match=r"cut\.metrics\.parquet: is no Parquet file, or was cut short"):
+    with pytest.raises(TableError, match=r"cut\.metrics\.parquet: is not a Parquet file, or was cut short"):
         find_runs([str(path)])

@@ -17,7 +17,7 @@ from roadperc_stream.cli import replay_main
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.trajectories.columns import read_poses
 from roadperc_stream.eval.trajectories.errors import Delta
-from roadperc_stream.eval.trajectories.judgement import judge
+from roadperc_stream.eval.trajectories.evaluation import evaluate
 from roadperc_stream.eval.trajectory import main
 from tests.eval.trajectories.paths import helix, noisy, poses_at, rigid, scaled, write_run
 
@@ -82,14 +82,14 @@ def agree(ours, theirs):
 @pytest.mark.parametrize("how", ALIGNED)
 def test_ate(drive, how):
     folder, run = drive
-    found = judge(run, how, DELTAS["f"])
+    found = evaluate(run, how, DELTAS["f"])
     agree(found.absolute_m, evo("evo_ape", "tum", folder, *ALIGNED[how]))
 
 
 @pytest.mark.parametrize(("unit", "how"), [("f", "se3"), ("m", "none"), ("m", "sim3")])
 def test_rpe(drive, unit, how):
     folder, run = drive
-    found = judge(run, how, DELTAS[unit])
+    found = evaluate(run, how, DELTAS[unit])
     assert found.relative_m.count > 20
     pairing = ["--delta", str(DELTAS[unit].size), "--delta_unit", unit, "--all_pairs", *ALIGNED[how]]
     agree(found.relative_m, evo("evo_rpe", "tum", folder, *pairing, "-r", "trans_part"))
@@ -98,7 +98,7 @@ def test_rpe(drive, unit, how):
 
 def test_kitti_files_say_the_same(drive):
     folder, run = drive
-    found = judge(run, "origin", DELTAS["f"])
+    found = evaluate(run, "origin", DELTAS["f"])
     agree(found.absolute_m, evo("evo_ape", "kitti", folder))
     every_frame = ["--delta", "1", "--delta_unit", "f", "--all_pairs"]
     agree(found.relative_m, evo("evo_rpe", "kitti", folder, *every_frame))

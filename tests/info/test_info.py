@@ -286,7 +286,7 @@ def test_a_table_of_another_run_is_told_apart(drive, result):
     beside(other, "metrics").replace(beside(result, "metrics"))
     beside(result, "objects").write_bytes(b"no table")
     faults = [table.fault for table in facts_of(result).provenance.tables]
-    assert faults == ["is of another configuration", "is no table of a replay, or was cut short"]
+    assert faults == ["is of another configuration", "is not a table of a replay, or was cut short"]
 
 
 def test_a_result_without_its_input(drive, tmp_path):

@@ -102,7 +102,7 @@ def test_of_equals_the_one_that_changes_least_is_best():
     assert best(ERROR, found, some, some[2]) == Best(3, None)
 
 
-def test_a_setting_that_sees_less_is_named_but_not_best():
+def test_a_setting_that_less_covered_is_named_but_not_best():
     assert ranked(ERROR, (0.3, 1.0), (0.1, 0.5), (0.2, 0.995)) == Best(2, 1)
     assert ranked(ERROR, (0.3, 0.5), (0.1, 0.5), (0.2, None or 0.0)) == Best(1, None)
     assert ranked(ERROR, (0.1, 0.9), (0.3, 1.0), (None, 0.0)) == Best(1, 0)
@@ -144,10 +144,10 @@ def cells(table):
     return [list(column.cells) for column in table.columns]
 
 
-def test_the_table_shows_the_best_the_reference_and_what_sees_less():
+def test_the_table_shows_the_best_the_reference_and_what_less_covered():
     found = [(ERROR, [Score(0.3, 1.0), Score(0.1, 0.5), Score(0.2, 1.0)]), (OVERLAP, [Score(0.9, 1.0)] * 3)]
     assert cells(best_settings(found, GATES, GATES[0])) == [
-        ["lane left at 10 m, m", "  sees less"],
+        ["lane left at 10 m, m", "  lower coverage"],
         ["0.200", "0.100"],
         ["100.0", "50.0"],
         ["0.300", "0.300"],

@@ -32,7 +32,7 @@ class Segments:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Evaluation:
     """The figures of one run, and over how much of it they are.
 
     ``driven_m`` is the length of the true path; ``scale`` what the estimate was multiplied by. ``relative_m`` and
@@ -52,7 +52,7 @@ class Judgement:
     together: Segments
 
 
-def judge(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Judgement:
+def evaluate(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Evaluation:
     """Align a run's poses to the true ones, and measure; all errors are of the aligned poses.
 
     Args:
@@ -74,7 +74,7 @@ def judge(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Judgement
     driven_m = float(path_m(true)[-1])
     lengths_m, every = (KITTI_LENGTHS_M, KITTI_EVERY) if driven_m > KITTI_LENGTHS_M[0] else (SHORT_LENGTHS_M, 1)
     stretches = [segment_errors(estimated, true, length_m, every) for length_m in lengths_m]
-    return Judgement(
+    return Evaluation(
         run,
         chosen,
         true_S_estimated.scale,

@@ -7,7 +7,7 @@ import pytest
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.eval.trajectories.errors import Delta
-from roadperc_stream.eval.trajectories.judgement import judge
+from roadperc_stream.eval.trajectories.evaluation import evaluate
 from roadperc_stream.eval.trajectories.poses import RunPoses
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, straight
 
@@ -23,7 +23,7 @@ def run_of(estimated, true, **facts):
 
 
 def test_a_perfect_run_has_no_errors():
-    found = judge(run_of(helix(60), helix(60)), None, FRAME)
+    found = evaluate(run_of(helix(60), helix(60)), None, FRAME)
     assert max(found.absolute_m.most, found.relative_m.most, found.relative_deg.most) < 1e-12
     assert [s.count for s in found.stretches] == [52, 45, 24, 0]
     assert found.together.count == 121
@@ -32,7 +32,7 @@ def test_a_perfect_run_has_no_errors():
 
 def test_long_ways_are_judged_by_kittis_own_lengths():
     """250 m in steps of 1 m: of 100 m 15 stretches fit, of 200 m 5, a stretch at every tenth frame."""
-    found = judge(run_of(scaled(straight(251, 1.0), 1.01), straight(251, 1.0)), None, FRAME)
+    found = evaluate(run_of(scaled(straight(251, 1.0), 1.01), straight(251, 1.0)), None, FRAME)
     assert (found.driven_m, found.every) == (pytest.approx(250), 10)
     assert [(s.length_m, s.count) for s in found.stretches][:3] == [(100, 15), (200, 5), (300, 0)]
     assert [s.length_m for s in found.stretches] == [100, 200, 300, 400, 500, 600, 700, 800]
@@ -44,28 +44,28 @@ def test_long_ways_are_judged_by_kittis_own_lengths():
 
 
 def test_exactly_100_m_are_too_short_for_100_m():
-    assert judge(run_of(straight(101, 1.0), straight(101, 1.0)), None, FRAME).every == 1
+    assert evaluate(run_of(straight(101, 1.0), straight(101, 1.0)), None, FRAME).every == 1
 
 
 def test_a_run_without_scale_is_aligned_by_sim3_unless_told():
     small = run_of(scaled(helix(60), 0.1), helix(60), without_scale=59)
-    assert judge(small, None, FRAME).alignment == "sim3"
-    assert judge(small, None, FRAME).absolute_m.rmse < 1e-12
-    assert judge(small, None, FRAME).relative_m.rmse < 1e-12
-    assert judge(small, "se3", FRAME).absolute_m.rmse > 1
+    assert evaluate(small, None, FRAME).alignment == "sim3"
+    assert evaluate(small, None, FRAME).absolute_m.rmse < 1e-12
+    assert evaluate(small, None, FRAME).relative_m.rmse < 1e-12
+    assert evaluate(small, "se3", FRAME).absolute_m.rmse > 1
     metric = run_of(helix(60), helix(60), without_scale=20)
-    assert judge(metric, None, FRAME).alignment == "se3"
+    assert evaluate(metric, None, FRAME).alignment == "se3"
 
 
 def test_the_alignment_is_the_one_asked_for():
     moved = run_of(rigid(1) @ noisy(helix(60), 1), helix(60))
-    rmse = {how: judge(moved, how, FRAME).absolute_m.rmse for how in ("sim3", "se3", "origin", "none")}
+    rmse = {how: evaluate(moved, how, FRAME).absolute_m.rmse for how in ("sim3", "se3", "origin", "none")}
     assert list(rmse.values()) == sorted(rmse.values())
     assert rmse["none"] > 2 * rmse["origin"] > 2 * rmse["se3"]
 
 
 def test_a_delta_longer_than_the_way_has_no_pairs():
-    found = judge(run_of(helix(10), helix(10)), None, Delta(50.0, "metres"))
+    found = evaluate(run_of(helix(10), helix(10)), None, Delta(50.0, "metres"))
     assert (found.relative_m, found.relative_deg) == (None, None)
     assert found.absolute_m.count == 10
 
@@ -83,4 +83,4 @@ def test_a_delta_longer_than_the_way_has_no_pairs():
 )
 def test_what_cannot_be_judged_is_said(run, said):
     with pytest.raises(TableError, match=said):
-        judge(run, None, FRAME)
+        evaluate(run, None, FRAME)

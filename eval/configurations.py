@@ -1,0 +1,152 @@
+"""Which configuration made a run: what may be summed up together, and the settings that differ."""
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from itertools import chain
+from typing import Any, Final
+
+from roadperc_stream import log
+from roadperc_stream.channels import CONFIG_ATTACHMENT
+from roadperc_stream.config.settings import as_typed, settings_in
+from roadperc_stream.errors import ConfigError, LogError
+from roadperc_stream.text_table import TextRow, TextTable
+
+from .runs import SUFFIX, Run
+
+Settings = Mapping[str, Any]
+"""Values by keys such as ``lanes.hold_s``."""
+UNKNOWN: Final = "unknown"
+NO_SUCH_SETTING: Final = "-"
+_DIGITS: Final = 8
+"""Of a configuration's digest that are shown."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs of one configuration and one version: statistics may be over all of them."""
+
+    name: str
+    runs: tuple[Run, ...]
+
+    @property
+    def example(self) -> Run:
+        """The run to ask for the settings of all."""
+        return next((run for run in self.runs if run.config), self.runs[0])
+
+
+def grouped(runs: Sequence[Run]) -> list[Group]:
+    """The runs by configuration and version, in the order in which these come; one that names none stands alone.
+
+    A group of one run is called as the run, one of several after its configuration.
+    """
+    groups: dict[Hashable, list[Run]] = {}
+    for run in runs:
+        groups.setdefault(_made_by(run), []).append(run)
+    shared = [configuration for configuration, _ in map(_configuration_and_version, groups.values())]
+    return [Group(_name(some, shared), tuple(some)) for some in groups.values()]
+
+
+def short_digest(digest: str) -> str:
+    """The first digits of a configuration's digest."""
+    return digest[:_DIGITS] or UNKNOWN
+
+
+def settings_of(run: Run) -> Settings | None:
+    """The settings that made a run; None where nothing says them.
+
+    They stand in the table, in the log next to it, or in a sweep's file next to it: in whichever has the digest that
+    the table names, for a log may have been replayed again.
+    """
+    for toml in _stored(run):
+        if sha256(toml).hexdigest() == run.config_digest:
+            try:
+                return settings_in(toml)
+            except ConfigError:
+                return None
+    return None
+
+
+def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
+    """The settings that are not the same in all configurations, each with its value in each of them."""
+    keys = dict.fromkeys(chain.from_iterable(configurations))
+    rows = {key: tuple(_value(settings, key) for settings in configurations) for key in keys}
+    return {key: values for key, values in rows.items() if len(set(values)) > 1}
+
+
+@dataclass(frozen=True)
+class Change:
+    """Which settings differ between two runs, each with both values; None where a run's are unknown."""
+
+    differing: Mapping[str, tuple[str, ...]] | None
+
+
+def change(reference: Run, candidate: Run) -> Change | None:
+    """What differs between the configurations of two runs; None where they have the same one."""
+    if reference.config_digest and reference.config_digest == candidate.config_digest:
+        return None
+    settings = settings_of(reference), settings_of(candidate)
+    known = [found for found in settings if found is not None]
+    return Change(differing(known) if len(known) == len(settings) else None)
+
+
+def settings_table(runs: Mapping[str, Run]) -> TextTable:
+    """The settings that differ between runs, by the name each run has in the table; empty where one made them all."""
+    if len({_made_by(run) for run in runs.values()}) < 2:
+        return TextTable("Settings that differ", ("",), ())
+    found = {name: settings_of(run) for name, run in runs.items()}
+    values = differing([settings for settings in found.values() if settings is not None])
+    rows = tuple(_row(key, dict(zip(_known(found), in_each, strict=True)), found) for key, in_each in values.items())
+    return TextTable("Settings that differ", ("",), rows, tuple(_notes(found, rows)), tuple(runs))
+
+
+def _row(key: str, values: Mapping[str, str], found: Mapping[str, Settings | None]) -> TextRow:
+    return TextRow(key, tuple((values.get(name, UNKNOWN),) for name in found))
+
+
+def _notes(found: Mapping[str, Settings | None], rows: Sequence[TextRow]) -> Iterator[str]:
+    unknown = [name for name, settings in found.items() if settings is None]
+    if unknown:
+        yield f"{UNKNOWN}, for neither the table nor a log next to it says the configuration: {', '.join(unknown)}"
+    if not rows and len(unknown) < len(found) - 1:
+        yield "none: the versions differ"
+    if any(cells[0] == NO_SUCH_SETTING for row in rows for cells in row.cells):
+        yield f"{NO_SUCH_SETTING}: the version that made the run has no such setting"
+
+
+def _known(found: Mapping[str, Settings | None]) -> list[str]:
+    return [name for name, settings in found.items() if settings is not None]
+
+
+def _value(settings: Settings, key: str) -> str:
+    return as_typed(settings[key]) if key in settings else NO_SUCH_SETTING
+
+
+def _stored(run: Run) -> Iterator[bytes]:
+    """The configurations that stand in and next to a table, the nearest first."""
+    if run.config:
+        yield run.config.encode()
+    written = run.path.with_name(CONFIG_ATTACHMENT)
+    if written.is_file():
+        yield written.read_bytes()
+    recorded = run.path.with_name(run.path.name.removesuffix(SUFFIX) + ".mcap")
+    if recorded.is_file():
+        try:
+            yield from (item.data for item in log.summarise(recorded).attachments if item.name == CONFIG_ATTACHMENT)
+        except LogError:
+            return
+
+
+def _made_by(run: Run) -> Hashable:
+    return (run.config_digest, run.version) if run.config_digest else run.path
+
+
+def _name(runs: Sequence[Run], configurations: Sequence[str]) -> str:
+    configuration, version = _configuration_and_version(runs)
+    if len(runs) == 1:
+        return runs[0].name
+    return configuration if configurations.count(configuration) == 1 else f"{configuration} {version}"
+
+
+def _configuration_and_version(runs: Sequence[Run]) -> tuple[str, str]:
+    return short_digest(runs[0].config_digest), runs[0].version or UNKNOWN

@@ -1,0 +1,46 @@
+"""Names of runs that fit on a line."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+from rich.console import Console
+
+_NUMBERS_COLUMNS: Final = 65
+"""Characters that the widest row of numbers needs next to a run's name."""
+_CUT: Final = "…"
+
+
+def name_columns(console: Console) -> int:
+    """Characters a run's name may have."""
+    return console.width - _NUMBERS_COLUMNS
+
+
+def short_names(names: Sequence[str], columns: int) -> dict[str, str]:
+    """What each name is called where only so many characters fit: itself, or its two ends.
+
+    Where two would be called the same, a number in front tells them apart.
+    """
+    cut = {name: _cut(name, columns) for name in names}
+    shared = Counter(cut.values())
+    return {
+        name: short if shared[short] == 1 else _numbered(name, number, columns)
+        for number, (name, short) in enumerate(cut.items(), 1)
+    }
+
+
+def legend(names: Mapping[str, str]) -> Iterator[str]:
+    """A line on each name that had to be cut."""
+    yield from (f"{short}: {name}" for name, short in names.items() if short != name)
+
+
+def _cut(name: str, columns: int) -> str:
+    if len(name) <= columns:
+        return name
+    front = (columns - len(_CUT)) // 2
+    return f"{name[:front]}{_CUT}{name[len(name) - (columns - len(_CUT) - front) :]}"
+
+
+def _numbered(name: str, number: int, columns: int) -> str:
+    prefix = f"{number} "
+    return f"{prefix}{_cut(name, columns - len(prefix))}"

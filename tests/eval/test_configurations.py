@@ -1,0 +1,120 @@
+"""Which settings made a run, wherever they stand, and which of them differ."""
+
+import hashlib
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.eval.configurations import change, differing, grouped, settings_of, settings_table
+from roadperc_stream.eval.runs import Run, find_runs
+from roadperc_stream.log import Attachment, LogWriter
+from tests.eval.tables import row, write
+
+SLOW = load_config(settings=("lanes.hold_s=2",)).to_toml()
+
+
+def digest(toml):
+    return hashlib.sha256(toml.encode()).hexdigest()
+
+
+def run(name="a", toml="", version="1", made_by=None):
+    made_by = digest(toml) if made_by is None else made_by
+    return Run(name, Path(f"/nowhere/{name}.metrics.parquet"), 1, frozenset(), made_by, version, toml)
+
+
+def table_without_settings(path, toml=SLOW):
+    write(path, [row(0)], config=digest(toml))
+    (found,) = find_runs([str(path)])
+    assert found.config == ""
+    return found
+
+
+def test_a_table_carries_its_settings(tmp_path):
+    path = write(tmp_path / "a.metrics.parquet", [row(0)])
+    facts = {"roadperc.config": SLOW, "roadperc.config_digest": digest(SLOW)}
+    pl.read_parquet(path).write_parquet(path, metadata=facts)
+    (found,) = find_runs([str(path)])
+    assert settings_of(found)["lanes.hold_s"] == 2.0
+
+
+def test_settings_of_an_older_table_are_those_of_the_log_next_to_it(tmp_path):
+    found = table_without_settings(tmp_path / "a.metrics.parquet")
+    assert settings_of(found) is None
+    with LogWriter(tmp_path / "a.mcap") as writer:
+        writer.attach(Attachment("roadperc.toml", "application/toml", SLOW.encode()))
+    assert settings_of(found)["lanes.hold_s"] == 2.0
+
+
+def test_settings_of_an_older_sweep_stand_in_its_folder(tmp_path):
+    found = table_without_settings(tmp_path / "a.metrics.parquet")
+    (tmp_path / "roadperc.toml").write_text(SLOW)
+    assert settings_of(found)["lanes.hold_s"] == 2.0
+
+
+def test_a_log_that_was_replayed_again_does_not_say_a_tables_settings(tmp_path):
+    found = table_without_settings(tmp_path / "a.metrics.parquet")
+    with LogWriter(tmp_path / "a.mcap") as writer:
+        writer.attach(Attachment("roadperc.toml", "application/toml", ReplayConfig().to_toml().encode()))
+    assert settings_of(found) is None
+
+
+def test_a_damaged_log_next_to_a_table_does_not_end_the_report(tmp_path):
+    found = table_without_settings(tmp_path / "a.metrics.parquet")
+    (tmp_path / "a.mcap").write_bytes(b"not an mcap")
+    assert settings_of(found) is None
+
+
+def test_what_is_not_toml_says_nothing():
+    assert settings_of(run(toml="lanes = ")) is None
+
+
+def test_values_that_differ_and_settings_that_one_version_lacks():
+    ours = {"seed": 0, "lanes.hold_s": 0.5, "lanes.enabled": True}
+    theirs = {"seed": 0, "lanes.enabled": False, "lanes.new": "x"}
+    assert differing([ours, theirs]) == {
+        "lanes.hold_s": ("0.5", "-"),
+        "lanes.enabled": ("true", "false"),
+        "lanes.new": ("-", "x"),
+    }
+
+
+def test_groups_are_of_one_configuration_and_version():
+    runs = [run("a", "seed = 1"), run("b", "seed = 2"), run("c", "seed = 1"), run("d", "seed = 1", version="2")]
+    groups = grouped(runs)
+    first = digest("seed = 1")[:8]
+    assert [group.name for group in groups] == [f"{first} 1", "b", "d"]
+    assert [[item.name for item in group.runs] for group in groups] == [["a", "c"], ["b"], ["d"]]
+
+
+def test_runs_that_name_no_configuration_are_never_grouped():
+    assert len(grouped([run("a", made_by=""), run("b", made_by="")])) == 2
+
+
+def test_the_table_has_a_row_a_setting_and_says_what_is_unknown():
+    runs = {"a": run("a", "seed = 1"), "b": run("b", "seed = 2"), "c": run("c", made_by="0" * 64)}
+    table = settings_table(runs)
+    assert [(item.label, item.cells) for item in table.rows] == [("seed", (("1",), ("2",), ("unknown",)))]
+    assert table.subjects == ("a", "b", "c")
+    assert table.notes == ("unknown, for neither the table nor a log next to it says the configuration: c",)
+
+
+def test_one_configuration_has_no_table_and_two_versions_of_it_a_note():
+    one, other = run("a", "seed = 1"), run("b", "seed = 1", version="2")
+    assert settings_table({"a": one, "b": one}).rows == settings_table({"a": one, "b": one}).notes == ()
+    assert settings_table({"a": one, "b": other}).notes == ("none: the versions differ",)
+
+
+@pytest.mark.parametrize(
+    ("candidate", "expected"),
+    [
+        (run("b", "seed = 1"), "same"),
+        (run("b", "seed = 2"), {"seed": ("1", "2")}),
+        (run("b", made_by="0" * 64), None),
+        (run("b", made_by=""), None),
+    ],
+)
+def test_the_change_from_one_run_to_another(candidate, expected):
+    found = change(run("a", "seed = 1"), candidate)
+    assert (found is None) if expected == "same" else (found.differing == expected)
