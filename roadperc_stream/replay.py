@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from roadperc_stream import __version__, log
 from roadperc_stream.chain import ChainState, step
 from roadperc_stream.channels import (
+    CONFIG_ATTACHMENT,
     METADATA_RECORD,
     PRODUCER,
     TAG_TABLE_KEY,
@@ -23,8 +24,8 @@ from roadperc_stream.channels import (
     result_schemas,
     schema,
 )
-from roadperc_stream.command import no_progress
 from roadperc_stream.config import ReplayConfig
+from roadperc_stream.core.process import no_progress
 from roadperc_stream.datatypes import FrameResult, Odometry, Sample
 from roadperc_stream.geometry import Float
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
@@ -39,7 +40,6 @@ from roadperc_stream.sync import SyncCounts
 from roadperc_stream.table import TableWriter, beside
 from roadperc_stream.targets import require_free
 
-CONFIG_ATTACHMENT = "roadperc.toml"
 TRAJECTORY_POSES = 200
 """Length of the trajectory that each frame shows: ten seconds at 20 Hz."""
 

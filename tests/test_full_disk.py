@@ -21,10 +21,7 @@ def roadperc(command, *arguments, limit=resource.RLIM_INFINITY):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    module, _, function = command.partition(":")
-    code = (
-        f"import sys; from roadperc_stream.{module} import {function or 'main'} as main; sys.exit(main(sys.argv[1:]))"
-    )
+    code = f"import sys; from roadperc_stream.cli.{command} import main; sys.exit(main(sys.argv[1:]))"
     words = [sys.executable, "-c", code, *map(str, arguments)]
     return subprocess.run(words, check=False, capture_output=True, text=True, timeout=120, preexec_fn=limited)
 
@@ -32,8 +29,8 @@ def roadperc(command, *arguments, limit=resource.RLIM_INFINITY):
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
-    drive = ("tools.render_scene", folder / "drive", "--size", "160x120", "--seconds", "0.2")
-    for command, *arguments in (("cli:replay_main", SAMPLE, folder / "run.mcap"), drive):
+    drive = ("render", folder / "drive", "--size", "160x120", "--seconds", "0.2")
+    for command, *arguments in (("replay", SAMPLE, folder / "run.mcap"), drive):
         ended = roadperc(command, *arguments)
         assert ended.returncode == 0, ended.stderr
     return folder
@@ -42,19 +39,19 @@ def made(tmp_path_factory):
 @pytest.mark.parametrize(
     ("command", "arguments"),
     [
-        ("cli:replay_main", [SAMPLE, "OUT/run.mcap", "--frames", "2"]),
-        ("cli:replay_main", [SAMPLE, "OUT/run.mcap", "--frames", "2", "--live", "--port", "0"]),
-        ("view.command", ["MADE/run.mcap", "--save", "OUT/run.rrd"]),
-        ("view.command", ["MADE/run.mcap", "--video", "OUT/run.mp4"]),
-        ("view.command", ["--foxglove-layout", "OUT/layout.json"]),
-        ("tools.carla_to_mcap", ["MADE/drive", "OUT/drive.mcap"]),
-        ("tools.render_scene", ["OUT/drive", "--size", "160x120", "--seconds", "0.1"]),
-        ("eval.report", ["MADE/run.mcap", "--html", "OUT/report.html"]),
-        ("eval.lanes", ["MADE/run.mcap", "--tusimple", "OUT/lanes.json"]),
-        ("eval.trajectory", ["MADE/run.mcap", "--export-tum", "OUT/paths"]),
-        ("eval.trajectory", ["MADE/run.mcap", "--export-kitti", "OUT/paths"]),
-        ("eval.compare", ["OUT/reference", "MADE/run.metrics.parquet", "--update-reference"]),
-        ("eval.sweep", [SAMPLE, "--vary", "lanes.model=line", "--frames", "2", "--jobs", "1", "--out", "OUT/sweep"]),
+        ("replay", [SAMPLE, "OUT/run.mcap", "--frames", "2"]),
+        ("replay", [SAMPLE, "OUT/run.mcap", "--frames", "2", "--live", "--port", "0"]),
+        ("view", ["MADE/run.mcap", "--save", "OUT/run.rrd"]),
+        ("view", ["MADE/run.mcap", "--video", "OUT/run.mp4"]),
+        ("view", ["--foxglove-layout", "OUT/layout.json"]),
+        ("convert", ["MADE/drive", "OUT/drive.mcap"]),
+        ("render", ["OUT/drive", "--size", "160x120", "--seconds", "0.1"]),
+        ("report", ["MADE/run.mcap", "--html", "OUT/report.html"]),
+        ("lanes", ["MADE/run.mcap", "--tusimple", "OUT/lanes.json"]),
+        ("trajectory", ["MADE/run.mcap", "--export-tum", "OUT/paths"]),
+        ("trajectory", ["MADE/run.mcap", "--export-kitti", "OUT/paths"]),
+        ("compare", ["OUT/reference", "MADE/run.metrics.parquet", "--update-reference"]),
+        ("sweep", [SAMPLE, "--vary", "lanes.model=line", "--frames", "2", "--jobs", "1", "--out", "OUT/sweep"]),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

@@ -8,7 +8,7 @@ from rich.table import Table
 from roadperc_stream.terminal import grid
 
 from ..grid import percent
-from .alignment import Alignment
+from ..options import Alignment
 from .errors import Delta, ErrorStatistics
 from .judgement import Judgement, Segments
 

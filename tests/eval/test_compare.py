@@ -8,7 +8,7 @@ from dataclasses import replace
 import polars as pl
 import pytest
 
-from roadperc_stream.eval.compare import main
+from roadperc_stream.cli.compare import main
 from tests.eval.tables import START_NS, row, write
 
 OTHER = "b" * 16

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from roadperc_stream.cli.report import main
 from roadperc_stream.eval import summary
-from roadperc_stream.eval.report import main
 from tests.eval.tables import row, write
 
 TRUTHFUL = {
@@ -281,7 +281,7 @@ def test_wrong_usage(arguments, capsys):
 
 def test_reader_that_closes_early_is_no_error(drive):
     """As ``roadperc-report ... | head -1`` does, here with a reader that is gone from the start."""
-    code = f"import sys; from roadperc_stream.eval.report import main; sys.exit(main([{str(drive)!r}]))"
+    code = f"import sys; from roadperc_stream.cli.report import main; sys.exit(main([{str(drive)!r}]))"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         assert process.stderr.read() == b""
