@@ -6,7 +6,7 @@ from typing import Final
 
 from roadperc_stream.cli.arguments import add_input_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, words
-from roadperc_stream.cli.playback import add_serving_arguments, given_options
+from roadperc_stream.cli.playback import add_serving_arguments, given_options, serving_options
 from roadperc_stream.cli.plumbing import command_parser, parse, run
 from roadperc_stream.core.folders import not_a_log
 from roadperc_stream.core.stage_names import NEEDS, STAGES
@@ -40,7 +40,12 @@ def main(argv: list[str] | None = None) -> int:
     _require_sense(parser, arguments)
     from roadperc_stream.cli.replaying import replay_log
 
-    return run(lambda: replay_log(arguments))
+    live = None
+    if arguments.live:
+        from roadperc_stream.view.live.serving import LiveReplay
+
+        live = LiveReplay(serving_options(arguments), quiet=arguments.quiet)
+    return run(lambda: replay_log(arguments, live))
 
 
 def _parser() -> argparse.ArgumentParser:

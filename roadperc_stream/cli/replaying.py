@@ -1,26 +1,33 @@
 """What ``roadperc-replay`` does with its arguments, and what it says of the replay."""
 
 import argparse
+from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from roadperc_stream.channels import Request, parse_topic_options
 from roadperc_stream.cli.arguments import config_of, cut_of
-from roadperc_stream.cli.playback import serving_options
 from roadperc_stream.core.process import optional_output
 from roadperc_stream.replay import ReplaySummary, replay, unwatched
 from roadperc_stream.table import beside
 from roadperc_stream.terminal import frame_progress
-from roadperc_stream.view.live.serving import LiveReplay
+
+if TYPE_CHECKING:
+    from roadperc_stream.view.live.serving import LiveReplay
 
 
-def replay_log(arguments: argparse.Namespace) -> None:
+def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None:
     """Replay a log as the arguments say, and print what came of it.
+
+    Args:
+        arguments: of the command line.
+        live: serves the results while they are computed; None where nobody asks for it.
 
     Raises:
         RoadpercError: the log cannot be replayed.
     """
     cut = cut_of(arguments)
-    with LiveReplay(serving_options(arguments), quiet=arguments.quiet) as live:
+    with live or nullcontext():
         with frame_progress("replaying", not arguments.quiet) as progress:
             summary = replay(
                 arguments.source,
@@ -32,12 +39,13 @@ def replay_log(arguments: argparse.Namespace) -> None:
                 on_request=_requests(arguments),
                 force=arguments.force,
                 progress=progress,
-                opened=live.start if arguments.live else unwatched,
+                opened=live.start if live else unwatched,
             )
         if not arguments.quiet:
             with optional_output():
                 _print_summary(arguments.target, summary)
-        live.wait()
+        if live:
+            live.wait()
 
 
 def _requests(arguments: argparse.Namespace) -> tuple[Request, ...]:
