@@ -8,7 +8,10 @@ import argparse
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from roadperc_stream.config.catalogue import Setting
 
 Completer = Callable[..., Iterable[str]]
 LOGS: Final = (".mcap",)
@@ -27,15 +30,25 @@ def files(*suffixes: str) -> Completer:
 
 
 def settings(prefix: str, **_: Any) -> Iterable[str]:
-    """``KEY=`` for every setting, ``KEY=VALUE`` for those with a choice."""
+    """``KEY=`` for every setting, ``KEY=VALUE`` for those with a choice; several by commas where it is a list."""
+    return _settings(prefix, lambda setting: setting.type == "array")
+
+
+def varied_settings(prefix: str, **_: Any) -> Iterable[str]:
+    """The same for ``--vary``, where commas stand between the values that a setting takes in turn."""
+    return _settings(prefix, lambda setting: setting.type != "array")
+
+
+def _settings(prefix: str, takes_several: "Callable[[Setting], bool]") -> Iterable[str]:
     from roadperc_stream.config.catalogue import catalogue
 
     key, separator, typed = prefix.partition("=")
     if not separator:
         return [f"{setting.key}=" for setting in catalogue()]
-    *before, _last = typed.split(",")
     found = next((setting for setting in catalogue() if setting.key == key), None)
-    return [f"{key}={','.join((*before, choice))}" for choice in (found.choices if found else ())]
+    if found is None or ("," in typed and not takes_several(found)):
+        return []
+    return [f"{key}={value}" for value in words(found.choices)(typed)]
 
 
 def topics(prefix: str, **_: Any) -> Iterable[str]:

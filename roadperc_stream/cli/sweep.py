@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from roadperc_stream.cli.arguments import add_input_arguments
-from roadperc_stream.cli.completers import LOGS, completed_by, files, settings
+from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings
 from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
 
 _EXAMPLE = """\
@@ -54,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
         help="logs replayed at the same time (default: one for each processor)",
     )
     parser.add_argument("--force", action="store_true", help="replace DIR, where it is a former sweep")
-    for action, completer in ((logs, files(*LOGS)), (vary, settings), (out, files())):
+    for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files())):
         completed_by(action, completer)
     return parser
 

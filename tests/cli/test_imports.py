@@ -1,4 +1,4 @@
-"""What each command imports: nothing heavy for its help or to refuse wrong usage, and only what it uses for its work."""
+"""What each command imports: nothing heavy for its help or for wrong usage, and only what it uses for its work."""
 
 import ast
 import os
@@ -13,26 +13,8 @@ from tests.cli.test_launch import SCRIPTS
 from tests.test_sample import SAMPLE
 
 CLI = Path(__file__).parents[2] / "roadperc_stream" / "cli"
-HEAVY = frozenset(
-    [
-        "PIL",
-        "cv2",
-        "foxglove",
-        "google",
-        "jinja2",
-        "mcap",
-        "numpy",
-        "plotly",
-        "polars",
-        "pyarrow",
-        "pydantic",
-        "rerun",
-        "rich",
-        "rosbags",
-        "scipy",
-        "zstandard",
-    ]
-)
+HEAVY = {"PIL", "cv2", "foxglove", "google", "jinja2", "mcap", "numpy", "plotly", "polars", "pyarrow", "pydantic"}
+HEAVY |= {"rerun", "rich", "rosbags", "scipy", "zstandard"}
 LIGHT = ("roadperc_stream.cli", "roadperc_stream.core", "roadperc_stream.errors", "roadperc_stream.view.live")
 """What a command's file may import before it knows its arguments."""
 WRONG = ["--no-such-option"]
