@@ -18,7 +18,7 @@ from roadperc_stream.cli.arguments import config_of
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.config.catalogue import Setting, Value, catalogue, sections
 
-_NARROWEST, _WIDEST = 40, 100
+_NARROWEST, _WIDEST = 50, 100
 _CLASSES: Final = "names of classes"
 _PAGE_HEAD: Final = """\
 # Settings
