@@ -7,7 +7,7 @@ DEMO := logs/runs/demo
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test test-hostile mutants accuracy bench bench-report lint proto sample clean
+.PHONY: demo test test-hostile mutants accuracy bench bench-report lint proto sample settings-page clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -59,6 +59,9 @@ proto: $(VENV)/.installed
 sample: $(VENV)/.installed
 	$(BIN)/roadperc-render $(SAMPLE_DUMP) $(SAMPLE_OPTIONS) --force
 	$(BIN)/roadperc-convert $(SAMPLE_DUMP) logs/sample.mcap --force
+
+settings-page: $(VENV)/.installed
+	$(BIN)/python -m roadperc_stream.cli.settings > docs/settings.md
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info

@@ -19,17 +19,18 @@ import pyarrow.parquet as pq
 from rich.console import Console
 from rich.table import Table
 
-from roadperc_stream.command import frame_progress, run, whole_number
+from roadperc_stream.cli.plumbing import run, whole_number
 from roadperc_stream.errors import TableError
 from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.table import ROW_GROUP_ROWS, arrow_schema
+from roadperc_stream.terminal import frame_progress
 
 from .quantities import STORED
 from .runs import SUFFIX
 
 _FACTS: Final = {"roadperc.config_digest": "0" * 64, "roadperc.version": "bench", "roadperc.log": "none.mcap"}
 _STATES: Final = np.array(["measured", "held", "lost"])
-_REPORT: Final = "import sys; from roadperc_stream.eval.report import main; sys.exit(main(sys.argv[1:]))"
+_REPORT: Final = "import sys; from roadperc_stream.cli.report import main; sys.exit(main(sys.argv[1:]))"
 _GROUP_BY: Final = "import sys; from roadperc_stream.eval.bench import group_by; print(group_by(sys.argv[1]).shape)"
 
 

@@ -1,99 +1,48 @@
-"""``roadperc-lanes``: a run's lanes as TuSimple's JSON lines, and their score against true ones."""
+"""A run's lanes as TuSimple's JSON lines, and their score against true ones."""
 
-import argparse
-import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, get_args
+from typing import Final
 
-from roadperc_stream import __version__
-from roadperc_stream.command import run
 from roadperc_stream.terminal import console_for, print_parts
 from roadperc_stream.text_table import TextRow, TextTable, row
 
 from .grid import percent
 from .lane_files.recorded import RunLanes, default_rows, lane_frame, open_lanes
-from .lane_files.scoring import FrameScore, LaneScores, Pairing, by_key, paired, score_frame, summed, unanswered
+from .lane_files.scoring import FrameScore, LaneScores, by_key, paired, score_frame, summed, unanswered
 from .lane_files.tusimple import LaneFileError, LaneFrame, lane_writer, read_frames
+from .options import LanePairing
 from .scores import Score
 
 NAMED: Final = 10
 """Missing frames that are named; of more only the number."""
-_DESCRIPTION = """\
-Write the lanes a run saw as TuSimple's JSON lines, and score them against true ones in the same format.
-
-Each boundary is the smoothed line in the image (line_px), at every tenth row from 160 to 710 of 720 or the same part
-of another height; with --truth it is at the true frame's own h_samples and under its raw_file, and only frames that
-have a truth are written. raw_file is LOG/STAMP_NS, and run_time the frame's total_ms from the table next to the log,
-0 without one. A true frame belongs to the frame whose stamp ends its raw_file; --pair order takes them as they come.
-
-Scores are TuSimple's (20 px over the cosine of the lane's angle, lanes found at 85 % of their points) and CULane's F1
-(lines 30 px wide), with pixels scaled from the benchmarks' 1280 and 1640 columns to the image's. A true frame that the
-run lacks scores as one in which it saw nothing. What the log itself carries as /truth/lanes the replay has scored
-already: roadperc-report shows it.
-"""
-_EXAMPLE = """\
-example:
-  roadperc-replay logs/sample.mcap runs/sample.mcap
-  roadperc-lanes runs/sample.mcap --tusimple sample.json                write what the run saw
-  roadperc-replay logs/sample.mcap runs/other.mcap --set lanes.model=line
-  roadperc-lanes runs/other.mcap --truth sample.json                    hold another run against it
-  roadperc-lanes runs/clips.mcap --truth test_label.json --pair order --size 1280x720
-"""
 
 
 @dataclass(frozen=True)
-class _Options:
+class Options:
+    """The files, and how their frames and pixels belong to the run's."""
+
     target: Path | None
     truth: Path | None
-    pairing: Pairing
+    pairing: LanePairing
     size: tuple[int, int] | None
+    """Columns and rows; None for the camera's."""
 
 
-def main(argv: list[str] | None = None) -> int:
-    """``roadperc-lanes``: export a run's lanes, and score them."""
-    parser = _parser()
-    arguments = parser.parse_args(argv)
-    if not (arguments.tusimple or arguments.truth):
-        parser.error("expected --tusimple FILE, --truth FILE, or both")
-    options = _Options(arguments.tusimple, arguments.truth, arguments.pair, arguments.size)
-    return run(lambda: _lanes(arguments.log, options))
+def print_lanes(path: Path, options: Options) -> None:
+    """Export a run's lanes, and score them.
 
+    Args:
+        path: the log with results.
+        options: what to write, and what to score it against.
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="roadperc-lanes",
-        description=_DESCRIPTION,
-        epilog=_EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add = parser.add_argument
-    add("log", metavar="OUT.mcap", type=Path, help="a log with results, as roadperc-replay writes it")
-    add("--tusimple", metavar="FILE.json", type=Path, help="write the lanes into this file; replaces an earlier one")
-    add("--truth", metavar="FILE.json", type=Path, help="true lanes in TuSimple's format")
-    add(
-        "--pair",
-        choices=get_args(Pairing),
-        default="stamp",
-        help="how true frames find theirs: by the stamp in raw_file, or in order, a line a frame (default stamp)",
-    )
-    add("--size", metavar="WxH", type=_size, help="image in whose pixels FILE.json is (default the camera's)")
-    add("--version", action="version", version=f"%(prog)s {__version__}")
-    return parser
-
-
-def _size(text: str) -> tuple[int, int]:
-    """An argument such as 1280x720."""
-    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
-    if not found:
-        raise argparse.ArgumentTypeError(f"{text}: expected columns and rows such as 1280x720")
-    return int(found[1]), int(found[2])
-
-
-def _lanes(path: Path, options: _Options) -> None:
+    Raises:
+        LaneFileError: a file is not TuSimple's, or would be replaced by what it is compared with.
+        RoadpercError: the log cannot be read.
+    """
     if options.target and options.truth and options.target.resolve() == options.truth.resolve():
         raise LaneFileError(f"{options.target}: is the truth itself; expected another file to write")
     truth = by_key(read_frames(options.truth), options.pairing) if options.truth else {}
@@ -122,7 +71,7 @@ def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame]
 def _score(
     source: RunLanes,
     true_frames: Mapping[int, LaneFrame],
-    pairing: Pairing,
+    pairing: LanePairing,
     size: tuple[int, int],
     write: Callable[[LaneFrame], None],
 ) -> list[str | TextTable]:

@@ -24,8 +24,8 @@ from roadperc_stream.channels import (
     result_schemas,
     schema,
 )
-from roadperc_stream.command import no_progress
 from roadperc_stream.config import ReplayConfig
+from roadperc_stream.core.process import no_progress
 from roadperc_stream.datatypes import FrameResult, Odometry, Sample
 from roadperc_stream.geometry import Float
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata

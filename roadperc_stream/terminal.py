@@ -1,14 +1,16 @@
-"""Tables and lines on a terminal, or as plain text where they are piped: how all commands print."""
+"""Tables, lines and progress on a terminal, or as plain text where they are piped: how all commands print."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Final, TextIO
 
 from rich.box import Box
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from roadperc_stream.launch import discard
+from roadperc_stream.core.process import discard_output, no_progress
 from roadperc_stream.text_table import TextRow, TextTable, row, transposed
 
 NARROWEST, WIDEST = 80, 120
@@ -25,7 +27,7 @@ class PipeConsole(Console):
 
     def on_broken_pipe(self) -> None:
         """Send what is still buffered, and all that follows, to the null device."""
-        discard(self.file.fileno())
+        discard_output(self.file)
 
 
 def console_for(stream: TextIO) -> Console:
@@ -125,3 +127,17 @@ def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -
             console.print(line, crop=False, soft_wrap=unbroken and isinstance(line, str))
     for line in capture.get().splitlines():
         console.file.write(f"{line.rstrip()}\n")
+
+
+@contextmanager
+def frame_progress(what: str, enabled: bool) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar over frames on a terminal, nothing where the output is piped."""
+    console = PipeConsole(stderr=True)
+    if not (enabled and console.is_terminal):
+        yield no_progress
+        return
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        console.show_cursor(True)  # a program that ends at once does not give it back
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

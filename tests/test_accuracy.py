@@ -10,11 +10,11 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli import convert, render
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.eval.scores import correlations, lag_frames
 from roadperc_stream.schemas.roadperc_pb2 import Lanes
 from roadperc_stream.table import beside
-from roadperc_stream.tools import carla_to_mcap, render_scene
 
 BEND = ("--scene", "bend", "--weave", "0.5")
 NOISE = ("--tag-noise", "0.02", "--depth-noise", "0.01")
@@ -42,8 +42,8 @@ class Run:
 
 
 def drive(folder, *options, settings=()):
-    assert render_scene.main([str(folder / "dump"), *options]) == 0
-    assert carla_to_mcap.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
+    assert render.main([str(folder / "dump"), *options]) == 0
+    assert convert.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
     arguments = [part for setting in settings for part in ("--set", setting)]
     assert replay_main([str(folder / "in.mcap"), str(folder / "out.mcap"), "--quiet", *arguments]) == 0
     offsets = {"left": [], "right": []}

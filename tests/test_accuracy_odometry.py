@@ -12,12 +12,12 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.channels import ROLES
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli import convert, render
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.decoding import Context, decode
 from roadperc_stream.geometry import inverse
 from roadperc_stream.log import LogWriter
 from roadperc_stream.table import beside
-from roadperc_stream.tools import carla_to_mcap, render_scene
 from tests.stages.odometry.trajectories import aligned_errors_m, distances_m, relative_errors
 
 STAGES = "stereo,surface,odometry"
@@ -53,8 +53,8 @@ CASES = {
 
 def town(folder, *options):
     """The log of a drive through the town."""
-    assert render_scene.main([str(folder / "dump"), "--scene", "town", *options]) == 0
-    assert carla_to_mcap.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
+    assert render.main([str(folder / "dump"), "--scene", "town", *options]) == 0
+    assert convert.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
     return folder / "in.mcap"
 
 

@@ -63,6 +63,12 @@ def test_the_package_imports_neither_tools_nor_eval():
         assert not any(n.startswith(("roadperc_stream.tools", "roadperc_stream.eval")) for n in imports(path)), path
 
 
+def test_nothing_in_the_package_imports_its_commands():
+    for path in sources("roadperc_stream"):
+        if path.parent.name != "cli":
+            assert not any(n.startswith("roadperc_stream.cli") for n in imports(path)), path
+
+
 def test_tools_and_eval_do_not_import_each_other():
     for folder, other in (("tools", "eval"), ("eval", "tools")):
         for path in sources(folder):

@@ -45,11 +45,20 @@ def test_defaults_need_no_file():
         ("lanes.holds_s=1", r"did you mean lanes\.hold_s\?"),
         ("lane.hold_s=1", r"did you mean lanes\?"),
         ("surface.zzz=1", "known: enabled, model"),
+        ("hold_s=1", r"no setting hold_s; did you mean lanes\.hold_s or objects\.hold_s\?"),
+        ("stereo.inlier=1", r"no setting stereo\.inlier; did you mean surface\.inlier_m\?"),
     ],
 )
 def test_what_does_not_fit_is_named(setting, message):
     with pytest.raises(ConfigError, match=message):
         load_config(None, ("seed=1", setting))
+
+
+def test_an_unknown_key_of_a_file_is_named_with_the_nearest(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("[lanes]\nhold = 1\n")
+    with pytest.raises(ConfigError, match=r"mine\.toml: no setting lanes\.hold; did you mean lanes\.hold_s\?"):
+        load_config(path)
 
 
 def test_broken_files(tmp_path):

@@ -15,7 +15,7 @@ from polars.testing import assert_frame_equal
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream import log
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.decoding.payload import pose_matrix
 from roadperc_stream.formats import images

@@ -4,10 +4,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from roadperc_stream.cli import replay_main
-from roadperc_stream.eval import report
+from roadperc_stream.cli import convert, render, report
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.table import beside
-from roadperc_stream.tools import carla_to_mcap, render_scene
 
 OPTIONS = ("--size", "640x480", "--scene", "straight", "--seconds", "0.5", "--lidar")
 
@@ -16,8 +15,8 @@ OPTIONS = ("--size", "640x480", "--scene", "straight", "--seconds", "0.5", "--li
 def drive(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lidar")
     without = ("--without", "depth", "--without", "right")
-    assert render_scene.main([str(folder / "dump"), *OPTIONS, *without]) == 0
-    assert carla_to_mcap.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
+    assert render.main([str(folder / "dump"), *OPTIONS, *without]) == 0
+    assert convert.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
     assert replay_main([str(folder / "in.mcap"), str(folder / "out.mcap"), "--quiet"]) == 0
     return folder
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.cli import replay_main
-from roadperc_stream.eval import report
+from roadperc_stream.cli import report
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.table import beside
 
 ROOT = Path(__file__).parents[1]

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.reasons import Reason, grouped, merged, ranked, throughout
 from tests import logs
 

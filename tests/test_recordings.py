@@ -6,9 +6,9 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli import convert
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.table import beside
-from roadperc_stream.tools import carla_to_mcap
 
 PUBLIC_HOUGH = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_min_length_px=150")
 
@@ -21,7 +21,7 @@ def replayed(data_dir, tmp_path_factory):
     def run(name, *arguments):
         source, target = folder / f"{name}.mcap", folder / f"{name}.out.mcap"
         if not source.exists():
-            assert carla_to_mcap.main([str(data_dir / name), str(source), "--quiet"]) == 0
+            assert convert.main([str(data_dir / name), str(source), "--quiet"]) == 0
         assert replay_main([str(source), str(target), "--force", "--quiet", *arguments]) == 0
         return pl.read_parquet(beside(target, "metrics")), pl.read_parquet(beside(target, "objects"))
 
@@ -98,7 +98,7 @@ def test_carlas_principal_point_as_it_stands_is_a_tenth_of_a_degree_off(data_dir
         (dump / folder).symlink_to(data_dir / "carla_rgbd" / folder)
     calibration = json.loads((data_dir / "carla_rgbd" / "calibration.json").read_text())
     (dump / "calibration.json").write_text(json.dumps(calibration | {"pixel_origin": "centre"}))
-    assert carla_to_mcap.main([str(dump), str(tmp_path / "a.mcap"), "--quiet"]) == 0
+    assert convert.main([str(dump), str(tmp_path / "a.mcap"), "--quiet"]) == 0
     assert replay_main([str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap"), "--quiet", "--frames", "20"]) == 0
     wrong = pl.read_parquet(tmp_path / "b.metrics.parquet")
     shift = wrong["camera_pitch_deg"].median() - right["camera_pitch_deg"].median()

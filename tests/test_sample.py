@@ -10,9 +10,9 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.channels import ROLES
+from roadperc_stream.cli import convert, render
 from roadperc_stream.datatypes import CameraImage, DepthImage, TagImage
 from roadperc_stream.decoding import context_of, decode
-from roadperc_stream.tools import carla_to_mcap, render_scene
 
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "logs" / "sample.mcap"
@@ -33,8 +33,8 @@ def decoded(message):
 def remade(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sample")
     options = re.search(r"^SAMPLE_OPTIONS := (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE).group(1)
-    assert render_scene.main([str(folder / "dump"), *shlex.split(options)]) == 0
-    assert carla_to_mcap.main([str(folder / "dump"), str(folder / "sample.mcap"), "--quiet"]) == 0
+    assert render.main([str(folder / "dump"), *shlex.split(options)]) == 0
+    assert convert.main([str(folder / "dump"), str(folder / "sample.mcap"), "--quiet"]) == 0
     return folder / "sample.mcap"
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream import log
+from roadperc_stream.cli import convert, render
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.datatypes import Absent
 from roadperc_stream.ground import height_at
@@ -14,7 +15,6 @@ from roadperc_stream.roles import Problems
 from roadperc_stream.stages.surface import drivable_mask, fit_surface
 from roadperc_stream.survey import WHOLE, samples, survey_log
 from roadperc_stream.sync import SyncCounts
-from roadperc_stream.tools import carla_to_mcap, render_scene
 
 HILL = ("--scene", "hill", "--depth-noise", "0.01")
 MODELS = {model: load_config(None, (f"surface.model={model}",)).surface for model in ("plane", "spline")}
@@ -22,8 +22,8 @@ MODELS = {model: load_config(None, (f"surface.model={model}",)).surface for mode
 
 def rendered(folder: Path, *options):
     """Samples of a rendered drive."""
-    assert render_scene.main([str(folder / "dump"), *options]) == 0
-    assert carla_to_mcap.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
+    assert render.main([str(folder / "dump"), *options]) == 0
+    assert convert.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
     cfg, summary = ReplayConfig(), log.summarise(folder / "in.mcap")
     return samples(summary, survey_log(summary, cfg, {}, WHOLE), cfg, SyncCounts(), Problems())
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from roadperc_stream.metrics import lane_scores
 from roadperc_stream.metrics.lane_scores import Counts, TuSimpleScore
 from roadperc_stream.metrics.lanes import CULANE_COLUMNS, CULANE_THRESHOLDS, TUSIMPLE_COLUMNS
 
+from ..options import LanePairing
 from ..scores import Score
 from .recorded import RunFrame
 from .tusimple import LaneFileError, LaneFrame
 
-Pairing = Literal["stamp", "order"]
 THRESHOLDS: Final = tuple(CULANE_THRESHOLDS.values())
 
 
@@ -40,7 +40,7 @@ class LaneScores:
     culane: tuple[Score, ...]
 
 
-def by_key(truth: Sequence[LaneFrame], pairing: Pairing) -> dict[int, LaneFrame]:
+def by_key(truth: Sequence[LaneFrame], pairing: LanePairing) -> dict[int, LaneFrame]:
     """True frames by their stamp in ns, which is the last part of ``raw_file``, or by their place in the file.
 
     Raises:
@@ -68,7 +68,7 @@ def _stamp_ns(frame: LaneFrame) -> int:
 
 
 def paired(
-    frames: Iterable[RunFrame], truth: Mapping[int, LaneFrame], pairing: Pairing
+    frames: Iterable[RunFrame], truth: Mapping[int, LaneFrame], pairing: LanePairing
 ) -> Iterator[tuple[RunFrame, LaneFrame]]:
     """A run's frames that have a truth, each with it, in the run's order.
 

@@ -1,6 +1,5 @@
-"""What a sweep varies: values of settings, and the configuration of each of their combinations."""
+"""The configuration of each combination of the values a sweep varies."""
 
-import argparse
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -11,16 +10,10 @@ from typing import Final
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.table import Scalar
 
+from .varied import Varied
+
 AT_ONCE: Final = 32
 """Combinations that go through a log together: each has up to 1000 rows, some 4 MB, waiting to be written."""
-
-
-@dataclass(frozen=True)
-class Varied:
-    """A setting and the values it takes, as they were typed."""
-
-    key: str
-    texts: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -38,21 +31,6 @@ class Combination:
 
     def __str__(self) -> str:
         return " ".join(f"{key}={shown(value)}" for key, value in self.settings.items())
-
-
-def varied(text: str) -> Varied:
-    """An argument such as ``lanes.process_noise=0.1,0.3,1``.
-
-    Raises:
-        ArgumentTypeError: not of this form, or a value twice.
-    """
-    key, _, values = text.partition("=")
-    texts = tuple(value.strip() for value in values.split(","))
-    if not key.strip() or not all(texts):
-        raise argparse.ArgumentTypeError(f"{text}: expected KEY=VALUE,VALUE,... such as lanes.process_noise=0.1,0.3,1")
-    if len({_number_or_text(value) for value in texts}) < len(texts):
-        raise argparse.ArgumentTypeError(f"{text}: a value stands there twice")
-    return Varied(key.strip(), texts)
 
 
 def combinations(config: Path | None, settings: Sequence[str], vary: Sequence[Varied]) -> tuple[Combination, ...]:
@@ -103,10 +81,3 @@ def _of_one_type(values: Sequence[Scalar]) -> Sequence[Scalar]:
     """Values as one Parquet column can hold them: numbers and words together, as in ``auto,64``, become words."""
     types = {type(value) for value in values}
     return values if len(types) == 1 else [shown(value) for value in values]
-
-
-def _number_or_text(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text

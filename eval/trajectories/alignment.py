@@ -2,14 +2,15 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.geometry import Float, inverse
 
-Alignment = Literal["se3", "sim3", "origin", "none"]
+from ..options import Alignment
+
 _STANDING: Final = 1e-12
 """Share of the paths' squared size below which a common extent is rounding."""
 

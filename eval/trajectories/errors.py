@@ -4,13 +4,15 @@ Poses are (N, 4, 4) transforms from the ego frame to a world, lengths in metres,
 """
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.geometry import Float
+
+from ..options import DeltaUnit
 
 Indices = NDArray[np.intp]
 _PATH_TOLERANCE: Final = 0.1
@@ -22,7 +24,7 @@ class Delta:
     """How far apart the poses of a pair are: a number of poses, or metres along the estimated path."""
 
     size: float
-    unit: Literal["frames", "metres"]
+    unit: DeltaUnit
 
 
 @dataclass(frozen=True)

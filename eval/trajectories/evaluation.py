@@ -9,7 +9,8 @@ import numpy as np
 from roadperc_stream.errors import TableError
 from roadperc_stream.geometry import Float
 
-from .alignment import Alignment, align
+from ..options import Alignment
+from .alignment import align
 from .errors import Delta, ErrorStatistics, absolute_errors_m, pairs, path_m, relative_errors, segment_errors
 from .poses import RunPoses
 

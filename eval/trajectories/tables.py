@@ -6,7 +6,7 @@ from typing import Final
 from roadperc_stream.text_table import TextTable, row
 
 from ..grid import percent
-from .alignment import Alignment
+from ..options import Alignment
 from .errors import Delta, ErrorStatistics
 from .evaluation import Evaluation, Segments
 

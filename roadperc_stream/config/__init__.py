@@ -1,7 +1,7 @@
 """One frozen model per stage, nested in ``ReplayConfig``; TOML in, TOML out. Every key has a default."""
 
 from roadperc_stream.config.loading import load_config
-from roadperc_stream.config.replay import NEEDS, STAGES, ReplayConfig, switched_off
+from roadperc_stream.config.replay import ReplayConfig
 from roadperc_stream.config.stages import (
     LanesConfig,
     ObjectsConfig,
@@ -11,6 +11,7 @@ from roadperc_stream.config.stages import (
     SurfaceConfig,
     SyncConfig,
 )
+from roadperc_stream.core.stage_names import NEEDS, STAGES, switched_off
 
 __all__ = [
     "NEEDS",

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.semantics import CLASS_NAMES, table_for_version
+from roadperc_stream.semantics import CLASS_NAMES, TABLES, table_for_version
 
 
 def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -33,14 +33,28 @@ def _split(names: Any) -> Any:
     return tuple(name.strip() for name in names.split(",")) if isinstance(names, str) else names
 
 
-Classes = Annotated[tuple[str, ...], BeforeValidator(_split), AfterValidator(_known_classes)]
-Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
+def unit(name: str) -> Any:
+    """Metadata of a number whose name does not end in its unit; ``config.catalogue`` shows it."""
+    return Field(json_schema_extra={"unit": name})
+
+
+Classes = Annotated[
+    tuple[str, ...],
+    BeforeValidator(_split),
+    AfterValidator(_known_classes),
+    Field(json_schema_extra={"choices": [*sorted(CLASS_NAMES)]}),
+]
+Ratio = Annotated[float, Field(ge=0.0, le=1.0), unit("ratio")]
 Positive = Annotated[float, Field(ge=1e-6, le=1e4, allow_inf_nan=False)]
 Pixels = Annotated[float, Field(ge=0.1, le=1e3, allow_inf_nan=False)]
 Seconds = Annotated[float, Field(ge=0.0, le=3600.0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=1, le=100_000)]
-TableName = Annotated[str, AfterValidator(_known_table)]
-OddCount = Annotated[int, Field(ge=1, le=99), AfterValidator(_odd)]
+TableName = Annotated[
+    str,
+    AfterValidator(_known_table),
+    Field(json_schema_extra={"choices": ["auto", *TABLES], "remark": "a CARLA version"}),
+]
+OddCount = Annotated[int, Field(ge=1, le=99, json_schema_extra={"remark": "odd"}), AfterValidator(_odd)]
 
 
 class Section(BaseModel):

@@ -45,9 +45,23 @@ def _complaint(error: ValidationError) -> str:
     model: type[BaseModel] = ReplayConfig
     for section in sections:
         model = type(model.model_fields[section].default)
-    close = difflib.get_close_matches(name, model.model_fields, n=1)
-    known = f"did you mean {'.'.join((*sections, close[0]))}?" if close else f"known: {', '.join(model.model_fields)}"
-    return f"no setting {key}; {known}"
+    return f"no setting {key}; {_known(sections, name, tuple(model.model_fields))}"
+
+
+def _known(sections: list[str], name: str, names: tuple[str, ...]) -> str:
+    """The nearest setting: in the same section, else one of that name in another; else all of the section."""
+    near = [".".join((*sections, close)) for close in difflib.get_close_matches(name, names, n=1)]
+    near = near or _elsewhere(name)
+    return f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(names)}"
+
+
+def _elsewhere(name: str) -> list[str]:
+    """The settings of any section that are called most nearly so; none where nothing is near."""
+    sections = {section: type(field.default) for section, field in ReplayConfig.model_fields.items()}
+    models = {section: model for section, model in sections.items() if issubclass(model, BaseModel)}
+    names = {key for model in models.values() for key in model.model_fields}
+    close = difflib.get_close_matches(name, sorted(names), n=1)
+    return [f"{section}.{key}" for section, model in models.items() for key in close if key in model.model_fields]
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

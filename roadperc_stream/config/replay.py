@@ -16,23 +16,14 @@ from roadperc_stream.config.stages import (
     SyncConfig,
 )
 
-STAGES = ("stereo", "surface", "odometry", "lanes", "objects", "occupancy")
-"""Stages in the order in which they run; each has a section below."""
-NEEDS = {"odometry": ("surface",), "lanes": ("surface",), "occupancy": ("surface",)}
-"""What stages need of others: odometry without depth has its scale from the road."""
-
-
-def switched_off(stage: str) -> str:
-    """The setting that switches a stage off."""
-    return "stereo.method=off" if stage == "stereo" else f"{stage}.enabled=false"
-
 
 class ReplayConfig(Section):
     """Everything that decides what a replay computes."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Random numbers follow from it and from the frame's stamp: the same seed gives the same results."""
     tag_table: TableName = "auto"
-    """Tag table of logs that do not name theirs: a CARLA version, a table's name, or ``auto`` (what the log says)."""
+    """Table of the segmentation's tag numbers: a CARLA version or a table's name; ``auto`` takes what the log says."""
     sync: SyncConfig = SyncConfig()
     stereo: StereoConfig = StereoConfig()
     surface: SurfaceConfig = SurfaceConfig()

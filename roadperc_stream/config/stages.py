@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from roadperc_stream.config.fields import Classes, Count, OddCount, Pixels, Positive, Ratio, Seconds, Section
+from roadperc_stream.config.fields import Classes, Count, OddCount, Pixels, Positive, Ratio, Seconds, Section, unit
 
 _MOST_DISTANCES = 10_000_000
 """Distances of points to planes that RANSAC may have in memory together: some 100 MB."""
@@ -32,13 +32,13 @@ class StereoConfig(Section):
 
     method: Literal["fast", "full", "off"] = "fast"
     """``fast`` matches at half resolution, ``full`` at full resolution; both along three directions."""
-    disparities: Annotated[int, Field(ge=16, multiple_of=16, le=1024)] | Literal["auto"] = "auto"
-    """Disparities tried, pixels of the image from 0: a multiple of 16, or what the nearest road pixel needs."""
+    disparities: Annotated[Annotated[int, Field(ge=16, multiple_of=16, le=1024)] | Literal["auto"], unit("px")] = "auto"
+    """Disparities tried, from 0; ``auto``: what the nearest road pixel needs."""
     block_px: OddCount = 5
     """Side of the square that is compared."""
-    p1: Count = 200
+    p1: Annotated[Count, unit("matching cost")] = 200
     """Penalty for neighbours one disparity apart: about 8 per pixel of the block, for grey levels."""
-    p2: Count = 800
+    p2: Annotated[Count, unit("matching cost")] = 800
     """Penalty for neighbours farther apart, above ``p1``: about 32 per pixel of the block."""
     uniqueness_percent: Annotated[int, Field(ge=0, lt=100)] = 10
     """Margin by which the best disparity's cost must win against those not beside it; 0 is none."""
@@ -64,6 +64,7 @@ class SurfaceConfig(Section):
     """The drivable surface, by RANSAC on road points."""
 
     enabled: bool = True
+    """Whether the surface is estimated; lanes, occupancy and the scale of odometry without depth need it."""
     model: Literal["plane", "spline"] = "plane"
     """``spline`` adds a smooth height field to the plane, for roads that climb and fall; it needs depth."""
     classes: Classes = ("road", "road_line", "ground")
@@ -72,21 +73,22 @@ class SurfaceConfig(Section):
     """Largest distance to the plane of an inlier."""
     drivable_m: Positive = 0.15
     """Largest distance to the plane of a drivable pixel."""
-    hypotheses: Count = 256
+    hypotheses: Annotated[Count, unit("planes")] = 256
     """Most planes tried."""
-    batch: Count = 32
+    batch: Annotated[Count, unit("planes")] = 32
     """Planes tried at once."""
-    subsample: Count = 2048
+    subsample: Annotated[Count, unit("points")] = 2048
     """Points they are tried on."""
     enough_inliers: Ratio = 0.95
     """Share of inliers at which no further planes are tried."""
     min_inliers: Ratio = 0.2
     """Share of inliers below which there is no plane."""
     max_depth_m: Positive = 60.0
+    """Farthest point, along the camera's axis, that the plane is fitted to."""
     max_tilt_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 30.0
-    """Largest angle between the plane and the road the mounting promises; a wall has no height above a place."""
+    """Largest angle between the plane and the road that the mounting implies; a wall is not a road."""
     assumed_height_m: Positive = 1.5
-    """Height of the camera where neither a mounting nor depth tells."""
+    """Height of the camera above the road where neither a mounting nor depth gives it."""
     spline_knot_m: Annotated[float, Field(ge=1.0, le=30.0)] = 5.0
     """Distance of the height field's knots along the road."""
     spline_curvature_per_m: Positive = 0.005
@@ -108,53 +110,70 @@ class LanesConfig(Section):
     """The ego lane, by edges and Hough lines of the segmentation, smoothed over time."""
 
     enabled: bool = True
+    """Whether lanes are detected."""
     model: Literal["line", "curve"] = "curve"
-    """``line`` is the course's method; ``curve`` fits the boundary on the road, so that bends are followed."""
+    """``line`` is the straight Hough line alone; ``curve`` fits the boundary on the road and follows bends."""
     separators: Classes = ("road_line", "sidewalk", "rail_track", "guard_rail")
+    """Classes between which and the road the edges of a lane lie."""
     median_px: Annotated[int, Field(ge=0, le=99)] = 5
     """Size of the median filter on the separators' mask; 0 is none."""
-    canny_low: Positive = 100.0
-    canny_high: Positive = 150.0
-    canny_aperture: Literal[3, 5, 7] = 3
+    canny_low: Annotated[Positive, unit("grey levels")] = 100.0
+    """Gradient from which a pixel next to an edge belongs to it: the lower threshold of Canny's detector."""
+    canny_high: Annotated[Positive, unit("grey levels")] = 150.0
+    """Gradient from which a pixel is an edge: the upper threshold of Canny's detector."""
+    canny_aperture: Annotated[Literal[3, 5, 7], unit("px")] = 3
+    """Side of the Sobel filter that measures the gradient."""
     hough_rho_px: Pixels = 2.0
+    """Resolution of the distance in the Hough transform; coarser gathers more edge pixels in a line."""
     hough_theta_deg: Annotated[float, Field(ge=0.05, le=90.0)] = 1.0
-    hough_threshold: Positive = 100.0
+    """Resolution of the angle in the Hough transform."""
+    hough_threshold: Annotated[Positive, unit("px")] = 100.0
+    """Edge pixels that must agree on a line."""
     hough_min_length_px: Pixels = 100.0
+    """Shortest line."""
     hough_max_gap_px: Pixels = 50.0
-    min_slope: Positive = 0.3
-    merge_slope: Positive = 0.1
+    """Largest gap within a line."""
+    min_slope: Annotated[Positive, unit("px/px")] = 0.3
+    """Rows per column below which a line is too flat in the image for a boundary of the ego lane."""
+    merge_slope: Annotated[Positive, unit("px/px")] = 0.1
+    """Lines whose slopes differ by less may be one and the same."""
     merge_intercept_px: Pixels = 40.0
+    """Lines whose rows at the image's left edge differ by less may be one and the same."""
     near_m: Positive = 15.0
     """A line whose nearest support lies farther ahead (ego x) is no boundary of the ego lane."""
     fit_max_m: Annotated[float, Field(ge=1.0, le=500.0)] = 40.0
     """Farthest point of the boundary that the curve is fitted to."""
     fit_strip_m: Positive = 0.3
     """Half width of the strip around the last fit whose edges the next one takes."""
-    fit_huber: Annotated[float, Field(ge=0.1, le=100.0)] = 2.0
-    """Standard deviations beyond which an edge counts less and less (Huber's constant)."""
-    gate: Positive = 16.27
-    """Squared Mahalanobis distance beyond which a measurement is not taken (99.9 % of chi squared, 3 degrees)."""
+    fit_huber: Annotated[float, Field(ge=0.1, le=100.0), unit("standard deviations")] = 2.0
+    """Distance beyond which an edge counts less and less (Huber's constant)."""
+    gate: Annotated[Positive, unit("standard deviations, squared")] = 16.27
+    """Squared Mahalanobis distance beyond which a measurement is rejected (99.9 % of chi squared, 3 degrees)."""
     hold_s: Seconds = 0.5
     """How long an unseen boundary is held before it is lost; also the window of the vote on the classes beside it."""
     use_odometry: bool = True
     """Whether odometry, where it is metric, predicts the boundaries from frame to frame."""
-    process_noise: Annotated[float, Field(ge=1e-3, le=100.0)] = 0.5
-    """Standard deviation in m/s^2 of the car's sideways acceleration, where no odometry predicts the boundaries."""
+    process_noise: Annotated[float, Field(ge=1e-3, le=100.0), unit("m/s^2")] = 0.5
+    """Standard deviation of the car's sideways acceleration, where no odometry predicts the boundaries."""
     offset_std_m: Positive = 0.05
-    heading_std: Positive = 0.01
+    """Standard deviation of a measured boundary's offset with ``model`` ``line``."""
+    heading_std: Annotated[Positive, unit("rad")] = 0.01
+    """Standard deviation of a measured boundary's heading with ``model`` ``line``."""
     curvature_std_per_m: Positive = 0.002
+    """Standard deviation of a measured boundary's curvature with ``model`` ``line``."""
 
 
 class ObjectsConfig(Section):
     """Detections filtered by segmentation, with their distance, and followed over time."""
 
     enabled: bool = True
+    """Whether detections are filtered and followed."""
     min_class_ratio: Ratio = 0.3
     """A detection is kept when more than this share of its box carries its class."""
     distance_quantile: Ratio = 0.02
-    """0 is the lecture's minimum."""
+    """Quantile of the depths in the box that is the object's distance; 0 is the nearest pixel."""
     distance_pixels: Literal["class", "box"] = "class"
-    """Pixels of the box that count for the distance: those of its class, or all (the lecture's variant)."""
+    """Pixels of the box that count for the distance: those of its class, or all."""
     hold_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.5
     """How long an object without a detection is followed, and searched for in the image."""
     template_search: bool = True
@@ -167,35 +186,36 @@ class ObjectsConfig(Section):
     """Intersection over union with an object's predicted box from which a detection may be the same object."""
     distance_penalty: Ratio = 0.3
     """Share of the overlap that does not count where the distances contradict each other."""
-    gate: Positive = 10.83
-    """Squared Mahalanobis distance beyond which a distance is not taken (99.9 % of chi squared, 1 degree)."""
+    gate: Annotated[Positive, unit("standard deviations, squared")] = 10.83
+    """Squared Mahalanobis distance beyond which a distance is rejected (99.9 % of chi squared, 1 degree)."""
     restart_s: Positive = 0.2
     """How long distances beyond the gate must follow each other until they are believed."""
     min_distance_std_m: Positive = 0.1
     """Least standard deviation of a measured distance: the quantile moves with the box."""
-    process_noise: Positive = 2.0
-    """Standard deviation in m/s by which an object's closing speed changes within a second."""
+    process_noise: Annotated[Positive, unit("m/s")] = 2.0
+    """Standard deviation by which an object's closing speed changes within a second."""
     max_speed_std_mps: Positive = 2.0
-    """A closing speed is given from this standard deviation down."""
+    """Largest standard deviation at which a closing speed is given."""
     min_closing_mps: Positive = 0.5
-    """A time to impact is given from this closing speed up,"""
-    min_closing_sigmas: Annotated[float, Field(ge=0.0, le=1e4)] = 2.0
-    """and where the closing speed is this many of its standard deviations above zero."""
+    """Least closing speed at which a time to impact is given."""
+    min_closing_sigmas: Annotated[float, Field(ge=0.0, le=1e4), unit("standard deviations")] = 2.0
+    """Least closing speed, in its own standard deviations, at which a time to impact is given."""
 
 
 class OdometryConfig(Section):
     """Where the car is, from images and depth."""
 
     enabled: bool = True
+    """Whether the motion of the car is estimated."""
     features: Literal["klt", "orb", "sift"] = "klt"
     """``klt`` follows corners by optical flow, ``orb`` and ``sift`` match descriptors."""
     matcher: Literal["brute_force", "flann"] = "brute_force"
     """How the nearest descriptors are found."""
-    match_ratio: Annotated[float, Field(gt=0.0, le=1.0)] = 0.8
+    match_ratio: Annotated[float, Field(gt=0.0, le=1.0), unit("ratio")] = 0.8
     """Largest ratio of a match's descriptor distance to that of the second nearest."""
-    min_rows: Count = 480
-    """The image is halved as long as it keeps this many rows: more take longer and hardly tell more."""
-    max_points: Count = 400
+    min_rows: Annotated[Count, unit("rows")] = 480
+    """The image is halved as long as it keeps this many rows: more take longer and hardly improve the result."""
+    max_points: Annotated[Count, unit("points")] = 400
     """Points per keyframe, spread over the image."""
     cell_px: Positive = 80.0
     """Side of the cells that share the points equally."""
@@ -208,19 +228,19 @@ class OdometryConfig(Section):
     depth_std_per_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0005
     """The depth's standard deviation over the distance squared, as stereo has it: it weighs the points."""
     inlier_px: Positive = 2.0
-    """Largest distance to where the motion promises a point, of an inlier."""
-    ransac_iterations: Count = 200
+    """Largest distance of an inlier from where the motion predicts it."""
+    ransac_iterations: Annotated[Count, unit("motions")] = 200
     """Most motions tried."""
-    min_inliers: Count = 20
+    min_inliers: Annotated[Count, unit("points")] = 20
     """Points that must agree on the motion, or the frame is lost."""
     min_inlier_ratio: Ratio = 0.25
     """Share of the points in sight that must agree on a steady motion, twice that on an unforeseen one."""
     max_speed_mps: Positive = 70.0
     """A faster motion is a jump the car cannot make, and the frame is lost."""
     max_turn_rate_dps: Positive = 120.0
-    """A faster turn, in degrees per second, is one the car cannot make, and the frame is lost."""
+    """A faster turn is one the car cannot make, and the frame is lost."""
     min_parallax_px: Positive = 1.5
-    """Without depth: median shift beside the turn's below which the camera is taken to stand."""
+    """Without depth: median shift, the turn's own left out, below which the camera is assumed to stand still."""
     keyframe_share: Ratio = 0.5
     """Share of the keyframe's points below which, found again as inliers, a frame becomes the next keyframe."""
     keyframe_flow_px: Positive = 60.0
@@ -231,11 +251,13 @@ class OccupancyConfig(Section):
     """A bird's-eye grid of what is free and what is occupied, in the ego frame."""
 
     enabled: bool = True
+    """Whether the grid is made."""
     resolution_m: Annotated[float, Field(ge=0.05, le=5.0)] = 0.2
     """Side of a cell."""
     x_min_m: Annotated[float, Field(ge=-65.0, lt=65.0)] = 0.0
+    """Nearest edge of the grid, ahead of the ego origin."""
     x_max_m: Annotated[float, Field(gt=-65.0, le=65.0)] = 40.0
-    """Farthest cell. Depth as the log stores it ends at 65.535 m, where everything beyond would seem to stand."""
+    """Farthest edge. Depth as the log stores it ends at 65.535 m, where everything beyond would seem to be."""
     half_width_m: Annotated[float, Field(gt=0.0, le=65.0)] = 15.0
     """The grid reaches so far to either side."""
     min_height_m: Positive = 0.3
@@ -244,9 +266,9 @@ class OccupancyConfig(Section):
     """What hangs higher above the road does not stand in the way."""
     obstacle_classes: Classes = ("vehicle", "pedestrian")
     """Classes whose points stand in the way however low they are."""
-    pixel_step: Count = 2
+    pixel_step: Annotated[Count, unit("px")] = 2
     """Every so many rows and columns of the image give a point."""
-    min_points: Count = 3
+    min_points: Annotated[Count, unit("points")] = 3
     """Points that make a cell occupied or free."""
     depth_tolerance: Ratio = 0.1
     """A cell between the points is free where its pixel is drivable and as far away as the cell, up to this share."""

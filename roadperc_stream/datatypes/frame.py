@@ -18,6 +18,17 @@ class CameraImage:
     frame_id: str
     decode_bgr: Callable[[], Image]
     decode_grey: Callable[[], Image]
+    read_size: Callable[[], tuple[int, int]] | None = None
+    """Columns and rows, where they can be known without decoding."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows.
+
+        Raises:
+            DecodeError: the bytes are no image.
+        """
+        return self.read_size() if self.read_size else (self.grey.shape[1], self.grey.shape[0])
 
     @cached_property
     def grey(self) -> Image:
@@ -65,6 +76,15 @@ class DepthImage:
 
         """
         return self._decoded[0]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows.
+
+        Raises:
+            DecodeError: as ``depth_m``.
+        """
+        return self.depth_m.shape[1], self.depth_m.shape[0]
 
     @property
     def limit_m(self) -> float:

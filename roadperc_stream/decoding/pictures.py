@@ -3,7 +3,6 @@
 import struct
 from typing import Final
 
-import cv2
 import numpy as np
 
 from roadperc_stream.datatypes import CameraImage, DepthImage, TagImage
@@ -24,12 +23,17 @@ _DEPTH_HEADER: Final = struct.Struct("<iff")
 
 def encoded_image(frame_id: str, content: bytes) -> CameraImage:
     """A camera's image of a file's bytes."""
-    return CameraImage(frame_id, lambda: images.decode_bgr(content), lambda: images.decode_grey(content))
+    return CameraImage(
+        frame_id,
+        lambda: images.decode_bgr(content),
+        lambda: images.decode_grey(content),
+        lambda: images.image_size(content),
+    )
 
 
 def raw_image(frame_id: str, raster: Raster) -> CameraImage:
     """A camera's image of raw pixels."""
-    return CameraImage(frame_id, raster.bgr, raster.grey)
+    return CameraImage(frame_id, raster.bgr, raster.grey, raster.size)
 
 
 def raw_depth(frame_id: str, raster: Raster) -> DepthImage:
@@ -100,7 +104,7 @@ def _decoded_depth(layout: str, content: bytes) -> tuple[Float32, float]:
 
 
 def _png16(layout: str, content: bytes) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
-    pixels = images.decode_pixels(content, cv2.IMREAD_UNCHANGED) if content.startswith(_PNG) else None
+    pixels = images.decode_unchanged(content) if content.startswith(_PNG) else None
     if pixels is None:
         raise DecodeError(f"depth of format {layout!r}: expected a whole PNG, it starts with {content[:4].hex()}")
     if pixels.dtype != np.uint16 or pixels.ndim != 2:

@@ -1,14 +1,13 @@
-"""Pixels in and out of their encodings."""
+"""Pixels in and out of their encodings. OpenCV is imported with the first image that is decoded."""
 
 import io
 import warnings
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import ExifTags, UnidentifiedImageError
 from PIL import Image as PillowImage
-from PIL import UnidentifiedImageError
 
 from roadperc_stream.datatypes import Image
 from roadperc_stream.errors import DecodeError
@@ -18,6 +17,8 @@ from roadperc_stream.semantics import Colour
 DEPTH_LIMIT_MM: Final = 65535
 UNKNOWN_MM: Final = 0
 _PALETTE_ENTRIES: Final = 256
+_LAST_UPRIGHT: Final = 4
+"""EXIF orientations beyond exchange rows and columns."""
 
 
 def decode_bgr(data: bytes) -> Image:
@@ -26,7 +27,7 @@ def decode_bgr(data: bytes) -> Image:
     Raises:
         DecodeError: OpenCV reads no image from the bytes.
     """
-    return _decoded(data, cv2.IMREAD_COLOR)
+    return _decoded(data, "IMREAD_COLOR")
 
 
 def decode_grey(data: bytes) -> Image:
@@ -35,20 +36,45 @@ def decode_grey(data: bytes) -> Image:
     Raises:
         DecodeError: OpenCV reads no image from the bytes.
     """
-    return _decoded(data, cv2.IMREAD_GRAYSCALE)
+    return _decoded(data, "IMREAD_GRAYSCALE")
 
 
-def _decoded(data: bytes, mode: int) -> Image:
-    pixels = decode_pixels(data, mode)
+def _decoded(data: bytes, mode: str) -> Image:
+    pixels = _pixels(data, mode)
     if pixels is None:
         raise DecodeError(f"{len(data)} bytes are no image")
     return pixels.astype(np.uint8, copy=False)
 
 
-def decode_pixels(data: bytes, mode: int) -> NDArray[Any] | None:
-    """Pixels as OpenCV's ``mode`` has them; None of what it does not read, such as a billion pixels."""
+def decode_unchanged(data: bytes) -> NDArray[Any] | None:
+    """Pixels as they are encoded; None of what OpenCV does not read."""
+    return _pixels(data, "IMREAD_UNCHANGED")
+
+
+def image_size(data: bytes) -> tuple[int, int]:
+    """Columns and rows of an encoded image by its header, as OpenCV would turn it.
+
+    Raises:
+        DecodeError: no image, or a header that claims a hundred million pixels or more.
+    """
     try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), mode) if data else None
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", PillowImage.DecompressionBombWarning)
+            with PillowImage.open(io.BytesIO(data)) as image:
+                turned = image.getexif().get(ExifTags.Base.Orientation, 1) > _LAST_UPRIGHT
+                return (image.height, image.width) if turned else (image.width, image.height)
+    except (PillowImage.DecompressionBombWarning, PillowImage.DecompressionBombError) as error:
+        raise DecodeError(f"{len(data)} bytes claim to be an image of a hundred million pixels or more") from error
+    except (OSError, ValueError, SyntaxError) as error:
+        raise DecodeError(f"{len(data)} bytes are no image") from error
+
+
+def _pixels(data: bytes, mode: str) -> NDArray[Any] | None:
+    """Pixels as OpenCV's ``mode`` has them; None of what it does not read, such as a billion pixels."""
+    import cv2
+
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), getattr(cv2, mode)) if data else None
     except cv2.error:
         return None
 
@@ -87,6 +113,8 @@ def encode_indices(indices: Image, colours: tuple[Colour, ...]) -> bytes:
 
 def encode_jpeg(pixels_bgr: Image, quality: int) -> bytes:
     """JPEG of (H, W, 3) pixels."""
+    import cv2
+
     _, encoded = cv2.imencode(".jpg", pixels_bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return encoded.tobytes()
 

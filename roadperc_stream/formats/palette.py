@@ -3,7 +3,6 @@
 from functools import cache
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,6 +31,8 @@ def tags_of_colours(bgr: Image, table: TagTable) -> Image:
     Raises:
         DecodeError: a colour is no class's; the message names the most frequent such one.
     """
+    import cv2
+
     codes = cv2.cvtColor(bgr, cv2.COLOR_BGR2BGRA).view("<u4")[..., 0] & 0xFFFFFF
     tags: Image = tags_by_code(table)[codes]
     if (tags == UNKNOWN).any():

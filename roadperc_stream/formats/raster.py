@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,14 +31,15 @@ _LAYOUTS: Final[Mapping[str, tuple[str, int]]] = {
     "32FC1": ("f4", 1),
 }
 """numpy's name of a number, and numbers a pixel."""
-_TO_BGR: Final[Mapping[str, int]] = {
-    "rgb8": cv2.COLOR_RGB2BGR,
-    "bgra8": cv2.COLOR_BGRA2BGR,
-    "8UC4": cv2.COLOR_BGRA2BGR,
-    "rgba8": cv2.COLOR_RGBA2BGR,
-    "mono8": cv2.COLOR_GRAY2BGR,
-    "8UC1": cv2.COLOR_GRAY2BGR,
+_TO_BGR: Final[Mapping[str, str]] = {
+    "rgb8": "COLOR_RGB2BGR",
+    "bgra8": "COLOR_BGRA2BGR",
+    "8UC4": "COLOR_BGRA2BGR",
+    "rgba8": "COLOR_RGBA2BGR",
+    "mono8": "COLOR_GRAY2BGR",
+    "8UC1": "COLOR_GRAY2BGR",
 }
+"""OpenCV's name of the conversion."""
 _COLOURS: Final = ("bgr8", "8UC3")
 _GREYS: Final = ("mono8", "8UC1")
 _DEPTHS: Final = ("16UC1", "mono16", "32FC1")
@@ -74,6 +74,15 @@ class Raster:
         shape = (self.height, self.width) + (channels,) * (channels > 1)
         return np.ascontiguousarray(rows[:, :used]).view(dtype).reshape(shape)
 
+    def size(self) -> tuple[int, int]:
+        """Columns and rows.
+
+        Raises:
+            DecodeError: as ``pixels``.
+        """
+        rows, columns = self.pixels().shape[:2]
+        return columns, rows
+
     def bgr(self) -> Image:
         """(H, W, 3) uint8, of a grey image too.
 
@@ -87,7 +96,9 @@ class Raster:
         if self.encoding in _LAYOUTS and self.encoding not in _TO_BGR:
             raise DecodeError(f"image encoding {self.encoding!r}: expected colours, mono8 or mono16")
         pixels = self.pixels()
-        return cv2.cvtColor(pixels, _TO_BGR[self.encoding]).astype(np.uint8, copy=False)
+        import cv2
+
+        return cv2.cvtColor(pixels, getattr(cv2, _TO_BGR[self.encoding])).astype(np.uint8, copy=False)
 
     def grey(self) -> Image:
         """(H, W) uint8.
@@ -99,6 +110,8 @@ class Raster:
             return self._grey16()
         if self.encoding in _GREYS:
             return self.pixels()
+        import cv2
+
         return cv2.cvtColor(self.bgr(), cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
 
     def depth(self) -> tuple[Float32, float]:

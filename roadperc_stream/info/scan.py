@@ -129,10 +129,9 @@ class Scan:
         if item.role in self.sizes or not isinstance(item.payload, CameraImage | DepthImage):
             return
         try:
-            pixels = item.payload.grey if isinstance(item.payload, CameraImage) else item.payload.depth_m
+            self.sizes[item.role] = item.payload.size
         except DecodeError:
             return
-        self.sizes[item.role] = (pixels.shape[1], pixels.shape[0])
 
 
 def in_log_time_order(items: Iterable[Stamped], most: int) -> Iterator[Stamped]:

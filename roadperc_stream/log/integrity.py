@@ -11,6 +11,7 @@ import zlib
 from pathlib import Path
 from typing import IO, Final
 
+from roadperc_stream.core.folders import not_a_log
 from roadperc_stream.errors import LogError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -25,6 +26,11 @@ _BLOCK_BYTES: Final = 4 * 1024 * 1024
 def damaged(path: Path, what: str) -> LogError:
     """The error of a log that is not whole; it names the command that says where, and what can still be read."""
     return LogError(f"{path}: {what}; roadperc-info {shlex.quote(str(path))} tells what is whole")
+
+
+def unopened(path: Path, error: OSError) -> LogError:
+    """The error of a log that the system does not open; of a folder, what to do with it."""
+    return LogError(not_a_log(path) if path.is_dir() else f"{path}: {error.strerror or error}")
 
 
 def require_whole(path: Path, stream: IO[bytes]) -> None:

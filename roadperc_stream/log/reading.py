@@ -14,8 +14,7 @@ from mcap.records import Schema as McapSchema
 from mcap.summary import Summary
 from zstandard import ZstdError
 
-from roadperc_stream.errors import LogError
-from roadperc_stream.log.integrity import check_sections, damaged, require_whole
+from roadperc_stream.log.integrity import check_sections, damaged, require_whole, unopened
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
 
 T = TypeVar("T")
@@ -29,7 +28,7 @@ def _reading(path: Path) -> Iterator[IO[bytes]]:
             require_whole(path, stream)
             yield stream
     except OSError as error:
-        raise LogError(f"{path}: {error.strerror or error}") from error
+        raise unopened(path, error) from error
     except McapError as error:
         raise damaged(path, f"damaged MCAP: {error}") from error
     except (EOFError, ValueError, KeyError, OverflowError, RuntimeError, struct.error, ZstdError) as error:

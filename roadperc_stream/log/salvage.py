@@ -23,7 +23,7 @@ from zstandard import ZstdError
 
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.framing import Damage, Framing, Record
-from roadperc_stream.log.integrity import require_log
+from roadperc_stream.log.integrity import require_log, unopened
 from roadperc_stream.log.reading import channel_of, usable_index
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
 
@@ -81,7 +81,7 @@ class Salvage:
                 require_log(self.path, stream)
                 self._index = _index_of(stream)
         except OSError as error:
-            raise LogError(f"{self.path}: {error.strerror or error}") from error
+            raise unopened(self.path, error) from error
         self._schemas: dict[int, records.Schema] = {}
         self._statistics: records.Statistics | None = None
         self._chunks_without_crc = 0

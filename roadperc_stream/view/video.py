@@ -20,7 +20,7 @@ from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream import log
 from roadperc_stream.channels import METRICS_TOPIC
-from roadperc_stream.command import no_progress
+from roadperc_stream.core.process import no_progress
 from roadperc_stream.datatypes import Image
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.formats import images

@@ -8,8 +8,8 @@ from dataclasses import replace
 import polars as pl
 import pytest
 
+from roadperc_stream.cli.compare import main
 from roadperc_stream.config import load_config
-from roadperc_stream.eval.compare import main
 from roadperc_stream.replay import table_facts
 from tests.eval.tables import START_NS, row, write
 

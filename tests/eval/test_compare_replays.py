@@ -6,8 +6,8 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.channels import ROLES
+from roadperc_stream.cli.compare import main
 from roadperc_stream.config import load_config
-from roadperc_stream.eval.compare import main
 from roadperc_stream.log import LogWriter
 from roadperc_stream.replay import replay
 from roadperc_stream.table import beside

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream import encoding
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.lanes import main
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.datatypes import Boundary, Lanes
 from roadperc_stream.eval.lane_files.recorded import default_rows, open_lanes
 from roadperc_stream.eval.lane_files.scoring import score_frame
 from roadperc_stream.eval.lane_files.tusimple import LaneFrame, read_frames, to_line
-from roadperc_stream.eval.lanes import main
 from roadperc_stream.table import beside
 from tests.analytic import Road
 from tests.eval import tables

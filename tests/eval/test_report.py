@@ -9,9 +9,9 @@ from pathlib import Path
 import polars as pl
 import pytest
 
+from roadperc_stream.cli.report import main
 from roadperc_stream.config import load_config
 from roadperc_stream.eval import summary
-from roadperc_stream.eval.report import main
 from roadperc_stream.replay import table_facts
 from tests.commands import BUFFERINGS, environment
 from tests.eval.tables import row, write
@@ -371,7 +371,7 @@ def test_wrong_usage(arguments, capsys):
 @pytest.mark.parametrize("buffering", BUFFERINGS)
 def test_reader_that_closes_early_is_no_error(drive, buffering):
     """As ``roadperc-report ... | head -1`` does, here with a reader that is gone from the start."""
-    code = f"import sys; from roadperc_stream.eval.report import main; sys.exit(main([{str(drive)!r}]))"
+    code = f"import sys; from roadperc_stream.cli.report import main; sys.exit(main([{str(drive)!r}]))"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen([sys.executable, "-c", code], env=environment(buffering), **pipes) as process:
         process.stdout.close()

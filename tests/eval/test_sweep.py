@@ -14,9 +14,9 @@ from polars.testing import assert_frame_equal
 from pydantic import BaseModel
 
 from roadperc_stream import log, survey
+from roadperc_stream.cli.sweep import main
 from roadperc_stream.config import load_config
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.sweep import main
 from roadperc_stream.replay import replay
 from roadperc_stream.roles import Problems
 from roadperc_stream.rows import TIME_COLUMNS
@@ -250,7 +250,7 @@ def test_other_things_are_never_replaced(source, tmp_path, capsys):
 def test_a_signal_leaves_nothing(tmp_path, jobs, number):
     """Ctrl-C goes to all processes of a terminal, as it does here."""
     made = [logs.write(tmp_path / f"in{k}.mcap", logs.items(100)) for k in range(2)]
-    command = [sys.executable, "-c", "import sys; from roadperc_stream.eval.sweep import main; sys.exit(main())"]
+    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.sweep import main; sys.exit(main())"]
     options = [*map(str, made), *LANES, "--out", str(tmp_path / "out"), "--jobs", str(jobs)]
     process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, start_new_session=True)
     while process.poll() is None and not list(tmp_path.glob(".out*/0001/.*")):

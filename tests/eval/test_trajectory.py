@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.cli.trajectory import main
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.trajectories.columns import read_poses
 from roadperc_stream.eval.trajectories.errors import Delta
 from roadperc_stream.eval.trajectories.evaluation import evaluate
-from roadperc_stream.eval.trajectory import main
 from tests.eval.tables import row, write
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, write_run
 

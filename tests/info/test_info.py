@@ -9,8 +9,8 @@ import pytest
 from mcap.writer import Writer
 
 from roadperc_stream import encoding
-from roadperc_stream.cli import replay_main
-from roadperc_stream.info.command import main
+from roadperc_stream.cli.info import main
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.info.examine import examine
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata, read
 from roadperc_stream.table import beside

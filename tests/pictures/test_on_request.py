@@ -9,7 +9,7 @@ import pytest
 
 from roadperc_stream import encoding, log
 from roadperc_stream.channels import ON_REQUEST, PRODUCER
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.decoding import Context, decode
 from roadperc_stream.replay import replay

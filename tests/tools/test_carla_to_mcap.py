@@ -7,11 +7,11 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.channels import ROLES
+from roadperc_stream.cli.convert import main
 from roadperc_stream.datatypes import Box
 from roadperc_stream.decoding import context_of, decode
 from roadperc_stream.geometry import Camera
 from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS
-from roadperc_stream.tools.carla_to_mcap import main
 from tests.tools.dump_writer import (
     CALIBRATION,
     HEIGHT,

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from roadperc_stream import log
 from roadperc_stream.chain import ChainState, step
-from roadperc_stream.command import run
+from roadperc_stream.cli.plumbing import run
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.datatypes import Sample
 from roadperc_stream.errors import LogError

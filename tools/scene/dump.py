@@ -16,12 +16,12 @@ from roadperc_stream.targets import completing
 
 from .drive import BASELINE_M, MOUNT_X_M, MOUNT_Z_M
 from .ground import FAR_M
+from .options import SENSORS
 from .scanner import MOUNT_Z_M as LIDAR_Z_M
 
 JPEG_QUALITY: Final = 90
 CARLA_VERSION: Final = "0.9.15"
 DEPTH_CODES: Final = 2**24 - 1
-SENSORS: Final = ("rgb", "depth", "segmentation", "right")
 LIDAR: Final = "lidar"
 FILES: Final = (
     "calibration.json",

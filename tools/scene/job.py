@@ -1,4 +1,4 @@
-"""One rendering job: its options, and the loop from frame to files."""
+"""One rendering job: the loop from frame to files."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -9,72 +9,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.errors import DumpError
-
 from . import dump, spoil
 from .detector import detect
 from .drive import Drive, Moment, Rig, make_rig
+from .options import SENSORS, RenderOptions
 from .scanner import scan
 from .truth import ObjectTruth, lanes_truth, objects_truth, surface_truth
 from .view import View, photograph, render
-from .world import SCENES, SceneName, make_world
+from .world import make_world
 
 PURPOSES: Final = {name: number for number, name in enumerate(("detections", "tags", "depth", "rgb", "right", "drop"))}
-
-
-@dataclass(frozen=True)
-class RenderOptions:
-    """Everything that decides what is rendered."""
-
-    width: int = 1280
-    height: int = 960
-    seconds: float = 5.0
-    rate_hz: float = 20.0
-    scene: SceneName = "town"
-    speed_mps: float = 10.0
-    static: bool = False
-    weave_m: float = 0.2
-    tag_noise: float = 0.0
-    depth_noise: float = 0.0
-    rgb_noise: float = 0.0
-    drop: float = 0.0
-    jpeg: bool = False
-    lidar: bool = False
-    without: tuple[str, ...] = ()
-    """Sensors whose files are left out, of ``dump.SENSORS``."""
-    seed: int = 0
-
-    @property
-    def frames(self) -> int:
-        """Number of frames, at least one."""
-        return max(round(self.seconds * self.rate_hz), 1)
-
-    def check(self) -> None:
-        """Refuses what cannot be rendered.
-
-        Raises:
-            DumpError: an option is out of its range; the message names it.
-        """
-        limits: tuple[tuple[str, float, float, float], ...] = (
-            ("--size width", self.width, 64, 8192),
-            ("--size height", self.height, 48, 8192),
-            ("--seconds", self.seconds, 1e-3, 86400),
-            ("--rate", self.rate_hz, 0.1, 1000),
-            ("--speed", self.speed_mps, 0.5, 40),
-            ("--weave", self.weave_m, 0, 1.0),
-            ("--tag-noise", self.tag_noise, 0, 0.5),
-            ("--depth-noise", self.depth_noise, 0, 0.5),
-            ("--rgb-noise", self.rgb_noise, 0, 100),
-            ("--drop", self.drop, 0, 0.95),
-            ("--seed", self.seed, 0, 2**32),
-        )
-        for name, value, low, high in limits:
-            if not low <= value <= high:
-                raise DumpError(f"{name} {value:g}: expected a number from {low:g} to {high:g}")
-        if self.scene not in SCENES:
-            raise DumpError(f"--scene {self.scene}: expected one of {', '.join(SCENES)}")
-        if not set(dump.SENSORS) - set(self.without):
-            raise DumpError("--without: no camera is left")
 
 
 @dataclass
@@ -131,8 +75,8 @@ def _write_frame(folder: Path, options: RenderOptions, frame: int, moment: Momen
     """The files of one frame, but for those that are dropped."""
     suffix = ".jpg" if options.jpeg else ".png"
     name = frame_name(frame)
-    kept = (_rng(options, frame, "drop").random(len(dump.SENSORS) + 1) >= options.drop) | (frame == 0)
-    for sensor, keep in zip(dump.SENSORS, kept[:-1], strict=True):
+    kept = (_rng(options, frame, "drop").random(len(SENSORS) + 1) >= options.drop) | (frame == 0)
+    for sensor, keep in zip(SENSORS, kept[:-1], strict=True):
         if keep and sensor not in options.without:
             picture = _picture(options, frame, sensor, moment, rig, left)
             dump.write_picture(folder / sensor / (name + (suffix if sensor in ("rgb", "right") else ".png")), picture)

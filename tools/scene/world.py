@@ -3,18 +3,16 @@
 from dataclasses import dataclass
 from itertools import chain as joined
 from itertools import repeat
-from typing import Final, Literal, get_args
+from typing import Final
 
 import numpy as np
 
 from roadperc_stream.geometry import Float, rigid
 
+from .options import SceneName
 from .path import Element, Path, chain
 from .section import Section, street
 from .terrain import Terrain, level_ground, rolling_ground
-
-SceneName = Literal["straight", "bend", "hill", "town"]
-SCENES: Final[tuple[str, ...]] = get_args(SceneName)
 
 RADIUS_M: Final = 150.0
 MARGIN_M: Final = 1200.0

@@ -8,7 +8,7 @@ from time import monotonic_ns
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from roadperc_stream.command import telling
+from roadperc_stream.core.process import optional_output
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
 from roadperc_stream.table import beside
@@ -26,7 +26,7 @@ _NANOSECONDS = 1_000_000_000
 
 
 def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:
-    """Serve a finished log to Foxglove until Ctrl-C or SIGTERM, which ``command.run`` turns into Ctrl-C.
+    """Serve a finished log to Foxglove until Ctrl-C or SIGTERM, which ``plumbing.run`` turns into Ctrl-C.
 
     Args:
         path: the log.
@@ -109,7 +109,7 @@ class LiveReplay:
         if self._thread is not None:
             with suppress(KeyboardInterrupt):
                 if not self._quiet:
-                    with telling():
+                    with optional_output():
                         print("the replay is complete and still served: Ctrl-C ends")
                 while self._thread.is_alive():
                     self._thread.join(LONGEST_WAIT_S)
@@ -145,7 +145,7 @@ def playing(
     inbox = Inbox()
     with serving(name, options.host, options.port, span_ns, source.channels, inbox) as (audience, port):
         if not quiet:
-            with telling():
+            with optional_output():
                 print(_invitation(options.host, port))
         yield Player(source, audience, inbox, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
 

@@ -11,7 +11,7 @@ import rerun as rr
 
 from roadperc_stream import log
 from roadperc_stream.channels import REFERENCE_ROLES, RESULTS
-from roadperc_stream.command import no_progress
+from roadperc_stream.core.process import no_progress
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.log import LogSummary
 from roadperc_stream.roles import Filled, Problems, roles_of_log

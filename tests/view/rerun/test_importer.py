@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from roadperc_stream.channels import RESULTS
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import main as replay_main
 from tests import logs
 from tests.view.rerun.chunks import imported
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.decoding import Transform
 from roadperc_stream.encoding import encode_transforms

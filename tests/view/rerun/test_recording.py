@@ -8,7 +8,7 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.channels import PRODUCER, RESULTS
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.decoding import Context, decode
 from roadperc_stream.drawing import caption
 from roadperc_stream.errors import LogError, TargetError

@@ -6,7 +6,8 @@ from contextlib import redirect_stdout
 
 import pytest
 
-from roadperc_stream.command import run, telling
+from roadperc_stream.cli.plumbing import run
+from roadperc_stream.core.process import optional_output
 
 
 def raising(error):
@@ -51,7 +52,7 @@ def test_what_is_told_to_nobody_ends_nothing():
 
     def command():
         for number in range(2):
-            with telling():
+            with optional_output():
                 print("told")
             done.append(number)
         raise OSError(errno.ENOSPC, "No space left", "out.mcap")

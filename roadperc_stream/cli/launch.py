@@ -9,25 +9,16 @@ from importlib import import_module
 from io import TextIOWrapper
 from types import FrameType
 
-EXIT_DONE, EXIT_ERROR = 0, 1
+from roadperc_stream.core.process import EXIT_ERROR, discard_output, ending_signals
 
 
-def ending_signals() -> list[int]:
-    """The signals that end a command; not those it was started to ignore, as under nohup."""
-    return [
-        number
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        if signal.getsignal(number) != signal.SIG_IGN
-    ]
-
-
-def _launch(module: str, main: str = "main") -> int:
+def _launch(command: str) -> int:
     _open_closed_streams()
     _print_any_name()
     for number in ending_signals():
         signal.signal(number, _end)
     try:
-        code = int(getattr(import_module(f"roadperc_stream.{module}"), main)())
+        code = int(import_module(f"roadperc_stream.cli.{command}").main())
     except SystemExit as end:  # argparse, after the help, the version or a usage error
         code = end.code if isinstance(end.code, int) else EXIT_ERROR
     return _flushed(code)
@@ -39,9 +30,9 @@ def _flushed(code: int) -> int:
         try:
             stream.flush()
         except BrokenPipeError:  # the reader has seen enough, as with | head
-            discard(stream.fileno())
+            discard_output(stream)
         except OSError as error:
-            discard(stream.fileno())
+            discard_output(stream)
             code = code or _refused(error)
     return code
 
@@ -52,11 +43,6 @@ def _refused(error: OSError) -> int:
     return EXIT_ERROR
 
 
-def discard(descriptor: int) -> None:
-    """Send what is still buffered for a stream that takes no more, and all that follows, to the null device."""
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, descriptor)
-    os.close(null)
 
 
 def _open_closed_streams() -> None:
@@ -74,19 +60,22 @@ def _print_any_name() -> None:
 
 
 def _end(_number: int, _frame: FrameType | None) -> None:
-    """End at once: outside ``command.run`` nothing is half written, and what is being imported may swallow errors."""
+    """End at once: outside ``plumbing.run`` nothing is half written, and what is being imported may swallow errors."""
     with suppress(OSError):
         os.write(2, b"error: interrupted\n")
     os._exit(EXIT_ERROR)
 
 
-compare = partial(_launch, "eval.compare")
-convert = partial(_launch, "tools.carla_to_mcap")
-info = partial(_launch, "info.command")
-lanes = partial(_launch, "eval.lanes")
-render = partial(_launch, "tools.render_scene")
-replay = partial(_launch, "cli", "replay_main")
-report = partial(_launch, "eval.report")
-sweep = partial(_launch, "eval.sweep")
-trajectory = partial(_launch, "eval.trajectory")
-view = partial(_launch, "view.command")
+COMMANDS = ("compare", "convert", "info", "lanes", "render", "replay", "report", "sweep", "trajectory", "view")
+"""Each is a module beside this one, and the console script ``roadperc-...`` of that name."""
+
+compare = partial(_launch, "compare")
+convert = partial(_launch, "convert")
+info = partial(_launch, "info")
+lanes = partial(_launch, "lanes")
+render = partial(_launch, "render")
+replay = partial(_launch, "replay")
+report = partial(_launch, "report")
+sweep = partial(_launch, "sweep")
+trajectory = partial(_launch, "trajectory")
+view = partial(_launch, "view")

@@ -1,17 +1,14 @@
-"""``roadperc-info``: what is in a log, whether it is whole, and what a replay would make of it."""
+"""The facts of several logs on stdout, as text or JSON."""
 
-import argparse
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from roadperc_stream import __version__
 from roadperc_stream.channels import parse_topic_options
-from roadperc_stream.command import run
 from roadperc_stream.errors import LogError
 from roadperc_stream.info.examine import examine
 from roadperc_stream.info.facts import LogFacts
@@ -19,39 +16,20 @@ from roadperc_stream.info.printing import print_log
 from roadperc_stream.info.text import listed
 from roadperc_stream.terminal import console_for, print_lines
 
-_EXAMPLE = """\
-example:
-  roadperc-info logs/sample.mcap
-  roadperc-info bag.mcap --topic image=/front/rgb      as roadperc-replay would take it
-  roadperc-info --json logs/*.mcap                     a JSON object and line per log, for scripts; times in ns
 
-The keys of --json are the fields in roadperc_stream/info/facts.py; a log that cannot be opened gives "log" and "error".
-Exit code 0: every log is whole; 1: one is cut, damaged or no log at all (the others are printed all the same).
-"""
+def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) -> None:
+    """Print what is known of each log.
 
+    Args:
+        paths: the logs.
+        topics: ``ROLE=/NAME``, as a replay takes them.
+        as_json: an object and line per log instead of text.
 
-def main(argv: list[str] | None = None) -> int:
-    """``roadperc-info``: print what is known of logs."""
-    arguments = _parser().parse_args(argv)
-    return run(lambda: _info(arguments.logs, parse_topic_options(arguments.topic), arguments.json))
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="roadperc-info",
-        description="Print what is in a log and whether the file is whole; which roles its channels fill, and what a\n"
-        "replay has to do without; of a result, which configuration made it, and whether it is unchanged.",
-        epilog=_EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("logs", metavar="LOG", type=Path, nargs="+", help="a log, input or result, also a damaged one")
-    parser.add_argument("--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role")
-    parser.add_argument("--json", action="store_true", help="one JSON object a log, on a line of its own")
-    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
-    return parser
-
-
-def _info(paths: Sequence[Path], overrides: Mapping[str, str], as_json: bool) -> None:
+    Raises:
+        ChannelError: a topic option is of another form.
+        LogError: one of the logs is not whole; the others are printed all the same.
+    """
+    overrides = parse_topic_options(topics)
     show = _show_json if as_json else _show_text
     faults = []
     for path in paths:

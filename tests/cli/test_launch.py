@@ -13,7 +13,8 @@ import pytest
 from tests.commands import BUFFERINGS, SCRIPTS, environment, run, status, words
 from tests.test_sample import SAMPLE
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
+ODD = os.fsdecode(b"bad\xff.mcap")
 FULL = Path("/dev/full")
 
 
@@ -26,9 +27,21 @@ def signalling(folder, library, number):
     return environment(PYTHONPATH=str(folder))
 
 
+ENOUGH = {
+    "roadperc-lanes": ["in.mcap", "--tusimple", "lanes.json"],
+    "roadperc-render": ["drive"],
+    "roadperc-sweep": ["in.mcap", "--vary", "seed=1,2"],
+    "roadperc-view": ["in.mcap"],
+}
+"""Arguments that are no wrong usage, where it is not two names."""
+
+
+@pytest.mark.parametrize("library", ["argparse", "rich"])
 @pytest.mark.parametrize("command", SCRIPTS)
-def test_ctrl_c_during_the_first_import_is_one_line(tmp_path, command):
-    ended = run(command, "in.mcap", "out.mcap", env=signalling(tmp_path, "rich", signal.SIGINT), cwd=tmp_path)
+def test_ctrl_c_during_an_import_is_one_line(tmp_path, command, library):
+    """argparse is imported before the arguments are read, rich with what does the work."""
+    arguments = ENOUGH.get(command, ["in.mcap", "out.mcap"])
+    ended = run(command, *arguments, env=signalling(tmp_path, library, signal.SIGINT), cwd=tmp_path)
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "error: interrupted\n")
 
 
@@ -40,14 +53,16 @@ def test_every_signal_during_any_import_is_one_line(tmp_path, library, number):
 
 
 def test_a_signal_that_nohup_ignores_ends_nothing():
-    code = "import os, signal; signal.signal(signal.SIGHUP, signal.SIG_IGN); from roadperc_stream.command import run;"
+    code = (
+        "import os, signal; signal.signal(signal.SIGHUP, signal.SIG_IGN); from roadperc_stream.cli.plumbing import run;"
+    )
     code += "print(run(lambda: os.kill(os.getpid(), signal.SIGHUP)))"
     ended = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "0\n", "")
 
 
 def test_what_starts_a_command_imports_no_library():
-    code = "import sys, roadperc_stream.launch; print(*{name.partition('.')[0] for name in sys.modules})"
+    code = "import sys, roadperc_stream.cli.launch; print(*{name.partition('.')[0] for name in sys.modules})"
     bare = [sys.executable, "-S", "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {code}"]
     loaded = subprocess.run(bare, check=True, capture_output=True, text=True).stdout.split()
     assert set(loaded) - {"roadperc_stream", "__main__"} <= sys.stdlib_module_names
@@ -139,7 +154,7 @@ def test_a_live_replay_goes_on_where_nobody_reads_its_address(tmp_path):
 
 
 def test_a_closed_stream_takes_no_files_place(tmp_path):
-    code = "from roadperc_stream.launch import _open_closed_streams as mend; mend();"
+    code = "from roadperc_stream.cli.launch import _open_closed_streams as mend; mend();"
     code += (
         f"file = open({str(tmp_path / 'file')!r}, 'w'); print('astray', flush=True); print(file.fileno(), file=file)"
     )

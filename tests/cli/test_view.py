@@ -6,10 +6,9 @@ import sys
 
 import pytest
 
+from roadperc_stream.cli.view import main
 from roadperc_stream.config import load_config
 from roadperc_stream.replay import replay
-from roadperc_stream.view import command
-from roadperc_stream.view.command import main
 from roadperc_stream.view.rerun import viewer
 from tests import logs
 from tests.view.rerun.chunks import recorded
@@ -137,7 +136,7 @@ def test_a_viewer_without_a_display_is_a_stated_error(source, monkeypatch, capsy
 
 
 def test_only_rerun_costs_its_import():
-    code = "import sys, roadperc_stream.view.command; sys.exit('rerun' in sys.modules)"
+    code = "import sys, roadperc_stream.cli.view; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 

@@ -1,0 +1,61 @@
+"""Arguments that several commands have in common."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roadperc_stream.cli.completers import completed_by, files, settings, topics
+from roadperc_stream.cli.plumbing import seconds, whole_number
+from roadperc_stream.core.stage_names import STAGES, switched_off
+from roadperc_stream.errors import ConfigError
+
+if TYPE_CHECKING:
+    from roadperc_stream.config import ReplayConfig
+    from roadperc_stream.survey import Cut
+
+
+def add_input_arguments(parser: argparse.ArgumentParser) -> None:
+    """The settings, the topics and the part of the log: options of every command that replays."""
+    add = parser.add_argument
+    config = add("--config", metavar="FILE", type=Path, help="TOML file with any part of the settings")
+    setting = add("--set", metavar="KEY=VALUE", action="append", default=[], help="one setting; wins over FILE")
+    add_topic_argument(parser)
+    add("--start", metavar="SECONDS", type=seconds, help="from here, counted from the first message")
+    add("--end", metavar="SECONDS", type=seconds, help="up to here, counted from the first message")
+    add("--frames", metavar="N", type=whole_number, help="at most so many frames")
+    completed_by(config, files(".toml"))
+    completed_by(setting, settings)
+
+
+def add_topic_argument(parser: argparse.ArgumentParser) -> None:
+    """``--topic``, for every command that reads an input log."""
+    action = parser.add_argument(
+        "--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role"
+    )
+    completed_by(action, topics)
+
+
+def cut_of(arguments: argparse.Namespace) -> "Cut":
+    """The part of the log that the options name.
+
+    Raises:
+        ConfigError: it ends before it starts.
+    """
+    from roadperc_stream.survey import Cut
+
+    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
+        raise ConfigError(f"--end {arguments.end}: expected more than --start {arguments.start}")
+    return Cut(arguments.start, arguments.end, arguments.frames)
+
+
+def config_of(arguments: argparse.Namespace) -> "ReplayConfig":
+    """The configuration that ``--config``, ``--set`` and ``--only`` give together.
+
+    Raises:
+        ConfigError: the file cannot be read, or a setting does not fit.
+    """
+    from roadperc_stream.config import load_config
+
+    only = arguments.only or STAGES
+    off = tuple(switched_off(stage) for stage in STAGES if stage not in only)
+    return load_config(arguments.config, (*arguments.set, *off))

@@ -1,0 +1,88 @@
+"""``roadperc-convert``: a CARLA dump folder to a log."""
+
+import argparse
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.cli.completers import LOGS, completed_by, files, roles_in_dump
+from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+
+_EXAMPLE: Final = """\
+example:
+  roadperc-convert recordings/town04 town04.mcap
+  roadperc-convert recordings/old old.mcap --carla 0.9.10 --fov 90 --role depth=CameraDepth2
+
+the dump:
+  one folder per sensor (rgb, CameraRGB, image_2, depth, segmentation, sem, left, right, ...) with a file per frame,
+  paired by the last number in each name; or flat files such as left.png and right.png. A lidar's points (lidar,
+  velodyne, ...) are CARLA's .ply or .npy, left-handed, or KITTI's .bin, right-handed. Beside them, where there are:
+  calibration.json   K, or fov_deg; width, height; P_left and P_right, or baseline_m; carla_tags; rate_hz;
+                     mounting {role: {x, y, z, roll, pitch, yaw}} as CARLA has it; cameras {role: {K, ...}} for those
+                     that differ; pixel_origin "corner" (c = w / 2, the default) or "centre"; mounting.lidar too
+  detections.json    {frame: [{label, box_px, score}]}, COCO results, or KITTI files in label_2/
+  timestamps.txt     lines 'frame seconds', or a value a line
+  poses.json         {frame: {location, rotation}}, or poses.csv; truth.json and truth/ as roadperc-render writes
+"""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """``roadperc-convert``: 0 done, 1 a stated error, 2 wrong usage."""
+    parser = _parser()
+    arguments = parse(parser, argv)
+    arguments.role = [_role(parser, option) for option in arguments.role]
+    converting = part("tools.carla_to_mcap")
+    return run(lambda: converting.convert(arguments))
+
+
+def _parser() -> argparse.ArgumentParser:
+    roles = part("tools.carla_dump.role_names").ROLES
+    parser = command_parser(
+        "convert", "Makes a log of a CARLA dump folder. Finds the layout by itself and says what it found.", _EXAMPLE
+    )
+    dump = parser.add_argument(
+        "dump", type=Path, metavar="DUMP", help="folder with one folder per sensor, or flat files"
+    )
+    out = parser.add_argument("out", type=Path, metavar="IN.mcap", help="log to write; it appears only when complete")
+    role = parser.add_argument(
+        "--role", action="append", default=[], metavar="ROLE=PATH", help=f"roles: {', '.join(roles)}"
+    )
+    parser.add_argument("--carla", metavar="VERSION", help="CARLA version that wrote the tags, such as 0.9.15")
+    parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
+    parser.add_argument(
+        "--rate", type=_positive, metavar="HZ", help="frames per second (20, or rate_hz, or timestamps)"
+    )
+    parser.add_argument(
+        "--depth",
+        choices=("mm", "float"),
+        default="mm",
+        help="written as millimetres or metres",
+    )
+    parser.add_argument("--allow-lossy-tags", action="store_true", help="take the nearest tag of a JPEG")
+    parser.add_argument("--force", action="store_true", help="replace an existing log")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    for action, completer in ((dump, files()), (out, files(*LOGS)), (role, roles_in_dump(roles))):
+        completed_by(action, completer)
+    return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 1e-3 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number from 0.001 to 1000000")
+    return value
+
+
+def _field_of_view(text: str) -> float:
+    value = _positive(text)
+    if value >= 180:
+        raise argparse.ArgumentTypeError(f"{text}: expected degrees below 180")
+    return value
+
+
+def _role(parser: argparse.ArgumentParser, option: str) -> tuple[str, str]:
+    """A role and a path, of ``--role``."""
+    roles = part("tools.carla_dump.role_names").ROLES
+    role, separator, name = option.partition("=")
+    if not separator or not name or role not in roles:
+        parser.error(f"--role {option}: expected ROLE=PATH with a role of {', '.join(roles)}")
+    return role, name

@@ -1,0 +1,132 @@
+"""What every command shares: its parser's frame, errors and signals to exit codes, checked numbers."""
+
+import argparse
+import math
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from types import FrameType
+from typing import Any
+
+from roadperc_stream.core.process import EXIT_DONE, EXIT_ERROR, discard_output, ending_signals, optional_output
+from roadperc_stream.errors import RoadpercError
+
+_MOST_CHARACTERS = 255
+"""To either side of the one that a text must not have: a file's name is no longer."""
+_COMPLETING = "_ARGCOMPLETE"
+"""Set by a shell that asks what could stand at the cursor."""
+
+
+def command_parser(name: str, description: str, example: str, usage: str | None = None) -> argparse.ArgumentParser:
+    """A parser whose texts keep their lines, with ``--version``."""
+    parser = argparse.ArgumentParser(
+        prog=f"roadperc-{name}",
+        usage=usage,
+        description=description,
+        epilog=example,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
+    return parser
+
+
+class _Version(argparse.Action):
+    """As argparse's own, but the version is looked up only where somebody asks for it: that takes 30 ms."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print it and end."""
+        from roadperc_stream import __version__
+
+        print(parser.prog, __version__)
+        parser.exit()
+
+
+def parse(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
+    """The arguments of a command; a shell that completes its line gets what could come next instead, and the end."""
+    if _COMPLETING in os.environ:
+        from roadperc_stream.cli.completion import complete
+
+        complete(parser)
+    return parser.parse_args(argv)
+
+
+def part(module: str) -> Any:
+    """A module of ``tools`` or ``eval``, which the package knows by name alone.
+
+    A command reaches for those with names and numbers while it builds its parser, and for the one that does its work
+    before ``run``: a signal that comes in the middle of an import must not unwind it, for it may swallow the error.
+    """
+    return import_module(f"roadperc_stream.{module}")
+
+
+def run(command: Callable[[], None]) -> int:
+    """Run a command; what the project states, and what the system refuses, is one line on stderr and exit code 1.
+
+    A signal that ends the program unwinds it like Ctrl-C, so that nothing half written stays behind.
+    """
+    try:
+        with _signals_unwind():
+            command()
+            sys.stdout.flush()
+    except RoadpercError as error:
+        return _fail(str(error))
+    except KeyboardInterrupt:
+        return _fail("interrupted")
+    except BrokenPipeError:  # the reader has seen enough, as with | head
+        discard_output(sys.stdout)
+        return EXIT_DONE
+    except OSError as error:
+        return _fail(": ".join(str(word) for word in (error.filename, error.strerror or error) if word))
+    except UnicodeEncodeError as error:
+        return _fail(_unencodable(error))
+    return EXIT_DONE
+
+
+def _fail(text: str) -> int:
+    with optional_output(sys.stderr):
+        print("error:", " ".join(text.split("\n")), file=sys.stderr)
+    return EXIT_ERROR
+
+
+def _unencodable(error: UnicodeEncodeError) -> str:
+    """A text that a library cannot take, such as a file's name; of a long one what surrounds the character."""
+    text = error.object[max(error.start - _MOST_CHARACTERS, 0) : error.end + _MOST_CHARACTERS]
+    return f"{text!r}: expected a name in {error.encoding.upper()}"
+
+
+@contextmanager
+def _signals_unwind() -> Iterator[None]:
+    before = {number: signal.signal(number, _interrupt) for number in ending_signals()} if _in_main_thread() else {}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def whole_number(text: str) -> int:
+    """An argument of 1 or more."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text}: expected 1 or more")
+    return number
+
+
+def seconds(text: str) -> float:
+    """An argument in seconds: finite, and no more than a century."""
+    value = float(text)
+    if not math.isfinite(value) or abs(value) > 3.2e9:
+        raise argparse.ArgumentTypeError(f"{text}: expected seconds")
+    return value

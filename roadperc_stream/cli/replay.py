@@ -1,0 +1,127 @@
+"""``roadperc-replay``: a log through the chain; also lists the settings."""
+
+import argparse
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.cli.arguments import add_input_arguments
+from roadperc_stream.cli.completers import LOGS, completed_by, files, words
+from roadperc_stream.cli.playback import add_serving_arguments, given_options, serving_options
+from roadperc_stream.cli.plumbing import command_parser, parse, run
+from roadperc_stream.core.folders import not_a_log
+from roadperc_stream.core.stage_names import NEEDS, STAGES
+
+_USAGE: Final = """\
+%(prog)s [options] IN.mcap OUT.mcap
+       %(prog)s --list-settings [--json]
+       %(prog)s --print-config [--config FILE] [--set KEY=VALUE] [--only STAGES]"""
+_EXAMPLE: Final = """\
+example:
+  roadperc-replay logs/sample.mcap out.mcap --set lanes.hold_s=0.8 --set surface.inlier_m=0.03
+  roadperc-report out.metrics.parquet
+  roadperc-replay logs/sample.mcap pictures.mcap --overlay --debug
+  roadperc-replay --print-config > mine.toml
+
+A log with topics of its own names them by role, such as --topic image=/front/rgb --topic depth=/front/depth.
+"""
+_WITH_PRINT_CONFIG: Final = frozenset({"print_config", "config", "set", "only"})
+_WITH_LIST_SETTINGS: Final = frozenset({"list_settings", "json"})
+
+
+def main(argv: list[str] | None = None) -> int:
+    """``roadperc-replay``: the main job."""
+    parser = _parser()
+    arguments = parse(parser, argv)
+    if arguments.list_settings or arguments.print_config:
+        _require_alone(parser, arguments)
+        from roadperc_stream.cli.settings import print_settings
+
+        return run(lambda: print_settings(arguments))
+    _require_sense(parser, arguments)
+    from roadperc_stream.cli.replaying import replay_log
+
+    live = None
+    if arguments.live:
+        from roadperc_stream.view.live.serving import LiveReplay
+
+        live = LiveReplay(serving_options(arguments), quiet=arguments.quiet)
+    return run(lambda: replay_log(arguments, live))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser(
+        "replay",
+        "Replay a log through the perception chain: OUT.mcap holds the input and the results, "
+        "OUT.metrics.parquet a row per frame, OUT.objects.parquet a row per detection.",
+        _EXAMPLE,
+        _USAGE,
+    )
+    add = parser.add_argument
+    logs = [
+        add("source", metavar="IN.mcap", type=Path, nargs="?"),
+        add("target", metavar="OUT.mcap", type=Path, nargs="?"),
+    ]
+    add_input_arguments(parser)
+    only = add(
+        "--only",
+        metavar="STAGES",
+        type=_stages,
+        help=f"some of {','.join(STAGES)}, with what they need; without a depth sensor name stereo among them",
+    )
+    add("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
+    add("--overlay", action="store_true", help="write /perception/overlay: the camera image with everything drawn in")
+    add(
+        "--debug", action="store_true", help="write /perception/debug/...: proposed lines, matches, template, disparity"
+    )
+    add("--force", action="store_true", help="replace an existing OUT.mcap")
+    add("--quiet", action="store_true", help="print errors only")
+    add("--live", action="store_true", help="serve the results to Foxglove while they are computed")
+    add_serving_arguments(parser)
+    _add_settings_arguments(parser)
+    for action in logs:
+        completed_by(action, files(*LOGS))
+    completed_by(only, words(STAGES))
+    return parser
+
+
+def _add_settings_arguments(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("what can be set (without IN.mcap and OUT.mcap)")
+    group.add_argument(
+        "--list-settings", action="store_true", help="print every setting: default, range, unit, meaning"
+    )
+    group.add_argument("--json", action="store_true", help="with --list-settings: one JSON array, an object a setting")
+    group.add_argument(
+        "--print-config", action="store_true", help="print the whole configuration as TOML, for --config to read"
+    )
+
+
+def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """End with a line on the usage, where a log is missing or an option has nothing to say."""
+    if arguments.source is not None and arguments.target is None and arguments.source.is_dir():
+        parser.error(not_a_log(arguments.source))
+    missing = [name for name, path in (("IN.mcap", arguments.source), ("OUT.mcap", arguments.target)) if path is None]
+    if missing:
+        parser.error(f"the following arguments are required: {', '.join(missing)}")
+    if arguments.json:
+        parser.error("--json: only with --list-settings")
+    if given_options(arguments) and not arguments.live:
+        parser.error(f"--{given_options(arguments)[0]}: for --live only")
+
+
+def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """End with a line on the usage, where something stands beside ``--list-settings`` or ``--print-config``."""
+    asked, known = "--list-settings", _WITH_LIST_SETTINGS
+    if not arguments.list_settings:
+        asked, known = "--print-config", _WITH_PRINT_CONFIG
+    given = [name for name, value in vars(arguments).items() if name not in known and value != parser.get_default(name)]
+    if given:
+        option = {"source": "IN.mcap", "target": "OUT.mcap"}.get(given[0], f"--{given[0].replace('_', '-')}")
+        parser.error(f"{option}: not together with {asked}")
+
+
+def _stages(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    unknown = [name for name in names if name not in STAGES]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"no stage {unknown[0]!r}; stages: {', '.join(STAGES)}")
+    return names + tuple(needed for name in names for needed in NEEDS.get(name, ()))

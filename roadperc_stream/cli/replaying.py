@@ -1,0 +1,69 @@
+"""What ``roadperc-replay`` does with its arguments, and what it says of the replay."""
+
+import argparse
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from roadperc_stream.channels import Request, parse_topic_options
+from roadperc_stream.cli.arguments import config_of, cut_of
+from roadperc_stream.core.process import optional_output
+from roadperc_stream.replay import ReplaySummary, replay, unwatched
+from roadperc_stream.table import beside
+from roadperc_stream.terminal import frame_progress
+
+if TYPE_CHECKING:
+    from roadperc_stream.view.live.serving import LiveReplay
+
+
+def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None:
+    """Replay a log as the arguments say, and print what came of it.
+
+    Args:
+        arguments: of the command line.
+        live: serves the results while they are computed; None where nobody asks for it.
+
+    Raises:
+        RoadpercError: the log cannot be replayed.
+    """
+    cut = cut_of(arguments)
+    with live or nullcontext():
+        with frame_progress("replaying", not arguments.quiet) as progress:
+            summary = replay(
+                arguments.source,
+                arguments.target,
+                config_of(arguments),
+                overrides=parse_topic_options(arguments.topic),
+                cut=cut,
+                results_only=arguments.results_only,
+                on_request=_requests(arguments),
+                force=arguments.force,
+                progress=progress,
+                opened=live.start if live else unwatched,
+            )
+        if not arguments.quiet:
+            with optional_output():
+                _print_summary(arguments.target, summary)
+        if live:
+            live.wait()
+
+
+def _requests(arguments: argparse.Namespace) -> tuple[Request, ...]:
+    """The pictures that the options ask for."""
+    asked: dict[Request, bool] = {"overlay": arguments.overlay, "debug": arguments.debug}
+    return tuple(request for request, wanted in asked.items() if wanted)
+
+
+def _print_summary(target: Path, summary: ReplaySummary) -> None:
+    for note in (*summary.notes, *summary.throughout):
+        print(f"note: {note}")
+    for topic, number in summary.problems.items():
+        print(f"warning: {number} messages on {topic} could not be read; they are copied, their frames go without")
+    for role, number in summary.dropped.items():
+        print(f"note: {number} messages of role {role} belong to no frame")
+    rate = summary.frames / summary.seconds
+    print(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.0f} a second), log {summary.log_id}")
+    print(
+        f"wrote {target} ({summary.messages_out} messages), {beside(target, 'metrics').name}, "
+        f"{beside(target, 'objects').name}"
+    )

@@ -1,0 +1,139 @@
+"""The settings in four forms: text for a terminal, JSON, TOML to start from, and the page ``docs/settings.md``.
+
+``python -m roadperc_stream.cli.settings`` prints the page.
+"""
+
+import argparse
+import json
+import shutil
+import textwrap
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from itertools import groupby
+from typing import Final
+
+import tomli_w
+
+from roadperc_stream.cli.arguments import config_of
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.config.catalogue import Setting, Value, catalogue, sections
+
+_NARROWEST, _WIDEST = 50, 100
+_CLASSES: Final = "names of classes"
+_PAGE_HEAD: Final = """\
+# Settings
+
+Every setting of a replay, with its default. Give single ones as `--set KEY=VALUE`, any number of them as a TOML file
+with `--config FILE`; `--set` wins. `roadperc-replay --print-config > mine.toml` writes a file to start from, and
+`roadperc-replay --list-settings` prints this page's facts on the terminal, with `--json` for programs.
+
+Lengths in pixels are given at 960 image rows and scale with the image, those of `stereo` excepted.
+"""
+
+
+def print_settings(arguments: argparse.Namespace) -> None:
+    """Print what ``--list-settings`` or ``--print-config`` asks for.
+
+    Raises:
+        ConfigError: a setting that is given does not fit.
+    """
+    if arguments.print_config:
+        print(as_toml(config_of(arguments)), end="")
+    elif arguments.json:
+        print(as_json())
+    else:
+        print(as_text(min(max(shutil.get_terminal_size().columns, _NARROWEST), _WIDEST)), end="")
+
+
+def as_text(width: int) -> str:
+    """All settings by stage, no line longer than ``width`` unless a single word is."""
+    lines = [f"{len(catalogue())} settings: KEY = DEFAULT [UNIT] (RANGE), for --set and --config"]
+    for section, settings in _by_section():
+        lines += ["", _heading(section)]
+        for setting in settings:
+            quantity = f"  {setting.key} = {_value(setting.default)}{f'  [{setting.unit}]' if setting.unit else ''}"
+            lines += [
+                f"{quantity}  ({_CLASSES if _takes_classes(setting) else setting.range})",
+                f"    {setting.meaning}",
+            ]
+    lines += ["", f"{_CLASSES}: {', '.join(_class_names())}"]
+    return "".join(f"{_wrapped(line, width)}\n" for line in lines)
+
+
+def as_json() -> str:
+    """A JSON array with an object a setting; limits are named as in JSON Schema."""
+    return json.dumps([_facts(setting) for setting in catalogue()], indent=2)
+
+
+def as_toml(cfg: ReplayConfig) -> str:
+    """A configuration as TOML that ``load_config`` reads back, every key with its meaning, range and default."""
+    values = cfg.model_dump(mode="json")
+    lines = ["# Settings of roadperc-replay, for --config. What is left out has its default."]
+    for section, settings in _by_section():
+        lines += ["", *([f"# {sections()[section]}", f"[{section}]"] if section else [])]
+        for setting in settings:
+            value = (values[section] if section else values)[setting.name]
+            lines += [*_comment(setting), tomli_w.dumps({setting.name: value}).rstrip()]
+    return "\n".join(lines) + "\n"
+
+
+def as_page() -> str:
+    """The page of the documentation."""
+    lines = [_PAGE_HEAD]
+    for section, settings in _by_section():
+        lines += [f"## {section}\n\n{sections()[section]}\n" if section else "## whole replay\n"]
+        lines += ["| setting | default | range | unit | meaning |", "|---|---|---|---|---|"]
+        lines += [_row(setting) for setting in settings]
+        lines += [""]
+    lines += [f"Classes: {', '.join(f'`{name}`' for name in _class_names())}."]
+    return "\n".join(lines) + "\n"
+
+
+def _by_section() -> Iterator[tuple[str, Iterable[Setting]]]:
+    return groupby(catalogue(), key=lambda setting: setting.section)
+
+
+def _heading(section: str) -> str:
+    return f"{section}: {sections()[section]}" if section else "whole replay:"
+
+
+def _wrapped(line: str, width: int) -> str:
+    """A line folded between words, what follows two columns further in than it begins."""
+    indent = " " * (len(line) - len(line.lstrip()))
+    further = indent if len(indent) == len("    ") else f"{indent}      "
+    return textwrap.fill(line, width, subsequent_indent=further, break_long_words=False, break_on_hyphens=False)
+
+
+def _facts(setting: Setting) -> dict[str, object]:
+    return {**asdict(setting), "section": setting.section, "range": setting.range}
+
+
+def _comment(setting: Setting) -> Iterator[str]:
+    values = _CLASSES if _takes_classes(setting) else setting.range
+    said = f"{values}{f' [{setting.unit}]' if setting.unit else ''}; default {_value(setting.default)}"
+    for text in (setting.meaning, said):
+        yield from textwrap.wrap(text, _WIDEST, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)
+
+
+def _row(setting: Setting) -> str:
+    values = _CLASSES if _takes_classes(setting) else setting.range
+    return f"| `{setting.key}` | {_value(setting.default)} | {values} | {setting.unit} | {setting.meaning} |"
+
+
+def _takes_classes(setting: Setting) -> bool:
+    return setting.type == "array"
+
+
+def _class_names() -> tuple[str, ...]:
+    return next(setting.choices for setting in catalogue() if _takes_classes(setting))
+
+
+def _value(value: Value) -> str:
+    """A value as ``--set`` takes it."""
+    if isinstance(value, tuple):
+        return ",".join(value)
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+if __name__ == "__main__":
+    print(as_page(), end="")

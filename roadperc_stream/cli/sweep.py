@@ -1,0 +1,71 @@
+"""``roadperc-sweep``: logs under every combination of some settings, and which setting is best for which metric."""
+
+import argparse
+import os
+from pathlib import Path
+
+from roadperc_stream.cli.arguments import add_input_arguments
+from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings
+from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
+
+_EXAMPLE = """\
+example:
+  roadperc-sweep logs/sample.mcap --vary lanes.process_noise=0.1,0.3,1 --vary surface.inlier_m=0.03,0.05
+
+replays the sample under all six combinations, writes sweep/ with a metrics table for each, the settings as columns
+(pl.scan_parquet("sweep/**/*.parquet")), and prints the best setting for each metric. roadperc-report reads sweep/ too.
+"""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """``roadperc-sweep``: replay logs under every combination of settings and print which is best."""
+    parser = _parser()
+    arguments = parse(parser, argv)
+    _refuse_contradictions(parser, arguments)
+    sweeping = part("eval.sweep")
+    return run(lambda: sweeping.sweep(arguments))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser(
+        "sweep",
+        "Replay logs under every combination of some settings, each log read and decoded once, write one\n"
+        "dataset of metrics with the settings as columns, and print which setting is best for which metric.",
+        _EXAMPLE,
+    )
+    logs = parser.add_argument("logs", metavar="IN.mcap", type=Path, nargs="+")
+    vary = parser.add_argument(
+        "--vary",
+        metavar="KEY=A,B,...",
+        type=part("eval.sweeping.varied").varied,
+        action="append",
+        required=True,
+        help="a setting and the values it takes; several times for all combinations",
+    )
+    out = parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path("sweep"), help="the dataset (default: sweep)"
+    )
+    add_input_arguments(parser)
+    parser.add_argument(
+        "--jobs",
+        metavar="N",
+        type=whole_number,
+        default=os.cpu_count() or 1,
+        help="logs replayed at the same time (default: one for each processor)",
+    )
+    parser.add_argument("--force", action="store_true", help="replace DIR, where it is a former sweep")
+    for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files())):
+        completed_by(action, completer)
+    return parser
+
+
+def _refuse_contradictions(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """End with a line on the usage, where an argument takes back what another one says."""
+    keys = [item.key for item in arguments.vary]
+    for key in keys:
+        if keys.count(key) > 1:
+            parser.error(f"argument --vary: {key} is varied twice")
+    logs = [path.resolve() for path in arguments.logs]
+    for path in arguments.logs:
+        if logs.count(path.resolve()) > 1:
+            parser.error(f"argument IN.mcap: {path} is given twice")

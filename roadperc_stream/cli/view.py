@@ -1,0 +1,71 @@
+"""``roadperc-view``: a log in Rerun, in Foxglove, or as a video."""
+
+import argparse
+from pathlib import Path
+
+from roadperc_stream.cli.arguments import add_topic_argument
+from roadperc_stream.cli.completers import LOGS, completed_by, files
+from roadperc_stream.cli.playback import add_playback_arguments, given_options, playback_options
+from roadperc_stream.cli.plumbing import command_parser, parse, run
+
+_EXAMPLE = """\
+example:
+  roadperc-replay logs/sample.mcap out.mcap
+  roadperc-view out.mcap                    the Rerun viewer, arranged for this log
+  roadperc-view out.mcap --save out.rrd     the same as a file: rerun out.rrd
+  roadperc-view out.mcap --foxglove         for Foxglove: Open connection, ws://localhost:8765
+  roadperc-view out.mcap --foxglove-layout road.json
+                                            the same arrangement for Foxglove, of this log's topics: Import from file
+  roadperc-view out.mcap --foxglove --foxglove-layout live.json
+                                            serve the log, with a layout that has the times of the stages
+  roadperc-view out.mcap --video out.mp4    a video, for those who have no viewer
+
+An input log opens as well, with what it has. rerun LOG.mcap shows the channels that this project does not know.
+"""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """``roadperc-view``."""
+    parser = _parser()
+    arguments = parse(parser, argv)
+    _require_sense(parser, arguments)
+    from roadperc_stream.view.modes import view_log
+
+    return run(lambda: view_log(arguments, playback_options(arguments)))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser("view", "Look at a log: in the Rerun viewer unless an option says where else.", _EXAMPLE)
+    log = parser.add_argument("log", metavar="OUT.mcap", type=Path, nargs="?")
+    add = parser.add_mutually_exclusive_group().add_argument
+    save = add("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording and open nothing")
+    add("--foxglove", action="store_true", help="serve the log live to Foxglove")
+    video = add("--video", metavar="FILE.mp4", type=Path, help="write a video of the log")
+    layout = parser.add_argument(
+        "--foxglove-layout",
+        metavar="FILE.json",
+        type=Path,
+        help="write Foxglove's layout for the log; with --foxglove for what is served, times of the stages included",
+    )
+    add_topic_argument(parser)
+    parser.add_argument("--force", action="store_true", help="replace an existing file")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    add_playback_arguments(parser)
+    for action, suffixes in ((log, LOGS), (save, (".rrd",)), (layout, (".json",)), (video, (".mp4",))):
+        completed_by(action, files(*suffixes))
+    return parser
+
+
+def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """Wrong usage: no log, or an option that the chosen way to look does not know."""
+    if arguments.log is None and (arguments.foxglove_layout is None or arguments.topic or arguments.foxglove):
+        parser.error("expected a log: OUT.mcap")
+    if arguments.foxglove_layout and (arguments.save or arguments.video):
+        parser.error("--foxglove-layout: not allowed with --save and --video")
+    served = [*given_options(arguments), *(["start"] if arguments.start is not None else [])]
+    if served and not arguments.foxglove:
+        parser.error(f"--{served[0]}: only with --foxglove")
+    if arguments.topic and (arguments.video or (arguments.foxglove and not arguments.foxglove_layout)):
+        parser.error("--topic: only with the Rerun viewer, --save and --foxglove-layout")
+    if arguments.force and not (arguments.save or arguments.foxglove_layout or arguments.video):
+        parser.error("--force: only with --save, --foxglove-layout and --video")

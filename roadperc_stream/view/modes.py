@@ -1,0 +1,83 @@
+"""Each kind of picture of a log: in Rerun, in Foxglove, as a layout, as a video."""
+
+import argparse
+from collections.abc import Iterable, Mapping
+from importlib import import_module
+from shlex import quote
+
+from roadperc_stream.channels import parse_topic_options
+from roadperc_stream.terminal import frame_progress
+from roadperc_stream.view.layout.writing import write_layout
+from roadperc_stream.view.live.options import PlaybackOptions
+from roadperc_stream.view.live.serving import serve_log, serves_times
+from roadperc_stream.view.video import write_video
+
+_RERUN = "roadperc_stream.view.rerun"
+"""Imported where it is used: it takes half a second, which no other kind should pay."""
+
+
+def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
+    """Show or write a log as the arguments say.
+
+    Raises:
+        RoadpercError: the log cannot be shown.
+    """
+    if arguments.foxglove_layout:
+        _lay_out(arguments)
+    if arguments.foxglove:
+        serve_log(arguments.log, playback, quiet=arguments.quiet)
+    elif arguments.foxglove_layout:
+        return
+    elif arguments.video:
+        _record_video(arguments)
+    elif arguments.save:
+        _save(arguments)
+    else:
+        _open(arguments)
+
+
+def _lay_out(arguments: argparse.Namespace) -> None:
+    overrides = parse_topic_options(arguments.topic)
+    timed = arguments.foxglove and serves_times(arguments.log)
+    write_layout(arguments.foxglove_layout, arguments.log, overrides, timed=timed, force=arguments.force)
+    if not arguments.quiet:
+        print(f"wrote {arguments.foxglove_layout}")
+
+
+def _record_video(arguments: argparse.Namespace) -> None:
+    with frame_progress("writing", not arguments.quiet) as progress:
+        video = write_video(arguments.log, arguments.video, force=arguments.force, progress=progress)
+    if not arguments.quiet:
+        _print_summary(video.problems.first.values(), video.problems.counts)
+        print(
+            f"wrote {arguments.video} ({video.pictures} pictures at {video.rate_hz:.3g} Hz, of {video.frames} frames)"
+        )
+
+
+def _save(arguments: argparse.Namespace) -> None:
+    with frame_progress("writing", not arguments.quiet) as progress:
+        exported = import_module(_RERUN).save_recording(
+            arguments.log,
+            arguments.save,
+            parse_topic_options(arguments.topic),
+            force=arguments.force,
+            progress=progress,
+        )
+    if not arguments.quiet:
+        _print_summary(exported.notes, exported.problems)
+        frames = f" ({exported.frames} frames)" if exported.frames else ""
+        print(f"wrote {arguments.save}{frames}; open it with: rerun {quote(str(arguments.save))}")
+
+
+def _open(arguments: argparse.Namespace) -> None:
+    with frame_progress("sending", not arguments.quiet) as progress:
+        exported = import_module(_RERUN).open_viewer(arguments.log, parse_topic_options(arguments.topic), progress)
+    if not arguments.quiet:
+        _print_summary(exported.notes, exported.problems)
+
+
+def _print_summary(notes: Iterable[str], problems: Mapping[str, int]) -> None:
+    for note in notes:
+        print(f"note: {note}")
+    for topic, number in problems.items():
+        print(f"warning: {number} messages on {topic} could not be read; they are not shown")

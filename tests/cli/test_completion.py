@@ -1,0 +1,170 @@
+"""Completion: what a shell is answered, through argcomplete's own protocol and by the shells themselves."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from roadperc_stream.channels import ROLES
+from roadperc_stream.cli.launch import COMMANDS
+from roadperc_stream.core.stage_names import STAGES
+from roadperc_stream.tools.scene.options import SCENES, SENSORS
+from tests.test_settings import all_settings
+
+SEPARATOR = "\v"
+CODE = "from roadperc_stream.cli import launch; import sys; sys.exit(launch.{command}())"
+BIN = Path(sys.executable).parent
+TIMEOUT_S = 120
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """One file of every kind, a folder, and what nobody looks for."""
+    names = "a.mcap b.mcap a.metrics.parquet a.objects.parquet a.toml a.json a.html a.rrd a.mp4 notes.txt .hidden.mcap"
+    for name in names.split():
+        (tmp_path / name).touch()
+    (tmp_path / "drive" / "rgb").mkdir(parents=True)
+    (tmp_path / "drive" / "depth").mkdir()
+    (tmp_path / "drive" / "inside.mcap").touch()
+    return tmp_path
+
+
+def answered(line, folder):
+    """What could stand at the end of a line, as a shell without word breaks is told."""
+    command = line.split()[0].removeprefix("roadperc-")
+    answer = folder / "answer"
+    asked = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1", "_ARGCOMPLETE_SHELL": "fish"}
+    asked |= {"_ARGCOMPLETE_SUPPRESS_SPACE": "1", "_ARGCOMPLETE_STDOUT_FILENAME": str(answer)}
+    words = [sys.executable, "-c", CODE.format(command=command)]
+    ended = subprocess.run(
+        words, check=False, capture_output=True, text=True, cwd=folder, env=os.environ | asked, timeout=TIMEOUT_S
+    )
+    assert ended.returncode == 0, ended.stderr
+    said = answer.read_text()
+    answer.unlink()
+    return [item for item in said.split(SEPARATOR) if item]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_completes_its_options(command, folder):
+    found = answered(f"roadperc-{command} --", folder)
+    assert {"--help", "--version"} <= set(found)
+    assert all(option.startswith("--") for option in found)
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("roadperc-convert ", ["drive/"]),
+        ("roadperc-convert drive ", ["a.mcap", "b.mcap", "drive/"]),
+        ("roadperc-render ", ["drive/"]),
+        ("roadperc-replay ", ["a.mcap", "b.mcap", "drive/"]),
+        ("roadperc-replay a.mcap b", ["b.mcap"]),
+        ("roadperc-replay drive/", ["drive/depth/", "drive/inside.mcap", "drive/rgb/"]),
+        ("roadperc-replay ./a", ["./a.mcap"]),
+        ("roadperc-replay .h", [".hidden.mcap"]),
+        ("roadperc-replay --config ", ["a.toml", "drive/"]),
+        ("roadperc-replay --frames ", []),
+        ("roadperc-replay absent/", []),
+        ("roadperc-info a.mcap ", ["a.mcap", "b.mcap", "drive/"]),
+        ("roadperc-report ", ["a.mcap", "a.metrics.parquet", "b.mcap", "drive/"]),
+        ("roadperc-report --html ", ["a.html", "drive/"]),
+        ("roadperc-compare a.mcap ", ["a.mcap", "a.metrics.parquet", "b.mcap", "drive/"]),
+        ("roadperc-trajectory --export-tum ", ["drive/"]),
+        ("roadperc-lanes a.mcap --truth ", ["a.json", "drive/"]),
+        ("roadperc-view --save ", ["a.rrd", "drive/"]),
+        ("roadperc-view --video ", ["a.mp4", "drive/"]),
+        ("roadperc-view --foxglove-layout ", ["a.json", "drive/"]),
+        ("roadperc-sweep --out ", ["drive/"]),
+    ],
+)
+def test_files_have_the_right_endings(line, expected, folder):
+    assert sorted(answered(line, folder)) == expected
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("roadperc-render drive --scene ", list(SCENES)),
+        ("roadperc-render drive --without rgb --without ", list(SENSORS)),
+        ("roadperc-convert drive b.mcap --depth ", ["mm", "float"]),
+        ("roadperc-convert drive b.mcap --role im", ["image="]),
+        ("roadperc-convert drive b.mcap --role image=r", ["image=rgb/"]),
+        ("roadperc-trajectory a.mcap --align s", ["se3", "sim3"]),
+        ("roadperc-trajectory a.mcap --delta-unit ", ["frames", "metres"]),
+        ("roadperc-lanes a.mcap --pair ", ["stamp", "order"]),
+        ("roadperc-replay --topic ", [f"{role}=" for role in ROLES]),
+        ("roadperc-info --topic left_", ["left_calibration="]),
+        ("roadperc-view --topic image=", []),
+        ("roadperc-replay --only ", list(STAGES)),
+        (
+            "roadperc-replay --only stereo,surface,o",
+            ["stereo,surface,odometry", "stereo,surface,objects", "stereo,surface,occupancy"],
+        ),
+        ("roadperc-replay --set lanes.ho", None),
+        ("roadperc-replay --set ", None),
+        ("roadperc-replay --set lanes.model=", ["lanes.model=line", "lanes.model=curve"]),
+        ("roadperc-replay --set lanes.model=line,", []),
+        ("roadperc-replay --set lanes.use_odometry=", ["lanes.use_odometry=true", "lanes.use_odometry=false"]),
+        ("roadperc-replay --set surface.classes=road,sidew", ["surface.classes=road,sidewalk"]),
+        ("roadperc-replay --set no.such=", []),
+        ("roadperc-sweep --set stereo.method=f", ["stereo.method=fast", "stereo.method=full"]),
+        ("roadperc-sweep --vary odometry.features=klt,", ["odometry.features=klt,orb", "odometry.features=klt,sift"]),
+        ("roadperc-sweep --vary surface.classes=road,", []),
+    ],
+)
+def test_names_come_from_the_projects_own_tables(line, expected, folder):
+    if expected is None:  # every key that begins so
+        typed = line.rpartition(" ")[2]
+        expected = [f"{key}=" for key in all_settings() if key.startswith(typed)]
+        assert expected
+    assert sorted(answered(line, folder)) == sorted(expected)
+
+
+SCRIPTS = {
+    "bash": """
+eval "$(register-python-argcomplete roadperc-{replay,render})"
+COMP_LINE=$1 COMP_POINT=${#1} COMP_TYPE=9
+_python_argcomplete "${1%% *}"
+printf '%s\\n' "${COMPREPLY[@]}"
+""",
+    "fish": """
+register-python-argcomplete --shell fish roadperc-{replay,render} | source
+complete -C $argv[1] | string replace -r '\\t.*' ''
+""",
+}
+"""The line of docs/completion.md, and a question."""
+ONLY = {"bash": ["-c", SCRIPTS["bash"], "bash"], "fish": ["--no-config", "-c", SCRIPTS["fish"]]}
+
+
+@pytest.mark.parametrize("shell", ONLY)
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("roadperc-render drive --scene to", ["town"]),
+        ("roadperc-replay --set lanes.mod", ["lanes.model="]),
+        ("roadperc-replay b", ["b.mcap"]),
+    ],
+)
+def test_the_shells_themselves(shell, line, expected, folder):
+    if not shutil.which(shell):
+        pytest.skip(f"no {shell} on this machine")
+    if not (BIN / "roadperc-replay").exists():
+        pytest.skip("the commands are not installed beside this Python")
+    path = os.environ | {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}
+    words = [shell, *ONLY[shell], line]
+    ended = subprocess.run(words, check=True, capture_output=True, text=True, cwd=folder, env=path, timeout=TIMEOUT_S)
+    assert [found.strip() for found in ended.stdout.split("\n") if found.strip()] == expected
+
+
+def test_a_value_behind_an_equals_sign_in_bash(folder):
+    """Bash breaks words at ``=``: what is given back is the value alone."""
+    path = os.environ | {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}
+    if not shutil.which("bash"):
+        pytest.skip("no bash on this machine")
+    words = ["bash", *ONLY["bash"], "roadperc-replay --set lanes.model=c"]
+    ended = subprocess.run(words, check=True, capture_output=True, text=True, cwd=folder, env=path, timeout=TIMEOUT_S)
+    assert ended.stdout.split() == ["curve"]

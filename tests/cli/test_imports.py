@@ -1,0 +1,112 @@
+"""What each command imports: nothing heavy for its help or for wrong usage, and only what it uses for its work."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from roadperc_stream.cli.launch import COMMANDS
+from tests.cli.test_launch import SCRIPTS
+from tests.test_sample import SAMPLE
+
+CLI = Path(__file__).parents[2] / "roadperc_stream" / "cli"
+HEAVY = {"PIL", "cv2", "foxglove", "google", "jinja2", "mcap", "numpy", "plotly", "polars", "pyarrow", "pydantic"}
+HEAVY |= {"rerun", "rich", "rosbags", "scipy", "zstandard"}
+LIGHT = ("roadperc_stream.cli", "roadperc_stream.core", "roadperc_stream.errors", "roadperc_stream.view.live")
+"""What a command's file may import before it knows its arguments."""
+WRONG = ["--no-such-option"]
+CODE = """\
+import sys
+from roadperc_stream.cli import launch
+try:
+    code = getattr(launch, {command!r})()
+except SystemExit as ended:
+    code = ended.code
+print("modules:", *sys.modules)
+sys.exit(code)
+"""
+
+
+def loaded(command, *arguments, exit_code=0):
+    """The top-level packages that a command has imported by its end."""
+    words = [sys.executable, "-c", CODE.format(command=command), *map(str, arguments)]
+    plain = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    ended = subprocess.run(words, check=False, capture_output=True, text=True, timeout=120, env=plain)
+    assert ended.returncode == exit_code, ended.stderr
+    _, _, modules = ended.stdout.rpartition("modules:")
+    return set(modules.split())
+
+
+def packages(modules):
+    return {name.partition(".")[0] for name in modules}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A replay of three frames, made by the command, and the modules that it took."""
+    target = tmp_path_factory.mktemp("imports") / "run.mcap"
+    return target, loaded("replay", SAMPLE, target, "--frames", "3", "--quiet")
+
+
+def test_every_script_is_a_command_of_its_name():
+    assert {name.removeprefix("roadperc-"): target for name, target in SCRIPTS.items()} == {
+        name: f"roadperc_stream.cli.launch:{name}" for name in COMMANDS
+    }
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(("arguments", "exit_code"), [(["--help"], 0), (["--version"], 0), (WRONG, 2)])
+def test_help_and_wrong_usage_import_nothing_heavy(command, arguments, exit_code):
+    found = packages(loaded(command, *arguments, exit_code=exit_code))
+    assert not found & HEAVY
+    assert "argcomplete" not in found
+
+
+def test_a_replay_needs_no_data_frames_charts_or_viewers(made):
+    _, modules = made
+    assert "cv2" in modules
+    assert not packages(modules) & {"polars", "plotly", "rerun", "foxglove", "jinja2"}
+
+
+def test_info_decodes_no_image(made, tmp_path):
+    for log in (SAMPLE, made[0]):
+        assert not packages(loaded("info", log)) & {"cv2", "polars", "plotly", "rerun", "foxglove"}
+
+
+def test_a_report_draws_nothing_unless_a_page_is_asked_for(made, tmp_path):
+    assert not packages(loaded("report", made[0])) & {"cv2", "plotly", "rerun", "foxglove", "jinja2"}
+    assert {"cv2", "plotly"} <= packages(loaded("report", made[0], "--html", tmp_path / "page.html"))
+
+
+def test_paths_are_compared_without_the_chain(made):
+    modules = loaded("trajectory", made[0])
+    assert not packages(modules) & {"cv2", "plotly", "rerun", "foxglove"}
+    assert "roadperc_stream.chain" not in modules
+
+
+def test_tables_are_compared_without_the_chain(made):
+    table = made[0].with_suffix(".metrics.parquet")
+    modules = loaded("compare", table, table)
+    assert not packages(modules) & {"cv2", "plotly", "rerun", "foxglove"}
+    assert "roadperc_stream.chain" not in modules
+
+
+def test_a_layout_needs_no_rerun(made, tmp_path):
+    assert "rerun" not in packages(loaded("view", made[0], "--foxglove-layout", tmp_path / "layout.json"))
+
+
+def test_settings_are_listed_without_images():
+    assert not packages(loaded("replay", "--list-settings")) & {"cv2", "polars", "plotly", "rerun", "foxglove", "mcap"}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_commands_file_imports_the_work_only_when_it_runs(command):
+    """Its top level knows the parser's own modules and the standard library alone."""
+    for node in ast.parse((CLI / f"{command}.py").read_text()).body:
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module] if isinstance(node, ast.ImportFrom) else []
+        for name in names:
+            assert name.startswith(LIGHT) or name.partition(".")[0] in sys.stdlib_module_names, name

@@ -1,0 +1,195 @@
+"""The settings in all their forms: complete, in step with the models, and readable by what they are for."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from roadperc_stream.cli.replay import main
+from roadperc_stream.cli.settings import as_page, as_text
+from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.config.catalogue import Setting, catalogue, sections
+from roadperc_stream.core.stage_names import STAGES
+from roadperc_stream.errors import ConfigError
+from roadperc_stream.replay import table_facts
+from tests.test_settings import all_settings
+
+ROOT = Path(__file__).parents[2]
+BY_KEY = {setting.key: setting for setting in catalogue()}
+OF_NO_UNIT = {"seed"}
+"""Numbers that are no quantity."""
+
+
+def printed(capsys, *arguments):
+    assert main([*arguments]) == 0
+    return capsys.readouterr().out
+
+
+def digest(cfg):
+    return table_facts(Path("in.mcap"), Path("out.mcap"), cfg)["roadperc.config_digest"]
+
+
+def refused(capsys, *arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main([*arguments])
+    assert stopped.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+def test_every_setting_is_there_once_and_in_the_order_of_the_stages():
+    assert sorted(BY_KEY) == sorted(all_settings())
+    assert len(BY_KEY) == len(catalogue())
+    assert list(sections()) == ["sync", *STAGES[:3], *STAGES[3:]]
+
+
+@pytest.mark.parametrize("setting", catalogue(), ids=lambda setting: setting.key)
+def test_every_setting_has_a_meaning_a_range_and_a_unit(setting):
+    assert re.fullmatch(r"[A-Za-z].{10,}[.]", setting.meaning), setting
+    assert "``" not in setting.meaning
+    assert setting.range
+    if setting.type in ("integer", "number") and setting.key not in OF_NO_UNIT:
+        assert setting.unit, setting
+    assert bool(setting.choices) or {"minimum", "exclusiveMinimum"} & set(setting.limits)
+
+
+@pytest.mark.parametrize(
+    ("key", "expected"),
+    [
+        ("lanes.hold_s", ("number", 0.5, "0 to 3600", "s")),
+        ("stereo.disparities", ("integer", "auto", "16 to 1024, a multiple of 16; or auto", "px")),
+        ("stereo.block_px", ("integer", 5, "1 to 99, odd", "px")),
+        ("stereo.refine_px", ("integer", 7, "1 to 99, odd; or 0", "px")),
+        ("surface.max_tilt_deg", ("number", 30.0, "above 0 to below 90", "deg")),
+        ("surface.spline_curvature_per_m", ("number", 0.005, "1e-06 to 10000", "1/m")),
+        ("objects.max_speed_std_mps", ("number", 2.0, "1e-06 to 10000", "m/s")),
+        ("odometry.max_turn_rate_dps", ("number", 120.0, "1e-06 to 10000", "deg/s")),
+        ("lanes.process_noise", ("number", 0.5, "0.001 to 100", "m/s^2")),
+        ("lanes.canny_aperture", ("integer", 3, "3, 5, 7", "px")),
+        ("surface.enabled", ("boolean", True, "true, false", "")),
+        ("odometry.features", ("string", "klt", "klt, orb, sift", "")),
+    ],
+)
+def test_the_facts_are_those_of_the_models(key, expected):
+    found = BY_KEY[key]
+    assert (found.type, found.default, found.range, found.unit) == expected
+
+
+@pytest.mark.parametrize("setting", [s for s in catalogue() if s.limits], ids=lambda setting: setting.key)
+def test_the_limits_hold(setting):
+    """What lies just beyond a limit is refused, and the message names the setting."""
+    step = 1 if setting.type == "integer" else 1e-9
+    limits = setting.limits
+    beyond = [limits[name] - step for name in ("minimum",) if name in limits]
+    beyond += [limits[name] * (1 + 1e-9) + step for name in ("maximum",) if name in limits and setting.type == "number"]
+    beyond += [limits[name] + step for name in ("maximum",) if name in limits and setting.type == "integer"]
+    beyond += [limits[name] for name in ("exclusiveMinimum", "exclusiveMaximum") if name in limits]
+    assert len(beyond) == 2
+    for value in beyond:
+        if str(int(value)) not in setting.choices:
+            with pytest.raises(ConfigError, match=re.escape(setting.key)):
+                load_config(None, (f"{setting.key}={int(value) if setting.type == 'integer' else value}",))
+
+
+@pytest.mark.parametrize("setting", [s for s in catalogue() if s.choices], ids=lambda setting: setting.key)
+def test_the_choices_are_taken(setting):
+    for choice in setting.choices:
+        load_config(None, (f"{setting.key}={choice}",))
+
+
+@pytest.mark.parametrize("width", [50, 80, 100])
+def test_the_text_keeps_to_its_width(width):
+    lines = as_text(width).splitlines()
+    assert max(map(len, lines)) <= width
+    assert all(any(f"{line} ".startswith(f"  {key} ") for line in lines) for key in BY_KEY)
+
+
+def test_the_text_on_a_pipe_is_eighty_columns_wide():
+    code = "import sys; from roadperc_stream.cli.replay import main; sys.exit(main())"
+    plain = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    words = [sys.executable, "-c", code, "--list-settings"]
+    said = subprocess.run(words, check=True, capture_output=True, text=True, timeout=60, env=plain).stdout
+    assert said == as_text(80)
+    assert "lanes.hold_s = 0.5  [s]  (0 to 3600)\n    How long an unseen boundary is held" in said
+
+
+def test_json_has_the_same_facts(capsys):
+    found = json.loads(printed(capsys, "--list-settings", "--json"))
+    assert [item["key"] for item in found] == list(BY_KEY)
+    (held,) = (item for item in found if item["key"] == "lanes.hold_s")
+    assert held == {
+        "key": "lanes.hold_s",
+        "section": "lanes",
+        "default": 0.5,
+        "type": "number",
+        "choices": [],
+        "limits": {"minimum": 0.0, "maximum": 3600.0},
+        "remark": "",
+        "range": "0 to 3600",
+        "unit": "s",
+        "meaning": BY_KEY["lanes.hold_s"].meaning,
+    }
+
+
+def test_the_printed_configuration_is_the_default(capsys, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(printed(capsys, "--print-config"))
+    assert load_config(path) == ReplayConfig()
+    assert digest(load_config(path)) == digest(load_config())
+    for setting in catalogue():
+        assert re.search(rf"^# .*\n{setting.name} = ", path.read_text(), re.MULTILINE), setting.key
+
+
+def test_the_printed_configuration_is_the_resolved_one(capsys, tmp_path):
+    given = tmp_path / "given.toml"
+    given.write_text('[lanes]\nhold_s = 0.2\nmodel = "line"\n')
+    options = ["--config", str(given), "--set", "lanes.hold_s=0.8", "--set", "surface.classes=road", "--only", "lanes"]
+    path = tmp_path / "mine.toml"
+    path.write_text(printed(capsys, "--print-config", *options))
+    cfg = load_config(path)
+    assert (cfg.lanes.hold_s, cfg.lanes.model, cfg.surface.classes) == (0.8, "line", ("road",))
+    assert (cfg.objects.enabled, cfg.surface.enabled, cfg.stereo.method) == (False, True, "off")
+    assert "default 0.5" in path.read_text()
+    assert tomllib.loads(path.read_text()) == tomllib.loads(cfg.to_toml())
+
+
+def test_a_setting_that_does_not_fit_is_an_error(capsys):
+    assert main(["--print-config", "--set", "lanes.hold_s=-1"]) == 1
+    assert "lanes.hold_s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--list-settings", "in.mcap"], "IN.mcap: not together with --list-settings"),
+        (["--list-settings", "in.mcap", "out.mcap"], "IN.mcap: not together with --list-settings"),
+        (["--list-settings", "--set", "seed=1"], "--set: not together with --list-settings"),
+        (["--list-settings", "--print-config"], "--print-config: not together with --list-settings"),
+        (["--print-config", "--json"], "--json: not together with --print-config"),
+        (["--print-config", "--results-only"], "--results-only: not together with --print-config"),
+        (["--print-config", "--rate", "2"], "--rate: not together with --print-config"),
+        (["--json", "in.mcap", "out.mcap"], "--json: only with --list-settings"),
+        (["--json"], "the following arguments are required: IN.mcap, OUT.mcap"),
+        (["in.mcap"], "the following arguments are required: OUT.mcap"),
+    ],
+)
+def test_wrong_usage_is_one_clear_line(arguments, said, capsys):
+    assert refused(capsys, *arguments) == f"roadperc-replay: error: {said}"
+
+
+def test_the_page_is_up_to_date():
+    """``make settings-page`` writes it."""
+    assert (ROOT / "docs" / "settings.md").read_text("utf-8") == as_page()
+
+
+def test_a_cell_of_the_page_ends_no_column():
+    assert {line.count("|") for line in as_page().splitlines() if line.startswith("|")} == {6}
+
+
+def test_a_setting_without_limits_in_words_is_its_choices():
+    made = Setting("a.b", "x", "string", ("x", "y"), {}, "", "", "Some meaning.")
+    assert (made.section, made.name, made.range) == ("a", "b", "x, y")

@@ -1,0 +1,66 @@
+"""What is rendered, as a command line says it."""
+
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+from roadperc_stream.errors import DumpError
+
+SceneName = Literal["straight", "bend", "hill", "town"]
+SCENES: Final[tuple[str, ...]] = get_args(SceneName)
+SENSORS: Final = ("rgb", "depth", "segmentation", "right")
+"""Cameras; each has a folder of its name."""
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Everything that decides what is rendered."""
+
+    width: int = 1280
+    height: int = 960
+    seconds: float = 5.0
+    rate_hz: float = 20.0
+    scene: SceneName = "town"
+    speed_mps: float = 10.0
+    static: bool = False
+    weave_m: float = 0.2
+    tag_noise: float = 0.0
+    depth_noise: float = 0.0
+    rgb_noise: float = 0.0
+    drop: float = 0.0
+    jpeg: bool = False
+    lidar: bool = False
+    without: tuple[str, ...] = ()
+    """Sensors whose files are left out, of ``SENSORS``."""
+    seed: int = 0
+
+    @property
+    def frames(self) -> int:
+        """Number of frames, at least one."""
+        return max(round(self.seconds * self.rate_hz), 1)
+
+    def check(self) -> None:
+        """Refuses what cannot be rendered.
+
+        Raises:
+            DumpError: an option is out of its range; the message names it.
+        """
+        limits: tuple[tuple[str, float, float, float], ...] = (
+            ("--size width", self.width, 64, 8192),
+            ("--size height", self.height, 48, 8192),
+            ("--seconds", self.seconds, 1e-3, 86400),
+            ("--rate", self.rate_hz, 0.1, 1000),
+            ("--speed", self.speed_mps, 0.5, 40),
+            ("--weave", self.weave_m, 0, 1.0),
+            ("--tag-noise", self.tag_noise, 0, 0.5),
+            ("--depth-noise", self.depth_noise, 0, 0.5),
+            ("--rgb-noise", self.rgb_noise, 0, 100),
+            ("--drop", self.drop, 0, 0.95),
+            ("--seed", self.seed, 0, 2**32),
+        )
+        for name, value, low, high in limits:
+            if not low <= value <= high:
+                raise DumpError(f"{name} {value:g}: expected a number from {low:g} to {high:g}")
+        if self.scene not in SCENES:
+            raise DumpError(f"--scene {self.scene}: expected one of {', '.join(SCENES)}")
+        if not set(SENSORS) - set(self.without):
+            raise DumpError("--without: no camera is left")
