@@ -43,8 +43,6 @@ def _refused(error: OSError) -> int:
     return EXIT_ERROR
 
 
-
-
 def _open_closed_streams() -> None:
     """What the shell has closed (``>&-``) goes nowhere: else the next file that is opened would take its number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):

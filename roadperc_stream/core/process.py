@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 TYPE_CHECKING = False  # typing itself would be half the time that a command's first moment takes
 if TYPE_CHECKING:
-    from typing import TextIO
+    from typing import IO, TextIO
 
 
 EXIT_DONE, EXIT_ERROR = 0, 1
@@ -38,7 +38,7 @@ def optional_output(stream: "TextIO | None" = None) -> Iterator[None]:
         discard_output(stream)
 
 
-def discard_output(stream: "TextIO") -> None:
+def discard_output(stream: "IO[str]") -> None:
     """Discard what is still buffered for a stream that nobody reads, and all that follows."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream.fileno())

@@ -9,6 +9,7 @@ import pytest
 from roadperc_stream.cli.view import main
 from roadperc_stream.config import load_config
 from roadperc_stream.replay import replay
+from roadperc_stream.view import modes
 from roadperc_stream.view.rerun import viewer
 from tests import logs
 from tests.view.rerun.chunks import recorded
@@ -109,7 +110,7 @@ def test_the_layout_of_a_served_log_has_the_times_that_are_served(tmp_path, monk
     if not timed:
         (tmp_path / "out.metrics.parquet").unlink()
     served, target = [], tmp_path / "layout.json"
-    monkeypatch.setattr(command, "serve_log", lambda path, _options, *, quiet: served.append((path, quiet)))
+    monkeypatch.setattr(modes, "serve_log", lambda path, _options, *, quiet: served.append((path, quiet)))
     assert main([str(tmp_path / "out.mcap"), "--foxglove", "--foxglove-layout", str(target), "--quiet"]) == 0
     assert served == [(tmp_path / "out.mcap", True)]
     assert ("/perception/times.total_ms" in target.read_text("utf-8")) is timed
