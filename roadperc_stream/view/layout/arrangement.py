@@ -8,6 +8,7 @@ from roadperc_stream.datatypes import EGO
 from roadperc_stream.view.layout import curves, scripts
 from roadperc_stream.view.layout.contents import LogContents
 from roadperc_stream.view.layout.panels import (
+    PRELOADED,
     Config,
     Node,
     Panel,
@@ -141,7 +142,7 @@ def _scene(has: LogContents) -> Panel | None:
     if not drawn:
         return None
     followed = {"followMode": "follow-pose", "followTf": EGO} if has.has_ego_frame else {"followMode": "follow-pose"}
-    transforms = {"showLabel": False, "axisScale": 0.6, "lineWidth": 0, "enablePreloading": True}
+    transforms = {"showLabel": False, "axisScale": 0.6, "lineWidth": 0, **PRELOADED}
     config: Config = {
         "cameraState": _CAMERA,
         **followed,
@@ -161,7 +162,7 @@ def _numbers(has: LogContents) -> Node | None:
         "numbers",
         {
             "Lanes": _lanes(has),
-            "Objects": column(_objects(has), row(*_plots(has, curves.NEAREST, curves.OBJECT_ERRORS)), first_percent=50),
+            "Objects": column(_objects(has), row(*_plots(has, curves.NEAREST, curves.OBJECT_ERRORS)), first_percent=58),
             "Motion": column(*_plots(has, curves.MOTION, curves.MOTION_ERRORS, curves.COUNTS), first_percent=34),
             "Road": column(
                 row(*_plots(has, curves.CAMERA, curves.SURFACE_ERRORS)),

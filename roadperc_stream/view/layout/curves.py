@@ -26,7 +26,7 @@ _STAGE_COLOURS: Final = {
 }
 _THIN: Final = 1.0
 _THICK: Final = 2.5
-_LEGEND_WIDTH_PX: Final = 120
+_LEGEND_WIDTH_PX: Final = 150
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,8 @@ from typing import Any, Final
 
 Config = dict[str, Any]
 """Settings as the viewers store them."""
+PRELOADED: Final[Config] = {"enablePreloading": True}
+"""Read all transforms first: Lichtblick raises an alert for each panel that does not."""
 _EVEN: Final = 50.0
 _MOST_DEPTH_M: Final = 60
 _MM_PER_M: Final = 1000
@@ -144,7 +146,7 @@ def picture(name: str, title: str, topic: str | None, annotations: Iterable[str 
     drawn = {over: {"visible": True} for over in annotations if over}
     if drawn:
         mode["annotations"] = drawn
-    return Panel("Image", name, {"imageMode": mode, **titled(title)})
+    return Panel("Image", name, {"imageMode": mode, "scene": {"transforms": dict(PRELOADED)}, **titled(title)})
 
 
 def depth_picture(name: str, title: str, topic: str | None, *, in_metres: bool = False) -> Panel | None:
