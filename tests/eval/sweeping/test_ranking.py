@@ -142,10 +142,11 @@ def test_effects_are_means_over_the_other_settings():
 
 
 def cells(table):
-    return [list(column.cells) for column in table.columns]
+    """The columns of a table, the labels first."""
+    return [list(column) for column in zip(*((item.label, *item.cells[0]) for item in table.rows), strict=True)]
 
 
-def test_the_table_shows_the_best_the_reference_and_what_less_covered():
+def test_the_table_shows_the_best_the_reference_and_what_has_lower_coverage():
     found = [(ERROR, [Score(0.3, 1.0), Score(0.1, 0.5), Score(0.2, 1.0)]), (OVERLAP, [Score(0.9, 1.0)] * 3)]
     assert cells(best_settings(found, GATES, GATES[0])) == [
         ["lane left at 10 m, m", "  lower coverage"],
