@@ -19,10 +19,10 @@ import pyarrow.parquet as pq
 from rich.console import Console
 from rich.table import Table
 
-from roadperc_stream.command import frame_progress, run, whole_number
+from roadperc_stream.cli.plumbing import frame_progress, run, whole_number
 from roadperc_stream.errors import TableError
-from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.table import ROW_GROUP_ROWS, arrow_schema
+from roadperc_stream.output.tables import ROW_GROUP_ROWS, arrow_schema
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
 from .quantities import STORED
 from .runs import SUFFIX

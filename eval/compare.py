@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 from roadperc_stream import __version__
-from roadperc_stream.command import run, telling
+from roadperc_stream.cli.plumbing import run, telling
+from roadperc_stream.cli.terminal import console_for
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.terminal import console_for
 
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.display import print_comparison

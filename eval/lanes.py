@@ -12,8 +12,8 @@ from typing import Final, get_args
 from rich.table import Table
 
 from roadperc_stream import __version__
-from roadperc_stream.command import run
-from roadperc_stream.terminal import console_for, grid, print_lines
+from roadperc_stream.cli.plumbing import run
+from roadperc_stream.cli.terminal import console_for, grid, print_lines
 
 from .grid import percent
 from .lane_files.recorded import RunLanes, default_rows, lane_frame, open_lanes

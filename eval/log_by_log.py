@@ -6,8 +6,8 @@ from typing import Final
 
 from rich.table import Table
 
-from roadperc_stream.reasons import ranked
-from roadperc_stream.terminal import grid
+from roadperc_stream.cli.terminal import grid
+from roadperc_stream.core.reasons import ranked
 
 from .grid import percent
 from .quantities import STAGES, TRUTH, Quantity

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roadperc_stream import __version__
-from roadperc_stream.command import run, whole_number
+from roadperc_stream.cli.plumbing import run, whole_number
+from roadperc_stream.cli.terminal import console_for, print_lines
 from roadperc_stream.errors import TableError
-from roadperc_stream.terminal import console_for, print_lines
 
 from .html.page import write_page
 from .runs import find_runs

@@ -6,8 +6,8 @@ from typing import Final
 
 from rich.table import Table
 
-from roadperc_stream.reasons import Reason, ranked
-from roadperc_stream.terminal import grid
+from roadperc_stream.cli.terminal import grid
+from roadperc_stream.core.reasons import Reason, ranked
 
 from .grid import percent, rounded
 from .quantities import CATEGORIES, SEEN, SIDES, SKEW, STAGES, STORED, SUSPECT, TOTAL, TRUTH, Quantity

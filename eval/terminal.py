@@ -5,7 +5,7 @@ from typing import Final
 
 from rich.console import Console
 
-from roadperc_stream.terminal import print_lines, print_table
+from roadperc_stream.cli.terminal import print_lines, print_table
 
 from . import log_by_log, sections
 from .runs import Run

@@ -11,9 +11,9 @@ from typing import get_args
 from rich.table import Table
 
 from roadperc_stream import __version__
-from roadperc_stream.command import run
+from roadperc_stream.cli.plumbing import run
+from roadperc_stream.cli.terminal import console_for, print_lines
 from roadperc_stream.errors import TableError
-from roadperc_stream.terminal import console_for, print_lines
 
 from .runs import Run, find_runs
 from .trajectories import tables

@@ -10,10 +10,10 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import replay_main
 from roadperc_stream.eval.scores import correlations, lag_frames
+from roadperc_stream.output.tables import beside
 from roadperc_stream.schemas.roadperc_pb2 import Lanes
-from roadperc_stream.table import beside
 from roadperc_stream.tools import carla_to_mcap, render_scene
 
 BEND = ("--scene", "bend", "--weave", "0.5")

@@ -4,9 +4,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import replay_main
 from roadperc_stream.eval import report
-from roadperc_stream.table import beside
+from roadperc_stream.output.tables import beside
 from roadperc_stream.tools import carla_to_mcap, render_scene
 
 OPTIONS = ("--size", "640x480", "--scene", "straight", "--seconds", "0.5", "--lidar")

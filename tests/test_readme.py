@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import replay_main
 from roadperc_stream.eval import report
-from roadperc_stream.table import beside
+from roadperc_stream.output.tables import beside
 
 ROOT = Path(__file__).parents[1]
 WITHOUT_TIMES = "How fast?"

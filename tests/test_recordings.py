@@ -6,8 +6,8 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.cli import replay_main
-from roadperc_stream.table import beside
+from roadperc_stream.cli.replay import replay_main
+from roadperc_stream.output.tables import beside
 from roadperc_stream.tools import carla_to_mcap
 
 PUBLIC_HOUGH = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_min_length_px=150")

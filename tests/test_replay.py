@@ -11,14 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.channels import RESULTS
-from roadperc_stream.cli import replay_main
-from roadperc_stream.config import load_config
+from roadperc_stream.cli.replay import replay_main
+from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import ChannelError, LogError, TargetError
+from roadperc_stream.input.plan import Cut
 from roadperc_stream.log import Channel, Message
+from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.survey import Cut
-from roadperc_stream.table import beside
+from roadperc_stream.schemas.channels import RESULTS
 from tests import logs
 from tests.analytic import STEP_NS
 
@@ -242,7 +242,8 @@ def test_a_disk_that_is_full_at_the_end_leaves_neither_log_nor_table(source, mon
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_leaves_no_file(tmp_path, number):
     source = logs.write(tmp_path / "in.mcap", logs.items(200))
-    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli import replay_main; sys.exit(replay_main())"]
+    code = "import sys; from roadperc_stream.cli.replay import replay_main; sys.exit(replay_main())"
+    command = [sys.executable, "-c", code]
     process = subprocess.Popen([*command, str(source), str(tmp_path / "out.mcap")], stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not list(tmp_path.glob(".out*")):
         time.sleep(0.01)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.datatypes import Absent
-from roadperc_stream.ground import height_at
+from roadperc_stream.chain.stages.surface import drivable_mask, fit_surface
+from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.core.datatypes import Absent
+from roadperc_stream.core.ground import height_at
+from roadperc_stream.input.plan import WHOLE, samples, survey_log
+from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.sync import SyncCounts
 from roadperc_stream.metrics import surface_height_error_m
-from roadperc_stream.roles import Problems
-from roadperc_stream.stages.surface import drivable_mask, fit_surface
-from roadperc_stream.survey import WHOLE, samples, survey_log
-from roadperc_stream.sync import SyncCounts
 from roadperc_stream.tools import carla_to_mcap, render_scene
 
 HILL = ("--scene", "hill", "--depth-noise", "0.01")

@@ -13,11 +13,11 @@ from rich.console import Console
 from rich.progress import Progress
 
 from roadperc_stream import __version__
-from roadperc_stream.command import run, telling
+from roadperc_stream.cli.plumbing import run, telling
+from roadperc_stream.cli.terminal import print_lines
+from roadperc_stream.core.files import require_free
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata
-from roadperc_stream.targets import require_free
-from roadperc_stream.terminal import print_lines
 
 from .carla_dump.messages import channels, messages
 from .carla_dump.plan import Options, Plan, make_plan

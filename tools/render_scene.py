@@ -7,7 +7,7 @@ from itertools import count
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.command import frame_progress, run
+from roadperc_stream.cli.plumbing import frame_progress, run
 
 from .scene.dump import SENSORS
 from .scene.job import RenderOptions, render_dump

@@ -8,7 +8,7 @@ from itertools import groupby
 from rich.console import Console
 from rich.table import Table
 
-from roadperc_stream.terminal import grid, print_lines, print_table
+from roadperc_stream.cli.terminal import grid, print_lines, print_table
 
 from .agreement import Agreement, Agreements, Value
 from .bootstrap import LEVEL, MANY_LOGS

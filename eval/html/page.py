@@ -10,7 +10,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from roadperc_stream.targets import completing, require_suffix
+from roadperc_stream.core.files import completing, require_suffix
 
 from ..runs import Run
 from ..summary import summarise_all

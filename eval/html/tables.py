@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Final
 
-from roadperc_stream.reasons import merged, ranked
+from roadperc_stream.core.reasons import merged, ranked
 
 from ..grid import percent, rounded
 from ..quantities import SEEN, SIDES, STAGES, TOTAL, TRUTH, Quantity

@@ -8,8 +8,8 @@ from itertools import product
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.table import Scalar
+from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.output.tables import Scalar
 
 AT_ONCE: Final = 32
 """Combinations that go through a log together: each has up to 1000 rows, some 4 MB, waiting to be written."""

@@ -5,8 +5,8 @@ from typing import Final
 
 from rich.table import Table
 
-from roadperc_stream.table import Scalar
-from roadperc_stream.terminal import grid
+from roadperc_stream.cli.terminal import grid
+from roadperc_stream.output.tables import Scalar
 
 from ..grid import percent, rounded
 from .ranking import Metric, Score, best, effect

@@ -6,8 +6,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from roadperc_stream.core.geometry import Float, inverse
 from roadperc_stream.errors import TableError
-from roadperc_stream.geometry import Float, inverse
 
 Alignment = Literal["se3", "sim3", "origin", "none"]
 _STANDING: Final = 1e-12

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from roadperc_stream.core.geometry import Float
 from roadperc_stream.errors import TableError
-from roadperc_stream.geometry import Float
 
 from .alignment import Alignment, align
 from .errors import Delta, ErrorStatistics, absolute_errors_m, pairs, path_m, relative_errors, segment_errors

@@ -5,7 +5,7 @@ from typing import Final
 
 from rich.table import Table
 
-from roadperc_stream.terminal import grid
+from roadperc_stream.cli.terminal import grid
 
 from ..grid import percent
 from .alignment import Alignment

@@ -7,11 +7,11 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
+from roadperc_stream.cli.terminal import grid, print_lines, print_table
 from roadperc_stream.info.facts import ChannelFacts, LogFacts
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.replay_printing import print_replay
 from roadperc_stream.info.text import listed, number, plain, rounded, size
-from roadperc_stream.terminal import grid, print_lines, print_table
 
 _DAMAGES_SHOWN: Final = 5
 _ODD_JITTER, _ODD_GAP = 0.2, 1.5

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from roadperc_stream.channels import METADATA_RECORD
-from roadperc_stream.config import ReplayConfig
+from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.errors import TableError
 from roadperc_stream.log import Attachment, Metadata
+from roadperc_stream.output.tables import beside, read_footer
 from roadperc_stream.replay import CONFIG_ATTACHMENT
-from roadperc_stream.table import beside, read_footer
+from roadperc_stream.schemas.channels import METADATA_RECORD
 
 _DROPPED: Final = "dropped."
 

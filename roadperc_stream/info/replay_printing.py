@@ -6,10 +6,10 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
+from roadperc_stream.cli.terminal import grid, print_lines, print_table
 from roadperc_stream.info.facts import CameraFacts, LogFacts, ReplayFacts
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.info.text import listed, number, plain, rounded
-from roadperc_stream.terminal import grid, print_lines, print_table
 
 _ASIDE: Final = {"depth_calibration": "depth", "left_calibration": "left", "right_calibration": "right"}
 """Calibrations that nobody misses where the camera itself is missing."""

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from roadperc_stream import log
-from roadperc_stream.channels import ROLES
-from roadperc_stream.datatypes import DepthImage
-from roadperc_stream.decoding import context_of_channel, decode
+from roadperc_stream.core.datatypes import DepthImage
+from roadperc_stream.core.files import completing, require_free
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.roles import roles_of_log
-from roadperc_stream.targets import completing, require_free
+from roadperc_stream.input.decoding import context_of_channel, decode
+from roadperc_stream.input.roles.fill import roles_of_log
+from roadperc_stream.schemas.channels import ROLES
 from roadperc_stream.view.shown import require_shown
 
 _WITHOUT_IMAGE: Final = {"image": "left", "calibration": "left_calibration"}

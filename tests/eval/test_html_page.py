@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import replay_main
 from roadperc_stream.eval.html.page import RUNS_DRAWN
 from roadperc_stream.eval.report import main
 from tests.eval.tables import START_NS, STEP_NS, row, write

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import replay_main
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.trajectories.columns import read_poses
 from roadperc_stream.eval.trajectories.errors import Delta

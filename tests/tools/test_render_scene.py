@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.tools.render_scene import main
 from roadperc_stream.tools.scene.world import SCENES, make_world
 

@@ -7,7 +7,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from roadperc_stream.geometry import Float, rigid
+from roadperc_stream.core.geometry import Float, rigid
 
 from .path import Element, Path, chain
 from .section import Section, street

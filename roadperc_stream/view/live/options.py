@@ -4,7 +4,7 @@ import argparse
 from dataclasses import dataclass, fields, replace
 from typing import Final
 
-from roadperc_stream.command import seconds
+from roadperc_stream.cli.plumbing import seconds
 from roadperc_stream.view.live.playhead import FASTEST, SLOWEST
 
 _HIGHEST_PORT: Final = 65535

@@ -8,10 +8,10 @@ from time import monotonic_ns
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from roadperc_stream.command import telling
+from roadperc_stream.cli.plumbing import telling
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
-from roadperc_stream.table import beside
+from roadperc_stream.output.tables import beside
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.player import LONGEST_WAIT_S, Inbox, Player
 from roadperc_stream.view.live.server import serving

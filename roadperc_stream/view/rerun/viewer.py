@@ -12,8 +12,8 @@ from http.client import HTTPConnection, HTTPException
 from time import monotonic, sleep
 from typing import Final
 
+from roadperc_stream.cli.launch import ending_signals
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.launch import ending_signals
 
 URL: Final = "rerun+http://127.0.0.1:9876/proxy"
 _ADDRESS: Final = ("127.0.0.1", 9876)

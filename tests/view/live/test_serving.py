@@ -13,15 +13,15 @@ import pytest
 from websockets.exceptions import WebSocketException
 
 from roadperc_stream import log
-from roadperc_stream.channels import RESULTS
-from roadperc_stream.cli import replay_main
-from roadperc_stream.config import load_config
+from roadperc_stream.cli.replay import replay_main
+from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.rows import TIME_COLUMNS
+from roadperc_stream.schemas.channels import RESULTS
+from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.roadperc_pb2 import StageTimes
-from roadperc_stream.table import beside
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.server import ServeError
 from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, with_times
@@ -338,10 +338,10 @@ def test_wrong_usage(arguments, capsys):
     assert next(word for word in arguments[::-1] if word.startswith("--")) in capsys.readouterr().err
 
 
-SERVE = "import sys; from pathlib import Path; from roadperc_stream.command import run;"
+SERVE = "import sys; from pathlib import Path; from roadperc_stream.cli.plumbing import run;"
 SERVE += "from roadperc_stream.view.live.serving import serve_log; from roadperc_stream.view.live.options import *;"
 SERVE += "sys.exit(run(lambda: serve_log(Path(sys.argv[1]), PlaybackOptions(port=0))))"
-REPLAY = "import sys; from roadperc_stream.cli import replay_main; sys.exit(replay_main(sys.argv[1:]))"
+REPLAY = "import sys; from roadperc_stream.cli.replay import replay_main; sys.exit(replay_main(sys.argv[1:]))"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import replay_main
 from roadperc_stream.view.rerun import save_recording
 from tests.view.rerun.chunks import recorded
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.channels import RESULTS
-from roadperc_stream.cli import replay_main
+from roadperc_stream.cli.replay import replay_main
+from roadperc_stream.schemas.channels import RESULTS
 from tests import logs
 from tests.view.rerun.chunks import imported
 

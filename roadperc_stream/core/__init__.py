@@ -1,0 +1,1 @@
+"""What every package shares: datatypes, geometry, semantics, configuration."""

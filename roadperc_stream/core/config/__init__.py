@@ -1,0 +1,28 @@
+"""One frozen model per stage, nested in ``ReplayConfig``; TOML in, TOML out. Every key has a default."""
+
+from roadperc_stream.core.config.loading import load_config
+from roadperc_stream.core.config.replay import NEEDS, STAGES, ReplayConfig, switched_off
+from roadperc_stream.core.config.stages import (
+    LanesConfig,
+    ObjectsConfig,
+    OccupancyConfig,
+    OdometryConfig,
+    StereoConfig,
+    SurfaceConfig,
+    SyncConfig,
+)
+
+__all__ = [
+    "NEEDS",
+    "STAGES",
+    "LanesConfig",
+    "ObjectsConfig",
+    "OccupancyConfig",
+    "OdometryConfig",
+    "ReplayConfig",
+    "StereoConfig",
+    "SurfaceConfig",
+    "SyncConfig",
+    "load_config",
+    "switched_off",
+]

@@ -1,0 +1,352 @@
+"""What roadperc-info says of logs whose contents are known."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from roadperc_stream.cli.info import main
+from roadperc_stream.cli.replay import replay_main
+from roadperc_stream.info.examine import examine
+from roadperc_stream.log import Channel, LogWriter, Message, Metadata, read
+from roadperc_stream.output import encoding
+from roadperc_stream.output.tables import beside
+from tests import logs
+from tests.info.odd import SECOND_NS, WRITERS, write
+
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
+
+
+def info(capsys, *arguments):
+    """Exit code, what was printed, and what was said on stderr."""
+    code = main([str(argument) for argument in arguments])
+    return code, *capsys.readouterr()
+
+
+def facts_of(path, **overrides):
+    return examine(path, overrides)
+
+
+def only_channel(path):
+    (channel,) = facts_of(path).channels
+    return channel
+
+
+def test_rate_jitter_and_longest_gap(tmp_path):
+    times = [10 * SECOND_NS + k * SECOND_NS // 10 for k in range(20)]
+    del times[12:15]
+    channel = only_channel(write(tmp_path / "a.mcap", times))
+    assert channel.rate_hz == pytest.approx(10.0)
+    assert (channel.longest_gap_s, channel.gap_at_s) == pytest.approx((0.4, 1.1))
+    assert channel.jitter_s == pytest.approx(0.075)  # between 14 zeros and one of 0.3: the 95 % of 16 intervals
+    assert (channel.stamps_back, channel.stamps_repeated, channel.log_times_back) == (0, 0, 0)
+
+
+def test_stamps_that_go_back_repeat_or_are_unset(tmp_path):
+    times = [k * SECOND_NS for k in range(1, 9)]
+    stamps = [5, 6, 4, 4, 7, 0, 3, 9]
+    channel = only_channel(write(tmp_path / "a.mcap", times, stamps=stamps))
+    assert (channel.stamps_back, channel.stamps_back_at_s) == (2, 2.0)
+    assert (channel.stamps_repeated, channel.stamps_unset) == (1, 1)
+
+
+def test_log_times_that_go_back_in_the_file(tmp_path):
+    times = [3, 5, 4, 9, 9, 1]
+    facts = facts_of(write(tmp_path / "a.mcap", times))
+    assert (facts.log_times_back, facts.channels[0].log_times_back) == (2, 2)
+    assert (facts.first_ns, facts.last_ns) == (1, 9)
+
+
+def test_the_log_id_is_the_replays_in_whatever_order_the_file_is(tmp_path):
+    ordered = write(tmp_path / "a.mcap", [1, 2, 3, 4])
+    shuffled = write(tmp_path / "b.mcap", [3, 1, 4, 2])
+    assert facts_of(ordered).log_id == facts_of(shuffled).log_id is not None
+
+
+def test_a_huge_gap_and_times_beyond_any_date(tmp_path, capsys):
+    path = write(tmp_path / "a.mcap", [0, 1, 2, 3, 2**63, 2**64 - 1], stamps=[1] * 6)
+    code, out, _ = info(capsys, path)
+    assert code == 0
+    assert "9223372036.9" in out.replace("\n", "")
+
+
+@pytest.mark.parametrize("options", WRITERS.values(), ids=WRITERS)
+def test_logs_of_other_writers(tmp_path, options):
+    facts = facts_of(write(tmp_path / "a.mcap", list(range(1, 41)), **options))
+    assert (facts.file.whole, facts.messages, facts.kind) == (True, 40, "input")
+    assert ("index" in facts.file.absent) is (
+        options.keys() & {"use_chunking", "index_types", "use_statistics"} != set()
+    )
+
+
+def test_no_messages_and_no_channels(tmp_path, capsys):
+    code, out, _ = info(capsys, write(tmp_path / "a.mcap", []))
+    assert (code, "0 messages on 1 channel" in out) == (0, True)
+    with LogWriter(tmp_path / "b.mcap") as writer:
+        writer.describe(Metadata("notes", (("k", "v"),)))
+    code, out, _ = info(capsys, tmp_path / "b.mcap")
+    assert (code, "metadata notes" in out, "0 channels" in out) == (0, True, True)
+
+
+def test_names_cannot_spoil_the_terminal(tmp_path, capsys):
+    code, out, _ = info(capsys, write(tmp_path / "a.mcap", [1, 2], topic="/straße/\x1b[31m\n車"))
+    assert (code, "\x1b" in out) == (0, False)
+    assert "/straße/�[31m�車" in out
+
+
+def test_long_names_stand_whole_in_80_columns(tmp_path, capsys):
+    topic = "/carla/ego_vehicle/semantic_segmentation_front/camera_info"
+    with LogWriter(tmp_path / "a.mcap") as writer:
+        writer.write(Message(Channel(topic, "cdr", "vision_msgs/msg/Detection2DArray", "ros2msg", b""), 1, 1, 1, b"?"))
+    _, out, _ = info(capsys, tmp_path / "a.mcap")
+    assert "  vision_msgs/msg/Detection2DArray\n" in out
+    assert f"\n{topic} " in out
+
+
+def test_thousands_of_channels(tmp_path, capsys):
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for k in range(3000):
+            writer.add_message(writer.register_channel(f"/c{k}", "raw", 0), k, b"", k)
+        writer.finish()
+    code, out, _ = info(capsys, tmp_path / "a.mcap")
+    assert (code, "3000 messages on 3000 channels" in out, "/c2999" in out) == (0, True, True)
+
+
+@pytest.fixture
+def drive(tmp_path):
+    return logs.write(tmp_path / "in.mcap", logs.items(frames=5))
+
+
+def states(facts):
+    return {state.role: state for state in facts.replay.roles}
+
+
+def test_roles_frames_and_cameras_of_an_input(drive):
+    facts = facts_of(drive)
+    replay, found = facts.replay, states(facts)
+    assert {role for role, state in found.items() if state.state == "filled"} == set(logs.ALL)
+    assert (replay.refusal, replay.reference, replay.frames, replay.skew_s) == (None, "image", 5, 0.0)
+    assert (dict(replay.alone), dict(replay.unused), replay.unreadable) == ({}, {}, {})
+    (found_camera,) = replay.cameras
+    assert found_camera.camera == logs.SMALL.camera
+    assert found_camera.ego_T_camera == tuple(map(tuple, logs.SMALL.ego_T_camera.tolist()))
+    assert replay.tag_table == logs.TABLE.name
+
+
+@pytest.mark.parametrize(
+    ("role", "cost"),
+    [
+        ("calibration", "a replay stops"),
+        ("depth", "no distances"),
+        ("segmentation", "no lanes"),
+        ("detections", "no objects"),
+        ("tf", "assumed_height_m"),
+    ],
+)
+def test_what_a_missing_role_costs(tmp_path, capsys, role, cost):
+    path = logs.write(tmp_path / "in.mcap", logs.items(3, roles=set(logs.ALL) - {role}))
+    state = states(facts_of(path))[role]
+    assert state.state == "missing"
+    assert cost in state.cost
+    assert cost in info(capsys, path)[1]
+
+
+def test_transforms_that_are_all_static_cost_nothing(tmp_path, capsys):
+    items = [replace(item, topic="/tf_static" if item.role == "tf" else "") for item in logs.items(2)]
+    path = logs.write(tmp_path / "in.mcap", items)
+    found = states(facts_of(path))
+    assert (found["tf_static"].state, found["tf"].state, found["tf"].cost) == ("filled", "missing", "")
+    assert "assumed_height_m" not in info(capsys, path)[1]
+
+
+def test_an_odometry_could_be_the_truth_and_is_not_unless_it_is_said(tmp_path, capsys):
+    odometry = Message(Channel("/odom", "cdr", "nav_msgs/msg/Odometry", "ros2msg", b""), logs.START_NS, 1, 0, b"")
+    path = logs.write(tmp_path / "in.mcap", logs.items(2), [odometry])
+    found = states(facts_of(path))["truth_pose"]
+    assert (found.state, found.candidates) == ("missing", ("/odom",))
+    said = " ".join(info(capsys, path)[1].split())
+    assert "the truth only if you say so; could be --topic truth_pose=/odom" in said
+    assert not any("truth" in note for note in facts_of(path).replay.notes)
+    assert states(facts_of(path, truth_pose="/odom"))["truth_pose"].why == "--topic"
+
+
+def test_a_log_without_poses_does_not_speak_of_the_truth(drive, capsys):
+    assert "truth" not in info(capsys, drive)[1]
+
+
+def test_images_that_are_not_of_their_calibrations_size(tmp_path, drive, capsys):
+    assert facts_of(drive).replay.cameras[0].image_size == (logs.SMALL.width, logs.SMALL.height)
+    assert "images of" not in info(capsys, drive)[1]
+    wide = [item for item in logs.items(2, road=replace(logs.SMALL, width=400)) if item.role == "calibration"]
+    others = [item for item in logs.items(2) if item.role != "calibration"]
+    path = logs.write(tmp_path / "wide.mcap", [*wide, *others])
+    (camera,) = facts_of(path).replay.cameras
+    assert (camera.camera.width, camera.image_size) == (400, (320, 240))
+    assert "images of 320x240" in info(capsys, path)[1]
+
+
+def test_a_wrong_schema_says_what_is_there_and_what_should_be(tmp_path):
+    items = [replace(item, topic="/camera/front/detections") for item in logs.items(3) if item.role == "image"]
+    state = states(facts_of(logs.write(tmp_path / "in.mcap", [*logs.items(3, roles=("calibration", "tf")), *items])))
+    assert state["detections"].state == "wrong schema"
+    assert "found foxglove.CompressedImage (protobuf), expected roadperc.Detections" in state["detections"].why
+
+
+def test_two_channels_with_one_topic(tmp_path):
+    twin = replace(logs.channel("image"), metadata=(("a", "b"),))
+    image = next(item for item in logs.items(1) if item.role == "image")
+    extra = [Message(twin, image.stamp_ns, image.stamp_ns, 1, image.data)]
+    facts = facts_of(logs.write(tmp_path / "in.mcap", logs.items(3), extra))
+    assert states(facts)["image"].state == "several channels"
+    assert "2 channels carry this topic" in facts.replay.refusal
+
+
+def test_topics_by_the_users_word(tmp_path, capsys):
+    items = [replace(item, topic="/my/rgb" if item.role == "image" else "") for item in logs.items(3)]
+    path = logs.write(tmp_path / "in.mcap", items)
+    assert states(facts_of(path))["image"].why == "guessed"
+    assert states(facts_of(path, image="/my/rgb"))["image"].why == "--topic"
+    code, out, _ = info(capsys, path, "--topic", "image=/not/there")
+    assert (code, "a replay stops: --topic image=/not/there: no such topic" in " ".join(out.split())) == (0, True)
+    code, _, said = info(capsys, path, "--topic", "image")
+    assert (code, "expected ROLE=/TOPIC" in said) == (1, True)
+
+
+def test_frames_without_a_partner_and_messages_without_a_frame(tmp_path):
+    late_ns = logs.STEP_NS // 3
+    items = [
+        replace(item, stamp_ns=item.stamp_ns + late_ns, data=moved) if item.role == "detections" else item
+        for item, moved in zip(logs.items(4), moved_by(logs.items(4), late_ns), strict=True)
+    ]
+    replay = facts_of(logs.write(tmp_path / "in.mcap", items)).replay
+    assert (replay.frames, dict(replay.alone), dict(replay.unused)) == (4, {"detections": 4}, {"detections": 4})
+
+
+def moved_by(items, late_ns):
+    """Each message as it would be with a later stamp, by making the drive's messages anew."""
+    for item in items:
+        anew = {part.role: part.data for part in logs.frame_items(item.stamp_ns + late_ns, logs.SMALL)}
+        yield anew.get(item.role, item.data)
+
+
+def test_messages_that_cannot_be_decoded_are_counted(tmp_path, capsys):
+    items = [replace(item, data=b"\xff") if item.role == "detections" else item for item in logs.items(3)]
+    path = logs.write(tmp_path / "in.mcap", items)
+    replay = facts_of(path).replay
+    assert dict(replay.unreadable) == {"/camera/front/detections": 3}
+    assert len(replay.problems) == 1
+    said = " ".join(info(capsys, path)[1].split())
+    assert "a role that is within the tolerance and can be decoded: detections 3" in said
+
+
+@pytest.fixture
+def result(drive, tmp_path):
+    out = tmp_path / "out.mcap"
+    assert replay_main([str(drive), str(out), "--quiet", "--set", "lanes.hold_s=2.0"]) == 0
+    return out
+
+
+def test_a_result_says_where_it_comes_from(drive, result, capsys):
+    facts = facts_of(result)
+    found = facts.provenance
+    assert (facts.kind, facts.log_id, found.changed) == ("result", facts_of(drive).log_id, False)
+    assert [(s.key, s.value, s.default) for s in found.settings] == [("lanes.hold_s", "2.0", "0.5")]
+    assert [(Path(t.path).name, t.rows, t.fault) for t in found.tables] == [
+        ("out.metrics.parquet", 5, ""),
+        ("out.objects.parquet", 10, ""),
+    ]
+    code, out, _ = info(capsys, result)
+    assert code == 0
+    assert all(words in out for words in ("a result of", "seed 0, 5 frames", "those that were replayed"))
+
+
+def test_an_input_changed_after_the_replay_is_seen(result, tmp_path, capsys):
+    changed = tmp_path / "changed.mcap"
+    with LogWriter(changed) as writer:
+        for message in list(read(result))[1:]:
+            writer.write(message)
+        said = {"version": "0", "seed": "0", "digest": facts_of(result).provenance.digest, "dropped.depth": "4"}
+        writer.describe(Metadata("roadperc", tuple(said.items())))
+    found = facts_of(changed).provenance
+    assert (found.changed, dict(found.dropped)) == (True, {"depth": 4})
+    out = info(capsys, changed)[1]
+    assert "CHANGED" in out
+    assert "changed.metrics.parquet: is not there" in out
+
+
+def test_a_table_of_another_run_is_told_apart(drive, result):
+    other = result.with_name("other.mcap")
+    assert replay_main([str(drive), str(other), "--quiet"]) == 0
+    beside(other, "metrics").replace(beside(result, "metrics"))
+    beside(result, "objects").write_bytes(b"no table")
+    faults = [table.fault for table in facts_of(result).provenance.tables]
+    assert faults == ["is of another configuration", "is no table of a replay, or was cut short"]
+
+
+def test_a_result_without_its_input(drive, tmp_path):
+    out = tmp_path / "only.mcap"
+    assert replay_main([str(drive), str(out), "--quiet", "--results-only"]) == 0
+    facts = facts_of(out)
+    assert (facts.kind, facts.log_id, facts.provenance.digest_found) == ("result", None, None)
+    assert "nothing to replay" in facts.replay.refusal
+
+
+def test_a_result_cut_short_is_still_a_result(result, capsys):
+    result.write_bytes(result.read_bytes()[:-20_000])
+    code, out, said = info(capsys, result)
+    assert (code, said.count("\n")) == (1, 1)
+    assert "DAMAGED, a result" in out
+    assert "last message before that" in out
+
+
+def test_several_logs_one_of_them_none(drive, tmp_path, capsys):
+    (tmp_path / "text.mcap").write_text("no log at all")
+    code, out, said = info(capsys, tmp_path / "text.mcap", drive, tmp_path / "gone.mcap")
+    assert code == 1
+    assert out.index("not an MCAP log") < out.index("in.mcap: whole") < out.index("No such file")
+    assert said.count("\n") == 1
+
+
+def test_json_is_a_line_a_log_with_the_fields_as_keys(drive, tmp_path, capsys):
+    code, out, _ = info(capsys, "--json", drive, tmp_path / "gone.mcap")
+    found, gone = map(json.loads, out.splitlines())
+    assert code == 1
+    assert (found["messages"], found["replay"]["frames"], found["file"]["whole"]) == (22, 5, True)
+    assert found["channels"][0].keys() >= {"topic", "schema", "rate_hz", "longest_gap_s", "stamps_back"}
+    assert gone.keys() == {"log", "error"}
+
+
+def test_json_knows_no_nan(tmp_path, capsys):
+    camera = replace(logs.SMALL.camera, distortion=(float("nan"), 0.1))
+    data = encoding.encode_calibration(logs.START_NS, camera)
+    items = [replace(item, data=data) if item.role == "calibration" else item for item in logs.items(2)]
+    _, out, _ = info(capsys, "--json", logs.write(tmp_path / "in.mcap", items))
+    (found,) = json.loads(out, parse_constant=pytest.fail)["replay"]["cameras"]
+    assert found["camera"]["distortion"] == [None, 0.1]
+
+
+def test_the_sample_is_whole_and_has_the_readmes_log_id(capsys):
+    code, out, _ = info(capsys, SAMPLE)
+    assert (code, "log 9c2a1e447e410956" in out, "40 frames" in out) == (0, True, True)
+    assert all(len(line) <= 80 for line in out.splitlines())
+
+
+def test_any_cut_and_any_wrong_byte_is_told_in_one_line(drive, tmp_path, capsys):
+    whole, path = drive.read_bytes(), tmp_path / "broken.mcap"
+    for k in range(60):
+        at = 8 + k * (len(whole) - 9) // 60
+        for content in (whole[:at], whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :]):
+            path.write_bytes(content)
+            code, _, said = info(capsys, path)
+            assert (code, said.count("\n")) == (1, 1), at
+
+
+def test_a_channel_without_a_schema(tmp_path, capsys):
+    with LogWriter(tmp_path / "a.mcap") as writer:
+        writer.write(Message(Channel("/camera/front/image", "x"), 1, 1, 1, b"?"))
+    code, out, _ = info(capsys, tmp_path / "a.mcap")
+    assert (code, "found no schema (x), expected" in " ".join(out.split())) == (0, True)

@@ -1,0 +1,162 @@
+"""Every command from its first moment: signals while it imports, closed streams, names that no encoding has."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.test_sample import SAMPLE
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
+ODD = os.fsdecode(b"bad\xff.mcap")
+
+
+def words(command, *arguments):
+    """What the console script of a command runs."""
+    module, _, function = SCRIPTS[command].partition(":")
+    code = f"import sys; from {module} import {function}; sys.exit({function}())"
+    return [sys.executable, "-c", code, *map(str, arguments)]
+
+
+def run(command, *arguments, **options):
+    options = {"capture_output": True, "text": True, "timeout": 60} | options
+    return subprocess.run(words(command, *arguments), check=False, **options)
+
+
+def signalling(folder, library, number):
+    """A library in whose place stands one that is slow to import, and drops what its own parts raise."""
+    folder.joinpath(f"{library}.py").write_text(
+        f"import os, time\ntry:\n    os.kill(os.getpid(), {int(number)})\n    time.sleep(20)\n"
+        "except BaseException:\n    pass\nraise SystemExit('went on')\n"
+    )
+    return os.environ | {"PYTHONPATH": str(folder)}
+
+
+@pytest.mark.parametrize("command", SCRIPTS)
+def test_ctrl_c_during_the_first_import_is_one_line(tmp_path, command):
+    ended = run(command, "in.mcap", "out.mcap", env=signalling(tmp_path, "rich", signal.SIGINT), cwd=tmp_path)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "error: interrupted\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("library", ["argparse", "numpy", "cv2", "pyarrow"])
+def test_every_signal_during_any_import_is_one_line(tmp_path, library, number):
+    ended = run("roadperc-replay", "in.mcap", "out.mcap", env=signalling(tmp_path, library, number), cwd=tmp_path)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "error: interrupted\n")
+
+
+def test_a_signal_that_nohup_ignores_ends_nothing():
+    code = "import os, signal; signal.signal(signal.SIGHUP, signal.SIG_IGN);"
+    code += "from roadperc_stream.cli.plumbing import run;"
+    code += "print(run(lambda: os.kill(os.getpid(), signal.SIGHUP)))"
+    ended = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "0\n", "")
+
+
+def test_what_starts_a_command_imports_no_library():
+    code = "import sys, roadperc_stream.cli.launch; print(*{name.partition('.')[0] for name in sys.modules})"
+    bare = [sys.executable, "-S", "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {code}"]
+    loaded = subprocess.run(bare, check=True, capture_output=True, text=True).stdout.split()
+    assert set(loaded) - {"roadperc_stream", "__main__"} <= sys.stdlib_module_names
+    assert not {"typing", "pathlib", "email", "argparse"} & set(loaded)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A short run, and a dump."""
+    folder = tmp_path_factory.mktemp("made")
+    for command, *arguments in (
+        ("roadperc-replay", SAMPLE, folder / "run.mcap", "--frames", "3"),
+        ("roadperc-render", folder / "drive", "--size", "160x120", "--seconds", "0.1"),
+    ):
+        ended = run(command, *arguments)
+        assert ended.returncode == 0, ended.stderr
+    return folder
+
+
+WRITING = [
+    ("roadperc-replay", [SAMPLE, "OUT/file.mcap", "--frames", "2"]),
+    ("roadperc-convert", ["MADE/drive", "OUT/file.mcap"]),
+    ("roadperc-compare", ["OUT/file", "MADE/run.metrics.parquet", "--update-reference"]),
+    ("roadperc-report", ["MADE/run.mcap", "--html", "OUT/file.html"]),
+    ("roadperc-lanes", ["MADE/run.mcap", "--tusimple", "OUT/file.json"]),
+    ("roadperc-view", ["MADE/run.mcap", "--foxglove-layout", "OUT/file.json"]),
+]
+
+
+@pytest.mark.parametrize("state", ["closed", "unread"])
+@pytest.mark.parametrize(("command", "arguments"), WRITING, ids=[command for command, _ in WRITING])
+def test_the_work_is_done_where_nobody_reads(command, arguments, state, made, tmp_path):
+    given = [re.sub("^MADE", str(made), re.sub("^OUT", str(tmp_path), str(argument))) for argument in arguments]
+    ended = unread(state, words(command, *given))
+    assert ended == 0
+    assert [path.name for path in tmp_path.glob("file*")]
+
+
+@pytest.mark.parametrize("state", ["closed", "unread"])
+def test_an_error_has_its_exit_code_where_nobody_reads(state, tmp_path):
+    assert unread(state, words("roadperc-report", tmp_path / "none.mcap")) == 1
+
+
+def test_a_comparison_that_nobody_reads_has_its_exit_code(made, tmp_path):
+    other = tmp_path / "run.mcap"
+    replayed = run("roadperc-replay", SAMPLE, other, "--frames", "3", "--set", "surface.inlier_m=0.5")
+    assert replayed.returncode == 0, replayed.stderr
+    assert unread("unread", words("roadperc-compare", made / "run.mcap", other, "--exact")) == 1
+
+
+def unread(state, command):
+    """Exit code of a command whose stdout and stderr are closed, or pipes that nobody reads."""
+    if state == "closed":
+        return subprocess.run(["sh", "-c", 'exec "$@" >&- 2>&-', "sh", *command], check=False, timeout=60).returncode
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        return subprocess.run(command, check=False, timeout=60, stdout=writing, stderr=writing).returncode
+    finally:
+        os.close(writing)
+
+
+def test_a_live_replay_goes_on_where_nobody_reads_its_address(tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = words("roadperc-replay", SAMPLE, tmp_path / "out.mcap", "--frames", "2", "--live", "--port", "0")
+    with subprocess.Popen(command, stdout=writing, stderr=subprocess.PIPE, text=True) as started:
+        os.close(writing)
+        while started.poll() is None and not (tmp_path / "out.metrics.parquet").exists():  # the last to get its name
+            time.sleep(0.01)
+        assert started.poll() is None  # it serves what it wrote
+        started.send_signal(signal.SIGTERM)
+        _, said = started.communicate(timeout=60)
+    assert said in ("", "error: interrupted\n")  # the signal may come before it has said that it serves
+    assert {path.name for path in tmp_path.iterdir()} == {"out.mcap", "out.metrics.parquet", "out.objects.parquet"}
+
+
+def test_a_closed_stream_takes_no_files_place(tmp_path):
+    code = "from roadperc_stream.cli.launch import _open_closed_streams as mend; mend();"
+    code += (
+        f"file = open({str(tmp_path / 'file')!r}, 'w'); print('astray', flush=True); print(file.fileno(), file=file)"
+    )
+    subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, "-c", code], check=True)
+    assert int((tmp_path / "file").read_text()) > 2
+
+
+@pytest.mark.parametrize("command", ["roadperc-info", "roadperc-report", "roadperc-trajectory", "roadperc-lanes"])
+@pytest.mark.parametrize("name", ["bad\udcff", "\u00fc"])
+def test_a_name_of_another_encoding_is_one_line_at_most(command, name, made, tmp_path):
+    """The table's or log's content does not matter: what is told is its name."""
+    for suffix in (".mcap", ".metrics.parquet", ".objects.parquet"):
+        (tmp_path / f"{name}{suffix}").write_bytes((made / f"run{suffix}").read_bytes())
+    plain = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    options = ["--tusimple", tmp_path / "lanes.json"] if command == "roadperc-lanes" else []
+    ended = run(command, tmp_path / f"{name}.mcap", *options, env=plain)
+    assert "Traceback" not in ended.stderr
+    assert (ended.returncode, ended.stderr.count("\n")) in {(0, 0), (1, 1)}
+    assert ended.returncode == 0 or re.match(r"error: .*(bad|\\udcc3).*\n", ended.stderr), ended.stderr

@@ -1,0 +1,71 @@
+"""What a command says of an error, and that telling is not the work."""
+
+import errno
+import os
+from contextlib import redirect_stdout
+
+import pytest
+
+from roadperc_stream.cli.plumbing import run, telling
+
+
+def raising(error):
+    def command():
+        raise error
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError(errno.ENOENT, "No such file", "in.mcap"), "in.mcap: No such file"),
+        (OSError(errno.EMFILE, "Too many open files"), "Too many open files"),
+        (OSError("no number"), "no number"),
+        (UnicodeEncodeError("utf-8", "bad\udcff.mcap", 3, 4, "no"), r"'bad\udcff.mcap': expected a name in UTF-8"),
+    ],
+)
+def test_what_the_system_refuses_is_one_line(error, said, capsys):
+    assert run(raising(error)) == 1
+    assert capsys.readouterr().err == f"error: {said}\n"
+
+
+def test_of_a_long_text_what_is_around_the_character_is_shown(capsys):
+    text = "a" * 9000 + "here\udcff" + "b" * 9000
+    assert run(raising(UnicodeEncodeError("ascii", text, 9004, 9005, "no"))) == 1
+    said = capsys.readouterr().err
+    assert r"here\udcff" in said
+    assert len(said) < 700
+
+
+def run_unread(command):
+    """Exit code of a command whose stdout is a pipe that nobody reads."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as stream, redirect_stdout(stream):
+        return run(command)
+
+
+def test_what_is_told_to_nobody_ends_nothing():
+    done = []
+
+    def command():
+        for number in range(2):
+            with telling():
+                print("told")
+            done.append(number)
+        raise OSError(errno.ENOSPC, "No space left", "out.mcap")
+
+    assert run_unread(command) == 1
+    assert done == [0, 1]
+
+
+def test_a_command_that_only_prints_ends_early_and_well():
+    done = []
+
+    def command():
+        print("told", flush=True)
+        done.append(0)
+
+    assert run_unread(command) == 0
+    assert done == []

@@ -1,0 +1,131 @@
+"""``roadperc-view`` as a user types it: one way to look at a time, and what is refused."""
+
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from roadperc_stream.cli.view import main
+from roadperc_stream.view.rerun import viewer
+from tests import logs
+from tests.view.rerun.chunks import recorded
+
+
+@pytest.fixture
+def source(tmp_path):
+    return logs.write(tmp_path / "in.mcap", logs.items(frames=2))
+
+
+def test_save_writes_a_recording_and_says_so(source, capsys):
+    target = source.with_suffix(".rrd")
+    assert main([str(source), "--save", str(target)]) == 0
+    assert f"wrote {target} (2 frames)" in capsys.readouterr().out
+    assert "/camera/front/image" in recorded(target)
+
+
+def test_what_opens_a_recording_can_be_pasted(tmp_path, capsys):
+    (tmp_path / "my logs").mkdir()
+    source = logs.write(tmp_path / "my logs" / "in.mcap", logs.items(frames=0))
+    target = source.with_suffix(".rrd")
+    assert main([str(source), "--save", str(target)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"wrote {target}; open it with: rerun '{target}'"
+
+
+@pytest.mark.parametrize("option", ["--save", "--foxglove-layout", "--video"])
+def test_no_log_is_replaced_by_something_else(source, option, capsys):
+    other = source.with_name("other.mcap")
+    other.write_bytes(b"a log")
+    assert main([str(source), option, str(other), "--force"]) == 1
+    assert f"error: {other}: expected a name that ends in ." in capsys.readouterr().err
+    assert other.read_bytes() == b"a log"
+
+
+@pytest.mark.parametrize("options", [[], ["--save", "a.rrd"], ["--foxglove-layout", "a.json"]])
+def test_a_log_with_nothing_to_show_is_an_error(tmp_path, options, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    logs.write(tmp_path / "in.mcap", [], extra=[logs.foreign()])
+    assert main(["in.mcap", *options]) == 1
+    assert capsys.readouterr().err == (
+        "error: in.mcap: nothing here that this project shows; "
+        "rerun in.mcap or roadperc-view in.mcap --foxglove may show what there is\n"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+
+
+def test_a_topic_of_another_name_fills_a_role(tmp_path):
+    items = [logs.Item(i.role, i.stamp_ns, i.data, "/a" if i.role == "image" else "") for i in logs.items(frames=1)]
+    source = logs.write(tmp_path / "in.mcap", items)
+    target = tmp_path / "in.rrd"
+    assert main([str(source), "--save", str(target), "--topic", "left=/a", "--quiet"]) == 0
+    assert "EncodedImage" in recorded(target)["/a"].archetypes
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ([], "expected a log"),
+        (["in.mcap", "--save", "a.rrd", "--foxglove"], "not allowed with"),
+        (["in.mcap", "--rate", "2"], "--rate: only with --foxglove"),
+        (["in.mcap", "--save", "a.rrd", "--start", "1"], "--start: only with --foxglove"),
+        (["in.mcap", "--force"], "--force: only with"),
+        (["in.mcap", "--foxglove", "--topic", "image=/a"], "--topic: only with"),
+        (["--foxglove-layout", "a.json", "--topic", "image=/a"], "expected a log"),
+    ],
+)
+def test_wrong_usage_is_told(options, said, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(options)
+    assert stopped.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_the_layout_needs_no_log(tmp_path, capsys):
+    target = tmp_path / "layout.json"
+    assert main(["--foxglove-layout", str(target)]) == 0
+    assert capsys.readouterr().out == f"wrote {target}\n"
+    assert main(["--foxglove-layout", str(target)]) == 1
+    capsys.readouterr()
+    assert main(["--foxglove-layout", str(target), "--force", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_the_layout_takes_a_log_and_its_topics(tmp_path):
+    items = [logs.Item(i.role, i.stamp_ns, i.data, "/a" if i.role == "image" else "") for i in logs.items(frames=1)]
+    source = logs.write(tmp_path / "in.mcap", items)
+    target = tmp_path / "layout.json"
+    assert main([str(source), "--foxglove-layout", str(target), "--topic", "image=/a", "--quiet"]) == 0
+    assert '"imageTopic": "/a"' in target.read_text("utf-8")
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no log"])
+def test_what_is_no_log_is_one_line_and_exit_code_1(tmp_path, content, capsys):
+    source = tmp_path / "in.mcap"
+    if content is not None:
+        source.write_bytes(content)
+    assert main([str(source), "--save", str(tmp_path / "out.rrd")]) == 1
+    assert main([str(source)]) == 1
+    errors = capsys.readouterr().err.splitlines()
+    assert [line.startswith(f"error: {source}") for line in errors] == [True, True]
+    assert not (tmp_path / "out.rrd").exists()
+
+
+def test_a_viewer_without_a_display_is_a_stated_error(source, monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(viewer, "_listening", lambda: False)
+    assert main([str(source)]) == 1
+    assert "does not start" in capsys.readouterr().err
+
+
+def test_only_rerun_costs_its_import():
+    code = "import sys, roadperc_stream.cli.view; sys.exit('rerun' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+def test_a_program_that_is_no_viewer_is_not_sent_the_log(source, monkeypatch, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        monkeypatch.setattr(viewer, "_ADDRESS", silent.getsockname())
+        monkeypatch.setattr(viewer, "_ANSWERS_WITHIN_S", 0.2)
+        assert main([str(source)]) == 1
+    assert "taken by a program that is no Rerun viewer" in capsys.readouterr().err
