@@ -21,9 +21,9 @@ from rich.table import Table
 
 from roadperc_stream.cli.plumbing import run, whole_number
 from roadperc_stream.errors import TableError
-from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.table import ROW_GROUP_ROWS, arrow_schema
-from roadperc_stream.terminal import frame_progress
+from roadperc_stream.output.tables import ROW_GROUP_ROWS, arrow_schema
+from roadperc_stream.output.terminal import frame_progress
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
 from .quantities import STORED
 from .runs import SUFFIX

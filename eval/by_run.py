@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
-from roadperc_stream.text_table import TextRow, TextTable, row
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .configurations import short_digest
 from .grid import percent

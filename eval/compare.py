@@ -6,7 +6,7 @@ from pathlib import Path
 
 from roadperc_stream.core.process import optional_output
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.terminal import console_for
+from roadperc_stream.output.terminal import console_for
 
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.display import print_comparison

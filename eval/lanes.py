@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.terminal import console_for, print_parts
-from roadperc_stream.text_table import TextRow, TextTable, row
+from roadperc_stream.output.terminal import console_for, print_parts
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .grid import percent
 from .lane_files.recorded import RunLanes, default_rows, lane_frame, open_lanes

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from roadperc_stream.rows import TIME_COLUMNS
+from roadperc_stream.schemas.columns import TIME_COLUMNS
 
 COUNT: Final = "count"
 RATIO: Final = "ratio"

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.terminal import console_for, print_lines
+from roadperc_stream.output.terminal import console_for, print_lines
 
 from .configurations import grouped, settings_table
 from .names import name_columns, short_names

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.table import beside
+from roadperc_stream.output.tables import beside
 
 SUFFIX: Final = ".metrics.parquet"
 OBJECTS_SUFFIX: Final = ".objects.parquet"

@@ -6,8 +6,8 @@ from dataclasses import replace
 from itertools import islice
 from typing import Final
 
-from roadperc_stream.reasons import merged, ranked
-from roadperc_stream.text_table import TextRow, TextTable, row
+from roadperc_stream.core.reasons import merged, ranked
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .grid import percent, rounded
 from .quantities import CATEGORIES, SEEN, SIDES, STAGES, STORED, SUSPECT, TOTAL, TRUTH, Quantity

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import polars as pl
 
-from roadperc_stream.reasons import Reasons, grouped, merged
+from roadperc_stream.core.reasons import Reasons, grouped, merged
 
 from .configurations import Group
 from .distribution import Distribution, Sketch, exactly, thinned

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from rich.console import Console
 
-from roadperc_stream.terminal import print_lines, print_table
-from roadperc_stream.text_table import TextTable
+from roadperc_stream.output.terminal import print_lines, print_table
+from roadperc_stream.output.text_table import TextTable
 
 from . import by_run, overview
 from .names import legend

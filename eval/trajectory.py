@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.terminal import console_for, print_lines, print_parts
-from roadperc_stream.text_table import TextTable
+from roadperc_stream.output.terminal import console_for, print_lines, print_parts
+from roadperc_stream.output.text_table import TextTable
 
 from .names import legend, name_columns, short_names
 from .options import Alignment, DeltaUnit

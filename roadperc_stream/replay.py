@@ -13,8 +13,22 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from roadperc_stream import __version__, log
-from roadperc_stream.chain import ChainState, step
-from roadperc_stream.channels import (
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.datatypes import FrameResult, Odometry, Sample
+from roadperc_stream.core.files import require_free
+from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.process import no_progress
+from roadperc_stream.core.reasons import Reasons, grouped, merged, throughout
+from roadperc_stream.input.plan import WHOLE, Cut, Survey, input_messages, samples, span_ns, survey_log
+from roadperc_stream.input.roles.fill import Problems, is_result, tag_table_needed
+from roadperc_stream.input.sync import SyncCounts
+from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
+from roadperc_stream.metrics import frame_metrics, object_metrics
+from roadperc_stream.output.drawing.on_request import PictureMaker
+from roadperc_stream.output.results import as_written, result_messages
+from roadperc_stream.output.tables import TableWriter, beside
+from roadperc_stream.schemas.channels import (
     CONFIG_ATTACHMENT,
     METADATA_RECORD,
     PRODUCER,
@@ -24,21 +38,7 @@ from roadperc_stream.channels import (
     result_schemas,
     schema,
 )
-from roadperc_stream.config import ReplayConfig
-from roadperc_stream.core.process import no_progress
-from roadperc_stream.datatypes import FrameResult, Odometry, Sample
-from roadperc_stream.geometry import Float
-from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
-from roadperc_stream.metrics import frame_metrics, object_metrics
-from roadperc_stream.pictures.on_request import PictureMaker
-from roadperc_stream.reasons import Reasons, grouped, merged, throughout
-from roadperc_stream.results import as_written, result_messages
-from roadperc_stream.roles import Problems, is_result, tag_table_needed
-from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics, ObjectMetrics
-from roadperc_stream.survey import WHOLE, Cut, Survey, input_messages, samples, span_ns, survey_log
-from roadperc_stream.sync import SyncCounts
-from roadperc_stream.table import TableWriter, beside
-from roadperc_stream.targets import require_free
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 
 TRAJECTORY_POSES = 200
 """Length of the trajectory that each frame shows: ten seconds at 20 Hz."""

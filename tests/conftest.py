@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream import launch
+from roadperc_stream.cli import launch
 from tests.commands import SCRIPTS
 
 DEFAULT_DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -51,9 +51,9 @@ def _imported(path):
 def _mains():
     """The commands' modules, and their main functions."""
     for script in SCRIPTS.values():
-        module, *function = getattr(launch, script.partition(":")[2]).args
-        yield f"roadperc_stream.{module}"
-        yield f"roadperc_stream.{module}.{(function or ['main'])[0]}"
+        (command,) = getattr(launch, script.partition(":")[2]).args
+        yield f"roadperc_stream.cli.{command}"
+        yield f"roadperc_stream.cli.{command}.main"
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from roadperc_stream import geometry as g
+from roadperc_stream.core import geometry as g
 
 CAR_X_M, CAR_HALF_WIDTH_M, CAR_HEIGHT_M = 12.0, 1.0, 1.6
 """The car's back stands across the lane so far ahead of the ego origin."""

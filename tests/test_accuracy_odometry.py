@@ -11,14 +11,14 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.channels import ROLES
 from roadperc_stream.cli import convert, render
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.decoding import Context, decode
-from roadperc_stream.geometry import inverse
+from roadperc_stream.core.geometry import inverse
+from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.log import LogWriter
-from roadperc_stream.table import beside
-from tests.stages.odometry.trajectories import aligned_errors_m, distances_m, relative_errors
+from roadperc_stream.output.tables import beside
+from roadperc_stream.schemas.channels import ROLES
+from tests.chain.stages.odometry.trajectories import aligned_errors_m, distances_m, relative_errors
 
 STAGES = "stereo,surface,odometry"
 """Odometry and what it is fed by; the other stages come after it."""

@@ -7,18 +7,18 @@ import numpy as np
 import polars as pl
 import pytest
 
-from roadperc_stream import geometry as g
 from roadperc_stream import log
-from roadperc_stream.chain import ChainState, step
-from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.datatypes import Absent, DepthImage, PointCloud, StereoDepth
-from roadperc_stream.decoding import Transform
-from roadperc_stream.encoding import encode_transforms
+from roadperc_stream.chain.registration import depth_of_points
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, StereoDepth
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.points import encode_points
-from roadperc_stream.registration import depth_of_points
+from roadperc_stream.input.decoding import Transform
+from roadperc_stream.output.encoding import encode_transforms
+from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.table import beside
 from tests import logs
 from tests.analytic import VEHICLE, Road, box
 
@@ -187,7 +187,7 @@ def test_stereo_comes_first_and_a_sensor_that_fails_leaves_the_lidar(monkeypatch
     failing = DepthImage(CAMERA.frame_id, broken)
     assert run(replace(frame, depth=failing)).surface.source == "lidar"
     depth_m = ROAD.depth_m()
-    monkeypatch.setattr("roadperc_stream.chain._stereo", lambda *_: StereoDepth(CAMERA.frame_id, depth_m))
+    monkeypatch.setattr("roadperc_stream.chain.step._stereo", lambda *_: StereoDepth(CAMERA.frame_id, depth_m))
     assert run(replace(frame, depth=failing)).surface.source == "stereo"
 
 

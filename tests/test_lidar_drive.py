@@ -6,7 +6,7 @@ import pytest
 
 from roadperc_stream.cli import convert, render, report
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.table import beside
+from roadperc_stream.output.tables import beside
 
 OPTIONS = ("--size", "640x480", "--scene", "straight", "--seconds", "0.5", "--lidar")
 

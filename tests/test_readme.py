@@ -8,7 +8,7 @@ import pytest
 
 from roadperc_stream.cli import report
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.table import beside
+from roadperc_stream.output.tables import beside
 
 ROOT = Path(__file__).parents[1]
 WITHOUT_TIMES = "Latency"

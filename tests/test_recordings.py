@@ -8,7 +8,7 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.table import beside
+from roadperc_stream.output.tables import beside
 
 PUBLIC_HOUGH = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_min_length_px=150")
 

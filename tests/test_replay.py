@@ -11,14 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.channels import RESULTS
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.config import load_config
+from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import ChannelError, LogError, TargetError
+from roadperc_stream.input.plan import Cut
 from roadperc_stream.log import Channel, Message
+from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.survey import Cut
-from roadperc_stream.table import beside
+from roadperc_stream.schemas.channels import RESULTS
 from tests import logs
 from tests.analytic import STEP_NS
 

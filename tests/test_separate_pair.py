@@ -8,17 +8,18 @@ import polars as pl
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
-from roadperc_stream import encoding, log
-from roadperc_stream import geometry as g
-from roadperc_stream.config import load_config
-from roadperc_stream.decoding import Transform
+from roadperc_stream import log
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import load_config
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.formats import images
+from roadperc_stream.input.decoding import Transform
 from roadperc_stream.metrics import intersection_over_union
+from roadperc_stream.output import encoding
+from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas import ros2
 from roadperc_stream.schemas.roadperc_pb2 import Surface
-from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
-from roadperc_stream.table import beside
 from tests import logs, pair
 from tests.analytic import LINE, ROAD, STEP_NS, VEHICLE, Road, box
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from roadperc_stream import log
+from roadperc_stream.chain.stages.surface import drivable_mask, fit_surface
 from roadperc_stream.cli import convert, render
-from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.datatypes import Absent
-from roadperc_stream.ground import height_at
+from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.core.datatypes import Absent
+from roadperc_stream.core.ground import height_at
+from roadperc_stream.input.plan import WHOLE, samples, survey_log
+from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.sync import SyncCounts
 from roadperc_stream.metrics import surface_height_error_m
-from roadperc_stream.roles import Problems
-from roadperc_stream.stages.surface import drivable_mask, fit_surface
-from roadperc_stream.survey import WHOLE, samples, survey_log
-from roadperc_stream.sync import SyncCounts
 
 HILL = ("--scene", "hill", "--depth-noise", "0.01")
 MODELS = {model: load_config(None, (f"surface.model={model}",)).surface for model in ("plane", "spline")}

@@ -12,11 +12,11 @@ from typing import Final
 from rich.progress import Progress
 
 from roadperc_stream import __version__
+from roadperc_stream.core.files import require_free
 from roadperc_stream.core.process import optional_output
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata
-from roadperc_stream.targets import require_free
-from roadperc_stream.terminal import PipeConsole, print_lines
+from roadperc_stream.output.terminal import PipeConsole, print_lines
 
 from .carla_dump.messages import channels, messages
 from .carla_dump.plan import Options, Plan, make_plan

@@ -4,7 +4,7 @@ import time
 from itertools import count
 from pathlib import Path
 
-from roadperc_stream.terminal import frame_progress
+from roadperc_stream.output.terminal import frame_progress
 
 from .scene.job import render_dump
 from .scene.options import RenderOptions

@@ -7,8 +7,8 @@ from itertools import groupby
 
 from rich.console import Console
 
-from roadperc_stream.terminal import print_lines, print_table
-from roadperc_stream.text_table import TextRow, TextTable, row
+from roadperc_stream.output.terminal import print_lines, print_table
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from ..configurations import UNKNOWN, Change, short_digest
 from .agreement import Agreement, Agreements, Value

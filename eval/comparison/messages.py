@@ -13,12 +13,12 @@ from google.protobuf.message import Message as ProtobufMessage
 from numpy.typing import NDArray
 
 from roadperc_stream import log
-from roadperc_stream.channels import IMAGE_SCHEMA
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.formats import images
+from roadperc_stream.input.roles.fill import is_result
 from roadperc_stream.log import Message
-from roadperc_stream.roles import is_result
 from roadperc_stream.schemas import ros2
+from roadperc_stream.schemas.channels import IMAGE_SCHEMA
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
 
 from .agreement import Agreement, Difference, Value, distance

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from roadperc_stream.core.files import completing
 from roadperc_stream.errors import TableError
-from roadperc_stream.targets import completing
 
 from ..runs import SUFFIX
 from .pairing import LoggedRun, Pairing, RunPair

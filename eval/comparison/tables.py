@@ -6,7 +6,7 @@ from typing import Any
 import polars as pl
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.rows import TIME_COLUMNS
+from roadperc_stream.schemas.columns import TIME_COLUMNS
 
 from ..scan import collect
 from .agreement import ABSENT, Agreement, Difference, Value

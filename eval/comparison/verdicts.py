@@ -7,7 +7,7 @@ from typing import Final, Literal
 import numpy as np
 import polars as pl
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.core.geometry import Float
 
 from ..scan import collect, scan
 from .bootstrap import Interval, mean_interval

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.core.geometry import Float
 
 COLOURS: Final = ("#2563eb", "#d97706", "#059669", "#c026d3", "#dc2626", "#0891b2", "#65a30d", "#57534e")
 """Told apart on white, on paper and by most who see fewer colours."""

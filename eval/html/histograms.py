@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.core.geometry import Float
 
 from ..quantities import TRUTH, Quantity
 from ..sections import better

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.core.geometry import Float
 
 from ..quantities import REST, SIDES, STAGES, TOTAL
 from ..summary import Summary

@@ -10,8 +10,8 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from roadperc_stream.targets import completing, require_suffix
-from roadperc_stream.text_table import by_header
+from roadperc_stream.core.files import completing, require_suffix
+from roadperc_stream.output.text_table import by_header
 
 from ..configurations import grouped, settings_table
 from ..runs import Run

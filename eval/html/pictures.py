@@ -8,10 +8,10 @@ from typing import Final
 
 import cv2
 
-from roadperc_stream.datatypes import Image
+from roadperc_stream.core.datatypes import Image
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.pictures.frame import draw_results
-from roadperc_stream.roles import Problems
+from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.output.drawing.frame import draw_results
 from roadperc_stream.view.seen import read_frame
 
 from ..grid import rounded

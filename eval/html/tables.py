@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from roadperc_stream.text_table import TextRow, TextTable
+from roadperc_stream.output.text_table import TextRow, TextTable
 
 from ..configurations import UNKNOWN, short_digest
 from ..grid import percent

@@ -10,13 +10,13 @@ import numpy as np
 import polars as pl
 
 from roadperc_stream import log
-from roadperc_stream.datatypes import Lanes
-from roadperc_stream.decoding import Context, decode
+from roadperc_stream.core.datatypes import Lanes
+from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.errors import LogError
-from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.metrics.lanes import ROW_STEP_PX, columns_at, in_view
+from roadperc_stream.output.tables import beside
 from roadperc_stream.schemas import roadperc_pb2 as pb
-from roadperc_stream.table import beside
 
 from ..runs import open_run
 from ..scan import collect

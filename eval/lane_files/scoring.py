@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.core.geometry import Float
 from roadperc_stream.metrics import lane_scores
 from roadperc_stream.metrics.lane_scores import Counts, TuSimpleScore
 from roadperc_stream.metrics.lanes import CULANE_COLUMNS, CULANE_THRESHOLDS, TUSIMPLE_COLUMNS

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
+from roadperc_stream.core.files import completing, require_suffix
+from roadperc_stream.core.geometry import Float
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.geometry import Float
-from roadperc_stream.targets import completing, require_suffix
 
 NOWHERE: Final = -2
 """The column of a point that is not there; any negative one is read as such."""

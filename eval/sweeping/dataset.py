@@ -9,9 +9,9 @@ from typing import Final
 import tomli_w
 
 from roadperc_stream import __version__
-from roadperc_stream.channels import CONFIG_ATTACHMENT
+from roadperc_stream.core.files import naming, partial_of
 from roadperc_stream.errors import TableError
-from roadperc_stream.targets import naming, partial_of
+from roadperc_stream.schemas.channels import CONFIG_ATTACHMENT
 
 from ..runs import SUFFIX, distinct_names
 from .settings import Combination

@@ -13,7 +13,7 @@ from typing import Final
 import polars as pl
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.table import Scalar
+from roadperc_stream.output.tables import Scalar
 
 from ..quantities import RATIO, TOTAL, TRUTH, Quantity
 from .settings import Combination

@@ -6,17 +6,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from roadperc_stream import log
-from roadperc_stream.chain import ChainState, step
-from roadperc_stream.config import ReplayConfig
-from roadperc_stream.datatypes import Sample
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.datatypes import Sample
+from roadperc_stream.input.plan import Cut, samples, survey_log
+from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.sync import SyncCounts
 from roadperc_stream.log import LogSummary
 from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.output.tables import TableWriter
 from roadperc_stream.replay import StageTimer, one_thread, table_facts
-from roadperc_stream.roles import Problems
-from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.survey import Cut, samples, survey_log
-from roadperc_stream.sync import SyncCounts
-from roadperc_stream.table import TableWriter
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
 from .settings import Combination, passes
 

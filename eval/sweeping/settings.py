@@ -7,8 +7,8 @@ from itertools import product
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.table import Scalar
+from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.output.tables import Scalar
 
 from .varied import Varied
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from roadperc_stream.text_table import TextRow, TextTable, row
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from ..grid import percent, rounded
 from .ranking import Metric, Score, best, effect

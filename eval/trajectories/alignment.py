@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from roadperc_stream.core.geometry import Float, inverse
 from roadperc_stream.errors import TableError
-from roadperc_stream.geometry import Float, inverse
 
 from ..options import Alignment
 

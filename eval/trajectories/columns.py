@@ -6,8 +6,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from roadperc_stream.core.geometry import Float
 from roadperc_stream.errors import TableError
-from roadperc_stream.geometry import Float
 
 from ..runs import Run
 from ..scan import collect

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.core.geometry import Float
 
 from ..options import DeltaUnit
 

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from roadperc_stream.core.geometry import Float
 from roadperc_stream.errors import TableError
-from roadperc_stream.geometry import Float
 
 from ..options import Alignment
 from .alignment import align

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.geometry import Float, inverse
-from roadperc_stream.targets import completing
+from roadperc_stream.core.files import completing
+from roadperc_stream.core.geometry import Float, inverse
 
 from .poses import RunPoses
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from roadperc_stream.text_table import TextTable, row
+from roadperc_stream.output.text_table import TextTable, row
 
 from ..grid import percent
 from ..options import Alignment

@@ -10,8 +10,8 @@ from roadperc_stream.core.stage_names import STAGES, switched_off
 from roadperc_stream.errors import ConfigError
 
 if TYPE_CHECKING:
-    from roadperc_stream.config import ReplayConfig
-    from roadperc_stream.survey import Cut
+    from roadperc_stream.core.config import ReplayConfig
+    from roadperc_stream.input.plan import Cut
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,7 @@ def cut_of(arguments: argparse.Namespace) -> "Cut":
     Raises:
         ConfigError: it ends before it starts.
     """
-    from roadperc_stream.survey import Cut
+    from roadperc_stream.input.plan import Cut
 
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
         raise ConfigError(f"--end {arguments.end}: expected more than --start {arguments.start}")
@@ -54,7 +54,7 @@ def config_of(arguments: argparse.Namespace) -> "ReplayConfig":
     Raises:
         ConfigError: the file cannot be read, or a setting does not fit.
     """
-    from roadperc_stream.config import load_config
+    from roadperc_stream.core.config import load_config
 
     only = arguments.only or STAGES
     off = tuple(switched_off(stage) for stage in STAGES if stage not in only)

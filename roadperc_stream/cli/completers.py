@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from roadperc_stream.config.catalogue import Setting
+    from roadperc_stream.core.config.catalogue import Setting
 
 Completer = Callable[..., Iterable[str]]
 LOGS: Final = (".mcap",)
@@ -40,7 +40,7 @@ def varied_settings(prefix: str, **_: Any) -> Iterable[str]:
 
 
 def _settings(prefix: str, takes_several: "Callable[[Setting], bool]") -> Iterable[str]:
-    from roadperc_stream.config.catalogue import catalogue
+    from roadperc_stream.core.config.catalogue import catalogue
 
     key, separator, typed = prefix.partition("=")
     if not separator:
@@ -53,7 +53,7 @@ def _settings(prefix: str, takes_several: "Callable[[Setting], bool]") -> Iterab
 
 def topics(prefix: str, **_: Any) -> Iterable[str]:
     """``ROLE=`` for every role; the topic is the user's to name."""
-    from roadperc_stream.channels import ROLES
+    from roadperc_stream.schemas.channels import ROLES
 
     return [] if "=" in prefix else [f"{role}=" for role in ROLES]
 

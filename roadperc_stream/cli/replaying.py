@@ -5,12 +5,12 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roadperc_stream.channels import Request, parse_topic_options
 from roadperc_stream.cli.arguments import config_of, cut_of
 from roadperc_stream.core.process import optional_output
+from roadperc_stream.output.tables import beside
+from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.replay import ReplaySummary, replay, unwatched
-from roadperc_stream.table import beside
-from roadperc_stream.terminal import frame_progress
+from roadperc_stream.schemas.channels import Request, parse_topic_options
 
 if TYPE_CHECKING:
     from roadperc_stream.view.live.serving import LiveReplay

@@ -15,8 +15,8 @@ from typing import Final
 import tomli_w
 
 from roadperc_stream.cli.arguments import config_of
-from roadperc_stream.config import ReplayConfig
-from roadperc_stream.config.catalogue import Setting, Value, catalogue, sections
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.config.catalogue import Setting, Value, catalogue, sections
 
 _NARROWEST, _WIDEST = 50, 100
 _CLASSES: Final = "names of classes"

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from PIL import ExifTags, UnidentifiedImageError
 from PIL import Image as PillowImage
 
-from roadperc_stream.datatypes import Image
+from roadperc_stream.core.datatypes import Image
+from roadperc_stream.core.geometry import Float32
+from roadperc_stream.core.semantics import Colour
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.geometry import Float32
-from roadperc_stream.semantics import Colour
 
 DEPTH_LIMIT_MM: Final = 65535
 UNKNOWN_MM: Final = 0

@@ -6,9 +6,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.datatypes import Image
+from roadperc_stream.core.datatypes import Image
+from roadperc_stream.core.semantics import CARLA_FROM_0_9_14, TagTable
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.semantics import CARLA_FROM_0_9_14, TagTable
 
 PALETTE_TABLE: Final = CARLA_FROM_0_9_14
 """Table of colours whose log names none: it has every class that earlier versions colour (their vehicle as car)."""

@@ -8,8 +8,8 @@ from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudProto
 from numpy.typing import NDArray
 
+from roadperc_stream.core.geometry import Float, Float32, transform
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.geometry import Float, Float32, transform
 from roadperc_stream.schemas.protobuf import set_stamp
 
 FIELDS: Final = ("x", "y", "z", "intensity")

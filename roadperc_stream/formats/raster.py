@@ -10,12 +10,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.datatypes import Image
+from roadperc_stream.core.datatypes import Image
+from roadperc_stream.core.geometry import Float32
+from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.formats.palette import tags_of_colours
-from roadperc_stream.geometry import Float32
-from roadperc_stream.semantics import TagTable
 
 _LAYOUTS: Final[Mapping[str, tuple[str, int]]] = {
     "bgr8": ("u1", 3),

@@ -4,16 +4,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.assemble import ego_T_camera_of
-from roadperc_stream.channels import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
-from roadperc_stream.geometry import Camera
+from roadperc_stream.core.geometry import Camera
 from roadperc_stream.info.facts import CameraFacts, ChannelFacts, FileFacts, LogFacts, ReplayFacts
 from roadperc_stream.info.provenance import provenance_of
 from roadperc_stream.info.scan import Scan
 from roadperc_stream.info.tally import Tally
+from roadperc_stream.input.assemble import ego_T_camera_of
+from roadperc_stream.input.roles.fill import is_result
+from roadperc_stream.input.roles.topic_names import CAMERA_OF
 from roadperc_stream.log import Channel, Salvage
-from roadperc_stream.roles import is_result
-from roadperc_stream.topic_names import CAMERA_OF
+from roadperc_stream.schemas.channels import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
 
 _NANOSECONDS: Final = 1_000_000_000
 

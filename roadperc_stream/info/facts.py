@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from roadperc_stream.geometry import Camera
+from roadperc_stream.core.geometry import Camera
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.log import Damage

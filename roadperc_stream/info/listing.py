@@ -8,13 +8,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from roadperc_stream.channels import parse_topic_options
 from roadperc_stream.errors import LogError
 from roadperc_stream.info.examine import examine
 from roadperc_stream.info.facts import LogFacts
 from roadperc_stream.info.printing import print_log
 from roadperc_stream.info.text import listed
-from roadperc_stream.terminal import console_for, print_lines
+from roadperc_stream.output.terminal import console_for, print_lines
+from roadperc_stream.schemas.channels import parse_topic_options
 
 
 def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) -> None:

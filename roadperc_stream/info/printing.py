@@ -10,8 +10,8 @@ from roadperc_stream.info.facts import ChannelFacts, LogFacts
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.replay_printing import print_replay
 from roadperc_stream.info.text import listed, number, plain, rounded, size
-from roadperc_stream.terminal import print_lines, print_table
-from roadperc_stream.text_table import TextRow, TextTable, row
+from roadperc_stream.output.terminal import print_lines, print_table
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 _DAMAGES_SHOWN: Final = 5
 _ODD_JITTER, _ODD_GAP = 0.2, 1.5

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from roadperc_stream.channels import CONFIG_ATTACHMENT, METADATA_RECORD
-from roadperc_stream.config import ReplayConfig
-from roadperc_stream.config.settings import as_typed, settings_in
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.log import Attachment, Metadata
-from roadperc_stream.table import beside, read_footer
+from roadperc_stream.output.tables import beside, read_footer
+from roadperc_stream.schemas.channels import CONFIG_ATTACHMENT, METADATA_RECORD
 
 _DROPPED: Final = "dropped."
 

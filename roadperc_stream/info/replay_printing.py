@@ -8,8 +8,8 @@ from rich.console import Console
 from roadperc_stream.info.facts import CameraFacts, LogFacts, ReplayFacts
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.info.text import listed, number, plain, rounded
-from roadperc_stream.terminal import print_lines, print_table
-from roadperc_stream.text_table import TextRow, TextTable, row
+from roadperc_stream.output.terminal import print_lines, print_table
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 _ASIDE: Final = {"depth_calibration": "depth", "left_calibration": "left", "right_calibration": "right"}
 """Calibrations that nobody misses where the camera itself is missing."""

@@ -4,12 +4,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from roadperc_stream.channels import REFERENCE_ROLES, ROLES, Role
-from roadperc_stream.decoding import schemas_of_kind
 from roadperc_stream.errors import ChannelError
+from roadperc_stream.input.decoding import schemas_of_kind
+from roadperc_stream.input.roles.fill import Filled, Looks, candidates, fill_roles, is_result
+from roadperc_stream.input.roles.topic_names import distinct, fits
 from roadperc_stream.log import Channel
-from roadperc_stream.roles import Filled, Looks, candidates, fill_roles, is_result
-from roadperc_stream.topic_names import distinct, fits
+from roadperc_stream.schemas.channels import REFERENCE_ROLES, ROLES, Role
 
 State = Literal["filled", "missing", "wrong schema", "several channels"]
 _SHARED_KINDS: Final = ("tf",)

@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream import log
-from roadperc_stream.channels import ROLES
-from roadperc_stream.config import SyncConfig
-from roadperc_stream.contents import holds
-from roadperc_stream.datatypes import CameraImage, DepthImage
+from roadperc_stream.core.config import SyncConfig
+from roadperc_stream.core.datatypes import CameraImage, DepthImage
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.info.role_states import Roles, roles_of
 from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.info.tally import Tally
+from roadperc_stream.input.plan import without_loops
+from roadperc_stream.input.roles.fill import Problems, chosen_tag_table, chosen_topics, is_result, stamped_messages
+from roadperc_stream.input.roles.probe import holds
+from roadperc_stream.input.sync import HELD_KINDS, Held, Stamped, SyncCounts, synchronise
 from roadperc_stream.log import Channel, Message, MessageDigest, Metadata, Salvage
-from roadperc_stream.roles import Problems, chosen_tag_table, chosen_topics, is_result, stamped_messages
-from roadperc_stream.survey import without_loops
-from roadperc_stream.sync import HELD_KINDS, Held, Stamped, SyncCounts, synchronise
+from roadperc_stream.schemas.channels import ROLES
 
 _MOST_SORTED: Final = 100_000
 """Messages of roles, without their content, that are held to be put in the order of log time."""

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.core.geometry import Float
 from roadperc_stream.info.stamps import StampReader
 
 _NANOSECONDS: Final = 1_000_000_000

@@ -9,9 +9,9 @@ from typing import Self
 from mcap.writer import CompressionType, Writer
 
 from roadperc_stream import __version__
+from roadperc_stream.core.files import naming, partial_of
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
-from roadperc_stream.targets import naming, partial_of
 
 CHUNK_SIZE_BYTES = 1024 * 1024
 

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from roadperc_stream.datatypes import Mask
-from roadperc_stream.geometry import Float
+from roadperc_stream.core.datatypes import Mask
+from roadperc_stream.core.geometry import Float
 
 TUSIMPLE_PX: Final = 20.0
 """Columns by which a point may be off, of a lane that stands upright in a 1280 px wide image."""

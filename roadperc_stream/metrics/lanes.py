@@ -5,10 +5,10 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.datatypes import SIDES, Absent, Boundary, Lanes
-from roadperc_stream.geometry import Camera, Float, inverse, project, transform
+from roadperc_stream.core.datatypes import SIDES, Absent, Boundary, Lanes
+from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
 from roadperc_stream.metrics import lane_scores
-from roadperc_stream.rows import Columns
+from roadperc_stream.schemas.columns import Columns
 
 LANE_ERROR_AT_M: Final = 10.0
 ROW_STEP_PX: Final = 10

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roadperc_stream.datatypes import Absent, FrameResult, Object, Objects, Sample
-from roadperc_stream.rows import Columns, ObjectMetrics
-from roadperc_stream.semantics import classes_of_label
+from roadperc_stream.core.datatypes import Absent, FrameResult, Object, Objects, Sample
+from roadperc_stream.core.semantics import classes_of_label
+from roadperc_stream.schemas.columns import Columns, ObjectMetrics
 
 MATCH_OVERLAP = 0.5
 """Intersection over union from which a detection stands for a true object of its kind."""

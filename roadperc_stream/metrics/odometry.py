@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.datatypes import Absent, Odometry, Sample, Truth
-from roadperc_stream.geometry import Float, inverse, quaternion
-from roadperc_stream.rows import Columns
+from roadperc_stream.core.datatypes import Absent, Odometry, Sample, Truth
+from roadperc_stream.core.geometry import Float, inverse, quaternion
+from roadperc_stream.schemas.columns import Columns
 
 
 def odometry_columns(odometry: Odometry | Absent) -> Columns:

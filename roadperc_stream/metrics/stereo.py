@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from roadperc_stream.datatypes import Absent, Sample, StereoDepth
+from roadperc_stream.core.datatypes import Absent, Sample, StereoDepth
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.metrics.stereo_errors import stereo_errors
-from roadperc_stream.rows import Columns
+from roadperc_stream.schemas.columns import Columns
 
 STEREO_NEAREST_QUANTILE = 0.02
 

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roadperc_stream.datatypes import Mask
-from roadperc_stream.geometry import Camera, Float32
+from roadperc_stream.core.datatypes import Mask
+from roadperc_stream.core.geometry import Camera, Float32
 
 STEREO_MAX_DEPTH_M = 60.0
 D1_PX = 3.0

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from roadperc_stream.config import ReplayConfig
-from roadperc_stream.datatypes import Absent, FrameResult, Mask, Sample, Surface, Truth
+from roadperc_stream.chain.stages.surface import drivable_mask
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.datatypes import Absent, FrameResult, Mask, Sample, Surface, Truth
+from roadperc_stream.core.geometry import angle_between
+from roadperc_stream.core.ground import height_at
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.geometry import angle_between
-from roadperc_stream.ground import height_at
-from roadperc_stream.rows import Columns
-from roadperc_stream.stages.surface import drivable_mask
+from roadperc_stream.schemas.columns import Columns
 
 HEIGHT_ERROR_FROM_M, HEIGHT_ERROR_TO_M, HEIGHT_ERROR_ASIDE_M = 5.0, 40.0, 4.0
 """Ego x from and to which heights are judged, and how far to either side."""

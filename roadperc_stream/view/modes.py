@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 from importlib import import_module
 from shlex import quote
 
-from roadperc_stream.channels import parse_topic_options
-from roadperc_stream.terminal import frame_progress
+from roadperc_stream.output.terminal import frame_progress
+from roadperc_stream.schemas.channels import parse_topic_options
 from roadperc_stream.view.layout.writing import write_layout
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.serving import serve_log, serves_times

@@ -6,17 +6,17 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from roadperc_stream import log
-from roadperc_stream.channels import METRICS_TOPIC, Kind
-from roadperc_stream.datatypes import Absent, CameraImage, Lanes, Mask, Objects, TagImage
-from roadperc_stream.decoding import Decoded, Payload, context_of_channel, decode
+from roadperc_stream.chain.pixels import image_fits
+from roadperc_stream.core.datatypes import Absent, CameraImage, Lanes, Mask, Objects, TagImage
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14
 from roadperc_stream.errors import ChannelError, DecodeError
-from roadperc_stream.inputs import image_fits
+from roadperc_stream.input.decoding import Decoded, Payload, context_of_channel, decode
+from roadperc_stream.input.roles.fill import Problems, is_result, is_result_of, roles_of_log
 from roadperc_stream.log import Channel, LogSummary, Message
-from roadperc_stream.pictures.frame import SeenFrame
-from roadperc_stream.results import decode_metrics
-from roadperc_stream.roles import Problems, is_result, is_result_of, roles_of_log
-from roadperc_stream.rows import FrameMetrics
-from roadperc_stream.semantics import CARLA_BEFORE_0_9_14
+from roadperc_stream.output.drawing.frame import SeenFrame
+from roadperc_stream.output.results import decode_metrics
+from roadperc_stream.schemas.channels import METRICS_TOPIC, Kind
+from roadperc_stream.schemas.columns import FrameMetrics
 
 Content = TypeVar("Content")
 LANES, OBJECTS, DRIVABLE = "/perception/lanes", "/perception/objects", "/perception/drivable"

@@ -5,8 +5,8 @@ from pathlib import Path
 from shlex import quote
 
 from roadperc_stream.errors import LogError
+from roadperc_stream.input.roles.fill import Filled, is_result_of
 from roadperc_stream.log import LogSummary
-from roadperc_stream.roles import Filled, is_result_of
 
 
 def require_shown(summary: LogSummary, filled: Filled) -> None:

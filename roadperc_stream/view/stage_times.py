@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from roadperc_stream.channels import LIVE_ONLY
-from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.table import read_rows_around
+from roadperc_stream.output.tables import read_rows_around
+from roadperc_stream.schemas.channels import LIVE_ONLY
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
 (TIMES,) = LIVE_ONLY
 """Where viewers have them."""

@@ -19,14 +19,14 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream import log
-from roadperc_stream.channels import METRICS_TOPIC
+from roadperc_stream.core.datatypes import Image
+from roadperc_stream.core.files import completing, require_free
 from roadperc_stream.core.process import no_progress
-from roadperc_stream.datatypes import Image
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.formats import images
-from roadperc_stream.pictures.frame import draw_frame
-from roadperc_stream.roles import Problems, is_result_of
-from roadperc_stream.targets import completing, require_free
+from roadperc_stream.input.roles.fill import Problems, is_result_of
+from roadperc_stream.output.drawing.frame import draw_frame
+from roadperc_stream.schemas.channels import METRICS_TOPIC
 from roadperc_stream.view.seen import content_of, read_frames, read_rows, row_of
 
 OVERLAY: Final = "/perception/overlay"

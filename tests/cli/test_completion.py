@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.channels import ROLES
 from roadperc_stream.cli.launch import COMMANDS
 from roadperc_stream.core.stage_names import STAGES
+from roadperc_stream.schemas.channels import ROLES
 from roadperc_stream.tools.scene.options import SCENES, SENSORS
 from tests.test_settings import all_settings
 

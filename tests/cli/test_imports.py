@@ -84,14 +84,14 @@ def test_a_report_draws_nothing_unless_a_page_is_asked_for(made, tmp_path):
 def test_paths_are_compared_without_the_chain(made):
     modules = loaded("trajectory", made[0])
     assert not packages(modules) & {"cv2", "plotly", "rerun", "foxglove"}
-    assert "roadperc_stream.chain" not in modules
+    assert "roadperc_stream.chain.step" not in modules
 
 
 def test_tables_are_compared_without_the_chain(made):
     table = made[0].with_suffix(".metrics.parquet")
     modules = loaded("compare", table, table)
     assert not packages(modules) & {"cv2", "plotly", "rerun", "foxglove"}
-    assert "roadperc_stream.chain" not in modules
+    assert "roadperc_stream.chain.step" not in modules
 
 
 def test_a_layout_needs_no_rerun(made, tmp_path):

@@ -12,8 +12,8 @@ import pytest
 
 from roadperc_stream.cli.replay import main
 from roadperc_stream.cli.settings import as_page, as_text
-from roadperc_stream.config import ReplayConfig, load_config
-from roadperc_stream.config.catalogue import Setting, catalogue, sections
+from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.core.config.catalogue import Setting, catalogue, sections
 from roadperc_stream.core.stage_names import STAGES
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.replay import table_facts

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.table import TableWriter
+from roadperc_stream.output.tables import TableWriter
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
 STEP_NS = 50_000_000
 START_NS = 1_577_836_800_000_000_000

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from roadperc_stream.cli.compare import main
-from roadperc_stream.config import load_config
+from roadperc_stream.core.config import load_config
 from roadperc_stream.replay import table_facts
 from tests.eval.tables import START_NS, row, write
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.channels import ROLES
 from roadperc_stream.cli.compare import main
-from roadperc_stream.config import load_config
+from roadperc_stream.core.config import load_config
 from roadperc_stream.log import LogWriter
+from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.table import beside
+from roadperc_stream.schemas.channels import ROLES
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 SEGMENTATION = ROLES["segmentation"].topic

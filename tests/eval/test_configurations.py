@@ -6,7 +6,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.core.config import ReplayConfig, load_config
 from roadperc_stream.eval.configurations import change, differing, grouped, settings_of, settings_table
 from roadperc_stream.eval.runs import Run, find_runs
 from roadperc_stream.log import Attachment, LogWriter

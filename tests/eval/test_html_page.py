@@ -13,7 +13,7 @@ import pytest
 
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.report import main
-from roadperc_stream.config import load_config
+from roadperc_stream.core.config import load_config
 from roadperc_stream.eval.html.page import RUNS_DRAWN
 from roadperc_stream.replay import table_facts
 from tests.eval.tables import START_NS, STEP_NS, row, write

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream import encoding
-from roadperc_stream.channels import PRODUCER, schema
-from roadperc_stream.datatypes import Absent, Boundary, Lanes, Object, Objects
+from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Object, Objects
 from roadperc_stream.eval.html.figures import line, numbers
 from roadperc_stream.eval.html.histograms import bin_edges, histograms
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.series import Series, thinned
 from roadperc_stream.eval.html.trajectory import paths, trajectory
 from roadperc_stream.formats import images
+from roadperc_stream.input.roles.fill import Problems
 from roadperc_stream.log import Channel, LogWriter, Message
-from roadperc_stream.roles import Problems
+from roadperc_stream.output import encoding
+from roadperc_stream.schemas.channels import PRODUCER, schema
 from roadperc_stream.view.seen import read_frame
 from tests.analytic import box
 

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream import encoding
 from roadperc_stream.cli.lanes import main
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.datatypes import Boundary, Lanes
+from roadperc_stream.core.datatypes import Boundary, Lanes
 from roadperc_stream.eval.lane_files.recorded import default_rows, open_lanes
 from roadperc_stream.eval.lane_files.scoring import score_frame
 from roadperc_stream.eval.lane_files.tusimple import LaneFrame, read_frames, to_line
-from roadperc_stream.table import beside
+from roadperc_stream.output import encoding
+from roadperc_stream.output.tables import beside
 from tests.analytic import Road
 from tests.eval import tables
 from tests.eval.tables import START_NS, STEP_NS

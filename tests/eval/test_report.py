@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from roadperc_stream.cli.report import main
-from roadperc_stream.config import load_config
+from roadperc_stream.core.config import load_config
 from roadperc_stream.eval import summary
 from roadperc_stream.replay import table_facts
 from tests.commands import BUFFERINGS, environment

@@ -13,16 +13,17 @@ import pytest
 from polars.testing import assert_frame_equal
 from pydantic import BaseModel
 
-from roadperc_stream import log, survey
+from roadperc_stream import log
 from roadperc_stream.cli.sweep import main
-from roadperc_stream.config import load_config
+from roadperc_stream.core.config import load_config
 from roadperc_stream.eval.runs import find_runs
+from roadperc_stream.input import plan
+from roadperc_stream.input.plan import Cut, samples, survey_log
+from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.sync import SyncCounts
+from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.roles import Problems
-from roadperc_stream.rows import TIME_COLUMNS
-from roadperc_stream.survey import Cut, samples, survey_log
-from roadperc_stream.sync import SyncCounts
-from roadperc_stream.table import beside
+from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests import logs
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
@@ -115,7 +116,7 @@ def count_calls(monkeypatch, where, name):
 )
 def test_the_log_is_read_and_decoded_once_where_it_can(source, tmp_path, monkeypatch, options, times):
     images = count_calls(monkeypatch, cv2, "imdecode")
-    made = count_calls(monkeypatch, survey, "sample_of")
+    made = count_calls(monkeypatch, plan, "sample_of")
     sweep(source, tmp_path / "out", *options)
     assert (len(images), len(made)) == (4 * times, 4 * times)
 

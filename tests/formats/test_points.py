@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from roadperc_stream import geometry as g
-from roadperc_stream.channels import POINTS_SCHEMA
-from roadperc_stream.decoding import Context, decode
+from roadperc_stream.core import geometry as g
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.points import encode_points
+from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.schemas.channels import POINTS_SCHEMA
 
 STAMP = 1_600_000_000_000_000_000
 TYPES = {

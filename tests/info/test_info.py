@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from roadperc_stream import encoding
 from roadperc_stream.cli.info import main
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.info.examine import examine
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata, read
-from roadperc_stream.table import beside
+from roadperc_stream.output import encoding
+from roadperc_stream.output.tables import beside
 from tests import logs
 from tests.info.odd import SECOND_NS, WRITERS, write
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from roadperc_stream.chain import ChainState, step
-from roadperc_stream.config import ReplayConfig
-from roadperc_stream.datatypes import Boundary, Sample, Truth
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.datatypes import Boundary, Sample, Truth
 from tests.analytic import Road, box
 
 CFG = ReplayConfig()

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.datatypes import Boundary, DepthImage, Lanes, TagImage
+from roadperc_stream.core.datatypes import Boundary, DepthImage, Lanes, TagImage
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.metrics import frame_metrics
-from roadperc_stream.rows import FrameMetrics, ObjectMetrics
+from roadperc_stream.schemas.columns import FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics as FrameMetricsProto
-from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import Road
 from tests.metrics.frames import CFG, boundary, sample_and_result
 

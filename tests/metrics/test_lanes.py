@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream import metrics as m
-from roadperc_stream.datatypes import Absent, Boundary, Lanes
-from roadperc_stream.geometry import inverse, project, transform
+from roadperc_stream.core.datatypes import Absent, Boundary, Lanes
+from roadperc_stream.core.geometry import inverse, project, transform
 from roadperc_stream.metrics.lanes import columns_at, lane_benchmarks, true_lane_columns
 from tests.analytic import Road
 from tests.metrics.frames import boundary

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from roadperc_stream import metrics as m
-from roadperc_stream.datatypes import Object, Objects
+from roadperc_stream.core.datatypes import Object, Objects
 from roadperc_stream.metrics.objects import same_kind, true_time_to_impact_s
 from tests.analytic import box
 from tests.metrics.frames import CFG, sample_and_result

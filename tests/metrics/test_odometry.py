@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.datatypes import Odometry, Truth
-from roadperc_stream.geometry import rigid, rotation_from_rpy
+from roadperc_stream.core.datatypes import Odometry, Truth
+from roadperc_stream.core.geometry import rigid, rotation_from_rpy
 from roadperc_stream.metrics import frame_metrics
 from tests.metrics.frames import CFG, sample_and_result
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.datatypes import DepthImage, StereoDepth
+from roadperc_stream.core.datatypes import DepthImage, StereoDepth
 from roadperc_stream.metrics.stereo import stereo_errors_of
 from tests.metrics.frames import sample_and_result
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream import metrics as m
-from roadperc_stream.datatypes import HeightGrid
+from roadperc_stream.core.datatypes import HeightGrid
 from tests.hills import Hill
 from tests.metrics.frames import CFG, sample_and_result
 

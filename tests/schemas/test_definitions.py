@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.decoding import Context, decode
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.definitions import MOST_BYTES, MOST_ELEMENTS, types_of
 

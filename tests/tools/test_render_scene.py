@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.cli.render import main
-from roadperc_stream.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.tools.scene.world import SCENES, make_world
 
 TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}

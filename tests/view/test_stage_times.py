@@ -2,11 +2,11 @@
 
 import pytest
 
-from roadperc_stream import table
 from roadperc_stream.errors import TableError
-from roadperc_stream.rows import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.output import tables
+from roadperc_stream.output.tables import ROW_GROUP_ROWS, TableWriter
 from roadperc_stream.schemas import roadperc_pb2
-from roadperc_stream.table import ROW_GROUP_ROWS, TableWriter
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.view.stage_times import ReplayTimes, TableTimes
 
 FRAMES = 2 * ROW_GROUP_ROWS + 10
@@ -40,7 +40,7 @@ def test_a_row_group_is_read_once_and_no_other(path, monkeypatch):
     asked = []
     monkeypatch.setattr(
         "roadperc_stream.view.stage_times.read_rows_around",
-        lambda path, frame, columns: asked.append(frame) or table.read_rows_around(path, frame, columns),
+        lambda path, frame, columns: asked.append(frame) or tables.read_rows_around(path, frame, columns),
     )
     times = TableTimes(path)
     for frame in range(FRAMES + 3):

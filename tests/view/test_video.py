@@ -4,14 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream import encoding
-from roadperc_stream.channels import PRODUCER, schema
-from roadperc_stream.config import load_config
+from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.output import encoding
+from roadperc_stream.output.results import encode_metrics
 from roadperc_stream.replay import replay
-from roadperc_stream.results import encode_metrics
-from roadperc_stream.rows import FrameMetrics
+from roadperc_stream.schemas.channels import PRODUCER, schema
+from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.view.video import frame_rate_hz, pictures_shown, write_video
 from tests import logs
 

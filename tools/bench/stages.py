@@ -14,15 +14,15 @@ from rich.console import Console
 from rich.table import Table
 
 from roadperc_stream import log
-from roadperc_stream.chain import ChainState, step
+from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.cli.plumbing import run
-from roadperc_stream.config import ReplayConfig
-from roadperc_stream.datatypes import Sample
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.errors import LogError
+from roadperc_stream.input.plan import Cut, samples, survey_log
+from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.sync import SyncCounts
 from roadperc_stream.replay import StageTimer, one_thread
-from roadperc_stream.roles import Problems
-from roadperc_stream.survey import Cut, samples, survey_log
-from roadperc_stream.sync import SyncCounts
 
 WARM_UP = 3
 

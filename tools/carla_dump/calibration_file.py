@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
 
+from roadperc_stream.core.geometry import Float, baseline_of, decompose_projection
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Float, baseline_of, decompose_projection
 
 from .carla_poses import CarlaPose
 from .json_files import Document, Numbers3, Numbers4, checked, read_json

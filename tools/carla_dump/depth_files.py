@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.core.geometry import Float32
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Float32
 
 from .pixel_files import Pixels, surveyed
 

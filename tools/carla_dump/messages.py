@@ -6,11 +6,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
-from roadperc_stream import encoding
-from roadperc_stream.channels import ROLES, TAG_TABLE_KEY, schema
 from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.formats.points import encode_points
 from roadperc_stream.log import Channel, Message
+from roadperc_stream.output import encoding
+from roadperc_stream.schemas.channels import ROLES, TAG_TABLE_KEY, schema
 
 from .camera_rig import EGO, FRONT
 from .depth_files import depth_metres

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from roadperc_stream.semantics import Colour
+from roadperc_stream.core.semantics import Colour
 
 from .image_files import UnreadableFrameError, read_bytes, read_header, require_whole
 from .npy_files import NPY_MAGIC, read_npy

@@ -6,10 +6,10 @@ from math import gcd
 from pathlib import Path
 from typing import Final, TypeVar
 
-from roadperc_stream.channels import ROLES
-from roadperc_stream.datatypes import Detection
-from roadperc_stream.geometry import Float
-from roadperc_stream.semantics import TagTable
+from roadperc_stream.core.datatypes import Detection
+from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.semantics import TagTable
+from roadperc_stream.schemas.channels import ROLES
 
 from .calibration_file import CalibrationFile, load_calibration
 from .camera_rig import CAMERA_ROLES, LIDAR, Rig, build_rig

@@ -7,10 +7,10 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.datatypes import Image
+from roadperc_stream.core.datatypes import Image
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, TABLES, TagTable, table_for_version
 from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.palette import PALETTE_TABLE, UNKNOWN, tags_by_code
-from roadperc_stream.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, TABLES, TagTable, table_for_version
 
 from .pixel_files import Pixels, surveyed
 

@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, PositiveInt, TypeAdapter
 
-from roadperc_stream.datatypes import SIDES, Boundary, Detection, HeightGrid, Lanes, Object, Objects, Side, Surface
+from roadperc_stream.core.datatypes import SIDES, Boundary, Detection, HeightGrid, Lanes, Object, Objects, Side, Surface
+from roadperc_stream.core.geometry import Plane
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Plane
 
 from .detection_files import checked_box
 from .json_files import Document, Numbers3, Numbers4, by_frame, checked, read_json

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Camera, Float, inverse, project, transform
+from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
 
 from .drive import Moment, Thing
 from .truth import ObjectTruth

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.geometry import Float32
+from roadperc_stream.core.geometry import Float32
 
 from .grain import pink_noise
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, Float, rigid
+from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, Float, rigid
 
 from .drawings import CAR_M, CAR_WIDTH_M
 from .faces import Faces, together

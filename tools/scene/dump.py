@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from roadperc_stream.core.files import completing
+from roadperc_stream.core.geometry import Camera, Float, Float32
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Camera, Float, Float32
-from roadperc_stream.targets import completing
 
 from .drive import BASELINE_M, MOUNT_X_M, MOUNT_Z_M
 from .ground import FAR_M

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.core.geometry import Camera, Float, Float32
 
 from .path import LocalPath
 from .section import CURB_HEIGHT_M

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
 
 from .faces import Faces
 

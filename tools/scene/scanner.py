@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, Float32, rays, rigid
+from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, Float32, rays, rigid
 
 from .drive import Moment
 from .view import depth_seen

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.geometry import Float32
+from roadperc_stream.core.geometry import Float32
 
 from .ground import FAR_M
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.core.geometry import Float
 
 VIEW_M: Final = 1100.0
 """How far rays are followed: somewhat beyond CARLA's far plane."""

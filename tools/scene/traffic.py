@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float, rigid, rotation_from_rpy
+from roadperc_stream.core.geometry import Float, rigid, rotation_from_rpy
 
 from . import prefabs
 from .faces import Faces

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from scipy import ndimage
 
-from roadperc_stream.geometry import (
+from roadperc_stream.core.geometry import (
     Float,
     camera_pitch_roll,
     facing,

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.geometry import Float, rigid
+from roadperc_stream.core.geometry import Float, rigid
 
 from .options import SceneName
 from .path import Element, Path, chain

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from roadperc_stream.channels import ON_REQUEST, ROLES
-from roadperc_stream.datatypes import EGO
+from roadperc_stream.core.datatypes import EGO
+from roadperc_stream.schemas.channels import ON_REQUEST, ROLES
 from roadperc_stream.view.layout import curves, scripts
 from roadperc_stream.view.layout.contents import LogContents
 from roadperc_stream.view.layout.panels import (

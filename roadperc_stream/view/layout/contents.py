@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream import log
-from roadperc_stream.channels import METRICS_TOPIC, RESULTS, ROLES, Kind
-from roadperc_stream.datatypes import EGO, DepthImage
-from roadperc_stream.decoding import Payload, Transform, context_of_channel, decode, schemas_of_kind
+from roadperc_stream.core.datatypes import EGO, DepthImage
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.input.decoding import Payload, Transform, context_of_channel, decode, schemas_of_kind
+from roadperc_stream.input.roles.fill import Problems, is_result, is_result_of, roles_of_log
 from roadperc_stream.log import Channel
-from roadperc_stream.roles import Problems, is_result, is_result_of, roles_of_log
-from roadperc_stream.rows import FrameMetrics
+from roadperc_stream.schemas.channels import METRICS_TOPIC, RESULTS, ROLES, Kind
+from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.view.seen import read_rows
 from roadperc_stream.view.shown import require_shown
 from roadperc_stream.view.stage_times import TIMES

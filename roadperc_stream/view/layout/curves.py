@@ -4,8 +4,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from roadperc_stream.channels import METRICS_TOPIC
-from roadperc_stream.rows import TIME_COLUMNS
+from roadperc_stream.schemas.channels import METRICS_TOPIC
+from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.view.layout.panels import Config, Panel, titled
 from roadperc_stream.view.stage_times import TIMES
 

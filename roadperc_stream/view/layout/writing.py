@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.targets import completing, require_free
+from roadperc_stream.core.files import completing, require_free
 from roadperc_stream.view.layout.arrangement import layout_of
 from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, contents_of
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Self
 from roadperc_stream.core.process import optional_output
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
-from roadperc_stream.table import beside
+from roadperc_stream.output.tables import beside
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.player import LONGEST_WAIT_S, Inbox, Player
 from roadperc_stream.view.live.server import serving

@@ -6,10 +6,10 @@ from functools import cached_property
 
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.channels import LIVE_ONLY, METRICS_TOPIC, PRODUCER, schema
+from roadperc_stream.input.roles.fill import is_result_of
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.roles import is_result_of
 from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.channels import LIVE_ONLY, METRICS_TOPIC, PRODUCER, schema
 from roadperc_stream.view.live.playhead import Reach
 from roadperc_stream.view.live.source import Source
 from roadperc_stream.view.stage_times import TIMES, StageTimes

@@ -7,8 +7,8 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from roadperc_stream.channels import METRICS_TOPIC
-from roadperc_stream.datatypes import EGO
+from roadperc_stream.core.datatypes import EGO
+from roadperc_stream.schemas.channels import METRICS_TOPIC
 from roadperc_stream.view.rerun.plots import MISSING, STATES
 from roadperc_stream.view.rerun.tree import TREE
 from roadperc_stream.view.stage_times import TIMES

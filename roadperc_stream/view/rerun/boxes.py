@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.captions import caption_places, viewer_text_size
-from roadperc_stream.datatypes import Box, Detection, Object, Objects
-from roadperc_stream.drawing import box_in_space, caption
-from roadperc_stream.geometry import Camera
+from roadperc_stream.core.datatypes import Box, Detection, Object, Objects
+from roadperc_stream.core.geometry import Camera
+from roadperc_stream.output.drawing.annotations import box_in_space, caption
+from roadperc_stream.output.drawing.captions import caption_places, viewer_text_size
 from roadperc_stream.view.rerun.classes import BoxClass, box_context
 from roadperc_stream.view.rerun.entry import Entry, World
 

@@ -5,8 +5,8 @@ from typing import Final
 
 import rerun as rr
 
-from roadperc_stream import colours
-from roadperc_stream.semantics import Colour
+from roadperc_stream.core.semantics import Colour
+from roadperc_stream.output.drawing import colours
 from roadperc_stream.view.rerun.entry import annotation_context
 
 _TRUE: Final[Colour] = (255, 255, 255)

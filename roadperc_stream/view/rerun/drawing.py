@@ -10,15 +10,15 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.channels import IMAGE_SCHEMA, METRICS_TOPIC, Kind
-from roadperc_stream.decoding import Context, context_of_channel, decode
+from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.input.decoding import Context, context_of_channel, decode
+from roadperc_stream.input.roles.fill import Filled, is_result, is_result_of
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.results import DRIVABLE_COLOURS
-from roadperc_stream.roles import Filled, is_result, is_result_of
+from roadperc_stream.output.results import DRIVABLE_COLOURS
 from roadperc_stream.schemas import cdr, ros2
+from roadperc_stream.schemas.channels import IMAGE_SCHEMA, METRICS_TOPIC, Kind
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
-from roadperc_stream.semantics import TagTable
 from roadperc_stream.view.rerun import boxes, lanes, pictures, plots, scene
 from roadperc_stream.view.rerun.entry import Entry, World
 from roadperc_stream.view.stage_times import TIMES, StageTimes

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.datatypes import EGO, Boundary, Lanes
-from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.core.datatypes import EGO, Boundary, Lanes
+from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.view.rerun.classes import LineClass, line_context
 from roadperc_stream.view.rerun.entry import Entry, World
 

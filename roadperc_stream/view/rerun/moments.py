@@ -7,9 +7,9 @@ from itertools import groupby
 
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.channels import METRICS_TOPIC
+from roadperc_stream.input.roles.fill import is_result_of
 from roadperc_stream.log import Message
-from roadperc_stream.roles import is_result_of
+from roadperc_stream.schemas.channels import METRICS_TOPIC
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 
 

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.datatypes import CameraImage, DepthImage, TagImage
+from roadperc_stream.core.datatypes import CameraImage, DepthImage, TagImage
+from roadperc_stream.core.geometry import Camera
 from roadperc_stream.formats.images import depth_to_mm, encode_jpeg
-from roadperc_stream.geometry import Camera
 from roadperc_stream.view.rerun.entry import Entry, World, annotation_context, image_plane
 from roadperc_stream.view.rerun.tree import new_edges
 

@@ -10,13 +10,13 @@ import numpy as np
 import rerun as rr
 
 from roadperc_stream import log
-from roadperc_stream.channels import REFERENCE_ROLES, RESULTS
+from roadperc_stream.core.files import completing, require_free
 from roadperc_stream.core.process import no_progress
 from roadperc_stream.errors import DecodeError, LogError, TargetError
+from roadperc_stream.input.roles.fill import Filled, Problems, roles_of_log
 from roadperc_stream.log import LogSummary
-from roadperc_stream.roles import Filled, Problems, roles_of_log
-from roadperc_stream.table import beside
-from roadperc_stream.targets import completing, require_free
+from roadperc_stream.output.tables import beside
+from roadperc_stream.schemas.channels import REFERENCE_ROLES, RESULTS
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
 from roadperc_stream.view.rerun.entry import Entry, World

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.datatypes import Box
+from roadperc_stream.core.datatypes import Box
 from roadperc_stream.errors import DumpError
 from roadperc_stream.tools.carla_dump.truth_file import load_truth
 from tests.tools.dump_writer import document

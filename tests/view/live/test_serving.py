@@ -13,15 +13,15 @@ import pytest
 from websockets.exceptions import WebSocketException
 
 from roadperc_stream import log
-from roadperc_stream.channels import RESULTS
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.config import load_config
+from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.rows import TIME_COLUMNS
+from roadperc_stream.schemas.channels import RESULTS
+from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.roadperc_pb2 import StageTimes
-from roadperc_stream.table import beside
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.server import ServeError
 from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, serves_times, with_times

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, field
 
-from roadperc_stream.channels import LIVE_ONLY, PRODUCER, RESULTS, schema
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.rows import FrameMetrics
 from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.channels import LIVE_ONLY, PRODUCER, RESULTS, schema
+from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.view.live.playhead import Reach
 from roadperc_stream.view.live.source import held
 from roadperc_stream.view.live.timed import TimedSource

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.channels import RESULTS
 from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.schemas.channels import RESULTS
 from tests import logs
 from tests.view.rerun.chunks import imported
 

@@ -7,16 +7,16 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.channels import PRODUCER, RESULTS
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.decoding import Context, decode
-from roadperc_stream.drawing import caption
+from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.log import Channel, LogWriter
-from roadperc_stream.rows import TIME_COLUMNS
+from roadperc_stream.output.drawing.annotations import caption
+from roadperc_stream.output.tables import beside
+from roadperc_stream.schemas.channels import PRODUCER, RESULTS
+from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
-from roadperc_stream.semantics import CARLA_FROM_0_9_14
-from roadperc_stream.table import beside
 from roadperc_stream.view.rerun import save_recording
 from roadperc_stream.view.rerun.blueprint import STAGE_COLOURS
 from roadperc_stream.view.rerun.entry import World

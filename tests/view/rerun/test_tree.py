@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.assemble import ego_T_camera_of
-from roadperc_stream.datatypes import Surface
-from roadperc_stream.decoding import Transform
-from roadperc_stream.geometry import Camera, Plane, inverse, level_mounting, rigid, rotation_from_rpy
+from roadperc_stream.core.datatypes import Surface
+from roadperc_stream.core.geometry import Camera, Plane, inverse, level_mounting, rigid, rotation_from_rpy
+from roadperc_stream.input.assemble import ego_T_camera_of
+from roadperc_stream.input.decoding import Transform
 from roadperc_stream.view.rerun import pictures, scene
 from roadperc_stream.view.rerun.entry import World
 

@@ -1,0 +1,5 @@
+"""The ego lane: straight lines in the image, curves on the road, and both boundaries over time."""
+
+from roadperc_stream.chain.stages.lanes.ego_lane import LanesState, step
+
+__all__ = ["LanesState", "step"]

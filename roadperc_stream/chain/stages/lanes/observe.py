@@ -1,0 +1,173 @@
+"""Both boundaries of the ego lane as one frame alone shows them."""
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from roadperc_stream.chain.stages.lanes import lines
+from roadperc_stream.chain.stages.lanes.curves import Curve, facing_edges, fit_curve, lateral, line_on_ground
+from roadperc_stream.chain.stages.lanes.lines import LineGroup
+from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.core.datatypes import SIDES, Image, Mask, Side, Surface
+from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
+from roadperc_stream.core.ground import ground_points, height_at
+from roadperc_stream.core.semantics import TagTable
+
+_INSIDE_M = (0.2, 0.4, 0.6)
+_OUTSIDE_M = (0.2, 0.4, 0.6, 0.8, 1.0)
+"""Distances beside a boundary at which the class there is looked up; a double marking is 0.35 m wide."""
+_MARKINGS = ("road_line",)
+_LINE_SAMPLES = 20
+_CLASS_AHEAD_M = np.arange(4.0, 14.0, 0.5)
+
+
+@dataclass(frozen=True)
+class View:
+    """The road as the camera sees it: what turns pixels into places and back."""
+
+    camera: Camera
+    ego_T_camera: Float
+    surface: Surface
+
+    def ground(self, pixels: Float) -> Float:
+        """(N, 3) ego points on the road of (N, 2) pixels, NaN above the horizon."""
+        return ground_points(self.surface, self.camera, self.ego_T_camera, pixels)
+
+    def on_road(self, x: Float, y: Float) -> Float:
+        """(N, 3) ego points on the road at (N,) x and y."""
+        return np.stack((x, y, height_at(self.surface, x, y)), axis=-1)
+
+    def pixels(self, points: Float) -> Float:
+        """(N, 2) pixels of (N, 3) ego points, NaN behind the camera."""
+        return project(self.camera, transform(inverse(self.ego_T_camera), points))
+
+    def path_column(self) -> float:
+        """Column where the car's path, ego y = 0, meets the image's bottom edge."""
+        row = float(self.camera.height)
+        (_, y0, _), (_, y1, _) = self.ground(np.array([[0.0, row], [float(self.camera.width), row]]))
+        return float(y0 / (y0 - y1) * self.camera.width)
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One boundary: its merged Hough line, and its curve on the road where one fits."""
+
+    group: LineGroup
+    curve: Curve | None
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Edge pixels that face the ego lane from one side: (N, 2) x and y in the ego frame, and their (N,) image rows."""
+
+    points: Float
+    rows: Float
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Everything one frame shows of the lane; ``far`` is the row of the road's far end.
+
+    ``edge_pixels`` (H, W) are those along which lines were proposed, ``edges`` those that face the ego lane.
+    """
+
+    view: View
+    tags: Image
+    table: TagTable
+    far: float
+    edge_pixels: Mask | None = None
+    proposals: Float = field(default_factory=lambda: np.empty((0, 4)))
+    groups: tuple[LineGroup, ...] = ()
+    edges: dict[Side, Edges] = field(default_factory=dict)
+    sightings: dict[Side, Sighting] = field(default_factory=dict)
+
+    def curve_along(self, cfg: LanesConfig, side: Side, line: Float) -> Curve | None:
+        """The boundary as the edges near a (3,) state have it; None where too few do."""
+        if side not in self.edges:
+            return None
+        edges = self.edges[side]
+        return fit_curve(cfg, edges.points, edges.rows, line, side, 1.0 / self.view.camera.fx)
+
+    def classes_beside(self, side: Side, curve: Curve) -> tuple[str, str]:
+        """The class inside and the class outside a boundary, empty where that is out of sight."""
+        outward = 1.0 if side == "left" else -1.0
+        inside = self._class_at(curve, [-outward * d for d in _INSIDE_M], ())
+        return inside, self._class_at(curve, [outward * d for d in _OUTSIDE_M], _MARKINGS)
+
+    def _class_at(self, curve: Curve, sideways_m: list[float], without: tuple[str, ...]) -> str:
+        """The most frequent class on a strip beside a curve."""
+        x = np.tile(_CLASS_AHEAD_M, len(sideways_m))
+        y = lateral(curve.state, x) + np.repeat(sideways_m, len(_CLASS_AHEAD_M))
+        pixels = self.view.pixels(self.view.on_road(x, y))
+        pixels = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(int)
+        height, width = self.tags.shape
+        seen = pixels[((pixels >= 0) & (pixels < (width, height))).all(axis=1)]
+        counts = np.bincount(self.tags[seen[:, 1], seen[:, 0]], minlength=len(self.table.names))
+        counts[list(self.table.tags_of(without))] = 0
+        return self.table.name_of(int(counts.argmax())) if counts.any() else ""
+
+
+def observe(cfg: LanesConfig, view: View, tags: Image, table: TagTable, road: Mask) -> Observation:
+    """Find the ego lane's boundaries in one frame.
+
+    Args:
+        cfg: thresholds.
+        view: camera and road.
+        tags: (H, W) tags of ``table``.
+        table: the tags' table.
+        road: (H, W) drivable surface.
+    """
+    far = lines.road_far_end(road)
+    if far is None:
+        return Observation(view, tags, table, float(view.camera.cy))
+    separators = np.asarray(cv2.LUT(tags, table.lookup(cfg.separators)), np.uint8)
+    edge_pixels = lines.edges_of(cfg, separators * np.uint8(255))
+    proposals = lines.propose(cfg, edge_pixels)
+    groups = lines.merge(cfg, lines.on_road(cfg, proposals, road), view.camera.height)
+    edges = {side: _edges(view, separators[far:], road, side, far) for side in SIDES} if cfg.model == "curve" else {}
+    seen = Observation(view, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
+    chosen = _ego_lane(cfg, view, groups)
+    return replace(
+        seen, sightings={side: Sighting(group, _curve(cfg, seen, side, group)) for side, group in chosen.items()}
+    )
+
+
+def _edges(view: View, separators: Image, road: Mask, side: Side, top: int) -> Edges:
+    pixels = facing_edges(separators, road, side, top)
+    points = view.ground(pixels)[:, :2]
+    known = np.isfinite(points).all(axis=1)
+    return Edges(points[known], pixels[known, 1])
+
+
+def _ego_lane(cfg: LanesConfig, view: View, groups: tuple[LineGroup, ...]) -> dict[Side, LineGroup]:
+    """The closest line on each side of the car's path at the image's bottom, among those with near support.
+
+    A short fragment far away otherwise extrapolates to the closest place.
+    """
+    bottom, path = float(view.camera.height), view.path_column()
+    near = [group for group in groups if _nearest_x(view, group) <= cfg.near_m]
+    left = [group for group in near if group.x(bottom) < path and group.slope < 0]
+    right = [group for group in near if group.x(bottom) >= path and group.slope > 0]
+    chosen: dict[Side, LineGroup] = {}
+    if left:
+        chosen["left"] = max(left, key=lambda group: group.x(bottom))
+    if right:
+        chosen["right"] = min(right, key=lambda group: group.x(bottom))
+    return chosen
+
+
+def _nearest_x(view: View, group: LineGroup) -> float:
+    """Ego x in metres of the line's lowest supported point; infinite above the horizon."""
+    x = view.ground(np.array([[group.x(group.bottom_px), group.bottom_px]]))[0, 0]
+    return float(x) if np.isfinite(x) else np.inf
+
+
+def _curve(cfg: LanesConfig, seen: Observation, side: Side, group: LineGroup) -> Curve | None:
+    """The boundary on the road: the Hough line itself in the line model, else the edges along it."""
+    rows = np.linspace(group.top_px, group.bottom_px, _LINE_SAMPLES).tolist()
+    line = line_on_ground(seen.view.ground(np.array([(group.x(row), row) for row in rows])))
+    if line is None or cfg.model == "curve":
+        return None if line is None else seen.curve_along(cfg, side, line)
+    std = np.array([cfg.offset_std_m, cfg.heading_std, cfg.curvature_std_per_m])
+    return Curve(line, np.diag(std**2), cfg.fit_max_m)

@@ -1,0 +1,186 @@
+"""One object over time: where its box is in the image, how far it is and how fast it comes nearer.
+
+Three filters of a value and its rate: column and row of the box's centre, and the distance. The distance may jump to
+something that passes in front of the object: a jump is not taken. What lies beyond the gate starts a rival of the
+distance's filter, which takes over when its distances have followed each other for a while.
+"""
+
+from dataclasses import dataclass, replace
+
+from roadperc_stream.chain.stages.objects import motion
+from roadperc_stream.chain.stages.objects.motion import Motion
+from roadperc_stream.chain.stages.objects.patch import Patch
+from roadperc_stream.core.config import ObjectsConfig
+from roadperc_stream.core.datatypes import Box, Detection, Object
+
+_NANOSECONDS = 1e9
+_FIRST_SPEED_STD_MPS = 20.0
+_SIDE_STD = 0.03
+"""Of a detected box's centre, in box sides."""
+_LEAST_STD_PX = 0.5
+_FIRST_DRIFT_STD = 2.0
+"""Of an unknown motion in the image, in box sides per second."""
+_DRIFT_WALK = 2.0
+"""By which that motion changes within a second."""
+_UNKNOWN_STD_SHARE = 0.05
+"""Of a distance whose deviation is not known: an object that partly lies beyond the depth's range."""
+_ZOOM = (0.5, 2.0)
+"""Most that a box shrinks or grows in one prediction."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """An object that is followed.
+
+    ``box_px`` is its place at ``stamp_ns``, seen or predicted; ``x_px`` and ``y_px`` follow the box's centre. It was
+    last detected at ``detected_ns``, last seen (detected or found by its patch) at ``seen_ns``, and that in every frame
+    since ``run_ns``; ``missed`` says whether a frame has gone by without it since. ``rival_m`` has followed the
+    distances beyond the gate since ``rival_ns``.
+    """
+
+    number: int
+    detection: Detection
+    box_px: Box
+    x_px: Motion
+    y_px: Motion
+    distance_m: Motion | None
+    stamp_ns: int
+    detected_ns: int
+    seen_ns: int
+    run_ns: int
+    missed: bool = False
+    rival_m: Motion | None = None
+    rival_ns: int = 0
+    patch: Patch | None = None
+
+    @property
+    def id(self) -> str:
+        """As the output names it."""
+        return str(self.number)
+
+
+def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: int) -> Track:
+    """A new track of a detected object; ``box_px`` is its box within the image."""
+    (x, y), (width, height) = _centre(box_px), _sides(box_px)
+    return Track(
+        number,
+        item.detection,
+        box_px,
+        motion.start(x, _centre_std(width), _FIRST_DRIFT_STD * width),
+        motion.start(y, _centre_std(height), _FIRST_DRIFT_STD * height),
+        None if item.distance_m is None else _first_distance(item.distance_m, distance_std_m(cfg, item)),
+        stamp_ns,
+        stamp_ns,
+        stamp_ns,
+        stamp_ns,
+    )
+
+
+def predict(cfg: ObjectsConfig, track: Track, stamp_ns: int) -> Track:
+    """The track at a later stamp: the box moves on as its centre did and grows as the object comes nearer."""
+    dt_s = (stamp_ns - track.stamp_ns) / _NANOSECONDS
+    width, height = _sides(track.box_px)
+    x_px = track.x_px.predict(_DRIFT_WALK * width, dt_s)
+    y_px = track.y_px.predict(_DRIFT_WALK * height, dt_s)
+    distance_m, rival_m = (m.predict(cfg.process_noise, dt_s) if m else None for m in (track.distance_m, track.rival_m))
+    scale = zoom(track.distance_m.value if track.distance_m else None, distance_m)
+    box_px = _box((x_px.value, y_px.value), (width * scale, height * scale))
+    return replace(
+        track,
+        box_px=box_px,
+        x_px=x_px,
+        y_px=y_px,
+        distance_m=distance_m,
+        rival_m=rival_m,
+        stamp_ns=stamp_ns,
+        missed=track.seen_ns != track.stamp_ns,
+    )
+
+
+def zoom(before_m: float | None, after_m: Motion | None) -> float:
+    """How many times larger an object appears than at another distance; 1 where a distance is not known."""
+    if before_m is None or after_m is None:
+        return 1.0
+    least, most = _ZOOM
+    return min(max(before_m / after_m.value, least), most) if after_m.value > 0 else most
+
+
+def detected(cfg: ObjectsConfig, track: Track, item: Object, box_px: Box) -> Track:
+    """The predicted track after the detection that belongs to it."""
+    seen = _placed(cfg, track, item, box_px)
+    return replace(seen, detection=item.detection, detected_ns=track.stamp_ns)
+
+
+def carried(cfg: ObjectsConfig, track: Track, item: Object) -> Track:
+    """The predicted track after its patch was found in the image, which does not count as a detection."""
+    return _placed(cfg, track, item, item.detection.box_px)
+
+
+def expired(cfg: ObjectsConfig, track: Track) -> bool:
+    """Whether the object was last detected longer ago than it is followed."""
+    return (track.stamp_ns - track.detected_ns) / _NANOSECONDS > cfg.hold_s
+
+
+def proven(cfg: ObjectsConfig, track: Track) -> bool:
+    """Whether the object was seen without a gap for long enough to be no stray detection."""
+    return (track.seen_ns - track.run_ns) / _NANOSECONDS >= cfg.carry_after_s
+
+
+def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
+    """Standard deviation in metres of a measured distance."""
+    if item.distance_std_m is not None:
+        return item.distance_std_m
+    return max(_UNKNOWN_STD_SHARE * (item.distance_m or 0.0), cfg.min_distance_std_m)
+
+
+def _placed(cfg: ObjectsConfig, track: Track, item: Object, box_px: Box) -> Track:
+    (x, y), (width, height) = _centre(box_px), _sides(box_px)
+    moved = replace(
+        track,
+        box_px=box_px,
+        x_px=track.x_px.update(x, _centre_std(width)),
+        y_px=track.y_px.update(y, _centre_std(height)),
+        seen_ns=track.stamp_ns,
+        run_ns=track.stamp_ns if track.missed else track.run_ns,
+    )
+    if item.distance_m is None:
+        return moved
+    return _measured(cfg, moved, item.distance_m, distance_std_m(cfg, item))
+
+
+def _measured(cfg: ObjectsConfig, track: Track, distance_m: float, std_m: float) -> Track:
+    """The track after a distance: it belongs to the filter or to its rival, whichever it fits, or to a new rival."""
+    if track.distance_m is None:
+        return replace(track, distance_m=_first_distance(distance_m, std_m))
+    ours = track.distance_m.surprise(distance_m, std_m)
+    theirs = track.rival_m.surprise(distance_m, std_m) if track.rival_m else cfg.gate
+    if ours <= min(theirs, cfg.gate):
+        return replace(track, distance_m=track.distance_m.update(distance_m, std_m), rival_m=None)
+    if track.rival_m is None or theirs > cfg.gate:
+        return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)
+    rival_m = track.rival_m.update(distance_m, std_m)
+    if (track.stamp_ns - track.rival_ns) / _NANOSECONDS < cfg.restart_s:
+        return replace(track, rival_m=rival_m)
+    return replace(track, distance_m=rival_m, rival_m=None)
+
+
+def _first_distance(distance_m: float, std_m: float) -> Motion:
+    return motion.start(distance_m, std_m, _FIRST_SPEED_STD_MPS)
+
+
+def _centre_std(side: float) -> float:
+    """Standard deviation in pixels of the centre of a detected box."""
+    return max(_SIDE_STD * side, _LEAST_STD_PX)
+
+
+def _centre(box: Box) -> tuple[float, float]:
+    return (box.x_min + box.x_max) / 2, (box.y_min + box.y_max) / 2
+
+
+def _sides(box: Box) -> tuple[float, float]:
+    return box.x_max - box.x_min, box.y_max - box.y_min
+
+
+def _box(centre: tuple[float, float], sides: tuple[float, float]) -> Box:
+    (x, y), (width, height) = centre, sides
+    return Box(x - width / 2, y - height / 2, x + width / 2, y + height / 2)

@@ -1,0 +1,178 @@
+"""A motion where no depth is known: turn and direction from the essential matrix, the length from known points.
+
+Five-point RANSAC in OpenCV's USAC form (Nister 2004; Raguram et al. 2013), then least squares over Sampson's distance
+with Huber's loss. The length comes from points whose place is known: on the road's plane below the camera, or
+triangulated by earlier motions. Where the image shifts no more than by a turn, the camera stands: an essential matrix
+would then be made of noise.
+"""
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from roadperc_stream.chain.stages.odometry.features import scaled
+from roadperc_stream.chain.stages.odometry.motion import PIXEL_STD_PX, Motion
+from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.datatypes import Mask
+from roadperc_stream.core.geometry import Camera, Float, Float32, project, rays, rigid
+
+_SMALLEST_SET = 8
+_CONFIDENCE = 0.999
+_MIN_KNOWN = 5
+"""Points of known place that are enough to tell the length."""
+_MIN_DEPTH_PARALLAX_PX = 2.0
+"""Parallax, at 960 rows, from which a point is triangulated."""
+_EVALUATIONS = 20
+_STANDING_SHARE = 0.75
+"""Share of the points that must lie where a turn alone promises them if the camera stands."""
+_REWEIGHTINGS = 5
+_SMALL_ANGLE = 1e-4
+"""Radians; closer points weigh no more."""
+
+
+def motion_from_rays(
+    cfg: OdometryConfig,
+    camera: Camera,
+    key_px: Float32,
+    px: Float32,
+    points_m: Float,
+    fallback_length: float,
+) -> Motion | None:
+    """The motion between two images.
+
+    Args:
+        cfg: thresholds.
+        camera: of both.
+        key_px: (N, 2) pixels in the keyframe.
+        px: (N, 2) pixels in this frame, NaN not found.
+        points_m: (N, 3) in the keyframe's camera, NaN unknown.
+        fallback_length: the motion's length where too few points are known.
+
+    Returns:
+        The motion, its points filled up with those it triangulates; None where too few agree on any.
+    """
+    usable = np.flatnonzero(np.isfinite(px).all(axis=1))
+    if len(usable) < _SMALLEST_SET:
+        return None
+    a, b = rays(camera, key_px[usable].astype(float)), rays(camera, px[usable].astype(float))
+    standing = _standing(cfg, camera, a, px[usable])
+    direction = standing or _direction(cfg, camera, a, b)
+    if direction is None:
+        return None
+    R, t, agrees, covariance = direction
+    inliers = np.zeros(len(px), bool)
+    inliers[usable[agrees]] = True
+    if standing is not None:
+        return Motion(rigid(R, t), inliers, points_m, None, scaled=True)
+    known = agrees & np.isfinite(points_m[usable, 2])
+    length = _length(cfg, camera, R, t, points_m[usable][known], b[known])
+    metres, variance = length or (fallback_length, 0.0)
+    filled = points_m.copy()
+    new = usable[agrees & ~np.isfinite(points_m[usable, 2])]
+    filled[new] = _triangulated(camera, R, metres * t, *(rays(camera, p[new].astype(float)) for p in (key_px, px)))
+    scaling = np.diag([metres] * 3 + [1.0] * 3)
+    covariance = scaling @ covariance @ scaling
+    covariance[:3, :3] += variance * np.outer(t, t)
+    return Motion(rigid(R, metres * t), inliers, filled, covariance, length is not None)
+
+
+def _standing(cfg: OdometryConfig, camera: Camera, a: Float, px: Float32) -> tuple[Float, Float, Mask, Float] | None:
+    """The turn alone, where nearly everything lies where it promises; None where the camera has moved."""
+    R = _turn(a, rays(camera, px.astype(float)))
+    shift_px = np.linalg.norm(project(camera, a @ R.T) - px, axis=1)
+    if not np.quantile(shift_px, _STANDING_SHARE) < scaled(cfg.min_parallax_px, camera.height):
+        return None
+    return R, np.zeros(3), shift_px < scaled(cfg.inlier_px, camera.height), np.zeros((6, 6))
+
+
+def _turn(a: Float, b: Float) -> Float:
+    """(3, 3) rotation with b ~ R a, by the orthogonal Procrustes solution (Kabsch 1976) reweighted to an L1 fit."""
+    a = a / np.linalg.norm(a, axis=1, keepdims=True)
+    b = b / np.linalg.norm(b, axis=1, keepdims=True)
+    weights = np.ones(len(a))
+    for _ in range(_REWEIGHTINGS):
+        U, _, Vt = np.linalg.svd((b * weights[:, None]).T @ a)
+        R: Float = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        weights = 1.0 / np.maximum(np.linalg.norm(b - a @ R.T, axis=1), _SMALL_ANGLE)
+    return R
+
+
+def _direction(cfg: OdometryConfig, camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, Float] | None:
+    """R, unit t with b ~ R a + t, (N,) who agrees, and the (6, 6) covariance of unit t and R."""
+    E, _ = cv2.findEssentialMat(
+        a[:, :2],
+        b[:, :2],
+        np.eye(3),
+        method=cv2.USAC_DEFAULT,
+        prob=_CONFIDENCE,
+        threshold=scaled(cfg.inlier_px, camera.height) / camera.fx,
+        maxIters=cfg.ransac_iterations,
+    )
+    if E is None or E.shape != (3, 3):
+        return None
+    gate = scaled(cfg.inlier_px, camera.height) / camera.fx
+    _, rotation, translation, _ = cv2.recoverPose(E, a[:, :2], b[:, :2], np.eye(3), mask=None)
+    R, t = np.asarray(rotation, float), np.ravel(np.asarray(translation, float))
+    agrees = np.abs(_sampson(R, t, a, b)) < gate
+    if int(np.sum(agrees)) < _SMALLEST_SET:
+        return None
+    R, t, covariance = _refined(camera, R, t, a[agrees], b[agrees])
+    return R, t, np.abs(_sampson(R, t, a, b)) < gate, covariance
+
+
+def _refined(camera: Camera, R: Float, t: Float, a: Float, b: Float) -> tuple[Float, Float, Float]:
+    """Least squares over the turn and the direction's two tangents."""
+    tangents = np.linalg.svd(t[None])[2][1:]
+
+    def at(small: Float) -> tuple[Float, Float]:
+        moved = t + small[3:] @ tangents
+        return np.asarray(Rotation.from_rotvec(small[:3]).as_matrix() @ R), moved / np.linalg.norm(moved)
+
+    std = scaled(PIXEL_STD_PX, camera.height) / camera.fx
+    fit = least_squares(
+        lambda small: _sampson(*at(small), a, b) / std, np.zeros(5), loss="huber", max_nfev=_EVALUATIONS
+    )
+    spread_of_5 = np.linalg.pinv(fit.jac.T @ fit.jac) * 2 * fit.cost / max(len(a) - 5, 1)
+    to_6 = np.zeros((6, 5))
+    to_6[:3, 3:], to_6[3:, :3] = tangents.T, np.eye(3)
+    return *at(fit.x), to_6 @ spread_of_5 @ to_6.T
+
+
+def _sampson(R: Float, t: Float, a: Float, b: Float) -> Float:
+    """(N,) signed distance to the epipolar geometry, in units of the rays' plane z = 1."""
+    E = np.cross(t, R, axisb=0, axisc=0)
+    Ea, Eb = a @ E.T, b @ E
+    return np.asarray(np.sum(b * Ea, axis=1) / np.sqrt(np.sum(Ea[:, :2] ** 2 + Eb[:, :2] ** 2, axis=1)))
+
+
+def _length(cfg: OdometryConfig, camera: Camera, R: Float, t: Float, X: Float, b: Float) -> tuple[float, float] | None:
+    """Length of the motion and its variance, from points whose place is known.
+
+    Each point tells one: b x (R X + length t) = 0. The weighted median of them starts a least squares over those that
+    agree with it; None where they are too few.
+    """
+    if len(X) < _MIN_KNOWN:
+        return None
+    turned = X @ R.T
+    across, along = np.cross(b, turned), np.cross(b, t)
+    lengths = -np.sum(across * along, axis=1) / np.sum(along**2, axis=1)
+    px_per_m = camera.fx * np.linalg.norm(along, axis=1) / np.abs(turned[:, 2])
+    order = np.argsort(lengths)
+    cumulative = np.cumsum(px_per_m[order])
+    median = float(lengths[order][np.searchsorted(cumulative, cumulative[-1] / 2)])
+    close = np.abs(lengths - median) * px_per_m < scaled(cfg.inlier_px, camera.height)
+    if not median > 0 or int(np.sum(close)) < _MIN_KNOWN:
+        return None
+    weights = px_per_m[close] ** 2
+    return float(weights @ lengths[close] / weights.sum()), scaled(PIXEL_STD_PX, camera.height) ** 2 / weights.sum()
+
+
+def _triangulated(camera: Camera, R: Float, t: Float, a: Float, b: Float) -> Float:
+    """(N, 3) points in the first camera that the motion has shifted far enough in the image, NaN for the others."""
+    across, shift = np.cross(b, a @ R.T), np.cross(b, t)
+    strength = np.sum(across**2, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = -np.sum(across * shift, axis=1) / strength
+        enough = camera.fx * np.sqrt(strength) > scaled(_MIN_DEPTH_PARALLAX_PX, camera.height)
+        return np.asarray(a * np.where(enough & (depth > 0), depth, np.nan)[:, None])

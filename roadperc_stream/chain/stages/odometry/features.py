@@ -1,0 +1,215 @@
+"""Points of an image and where they are in a later one: corners with optical flow, or descriptors.
+
+Corners are those of Shi and Tomasi (1994), followed by the pyramidal Lucas-Kanade tracker (Bouguet 2000) and kept where
+following them back returns to the start (Kalal, Mikolajczyk and Matas 2010). Descriptors are ORB (Rublee et al. 2011)
+or SIFT (Lowe 2004), kept by Lowe's ratio test. ORB's corners are whole pixels of a pyramid, so its matches are brought
+to sub-pixel by optical flow that starts at the match.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.datatypes import Image, read_only
+from roadperc_stream.core.geometry import Float32
+
+_CONFIG_ROWS = 960.0
+_PYRAMID_LEVELS = 4
+_REFINING_LEVELS = 0
+_FLOW_STOP: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
+_CORNER_BLOCK_PX = 5
+_SMALLEST_WINDOW_PX = 5
+_CORNER_FLOOR = 1e-5
+"""Eigenvalue below which a window has no texture that could be followed."""
+_CANDIDATES_PER_POINT = 4
+_ORB_FAST_THRESHOLD = 7
+_ORB_SMALLEST_SIDE_PX = 2
+"""Of less OpenCV's pyramid leaves nothing, and its detector fails."""
+_SIFT_CONTRAST = 0.01
+
+
+@dataclass(frozen=True)
+class Features:
+    """(N, 2) float32 pixels of the image they were found in, and (N, D) descriptors; corners have D = 0."""
+
+    px: Float32
+    descriptors: NDArray[Any]
+
+    def __post_init__(self) -> None:
+        read_only(self.px, np.float32, (None, 2), "px")
+        self.descriptors.setflags(write=False)
+
+    def take(self, chosen: NDArray[Any]) -> "Features":
+        """Those of a mask or of indices."""
+        return Features(self.px[chosen], self.descriptors[chosen])
+
+    def joined(self, others: "Features") -> "Features":
+        """These, then the others."""
+        return Features(
+            np.concatenate((self.px, others.px)), np.concatenate((self.descriptors, others.descriptors), axis=0)
+        )
+
+
+@dataclass(frozen=True)
+class Frontend:
+    """One way to find points and to find them again.
+
+    ``detect(cfg, grey, allowed)`` gives the features of an image where ``allowed`` (uint8) is not 0, and their (N,)
+    strengths. ``match(cfg, before, features, guess_px, grey)`` gives the (N, 2) pixels in ``grey`` of the features of
+    the image ``before``, NaN where they are not found; descriptors need no guess.
+    """
+
+    detect: Callable[[OdometryConfig, Image, Image], tuple[Features, Float32]]
+    match: Callable[[OdometryConfig, Image, Features, Float32, Image], Float32]
+
+
+def scaled(length_px: float, rows: int) -> float:
+    """A length of the configuration, given at 960 image rows, in an image of so many rows."""
+    return length_px * rows / _CONFIG_ROWS
+
+
+def window_side(cfg: OdometryConfig, rows: int) -> int:
+    """Side in pixels, odd, of the window that optical flow compares in an image of so many rows."""
+    return max(round(scaled(cfg.window_px, rows)), _SMALLEST_WINDOW_PX) | 1
+
+
+def spread(cfg: OdometryConfig, px: Float32, strength: Float32, shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Indices of the strongest points of each cell, the same number from all: ``max_points`` together.
+
+    Cells grow until there are no more than points; where the image's edges make it a few more, the weakest go.
+
+    Args:
+        cfg: size of the cells.
+        px: (N, 2) pixels.
+        strength: (N,) the larger the better.
+        shape: rows and columns of the image.
+    """
+    side = max(scaled(cfg.cell_px, shape[0]), float(np.sqrt(shape[0] * shape[1] / cfg.max_points)))
+    columns = int(np.ceil(shape[1] / side))
+    cell = (px[:, 1] // side).astype(int) * columns + (px[:, 0] // side).astype(int)
+    order = np.lexsort((-strength, cell))
+    by_cell = cell[order]
+    rank = np.arange(len(order)) - np.searchsorted(by_cell, by_cell)
+    each = max(cfg.max_points // max(len(np.unique(cell)), 1), 1)
+    chosen = order[rank < each]
+    strongest = np.argsort(-strength[chosen], kind="stable")[: cfg.max_points]
+    return np.asarray(chosen[np.sort(strongest)])
+
+
+def _detect_corners(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[Features, Float32]:
+    """Pixels whose window's smaller eigenvalue is the largest within a window."""
+    strength = cv2.cornerMinEigenVal(grey, _CORNER_BLOCK_PX)
+    side = window_side(cfg, grey.shape[0])
+    highest = cv2.dilate(strength, np.ones((side, side), np.uint8))
+    peaks = (strength == highest) & (strength > _CORNER_FLOOR) & allowed.view(bool)
+    rows, columns = np.nonzero(peaks)
+    px = np.stack((columns, rows), axis=-1).astype(np.float32)
+    return Features(px, np.empty((len(px), 0), np.uint8)), np.asarray(strength[rows, columns], np.float32)
+
+
+def _detect_orb(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[Features, Float32]:
+    none = np.empty((0, 32), np.uint8)
+    if min(grey.shape) < _ORB_SMALLEST_SIDE_PX:
+        return Features(np.empty((0, 2), np.float32), none), np.empty(0, np.float32)
+    orb = cv2.ORB.create(nfeatures=_CANDIDATES_PER_POINT * cfg.max_points, fastThreshold=_ORB_FAST_THRESHOLD)
+    return _described(orb, grey, allowed, none)
+
+
+def _detect_sift(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[Features, Float32]:
+    sift = cv2.SIFT.create(nfeatures=_CANDIDATES_PER_POINT * cfg.max_points, contrastThreshold=_SIFT_CONTRAST)
+    return _described(sift, grey, allowed, np.empty((0, 128), np.float32))
+
+
+def _described(detector: Any, grey: Image, allowed: Image, none: NDArray[Any]) -> tuple[Features, Float32]:
+    keypoints, descriptors = detector.detectAndCompute(grey, allowed)
+    px = np.array([point.pt for point in keypoints], np.float32).reshape(-1, 2)
+    strength = np.array([point.response for point in keypoints], np.float32)
+    return Features(px, none if descriptors is None else descriptors), strength
+
+
+def _follow(cfg: OdometryConfig, before: Image, features: Features, guess_px: Float32, grey: Image) -> Float32:
+    return _flow(cfg, before, features.px, guess_px, grey, _PYRAMID_LEVELS)
+
+
+def _match_orb(cfg: OdometryConfig, before: Image, features: Features, _: Float32, grey: Image) -> Float32:
+    everywhere = np.full_like(grey, 255)
+    coarse = _nearest(cfg, features, _detect_orb(cfg, grey, everywhere)[0], cv2.NORM_HAMMING)
+    return _flow(cfg, before, features.px, coarse, grey, _REFINING_LEVELS)
+
+
+def _match_sift(cfg: OdometryConfig, _: Image, features: Features, __: Float32, grey: Image) -> Float32:
+    everywhere = np.full_like(grey, 255)
+    return _nearest(cfg, features, _detect_sift(cfg, grey, everywhere)[0], cv2.NORM_L2)
+
+
+def _flow(cfg: OdometryConfig, before: Image, px: Float32, guess_px: Float32, grey: Image, levels: int) -> Float32:
+    """(N, 2) pixels by optical flow that starts at the guess (NaN: nowhere), forward and back."""
+    found = np.full_like(px, np.nan)
+    tried = np.isfinite(guess_px).all(axis=1)
+    if not tried.any():
+        return found
+    side = window_side(cfg, grey.shape[0])
+
+    def track(a: Image, b: Image, start: Float32, guess: Float32) -> tuple[Float32, NDArray[np.uint8]]:
+        end, good, _ = cv2.calcOpticalFlowPyrLK(
+            a,
+            b,
+            start[:, None],
+            guess[:, None].copy(),
+            winSize=(side, side),
+            maxLevel=levels,
+            criteria=_FLOW_STOP,
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        )
+        return np.asarray(end, np.float32)[:, 0], np.asarray(good, np.uint8)[:, 0]
+
+    start = np.ascontiguousarray(px[tried])
+    there, good = track(before, grey, start, guess_px[tried])
+    back, returned = track(grey, before, there, start)
+    miss = np.linalg.norm(back - start, axis=1)
+    kept = good.astype(bool) & returned.astype(bool) & (miss < scaled(cfg.forward_backward_px, grey.shape[0]))
+    kept &= ((there >= 0) & (there <= np.array(grey.shape[::-1]) - 1)).all(axis=1)
+    found[np.flatnonzero(tried)[kept]] = there[kept]
+    return found
+
+
+def _nearest(cfg: OdometryConfig, features: Features, others: Features, norm: int) -> Float32:
+    """(N, 2) pixels of the features' matches among others: clearly the nearest, and each taken once."""
+    found = np.full_like(features.px, np.nan)
+    if len(features.px) == 0 or len(others.px) < 2:
+        return found
+    pairs = MATCHERS[cfg.matcher](norm).knnMatch(features.descriptors, others.descriptors, k=2)
+    clear = [p[0] for p in pairs if len(p) == 2 and p[0].distance < cfg.match_ratio * p[1].distance]
+    # Later entries win: of several that match one feature, the nearest.
+    best = {match.trainIdx: match for match in sorted(clear, key=lambda match: -match.distance)}
+    for match in best.values():
+        found[match.queryIdx] = others.px[match.trainIdx]
+    return found
+
+
+def _brute_force(norm: int) -> cv2.DescriptorMatcher:
+    return cv2.BFMatcher(norm)
+
+
+def _flann(norm: int) -> cv2.DescriptorMatcher:
+    """Randomised k-d trees, or locality-sensitive hashing for binary descriptors."""
+    trees = {"algorithm": 1, "trees": 4}
+    hashing = {"algorithm": 6, "table_number": 6, "key_size": 12, "multi_probe_level": 1}
+    index: dict[str, Any] = hashing if norm == cv2.NORM_HAMMING else trees
+    return cv2.FlannBasedMatcher(index, {"checks": 64})
+
+
+MATCHERS: Final[dict[Literal["brute_force", "flann"], Callable[[int], cv2.DescriptorMatcher]]] = {
+    "brute_force": _brute_force,
+    "flann": _flann,
+}
+FRONTENDS: Final[dict[Literal["klt", "orb", "sift"], Frontend]] = {
+    "klt": Frontend(_detect_corners, _follow),
+    "orb": Frontend(_detect_orb, _match_orb),
+    "sift": Frontend(_detect_sift, _match_sift),
+}

@@ -1,0 +1,130 @@
+"""Depth from a stereo pair, Z = f b / d, or why there is none."""
+
+from typing import Final
+
+import cv2
+import numpy as np
+
+from roadperc_stream.chain.stages.stereo.matching import disparity, rounded_up
+from roadperc_stream.chain.stages.stereo.rectification import lens_fault, rectification, resampled, turned_back
+from roadperc_stream.core.config import StereoConfig
+from roadperc_stream.core.datatypes import Absent, Image, Mask, StereoDepth
+from roadperc_stream.core.geometry import Camera, Float, Float32, Plane, inverse, rays, rigid, transform_plane
+
+_BASELINES_M: Final = (1e-3, 1e3)
+"""Shortest and longest distance of a pair's cameras: what lies beyond is a mistake, and its depth no depth."""
+_NEARER: Final = 1.1
+"""What lies nearer than the road: bumps, and the nose of a braking car going down."""
+
+
+def match(
+    cfg: StereoConfig,
+    left: Camera,
+    right: Camera | None,
+    ego_T_left: Float,
+    left_image: Image | None,
+    right_image: Image | None,
+) -> StereoDepth | Absent:
+    """Depth of a stereo pair, as the left camera sees it: with its rectified intrinsics, but turned as it is mounted.
+
+    Args:
+        cfg: method and thresholds.
+        left: camera of ``left_image``.
+        right: camera of ``right_image``, its ``baseline_m`` to the right of the left one along the rectified rows.
+        ego_T_left: mounting of the left camera: how near the nearest road pixel is decides what must be tried.
+        left_image: (H, W, 3) blue, green, red or (H, W) grey.
+        right_image: the same of the right camera.
+
+    Returns:
+        (H, W) float32 metres along z, NaN where the pair does not tell: hidden from the right camera, outside its
+        image, ambiguous, or so far away that the disparity is mostly error. Or why there is none.
+    """
+    if cfg.method == "off":
+        return Absent("switched off")
+    if left_image is None or right_image is None or right is None:
+        given = {"left image": left_image, "right image": right_image, "calibration of the right camera": right}
+        return Absent(", ".join(f"no {name}" for name, thing in given.items() if thing is None))
+    baseline_m = right.baseline_m
+    shortest_m, longest_m = _BASELINES_M
+    if baseline_m is None or not shortest_m <= baseline_m <= longest_m:
+        said = "is 0" if baseline_m is None else f"gives a baseline of {baseline_m:g} m"
+        wanted = f"-fx * baseline, which is {shortest_m:g} to {longest_m:g} m"
+        return Absent(f"P[0][3] of the right camera {said}: expected {wanted}")
+    fault = _fault(left, right, left_image, right_image)
+    if fault is not None:
+        return Absent(fault)
+    ego_T_rectified = ego_T_left @ rigid(rectification(left).T, np.zeros(3))
+    count = disparities_needed(left, baseline_m, ego_T_rectified) if cfg.disparities == "auto" else cfg.disparities
+    if count is None:
+        return Absent("the mounting puts the left camera below the road: set stereo.disparities")
+    disparity_px = _rectified_disparity(cfg, count, left, right, _grey(left_image), _grey(right_image))
+    return StereoDepth(left.frame_id, depth_of(cfg, left, baseline_m, turned_back(left, disparity_px)))
+
+
+def disparities_needed(left: Camera, baseline_m: float, ego_T_rectified: Float) -> int | None:
+    """Disparities from 0 that reach the nearest road pixel: a multiple of 16, no more than the image is wide.
+
+    On a plane disparity is linear in the pixel, d = -f b (n . ray) / height, so that the largest is in a corner.
+
+    Returns:
+        Pixels; None where the road the mounting promises is not below the camera.
+    """
+    road = transform_plane(inverse(ego_T_rectified), Plane.of(np.array([0.0, 0.0, 1.0]), 0.0))
+    if road.offset_m <= 0:
+        return None
+    right, bottom = left.width - 1.0, left.height - 1.0
+    corners = rays(left, np.array([[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]]))
+    disparity_px = left.fx * baseline_m * float(np.max(-corners @ road.n)) / road.offset_m
+    return rounded_up(min(_NEARER * disparity_px, left.width))
+
+
+def depth_of(cfg: StereoConfig, left: Camera, baseline_m: float, disparity_px: Float32) -> Float32:
+    """(H, W) metres along z of (H, W) disparities in pixels; NaN below ``min_disparity_px`` and where unknown."""
+    depth_m = np.full_like(disparity_px, np.nan)
+    with np.errstate(invalid="ignore"):
+        known = disparity_px >= np.float32(cfg.min_disparity_px)
+    np.divide(np.float32(left.fx * baseline_m), disparity_px, out=depth_m, where=known)
+    return depth_m
+
+
+def _grey(image: Image) -> Image:
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def _fault(left: Camera, right: Camera, left_image: Image, right_image: Image) -> str | None:
+    """Why the two images are no pair that can be matched."""
+    if left.size != right.size:
+        return f"the left camera has {left.width}x{left.height} pixels, the right one {right.width}x{right.height}"
+    for side, camera, image in (("left", left, left_image), ("right", right, right_image)):
+        height, width = image.shape[:2]
+        if (height, width) != camera.size:
+            return f"{side} image: {width}x{height} pixels, its calibration says {camera.width}x{camera.height}"
+        fault = lens_fault(camera)
+        if fault is not None:
+            return f"not rectified: the {side} camera {fault}"
+    return None
+
+
+def _rectified_disparity(
+    cfg: StereoConfig, count: int, left: Camera, right: Camera, left_grey: Image, right_grey: Image
+) -> Float32:
+    """(H, W) disparities seen by both cameras; images that are not rectified, or to other intrinsics, are resampled."""
+    if left.lens is None and right.lens is None and right.same_view(left):
+        disparity_px = disparity(cfg, count, left_grey, right_grey)
+        return _seen_by_right(disparity_px, None)
+    left_rectified, left_seen = resampled(left, left, left_grey)
+    right_rectified, right_seen = resampled(right, left, right_grey)
+    disparity_px = disparity(cfg, count, left_rectified, right_rectified)
+    disparity_px[~left_seen] = np.nan
+    return _seen_by_right(disparity_px, right_seen)
+
+
+def _seen_by_right(disparity_px: Float32, right_seen: Mask | None) -> Float32:
+    """The disparities (H, W) whose partner lies in the right image, at one of its pixels that were seen at all."""
+    partner = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
+    with np.errstate(invalid="ignore"):
+        inside = partner >= 0
+    if right_seen is not None:
+        columns = np.rint(np.where(inside, partner, 0)).astype(np.intp)
+        inside &= np.take_along_axis(right_seen, columns, axis=1)
+    return np.where(inside, disparity_px, np.float32(np.nan))

@@ -1,0 +1,88 @@
+"""A plane through the road's points.
+
+Method: RANSAC (Fischler and Bolles 1981) over a seeded subsample, hypotheses from three points evaluated in batches,
+then total least squares over all inliers. The road plane is nearly parallel to the optical axis, so the fit minimises
+the distance to the plane, never an error along one axis.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.core.config import SurfaceConfig
+from roadperc_stream.core.datatypes import Absent, Mask
+from roadperc_stream.core.geometry import Float, Float32, Plane, facing, fit_plane
+
+_CAMERA_CENTRE = np.zeros(3)
+_COLLINEAR = 1e-3
+"""Sine of the angle between two sides of a triangle below which its three points are taken for a line."""
+
+
+def road_plane(
+    cfg: SurfaceConfig, points: Float32, up: Float, rng: np.random.Generator
+) -> tuple[Plane, float] | Absent:
+    """The plane most of the points lie on, facing the camera, and the share of them that do.
+
+    Args:
+        cfg: thresholds.
+        points: (N, 3) metres in the camera frame.
+        up: (3,) roughly away from the road, unit length.
+        rng: source of the hypotheses.
+    """
+    if len(points) < 3:
+        return Absent(f"{len(points)} road pixels with known depth within max_depth_m, a plane needs three")
+    sample = points[rng.integers(0, len(points), min(cfg.subsample, len(points)))].astype(float)
+    plane = _ransac(cfg, sample, up, rng)
+    if plane is None:
+        return Absent(f"no plane through {len(points)} road points holds {cfg.min_inliers:.0%} of them")
+    for cloud in (sample, points):  # the sample's refit is cheap, and leaves one pass over all points to do
+        close = _close(cfg, plane, cloud)
+        if np.count_nonzero(close) < 3:
+            return Absent("no plane holds three of the road's points")
+        plane = facing(fit_plane(cloud, close), _CAMERA_CENTRE)
+    # The refit may turn a hypothesis that was level: of points that all lie within ``inlier_m`` it takes every one.
+    tilt_deg = float(np.degrees(np.arccos(min(abs(float(plane.n @ up)), 1.0))))
+    if not tilt_deg <= cfg.max_tilt_deg:
+        return Absent(f"the points' plane is tilted by {tilt_deg:.0f} degrees, expected at most {cfg.max_tilt_deg:g}")
+    return plane, float(np.mean(_close(cfg, plane, points)))
+
+
+def _close(cfg: SurfaceConfig, plane: Plane, points: NDArray[np.floating[Any]]) -> Mask:
+    """Which of (N, 3) points lie within ``inlier_m`` of a plane."""
+    distance = points @ plane.n.astype(points.dtype) + points.dtype.type(plane.offset_m)
+    close: Mask = np.abs(distance) <= cfg.inlier_m
+    return close
+
+
+def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:
+    """The hypothesis that most points support; None where none is supported enough."""
+    best, best_share = None, cfg.min_inliers
+    for tried in range(0, cfg.hypotheses, cfg.batch):
+        if best_share >= cfg.enough_inliers:
+            break
+        normals, offsets = _hypotheses(points, up, cfg.max_tilt_deg, min(cfg.batch, cfg.hypotheses - tried), rng)
+        if not len(normals):
+            continue
+        shares = np.count_nonzero(np.abs(points @ normals.T + offsets) <= cfg.inlier_m, axis=0) / len(points)
+        top = int(np.argmax(shares))
+        if shares[top] > best_share:
+            best, best_share = Plane.of(normals[top], float(offsets[top])), float(shares[top])
+    return best
+
+
+def _hypotheses(
+    points: Float, up: Float, max_tilt_deg: float, count: int, rng: np.random.Generator
+) -> tuple[Float, Float]:
+    """Normals (M, 3), pointing up, and offsets (M,) of planes through three points that are no line and no wall."""
+    a, b, c = np.moveaxis(points[rng.integers(0, len(points), (count, 3))], 1, 0)
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    sides = np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
+    proper = lengths > _COLLINEAR * sides
+    normals = normals[proper] / lengths[proper, None]
+    cosines = normals @ up
+    normals *= np.where(cosines < 0, -1.0, 1.0)[:, None]
+    level = np.abs(cosines) >= np.cos(np.radians(max_tilt_deg))
+    normals = normals[level]
+    return normals, -np.sum(normals * a[proper][level], axis=1)

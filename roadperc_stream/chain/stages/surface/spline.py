@@ -1,0 +1,232 @@
+"""The road as a smooth height field z(x, y) in the ego frame, for roads that climb and fall.
+
+Method: a penalised B-spline (P-spline, Eilers and Marx 1996), cubic on evenly spaced knots along x (de Boor 1978) and
+linear across y, is added to the road's plane. The penalty on the second differences of its coefficients is the prior
+that a road's curvature has a standard deviation, so that the data's own scatter decides how smooth the field is, and
+what no data tell goes on straight. The fit is robust by iteratively reweighted least squares (Holland and Welsch 1977):
+Huber's weights find the road, Tukey's then leave out what stands on it. It grows outwards from the car, by what a road
+can bend, and sees one point for each square metre, the one of median height, so that the many pixels near the car count
+no more than the few far ahead. A place sees four B-splines only, so that the equations of a long road are solved as a
+band, in a time that grows with its length.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.linalg import solve_banded
+
+from roadperc_stream.core.config import SurfaceConfig
+from roadperc_stream.core.datatypes import HeightGrid, Mask, Surface
+from roadperc_stream.core.geometry import Camera, Float, Float32
+from roadperc_stream.core.ground import REACH_M, ego_points, height_above, part
+
+_STEP_M = 1.0
+"""Side of the fit's cells, and of the grid's."""
+_COLUMNS = 160
+"""Image columns that are looked at: evenly spread, as neighbours say the same. Rows are few where the road is far."""
+_ENOUGH_POINTS = 20_000
+"""Points of the road that are never thinned: a lidar's are hardly more."""
+_DEGREE = 3
+_SEEN = 2 * (_DEGREE + 1)
+"""Coefficients that a place sees: those of four B-splines, in the middle and across."""
+_MIN_CELLS = 12
+_MIN_LENGTH_KNOTS = 2
+"""Stretch of road in knots below which a height field says no more than a plane."""
+_BANK_STD = 0.03
+"""Standard deviation of the slope across the road against the plane's, which holds where a narrow strip cannot tell."""
+_POINTS_THAT_COUNT = 4
+"""Points of a cell beyond which more do not make it more certain: their errors are not independent."""
+_FINEST_STD_M = 0.005
+_HUBER, _TUKEY = 1.345, 4.685
+"""Standard deviations; each constant keeps 95 % of the efficiency on normal errors."""
+_HUBER_ROUNDS, _TUKEY_ROUNDS = 4, 3
+_REACH_STEP_M = 10.0
+_GATE_M, _GATE_STDS = 0.3, 3.0
+"""A cell is left out that is this far from the field found so far, and from where such a curvature would take it."""
+_NORMAL_MAD = 1.4826
+"""Standard deviation of normal errors over their median absolute one."""
+
+
+@dataclass(frozen=True)
+class _Design:
+    """What N places see of the coefficients: (N, 8) indices of those they see, and by how much each counts.
+
+    Coefficients of one B-spline are neighbours: its height in the middle, then its rise in a half width across.
+    """
+
+    seen: NDArray[np.intp]
+    values: Float
+
+    def take(self, chosen: Mask) -> "_Design":
+        """The places of a mask."""
+        return _Design(self.seen[chosen], self.values[chosen])
+
+    def heights(self, coefficients: Float) -> Float:
+        """(N,) metres."""
+        result: Float = np.sum(self.values * coefficients[self.seen], axis=1)
+        return result
+
+
+def fit_height_grid(
+    cfg: SurfaceConfig, surface: Surface, camera: Camera, ego_T_camera: Float, depth_m: Float32, usable: Mask
+) -> HeightGrid | None:
+    """The height field through the road's points, ``spline_half_width_m`` to either side and ``max_depth_m`` ahead.
+
+    It ends where heights are no more looked up, at 200 m.
+
+    Args:
+        cfg: knots, smoothness and extent.
+        surface: the road's plane.
+        camera: the camera of the depth.
+        ego_T_camera: its mounting.
+        depth_m: (H, W) metres, NaN unknown.
+        usable: (H, W) pixels of the road with known depth.
+
+    Returns:
+        The field on a grid of 1 m, or None where too few points ahead of the car support one.
+    """
+    points, counts = _cells(cfg, *_road_points(surface, camera, ego_T_camera, depth_m, usable))
+    if len(points) < _MIN_CELLS or np.ptp(points[:, 0]) < _MIN_LENGTH_KNOTS * cfg.spline_knot_m:
+        return None
+    certainty = np.minimum(counts, _POINTS_THAT_COUNT) / _POINTS_THAT_COUNT
+    return _grid(cfg, surface, _grow(cfg, points, certainty))
+
+
+def _road_points(
+    surface: Surface, camera: Camera, ego_T_camera: Float, depth_m: Float32, usable: Mask
+) -> tuple[Float32, Float32, Float32]:
+    """Ego x and y, and height above the road's plane, of (N,) points of the road, all in metres."""
+    columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
+    taken = usable[:, ::columns]
+    x, y, z = ego_points(part(camera, 0, 1, columns), ego_T_camera, depth_m[:, ::columns])
+    x, y, z = x[taken], y[taken], z[taken]
+    return x, y, height_above(surface, x, y, z)
+
+
+def _cells(cfg: SurfaceConfig, x: Float32, y: Float32, height: Float32) -> tuple[Float, NDArray[np.intp]]:
+    """(M, 3) x, y and height of each cell's point of median height, and how many points each cell has.
+
+    A true point, not a mean of places and a median of heights: on a slope these do not belong together.
+    """
+    half = cfg.spline_half_width_m
+    inside = (x >= 0) & (x < _length_m(cfg)) & (np.abs(y) < half)
+    x, y, height = x[inside], y[inside], height[inside]
+    across = int(np.ceil(2 * half / _STEP_M))
+    cell = (x / _STEP_M).astype(np.intp) * across + ((y + half) / _STEP_M).astype(np.intp)
+    cell = cell.astype(np.min_scalar_type(across * int(_length_m(cfg) / _STEP_M + 1)))
+    order = np.argsort(height)  # two sorts, as small integers are sorted by radix: half the time of a lexsort
+    order = order[np.argsort(cell[order], kind="stable")]
+    _, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
+    median = order[first + (counts - 1) // 2]
+    return np.stack((x[median], y[median], height[median]), axis=-1).astype(float), counts
+
+
+def _length_m(cfg: SurfaceConfig) -> float:
+    """Length of the field: whole knots, to the farthest point that counts at least."""
+    return float(np.ceil(min(cfg.max_depth_m, REACH_M) / cfg.spline_knot_m)) * cfg.spline_knot_m
+
+
+def _splines(cfg: SurfaceConfig) -> int:
+    """B-splines along x."""
+    return round(_length_m(cfg) / cfg.spline_knot_m) + _DEGREE
+
+
+def _design(cfg: SurfaceConfig, x: Float, y: Float) -> _Design:
+    """The values of the B-splines at places, and the same times y in half widths."""
+    knots = cfg.spline_knot_m * np.arange(-_DEGREE, _splines(cfg) + 1)
+    sparse = BSpline.design_matrix(np.clip(x, 0.0, _length_m(cfg)), knots, _DEGREE)
+    along, column = sparse.data.reshape(-1, _DEGREE + 1), sparse.indices.reshape(-1, _DEGREE + 1)[:, 0]
+    across = along * (y / cfg.spline_half_width_m)[:, None]
+    seen = 2 * column.astype(np.intp)[:, None] + np.arange(_SEEN)
+    return _Design(seen, np.stack((along, across), axis=-1).reshape(-1, _SEEN))
+
+
+def _prior(cfg: SurfaceConfig) -> Float:
+    """(15, 2 M) information on the coefficients, as a band: curvature along x at middle and edges, slope across."""
+    count = _splines(cfg)
+    bend = np.diff(np.eye(count), 2, axis=0) / (cfg.spline_curvature_per_m * cfg.spline_knot_m**2)
+    bank = np.eye(count) / (_BANK_STD * cfg.spline_half_width_m)
+    prior = np.zeros((2 * count, 2 * count))
+    prior[::2, ::2] = bend.T @ bend
+    prior[1::2, 1::2] = bend.T @ bend + bank.T @ bank
+    band = np.zeros((2 * _SEEN - 1, 2 * count))
+    for beside in range(1 - _SEEN, _SEEN):
+        diagonal = np.diag(prior, -beside)
+        start = max(-beside, 0)
+        band[_SEEN - 1 + beside, start : start + len(diagonal)] = diagonal
+    return band
+
+
+def _grow(cfg: SurfaceConfig, points: Float, certainty: Float) -> Float:
+    """Coefficients of the field, fitted farther and farther ahead.
+
+    What lies where a road of plausible curvature cannot go on to is left out: far ahead, where a crest hides the road,
+    there is nothing else to contradict it.
+
+    Args:
+        cfg: smoothness and extent.
+        points: (N, 3) x, y and height above the plane of the cells, metres.
+        certainty: (N,) 0 to 1.
+    """
+    x, heights = points[:, 0], points[:, 2]
+    design, prior = _design(cfg, x, points[:, 1]), _prior(cfg)
+    coefficients: Float = np.zeros(prior.shape[1])
+    known_m = float(x.min())
+    for reach in np.arange(known_m + _REACH_STEP_M, _length_m(cfg) + _REACH_STEP_M, _REACH_STEP_M):
+        bend = _GATE_STDS * cfg.spline_curvature_per_m / 2 * np.maximum(x - known_m, 0.0) ** 2
+        taken = (x <= reach) & (np.abs(heights - design.heights(coefficients)) <= _GATE_M + bend)
+        if taken.any():
+            coefficients = _robust_fit(design.take(taken), heights[taken], certainty[taken], prior, coefficients)
+            known_m = float(x[taken].max())
+    return coefficients
+
+
+def _robust_fit(design: _Design, heights: Float, certainty: Float, prior: Float, coefficients: Float) -> Float:
+    """(P,) coefficients by penalised least squares with weights that follow the residuals.
+
+    Args:
+        design: of N places.
+        heights: (N,) metres.
+        certainty: (N,) 0 to 1.
+        prior: (15, P) information, a band.
+        coefficients: (P,) to start from.
+    """
+    count = prior.shape[1]
+    seen = design.seen
+    products = (design.values[:, :, None] * design.values[:, None, :]).reshape(len(seen), -1)
+    # Row and column of each product in the band, whose middle row is the diagonal.
+    entries = ((_SEEN - 1 + seen[:, :, None] - seen[:, None, :]) * count + seen[:, None, :]).ravel()
+    for i in range(_HUBER_ROUNDS + _TUKEY_ROUNDS):
+        residual = np.abs(heights - design.heights(coefficients))
+        std = max(_NORMAL_MAD * float(np.median(residual)), _FINEST_STD_M)
+        robust = _huber(residual / std) if i < _HUBER_ROUNDS else _tukey(residual / std)
+        weights = robust * certainty / std**2
+        told = np.bincount(entries, (weights[:, None] * products).ravel(), prior.size).reshape(prior.shape)
+        right = np.bincount(seen.ravel(), ((weights * heights)[:, None] * design.values).ravel(), count)
+        solved = solve_banded((_SEEN - 1, _SEEN - 1), told + prior, right, overwrite_ab=True, check_finite=False)
+        coefficients = np.asarray(solved, float)
+    return coefficients
+
+
+def _huber(residual: Float) -> Float:
+    """Weights of residuals in standard deviations: beyond the constant they pull no harder."""
+    result: Float = np.minimum(1.0, _HUBER / np.maximum(residual, _HUBER))
+    return result
+
+
+def _tukey(residual: Float) -> Float:
+    """Weights of residuals in standard deviations: beyond the constant they do not pull at all."""
+    result: Float = np.clip(1.0 - (residual / _TUKEY) ** 2, 0.0, None) ** 2
+    return result
+
+
+def _grid(cfg: SurfaceConfig, surface: Surface, coefficients: Float) -> HeightGrid:
+    """Plane and field together at the grid's nodes."""
+    half = cfg.spline_half_width_m
+    x, y = np.arange(0.0, _length_m(cfg) + _STEP_M / 2, _STEP_M), np.arange(-half, half + _STEP_M / 2, _STEP_M)
+    columns, rows = (values.ravel() for values in np.meshgrid(x, y))
+    a, b, d = surface.abd
+    z = d - a * columns - b * rows + _design(cfg, columns, rows).heights(coefficients)
+    return HeightGrid(0.0, -half, _STEP_M, z.reshape(len(y), len(x)).astype(np.float32))

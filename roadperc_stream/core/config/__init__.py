@@ -1,0 +1,29 @@
+"""One frozen model per stage, nested in ``ReplayConfig``; TOML in, TOML out. Every key has a default."""
+
+from roadperc_stream.core.config.loading import load_config
+from roadperc_stream.core.config.replay import ReplayConfig
+from roadperc_stream.core.config.stages import (
+    LanesConfig,
+    ObjectsConfig,
+    OccupancyConfig,
+    OdometryConfig,
+    StereoConfig,
+    SurfaceConfig,
+    SyncConfig,
+)
+from roadperc_stream.core.stage_names import NEEDS, STAGES, switched_off
+
+__all__ = [
+    "NEEDS",
+    "STAGES",
+    "LanesConfig",
+    "ObjectsConfig",
+    "OccupancyConfig",
+    "OdometryConfig",
+    "ReplayConfig",
+    "StereoConfig",
+    "SurfaceConfig",
+    "SyncConfig",
+    "load_config",
+    "switched_off",
+]

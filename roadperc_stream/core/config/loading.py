@@ -1,0 +1,88 @@
+"""A configuration from a TOML file and single settings."""
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from roadperc_stream.core.config.replay import ReplayConfig
+from roadperc_stream.errors import ConfigError
+
+
+def load_config(path: Path | None = None, settings: tuple[str, ...] = ()) -> ReplayConfig:
+    """Configuration of a TOML file and ``KEY=VALUE`` settings, the settings winning.
+
+    Args:
+        path: TOML file with any part of the keys; None for the defaults.
+        settings: such as ``lanes.hold_s=0.8``; the value is TOML, a bare word is a string.
+
+    Raises:
+        ConfigError: the file cannot be read, or a key or value does not fit; the message names it.
+
+    """
+    tree = _read_toml(path) if path else {}
+    for setting in settings:
+        key, separator, value = setting.partition("=")
+        if not separator:
+            raise ConfigError(f"--set {setting}: expected KEY=VALUE, such as lanes.hold_s=0.8")
+        _assign(tree, key.strip().split("."), _toml_value(value.strip()), setting)
+    try:
+        return ReplayConfig.model_validate(tree)
+    except RecursionError as error:
+        raise ConfigError(f"{path or 'setting'}: nested too deeply") from error
+    except ValidationError as error:
+        raise ConfigError(f"{path or 'setting'}: {_complaint(error)}") from error
+
+
+def _complaint(error: ValidationError) -> str:
+    first = error.errors()[0]
+    *sections, name = (str(part) for part in first["loc"])
+    key = ".".join((*sections, name))
+    if first["type"] != "extra_forbidden":
+        return f"{key}: {first['msg']}, got {first['input']!r}"
+    model: type[BaseModel] = ReplayConfig
+    for section in sections:
+        model = type(model.model_fields[section].default)
+    return f"no setting {key}; {_known(sections, name, tuple(model.model_fields))}"
+
+
+def _known(sections: list[str], name: str, names: tuple[str, ...]) -> str:
+    """The nearest setting: in the same section, else one of that name in another; else all of the section."""
+    near = [".".join((*sections, close)) for close in difflib.get_close_matches(name, names, n=1)]
+    near = near or _elsewhere(name)
+    return f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(names)}"
+
+
+def _elsewhere(name: str) -> list[str]:
+    """The settings of any section that are called most nearly so; none where nothing is near."""
+    sections = {section: type(field.default) for section, field in ReplayConfig.model_fields.items()}
+    models = {section: model for section, model in sections.items() if issubclass(model, BaseModel)}
+    names = {key for model in models.values() for key in model.model_fields}
+    close = difflib.get_close_matches(name, sorted(names), n=1)
+    return [f"{section}.{key}" for section, model in models.items() for key in close if key in model.model_fields]
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from error
+
+
+def _toml_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _assign(tree: dict[str, Any], keys: list[str], value: Any, setting: str) -> None:
+    for key in keys[:-1]:
+        tree = tree.setdefault(key, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"--set {setting}: {key} is a value, not a table")
+    tree[keys[-1]] = value

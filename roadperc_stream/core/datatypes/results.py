@@ -1,0 +1,302 @@
+"""What each stage makes of a frame. Unknown is None in scalars and NaN in arrays, never 0 or -1."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.core.datatypes.arrays import Mask, read_only
+from roadperc_stream.core.datatypes.frame import Box, Detection
+from roadperc_stream.core.geometry import Float, Float32, Plane
+
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
+SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "assumed", "truth"]
+BoundaryStatus = Literal["measured", "held", "lost"]
+ObjectStatus = Literal["measured", "tracked", "lost"]
+Verdict = Literal["kept", "unjudged", "dropped"]
+OdometryStatus = Literal["first", "tracked", "lost"]
+Line = tuple[float, float, float, float]
+"""x1, y1, x2, y2 in pixels: from the image's bottom edge (y1 = height) to the road's far end."""
+
+
+@dataclass(frozen=True)
+class Absent:
+    """A stage's output that could not be made, and why."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class HeightGrid:
+    """Road height z in metres at x = x_min_m + column * step_m, y = y_min_m + row * step_m (ego frame)."""
+
+    x_min_m: float
+    y_min_m: float
+    step_m: float
+    z_m: Float32
+
+    def __post_init__(self) -> None:
+        read_only(self.z_m, np.float32, (None, None), "z_m")
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The road's plane in the frame of the camera its depth belongs to, and the same in the ego frame."""
+
+    source: SurfaceSource
+    frame_id: str
+    plane: Plane
+    ego_plane: Plane
+    camera_height_m: float
+    pitch: float
+    roll: float
+    inlier_ratio: float | None = None
+    model: Literal["plane", "spline"] = "plane"
+    height_grid: HeightGrid | None = None
+
+    @property
+    def abd(self) -> tuple[float, float, float]:
+        """The lecture's parameters of a x + b y + z = d in the ego frame."""
+        nx, ny, nz = self.ego_plane.normal
+        return nx / nz, ny / nz, -self.ego_plane.offset_m / nz
+
+
+@dataclass(frozen=True)
+class StereoDepth:
+    """Depth from a rectified pair, as the left camera sees it: (H, W) metres along z, NaN unknown."""
+
+    frame_id: str
+    depth_m: Float32
+
+    def __post_init__(self) -> None:
+        read_only(self.depth_m, np.float32, (None, None), "depth_m")
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Features of the odometry's keyframe that a frame shows again: (N, 2) pixels there and here, in whole images.
+
+    ``inliers`` (N,) are those that agree on the motion.
+    """
+
+    key_px: Float32
+    px: Float32
+    inliers: Mask
+
+    def __post_init__(self) -> None:
+        read_only(self.key_px, np.float32, (None, 2), "key_px")
+        read_only(self.px, np.float32, (len(self.key_px), 2), "px")
+        read_only(self.inliers, np.bool_, (len(self.key_px),), "inliers")
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Where the ego frame is. ``step`` maps this frame's ego coordinates to the last one's (last_T_this).
+
+    With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
+    x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is when ``step`` begins: the last frame
+    that was not missing. ``reason`` says why a frame is ``lost``; its pose is then the last one known. ``matches`` are
+    what the motion was told from, None where there was none.
+    """
+
+    status: OdometryStatus
+    odom_T_ego: Float
+    step: Float | None = None
+    inliers: int = 0
+    up_to_scale: bool = False
+    covariance: tuple[float, ...] = ()
+    since_ns: int | None = None
+    reason: str = ""
+    matches: Matches | None = None
+
+    def __post_init__(self) -> None:
+        read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+        if self.step is not None:
+            read_only(self.step, np.float64, (4, 4), "step")
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """A bird's-eye grid in the ego frame: -1 unknown, 0 free, 100 occupied.
+
+    ``cells[row, column]`` covers x from x_min_m + column * resolution_m and y from y_min_m + row * resolution_m on.
+    """
+
+    x_min_m: float
+    y_min_m: float
+    resolution_m: float
+    cells: NDArray[np.int8]
+
+    def __post_init__(self) -> None:
+        read_only(self.cells, np.int8, (None, None), "cells")
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """One side of the ego lane. The state (offset, heading, curvature) is in the ego frame at x = 0."""
+
+    side: Side
+    status: BoundaryStatus
+    raw_px: Line | None = None
+    smoothed_px: Line | None = None
+    offset_m: float | None = None
+    heading: float | None = None
+    curvature_per_m: float | None = None
+    raw_offset_m: float | None = None
+    covariance: tuple[float, ...] = ()
+    inside: str = ""
+    outside: str = ""
+    line_ego_m: Float = field(default_factory=lambda: np.empty((0, 3)))
+    line_px: Float = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __post_init__(self) -> None:
+        read_only(self.line_ego_m, np.float64, (None, 3), "line_ego_m")
+        read_only(self.line_px, np.float64, (None, 2), "line_px")
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """The ego lane's two boundaries, and the lines they were chosen from as (N, 4) x1, y1, x2, y2 in pixels.
+
+    ``edges`` are the (H, W) edge pixels along which the lines were proposed, None where none were looked for.
+    """
+
+    boundaries: tuple[Boundary, ...]
+    proposals_px: Float = field(default_factory=lambda: np.empty((0, 4)))
+    merged_px: Float = field(default_factory=lambda: np.empty((0, 4)))
+    edges: Mask | None = None
+
+    def __post_init__(self) -> None:
+        if self.edges is not None:
+            read_only(self.edges, np.bool_, (None, None), "edges")
+        read_only(self.proposals_px, np.float64, (None, 4), "proposals_px")
+        read_only(self.merged_px, np.float64, (None, 4), "merged_px")
+
+    def side(self, side: Side) -> Boundary:
+        """The boundary of one side; ``lost`` where the lanes hold none."""
+        return next((b for b in self.boundaries if b.side == side), Boundary(side, "lost"))
+
+
+@dataclass(frozen=True)
+class Object:
+    """A detection judged by the segmentation, with its distance."""
+
+    detection: Detection
+    kept: bool
+    class_ratio: float | None = None
+    distance_m: float | None = None
+    distance_std_m: float | None = None
+    closing_speed_mps: float | None = None
+    closing_speed_std_mps: float | None = None
+    time_to_impact_s: float | None = None
+    time_to_impact_std_s: float | None = None
+    beyond_range: bool = False
+    status: ObjectStatus = "measured"
+    track_id: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What became of it: ``unjudged`` ones are kept because nothing could judge them."""
+        if not self.kept:
+            return "dropped"
+        return "unjudged" if self.class_ratio is None else "kept"
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """How well a patch fits an image, by the place of its first pixel.
+
+    ``scores[row, column]``, -1 to 1, is that of the patch whose first pixel lies on (x_px + column, y_px + row); -inf
+    where the image shows nothing. ``patch_px`` are its columns and rows.
+    """
+
+    x_px: int
+    y_px: int
+    patch_px: tuple[int, int]
+    scores: Float32
+
+    def __post_init__(self) -> None:
+        read_only(self.scores, np.float32, (None, None), "scores")
+
+    @property
+    def peak(self) -> tuple[Box, float]:
+        """Where the patch fits best, and how well."""
+        row, column = np.unravel_index(int(np.argmax(self.scores)), self.scores.shape)
+        left, top = float(self.x_px + column), float(self.y_px + row)
+        place = Box(left, top, left + self.patch_px[0], top + self.patch_px[1])
+        return place, min(float(self.scores[row, column]), 1.0)
+
+    def match(self, min_score: float) -> tuple[Box, float] | None:
+        """The peak, if it reaches a score; None where the image shows nothing at all."""
+        place, score = self.peak
+        return None if score < min_score or not np.isfinite(score) else (place, score)
+
+
+@dataclass(frozen=True)
+class Objects:
+    """All detections of a frame, kept and dropped, in the detector's order, then those found by their image alone.
+
+    ``searches`` are where that was looked for.
+    """
+
+    objects: tuple[Object, ...]
+    searches: tuple[Correlation, ...] = ()
+
+    @property
+    def nearest(self) -> Object | None:
+        """The nearest of the kept objects; None where no distance is known."""
+        return self._first_kept([item.distance_m for item in self.objects])
+
+    @property
+    def most_urgent(self) -> Object | None:
+        """The kept object with the least time to impact; None where none is known."""
+        return self._first_kept([item.time_to_impact_s for item in self.objects])
+
+    def _first_kept(self, values: Sequence[float | None]) -> Object | None:
+        """The kept object of the least of these values, of equals the first."""
+        known = {k: value for k, value in enumerate(values) if value is not None and self.objects[k].kept}
+        return self.objects[min(known, key=known.__getitem__)] if known else None
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What the chain made of one frame.
+
+    ``problems`` say which inputs could not be used and what had to be done without them.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    surface: Surface | Absent
+    drivable: Mask | Absent
+    lanes: Lanes | Absent
+    objects: Objects | Absent
+    problems: tuple[str, ...] = ()
+    stereo: StereoDepth | Absent = Absent("not run")
+    odometry: Odometry | Absent = Absent("not run")
+    occupancy: Occupancy | Absent = Absent("not run")
+    front_surface: Surface | Absent = Absent("not run")
+    """``surface`` with its plane in the frame of the front camera."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.drivable, Absent):
+            read_only(self.drivable, np.bool_, (None, None), "drivable")
+
+    def reasons(self) -> tuple[str, ...]:
+        """Why stages gave nothing, as ``stage: reason``, and what was wrong with the input."""
+        stages = {
+            "stereo": self.stereo,
+            "surface": self.surface,
+            "drivable": self.drivable,
+            "odometry": self.odometry,
+            "lanes": self.lanes,
+            "objects": self.objects,
+            "occupancy": self.occupancy,
+        }
+        absent = tuple(f"{name}: {out.reason}" for name, out in stages.items() if isinstance(out, Absent))
+        lost = isinstance(self.odometry, Odometry) and self.odometry.status == "lost"
+        where = (f"odometry: lost, {self.odometry.reason}",) if lost else ()
+        return absent + where + self.problems

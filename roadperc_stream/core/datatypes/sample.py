@@ -1,0 +1,58 @@
+"""A frame with its truth beside it, so that truth cannot leak into perception."""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.core.datatypes.arrays import read_only
+from roadperc_stream.core.datatypes.frame import DepthImage, Frame, TagImage
+from roadperc_stream.core.datatypes.results import Lanes, Objects, Surface
+from roadperc_stream.core.geometry import Float
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is known to be true of a frame; the chain never sees it."""
+
+    odom_T_ego: Float | None = None
+    surface: Surface | None = None
+    lanes: Lanes | None = None
+    objects: Objects | None = None
+    depth: DepthImage | None = None
+    segmentation: TagImage | None = None
+
+    def __post_init__(self) -> None:
+        if self.odom_T_ego is not None:
+            read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+
+
+EGO, ODOM = "ego", "odom"
+"""The results' frames: the car's, and that of its way."""
+OWN_ODOM: Final = "perception_odom"
+"""Odom where the log has a frame of that name, or says itself where the car is."""
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Where ego and odom join the log's own tree of transforms, in which no frame may get a second parent."""
+
+    frame_id: str = ""
+    """The log's frame that is tied to ego; empty where it is called so in the log, too."""
+    ego_T_frame: Float = field(default_factory=lambda: np.eye(4))
+    placed: bool = False
+    """Whether the log itself places that frame: then ego hangs below it, and odom below ego."""
+    odom: str = ODOM
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One instant of a log, as ``sync`` put it together."""
+
+    index: int
+    log_time_ns: int
+    frame: Frame
+    truth: Truth
+    missing: tuple[str, ...] = ()
+    skew_ns: int | None = None
+    tie: Tie = field(default_factory=Tie)

@@ -1,0 +1,154 @@
+"""The road below the car, plane or height field: how high it lies, and where rays meet it. Pure functions.
+
+A ``Surface`` with a height grid is a field z(x, y) in the ego frame: bilinear between the grid's nodes, going on
+straight beyond them. Without one it is its plane.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import cv2
+import numpy as np
+
+from roadperc_stream.core.datatypes import HeightGrid, Surface
+from roadperc_stream.core.geometry import Camera, Float, Float32, intersect_plane, rays, transform
+
+REACH_M: Final = 200.0
+"""Depth to which a ray is followed to the height field; what is straight beyond the grid ends somewhere."""
+_TRIED_M: Final = np.geomspace(0.5, REACH_M, 25)
+"""Depths at which it is first looked whether a ray has dipped below the road."""
+_PARTS: Final = np.linspace(0.0, 1.0, 5)
+_REFINEMENTS: Final = 2
+"""Parts into which the stretch where it dipped is cut, twice: the last is 2 % long, straight enough to interpolate."""
+_LOOKUP_X_M: Final = (-20.0, REACH_M)
+_LOOKUP_Y_M: Final = (-80.0, 80.0)
+
+
+def height_at(surface: Surface, x: Float, y: Float) -> Float:
+    """Height z of the road in metres at x and y, arrays of one shape, ego frame."""
+    if surface.height_grid is not None:
+        return _grid_height(surface.height_grid, x, y)
+    a, b, d = surface.abd
+    result: Float = d - a * x - b * y
+    return result
+
+
+def ground_points(surface: Surface, camera: Camera, ego_T_camera: Float, pixels: Float) -> Float:
+    """(N, 3) ego points where the rays of (N, 2) pixels first meet the road, NaN where they do not.
+
+    Args:
+        surface: the road; ``plane`` is that in the frame of ``camera``.
+        camera: the camera of the pixels.
+        ego_T_camera: its mounting.
+        pixels: x, y.
+    """
+    if surface.height_grid is None:
+        return transform(ego_T_camera, intersect_plane(camera, pixels, surface.plane))
+    centre, directions = ego_T_camera[:3, 3], rays(camera, pixels) @ ego_T_camera[:3, :3].T
+    points: Float = centre + directions * _first_meeting(surface.height_grid, centre, directions)[:, None]
+    return points
+
+
+def ego_points(camera: Camera, ego_T_camera: Float, depth_m: Float32) -> tuple[Float32, Float32, Float32]:
+    """Ego x, y and z in metres of every depth pixel, each (H, W); NaN where the depth is unknown."""
+    column = (np.arange(camera.width) - camera.cx) / camera.fx
+    row = (np.arange(camera.height) - camera.cy) / camera.fy
+    x, y, z = (
+        _along_rays(r[0] * column, r[1] * row + r[2], float(t), depth_m)
+        for r, t in zip(ego_T_camera[:3, :3], ego_T_camera[:3, 3], strict=True)
+    )
+    return x, y, z
+
+
+def height_above(surface: Surface, x: Float32, y: Float32, z: Float32) -> Float32:
+    """(H, W) metres by which ego points stand above the road, measured vertically; NaN where they are unknown.
+
+    For whole images: a height field is looked up to 1/32 of its step, 2 mm on a slope of 10 %, and is unknown far
+    away from the car.
+    """
+    if surface.height_grid is None:
+        a, b, d = (np.float32(value) for value in surface.abd)
+        result: Float32 = z - (d - a * x - b * y)
+        return result
+    step = surface.height_grid.step_m
+    lookup = height_at(
+        surface, *np.meshgrid(np.arange(*_LOOKUP_X_M, step), np.arange(*_LOOKUP_Y_M, step), copy=False)
+    ).astype(np.float32)
+    columns = (x - np.float32(_LOOKUP_X_M[0])) * np.float32(1 / step)
+    rows = (y - np.float32(_LOOKUP_Y_M[0])) * np.float32(1 / step)
+    road = cv2.remap(lookup, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+    return np.asarray(z - road, np.float32)
+
+
+def part(camera: Camera, top: int, rows: int, columns: int) -> Camera:
+    """The camera of the image ``pixels[top::rows, ::columns]``."""
+    return replace(
+        camera,
+        width=-(-camera.width // columns),
+        height=-(-(camera.height - top) // rows),
+        fx=camera.fx / columns,
+        fy=camera.fy / rows,
+        cx=camera.cx / columns,
+        cy=(camera.cy - top) / rows,
+    )
+
+
+def _along_rays(column: Float, row: Float, start_m: float, depth_m: Float32) -> Float32:
+    """One coordinate of every pixel: its ray's is a part of the column and a part of the row."""
+    coordinate = row.astype(np.float32)[:, None] + column.astype(np.float32)[None, :]
+    coordinate *= depth_m
+    if start_m:
+        coordinate += np.float32(start_m)
+    result: Float32 = coordinate
+    return result
+
+
+def _grid_height(grid: HeightGrid, x: Float, y: Float) -> Float:
+    """Bilinear inside the grid; outside, the slopes of the nearest cell's edge go on, its twist does not."""
+    cells = _bilinear(grid)
+    rows, columns, _ = cells.shape
+    u, v = (np.asarray(x) - grid.x_min_m) / grid.step_m, (np.asarray(y) - grid.y_min_m) / grid.step_m
+    i = np.fmin(np.fmax(u, 0), columns - 1).astype(np.intp)  # fmax and fmin make a number of NaN
+    j = np.fmin(np.fmax(v, 0), rows - 1).astype(np.intp)
+    corner, along, across, twist = np.moveaxis(np.take(cells.reshape(-1, 4), j * columns + i, axis=0), -1, 0)
+    u, v = u - i, v - j
+    inside_u, inside_v = np.clip(u, 0, 1), np.clip(v, 0, 1)
+    result: Float = corner + along * u + across * v + twist * (u * inside_v + inside_u * (v - inside_v))
+    return result
+
+
+def _bilinear(grid: HeightGrid) -> Float:
+    """(rows, columns, 4) of each cell between four nodes: height, rise along x, along y, and along both, per step."""
+    z = grid.z_m.astype(np.float64)
+    z = np.pad(z, [(0, int(length == 1)) for length in z.shape], mode="edge")
+    along, across = np.diff(z, axis=1), np.diff(z, axis=0)
+    return np.stack((z[:-1, :-1], along[:-1], across[:, :-1], np.diff(along, axis=0)), axis=-1)
+
+
+def _first_meeting(grid: HeightGrid, centre: Float, directions: Float) -> Float:
+    """(N,) depths at which rays from a (3,) centre first dip below the height field, NaN where they never do.
+
+    A crest hides what lies behind it, so the first crossing counts; Newton's method might find another one.
+    """
+    depth: Float = np.broadcast_to(_TRIED_M, (len(directions), len(_TRIED_M)))
+    near, far, above_m, below_m = _first_dip(grid, centre, directions, depth)
+    for _ in range(_REFINEMENTS):
+        depth = near[:, None] * (1.0 - _PARTS) + far[:, None] * _PARTS
+        near, far, above_m, below_m = _first_dip(grid, centre, directions, depth)
+    result: Float = near + (far - near) * above_m / (above_m - below_m)
+    return result
+
+
+def _first_dip(grid: HeightGrid, centre: Float, directions: Float, depth: Float) -> tuple[Float, Float, Float, Float]:
+    """Between which two of (N, M) depths each ray first dips below the field, and its heights above it there.
+
+    All (N,); NaN depths where it never does, or is below from the start.
+    """
+    x, y, z = (start + direction[:, None] * depth for start, direction in zip(centre, directions.T, strict=True))
+    gap = z - _grid_height(grid, x, y)
+    below = gap <= 0
+    first = below.argmax(axis=1)
+    met = first > 0
+    every, first = np.arange(len(gap)), np.maximum(first, 1)
+    near, far = (np.where(met, depth[every, at], np.nan) for at in (first - 1, first))
+    return near, far, gap[every, first - 1], gap[every, first]

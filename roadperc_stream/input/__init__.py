@@ -1,0 +1,1 @@
+"""From a log to frames: which channel fills which role, decoding, transforms, synchronisation, assembly."""

@@ -1,0 +1,114 @@
+"""Input messages to datatypes, by what the role needs and how the message is written."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+from google.protobuf.message import DecodeError as ProtobufError
+
+from roadperc_stream.core.semantics import TABLES
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.input.decoding import foxglove, own, ros
+from roadperc_stream.input.decoding.calibration import camera_from_calibration
+from roadperc_stream.input.decoding.from_json import from_json
+from roadperc_stream.input.decoding.own import detection_from_proto
+from roadperc_stream.input.decoding.payload import Context, Decoded, Payload, Transform
+from roadperc_stream.log import Channel
+from roadperc_stream.schemas import cdr, ros2
+from roadperc_stream.schemas.channels import CARLA_BRIDGE, TAG_TABLE_KEY, Kind
+
+__all__ = [
+    "DECODERS",
+    "Context",
+    "Decoded",
+    "Payload",
+    "Transform",
+    "camera_from_calibration",
+    "context_of",
+    "context_of_channel",
+    "decode",
+    "detection_from_proto",
+    "schemas_of_kind",
+]
+_END_OF_TIME_NS: Final = 2**63
+Decoder = Callable[[bytes, Context], Decoded]
+
+_OWN: Final[Mapping[tuple[Kind, str], Decoder]] = {
+    ("detections", "roadperc.Detections"): own.detections,
+    ("surface", "roadperc.Surface"): own.surface,
+    ("lanes", "roadperc.Lanes"): own.lanes,
+    ("objects", "roadperc.Objects"): own.objects,
+}
+
+
+def _protobuf(message_type: Any, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
+    return lambda data, context: decoder(message_type.FromString(data), context)
+
+
+def _json(message_type: Any, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
+    return lambda data, context: decoder(from_json(message_type, data), context)
+
+
+def _cdr(name: str, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
+    def decode_cdr(data: bytes, context: Context) -> Decoded:
+        definition = context.definition or ros2.DEFINITIONS.get(name, b"")
+        message = cdr.read(data, name, definition, context.definition_encoding)
+        with cdr.as_defined(f"{name} as the log defines it"):
+            return decoder(message, context)
+
+    return decode_cdr
+
+
+DECODERS: Final[Mapping[tuple[Kind, str, str], Decoder]] = {
+    **{(kind, name, "protobuf"): decoder for (kind, name), decoder in _OWN.items()},
+    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in foxglove.DECODERS.items()},
+    **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
+    **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, f) for (kind, t), f in foxglove.DECODERS.items()},
+}
+
+
+def schemas_of_kind(kind: Kind) -> tuple[tuple[str, str], ...]:
+    """(schema, message encoding) pairs that can serve a kind of role."""
+    return tuple((schema, encoding) for known, schema, encoding in DECODERS if known == kind)
+
+
+def context_of(metadata: Mapping[str, str], configured: str, otherwise: str = "") -> Context:
+    """Decoding context of a channel.
+
+    Args:
+        metadata: of the channel, which may name its tag table.
+        configured: the tag table that wins over the channel's own, or ``auto``.
+        otherwise: that of a channel that names none.
+    """
+    name = metadata.get(TAG_TABLE_KEY, otherwise) if configured == "auto" else configured
+    return Context(TABLES.get(name))
+
+
+def context_of_channel(channel: Channel, configured: str, otherwise: str = "") -> Context:
+    """Decoding context of a channel whose messages are laid out as its own schema says; as ``context_of``."""
+    context = context_of(dict(channel.metadata), configured, otherwise)
+    context = replace(context, carla_bridge=channel.topic.startswith(CARLA_BRIDGE))
+    if not channel.schema_data:
+        return context
+    return replace(context, definition=channel.schema_data, definition_encoding=channel.schema_encoding)
+
+
+def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int, context: Context) -> Decoded:
+    """Decode one message; a message without a stamp of its own gets its log time.
+
+    Raises:
+        DecodeError: the bytes are not what the schema promises, or the schema is none of that kind.
+
+    """
+    decoder = DECODERS.get((kind, schema, encoding))
+    if decoder is None:
+        expected = ", ".join(f"{known} ({written})" for known, written in schemas_of_kind(kind))
+        raise DecodeError(f"expected {expected}; found {schema or 'no schema'} ({encoding})")
+    try:
+        decoded = decoder(data, context)
+    except (ProtobufError, ValueError) as error:
+        raise DecodeError(f"{len(data)} bytes are no {schema}: {error}") from error
+    decoded = decoded if decoded.stamp_ns else replace(decoded, stamp_ns=log_time_ns)
+    if not 0 <= decoded.stamp_ns < _END_OF_TIME_NS:
+        raise DecodeError(f"stamp {decoded.stamp_ns} ns does not fit 64 bits")
+    return decoded

@@ -1,0 +1,102 @@
+"""Foxglove's well-known messages: as protobuf, and as JSON, which is read into the protobuf message first."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudProto
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+
+from roadperc_stream.core.datatypes import PointCloud
+from roadperc_stream.core.geometry import Float32
+from roadperc_stream.formats import points
+from roadperc_stream.formats.raster import Raster
+from roadperc_stream.input.decoding import pictures
+from roadperc_stream.input.decoding.calibration import camera_from_calibration
+from roadperc_stream.input.decoding.payload import Context, Decoded, Transform, pose_matrix
+from roadperc_stream.schemas.channels import Kind
+from roadperc_stream.schemas.protobuf import stamp_ns
+
+
+def _compressed_image(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), pictures.encoded_image(message.frame_id, message.data))
+
+
+def _compressed_tags(message: Any, context: Context) -> Decoded:
+    tags = pictures.encoded_tags(message.frame_id, message.data, context.tag_table)
+    return Decoded(stamp_ns(message.timestamp), tags)
+
+
+def _raw_image(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), pictures.raw_image(message.frame_id, _raster(message)))
+
+
+def _raw_depth(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), pictures.raw_depth(message.frame_id, _raster(message)))
+
+
+def _raw_tags(message: Any, context: Context) -> Decoded:
+    tags = pictures.raw_tags(message.frame_id, _raster(message), context.tag_table)
+    return Decoded(stamp_ns(message.timestamp), tags)
+
+
+def _raster(message: Any) -> Raster:
+    return Raster(message.encoding, message.width, message.height, message.step, message.data)
+
+
+def _point_cloud(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), PointCloud(message.frame_id, lambda: _points_m(message)))
+
+
+def _points_m(message: Any) -> Float32:
+    """Points in the frame the message names: its pose, where it states one, places them there."""
+    stated = message.HasField("pose")
+    return points.unpack_points(
+        message, pose_matrix(message.pose.position, message.pose.orientation) if stated else np.eye(4)
+    )
+
+
+def _calibration(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), camera_from_calibration(message))
+
+
+def _transform(message: Any, _: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), (_edge(message),))
+
+
+def _transforms(message: Any, _: Context) -> Decoded:
+    """The first transform's stamp is the message's."""
+    edges = tuple(_edge(transform) for transform in message.transforms)
+    stamp = stamp_ns(message.transforms[0].timestamp) if edges else 0
+    return Decoded(stamp, edges)
+
+
+def _edge(message: Any) -> Transform:
+    matrix = pose_matrix(message.translation, message.rotation)
+    return Transform(message.parent_frame_id, message.child_frame_id, matrix)
+
+
+def _pose(message: Any, _: Context) -> Decoded:
+    """A pose of the ego frame."""
+    matrix = pose_matrix(message.pose.position, message.pose.orientation)
+    return Decoded(stamp_ns(message.timestamp), Transform(message.frame_id, "ego", matrix))
+
+
+DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
+    ("image", CompressedImage): _compressed_image,
+    ("image", RawImage): _raw_image,
+    ("tags", CompressedImage): _compressed_tags,
+    ("tags", RawImage): _raw_tags,
+    ("depth", RawImage): _raw_depth,
+    ("points", PointCloudProto): _point_cloud,
+    ("calibration", CameraCalibration): _calibration,
+    ("tf", FrameTransforms): _transforms,
+    ("tf", FrameTransform): _transform,
+    ("pose", PoseInFrame): _pose,
+}
+"""By kind and type of message."""

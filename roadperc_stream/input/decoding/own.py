@@ -1,0 +1,157 @@
+"""The messages of roadperc.proto: detections, and what is true or was seen of road, lanes and objects."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from roadperc_stream.core.datatypes import (
+    Boundary,
+    Box,
+    Detection,
+    HeightGrid,
+    Lanes,
+    Line,
+    Object,
+    Objects,
+    Side,
+    Surface,
+)
+from roadperc_stream.core.datatypes.results import BoundaryStatus, ObjectStatus
+from roadperc_stream.core.geometry import Float, Plane
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.input.decoding.payload import Context, Decoded, optional, require_finite
+from roadperc_stream.schemas.protobuf import stamp_ns
+from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
+from roadperc_stream.schemas.roadperc_pb2 import Lanes as LanesProto
+from roadperc_stream.schemas.roadperc_pb2 import Objects as ObjectsProto
+from roadperc_stream.schemas.roadperc_pb2 import Surface as SurfaceProto
+
+_SIDE_OF: Final[Mapping[int, Side]] = {1: "left", 2: "right"}
+_BOUNDARY_STATUS_OF: Final[Mapping[int, BoundaryStatus]] = {1: "measured", 2: "held", 3: "lost"}
+_OBJECT_STATUS_OF: Final[Mapping[int, ObjectStatus]] = {1: "measured", 2: "tracked", 3: "lost"}
+"""A truth need not say its status: it is what is there."""
+_FEWEST: Final = 2
+"""Heights along each side of a grid: between fewer there is nothing."""
+_FINEST_M, _FARTHEST_M = 1e-3, 1e7
+
+
+def detections(data: bytes, _: Context) -> Decoded:
+    """roadperc.Detections."""
+    message = DetectionsProto.FromString(data)
+    return Decoded(stamp_ns(message.timestamp), tuple(detection_from_proto(d) for d in message.detections))
+
+
+def detection_from_proto(message: Any) -> Detection:
+    """One detection of a roadperc.Detections or roadperc.Objects."""
+    box = Box(message.box_px.x_min, message.box_px.y_min, message.box_px.x_max, message.box_px.y_max)
+    require_finite(f"detection {message.label!r}", box.x_min, box.y_min, box.x_max, box.y_max, message.score)
+    return Detection(message.label, box, float(message.score), message.id)
+
+
+def surface(data: bytes, _: Context) -> Decoded:
+    """roadperc.Surface of a truth."""
+    message = SurfaceProto.FromString(data)
+    normal = np.array([message.normal.x, message.normal.y, message.normal.z])
+    if not np.linalg.norm(normal) > 0:
+        raise DecodeError("surface without a normal")
+    require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d)
+    decoded = Surface(
+        source="truth",
+        frame_id=message.frame_id,
+        plane=Plane.of(normal, message.camera_height_m),
+        ego_plane=Plane.of(np.array([message.a, message.b, 1.0]), -message.d),
+        camera_height_m=message.camera_height_m,
+        pitch=message.pitch,
+        roll=message.roll,
+        inlier_ratio=optional(message, "inlier_ratio"),
+        height_grid=_height_grid(message.height_grid) if message.HasField("height_grid") else None,
+    )
+    return Decoded(stamp_ns(message.timestamp), decoded)
+
+
+def _height_grid(grid: Any) -> HeightGrid:
+    heights = np.array(grid.z_m, np.float32)
+    if grid.rows < _FEWEST or grid.columns < _FEWEST or heights.size != grid.rows * grid.columns:
+        size = f"{grid.rows} rows of {grid.columns}, {heights.size} heights"
+        raise DecodeError(f"height grid: {size}: expected rows times columns, {_FEWEST} or more of each")
+    require_finite("height grid", grid.x_min_m, grid.y_min_m, grid.step_m, heights.min(), heights.max())
+    farthest_m = max(abs(grid.x_min_m), abs(grid.y_min_m), grid.step_m, float(np.abs(heights).max()))
+    if not (grid.step_m >= _FINEST_M and farthest_m <= _FARTHEST_M):
+        found = f"up to {farthest_m:g} m, in steps of {grid.step_m:g} m"
+        raise DecodeError(
+            f"height grid: {found}: expected up to {_FARTHEST_M:g} m, in steps of {_FINEST_M:g} m or more"
+        )
+    return HeightGrid(grid.x_min_m, grid.y_min_m, grid.step_m, heights.reshape(grid.rows, grid.columns))
+
+
+def lanes(data: bytes, _: Context) -> Decoded:
+    """roadperc.Lanes: true ones, or those a replay has seen; boundaries of no known side are left out."""
+    message = LanesProto.FromString(data)
+    return Decoded(
+        stamp_ns(message.timestamp), Lanes(tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF))
+    )
+
+
+def _boundary(message: Any) -> Boundary:
+    line_ego_m, line_px = _points(message.line_ego_m, "xyz"), _points(message.line_px, "xy")
+    numbers = (message.offset_m, message.heading, message.curvature_per_m, message.raw_offset_m, *message.covariance)
+    require_finite("boundary", *numbers, *line_ego_m.ravel(), *line_px.ravel())
+    return Boundary(
+        side=_SIDE_OF[message.side],
+        status=_BOUNDARY_STATUS_OF.get(message.status, "measured"),
+        raw_px=_line(message, "raw_px"),
+        smoothed_px=_line(message, "smoothed_px"),
+        offset_m=optional(message, "offset_m"),
+        heading=optional(message, "heading"),
+        curvature_per_m=optional(message, "curvature_per_m"),
+        raw_offset_m=optional(message, "raw_offset_m"),
+        covariance=tuple(message.covariance),
+        inside=message.inside,
+        outside=message.outside,
+        line_ego_m=line_ego_m,
+        line_px=line_px,
+    )
+
+
+def _points(points: Any, axes: str) -> Float:
+    """(N, len(axes)) coordinates."""
+    return np.array([[getattr(p, axis) for axis in axes] for p in points], float).reshape(-1, len(axes))
+
+
+def _line(message: Any, name: str) -> Line | None:
+    line = optional(message, name)
+    if line is None:
+        return None
+    require_finite(name, line.x1, line.y1, line.x2, line.y2)
+    return line.x1, line.y1, line.x2, line.y2
+
+
+_OPTIONAL_NUMBERS: Final = (
+    "class_ratio",
+    "distance_m",
+    "distance_std_m",
+    "closing_speed_mps",
+    "closing_speed_std_mps",
+    "time_to_impact_s",
+    "time_to_impact_std_s",
+)
+
+
+def objects(data: bytes, _: Context) -> Decoded:
+    """roadperc.Objects: true ones, or those a replay has seen."""
+    message = ObjectsProto.FromString(data)
+    return Decoded(stamp_ns(message.timestamp), Objects(tuple(_object(o) for o in message.objects)))
+
+
+def _object(message: Any) -> Object:
+    numbers = {name: optional(message, name) for name in _OPTIONAL_NUMBERS}
+    require_finite("objects", *numbers.values())
+    return Object(
+        detection=detection_from_proto(message.detection),
+        kept=message.kept,
+        beyond_range=message.beyond_range,
+        status=_OBJECT_STATUS_OF.get(message.status, "measured"),
+        track_id=message.track_id,
+        **numbers,
+    )

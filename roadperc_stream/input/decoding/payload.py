@@ -1,0 +1,95 @@
+"""What a decoder gives, and what it may need beside the bytes."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from roadperc_stream.core.datatypes import (
+    CameraImage,
+    DepthImage,
+    Detection,
+    Lanes,
+    Objects,
+    PointCloud,
+    Surface,
+    TagImage,
+)
+from roadperc_stream.core.geometry import Camera, Float, rigid, rotation_from_quaternion
+from roadperc_stream.core.semantics import TagTable
+from roadperc_stream.errors import DecodeError
+
+_LARGEST: Final = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True)
+class Transform:
+    """One edge of the transform tree: ``parent_T_child``."""
+
+    parent: str
+    child: str
+    parent_T_child: Float
+
+
+Payload = (
+    CameraImage
+    | TagImage
+    | DepthImage
+    | PointCloud
+    | Camera
+    | tuple[Detection, ...]
+    | tuple[Transform, ...]
+    | Transform
+    | Surface
+    | Lanes
+    | Objects
+)
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """A message's own stamp (0 where it has none) and its content."""
+
+    stamp_ns: int
+    payload: Payload
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a decoder may need beside the bytes."""
+
+    tag_table: TagTable | None = None
+    definition: bytes = b""
+    """How the log defines the message, where its encoding does not say by itself (cdr); empty: as ROS 2 defines it."""
+    definition_encoding: str = "ros2msg"
+    carla_bridge: bool = False
+    """Whether CARLA's ROS bridge wrote it: its principal point, half the image's size, counts from a pixel's corner."""
+
+
+def pose_matrix(position: Any, orientation: Any) -> Float:
+    """(4, 4) of a message's position and quaternion.
+
+    Raises:
+        DecodeError: a number is not finite, or the quaternion is no rotation.
+    """
+    try:
+        rotation = rotation_from_quaternion(orientation.x, orientation.y, orientation.z, orientation.w)
+    except ValueError as error:
+        raise DecodeError(f"pose without an orientation: {error}") from error
+    require_finite("pose", position.x, position.y, position.z)
+    return rigid(rotation, np.array([position.x, position.y, position.z]))
+
+
+def require_finite(what: str, *values: float | None) -> None:
+    """Refuse numbers that are none; unknown ones are None.
+
+    Raises:
+        DecodeError: one is NaN, infinite, or larger than the 32 bits hold in which it is computed with and shown.
+    """
+    if not (np.abs([value for value in values if value is not None]) <= _LARGEST).all():
+        raise DecodeError(f"{what}: a number is not finite in 32 bits")
+
+
+def optional(message: Any, name: str) -> Any:
+    """A field of a protobuf message; None where it is not set."""
+    return getattr(message, name) if message.HasField(name) else None

@@ -1,0 +1,1 @@
+"""Results as pictures: annotations for the viewers, and overlays drawn into the camera image."""

@@ -1,0 +1,280 @@
+"""What the viewers draw over the image and in 3D: foxglove.ImageAnnotations and foxglove.SceneUpdate."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
+from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point2_pb2 import Point2
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from numpy.typing import NDArray
+
+from roadperc_stream.core.datatypes import Box, Lanes, Mask, Object, Objects, Surface
+from roadperc_stream.core.geometry import Camera, Float, quaternion, rays, transform
+from roadperc_stream.core.ground import ground_points, height_at
+from roadperc_stream.core.semantics import Colour
+from roadperc_stream.output.drawing import colours
+from roadperc_stream.output.drawing.captions import by_nearness, caption_places, viewer_font_px, viewer_text_size
+from roadperc_stream.schemas.protobuf import set_stamp
+
+_FAINT: Final = 0.45
+"""Opacity of the many proposals, under the few lines that were made of them."""
+_TEXT_UP_TO: Final = 0.8
+_PATCH_M: Final = (2.0, 40.0, 4.0)
+"""Nearest and farthest x, and half the width."""
+_PATCH_STRIPS: Final = 19
+_OUTLINE_TOLERANCE_PX: Final = 3.0
+_OUTLINE_MAX_M: Final = 60.0
+_SLAB_M: Final = 0.2
+_CAPTION_M: Final = 0.7
+
+
+def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
+    """Proposals thin and faint, raw lines, and the smoothed boundaries in the colour of their status."""
+    message = ImageAnnotations()
+    set_stamp(message, stamp_ns)
+    proposals = lanes.proposals_px.reshape(-1, 2)
+    if len(proposals):
+        _points(message, stamp_ns, PointsAnnotation.LINE_LIST, proposals, colours.PROPOSED_LINE, 0.5, _FAINT)
+    for boundary in lanes.boundaries:
+        if boundary.raw_px is not None:
+            raw = np.array(boundary.raw_px).reshape(2, 2)
+            _points(message, stamp_ns, PointsAnnotation.LINE_STRIP, raw, colours.RAW_LINE, 1.0)
+        if len(boundary.line_px):
+            colour = colours.BOUNDARY[boundary.status]
+            _points(message, stamp_ns, PointsAnnotation.LINE_STRIP, boundary.line_px, colour, 4.0)
+            text = f"{boundary.offset_m:+.2f} m {boundary.outside}".strip()
+            visible = boundary.line_px[_room_for_text(camera, boundary.line_px)]
+            if len(visible):
+                _text(message, stamp_ns, camera, visible[0], text, colour)
+    return message.SerializeToString()
+
+
+def object_annotations(stamp_ns: int, camera: Camera, objects: Objects) -> bytes:
+    """Boxes of kept detections with their distance, of dropped ones with their share of class pixels.
+
+    The nearest come last: what is drawn last lies on top. A caption that finds no room is left out.
+    """
+    message = ImageAnnotations()
+    set_stamp(message, stamp_ns)
+    places = _places(camera, objects.objects)
+    for index in reversed(by_nearness(objects.objects)):
+        item, place = objects.objects[index], places[index]
+        colour, thickness = _box_style(item)
+        _points(message, stamp_ns, PointsAnnotation.LINE_LOOP, _corners(item.detection.box_px), colour, thickness)
+        if place is not None:
+            _text(message, stamp_ns, camera, (place.x_min, place.y_max), caption(item), colour)
+    return message.SerializeToString()
+
+
+def drivable_scene(stamp_ns: int, surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) -> bytes:
+    """The outline of the drivable pixels on the road, and a patch of the road itself, in the ego frame.
+
+    Args:
+        stamp_ns: the frame's time.
+        surface: the road, its plane in the frame of ``camera``.
+        camera: the camera of the mask.
+        ego_T_camera: its mounting.
+        mask: (H, W) drivable pixels.
+    """
+    message = SceneUpdate()
+    entity = message.entities.add(frame_id="ego", id="drivable")
+    set_stamp(entity, stamp_ns)
+    patch = road_patch(surface)
+    triangles = entity.triangles.add(color=_color(colours.DRIVABLE, 0.25), indices=patch_triangles(patch).ravel())
+    triangles.points.extend(_point3(point) for point in patch)
+    outline = _outline(surface, camera, ego_T_camera, mask)
+    if len(outline):
+        line = entity.lines.add(
+            type=LinePrimitive.LINE_LOOP, thickness=2.0, scale_invariant=True, color=_color(colours.DRIVABLE)
+        )
+        line.points.extend(_point3(point) for point in outline)
+    return message.SerializeToString()
+
+
+def lanes_scene(stamp_ns: int, lanes: Lanes) -> bytes:
+    """The boundaries on the road, in the ego frame."""
+    message = SceneUpdate()
+    for boundary in lanes.boundaries:
+        entity = message.entities.add(frame_id="ego", id=f"lane_{boundary.side}")
+        set_stamp(entity, stamp_ns)
+        if len(boundary.line_ego_m):
+            colour = _color(colours.BOUNDARY[boundary.status])
+            line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=0.1, color=colour)
+            line.points.extend(_point3(point) for point in boundary.line_ego_m)
+    return message.SerializeToString()
+
+
+def objects_scene(stamp_ns: int, camera: Camera, ego_T_camera: Float, objects: Objects) -> bytes:
+    """Kept objects whose distance is known as slabs across their boxes' central rays, in the ego frame.
+
+    Those captioned in the image are captioned here. All are one entity, so that those of the frame before are gone.
+    """
+    message = SceneUpdate()
+    entity = message.entities.add(frame_id="ego", id="objects")
+    set_stamp(entity, stamp_ns)
+    for item, named in zip(objects.objects, captioned(camera, objects.objects), strict=True):
+        if item.kept and item.distance_m is not None:
+            slab = _slab(camera, ego_T_camera, item.detection.box_px, item.distance_m)
+            colour, _ = _box_style(item)
+            entity.cubes.add(pose=slab.pose, size=slab.size, color=_color(colour, 0.5))
+            if named:
+                entity.texts.append(_caption_above(slab, caption(item), colour))
+    return message.SerializeToString()
+
+
+def _slab(camera: Camera, ego_T_camera: Float, box: Box, distance_m: float) -> CubePrimitive:
+    """What covers the box at that distance from the camera, its sides those of the image."""
+    centre_m, size_m = box_in_space(camera, box, distance_m)
+    x, y, z, w = quaternion(ego_T_camera[:3, :3])
+    pose = Pose(position=Vector3(**_xyz(transform(ego_T_camera, centre_m))), orientation=Quaternion(x=x, y=y, z=z, w=w))
+    return CubePrimitive(pose=pose, size=Vector3(**_xyz(size_m)))
+
+
+def box_in_space(camera: Camera, box: Box, distance_m: float) -> tuple[Float, Float]:
+    """(3,) centre and (3,) sides in metres, in the camera's frame, of what covers a box at a distance.
+
+    It lies across the ray through the box's centre. How deep an object is, one view from the front does not tell: it
+    is drawn as a slab.
+    """
+    corners = _corners(box)
+    ray = rays(camera, corners.mean(axis=0))
+    depth_m = distance_m / float(np.linalg.norm(ray))
+    columns, rows = corners[2] - corners[0] + 1
+    return ray * depth_m, np.array([columns * depth_m / camera.fx, rows * depth_m / camera.fy, _SLAB_M])
+
+
+def _caption_above(slab: CubePrimitive, text: str, colour: Colour) -> TextPrimitive:
+    place = slab.pose.position
+    above = Vector3(x=place.x, y=place.y, z=place.z + slab.size.y / 2)
+    return TextPrimitive(
+        pose=Pose(position=above, orientation=Quaternion(w=1.0)),
+        billboard=True,
+        font_size=_CAPTION_M,
+        color=_color(colour),
+        text=text,
+    )
+
+
+def road_patch(surface: Surface) -> Float:
+    """(2 N, 3) ego points on the road ahead, left and right by turns; a plane needs but its corners."""
+    near, far, half = _PATCH_M
+    ahead = np.linspace(near, far, 2 if surface.height_grid is None else _PATCH_STRIPS + 1)
+    x, y = np.repeat(ahead, 2), np.tile((half, -half), len(ahead))
+    return np.stack((x, y, height_at(surface, x, y)), axis=-1)
+
+
+def patch_triangles(patch: Float) -> NDArray[np.int64]:
+    """(M, 3) which points of a road's patch make a triangle."""
+    strips = np.arange(len(patch) // 2 - 1)[:, None, None]
+    corners: NDArray[np.int64] = 2 * strips + np.array([[0, 1, 3], [0, 3, 2]])
+    return corners.reshape(-1, 3)
+
+
+def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) -> Float:
+    """(N, 3) ego points of the largest drivable region's outline; points far away are left out."""
+    contours, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    if not contours:
+        return np.empty((0, 3))
+    largest = max(contours, key=cv2.contourArea)
+    pixels = cv2.approxPolyDP(largest, _OUTLINE_TOLERANCE_PX, closed=True).reshape(-1, 2).astype(float)
+    points = ground_points(surface, camera, ego_T_camera, pixels)
+    near = np.linalg.norm(np.nan_to_num(points, nan=np.inf), axis=1) < _OUTLINE_MAX_M
+    return np.asarray(points[near], float)
+
+
+def _room_for_text(camera: Camera, pixels: Float) -> Mask:
+    """Which of (N, 2) pixels are in the image with room to their right."""
+    x, y = pixels.T
+    room: Mask = (x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)
+    return room
+
+
+def _box_style(item: Object) -> tuple[Colour, float]:
+    """Colour and width: dropped ones are thin."""
+    return colours.OBJECT[item.verdict], 3.0 if item.kept else 1.0
+
+
+def caption(item: Object) -> str:
+    """Label, distance and time to impact of an object; of one that was dropped its share of class pixels."""
+    parts = [item.detection.label]
+    if item.distance_m is not None:
+        parts.append(f"{item.distance_m:.1f} m")
+    if item.time_to_impact_s is not None:
+        parts.append(f"{item.time_to_impact_s:.1f} s")
+    if not item.kept and item.class_ratio is not None:
+        parts.append(f"{item.class_ratio:.0%}")
+    return " ".join(parts)
+
+
+def captioned(camera: Camera, objects: Sequence[Object]) -> tuple[bool, ...]:
+    """Of each object whether its caption finds room in the camera's image; the nearest have the first choice."""
+    return tuple(place is not None for place in _places(camera, objects))
+
+
+def _places(camera: Camera, objects: Sequence[Object]) -> tuple[Box | None, ...]:
+    boxes = [item.detection.box_px for item in objects]
+    text_sizes = [viewer_text_size(camera, caption(item)) for item in objects]
+    return caption_places((camera.width, camera.height), objects, boxes, text_sizes)
+
+
+def _corners(box: Box) -> Float:
+    x0, y0, x1, y1 = box.x_min, box.y_min, box.x_max - 1, box.y_max - 1
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+
+
+def _points(
+    message: ImageAnnotations,
+    stamp_ns: int,
+    kind: Any,
+    points: Float,
+    colour: Colour,
+    width: float,
+    alpha: float = 1.0,
+) -> None:
+    entry = message.points.add(type=kind, outline_color=_color(colour, alpha), thickness=width)
+    set_stamp(entry, stamp_ns)
+    entry.points.extend(Point2(x=x, y=y) for x, y in points.tolist())
+
+
+def _text(
+    message: ImageAnnotations,
+    stamp_ns: int,
+    camera: Camera,
+    position: Iterable[float],
+    text: str,
+    colour: Colour,
+) -> None:
+    x, y = position
+    width, _ = viewer_text_size(camera, text)
+    entry = message.texts.add(
+        position=Point2(x=max(min(x, camera.width - width), 0.0), y=y),
+        text=text,
+        font_size=viewer_font_px(camera),
+        text_color=_color(colour),
+        background_color=_color((0, 0, 0), 0.6),
+    )
+    set_stamp(entry, stamp_ns)
+
+
+def _color(colour: Colour, alpha: float = 1.0) -> Color:
+    r, g, b = (value / 255 for value in colour)
+    return Color(r=r, g=g, b=b, a=alpha)
+
+
+def _point3(point: Iterable[float]) -> Point3:
+    return Point3(**_xyz(point))
+
+
+def _xyz(point: Iterable[float]) -> dict[str, float]:
+    return dict(zip("xyz", map(float, point), strict=True))

@@ -1,0 +1,27 @@
+"""The colours of what the chain saw: the same in the viewers, in pictures and in videos. Red, green, blue, 0 to 255."""
+
+from collections.abc import Mapping
+from typing import Final
+
+from roadperc_stream.core.datatypes import Verdict
+from roadperc_stream.core.semantics import Colour
+
+GREEN: Final[Colour] = (26, 230, 77)
+YELLOW: Final[Colour] = (255, 230, 26)
+ORANGE: Final[Colour] = (255, 128, 0)
+CYAN: Final[Colour] = (26, 204, 255)
+GREY: Final[Colour] = (165, 165, 165)
+
+BOUNDARY: Final[Mapping[str, Colour]] = {"measured": GREEN, "held": ORANGE, "lost": GREY}
+"""By the boundary's status."""
+RAW_LINE: Final = YELLOW
+PROPOSED_LINE: Final = CYAN
+OBJECT: Final[Mapping[Verdict, Colour]] = {"kept": GREEN, "unjudged": YELLOW, "dropped": GREY}
+DRIVABLE: Final[Colour] = (30, 130, 220)
+"""Blue, for lanes and boxes are drawn over it in green."""
+
+
+def bgr(colour: Colour) -> Colour:
+    """The colour in the order of OpenCV's images."""
+    red, green, blue = colour
+    return blue, green, red

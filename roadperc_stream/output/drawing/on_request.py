@@ -1,0 +1,83 @@
+"""The pictures a replay writes on request: what the chain saw, drawn into the camera image, as JPEG."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from roadperc_stream.chain import pixels
+from roadperc_stream.core.datatypes import Frame, FrameResult, Image, Lanes, Objects, Odometry, Sample, StereoDepth
+from roadperc_stream.formats.images import encode_jpeg
+from roadperc_stream.output import encoding
+from roadperc_stream.output.drawing.debug import disparity_picture, lanes_picture, matches_picture, template_picture
+from roadperc_stream.output.drawing.frame import SeenFrame, draw_frame
+from roadperc_stream.schemas.channels import Request
+from roadperc_stream.schemas.columns import FrameMetrics
+
+_JPEG_QUALITY: Final = 85
+_NANOSECONDS: Final = 1e9
+Picture = tuple[str, str, Image]
+"""Topic, frame_id and (H, W, 3) pixels."""
+
+
+@dataclass
+class PictureMaker:
+    """Draws the frames of one replay, as far as it is asked to."""
+
+    requests: Collection[Request]
+    without_image: int = 0
+    """Frames whose pictures could not be drawn, for want of a camera image."""
+    misfits: int = 0
+    """Frames whose camera image is shown, and too large or too small to draw into."""
+    _first_ns: int | None = None
+
+    def messages(self, sample: Sample, result: FrameResult, metrics: FrameMetrics) -> Iterator[tuple[str, bytes]]:
+        """Topic and bytes of a frame's pictures; of what is absent there is none.
+
+        Args:
+            sample: the frame's input, in the order of the replay.
+            result: what the chain made of it.
+            metrics: its row.
+        """
+        for topic, frame_id, picture in self._drawn(sample, result, metrics) if self.requests else ():
+            jpeg = encode_jpeg(picture, _JPEG_QUALITY)
+            yield topic, encoding.encode_image(result.stamp_ns, frame_id, "jpeg", jpeg)
+
+    def notes(self) -> tuple[str, ...]:
+        """What the person who asked for pictures should know."""
+        asked = " and ".join(f"--{request}" for request in self.requests)
+        counts = {
+            "frames without a camera image that can be read": self.without_image,
+            "frames with nothing drawn into an image that is not of its calibration's size": self.misfits,
+        }
+        return tuple(f"{asked}: {what}: {number}" for what, number in counts.items() if number)
+
+    def _drawn(self, sample: Sample, result: FrameResult, metrics: FrameMetrics) -> Iterator[Picture]:
+        self._first_ns = result.stamp_ns if self._first_ns is None else self._first_ns
+        image = pixels.colours_of(sample.frame)
+        fits = image is not None and image.shape[:2] == sample.frame.camera.size
+        self.without_image += image is None
+        self.misfits += image is not None and not fits
+        if image is not None and "overlay" in self.requests:
+            seen = SeenFrame(image, result.lanes, result.objects, result.drivable, fits)
+            since_start_s = (result.stamp_ns - self._first_ns) / _NANOSECONDS
+            yield "/perception/overlay", result.frame_id, draw_frame(seen, metrics, since_start_s, image.shape[1])
+        if "debug" in self.requests:
+            yield from _debug(sample.frame, image if fits else None, result)
+
+
+def _debug(frame: Frame, image: Image | None, result: FrameResult) -> Iterator[Picture]:
+    if image is not None:
+        yield from _over_image(image, result)
+    baseline_m = frame.right_camera.baseline_m if frame.right_camera else None
+    if isinstance(result.stereo, StereoDepth) and baseline_m:
+        disparity = disparity_picture(frame.left_camera, baseline_m, result.stereo)
+        yield "/perception/debug/disparity", result.stereo.frame_id, disparity
+
+
+def _over_image(image: Image, result: FrameResult) -> Iterator[Picture]:
+    if isinstance(result.lanes, Lanes):
+        yield "/perception/debug/lanes", result.frame_id, lanes_picture(image, result.lanes)
+    if isinstance(result.odometry, Odometry) and result.odometry.matches is not None:
+        yield "/perception/debug/matches", result.frame_id, matches_picture(image, result.odometry.matches)
+    if isinstance(result.objects, Objects) and result.objects.searches:
+        yield "/perception/debug/template", result.frame_id, template_picture(image, result.objects.searches)

@@ -1,0 +1,267 @@
+"""Datatypes to the bytes of messages: what ``roadperc-convert`` and the replay write."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+
+from roadperc_stream.core.datatypes import (
+    Boundary,
+    Detection,
+    Lanes,
+    Line,
+    Object,
+    Objects,
+    Occupancy,
+    Odometry,
+    Surface,
+)
+from roadperc_stream.core.geometry import Camera, Float, Float32, Lens, quaternion
+from roadperc_stream.formats.images import depth_to_mm
+from roadperc_stream.input.decoding import Transform
+from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.protobuf import set_stamp
+from roadperc_stream.schemas.ros2 import RosGrid, RosImage, pack_image, pack_occupancy_grid
+
+
+def encode_image(stamp_ns: int, frame_id: str, image_format: str, data: bytes) -> bytes:
+    """foxglove.CompressedImage around bytes that are already ``png`` or ``jpeg``."""
+    message = CompressedImage(frame_id=frame_id, format=image_format, data=data)
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()
+
+
+def encode_depth(stamp_ns: int, frame_id: str, depth_m: Float32, *, as_float: bool = False) -> bytes:
+    """sensor_msgs/msg/Image of (H, W) metres: 16UC1 millimetres, or 32FC1 metres with NaN unknown."""
+    if as_float:
+        return pack_image(RosImage(stamp_ns, frame_id, "32FC1", np.ascontiguousarray(depth_m, np.float32)))
+    return pack_image(RosImage(stamp_ns, frame_id, "16UC1", depth_to_mm(depth_m)))
+
+
+def encode_calibration(stamp_ns: int, camera: Camera) -> bytes:
+    """foxglove.CameraCalibration; the right camera of a pair has -fx * baseline in P."""
+    lens = camera.lens
+    P = np.zeros((3, 4))
+    P[:, :3] = camera.K
+    P[0, 3] = -camera.fx * (camera.baseline_m or 0.0)
+    message = CameraCalibration(
+        frame_id=camera.frame_id,
+        width=camera.width,
+        height=camera.height,
+        distortion_model=lens.model if lens else ("plumb_bob" if camera.distortion else ""),
+        D=camera.distortion,
+        K=(lens.K if lens else camera.K).ravel().tolist(),
+        R=_rectification(camera),
+        P=P.ravel().tolist(),
+    )
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()
+
+
+def _rectification(camera: Camera) -> tuple[float, ...]:
+    """R row by row; nothing where the image is distorted and nobody knows how to rectify it."""
+    if camera.lens:
+        return camera.lens.R
+    return () if camera.distortion else Lens.R
+
+
+def encode_transforms(stamp_ns: int, transforms: Iterable[Transform]) -> bytes:
+    """foxglove.FrameTransforms of edges parent_T_child."""
+    message = FrameTransforms()
+    for edge in transforms:
+        entry = message.transforms.add(parent_frame_id=edge.parent, child_frame_id=edge.child)
+        set_stamp(entry, stamp_ns)
+        _set_vector(entry.translation, edge.parent_T_child[:3, 3])
+        _set_quaternion(entry.rotation, edge.parent_T_child)
+    return message.SerializeToString()
+
+
+def encode_pose(stamp_ns: int, frame_id: str, frame_T_body: Float) -> bytes:
+    """foxglove.PoseInFrame of a (4, 4) transform."""
+    message = PoseInFrame(frame_id=frame_id)
+    set_stamp(message, stamp_ns)
+    _set_vector(message.pose.position, frame_T_body[:3, 3])
+    _set_quaternion(message.pose.orientation, frame_T_body)
+    return message.SerializeToString()
+
+
+def encode_poses(stamp_ns: int, frame_id: str, frame_T_body: Iterable[Float]) -> bytes:
+    """foxglove.PosesInFrame of (4, 4) transforms, in order."""
+    message = PosesInFrame(frame_id=frame_id)
+    set_stamp(message, stamp_ns)
+    for matrix in frame_T_body:
+        pose = message.poses.add()
+        _set_vector(pose.position, matrix[:3, 3])
+        _set_quaternion(pose.orientation, matrix)
+    return message.SerializeToString()
+
+
+def encode_odometry(stamp_ns: int, frame_id: str, odometry: Odometry) -> bytes:
+    """roadperc.Odometry."""
+    message = pb.Odometry(
+        frame_id=frame_id,
+        odom_T_ego=_pose(odometry.odom_T_ego),
+        step=None if odometry.step is None else _pose(odometry.step),
+        status=pb.Odometry.Status.Value(odometry.status.upper()),
+        up_to_scale=odometry.up_to_scale,
+        inliers=odometry.inliers,
+        covariance=odometry.covariance,
+        reason=odometry.reason,
+    )
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()
+
+
+def encode_detections(stamp_ns: int, frame_id: str, detections: Iterable[Detection]) -> bytes:
+    """roadperc.Detections."""
+    message = pb.Detections(frame_id=frame_id, detections=[_detection(d) for d in detections])
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()
+
+
+def encode_surface(stamp_ns: int, surface: Surface) -> bytes:
+    """roadperc.Surface."""
+    a, b, d = surface.abd
+    x, y, z = surface.plane.normal
+    message = pb.Surface(
+        frame_id=surface.frame_id,
+        model=surface.model,
+        source=surface.source,
+        normal=pb.Vector3(x=x, y=y, z=z),
+        camera_height_m=surface.camera_height_m,
+        pitch=surface.pitch,
+        roll=surface.roll,
+        inlier_ratio=surface.inlier_ratio,
+        a=a,
+        b=b,
+        d=d,
+    )
+    if surface.height_grid is not None:
+        grid = surface.height_grid
+        rows, columns = grid.z_m.shape
+        message.height_grid.CopyFrom(
+            pb.HeightGrid(
+                x_min_m=grid.x_min_m,
+                y_min_m=grid.y_min_m,
+                step_m=grid.step_m,
+                columns=columns,
+                rows=rows,
+                z_m=grid.z_m.ravel().tolist(),
+            )
+        )
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()
+
+
+def encode_occupancy(stamp_ns: int, occupancy: Occupancy) -> bytes:
+    """nav_msgs/msg/OccupancyGrid in the ego frame."""
+    grid = RosGrid(
+        stamp_ns,
+        "ego",
+        occupancy.resolution_m,
+        occupancy.x_min_m,
+        occupancy.y_min_m,
+        np.ascontiguousarray(occupancy.cells),
+    )
+    return pack_occupancy_grid(grid)
+
+
+def encode_lanes(stamp_ns: int, frame_id: str, lanes: Lanes) -> bytes:
+    """roadperc.Lanes."""
+    message = pb.Lanes(
+        frame_id=frame_id,
+        boundaries=[_boundary(b) for b in lanes.boundaries],
+        proposals_px=[_line(row) for row in lanes.proposals_px.tolist()],
+        merged_px=[_line(row) for row in lanes.merged_px.tolist()],
+    )
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()
+
+
+def encode_objects(stamp_ns: int, frame_id: str, objects: Objects) -> bytes:
+    """roadperc.Objects."""
+    message = pb.Objects(frame_id=frame_id, objects=[_object(o) for o in objects.objects])
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()
+
+
+def encode_log(stamp_ns: int, level: str, text: str) -> bytes:
+    """foxglove.Log of this project; level such as ``INFO`` or ``WARNING``."""
+    message = Log(level=Log.Level.Value(level), message=text, name="roadperc")
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()
+
+
+def _detection(detection: Detection) -> pb.Detection:
+    box = detection.box_px
+    return pb.Detection(
+        label=detection.label,
+        box_px=pb.Box(x_min=box.x_min, y_min=box.y_min, x_max=box.x_max, y_max=box.y_max),
+        score=detection.score,
+        id=detection.id,
+    )
+
+
+def _line(line: Iterable[float]) -> pb.Line:
+    x1, y1, x2, y2 = line
+    return pb.Line(x1=x1, y1=y1, x2=x2, y2=y2)
+
+
+def _optional_line(line: Line | None) -> pb.Line | None:
+    return None if line is None else _line(line)
+
+
+def _boundary(boundary: Boundary) -> pb.Boundary:
+    return pb.Boundary(
+        side=pb.Boundary.Side.Value(boundary.side.upper()),
+        status=pb.Boundary.Status.Value(boundary.status.upper()),
+        raw_px=_optional_line(boundary.raw_px),
+        smoothed_px=_optional_line(boundary.smoothed_px),
+        offset_m=boundary.offset_m,
+        heading=boundary.heading,
+        curvature_per_m=boundary.curvature_per_m,
+        raw_offset_m=boundary.raw_offset_m,
+        covariance=boundary.covariance,
+        inside=boundary.inside,
+        outside=boundary.outside,
+        line_ego_m=[pb.Vector3(x=x, y=y, z=z) for x, y, z in boundary.line_ego_m.tolist()],
+        line_px=[pb.Point2(x=x, y=y) for x, y in boundary.line_px.tolist()],
+    )
+
+
+def _object(item: Object) -> pb.Object:
+    return pb.Object(
+        detection=_detection(item.detection),
+        kept=item.kept,
+        class_ratio=item.class_ratio,
+        distance_m=item.distance_m,
+        distance_std_m=item.distance_std_m,
+        closing_speed_mps=item.closing_speed_mps,
+        closing_speed_std_mps=item.closing_speed_std_mps,
+        time_to_impact_s=item.time_to_impact_s,
+        time_to_impact_std_s=item.time_to_impact_std_s,
+        beyond_range=item.beyond_range,
+        status=pb.Object.Status.Value(item.status.upper()),
+        track_id=item.track_id,
+    )
+
+
+def _pose(transform: Float) -> pb.Pose:
+    pose = pb.Pose()
+    _set_vector(pose.position, transform[:3, 3])
+    _set_quaternion(pose.orientation, transform)
+    return pose
+
+
+def _set_vector(vector: Any, values: Float) -> None:
+    vector.x, vector.y, vector.z = (float(v) for v in values)
+
+
+def _set_quaternion(target: Any, transform: Float) -> None:
+    target.x, target.y, target.z, target.w = quaternion(transform[:3, :3])

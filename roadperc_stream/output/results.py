@@ -1,0 +1,165 @@
+"""What a frame's results look like in the log: topics and bytes."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from typing import Final, get_args
+
+import numpy as np
+from google.protobuf.message import DecodeError as ProtobufError
+
+from roadperc_stream.core.datatypes import EGO, Absent, FrameResult, Mask, Odometry, Sample, Tie
+from roadperc_stream.core.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceSource
+from roadperc_stream.core.geometry import Float, inverse
+from roadperc_stream.core.semantics import Colour
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats import images
+from roadperc_stream.input.decoding import Transform
+from roadperc_stream.input.decoding.payload import require_finite
+from roadperc_stream.output import encoding
+from roadperc_stream.output.drawing import annotations, colours
+from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.channels import METRICS_TOPIC
+from roadperc_stream.schemas.columns import Columns, FrameMetrics
+from roadperc_stream.schemas.protobuf import set_stamp
+from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
+
+DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
+_BEYOND_ROS_2 = f"the frame's stamp is beyond {LAST_STAMP_NS} ns (2038-01-19), the last one ROS 2 messages hold"
+_COLUMNS = {field.name for field in fields(FrameMetrics)}
+_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "surface_source": get_args(SurfaceSource),
+    "lane_left_status": get_args(BoundaryStatus),
+    "lane_right_status": get_args(BoundaryStatus),
+    "odometry_status": get_args(OdometryStatus),
+}
+Written = Iterator[tuple[str, bytes]]
+
+
+def result_messages(
+    sample: Sample,
+    result: FrameResult,
+    metrics: FrameMetrics,
+    previous_reasons: tuple[str, ...],
+    trajectory: Sequence[Float],
+) -> Written:
+    """Topic and bytes of everything a frame gave; what is absent is not written.
+
+    Args:
+        sample: the frame's input.
+        result: what the chain made of it.
+        metrics: its row.
+        previous_reasons: reasons of the frame before: only new ones are logged, not one line per frame.
+        trajectory: the latest poses odom_T_ego that are known, this frame's last.
+    """
+    stamp_ns = result.stamp_ns
+    yield from _surface(sample, result)
+    yield from _lanes_and_objects(sample, result)
+    if not isinstance(result.stereo, Absent):
+        depth = encoding.encode_depth(stamp_ns, result.stereo.frame_id, result.stereo.depth_m)
+        yield "/perception/stereo/depth", depth
+    if not isinstance(result.occupancy, Absent):
+        yield "/perception/occupancy", encoding.encode_occupancy(stamp_ns, result.occupancy)
+    if not isinstance(result.odometry, Absent):
+        yield from _odometry(stamp_ns, sample.tie.odom, result.odometry, trajectory)
+    if edges := _edges(sample.tie, result.odometry):
+        yield "/perception/tf", encoding.encode_transforms(stamp_ns, edges)
+    yield METRICS_TOPIC, encode_metrics(sample.frame.camera.frame_id, metrics)
+    for reason in metrics.reasons:
+        if reason not in previous_reasons:
+            yield "/perception/log", encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")
+
+
+def as_written(result: FrameResult) -> tuple[FrameResult, FrameResult]:
+    """A frame's result, and what of it the log can carry: ROS 2 messages end in 2038, all others go on.
+
+    The metrics are those of the whole result, which says what is not written.
+    """
+    if result.stamp_ns <= LAST_STAMP_NS:
+        return result, result
+    outputs = {"stereo": result.stereo, "occupancy": result.occupancy}
+    left_out = [name for name, output in outputs.items() if not isinstance(output, Absent)]
+    reasons = (f"{name}: not written, {_BEYOND_ROS_2}" for name in left_out)
+    result = replace(result, problems=(*result.problems, *reasons))
+    return result, replace(result, stereo=Absent(_BEYOND_ROS_2), occupancy=Absent(_BEYOND_ROS_2))
+
+
+def _surface(sample: Sample, result: FrameResult) -> Written:
+    stamp_ns, frame = result.stamp_ns, sample.frame
+    if not isinstance(result.surface, Absent):
+        yield "/perception/surface", encoding.encode_surface(stamp_ns, result.surface)
+    if not isinstance(result.drivable, Absent):
+        yield "/perception/drivable", _drivable(stamp_ns, frame.camera.frame_id, result.drivable)
+        if not isinstance(result.front_surface, Absent):
+            scene = annotations.drivable_scene(
+                stamp_ns, result.front_surface, frame.camera, frame.ego_T_camera, result.drivable
+            )
+            yield "/perception/drivable/scene", scene
+
+
+def _lanes_and_objects(sample: Sample, result: FrameResult) -> Written:
+    stamp_ns, camera = result.stamp_ns, sample.frame.camera
+    if not isinstance(result.lanes, Absent):
+        yield "/perception/lanes", encoding.encode_lanes(stamp_ns, camera.frame_id, result.lanes)
+        yield "/perception/lanes/annotations", annotations.lane_annotations(stamp_ns, camera, result.lanes)
+        yield "/perception/lanes/scene", annotations.lanes_scene(stamp_ns, result.lanes)
+    if not isinstance(result.objects, Absent):
+        yield "/perception/objects", encoding.encode_objects(stamp_ns, camera.frame_id, result.objects)
+        yield "/perception/objects/annotations", annotations.object_annotations(stamp_ns, camera, result.objects)
+        scene = annotations.objects_scene(stamp_ns, camera, sample.frame.ego_T_camera, result.objects)
+        yield "/perception/objects/scene", scene
+
+
+def _odometry(stamp_ns: int, odom: str, odometry: Odometry, trajectory: Sequence[Float]) -> Written:
+    """Of a lost frame the state alone says where the car was last: as a pose of this frame it would be false."""
+    yield "/perception/odometry/state", encoding.encode_odometry(stamp_ns, EGO, odometry)
+    yield "/perception/trajectory", encoding.encode_poses(stamp_ns, odom, trajectory)
+    if odometry.status != "lost":
+        yield "/perception/odometry", encoding.encode_pose(stamp_ns, odom, odometry.odom_T_ego)
+
+
+def _edges(tie: Tie, odometry: Odometry | Absent) -> list[Transform]:
+    """What joins ego with the log's own tree, and odom with ego: from above, or from below where the log is above."""
+    edges = [_hung(tie.frame_id, EGO, inverse(tie.ego_T_frame), tie.placed)] if tie.frame_id else []
+    if not isinstance(odometry, Absent) and odometry.status != "lost":
+        edges.append(_hung(tie.odom, EGO, odometry.odom_T_ego, not tie.placed))
+    return edges
+
+
+def _hung(frame_id: str, other: str, frame_T_other: Float, above: bool) -> Transform:
+    """The edge between two frames with the first one above or below."""
+    if above:
+        return Transform(frame_id, other, frame_T_other)
+    return Transform(other, frame_id, inverse(frame_T_other))
+
+
+def encode_metrics(frame_id: str, metrics: FrameMetrics) -> bytes:
+    """roadperc.FrameMetrics: the row, unknown fields absent."""
+    known = {name: value for name, value in asdict(metrics).items() if value is not None}
+    message = pb.FrameMetrics(frame_id=frame_id, **known)
+    set_stamp(message, metrics.stamp_ns)
+    return message.SerializeToString()
+
+
+def decode_metrics(data: bytes) -> FrameMetrics:
+    """The row of a roadperc.FrameMetrics.
+
+    Raises:
+        DecodeError: the bytes are none, a number is not finite, or a status is none of its stage's.
+    """
+    try:
+        message = pb.FrameMetrics.FromString(data)
+    except ProtobufError as error:
+        raise DecodeError(f"{len(data)} bytes are no roadperc.FrameMetrics: {error}") from error
+    always: Columns = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
+    known: Columns = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
+    require_finite("metrics", *(value for value in known.values() if isinstance(value, float)))
+    for column, words in _WORDS.items():
+        if known.get(column, words[0]) not in words:
+            raise DecodeError(f"{column} {known[column]!r}: expected one of {', '.join(words)}")
+    lists = {"missing": tuple(message.missing), "reasons": tuple(message.reasons)}
+    return FrameMetrics(**always | known | lists)
+
+
+def _drivable(stamp_ns: int, frame_id: str, mask: Mask) -> bytes:
+    data = images.encode_indices(mask.view(np.uint8), DRIVABLE_COLOURS)
+    return encoding.encode_image(stamp_ns, frame_id, "png", data)

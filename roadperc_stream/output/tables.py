@@ -1,0 +1,180 @@
+"""Rows of dataclasses to Parquet files, row group by row group."""
+
+import types
+import typing
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from roadperc_stream.core.files import naming, partial_of
+from roadperc_stream.errors import TableError
+
+ROW_GROUP_ROWS: Final = 1000
+_ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
+    str: pa.string(),
+    float: pa.float64(),
+    int: pa.int64(),
+    bool: pa.bool_(),
+    tuple[str, ...]: pa.list_(pa.string()),
+}
+Scalar = bool | int | float | str
+
+
+def beside(target: Path, table: str) -> Path:
+    """out.mcap gives out.metrics.parquet and out.objects.parquet."""
+    return target.with_name(f"{target.stem}.{table}.parquet")
+
+
+def arrow_schema(
+    row_type: type,
+    extra: tuple[str, ...] = (),
+    metadata: Mapping[str, str] | None = None,
+    constant: Mapping[str, Scalar] | None = None,
+) -> pa.Schema:
+    """Arrow schema of a dataclass, each ``X | None`` nullable, with ``extra`` float columns and constants behind."""
+    hints = typing.get_type_hints(row_type)
+    columns = [_field(f.name, hints[f.name]) for f in fields(row_type)]
+    columns += [pa.field(name, pa.float64()) for name in extra]
+    columns += [_field(name, type(value)) for name, value in (constant or {}).items()]
+    encoded = {key: value.encode("utf-8", "surrogateescape") for key, value in (metadata or {}).items()}
+    return pa.schema(columns, metadata=encoded)
+
+
+def _field(name: str, hint: Any) -> pa.Field:
+    options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    (kind,) = (option for option in options if option is not types.NoneType)
+    return pa.field(name, _ARROW_TYPES[kind], nullable=types.NoneType in options)
+
+
+@dataclass(frozen=True)
+class TableFooter:
+    """What a table says without its rows being read."""
+
+    rows: int
+    facts: Mapping[str, str]
+    log_id: str | None
+    """Log of its rows; None where it has no rows."""
+
+
+def read_footer(path: Path) -> TableFooter:
+    """The end of a Parquet file.
+
+    Raises:
+        TableError: the file cannot be read, or is not Parquet.
+    """
+    with _opened(path) as table:
+        footer = table.metadata
+        log_ids = table.read_row_group(0, ["log_id"])["log_id"] if footer.num_rows else []
+    facts = {
+        key.decode(errors="replace"): value.decode(errors="replace") for key, value in (footer.metadata or {}).items()
+    }
+    return TableFooter(footer.num_rows, facts, log_ids[0].as_py() if len(log_ids) else None)
+
+
+def read_rows_around(path: Path, frame: int, columns: Iterable[str]) -> list[dict[str, Any]]:
+    """Some columns of the row group that holds a frame; no other is read. Empty where none does.
+
+    Raises:
+        TableError: the file cannot be read, is not Parquet, or lacks a column.
+    """
+    with _opened(path) as table:
+        wanted = _present(path, table, ("frame", *columns))
+        frames = table.schema_arrow.names.index("frame")
+        spans = [table.metadata.row_group(i).column(frames).statistics for i in range(table.num_row_groups)]
+        group = next((i for i, span in enumerate(spans) if span and span.min <= frame <= span.max), None)
+        return [] if group is None else table.read_row_group(group, wanted).to_pylist()
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[pq.ParquetFile]:
+    try:
+        with pq.ParquetFile(path) as table:
+            yield table
+    except OSError as error:
+        raise TableError(f"{path}: {error.strerror or error}") from error
+    except (pa.ArrowException, KeyError) as error:
+        raise TableError(f"{path}: is not a table of a replay, or was cut short") from error
+
+
+def _present(path: Path, table: pq.ParquetFile, columns: Iterable[str]) -> list[str]:
+    wanted = list(columns)
+    for column in wanted:
+        if column not in table.schema_arrow.names:
+            raise TableError(f"{path}: no column {column}")
+    return wanted
+
+
+class TableWriter:
+    """Writes rows to a Parquet file that appears under its name only when complete. Use it as a context manager.
+
+    ``extra`` are float columns that come with each row, ``constant`` columns with one value in all rows.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        row_type: type,
+        facts: Mapping[str, str],
+        extra: tuple[str, ...] = (),
+        constant: Mapping[str, Scalar] | None = None,
+    ) -> None:
+        self._path = path
+        self._temporary = partial_of(path)
+        self._constant = dict(constant or {})
+        self._schema = arrow_schema(row_type, extra, facts, self._constant)
+        self._rows: list[dict[str, Any]] = []
+
+    def __enter__(self) -> Self:
+        with naming(self._path):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(self._temporary, self._schema, compression="zstd")
+        return self
+
+    def append(self, row: Any, **extra: float) -> None:
+        """Add a row: a dataclass, and values of the extra columns.
+
+        Raises:
+            TargetError: it cannot be written, as when the disk is full.
+        """
+        self._rows.append(asdict(row) | extra | self._constant)
+        if len(self._rows) >= ROW_GROUP_ROWS:
+            self._flush()
+
+    def _flush(self) -> None:
+        if self._rows:
+            with naming(self._path):
+                self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
+            self._rows.clear()
+
+    def complete(self) -> None:
+        """Write what is still to be written: then nothing is left but to give the file its name.
+
+        Raises:
+            TargetError: it cannot be written.
+        """
+        self._flush()
+        with naming(self._path):
+            self._writer.close()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self.complete()
+                with naming(self._path):
+                    self._temporary.replace(self._path)
+        finally:
+            with suppress(OSError):  # closing writes the footer, and a full disk fails again
+                self._writer.close()
+            self.discard()
+
+    def discard(self) -> None:
+        """Remove what is not complete."""
+        self._temporary.unlink(missing_ok=True)

@@ -1,1 +1,0 @@
-"""What the chain saw, drawn into the camera image."""

@@ -1,5 +1,0 @@
-"""The ego lane: straight lines in the image, curves on the road, and both boundaries over time."""
-
-from roadperc_stream.stages.lanes.ego_lane import LanesState, step
-
-__all__ = ["LanesState", "step"]

@@ -1,5 +1,0 @@
-"""Visual odometry: points followed from a keyframe, and the motion they tell."""
-
-from roadperc_stream.stages.odometry.ego_motion import OdometryState, step
-
-__all__ = ["OdometryState", "step"]

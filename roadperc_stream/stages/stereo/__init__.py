@@ -1,6 +1,0 @@
-"""Depth from a stereo pair: rectified where it must be, matched, and turned back to the camera as it is mounted."""
-
-from roadperc_stream.stages.stereo.matching import disparity
-from roadperc_stream.stages.stereo.pair import depth_of, disparities_needed, match
-
-__all__ = ["depth_of", "disparities_needed", "disparity", "match"]

@@ -1,0 +1,84 @@
+"""Curves from edge points with known answers."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.stages.lanes import curves
+from roadperc_stream.core.config import LanesConfig
+
+CFG = LanesConfig()
+PX = 1 / 640
+
+
+def points(state, step_m=0.1, reach_m=35.0):
+    x = np.arange(3.0, reach_m, step_m)
+    return np.stack((x, curves.lateral(np.array(state), x)), axis=-1)
+
+
+def fit(cloud, line, side="left", rows=None):
+    rows = np.arange(len(cloud), dtype=float) if rows is None else rows
+    return curves.fit_curve(CFG, cloud, rows, np.array(line), side, PX)
+
+
+def test_exact_points_give_the_curve_back():
+    curve = fit(points((1.7, 0.02, 1 / 150)), (1.68, 0.03, 0.0))
+    np.testing.assert_allclose(curve.state, (1.7, 0.02, 1 / 150), atol=1e-3)
+    assert curve.reach_m == pytest.approx(34.9, abs=0.2)
+
+
+@pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
+def test_of_a_double_line_the_inner_edge_is_taken(side, sign):
+    """The second line's edge faces the ego lane too, 25 cm farther out, and is as well supported."""
+    inner, outer = points((sign * 1.6, 0.0, 0.004)), points((sign * 1.85, 0.0, 0.004))
+    rows = np.tile(np.arange(len(inner), dtype=float), 2)
+    curve = fit(np.concatenate((outer, inner)), (sign * 1.85, 0.0, 0.0), side, rows)
+    assert curve.state[0] == pytest.approx(sign * 1.6, abs=0.01)
+    assert curves.lateral(curve.state, 20.0) == pytest.approx(sign * 1.6 + 0.8, abs=0.02)
+
+
+def test_salt_in_a_fifth_of_the_rows_is_outvoted():
+    rng = np.random.default_rng(0)
+    cloud = points((1.7, 0.0, 0.0))
+    salted = rng.random(len(cloud)) < 0.2
+    cloud[salted, 1] -= rng.uniform(0, 0.3, salted.sum())
+    assert fit(cloud, (1.7, 0.0, 0.0)).state[0] == pytest.approx(1.7, abs=0.03)
+
+
+def test_covariance_holds_the_error():
+    rng = np.random.default_rng(1)
+    errors = []
+    for _ in range(40):
+        cloud = points((1.7, 0.0, 0.0))
+        cloud[:, 1] += rng.normal(0, 0.01 + PX * cloud[:, 0])
+        curve = fit(cloud, (1.7, 0.0, 0.0))
+        error = curve.state - (1.7, 0.0, 0.0)
+        errors.append(error @ np.linalg.solve(curve.covariance, error))
+    assert np.mean(errors) < 3.0
+
+
+def test_too_few_or_too_far_edges_are_no_curve():
+    assert fit(points((1.7, 0, 0))[:5], (1.7, 0, 0)) is None
+    far = points((1.7, 0, 0), reach_m=39.0)
+    assert fit(far[far[:, 0] > 16], (1.7, 0, 0)) is None
+
+
+def test_facing_edges_look_towards_the_ego_lane():
+    separators = np.zeros((4, 20), np.uint8)
+    separators[:, 4:7] = separators[:, 15:] = 1
+    road = np.ones((6, 20), bool)
+    left = curves.facing_edges(separators, road, "left", 2)
+    right = curves.facing_edges(separators, road, "right", 2)
+    np.testing.assert_array_equal(left, [[6.5, row] for row in (2, 3, 4, 5)])
+    assert set(right[:, 0]) == {3.5, 14.5}
+
+
+def test_edges_towards_no_road_do_not_count():
+    separators = np.zeros((4, 20), np.uint8)
+    separators[:, 4:7] = 1
+    assert len(curves.facing_edges(separators, np.zeros((4, 20), bool), "left", 0)) == 0
+
+
+def test_line_on_ground_of_a_straight_line():
+    cloud = np.concatenate((points((1.7, 0.1, 0.0)), np.zeros((320, 1))), axis=1)
+    np.testing.assert_allclose(curves.line_on_ground(cloud), (1.7, 0.1, 0.0), atol=1e-9)
+    assert curves.line_on_ground(cloud[:1]) is None

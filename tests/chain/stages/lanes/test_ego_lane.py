@@ -1,0 +1,198 @@
+"""The ego lane on roads computed by hand, over time, and on real frames."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from roadperc_stream.chain.stages.lanes import LanesState, step
+from roadperc_stream.chain.stages.surface import assumed_surface
+from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.core.datatypes import Absent
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from tests.analytic import LINE, ROAD, SIDEWALK, STEP_NS, VEHICLE, Road
+
+CFG = LanesConfig()
+ROAD_CLASSES = ("road", "road_line")
+
+
+def look(road, tags=None, state=None, index=0, cfg=CFG, moved=None):
+    tags = road.tags() if tags is None else tags
+    surface = assumed_surface(road.camera, road.ego_T_camera)
+    drivable = TABLE.lookup(ROAD_CLASSES)[tags].view(bool)
+    stamp_ns = 1_000_000_000 + index * STEP_NS
+    return step(
+        cfg, state or LanesState(), road.camera, road.ego_T_camera, surface, tags, TABLE, drivable, None, stamp_ns
+    )
+
+
+def y_at(boundary, x):
+    return boundary.offset_m + boundary.heading * x + 0.5 * boundary.curvature_per_m * x**2
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(1.2, 2.5), st.floats(-2.5, -1.2), st.floats(-0.04, 0.04), st.floats(-0.004, 0.004))
+@example(1.7094382602544518, -2.0, 0.0, 0.0)  # the closest line found is but 0.46 m long on the road
+def test_any_lane_is_found_where_it_is(left_m, right_m, heading, curvature):
+    road = Road(left_m, right_m, heading, curvature, width=1280, height=960)
+    _, lanes = look(road)
+    for boundary, offset_m in zip(lanes.boundaries, (left_m, right_m), strict=True):
+        assert boundary.status == "measured"
+        assert y_at(boundary, 10.0) == pytest.approx(road.lateral(offset_m, 10.0), abs=0.03)
+
+
+def test_bend_is_followed_to_30_metres():
+    road = Road(curvature_per_m=1 / 150, width=1280, height=960)
+    _, lanes = look(road)
+    assert y_at(lanes.side("left"), 30.0) == pytest.approx(road.lateral(1.8, 30.0), abs=0.25)
+    _, straight = look(road, cfg=CFG.model_copy(update={"model": "line"}))
+    assert straight.side("left").curvature_per_m == 0.0
+
+
+def test_classes_beside_the_boundaries():
+    _, lanes = look(Road())
+    assert (lanes.side("left").inside, lanes.side("left").outside) == ("road", "road")
+    assert (lanes.side("right").inside, lanes.side("right").outside) == ("road", "sidewalk")
+
+
+def test_a_parked_car_beyond_the_line_is_named():
+    road = Road()
+    tags = road.tags()
+    y = road.ground()[1][..., 1]
+    tags[(y > 2.0) & (y < 4) & (tags == ROAD)] = VEHICLE
+    _, lanes = look(road, tags)
+    assert lanes.side("left").outside == "vehicle"
+
+
+def test_drawn_lines_lie_on_the_edges():
+    road = Road(width=1280, height=960)
+    _, lanes = look(road)
+    left = lanes.side("left")
+    marking = np.flatnonzero(road.tags()[700] == LINE)
+    x1, y1, x2, y2 = left.raw_px
+    assert y1 == 960
+    assert marking[0] - 2 < x1 + (x2 - x1) * (700 - y1) / (y2 - y1) < marking[-1] + 2
+    drawn = np.interp(700, left.line_px[::-1, 1], left.line_px[::-1, 0])
+    assert drawn == pytest.approx(marking[-1] + 0.5, abs=1)
+    x1, y1, x2, y2 = left.smoothed_px
+    assert x1 + (x2 - x1) * (700 - y1) / (y2 - y1) == pytest.approx(drawn, abs=1)
+    assert (left.line_px[:, 1] > 479).all()
+
+
+def test_unseen_is_held_then_lost_then_found_again():
+    road = Road()
+    state, _ = look(road)
+    blank = np.full_like(road.tags(), ROAD)
+    statuses = []
+    for index in range(1, 14):
+        state, lanes = look(road, blank, state, index)
+        statuses.append(lanes.side("left").status)
+    assert statuses == ["held"] * 10 + ["lost"] * 3
+    assert lanes.side("left").offset_m is None
+    _, lanes = look(road, None, state, 14)
+    assert lanes.side("left").status == "measured"
+
+
+def test_how_long_it_is_held_is_set():
+    road, cfg = Road(), CFG.model_copy(update={"hold_s": 0.1})
+    blank = np.full_like(road.tags(), ROAD)
+    state, _ = look(road, cfg=cfg)
+    statuses = []
+    for index in range(1, 4):
+        state, lanes = look(road, blank, state, index, cfg)
+        statuses.append(lanes.side("left").status)
+    assert statuses == ["held", "held", "lost"]
+
+
+def test_a_frame_without_tags_holds_and_without_memory_says_why():
+    road = Road()
+    surface = assumed_surface(road.camera, road.ego_T_camera)
+    nothing = (road.camera, road.ego_T_camera, surface, None, None, Absent("no segmentation"), None)
+    state, _ = look(road)
+    _, held = step(CFG, state, *nothing, 1_000_000_000 + STEP_NS)
+    assert [b.status for b in held.boundaries] == ["held", "held"]
+    _, absent = step(CFG, LanesState(), *nothing, 1)
+    assert absent == Absent("no segmentation")
+
+
+def test_a_jump_outside_the_gate_is_not_taken_and_the_dashes_prediction_is_followed():
+    """The line vanishes for a frame and the next one out is closest: the boundary stays where it was."""
+    road, farther = Road(left_m=1.8), Road(left_m=4.0)
+    state, _ = look(road)
+    for index in range(1, 5):
+        state, _ = look(road, None, state, index)
+    _, lanes = look(road, farther.tags(), state, 5)
+    left = lanes.side("left")
+    assert left.status == "held"
+    assert left.offset_m == pytest.approx(1.8, abs=0.05)
+    assert left.raw_offset_m == pytest.approx(4.0, abs=0.1)
+
+
+def test_a_short_dash_too_short_for_a_hough_line_is_still_measured():
+    road = Road(width=1280, height=960)
+    tags = road.tags()
+    x = road.ground()[1][..., 0]
+    dashed = tags.copy()
+    dashed[(tags == LINE) & ((x < 8.0) | (x > 10.0))] = ROAD
+    state, _ = look(road)
+    _, lanes = look(road, dashed, state, 1)
+    assert lanes.side("left").status == "measured"
+    assert lanes.side("left").offset_m == pytest.approx(1.8, abs=0.05)
+
+
+def test_far_fragment_is_no_boundary():
+    road = Road(width=1280, height=960)
+    tags = road.tags()
+    x, y, _ = np.moveaxis(road.ground()[1], -1, 0)
+    tags[(tags == LINE)] = ROAD
+    tags[(np.abs(y - 0.9) < 0.15) & (x > 16) & (x < 60)] = LINE
+    _, lanes = look(road, tags)
+    assert lanes.side("left").status == "lost"
+
+
+def test_double_line_is_bounded_by_its_inner_edge():
+    road = Road(left_m=1.6, width=1280, height=960)
+    tags = road.tags()
+    y = road.ground()[1][..., 1]
+    tags[(y > 1.6 + 0.25) & (y < 1.6 + 0.4) & (tags == ROAD)] = LINE
+    _, lanes = look(road, tags)
+    assert y_at(lanes.side("left"), 10.0) == pytest.approx(1.6, abs=0.03)
+    assert lanes.side("left").outside == "road"
+
+
+def course_frame(data_dir, number):
+    tags = np.loadtxt(data_dir / "course_frames" / "segmentation" / f"{number}.dat", delimiter=",").astype(np.uint8)
+    return Road(width=1280, height=960, height_m=1.5), tags
+
+
+def test_public_lane_of_course_frame_1(data_dir):
+    expected = json.loads((data_dir / "course_frames" / "expected.json").read_text())["1"]
+    road, tags = course_frame(data_dir, 1)
+    _, lanes = look(road, tags)
+    right, left = expected["final_lanes_px"]
+    for boundary, (x1, y1, x2, y2) in ((lanes.side("left"), left), (lanes.side("right"), right)):
+        bx1, by1, bx2, by2 = boundary.raw_px
+        slope = (bx2 - bx1) / (by2 - by1)
+        assert bx1 + slope * (y1 - by1) == pytest.approx(x1, abs=expected["lane_tolerance_px"])
+        assert bx1 + slope * (y2 - by1) == pytest.approx(x2, abs=expected["lane_tolerance_px"])
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_neither_pole_nor_bonnet_bounds_the_lane(data_dir, number):
+    """Where the lane is drawn, the ground beside it is road inside and sidewalk outside on the right."""
+    raw = cv2.imread(str(data_dir / "carla_raw_tags" / "CameraSeg" / f"{number}.png"), cv2.IMREAD_UNCHANGED)
+    tags = np.ascontiguousarray(raw[..., 2])
+    _, lanes = look(Road(width=800, height=600, height_m=1.5), tags)
+    left, right = lanes.boundaries
+    assert (left.status, right.status) == ("measured", "measured")
+    for boundary, outward in ((left, -1), (right, 1)):
+        visible = boundary.line_px[(boundary.line_px[:, 1] < 510) & (boundary.line_px[:, 1] > 340)]
+        assert len(visible) >= 5
+        columns, rows = np.rint(visible).astype(int).T
+        beyond = [tags[r, np.clip(c + outward * np.arange(-3, 4), 0, 799)] for c, r in zip(columns, rows, strict=True)]
+        borders = [bool(np.isin(strip, (LINE, SIDEWALK)).any() and (strip == ROAD).any()) for strip in beyond]
+        assert np.mean(borders) > 0.7
+    assert right.outside == "sidewalk"

@@ -1,0 +1,89 @@
+"""Image lines: merging by hand, and the public figures of the course's frames."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.stages.lanes import lines
+from roadperc_stream.core.config import LanesConfig, load_config
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+
+CFG = LanesConfig()
+PUBLIC = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_min_length_px=150", "hough_max_gap_px=50")
+
+
+def line(slope, intercept, y1=960.0, y2=500.0):
+    return [(y1 - intercept) / slope, y1, (y2 - intercept) / slope, y2]
+
+
+def test_merge_joins_what_is_close_in_slope_and_intercept():
+    proposals = np.array([line(-1.0, 1000), line(-1.05, 1020), line(-1.2, 1000), line(-1.0, 1060), line(0.5, 100)])
+    groups = lines.merge(CFG, proposals, 960)
+    assert [(round(g.slope, 3), round(g.intercept, 3)) for g in groups] == [
+        (-1.025, 1010.0),
+        (-1.2, 1000.0),
+        (-1.0, 1060.0),
+        (0.5, 100.0),
+    ]
+
+
+def test_merge_compares_with_each_groups_first_line():
+    """The third line is near the second but not near the first: it starts a group of its own."""
+    proposals = np.array([line(-1.0, 1000), line(-1.09, 1000), line(-1.18, 1000)])
+    assert len(lines.merge(CFG, proposals, 960)) == 2
+
+
+def test_intercept_reach_scales_with_the_image():
+    proposals = np.array([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)])
+    assert len(lines.merge(CFG, proposals, 960)) == 1
+    assert len(lines.merge(CFG, proposals, 480)) == 2
+
+
+def test_a_group_remembers_the_rows_that_support_it():
+    (group,) = lines.merge(CFG, np.array([line(-1.0, 1000, 900, 700), line(-1.0, 1001, 650, 600)]), 960)
+    assert (group.top_px, group.bottom_px) == (600, 900)
+    assert lines.drawn(group, 960.0, 500.0) == pytest.approx((40.5, 960.0, 500.5, 500.0))
+
+
+def test_near_horizontal_lines_and_lines_off_the_road_are_dropped():
+    road = np.zeros((960, 1280), bool)
+    road[500:, 300:900] = True
+    proposals = np.array(
+        [[400.0, 900, 800, 800], [400.0, 900, 500, 600], [950.0, 900, 1000, 600], [298.0, 900, 298, 600]]
+    )
+    kept = lines.on_road(CFG, proposals, road)
+    np.testing.assert_array_equal(kept, proposals[[1, 3]])
+
+
+def test_a_vertical_line_is_a_line():
+    (group,) = lines.merge(CFG, np.array([[500.0, 900, 500, 600]]), 960)
+    assert group.x(960.0) == pytest.approx(500.0, abs=1e-3)
+
+
+def test_far_end_ignores_a_speck():
+    road = np.zeros((100, 200), bool)
+    road[40:, 50:150] = True
+    road[5, 7] = True
+    assert lines.road_far_end(road) == 40
+    assert lines.road_far_end(np.zeros((100, 200), bool)) is None
+
+
+def test_public_figures_of_course_frame_0(data_dir):
+    """9 proposals and 5 merged lines, with the settings printed there."""
+    tags = np.loadtxt(data_dir / "course_frames" / "segmentation" / "0.dat", delimiter=",").astype(np.uint8)
+    cfg = load_config(None, tuple(f"lanes.{setting}" for setting in PUBLIC)).lanes
+    proposals = lines.propose(cfg, lines.edges_of(cfg, TABLE.lookup(cfg.separators)[tags] * np.uint8(255)))
+    assert len(proposals) == 9
+    road = TABLE.lookup(["road", "road_line"])[tags].view(bool)
+    assert len(lines.merge(cfg, lines.on_road(cfg, proposals, road), 960)) == 5
+
+
+@pytest.mark.parametrize(("gap_px", "found"), [(60, True), (80, False)])
+def test_dashes_are_one_line_where_their_gaps_are_short(gap_px, found):
+    """Dashes of 60 px along a diagonal: none is a line by itself, but over gaps of up to 50 columns they are one."""
+    edges = np.zeros((960, 1280), np.uint8)
+    along = np.arange(600)
+    drawn = along[along % (60 + gap_px) < 60] / np.sqrt(2)
+    edges[(900 - drawn).astype(int), (300 + drawn).astype(int)] = 255
+    proposals = lines.propose(CFG.model_copy(update={"hough_threshold": 100}), edges)
+    lengths = np.hypot(proposals[:, 2] - proposals[:, 0], proposals[:, 3] - proposals[:, 1])
+    assert bool((lengths > 400).any()) == found

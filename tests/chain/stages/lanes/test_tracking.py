@@ -1,0 +1,156 @@
+"""The boundary's Kalman filter."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.stages.lanes import tracking
+from roadperc_stream.core.config import LanesConfig
+
+CFG = LanesConfig()
+R = np.diag([0.03, 0.005, 0.001]) ** 2
+DT_NS = 50_000_000
+
+
+def run(measurements, cfg=CFG):
+    track, states = None, []
+    for k, state in enumerate(measurements):
+        if track is None:
+            track = tracking.start(np.array(state), R, 0)
+        else:
+            predicted = tracking.predict(cfg, track, k * DT_NS, None)
+            updated = None if state is None else tracking.update(cfg, predicted, np.array(state), R)
+            track = updated or predicted
+        states.append(track.state)
+    return track, np.array(states)
+
+
+def test_first_frame_equals_its_measurement():
+    track = tracking.start(np.array([1.7, 0.01, 0.002]), R, 7)
+    np.testing.assert_array_equal(track.state, [1.7, 0.01, 0.002])
+    np.testing.assert_array_equal(track.state_covariance, R)
+
+
+def test_constant_measurements_stay():
+    _, states = run([(1.7, 0.0, 0.0)] * 50)
+    np.testing.assert_allclose(states, np.tile([1.7, 0, 0], (50, 1)), atol=1e-9)
+
+
+def test_jitter_shrinks_and_a_drift_is_followed_without_lag():
+    rng = np.random.default_rng(0)
+    true = 1.7 + 0.01 * np.arange(200)
+    measured = true + rng.normal(0, 0.03, 200)
+    _, states = run([(m, 0.0, 0.0) for m in measured])
+    jitter = np.std(np.diff(states[20:, 0], 2)) / np.std(np.diff(measured[20:], 2))
+    assert jitter < 1 / 3
+    assert abs(np.mean(states[50:, 0] - true[50:])) < 0.005
+
+
+def test_outside_the_gate_nothing_is_taken():
+    track, _ = run([(1.7, 0.0, 0.0)] * 20)
+    predicted = tracking.predict(CFG, track, 20 * DT_NS, None)
+    assert tracking.update(CFG, predicted, np.array([3.2, 0.0, 0.0]), R) is None
+    assert tracking.update(CFG, predicted, np.array([1.72, 0.0, 0.0]), R) is not None
+
+
+def test_covariance_grows_while_unseen_and_stays_symmetric():
+    track, _ = run([(1.7, 0.0, 0.0)] * 20 + [None] * 5)
+    seen, _ = run([(1.7, 0.0, 0.0)] * 20)
+    assert track.covariance[0, 0] > seen.covariance[0, 0]
+    np.testing.assert_allclose(track.covariance, track.covariance.T, atol=1e-12)
+    assert np.linalg.eigvalsh(track.covariance).min() > 0
+
+
+@pytest.mark.parametrize(("missing", "expired"), [(10, False), (11, True)])
+def test_held_for_half_a_second(missing, expired):
+    track, _ = run([(1.7, 0.0, 0.0)] * 3 + [None] * missing)
+    assert tracking.expired(CFG, track) == expired
+
+
+def moved(dx, dy=0.0, turn=0.0):
+    """The ego frame a step later, in the last one."""
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    T[:2, 3] = dx, dy
+    return T
+
+
+def test_a_step_ahead_in_a_bend_moves_the_boundary_against_the_car():
+    """Driving 2 m straight on where the boundary bends left: it comes in by heading and curvature."""
+    track = tracking.start(np.array([1.7, 0.02, 0.01]), R, 0)
+    after = tracking.predict(CFG, track, DT_NS, moved(2.0))
+    np.testing.assert_allclose(after.state, [1.7 + 0.04 + 0.02, 0.04, 0.01], atol=1e-12)
+
+
+def test_a_step_aside_and_a_turn_are_taken_off():
+    track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
+    after = tracking.predict(CFG, track, DT_NS, moved(0.5, 0.1, 0.03))
+    np.testing.assert_allclose(after.state, [1.6, -0.03, 0.0], atol=1e-3)
+    assert after.mean[1] == pytest.approx(-0.1 / 0.05)
+
+
+def exactly_known(state, rate=0.0):
+    """A track without any uncertainty: what a prediction adds is the motion's own."""
+    mean = np.insert(np.array(state, np.float64), 1, rate)
+    return tracking.Track(mean, np.zeros((4, 4)), 0, 0)
+
+
+def test_without_odometry_the_noise_is_a_random_sideways_acceleration():
+    """After 0.5 s of a constant acceleration with 2 m/s^2 deviation: 0.25 m and 1 m/s, fully correlated."""
+    cfg = CFG.model_copy(update={"process_noise": 2.0})
+    covariance = tracking.predict(cfg, exactly_known((1.7, 0.0, 0.0)), 10 * DT_NS, None).covariance
+    np.testing.assert_allclose(covariance[:2, :2], [[0.25**2, 0.25], [0.25, 1.0]])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)[2:] / 0.5), [0.02, 0.003])
+    np.testing.assert_array_equal(covariance[2:, :2], 0.0)
+
+
+def test_without_odometry_the_offset_goes_on_at_its_rate():
+    after = tracking.predict(CFG, exactly_known((1.7, 0.01, 0.002), rate=-0.4), 10 * DT_NS, None)
+    np.testing.assert_allclose(after.mean, [1.5, -0.4, 0.01, 0.002])
+
+
+@pytest.mark.parametrize("dx", [4.0, -4.0])
+def test_with_odometry_the_noise_is_that_of_a_step_and_of_the_road_driven(dx):
+    covariance = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0)), DT_NS, moved(dx)).covariance
+    np.testing.assert_allclose(covariance, np.diag([0.005, 0.3, 0.0015, 0.001 * np.sqrt(4.0)]) ** 2)
+
+
+def test_with_odometry_what_was_uncertain_is_seen_from_further_on():
+    """2 m ahead an uncertain heading has become offset: 2 * 0.01; an uncertain curvature both: 2 * 0.02, 2 * 0.01."""
+    known = exactly_known((1.7, 0.0, 0.0))
+    for column, seen in ((2, [0.02, 0.01, 0.0]), (3, [0.02, 0.02, 0.01])):
+        uncertain = np.zeros((4, 4))
+        uncertain[column, column] = 0.01**2
+        track = tracking.Track(known.mean, uncertain, 0, 0)
+        added = (
+            tracking.predict(CFG, track, DT_NS, moved(2.0)).state_covariance
+            - tracking.predict(CFG, known, DT_NS, moved(2.0)).state_covariance
+        )
+        np.testing.assert_allclose(added, np.outer(seen, seen), atol=1e-12)
+
+
+def test_a_new_track_knows_nothing_of_its_rate():
+    np.testing.assert_array_equal(tracking.start(np.array([1.7, 0.0, 0.0]), R, 0).covariance[1], [0.0, 1.0, 0.0, 0.0])
+
+
+def test_an_update_weighs_both_by_their_variances():
+    """Two equally good offsets meet in the middle with half the variance; what neither measures stays."""
+    track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
+    after = tracking.update(CFG, track, np.array([1.74, 0.002, 0.0]), R)
+    np.testing.assert_allclose(after.state, [1.72, 0.001, 0.0], atol=1e-12)
+    np.testing.assert_allclose(after.state_covariance, R / 2, atol=1e-15)
+    assert after.covariance[1, 1] == 1.0
+
+
+@pytest.mark.parametrize(("sigmas", "taken"), [(0.99, True), (1.01, False)])
+def test_the_gate_is_a_squared_distance_in_standard_deviations(sigmas, taken):
+    track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
+    aside = np.array([1.7 + sigmas * np.sqrt(CFG.gate * 2 * R[0, 0]), 0.0, 0.0])
+    assert (tracking.update(CFG, track, aside, R) is not None) == taken
+
+
+def test_following_the_bend_keeps_the_boundary_where_it_was():
+    track = tracking.start(np.array([1.7, 0.0, 1 / 150]), R, 0)
+    for k in range(1, 40):
+        track = tracking.predict(CFG, track, k * DT_NS, moved(0.5, 0.5**2 / 300, 0.5 / 150))
+    np.testing.assert_allclose(track.state, [1.7, 0.0, 1 / 150], atol=2e-3)
+    assert np.linalg.eigvalsh(track.covariance).min() > 0

@@ -1,0 +1,69 @@
+"""Detections and distances made up by hand: objects are boxes on flat depth."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from roadperc_stream.chain.stages.objects import ObjectsState, step
+from roadperc_stream.core.config import ObjectsConfig
+from roadperc_stream.core.datatypes import Objects
+from roadperc_stream.core.geometry import Camera
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from tests.analytic import STEP_NS, VEHICLE
+
+CAMERA = Camera("camera", 320, 240, 1e6, 1e6, 159.5, 119.5)
+"""So long a lens that the distance of every pixel is its depth."""
+CFG = ObjectsConfig()
+FAR_M = 90.0
+LIMIT_M = 100.0
+
+
+@dataclass
+class Follower:
+    """Takes frames one after the other and keeps what came out last."""
+
+    cfg: ObjectsConfig = CFG
+    state: ObjectsState = field(default_factory=ObjectsState)
+    stamp_ns: int = 0
+    objects: tuple = ()
+
+    def frame(self, *detections, depth_m=None, grey=None, dt_ns=STEP_NS, tags=None):
+        """One frame; ``depth_m`` is an image or one depth for all of it."""
+        if isinstance(depth_m, float):
+            depth_m = np.full(CAMERA.size, depth_m, np.float32)
+        self.stamp_ns += dt_ns
+        inputs = (detections, CAMERA, tags, TABLE, depth_m, LIMIT_M, grey)
+        self.state, out = step(self.cfg, self.state, *inputs, self.stamp_ns)
+        assert isinstance(out, Objects)
+        self.objects = out.objects
+        return self.objects
+
+    @property
+    def only(self):
+        (item,) = self.objects
+        return item
+
+
+def depth_of(*objects):
+    """(H, W) depth with boxes at their distances, the last in front."""
+    depth = np.full(CAMERA.size, FAR_M, np.float32)
+    for detection, distance_m in objects:
+        x0, y0, x1, y1 = detection.box_px.rounded(CAMERA.width, CAMERA.height)
+        depth[y0:y1, x0:x1] = distance_m
+    return depth
+
+
+def tags_of(*detections):
+    tags = np.zeros(CAMERA.size, np.uint8)
+    for detection in detections:
+        x0, y0, x1, y1 = detection.box_px.rounded(CAMERA.width, CAMERA.height)
+        tags[y0:y1, x0:x1] = VEHICLE
+    return tags
+
+
+def texture(seed=0, size=CAMERA.size):
+    return np.random.default_rng(seed).integers(0, 256, size, np.uint8)
+
+
+def moved(image, right, down):
+    return np.roll(image, (down, right), axis=(0, 1))

@@ -1,0 +1,142 @@
+"""Which detection is which object, whatever the order in which they come."""
+
+from collections import Counter
+from dataclasses import replace
+from time import process_time
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadperc_stream.chain.stages.objects import tracking
+from roadperc_stream.chain.stages.objects.association import assign, similarities
+from roadperc_stream.core.datatypes import Box, Object
+from roadperc_stream.core.semantics import classes_of_label
+from tests.analytic import box
+from tests.chain.stages.objects.frames import CFG, Follower
+
+corner = st.integers(0, 200)
+side = st.integers(4, 60)
+detections = st.builds(
+    lambda label, x, y, w, h: box(label, x, y, x + w, y + h),
+    st.sampled_from(["Car", "Pedestrian"]),
+    corner,
+    corner,
+    side,
+    side,
+)
+drives = st.lists(st.lists(detections, max_size=6), min_size=1, max_size=5)
+
+
+def depth_image():
+    rows, columns = np.indices((240, 320), np.float32)
+    return 5 + rows / 10 + columns / 20
+
+
+@settings(max_examples=60, deadline=None)
+@given(drives, st.randoms(use_true_random=False))
+def test_the_order_of_detections_decides_nothing_but_the_order_of_objects(frames, random):
+    usual, shuffled, depth = Follower(), Follower(), depth_image()
+    for frame in frames:
+        other = random.sample(frame, len(frame))
+        a, b = usual.frame(*frame, depth_m=depth), shuffled.frame(*other, depth_m=depth)
+        assert Counter(a) == Counter(b)
+        assert [item.detection for item in b] == other
+
+
+@settings(max_examples=60, deadline=None)
+@given(drives)
+def test_names_are_unique_in_a_frame_and_never_given_anew(frames):
+    follower, known = Follower(), set()
+    for frame in frames:
+        before = {track.id for track in follower.state.tracks}
+        names = [item.track_id for item in follower.frame(*frame)]
+        assert len(set(names)) == len(names)
+        assert not (set(names) - before) & known
+        known |= set(names)
+
+
+def item_at(distance_m, label="Car"):
+    return Object(box(label, 0, 0, 10, 10), kept=True, distance_m=distance_m, distance_std_m=0.1)
+
+
+def track_at(distance_m, number=1):
+    return tracking.start(CFG, number, item_at(distance_m), Box(0, 0, 10, 10), 0)
+
+
+def similarity(cfg, track, item, box_px):
+    return float(similarities(cfg, [track], [item], [box_px])[0, 0])
+
+
+def test_contradicting_distances_count_against_a_pair():
+    here = Box(0, 0, 10, 10)
+    assert similarity(CFG, track_at(20.0), item_at(20.0), here) == 1.0
+    assert similarity(CFG, track_at(20.0), item_at(5.0), here) == 1.0 - CFG.distance_penalty
+    assert similarity(CFG, track_at(20.0), item_at(None), here) == 1.0
+    assert similarity(CFG, track_at(None), item_at(20.0), here) == 1.0
+    assert similarity(CFG, track_at(20.0), item_at(20.0, "Pedestrian"), here) == 0.0
+
+
+def test_the_gate_is_the_least_overlap():
+    quarter, fifth = Box(0, 0, 10, 2.5), Box(0, 0, 10, 1.9)
+    assert similarity(CFG, track_at(20.0), item_at(20.0), quarter) == 0.25
+    assert similarity(CFG, track_at(20.0), item_at(20.0), fifth) == 0.0
+    assert similarity(CFG, track_at(20.0), item_at(5.0), quarter) == 0.0
+
+
+def test_the_best_of_all_pairings_is_taken_not_the_best_pair_first():
+    """The first detection fits both tracks, the second one only the track that the first fits better."""
+    tracks = [track_at(None), tracking.start(CFG, 2, item_at(None), Box(0, 6, 10, 16), 0)]
+    boxes = [Box(0, 2.5, 10, 12.5), Box(0, -6, 10, 4)]
+    assert assign(CFG, tracks, [item_at(None)] * 2, boxes) == {0: 1, 1: 0}
+    assert assign(CFG, tracks, [], []) == {}
+    assert assign(CFG, [], [item_at(None)], [boxes[0]]) == {}
+
+
+def plain_similarity(cfg, track, item, box_px):
+    """What ``similarities`` gives for all pairs at once, one pair after the other in Python's own numbers."""
+    kinds = [classes_of_label(thing.detection.label) or (thing.detection.label,) for thing in (track, item)]
+    if kinds[0] != kinds[1]:
+        return 0.0
+    contradiction = 0.0
+    if track.distance_m is not None and item.distance_m is not None:
+        surprise = track.distance_m.surprise(item.distance_m, tracking.distance_std_m(cfg, item))
+        contradiction = min(surprise / cfg.gate, 1.0)
+    score = track.box_px.overlap(box_px) * (1.0 - cfg.distance_penalty * contradiction)
+    return score if score >= cfg.min_overlap else 0.0
+
+
+def test_all_pairs_at_once_are_the_pairs_one_by_one_bit_for_bit():
+    rng = np.random.default_rng(0)
+
+    def items(count):
+        corners = rng.uniform(0, 20, (count, 2)).tolist()
+        labels = rng.choice(["Car", "van", "Car", "kite", "Kite"], count).tolist()
+        made = [Object(box(a, x, y, x + 30, y + 20), kept=True) for a, (x, y) in zip(labels, corners, strict=True)]
+        known = [replace(item, distance_m=d) for item, d in zip(made, rng.normal(20, 1, count).tolist(), strict=True)]
+        surer = [replace(item, distance_std_m=abs(float(rng.normal()))) for item in known[::2]]
+        return [*made[: count // 4], *known[count // 4 :], *surer]
+
+    seen, before = items(200), items(170)
+    tracks = [tracking.start(CFG, k, item, item.detection.box_px, 0) for k, item in enumerate(before)]
+    tracks = [tracking.predict(CFG, track, 50_000_000) for track in tracks]
+    boxes = [item.detection.box_px for item in seen]
+    expected = [[plain_similarity(CFG, t, item, b) for item, b in zip(seen, boxes, strict=True)] for t in tracks]
+    found = similarities(CFG, tracks, seen, boxes)
+    np.testing.assert_array_equal(found, expected)
+    assert 0.2 < np.mean(found > 0) < 0.8
+
+
+def test_boxes_beyond_all_numbers_are_like_nothing():
+    wild = Box(-1.7e308, -1.7e308, 1.7e308, 1.7e308)
+    scores = similarities(CFG, [track_at(None)], [item_at(None)] * 2, [wild, Box(0, 0, 1e-200, 1e-200)])
+    assert scores.tolist() == [[0.0, 0.0]]
+    assert similarities(CFG, [track_at(None)], [], []).shape == (1, 0)
+
+
+def test_thousands_of_detections_of_one_object_take_no_seconds():
+    tracks = [track_at(20.0, number) for number in range(256)]
+    items = [item_at(20.0)] * 5000
+    started = process_time()
+    assert len(assign(CFG, tracks, items, [Box(0, 0, 10, 10)] * 5000)) == 256
+    assert process_time() - started < 1.0

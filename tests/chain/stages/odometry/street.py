@@ -1,0 +1,89 @@
+"""A street of four textured planes that can be photographed from anywhere, with exact depth."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from roadperc_stream.chain.stages import odometry
+from roadperc_stream.chain.stages.odometry import OdometryState
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import OdometryConfig
+
+CFG = OdometryConfig(min_rows=240)
+CAMERA = g.Camera("front", 640, 480, 320.0, 320.0, 319.5, 239.5)
+EGO_T_CAMERA = g.rigid(g.EGO_R_OPTICAL, np.array([1.5, 0.0, 1.4]))
+STEP_NS = 50_000_000
+PLANES = tuple(
+    g.Plane.of(np.array(normal, float), offset)
+    for normal, offset in (((0, 0, 1), 0.0), ((0, -1, 0), 7.0), ((0, 1, 0), 6.0), ((-1, 0, 0), 45.0))
+)
+GRAIN_M = 0.05
+
+
+@dataclass(frozen=True)
+class Shot:
+    grey: np.ndarray
+    depth_m: np.ndarray
+
+
+def texture(seed):
+    rng = np.random.default_rng(seed)
+    size = 1024
+    total = sum(
+        cv2.resize(rng.normal(0, 1, (size // n, size // n)).astype(np.float32), (size, size), interpolation=3)
+        for n in (2, 4, 8, 32)
+    )
+    return np.clip(128 + 30 * total, 0, 255).astype(np.float32)
+
+
+TEXTURES = tuple(texture(seed) for seed in range(len(PLANES)))
+
+
+def photograph(odom_T_ego, camera=CAMERA, ego_T_camera=EGO_T_CAMERA):
+    rows, columns = np.indices(camera.size, dtype=float)
+    pixels = np.stack((columns, rows), axis=-1)
+    odom_T_camera = odom_T_ego @ ego_T_camera
+    nearest, grey = np.full(camera.size, np.inf), np.zeros(camera.size, np.float32)
+    for plane, pattern in zip(PLANES, TEXTURES, strict=True):
+        seen = g.intersect_plane(camera, pixels, g.transform_plane(g.inverse(odom_T_camera), plane))
+        points = g.transform(odom_T_camera, seen) / GRAIN_M
+        axes = [k for k in range(3) if abs(plane.normal[k]) < 0.5]
+        u, v = (np.nan_to_num(points[..., k]).astype(np.float32) for k in axes)
+        colours = cv2.remap(pattern, u % 1023, v % 1023, cv2.INTER_LINEAR)
+        closer = seen[..., 2] < nearest
+        nearest, grey = np.where(closer, seen[..., 2], nearest), np.where(closer, colours, grey)
+    return Shot(np.rint(grey).astype(np.uint8), nearest.astype(np.float32))
+
+
+def pose(x, y=0.0, yaw=0.0, pitch=0.0):
+    return g.rigid(g.rotation_from_rpy(0.0, pitch, yaw), np.array([x, y, 0.0]))
+
+
+def drive(count, step_m=0.4, turn=0.01):
+    """Poses of a bend, the first being the identity."""
+    poses = [np.eye(4)]
+    for _ in range(count - 1):
+        poses.append(poses[-1] @ pose(step_m, yaw=turn))
+    return poses
+
+
+def run(shots, cfg=CFG, state=None, first=0, depth=True, **inputs):
+    """The states and results of shots; None is a missing frame."""
+    state, states, results = state or OdometryState(), [], []
+    for k, shot in enumerate(shots, first):
+        state, out = odometry.step(
+            cfg,
+            state,
+            CAMERA,
+            EGO_T_CAMERA,
+            shot and shot.grey,
+            shot.depth_m if shot and depth else None,
+            inputs.get("movable"),
+            inputs.get("road"),
+            np.random.default_rng((0, k)),
+            1_000_000_000 + k * STEP_NS,
+        )
+        states.append(state)
+        results.append(out)
+    return states, results

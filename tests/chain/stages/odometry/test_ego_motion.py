@@ -1,0 +1,211 @@
+"""The odometry over frames whose motion is known."""
+
+import pickle
+from dataclasses import asdict
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.stages.surface import assumed_surface
+from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.datatypes import Absent
+from roadperc_stream.core.geometry import inverse
+from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, STEP_NS, Shot, drive, photograph, pose, run
+from tests.chain.stages.odometry.trajectories import angle_deg, distances_m, relative_errors
+
+POSES = drive(12)
+SHOTS = [photograph(p) for p in POSES]
+ROAD = assumed_surface(CAMERA, EGO_T_CAMERA)
+
+
+def noisy(shot, seed, std=2.0):
+    noise = np.random.default_rng(seed).normal(0, std, shot.grey.shape)
+    return Shot(np.clip(np.rint(shot.grey + noise), 0, 255).astype(np.uint8), shot.depth_m)
+
+
+def poses(results):
+    return np.array([out.odom_T_ego for out in results])
+
+
+def statuses(results):
+    return [out.status for out in results]
+
+
+def flat(odometry):
+    values = asdict(odometry)
+    return values | (values.pop("matches") or {})
+
+
+def same(a, b):
+    """Bit for bit, in every field."""
+    a, b = flat(a), flat(b)
+    assert a.keys() == b.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name], b[name], strict=True, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("features", "matcher"),
+    [("klt", "brute_force"), ("orb", "brute_force"), ("sift", "brute_force"), ("sift", "flann")],
+)
+def test_known_motion_with_depth(features, matcher):
+    _, results = run(SHOTS, CFG.model_copy(update={"features": features, "matcher": matcher}))
+    assert statuses(results) == ["first"] + ["tracked"] * 11
+    shift, turn = relative_errors(poses(results), np.array(POSES), (2.0, 4.0), every=1)
+    assert shift < 0.01
+    assert turn < 2.0
+    assert not any(out.up_to_scale for out in results)
+
+
+def test_steps_chain_to_the_poses():
+    _, results = run(SHOTS[:4])
+    for before, out in pairwise(results):
+        np.testing.assert_allclose(before.odom_T_ego @ out.step, out.odom_T_ego, atol=1e-9)
+        assert out.since_ns is not None
+
+
+def test_covariance_is_that_of_a_sane_step():
+    _, results = run(SHOTS[:3])
+    covariance = np.array(results[1].covariance).reshape(6, 6)
+    np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    error = np.linalg.norm((inverse(POSES[1]) @ results[1].odom_T_ego)[:3, 3])
+    assert error < 5 * np.sqrt(np.trace(covariance[:3, :3])) + 0.002
+
+
+def test_full_size_and_halved_agree():
+    _, halved = run(SHOTS[:5])
+    _, full = run(SHOTS[:5], CFG.model_copy(update={"min_rows": 480}))
+    assert np.linalg.norm((inverse(halved[-1].odom_T_ego) @ full[-1].odom_T_ego)[:3, 3]) < 0.01
+
+
+def test_standing_still_does_not_drift_while_a_car_passes():
+    shots = []
+    for k in range(20):
+        shot = noisy(SHOTS[0], k)
+        grey, depth_m = shot.grey.copy(), shot.depth_m.copy()
+        columns = slice(25 * k, 25 * k + 160)
+        grey[220:330, columns] = SHOTS[5].grey[120:230, 100:260]
+        depth_m[220:330, columns] = 6.0
+        shots.append(Shot(grey, depth_m))
+    for depth in (True, False):
+        _, results = run(shots, depth=depth)
+        assert statuses(results[1:]) == ["tracked"] * 19
+        assert np.linalg.norm(poses(results)[:, :3, 3], axis=1).max() < 0.005
+        assert max(angle_deg(p[:3, :3]) for p in poses(results)) < 0.02
+
+
+def test_a_missing_frame_is_lost_and_its_motion_is_not():
+    states, results = run([*SHOTS[:3], None, *SHOTS[4:8]])
+    assert statuses(results) == ["first", "tracked", "tracked", "lost", "tracked", "tracked", "tracked", "tracked"]
+    np.testing.assert_array_equal(results[3].odom_T_ego, results[2].odom_T_ego)
+    assert results[3].step is None
+    assert results[3].reason == "no image"
+    assert results[4].since_ns == 1_000_000_000 + 2 * STEP_NS
+    assert np.linalg.norm((inverse(POSES[7]) @ results[7].odom_T_ego)[:3, 3]) < 0.02
+    assert states[3] is states[2]
+
+
+def test_another_place_is_lost_and_then_followed():
+    elsewhere = [Shot(s.grey[::-1].copy(), s.depth_m) for s in (photograph(pose(20.0, yaw=1.0)),)]
+    there = [photograph(pose(20.0, 1.0) @ p) for p in drive(4)]
+    _, results = run([*SHOTS[:4], *elsewhere, *there])
+    assert statuses(results)[4:6] == ["lost", "lost"]
+    assert statuses(results)[6:] == ["tracked"] * 3
+    np.testing.assert_array_equal(results[5].odom_T_ego, results[3].odom_T_ego)
+    driven = inverse(results[5].odom_T_ego) @ results[-1].odom_T_ego
+    assert np.linalg.norm((inverse(drive(4)[-1]) @ driven)[:3, 3]) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("limit", "reason"),
+    [
+        ({"max_speed_mps": 5.0}, "the points agree on a motion that the car cannot make"),
+        ({"max_turn_rate_dps": 5.0}, "the points agree on a motion that the car cannot make"),
+        ({"min_inliers": 390}, "too few points agree on a motion"),
+    ],
+)
+def test_what_the_car_cannot_do_is_lost(limit, reason):
+    _, results = run(SHOTS[:2], CFG.model_copy(update=limit))
+    assert statuses(results) == ["first", "lost"]
+    assert results[1].reason == reason
+
+
+def test_without_depth_the_shape_is_kept_in_steps():
+    _, results = run(SHOTS, depth=False)
+    assert statuses(results) == ["first"] + ["tracked"] * 11
+    assert all(out.up_to_scale for out in results[1:])
+    assert np.linalg.norm(results[1].step[:3, 3]) == pytest.approx(1.0, abs=0.05)
+    scaled = poses(results)
+    scaled[:, :3, 3] *= distances_m(np.array(POSES))[-1] / distances_m(scaled)[-1]
+    shift, turn = relative_errors(scaled, np.array(POSES), (2.0, 4.0), every=1)
+    assert shift < 0.05
+    assert turn < 5.0
+
+
+def test_the_road_gives_the_scale():
+    _, results = run(SHOTS, depth=False, road=ROAD)
+    assert not any(out.up_to_scale for out in results)
+    assert distances_m(poses(results))[-1] == pytest.approx(distances_m(np.array(POSES))[-1], rel=0.02)
+
+
+def test_depth_that_drops_out_leaves_the_scale():
+    blind = [Shot(s.grey, np.full_like(s.depth_m, np.nan)) if 3 <= k < 9 else s for k, s in enumerate(SHOTS)]
+    _, results = run(blind)
+    assert statuses(results) == ["first"] + ["tracked"] * 11
+    assert not any(out.up_to_scale for out in results)
+    assert np.linalg.norm((inverse(POSES[-1]) @ results[-1].odom_T_ego)[:3, 3]) < 0.1
+
+
+def test_depth_with_holes_and_noise_that_grows():
+    rng = np.random.default_rng(3)
+    shots = []
+    for shot in SHOTS:
+        disparity = 160.0 / shot.depth_m + rng.normal(0, 0.3, shot.depth_m.shape)
+        depth_m = (160.0 / np.maximum(disparity, 0.5)).astype(np.float32)
+        depth_m[rng.random(depth_m.shape) < 0.2] = np.nan
+        shots.append(Shot(shot.grey, depth_m))
+    _, results = run(shots)
+    assert relative_errors(poses(results), np.array(POSES), (4.0,), every=1)[0] < 0.02
+
+
+def test_movable_things_are_left_out():
+    movable = np.zeros(CAMERA.size, bool)
+    movable[:, 320:] = True
+    states, results = run(SHOTS[:3], movable=movable)
+    assert states[0].keyframe.places.features.px[:, 0].max() < 160
+    assert statuses(results) == ["first", "tracked", "tracked"]
+
+
+def test_nothing_yet_and_nothing_to_see():
+    assert isinstance(run([None])[1][0], Absent)
+    blank = Shot(np.full(CAMERA.size, 90, np.uint8), SHOTS[0].depth_m)
+    for depth in (True, False):
+        for features in ("klt", "orb", "sift"):
+            _, results = run([blank, blank, *SHOTS[:2]], CFG.model_copy(update={"features": features}), depth=depth)
+            assert statuses(results) == ["first", "lost", "lost", "tracked"]
+
+
+@pytest.mark.parametrize("depth", [True, False])
+@pytest.mark.parametrize("features", ["klt", "orb"])
+def test_replay_and_resume_from_a_pickled_state_are_equal(features, depth):
+    cfg = CFG.model_copy(update={"features": features})
+    states, results = run(SHOTS[:6], cfg, depth=depth)
+    _, again = run(SHOTS[:6], cfg, depth=depth)
+    _, resumed = run(SHOTS[3:6], cfg, pickle.loads(pickle.dumps(states[2])), first=3, depth=depth)
+    for a, b, c in zip(results[3:], again[3:], resumed, strict=True):
+        same(a, b)
+        same(a, c)
+
+
+def test_flann_replays_equally():
+    cfg = OdometryConfig(min_rows=240, features="sift", matcher="flann")
+    for a, b in zip(run(SHOTS[:3], cfg)[1], run(SHOTS[:3], cfg)[1], strict=True):
+        same(a, b)
+
+
+def test_the_state_is_bounded():
+    states, _ = run(SHOTS)
+    sizes = [len(pickle.dumps(state)) for state in states]
+    assert max(sizes) < 1.5 * min(sizes)

@@ -1,0 +1,244 @@
+"""The odometry's functions, each against what can be computed by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
+from roadperc_stream.chain.stages.odometry.facets import facets_from_depth, slope_of_plane, stretch
+from roadperc_stream.chain.stages.odometry.features import FRONTENDS, spread
+from roadperc_stream.chain.stages.odometry.keyframes import make_keyframe
+from roadperc_stream.chain.stages.odometry.motion import motion_from_points, moved
+from roadperc_stream.chain.stages.odometry.patches import aligned
+from roadperc_stream.chain.stages.odometry.places import place_features
+from roadperc_stream.chain.stages.odometry.views import make_view
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import OdometryConfig
+from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, photograph, pose
+
+FULL = OdometryConfig()
+small = st.floats(-0.05, 0.05)
+motions = st.builds(
+    lambda rx, ry, rz, x, y, z: g.rigid(Rotation.from_rotvec((rx, ry, rz)).as_matrix(), np.array([x, y, z])),
+    *[small] * 3,
+    *[st.floats(-0.2, 0.2)] * 2,
+    st.floats(-1.0, -0.3),
+)
+
+
+def cloud(count=200, seed=0):
+    """(N, 3) points in the camera frame, in sight."""
+    rng = np.random.default_rng(seed)
+    px = rng.uniform((40, 40), (600, 440), (count, 2))
+    return g.unproject(CAMERA, px, rng.uniform(4, 40, count))
+
+
+def seen(this_T_key, X):
+    return g.project(CAMERA, g.transform(this_T_key, X)).astype(np.float32)
+
+
+@settings(max_examples=25, deadline=None)
+@given(this_T_key=motions)
+def test_points_tell_the_motion_despite_outliers(this_T_key):
+    X = cloud()
+    px = seen(this_T_key, X)
+    px[::5] += 15
+    motion = motion_from_points(FULL, CAMERA, X, px)
+    np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=1e-4)
+    assert motion.inliers.sum() == 160
+    assert not motion.inliers[::5].any()
+
+
+@settings(max_examples=25, deadline=None)
+@given(this_T_key=motions)
+def test_rays_tell_turn_direction_and_length(this_T_key):
+    X = cloud()
+    px, known = seen(this_T_key, X), X.copy()
+    known[30:] = np.nan
+    motion = motion_from_rays(FULL, CAMERA, seen(np.eye(4), X), px, known, 1.0)
+    np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=2e-3)
+    assert motion.scaled
+    filled = np.isfinite(motion.points_m[30:, 0])
+    assert filled.sum() > 50
+    np.testing.assert_allclose(motion.points_m[30:][filled] / X[30:][filled], 1.0, atol=0.2)
+
+
+def test_rays_alone_give_the_length_they_are_told():
+    this_T_key, X = moved(np.array([0.05, 0.0, -0.6, 0.0, 0.02, 0.0])), cloud()
+    nothing = np.full_like(X, np.nan)
+    motion = motion_from_rays(FULL, CAMERA, seen(np.eye(4), X), seen(this_T_key, X), nothing, 3.0)
+    assert not motion.scaled
+    assert np.linalg.norm(motion.this_T_key[:3, 3]) == pytest.approx(3.0)
+
+
+def test_a_turn_alone_is_no_translation():
+    this_T_key, X = moved(np.array([0.0, 0.0, 0.0, 0.01, -0.03, 0.005])), cloud()
+    motion = motion_from_rays(FULL, CAMERA, seen(np.eye(4), X), seen(this_T_key, X), np.full_like(X, np.nan), 1.0)
+    np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=1e-5)
+    assert motion.covariance is None
+
+
+def test_the_covariance_is_the_scatter():
+    this_T_key, X = moved(np.array([0.05, 0.0, -0.5, 0.0, 0.02, 0.0])), cloud()
+    rng, px, errors, told = np.random.default_rng(1), seen(this_T_key, X), [], []
+    for _ in range(200):
+        noisy = px + rng.normal(0, 0.2, px.shape).astype(np.float32)
+        motion = motion_from_points(FULL, CAMERA, X, noisy)
+        error = motion.this_T_key @ g.inverse(this_T_key)
+        errors.append(np.concatenate((error[:3, 3], Rotation.from_matrix(error[:3, :3]).as_rotvec())))
+        told.append(np.diag(motion.covariance))
+    ratio = np.std(errors, axis=0) / np.sqrt(np.mean(told, axis=0))
+    assert ((ratio > 0.6) & (ratio < 1.5)).all()
+
+
+@pytest.mark.parametrize("points", [0, 5])
+def test_too_few_points_tell_nothing(points):
+    X = cloud(points)
+    assert motion_from_points(FULL, CAMERA, X, seen(np.eye(4), X)) is None
+    assert motion_from_rays(FULL, CAMERA, seen(np.eye(4), X), seen(np.eye(4), X), X, 1.0) is None
+
+
+@settings(max_examples=25, deadline=None)
+@given(nx=st.floats(-0.3, 0.3), nz=st.floats(-0.3, 0.3), shrink=st.sampled_from([1, 2]))
+def test_facets_of_a_plane_are_exact(nx, nz, shrink):
+    plane = g.Plane.of(np.array([nx, -1.0, nz - 1.0]), 12.0)
+    rows, columns = np.indices(CAMERA.size, dtype=float)
+    depth_m = g.intersect_plane(CAMERA, np.stack((columns, rows), axis=-1), plane)[..., 2].astype(np.float32)
+    px = np.random.default_rng(0).uniform(20, 200, (30, 2))
+    full = px * shrink + (shrink - 1) / 2
+    expected = 1 / g.intersect_plane(CAMERA, full, plane)[:, 2]
+    inverse_depth, slope = facets_from_depth(depth_m, px, shrink)
+    # Nearer than 100 m: beyond max_depth_m none is used, and beside the horizon one pixel's neighbours lie behind it.
+    fine = np.isfinite(expected) & (expected > 1e-2)
+    np.testing.assert_allclose(inverse_depth[fine], expected[fine], rtol=1e-4)
+    np.testing.assert_allclose(slope[fine], np.tile(slope_of_plane(CAMERA, plane) * shrink, (fine.sum(), 1)), atol=1e-5)
+
+
+def test_facets_keep_to_their_side_of_an_edge_and_out_of_holes():
+    depth_m = np.full((60, 60), 5.0, np.float32)
+    depth_m[:, 30:] = 20.0
+    depth_m[:20] = np.nan
+    inverse_depth, slope = facets_from_depth(depth_m, np.array([[29.0, 40.0], [30.0, 40.0], [10.0, 10.0]]), 1)
+    np.testing.assert_allclose(1 / inverse_depth, [5.0, 20.0, np.nan], rtol=1e-6)
+    np.testing.assert_allclose(slope[:2], 0.0, atol=1e-7)
+
+
+def test_a_patch_seen_from_half_the_distance_is_twice_as_large():
+    px = np.array([[CAMERA.cx, CAMERA.cy]])
+    half = moved(np.array([0.0, 0.0, -5.0, 0.0, 0.0, 0.0]))
+    got = stretch(CAMERA, px, np.array([10.0]), np.zeros((1, 2)), half)
+    np.testing.assert_allclose(got[0], 2 * np.eye(2), atol=1e-9)
+
+
+def test_points_are_spread_over_the_image():
+    rng = np.random.default_rng(0)
+    px = np.concatenate((rng.uniform(0, 100, (5000, 2)), rng.uniform(0, (640, 480), (300, 2)))).astype(np.float32)
+    chosen = spread(FULL, px, rng.random(len(px)).astype(np.float32), CAMERA.size)
+    assert len(chosen) <= FULL.max_points
+    assert (px[chosen] < 100).all(axis=1).mean() < 0.2
+    assert len(set(chosen.tolist())) == len(chosen)
+
+
+@pytest.mark.parametrize("size", [(376, 1242), (960, 3840), (480, 640)])
+def test_points_reach_every_edge_of_an_image_of_any_shape(size):
+    rows, columns = np.indices(size)[:, ::4, ::4].reshape(2, -1)
+    px = np.stack((columns, rows), axis=-1).astype(np.float32)
+    chosen = px[spread(FULL, px, np.random.default_rng(0).random(len(px)).astype(np.float32), size)]
+    assert 0.9 * FULL.max_points <= len(chosen) <= FULL.max_points
+    for axis, length in ((0, size[1]), (1, size[0])):
+        share = np.histogram(chosen[:, axis], bins=8, range=(0, length))[0] / len(chosen)
+        assert share.min() > 0.07
+
+
+@pytest.mark.parametrize("features", ["klt", "orb", "sift"])
+def test_a_shifted_image_is_matched_to_sub_pixels(features):
+    cfg = CFG.model_copy(update={"features": features})
+    before, after = photograph(pose(0)).grey, photograph(pose(0, yaw=0.02)).grey
+    front = FRONTENDS[features]
+    found, strength = front.detect(cfg, before, np.ones_like(before))
+    found = found.take(spread(cfg, found.px, strength, before.shape))
+    px = front.match(cfg, before, found, found.px, after)
+    turn = EGO_T_CAMERA[:3, :3].T @ g.rotation_from_rpy(0, 0, -0.02) @ EGO_T_CAMERA[:3, :3]
+    about_lens = g.rays(CAMERA, found.px.astype(float)) @ turn.T
+    kept = np.isfinite(px[:, 0])
+    assert kept.sum() > 80
+    far = kept & (found.px[:, 1] < 250)
+    # The lens is 1.5 m ahead of the turn's axis: 3 cm sideways, which shifts what is far by less than 2 px.
+    assert np.median(np.abs(px - g.project(CAMERA, about_lens))[far]) < 1.5
+
+
+def test_halving_keeps_rays():
+    shot = photograph(pose(0))
+    view = make_view(CFG, CAMERA, EGO_T_CAMERA, shot.grey, None, None, None, 0)
+    assert (view.shrink, view.grey.shape) == (2, (240, 320))
+    np.testing.assert_allclose(g.rays(view.camera, np.array([10.0, 20.0])), g.rays(CAMERA, np.array([20.5, 40.5])))
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "shrink"),
+    [(480, 640, 2), (960, 1280, 4), (478, 640, 1), (481, 640, 1), (480, 641, 1), (482, 642, 2), (240, 640, 1)],
+)
+def test_an_image_is_halved_while_it_is_even_and_keeps_enough_rows(rows, columns, shrink):
+    camera = replace(CAMERA, width=columns, height=rows)
+    view = make_view(CFG, camera, EGO_T_CAMERA, np.zeros((rows, columns), np.uint8), None, None, None, 0)
+    assert view.shrink == shrink
+    assert view.grey.shape == view.camera.size == (rows // shrink, columns // shrink)
+
+
+@pytest.mark.parametrize("shrink", [1, 2, 4])
+def test_pixels_of_the_tracked_image_lie_where_the_frame_has_them(shrink):
+    camera = g.Camera("front", 640, 240 * shrink, 300.0, 310.0, 333.0, 111.0)
+    view = make_view(CFG, camera, EGO_T_CAMERA, np.zeros(camera.size, np.uint8), None, None, None, 0)
+    X = np.array([[1.0, -0.5, 7.0], [-2.0, 0.4, 20.0]])
+    assert view.shrink == shrink
+    np.testing.assert_allclose(view.whole(g.project(view.camera, X)), g.project(camera, X), rtol=1e-6)
+
+
+def test_what_moves_is_avoided_with_the_reach_of_a_window():
+    """20 px of 960 rows are 5 of 240, so that a margin of two pixels surrounds each thing."""
+    movable = np.zeros((480, 640), bool)
+    movable[200:210, 300:320] = True
+    view = make_view(CFG, CAMERA, EGO_T_CAMERA, np.zeros((480, 640), np.uint8), None, movable, None, 0)
+    rows, columns = np.nonzero(view.movable)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (98, 106, 148, 161)
+    px = np.float32([[148, 98], [161.4, 106.4], [147, 100], [162, 100], [150, 97], [150, 107], [np.nan, 100]])
+    np.testing.assert_array_equal(view.on_movable(px), [True, True, False, False, False, False, False])
+
+
+def test_nothing_moves_where_nobody_says_what_does():
+    view = make_view(CFG, CAMERA, EGO_T_CAMERA, np.zeros((480, 640), np.uint8), None, None, None, 0)
+    np.testing.assert_array_equal(view.on_movable(np.float32([[3, 4], [np.nan, 5]])), [False, False])
+
+
+def test_places_by_depth_lie_where_the_depth_says():
+    shot = photograph(pose(0))
+    view = make_view(CFG, CAMERA, EGO_T_CAMERA, shot.grey, shot.depth_m, None, None, 0)
+    places = place_features(CFG, view, None)
+    assert (places.source, places.metric) == ("depth", True)
+    heights = g.transform(EGO_T_CAMERA, places.points_m)
+    on_plane = [np.abs(heights[:, 2]), np.abs(heights[:, 1] - 7), np.abs(heights[:, 1] + 6), np.abs(heights[:, 0] - 45)]
+    assert np.quantile(np.min(on_plane, axis=0), 0.95) < 0.01
+
+
+def test_where_no_feature_can_be_seen_none_is_aligned():
+    shot = photograph(pose(0))
+    view = make_view(CFG, CAMERA, EGO_T_CAMERA, shot.grey, shot.depth_m, None, None, 0)
+    keyframe = make_keyframe(CFG, view, EGO_T_CAMERA)
+    behind = g.rigid(np.eye(3), np.array([0.0, 0.0, -1e3]))
+    px = aligned(keyframe, view, behind)
+    assert px.shape == keyframe.places.features.px.shape
+    assert len(px) > 20
+    assert np.isnan(px).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 400), (400, 1), (2, 2)])
+@pytest.mark.parametrize("features", ["klt", "orb", "sift"])
+def test_images_too_small_for_a_feature_have_none(features, shape):
+    cfg, grey = CFG.model_copy(update={"features": features}), np.zeros(shape, np.uint8)
+    found, strength = FRONTENDS[features].detect(cfg, grey, np.ones_like(grey))
+    assert (found.px.shape, strength.shape) == ((0, 2), (0,))
+    assert FRONTENDS[features].match(cfg, grey, found, found.px, grey).shape == (0, 2)

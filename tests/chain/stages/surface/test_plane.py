@@ -1,0 +1,176 @@
+"""The road's plane: known planes, outliers, and what cannot be a road."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadperc_stream.chain.stages.surface import assumed_surface, drivable_mask, fit_surface
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import SurfaceConfig
+from roadperc_stream.core.datatypes import Absent
+from tests.analytic import ROAD, Road
+
+CFG = SurfaceConfig()
+
+
+def fit(road, depth_m, mask, cfg=CFG, seed=0):
+    return fit_surface(cfg, road.camera, road.ego_T_camera, depth_m, mask, np.random.default_rng(seed))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(0.8, 3.0))
+def test_recovers_any_plane(pitch, roll, height_m):
+    road = Road(pitch=pitch, roll=roll, height_m=height_m, width=320, height=240)
+    surface = fit(road, road.depth_m(), None if height_m < 0 else road.tags() == ROAD)
+    assert surface.camera_height_m == pytest.approx(height_m, abs=1e-3)
+    assert (surface.pitch, surface.roll) == pytest.approx((pitch, roll), abs=2e-4)
+    assert surface.inlier_ratio > 0.999
+    assert surface.abd == pytest.approx((0, 0, 0), abs=2e-3)
+
+
+def test_a_third_of_outliers_moves_nothing():
+    road = Road()
+    depth = road.depth_m()
+    rng = np.random.default_rng(1)
+    wild = rng.random(depth.shape) < 1 / 3
+    depth[wild] *= rng.uniform(0.2, 0.9, wild.sum()).astype(np.float32)
+    surface = fit(road, depth, road.tags() == ROAD)
+    assert surface.camera_height_m == pytest.approx(1.4, abs=1e-3)
+    assert np.degrees(g.angle_between(surface.plane.n, road.plane.n)) < 0.01
+    assert 0.6 < surface.inlier_ratio < 0.75
+
+
+def test_noise_averages_out():
+    road = Road()
+    depth = road.depth_m() * np.random.default_rng(2).normal(1, 0.01, (480, 640)).astype(np.float32)
+    surface = fit(road, depth, road.tags() == ROAD)
+    assert np.degrees(g.angle_between(surface.plane.n, road.plane.n)) < 0.05
+
+
+@pytest.mark.parametrize("outliers", [False, True])
+def test_plane_printed_for_course_frame_0(data_dir, outliers):
+    """Depth rebuilt from the public plane (pixels counted from 1) gives the plane back: 0.01 degrees, 1 mm."""
+    expected = json.loads((data_dir / "course_frames" / "expected.json").read_text())["0"]
+    a, b, c, d = expected["plane_abcd"]
+    camera = g.Camera("camera", 1280, 960, 640.0, 640.0, 639.0, 479.0)
+    plane = g.facing(g.Plane.of(np.array([a, b, c]), d), np.zeros(3))
+    tags = np.loadtxt(data_dir / "course_frames" / "segmentation" / "0.dat", delimiter=",").astype(np.uint8)
+    road = tags == ROAD
+    assert road.sum() == expected["road_pixels"]
+    rows, columns = np.indices(tags.shape, dtype=float)
+    depth = g.intersect_plane(camera, np.stack((columns, rows), axis=-1), plane)[..., 2].astype(np.float32)
+    assert depth[799, 799] == pytest.approx(expected["depth_m_at_800_800"], abs=0.02)
+    if outliers:
+        rng = np.random.default_rng(0)
+        wild = rng.random(depth.shape) < 1 / 3
+        depth[wild] = rng.uniform(1, 60, wild.sum()).astype(np.float32)
+    surface = fit_surface(CFG, camera, g.level_mounting(1.4), depth, road, np.random.default_rng(0))
+    assert np.degrees(g.angle_between(surface.plane.n, plane.n)) < 0.01
+    assert surface.camera_height_m == pytest.approx(plane.offset_m, abs=1e-3)
+
+
+def test_without_segmentation_the_lower_image_stands_in():
+    road = Road()
+    surface = fit(road, road.depth_m(), None)
+    assert surface.source == "lower_image"
+    assert surface.camera_height_m == pytest.approx(1.4, abs=1e-3)
+
+
+def test_without_depth_the_mounting_stands_in():
+    road = Road(pitch=0.05)
+    surface = assumed_surface(road.camera, road.ego_T_camera)
+    assert (surface.source, surface.inlier_ratio) == ("assumed", None)
+    assert surface.pitch == pytest.approx(0.05)
+
+
+def test_a_wall_is_no_road():
+    road = Road()
+    wall = np.full((480, 640), 5.0, np.float32)
+    assert isinstance(fit(road, wall, None), Absent)
+
+
+@pytest.mark.parametrize(
+    ("mask", "depth"),
+    [
+        (np.zeros((480, 640), bool), np.full((480, 640), 5.0, np.float32)),
+        (np.ones((480, 640), bool), np.full((480, 640), np.nan, np.float32)),
+        (np.eye(480, 640, dtype=bool) & (np.arange(480) == 400)[:, None], np.full((480, 640), 5.0, np.float32)),
+    ],
+    ids=["no road", "all depth unknown", "one point"],
+)
+def test_degenerate_input_is_a_stated_absence(mask, depth):
+    absent = fit(Road(), depth, mask)
+    assert isinstance(absent, Absent)
+    assert "three" in absent.reason
+
+
+def test_three_collinear_points_are_a_stated_absence():
+    mask = np.zeros((480, 640), bool)
+    mask[400, [100, 200, 300]] = True
+    assert isinstance(fit(Road(), np.full((480, 640), 5.0, np.float32), mask), Absent)
+
+
+def test_same_seed_same_plane():
+    road = Road()
+    noisy = road.depth_m() * np.random.default_rng(3).normal(1, 0.02, (480, 640)).astype(np.float32)
+    assert fit(road, noisy, None, seed=5) == fit(road, noisy, None, seed=5)
+
+
+def test_drivable_pixels_are_near_the_plane_and_of_a_class():
+    road = Road()
+    depth, tags = road.depth_m(), road.tags()
+    surface = fit(road, depth, tags == ROAD)
+    depth = depth.copy()
+    depth[400, 300:310] *= 0.7
+    mask = drivable_mask(CFG, surface, road.camera, depth, (tags == ROAD).astype(np.uint8), road.ego_T_camera)
+    known = (tags == ROAD) & np.isfinite(depth)
+    known[400, 300:310] = False
+    np.testing.assert_array_equal(mask, known)
+
+
+def test_drivable_without_depth_or_tags():
+    road = Road()
+    classes = (road.tags() == ROAD).astype(np.uint8)
+    surface = assumed_surface(road.camera, road.ego_T_camera)
+    mounting = road.ego_T_camera
+    mask = drivable_mask(CFG, surface, road.camera, None, classes, mounting)
+    np.testing.assert_array_equal(mask, classes.astype(bool))
+    assert isinstance(drivable_mask(CFG, surface, road.camera, None, None, mounting), Absent)
+    assert isinstance(drivable_mask(CFG, Absent("none"), road.camera, road.depth_m(), classes, mounting), Absent)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_that_lie_on_every_plane_are_no_wall(seed):
+    """All within ``inlier_m`` of any plane, a level one too: the fit to all of them stands upright."""
+    road = Road(width=320, height=240)
+    depth = np.random.default_rng(seed).normal(0.01, 0.001, road.camera.size).astype(np.float32)
+    found = fit(road, depth, None, seed=seed)
+    assert isinstance(found, Absent)
+    assert re.fullmatch(r"the points' plane is tilted by [5-9]\d degrees, expected at most 30", found.reason)
+
+
+def test_a_wall_is_no_setting():
+    with pytest.raises(ValueError, match="less than 90"):
+        SurfaceConfig(max_tilt_deg=90.0)
+
+
+@pytest.mark.parametrize("limit_m", [60.0, 1.0])
+def test_too_few_points_are_counted(limit_m):
+    road, depth = Road(), np.full((480, 640), np.nan, np.float32)
+    depth[400:402, 320] = 3.0
+    found = fit(road, depth, None, SurfaceConfig(max_depth_m=limit_m))
+    count = 2 if limit_m > 3 else 0
+    assert found == Absent(f"{count} road pixels with known depth within max_depth_m, a plane needs three")
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-33, 1e-42])
+def test_points_all_in_one_place_are_no_plane(scale):
+    """As of a pair without a baseline: any plane fits, and one that stands upright has no height anywhere."""
+    road = Road(width=320, height=240)
+    found = fit(road, (road.depth_m() * scale).astype(np.float32), None)
+    assert isinstance(found, Absent)
+    assert "tilted by 90 degrees" in found.reason

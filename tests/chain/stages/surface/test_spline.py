@@ -1,0 +1,233 @@
+"""The height field: known hills, noise, outliers, what no data tell, and the pixels that lie on it."""
+
+from dataclasses import replace
+from time import process_time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadperc_stream.chain.stages import lanes
+from roadperc_stream.chain.stages.lanes import LanesState
+from roadperc_stream.chain.stages.surface import assumed_surface, drivable_mask, fit_surface, spline
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import LanesConfig, SurfaceConfig
+from roadperc_stream.core.ground import height_at
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.metrics import surface_height_error_m
+from tests.analytic import LINE, ROAD
+from tests.hills import Hill
+
+CFG = SurfaceConfig(model="spline")
+HILL = Hill(width=320, height=240)
+
+
+def road_of(hill):
+    return np.isin(hill.tags(), (ROAD, LINE))
+
+
+def fit(hill, depth_m=None, mask=None, cfg=CFG):
+    depth_m = hill.depth_m() if depth_m is None else depth_m
+    mask = road_of(hill) if mask is None else mask
+    return fit_surface(cfg, hill.camera, hill.ego_T_camera, depth_m, mask, np.random.default_rng(0))
+
+
+def noisy(depth_m, std=0.01):
+    return depth_m * np.random.default_rng(1).normal(1, std, depth_m.shape).astype(np.float32)
+
+
+def second_differences(surface):
+    """Along the middle of the road."""
+    x = np.arange(61.0)
+    return np.diff(height_at(surface, x, np.zeros_like(x)), 2)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.floats(-0.1, 0.1), st.floats(-0.04, 0.04), st.floats(-0.04, 0.04), st.floats(-0.03, 0.03))
+def test_recovers_any_gentle_hill(grade, bank, pitch, roll):
+    hill = replace(HILL, grade=grade, bank=bank, pitch=pitch, roll=roll)
+    surface = fit(hill)
+    assert surface.model == "spline"
+    assert surface_height_error_m(surface, hill.surface()) < 0.01
+
+
+@pytest.mark.parametrize("grade", [0.08, -0.08])
+def test_noise_leaves_a_third_of_the_planes_error_at_most(grade):
+    hill = replace(HILL, grade=grade)
+    depth_m = noisy(hill.depth_m())
+    error = surface_height_error_m(fit(hill, depth_m), hill.surface())
+    plane = surface_height_error_m(fit(hill, depth_m, cfg=SurfaceConfig()), hill.surface())
+    assert error < 0.02
+    assert error < plane / 3
+
+
+def test_the_plane_beside_the_field_is_the_plane_models():
+    depth_m = noisy(HILL.depth_m())
+    assert replace(fit(HILL, depth_m), model="plane", height_grid=None) == fit(HILL, depth_m, cfg=SurfaceConfig())
+
+
+def test_a_level_road_stays_level():
+    hill = replace(HILL, grade=0.0)
+    x, y = np.meshgrid(np.arange(61.0), np.arange(-10.0, 11.0))
+    assert np.abs(height_at(fit(hill), x, y)).max() < 2e-3
+
+
+def test_cars_called_road_do_not_bend_it():
+    depth_m, mask = HILL.depth_m(), road_of(HILL)
+    for rows, columns, distance_m in (
+        (slice(115, 150), slice(130, 165), 7.0),
+        (slice(112, 124), slice(166, 178), 18.0),
+    ):
+        depth_m[rows, columns] = np.fmin(depth_m[rows, columns], distance_m)
+        mask[rows, columns] = True
+    assert surface_height_error_m(fit(HILL, depth_m, mask), HILL.surface()) < 0.02
+
+
+def test_beyond_the_data_it_goes_on_straight():
+    depth_m = noisy(HILL.depth_m())
+    depth_m[~(depth_m < 22)] = np.nan
+    bends = second_differences(fit(HILL, depth_m))
+    np.testing.assert_allclose(bends[35:], 0, atol=1e-4)
+    assert np.abs(bends).max() < 0.01
+
+
+def test_what_no_road_leads_to_does_not_bend_it():
+    """A wall called road behind a gap in the data: nothing else there contradicts it."""
+    depth_m, mask = HILL.depth_m(), road_of(HILL)
+    depth_m[~(depth_m < 22)] = np.nan
+    depth_m[60:90, 100:220], mask[60:90, 100:220] = np.linspace(40, 55, 120, dtype=np.float32), True
+    surface = fit(HILL, depth_m, mask)
+    x = np.arange(5.0, 23.0)
+    np.testing.assert_allclose(height_at(surface, x, np.zeros_like(x)), HILL.z(x, 0.0), atol=0.02)
+    x = np.arange(30.0, 61.0)
+    assert np.abs(height_at(surface, x, np.zeros_like(x)) - HILL.z(x, 0.0)).max() < 2.0
+
+
+def test_a_road_that_bends_behind_a_gap_is_found_again():
+    """Nothing known from 12 m to 26 m; there the road lies 0.5 m above where it would go straight on."""
+    hill = replace(HILL, grade=0.1, wave_m=120.0)
+    depth_m = hill.depth_m()
+    depth_m[(depth_m > 12) & (depth_m < 26)] = np.nan
+    surface = fit(hill, depth_m)
+    x = np.arange(27.0, 45.0)
+    np.testing.assert_allclose(height_at(surface, x, np.zeros_like(x)), hill.z(x, 0.0), atol=0.05)
+
+
+def test_noise_makes_no_waves():
+    assert np.abs(second_differences(fit(HILL, noisy(HILL.depth_m(), 0.03)))).max() < 0.01
+
+
+@pytest.mark.parametrize("farthest_m", [4.0, 8.0])
+def test_a_short_stretch_leaves_the_plane(farthest_m):
+    depth_m = HILL.depth_m()
+    depth_m[~(depth_m < farthest_m)] = np.nan
+    surface = fit(HILL, depth_m)
+    assert (surface.model, surface.height_grid) == ("plane", None)
+
+
+def test_a_camera_that_looks_back_leaves_the_plane():
+    back = g.rigid(g.rotation_from_rpy(0, 0, np.pi), np.zeros(3)) @ HILL.ego_T_camera
+    surface = fit_surface(CFG, HILL.camera, back, HILL.depth_m(), road_of(HILL), np.random.default_rng(0))
+    assert surface.model == "plane"
+
+
+def test_without_depth_the_plane_stays():
+    assert assumed_surface(HILL.camera, HILL.ego_T_camera).model == "plane"
+
+
+def test_without_segmentation_the_lower_image_shows_a_field_too():
+    surface = fit_surface(CFG, HILL.camera, HILL.ego_T_camera, HILL.depth_m(), None, np.random.default_rng(0))
+    assert (surface.source, surface.model) == ("lower_image", "plane")
+    high = replace(HILL, pitch=-0.2)
+    surface = fit_surface(CFG, high.camera, high.ego_T_camera, high.depth_m(), None, np.random.default_rng(0))
+    assert (surface.source, surface.model) == ("lower_image", "spline")
+
+
+@pytest.mark.parametrize(
+    "change", [{"spline_knot_m": 12.0}, {"spline_curvature_per_m": 1e-4}, {"spline_half_width_m": 3.0}]
+)
+def test_every_key_has_an_effect(change):
+    depth_m = noisy(HILL.depth_m())
+    changed = fit(HILL, depth_m, cfg=CFG.model_copy(update=change)).height_grid
+    usual = fit(HILL, depth_m).height_grid
+    assert changed.z_m.shape != usual.z_m.shape or np.abs(changed.z_m - usual.z_m).max() > 1e-3
+
+
+def test_a_range_beyond_all_roads_takes_neither_time_nor_memory():
+    """200 m is as far as heights are looked up, and what no data tell goes on straight."""
+    depth_m, usual = HILL.depth_m(), height_at(fit(HILL), *np.meshgrid(np.arange(40.0), np.arange(-5.0, 6.0)))
+    started = process_time()
+    surface = fit(HILL, depth_m, cfg=CFG.model_copy(update={"spline_knot_m": 1.0, "max_depth_m": 1e4}))
+    assert process_time() - started < 2.0
+    assert surface.height_grid.z_m.shape == (21, 201)
+    heights = height_at(surface, *np.meshgrid(np.arange(40.0), np.arange(-5.0, 6.0)))
+    np.testing.assert_allclose(heights, usual, atol=0.02)
+
+
+def information(coefficients):
+    """How unlikely coefficients are by the prior alone: the square of how many deviations they lie off."""
+    band = spline._prior(CFG)
+    middle = len(band) // 2
+    rows, columns = np.indices((len(coefficients), len(coefficients)))
+    near = np.abs(rows - columns) <= middle
+    prior = np.where(near, band[np.where(near, rows - columns + middle, 0), columns], 0.0)
+    return coefficients @ prior @ coefficients
+
+
+def test_the_prior_counts_deviations_of_curvature_and_of_bank():
+    count = spline._splines(CFG)
+    heights = CFG.spline_curvature_per_m * (CFG.spline_knot_m * np.arange(count)) ** 2 / 2
+    leaning = np.full(count, spline._BANK_STD * CFG.spline_half_width_m)
+    nothing = np.zeros(count)
+    assert information(np.stack((heights, nothing), -1).ravel()) == pytest.approx(count - 2)
+    assert information(np.stack((heights * 2, nothing), -1).ravel()) == pytest.approx(4 * (count - 2))
+    assert information(np.stack((nothing, leaning), -1).ravel()) == pytest.approx(count)
+    assert information(np.stack((nothing, heights), -1).ravel()) > count - 2
+
+
+def test_drivable_pixels_are_near_the_field():
+    hill = replace(HILL, grade=0.1, wave_m=120.0)
+    depth_m, road = hill.depth_m(), road_of(hill)
+    surface = fit(hill, depth_m, road)
+    classes = road.astype(np.uint8)
+    classes[:3] = 1
+    raised = depth_m.copy()
+    raised[200, 150:160] *= 0.7
+    mask = drivable_mask(CFG, surface, hill.camera, raised, classes, hill.ego_T_camera)
+    known = road & (depth_m < 50)
+    known[200, 150:160] = False
+    assert mask[known].all()
+    assert not mask[200, 150:160].any()
+    assert not mask[:3].any()
+    assert not mask[~classes.view(bool)].any()
+    level = replace(surface, model="plane", height_grid=None)
+    plane = drivable_mask(CFG, level, hill.camera, raised, classes, hill.ego_T_camera)
+    assert np.count_nonzero(plane[depth_m > 20]) < 0.1 * np.count_nonzero(mask[depth_m > 20])
+
+
+def test_drivable_without_classes_or_road():
+    depth_m = HILL.depth_m()
+    surface = fit(HILL, depth_m)
+    everything = drivable_mask(CFG, surface, HILL.camera, depth_m, None, HILL.ego_T_camera)
+    assert everything[depth_m < 40].mean() > 0.99
+    nothing = np.zeros(depth_m.shape, np.uint8)
+    assert not drivable_mask(CFG, surface, HILL.camera, depth_m, nothing, HILL.ego_T_camera).any()
+
+
+def test_lanes_over_a_hill_are_as_straight_as_they_are():
+    hill = Hill(left_m=1.8, right_m=-1.9)
+    surface = fit(hill)
+    road = drivable_mask(CFG, surface, hill.camera, hill.depth_m(), road_of(hill).astype(np.uint8), hill.ego_T_camera)
+    found = {}
+    for model in (surface, replace(surface, model="plane", height_grid=None)):
+        _, seen = lanes.step(
+            LanesConfig(), LanesState(), hill.camera, hill.ego_T_camera, model, hill.tags(), TABLE, road, None, 1
+        )
+        x = seen.side("left").offset_m + 30 * seen.side("left").heading + 450 * seen.side("left").curvature_per_m
+        found[model.model] = abs(x - 1.8)
+        if model is surface:
+            points = seen.side("left").line_ego_m
+            np.testing.assert_allclose(points[:, 2], hill.z(points[:, 0], points[:, 1]), atol=0.02)
+    assert found["spline"] < 0.1
+    assert found["spline"] < found["plane"] / 3

@@ -1,0 +1,437 @@
+"""Depth of pairs whose disparities are known: shifted textures, the course's pair, rendered drives."""
+
+import json
+import re
+from dataclasses import replace
+from statistics import fmean
+from time import process_time
+
+import cv2
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+
+from roadperc_stream.chain.stages import stereo
+from roadperc_stream.chain.stages.objects.template import find_patch
+from roadperc_stream.chain.stages.stereo import matching
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import StereoConfig
+from roadperc_stream.core.datatypes import Absent, Box
+from roadperc_stream.input.decoding import camera_from_calibration
+from roadperc_stream.metrics.stereo_errors import stereo_errors
+from roadperc_stream.output.encoding import encode_calibration
+from roadperc_stream.tools import render_scene
+from tests import pair
+
+HEIGHT, WIDTH = 120, 240
+LEFT = g.Camera("left", WIDTH, HEIGHT, 200.0, 200.0, 119.5, 59.5)
+RIGHT = replace(LEFT, frame_id="right", baseline_m=0.5)
+MOUNTING = g.level_mounting(1.4)
+FULL, FAST = StereoConfig(method="full"), StereoConfig(method="fast")
+BOTH = pytest.mark.parametrize("cfg", [FULL, FAST], ids=["full", "fast"])
+RENDERED = g.Camera("left", 1280, 960, 640.0, 640.0, 639.5, 479.5)
+
+
+def texture(seed=0, width=WIDTH + 64):
+    """Smooth enough to be shifted by parts of a pixel."""
+    noise = np.random.default_rng(seed).uniform(0, 255, (HEIGHT, width)).astype(np.float32)
+    return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), 1.5), None, 0, 255, cv2.NORM_MINMAX)
+
+
+def view(picture, disparity_px):
+    """The left picture's columns from 32 on, as a camera sees them in which they lie that much farther left."""
+    columns = np.tile(np.arange(WIDTH, dtype=np.float32) + 32 + disparity_px, (HEIGHT, 1))
+    rows = np.tile(np.arange(HEIGHT, dtype=np.float32)[:, None], (1, WIDTH))
+    return cv2.remap(picture, columns, rows, cv2.INTER_LINEAR).astype(np.uint8)
+
+
+def matched(cfg, left, right, left_camera=LEFT, right_camera=RIGHT):
+    found = stereo.match(cfg, left_camera, right_camera, MOUNTING, left, right)
+    assert not isinstance(found, Absent), found
+    assert (found.depth_m.dtype, found.depth_m.shape, found.frame_id) == (np.float32, left.shape[:2], "left")
+    return found.depth_m
+
+
+@pytest.mark.parametrize("shift_px", [8.0, 10.25, 19.7, 28.5])
+@pytest.mark.parametrize(("cfg", "exact_px"), [(FULL, 0.1), (FAST, 0.2)], ids=["full", "fast"])
+def test_a_shifted_texture_has_one_depth(cfg, exact_px, shift_px):
+    depth = matched(cfg, view(texture(), 0.0), view(texture(), shift_px))
+    inner = depth[10:-10, 40:-10]
+    assert np.median(np.abs(100.0 / inner - shift_px)) < exact_px
+    assert np.isfinite(inner).mean() > 0.99
+
+
+def test_cameras_need_not_be_equally_bright():
+    left, right = view(texture(), 0.0), view(texture(), 10.25)
+    dimmer = np.clip(right.astype(int) - 6, 0, 255).astype(np.uint8)
+    inner = matched(FULL, left, dimmer)[10:-10, 40:-10]
+    assert np.nanmedian(np.abs(100.0 / inner - 10.25)) < 0.1
+
+
+def test_depth_is_focal_length_times_baseline_over_disparity():
+    depth = matched(FULL, view(texture(), 0.0), view(texture(), 10.0))
+    assert depth[60, 120] == pytest.approx(200.0 * 0.5 / 10.0, rel=0.002)
+
+
+@BOTH
+def test_what_the_right_camera_does_not_see_is_unknown(cfg):
+    """A near square hides as many columns beside it as its disparity is larger than the ground's."""
+    ground, near = texture(1), texture(2)
+    left, right = view(ground, 0.0), view(ground, 8.0)
+    square = view(near, 0.0)[40:80, 100:140]
+    left[40:80, 100:140], right[40:80, 76:116] = square, square
+    disparity = 100.0 / matched(cfg, left, right)
+    assert np.nanmedian(disparity[45:75, 105:135]) == pytest.approx(24, abs=0.3)
+    assert np.nanmedian(disparity[45:75, 50:78]) == pytest.approx(8, abs=0.3)
+    assert np.isnan(disparity[45:75, 86:98]).mean() > 0.8
+    assert np.isnan(disparity[:, :8]).mean() > 0.9
+
+
+def test_a_disparity_leads_into_the_right_image():
+    disparity = 100.0 / matched(FULL, view(texture(), 0.0), view(texture(), 20.0))
+    columns = np.arange(WIDTH)
+    assert not (disparity > columns).any()
+    assert np.isfinite(disparity[10:-10, 22:]).mean() > 0.97
+
+
+@BOTH
+def test_nothing_to_tell_one_place_from_another(cfg):
+    grey = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    assert np.isnan(matched(cfg, grey, grey)).all()
+
+
+def test_noise_is_mostly_unknown():
+    rng = np.random.default_rng(3)
+    left, right = rng.integers(0, 256, (2, HEIGHT, WIDTH), dtype=np.uint8)
+    assert np.isfinite(matched(FULL, left, right)).mean() < 0.15
+
+
+def test_uniqueness_and_speckles_have_an_effect():
+    rng = np.random.default_rng(3)
+    left, right = rng.integers(0, 256, (2, HEIGHT, WIDTH), dtype=np.uint8)
+    known = {
+        name: int(np.isfinite(matched(StereoConfig(method="full", **changes), left, right)).sum())
+        for name, changes in {
+            "all": {"uniqueness_percent": 0, "speckle_px": 0, "left_right_px": 64},
+            "unique": {"speckle_px": 0, "left_right_px": 64},
+            "both ways": {"uniqueness_percent": 0, "speckle_px": 0},
+            "patches": {"uniqueness_percent": 0, "left_right_px": 64},
+            "strict patches": {"uniqueness_percent": 0, "left_right_px": 64, "speckle_step_px": 1},
+        }.items()
+    }
+    assert known["all"] > max(known["unique"], known["both ways"], known["patches"])
+    assert known["patches"] > known["strict patches"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"block_px": 9}, {"p1": 2000, "p2": 2001}, {"p2": 5000}, {"disparities": 16}, {"refine_px": 0}, {"refine_px": 11}],
+)
+def test_matching_settings_have_an_effect(changes):
+    rng = np.random.default_rng(4)
+    noise = rng.normal(0, 25, (2, HEIGHT, WIDTH))
+    left, right = (
+        np.clip(view(texture(), d) + n, 0, 255).astype(np.uint8) for d, n in zip((0, 20), noise, strict=True)
+    )
+    plain = matched(FULL, left, right)
+    changed = matched(StereoConfig(method="full", **changes), left, right)
+    assert not np.array_equal(plain, changed, equal_nan=True)
+
+
+def test_a_disparity_too_small_is_unknown():
+    pair = view(texture(), 0.0), view(texture(), 3.0)
+    assert np.isfinite(matched(FULL, *pair)).mean() > 0.9
+    assert np.isfinite(matched(StereoConfig(method="full", min_disparity_px=4.0), *pair)).mean() < 0.01
+
+
+def test_colours_count_by_their_luminance():
+    colours = np.stack([view(texture(seed), 0.0) for seed in range(3)], axis=-1)
+    shifted = np.stack([view(texture(seed), 10.0) for seed in range(3)], axis=-1)
+    depth = matched(FULL, colours, shifted)
+    grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (colours, shifted)]
+    np.testing.assert_array_equal(depth, matched(FULL, *grey))
+
+
+@BOTH
+def test_odd_sizes(cfg):
+    left, right = (image[:-1, :-1] for image in (view(texture(), 0.0), view(texture(), 10.0)))
+    camera = replace(LEFT, width=WIDTH - 1, height=HEIGHT - 1)
+    depth = matched(cfg, left, right, camera, replace(camera, baseline_m=0.5))
+    assert np.nanmedian(depth) == pytest.approx(10.0, rel=0.03)
+
+
+def test_threads_do_not_change_a_bit():
+    before, pair = cv2.getNumThreads(), (view(texture(), 0.0), view(texture(), 10.25))
+    found = []
+    for threads in (1, 2):
+        cv2.setNumThreads(threads)
+        found.append(matched(FAST, *pair))
+    cv2.setNumThreads(before)
+    np.testing.assert_array_equal(*found)
+
+
+def test_disparities_reach_the_nearest_road():
+    """The bottom row sees the road at 1.4 * 640 / 479.5 m: 640 * 0.5 / 1.8686 = 171.3, and a tenth more."""
+    assert stereo.disparities_needed(RENDERED, 0.5, g.level_mounting(1.4)) == 192
+    assert stereo.disparities_needed(RENDERED, 0.5, g.level_mounting(2.8)) == 96
+    assert stereo.disparities_needed(RENDERED, 0.25, g.level_mounting(1.4)) == 96
+    assert stereo.disparities_needed(RENDERED, 50.0, g.level_mounting(1.4)) == 1280
+    assert stereo.disparities_needed(RENDERED, 0.5, g.level_mounting(0.0)) is None
+
+
+def test_a_camera_that_looks_down_needs_more():
+    down = g.rigid(g.rotation_from_rpy(0, 0.2, 0) @ g.EGO_R_OPTICAL, np.array([0, 0, 1.4]))
+    assert stereo.disparities_needed(RENDERED, 0.5, down) > 192
+
+
+def with_lens(distortion=(), **changes):
+    """The left camera, not rectified, its lens changed."""
+    lens = g.Lens(LEFT.fx, LEFT.fy, LEFT.cx, LEFT.cy)
+    return replace(LEFT, lens=replace(lens, **changes), distortion=distortion)
+
+
+@pytest.mark.parametrize("count", [0, 4, 5, 8, 12, 14])
+def test_every_lens_of_opencv_is_undone(count):
+    assert not isinstance(
+        stereo.match(FAST, with_lens((1e-3,) * count), RIGHT, MOUNTING, *[view(texture(), 0.0)] * 2), Absent
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"cfg": StereoConfig(method="off")}, "switched off"),
+        ({"left_image": None}, "no left image"),
+        ({"right_image": None, "right": None}, "no right image, no calibration of the right camera"),
+        ({"right": replace(RIGHT, baseline_m=None)}, r"P\[0\]\[3\] of the right camera is 0"),
+        ({"right": replace(RIGHT, baseline_m=-0.5)}, "gives a baseline of -0.5 m"),
+        (
+            {"right": replace(RIGHT, baseline_m=1e30)},
+            r"baseline of 1e\+30 m: expected -fx \* baseline, which is 0.001 to 1000 m",
+        ),
+        ({"right": replace(RIGHT, baseline_m=np.inf)}, "gives a baseline of inf m"),
+        ({"right": replace(RIGHT, baseline_m=1e-30)}, "gives a baseline of 1e-30 m"),
+        ({"right": replace(RIGHT, width=100)}, "left camera has 240x120 pixels, the right one 100x120"),
+        ({"right_image": np.zeros((60, 60), np.uint8)}, "right image: 60x60 pixels, its calibration says 240x120"),
+        ({"left": replace(LEFT, distortion=(0.1, 0.0, 0.0, 0.0))}, "the left camera has distortion but no R"),
+        ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, (1.0,) * 9))}, "R that is no rotation"),
+        ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, model="equidistant"))}, "model 'equidistant'"),
+        ({"ego_T_left": g.level_mounting(-1.0)}, "set stereo.disparities"),
+        *(
+            ({"left": with_lens(R=(bad,) * 9)}, f"the left camera has an R that is no rotation: .*{bad:.3}")
+            for bad in (np.nan, np.inf, -np.inf, 1e-300)
+        ),
+        *(
+            ({"right": replace(with_lens(distortion=(0.1,) * n), baseline_m=0.5)}, f"right camera has {n} distortion")
+            for n in (1, 3, 6, 7, 20)
+        ),
+        ({"left": with_lens(distortion=(0.1,) * 6)}, "6 distortion coefficients, expected one of 4, 5, 8, 12, 14"),
+        *(
+            ({"left": with_lens(distortion=(0.0, bad, 0.0, 0.0))}, f"distortion coefficient {bad:g}, expected at most")
+            for bad in (np.nan, np.inf, -20000.0)
+        ),
+        *(
+            ({"left": with_lens(**{name: bad})}, f"K that is no camera's: {name} {bad:g}: expected")
+            for name, values in {
+                "fx": (np.nan, np.inf, 300000.0, 1e-30),
+                "fy": (0.0, -100.0, np.nan),
+                "cx": (np.nan, np.inf, 2401.0),
+                "cy": (-np.inf, -1e5),
+            }.items()
+            for bad in values
+        ),
+    ],
+)
+def test_why_there_is_no_depth(changes, reason):
+    image = view(texture(), 0.0)
+    given = {"cfg": FAST, "left": LEFT, "right": RIGHT, "ego_T_left": MOUNTING}
+    found = stereo.match(**{**given, "left_image": image, "right_image": image, **changes})
+    assert isinstance(found, Absent)
+    assert re.search(reason, found.reason), found.reason
+
+
+def pixel_rays(camera):
+    return g.rays(camera, np.moveaxis(np.indices(camera.size, dtype=float)[::-1], 0, -1))
+
+
+def lens_view(camera, picture):
+    """The rectified picture as the camera's lens takes it: each of its pixels looks up its ray."""
+    lens = camera.lens
+    rows, columns = np.indices(camera.size, dtype=float)
+    pixels = np.stack((columns, rows), axis=-1).reshape(-1, 1, 2)
+    R = np.array(lens.R).reshape(3, 3)
+    there = cv2.undistortPoints(pixels, lens.K, np.array(camera.distortion), R=R, P=camera.K).reshape(*camera.size, 2)
+    columns, rows = np.moveaxis(there.astype(np.float32), -1, 0)
+    return cv2.remap(picture, columns, rows, cv2.INTER_LINEAR)
+
+
+def turned(roll, pitch, yaw):
+    return tuple(g.rotation_from_rpy(roll, pitch, yaw).ravel())
+
+
+def test_a_pair_that_is_not_rectified_is_rectified_first():
+    left = replace(LEFT, distortion=(-0.1, 0.02, 0.001, 0.0), lens=g.Lens(210, 205, 118, 61, turned(0.01, 0.02, -0.02)))
+    right = replace(RIGHT, distortion=(-0.08, 0.0, 0.0, 0.001), lens=g.Lens(195, 198, 121, 58, turned(-0.02, 0, 0.01)))
+    pair = lens_view(left, view(texture(), 0.0)), lens_view(right, view(texture(), 20.0))
+    # All lies 5 m ahead of the rectified camera, to which the left one is turned.
+    true_m = 5.0 / (pixel_rays(LEFT) @ np.array(left.lens.R).reshape(3, 3)[2])
+    plain, depth = (matched(FULL, *pair, *cameras) - true_m for cameras in ((LEFT, RIGHT), (left, right)))
+    inner = np.s_[20:-20, 50:-20]
+    assert np.isfinite(depth[inner]).mean() > 0.95
+    assert np.nanmedian(np.abs(depth[inner])) < 0.05
+    assert not np.nanmedian(np.abs(plain[inner])) < 0.05
+    for camera in (left, right):
+        assert camera_from_calibration(CameraCalibration.FromString(encode_calibration(1, camera))) == camera
+
+
+@pytest.mark.parametrize(("cfg", "p95"), [(FULL, 0.02), (FAST, 0.04)], ids=["full", "fast"])
+def test_the_depth_is_the_left_cameras_own_however_it_is_turned(cfg, p95):
+    """Road and car nearer than 25 m; in the rectified camera, 2 degrees off, they are 9 % off (median)."""
+    pinhole = replace(RENDERED, width=640, height=480, fx=320.0, fy=320.0, cx=319.5, cy=239.5)
+    (left, ego_T_left), (right, ego_T_right) = pair.crooked(pinhole, 0.5, g.level_mounting(1.2), 2.0)
+    images = pair.photograph(left, ego_T_left), pair.photograph(right, ego_T_right)
+    true_m = pair.depth_of(left, ego_T_left)
+    error = np.abs(stereo.match(cfg, left, right, ego_T_left, *images).depth_m / true_m - 1)[true_m < 25]
+    assert np.isfinite(error).mean() > 0.88
+    assert (np.nanmedian(error) < 0.005, np.nanquantile(error, 0.95) < p95) == (True, True)
+
+
+def test_the_disparities_tried_are_those_of_the_rectified_camera(monkeypatch):
+    """A camera mounted 20 degrees nose up, and the level one that it is rectified to, which needs more of them."""
+    tried, image = [], view(texture(), 0.0)
+
+    def count_only(_cfg, count, grey, _right):
+        tried.append(count)
+        return np.ones(grey.shape, np.float32)
+
+    monkeypatch.setattr(stereo.pair, "disparity", count_only)
+    up = g.rotation_from_rpy(0.35, 0.0, 0.0)
+    left = replace(LEFT, lens=g.Lens(200, 200, 119.5, 59.5, tuple(up.ravel())))
+    for camera, ego_T_left in ((LEFT, MOUNTING), (left, MOUNTING @ g.rigid(up, np.zeros(3)))):
+        stereo.match(FULL, camera, RIGHT, ego_T_left, image, image)
+    assert tried[0] == tried[1] == stereo.disparities_needed(LEFT, RIGHT.baseline_m, MOUNTING)
+
+
+def test_what_lies_outside_an_image_before_rectification_is_unknown():
+    right = replace(RIGHT, lens=g.Lens(200, 200, 119.5 - 60, 59.5))
+    left = replace(LEFT, lens=g.Lens(200, 200, 119.5, 59.5 - 30))
+    picture = view(texture(), 0.0), view(texture(), 20.0)
+    depth = matched(FULL, lens_view(left, picture[0]), lens_view(right, picture[1]), left, right)
+    assert np.isnan(depth[:29]).all()
+    assert np.isnan(depth[:, :79]).mean() > 0.95
+    assert np.nanmedian(depth) == pytest.approx(5.0, rel=0.01)
+    assert np.isfinite(depth[40:-10, 90:-10]).mean() > 0.95
+
+
+def test_a_right_camera_of_another_pinhole_is_brought_to_the_left_one():
+    right = replace(RIGHT, fx=190.0, fy=205.0, cx=130.0, cy=55.0)
+    lens = replace(LEFT, lens=g.Lens(right.fx, right.fy, right.cx, right.cy))
+    depth = matched(FULL, view(texture(), 0.0), lens_view(lens, view(texture(), 20.0)), LEFT, right)
+    assert np.nanmedian(np.abs(depth[20:-20, 60:-20] - 5.0)) < 0.05
+
+
+@pytest.fixture(scope="module")
+def course(data_dir):
+    folder = data_dir / "course_stereo"
+    calibration, expected = (json.loads((folder / f"{name}.json").read_text()) for name in ("calibration", "expected"))
+    return calibration, expected, *(cv2.imread(str(folder / f"{side}.png")) for side in ("left", "right"))
+
+
+def test_the_courses_matrices(course):
+    calibration, expected, *_ = course
+    P_left, P_right = (np.array(calibration[name]) for name in ("P_left", "P_right"))
+    for P, centre in ((P_left, expected["centre_left"]), (P_right, expected["centre_right"])):
+        K, R, found = g.decompose_projection(P)
+        np.testing.assert_allclose(K, expected["K"], atol=1e-9)
+        np.testing.assert_allclose(R, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(found, centre, atol=1e-12)
+    assert g.baseline_of(P_left, P_right) == pytest.approx(expected["baseline_m"], abs=1e-12)
+
+
+def test_the_courses_nearest_depth_by_its_public_settings(course):
+    calibration, expected, *pair = course
+    public = expected["sgbm"]
+    cfg = StereoConfig(
+        method="full",
+        disparities=public["numDisparities"],
+        block_px=public["blockSize"],
+        p1=public["P1"],
+        p2=public["P2"],
+        uniqueness_percent=0,
+        speckle_px=0,
+        refine_px=0,
+    )
+    left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in pair)
+    disparity = stereo.disparity(cfg, cfg.disparities, left, right).astype(float)
+    disparity[np.isnan(disparity)] = public["replace_disparity_0_and_minus1_by"]
+    depth = 640.0 * 0.5 / disparity
+    x0, y0, x1, y1 = calibration["obstacle_template_px"]
+    box, score = find_patch(left, left[y0:y1, x0:x1], None, 0.9)
+    assert [box.x_min, box.y_min] == expected["template_top_left_px"] == [547, 479]
+    assert score == pytest.approx(1.0)
+    assert depth[y0:y1, x0:x1].min() == pytest.approx(expected["nearest_depth_m"], abs=1e-9)
+
+
+@BOTH
+def test_the_courses_nearest_depth_by_the_defaults(course, cfg):
+    calibration, expected, left, right = course
+    camera = g.Camera("left", 1280, 960, 640.0, 480.0, 639.5, 479.5)
+    depth = matched(cfg, left, right, camera, replace(camera, baseline_m=0.5))
+    x0, y0, x1, y1 = Box(*calibration["obstacle_template_px"]).rounded(1280, 960)
+    nearest = float(np.nanquantile(depth[y0:y1, x0:x1], 0.02))
+    print(f"\ncourse_stereo, {cfg.method}: {nearest:.3f} m, {nearest / expected['nearest_depth_m'] - 1:+.2%}")
+    assert nearest == pytest.approx(expected["nearest_depth_m"], rel=0.05)
+
+
+def rendered(folder, *options):
+    """Camera, baseline, mounting height and (left, right, true depth) of a rendered drive's frames."""
+    assert render_scene.main([str(folder), *options]) == 0
+    calibration = json.loads((folder / "calibration.json").read_text())
+    K = np.array(calibration["K"])
+    size = calibration["width"], calibration["height"]
+    camera = g.Camera("left", *size, K[0, 0], K[1, 1], K[0, 2] - 0.5, K[1, 2] - 0.5)
+    frames = []
+    for path in sorted((folder / "rgb").iterdir()):
+        left, right, code = (cv2.imread(str(folder / name / path.name)) for name in ("rgb", "right", "depth"))
+        metres = code.astype(float) @ [65536, 256, 1] * (1000 / (2**24 - 1))
+        frames.append((left, right, metres.astype(np.float32)))
+    return camera, calibration["baseline_m"], g.level_mounting(calibration["mounting"]["rgb"]["z"]), frames
+
+
+def figures(cfg, camera, baseline_m, mounting, frames):
+    """Means over the frames: end-point error, D1, coverage; and processor seconds."""
+    errors, seconds = [], 0.0
+    for left, right, true_m in frames:
+        started = process_time()
+        found = stereo.match(cfg, camera, replace(camera, baseline_m=baseline_m), mounting, left, right)
+        seconds += process_time() - started
+        errors.append(stereo_errors(found.depth_m, true_m, camera, baseline_m))
+    epe_px, d1_ratio, _, coverage = (fmean(values) for values in zip(*errors, strict=True))
+    print(
+        f"\n{cfg.method}: EPE {epe_px:.3f} px, D1 {d1_ratio:.2%}, coverage {coverage:.1%}, "
+        f"{1000 * seconds / len(frames):.0f} ms a frame, {len(frames)} frames of {camera.width}x{camera.height}"
+    )
+    return epe_px, d1_ratio, coverage
+
+
+def test_rendered_stereo_against_its_depth(tmp_path):
+    drive = rendered(tmp_path, "--size", "640x480", "--seconds", "1", "--rate", "2")
+    epe_px, d1_ratio, coverage = figures(FULL, *drive)
+    assert (epe_px < 0.6, d1_ratio < 0.03, coverage >= 0.85) == (True, True, True)
+    epe_px, d1_ratio, coverage = figures(FAST, *drive)
+    assert (epe_px < 0.9, d1_ratio < 0.03, coverage >= 0.85) == (True, True, True)
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("scene", ["town", "bend", "hill"])
+def test_rendered_stereo_at_full_size(tmp_path, scene):
+    drive = rendered(tmp_path, "--scene", scene, "--seconds", "5", "--rate", "2")
+    epe_px, d1_ratio, coverage = figures(FULL, *drive)
+    figures(FAST, *drive)
+    assert (epe_px < 0.6, d1_ratio < 0.03, coverage >= 0.85) == (True, True, True)
+
+
+def test_halving_an_odd_image_counts_its_last_row_and_column_twice():
+    image = np.array([[0, 4, 10], [8, 12, 20], [30, 50, 90]], np.uint8)
+    np.testing.assert_array_equal(matching._halved(image), [[6, 15], [40, 90]])
+    np.testing.assert_array_equal(matching._halved(image[:2, :2]), [[6]])

@@ -1,0 +1,185 @@
+"""The chain's four properties, on frames computed by hand."""
+
+import pickle
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.core.datatypes import Absent, CameraImage, DepthImage, TagImage
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.errors import DecodeError
+from tests.analytic import ROAD, Road, box
+from tests.logs import SMALL, shifted
+
+CFG = ReplayConfig()
+
+
+def drive(count=5):
+    detections = (box("Car", 20, 60, 60, 90),)
+    return [shifted(SMALL, k).frame(k, detections=detections) for k in range(count)]
+
+
+def run(frames, state=None, cfg=CFG):
+    results = []
+    state = state or ChainState()
+    for frame in frames:
+        state, result = step(cfg, state, frame)
+        results.append(result)
+    return state, results
+
+
+def same(a, b):
+    """Equal in every field, arrays bit for bit."""
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+    if is_dataclass(a):
+        return type(a) is type(b) and all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    return a == b
+
+
+def test_replaying_twice_is_equal():
+    assert same(tuple(run(drive())[1]), tuple(run(drive())[1]))
+
+
+def test_results_do_not_depend_on_later_frames():
+    assert same(tuple(run(drive(3))[1]), tuple(run(drive(6))[1][:3]))
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_a_pickled_state_goes_on_as_if_nothing_had_happened(k):
+    frames = drive(6)
+    state, _ = run(frames[:k])
+    _, resumed = run(frames[k:], pickle.loads(pickle.dumps(state)))
+    assert same(tuple(resumed), tuple(run(frames)[1][k:]))
+
+
+@pytest.mark.parametrize("missing", ["depth", "segmentation", "detections", "image"])
+def test_any_input_may_be_missing(missing):
+    frames = [replace(frame, **{missing: None}) for frame in drive(3)]
+    _, results = run(frames)
+    for result in results:
+        if missing == "depth":
+            assert result.surface.source == "assumed"
+            assert result.objects.objects[0].distance_m is None
+        if missing == "segmentation":
+            assert result.surface.source == "lower_image"
+            assert result.lanes == Absent("no segmentation")
+            assert "lanes: no segmentation" in result.reasons()
+        if missing == "detections":
+            assert result.objects == Absent("no detections")
+
+
+def test_everything_may_be_missing():
+    bare = replace(drive(1)[0], depth=None, segmentation=None, detections=None)
+    _, (result,) = run([bare])
+    assert result.surface.source == "assumed"
+    assert isinstance(result.drivable, Absent)
+    assert isinstance(result.lanes, Absent)
+
+
+def broken(*_):
+    raise DecodeError("cut off")
+
+
+def test_what_cannot_be_decoded_counts_as_missing_and_is_said():
+    frame = replace(drive(1)[0], segmentation=TagImage("camera", TABLE, broken), depth=DepthImage("camera", broken))
+    _, (result,) = run([frame])
+    assert result.problems == (
+        "segmentation: cut off",
+        "depth: cut off",
+        "surface: no depth, the mounting gives the plane",
+        "objects: no segmentation, nothing is judged",
+        "objects: no depth, no distances",
+    )
+    assert result.surface.source == "assumed"
+
+
+def test_pixels_of_another_size_than_the_calibration_are_said():
+    tags = Road(width=100, height=50).tags()
+    frame = replace(drive(1)[0], segmentation=TagImage("camera", TABLE, lambda: tags))
+    _, (result,) = run([frame])
+    assert result.problems == (
+        "segmentation: 100x50 pixels, its calibration says 320x240",
+        "surface: no segmentation, the lower image stands in for the road",
+        "objects: no segmentation, nothing is judged",
+    )
+
+
+def test_time_that_goes_back_clears_the_memory():
+    frames = drive(4)
+    _, results = run([*frames, frames[0]])
+    assert any("time went back" in problem for problem in results[-1].problems)
+    assert results[-1].lanes.side("left").status == "measured"
+
+
+def test_time_that_stands_still_is_told_from_time_that_goes_back():
+    frame = drive(1)[0]
+    _, results = run([frame, frame])
+    assert f"time stood still at {frame.stamp_ns} ns: memory of the stages cleared" in results[-1].problems
+
+
+def test_an_image_that_cannot_be_used_is_lost_and_one_that_is_not_there_is_no_odometry():
+    without = drive(1)[0]
+    _, (absent,) = run([replace(without, image=None)])
+    assert absent.odometry == Absent("no image")
+    _, (lost,) = run([replace(without, image=CameraImage("camera", broken, broken))])
+    assert lost.odometry.status == "lost"
+    assert "odometry: lost, its image cannot be used" in lost.reasons()
+
+
+def test_switched_off_stages_say_so():
+    cfg = load_config(None, ("lanes.enabled=false", "objects.enabled=false"))
+    _, (result,) = run(drive(1), cfg=cfg)
+    assert result.lanes == result.objects == Absent("switched off")
+
+
+def test_arrays_cannot_be_written_to():
+    _, (result,) = run(drive(1))
+    with pytest.raises(ValueError, match="read-only"):
+        result.lanes.proposals_px[0] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        drive(1)[0].segmentation.tags[0] = 0
+
+
+def test_a_depth_camera_apart_from_the_image_camera():
+    """The depth camera hangs 0.2 m lower: the height is its own, the mask lies on the image's road."""
+    road, lower = SMALL, replace(SMALL, height_m=1.2)
+    depth = lower.depth_m()
+    depth_camera = replace(road.camera, frame_id="depth")
+    frame = replace(
+        road.frame(),
+        depth_camera=depth_camera,
+        ego_T_depth_camera=lower.ego_T_camera,
+        depth=DepthImage("depth", lambda: (depth, 65.535)),
+    )
+    _, (result,) = run([frame])
+    assert result.surface.camera_height_m == pytest.approx(1.2, abs=1e-3)
+    road_pixels = road.tags() == ROAD
+    near = road_pixels & (road.ground()[1][..., 0] < 25)
+    assert (result.drivable & near).sum() > 0.95 * near.sum()
+    assert not (result.drivable & ~np.isin(road.tags(), (6, ROAD))).any()
+    assert result.lanes.side("left").offset_m == pytest.approx(road.left_m, abs=0.05)
+
+
+def test_roll_and_pitch_of_the_mounting_do_not_move_the_lane():
+    tilted = Road(pitch=0.06, roll=0.03, width=640, height=480)
+    _, (result,) = run([tilted.frame()])
+    assert result.lanes.side("left").offset_m == pytest.approx(1.8, abs=0.05)
+    np.testing.assert_allclose(result.surface.ego_plane.n, (0, 0, 1), atol=1e-3)
+    assert g.angle_between(result.surface.plane.n, tilted.plane.n) < 1e-3
+
+
+def test_a_front_camera_that_is_not_rectified_is_said_to_be_taken_as_it_is():
+    (frame,) = drive(1)
+    lens = g.Lens(frame.camera.fx, frame.camera.fy, frame.camera.cx, frame.camera.cy)
+    _, (plain, through_lens) = run(
+        [frame, replace(frame, stamp_ns=frame.stamp_ns + 1, camera=replace(frame.camera, lens=lens))]
+    )
+    said = "image: its camera is not rectified, and only stereo undoes the distortion"
+    assert (said in plain.problems, said in through_lens.problems) == (False, True)

@@ -1,0 +1,153 @@
+"""The chain's four properties with every stage at work, on the sample's frames."""
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import load_config
+from roadperc_stream.core.datatypes import Absent, PointCloud
+from roadperc_stream.input.plan import Cut, samples, survey_log
+from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.sync import SyncCounts
+from roadperc_stream.replay import one_thread
+from tests.test_chain import same
+
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
+CFG = load_config(None, ("surface.model=spline",))
+FRAMES = 6
+EGO_T_LIDAR = g.rigid(g.rotation_from_rpy(0.02, -0.05, 0.3), np.array([0.0, 0.1, 2.4]))
+
+
+@pytest.fixture(scope="module")
+def frames():
+    summary = log.summarise(SAMPLE)
+    survey = survey_log(summary, CFG, {}, Cut(frames=FRAMES))
+    return [with_lidar(sample.frame) for sample in samples(summary, survey, CFG, SyncCounts(), Problems())]
+
+
+def with_lidar(frame):
+    """The frame with a lidar beside its cameras, whose points lie at few of the depth camera's pixels."""
+    depth_m = frame.depth.depth_m[::6, ::2]
+    v, u = 6 * np.indices(depth_m.shape)[0], 2 * np.indices(depth_m.shape)[1]
+    seen = depth_m < 60
+    pixels = np.stack((u, v), axis=-1)[seen].astype(float)
+    lidar_T_camera = g.inverse(EGO_T_LIDAR) @ frame.ego_T_camera
+    points_m = g.transform(lidar_T_camera, g.unproject(frame.camera, pixels, depth_m[seen])).astype(np.float32)
+    return replace(frame, points=PointCloud("lidar", lambda: points_m), ego_T_lidar=EGO_T_LIDAR)
+
+
+@pytest.fixture(scope="module")
+def lidar_frames(frames):
+    """The same drive with a lidar, but neither depth nor a pair."""
+    return [replace(frame, depth=None, right=None) for frame in frames]
+
+
+def run(frames, state=None):
+    results = []
+    state = state or ChainState()
+    with one_thread():
+        for frame in frames:
+            state, result = step(CFG, state, frame)
+            results.append(result)
+    return state, tuple(results)
+
+
+@pytest.fixture(scope="module")
+def whole(frames):
+    return run(frames)[1]
+
+
+def test_every_stage_gives_something(whole):
+    last = whole[-1]
+    assert not [reason for result in whole for reason in result.reasons()]
+    assert last.odometry.status == "tracked"
+    assert last.surface.height_grid is not None
+    assert any(item.closing_speed_mps is not None for item in last.objects.objects)
+    assert {-1, 0, 100} == set(last.occupancy.cells.ravel().tolist())
+
+
+@pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
+def test_replaying_twice_is_equal(drive, request):
+    frames = request.getfixturevalue(drive)
+    assert same(run(frames)[1], run(frames)[1])
+
+
+@pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
+def test_results_do_not_depend_on_later_frames(drive, request):
+    frames = request.getfixturevalue(drive)
+    assert same(run(frames[:3])[1], run(frames)[1][:3])
+
+
+@pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
+def test_a_pickled_state_goes_on_as_if_nothing_had_happened(drive, request):
+    frames = request.getfixturevalue(drive)
+    state, _ = run(frames[:3])
+    assert same(run(frames[3:], pickle.loads(pickle.dumps(state)))[1], run(frames)[1][3:])
+
+
+@pytest.mark.parametrize("missing", ["image", "right", "right_camera", "depth", "segmentation", "detections", "points"])
+def test_any_input_may_be_missing(frames, whole, missing):
+    _, results = run([replace(frame, **{missing: None}) for frame in frames[:3]])
+    if missing == "points":
+        assert same(results, whole[:3]), "a lidar tells nothing where there is depth"
+        return
+    reasons = {reason for result in results for reason in result.reasons()}
+    assert reasons or missing == "depth", "stereo stands in for the depth, and the source says so"
+    last = results[-1]
+    if missing == "image":
+        assert last.odometry == Absent("no image")
+        assert last.stereo == Absent("no left image")
+    if missing == "right":
+        assert last.stereo == Absent("no right image")
+    if missing == "right_camera":
+        assert last.stereo == Absent("no calibration of the right camera")
+    if missing == "depth":
+        assert last.surface.source == "stereo"
+        assert last.odometry.status == "tracked"
+
+
+def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):
+    """Without a depth sensor, stereo gives the plane, the lane on the ground, distances and metric odometry."""
+    _, results = run([replace(frame, depth=None) for frame in frames])
+    last, with_sensor = results[-1], whole[-1]
+    assert last.surface.camera_height_m == pytest.approx(with_sensor.surface.camera_height_m, abs=0.05)
+    for side in ("left", "right"):
+        assert last.lanes.side(side).offset_m == pytest.approx(with_sensor.lanes.side(side).offset_m, abs=0.1)
+    near = [item for item in with_sensor.objects.objects if item.kept and (item.distance_m or 99) < 15]
+    for item in near:
+        (same_one,) = [other for other in last.objects.objects if other.detection == item.detection]
+        assert same_one.distance_m == pytest.approx(item.distance_m, rel=0.1)
+    assert not last.odometry.up_to_scale
+
+
+@pytest.mark.parametrize("missing", ["image", "segmentation", "detections", "points"])
+def test_any_input_beside_a_lidar_may_be_missing(lidar_frames, missing):
+    _, results = run([replace(frame, **{missing: None}) for frame in lidar_frames[:3]])
+    expected = {"segmentation": "lower_image", "points": "assumed"}.get(missing, "lidar")
+    assert {result.surface.source for result in results} == {expected}
+
+
+def test_one_camera_a_lidar_and_tags_are_enough_for_everything(lidar_frames, whole):
+    """A lidar's points give plane, height field, the lane on the ground, distances, and odometry its scale."""
+    _, results = run(lidar_frames)
+    last, with_sensor = results[-1], whole[-1]
+    assert {reason for result in results for reason in result.reasons()} == {"stereo: no right image"}
+    assert last.surface.source == "lidar"
+    assert last.surface.height_grid is not None
+    assert last.surface.camera_height_m == pytest.approx(with_sensor.surface.camera_height_m, abs=0.05)
+    for side in ("left", "right"):
+        assert last.lanes.side(side).offset_m == pytest.approx(with_sensor.lanes.side(side).offset_m, abs=0.05)
+    near = [item for item in with_sensor.objects.objects if item.kept and (item.distance_m or 99) < 15]
+    for item in near:
+        (same_one,) = [other for other in last.objects.objects if other.detection == item.detection]
+        assert same_one.distance_m == pytest.approx(item.distance_m, rel=0.1)
+    assert last.odometry.status == "tracked"
+    assert not last.odometry.up_to_scale
+    assert last.odometry.odom_T_ego[0, 3] == pytest.approx(with_sensor.odometry.odom_T_ego[0, 3], rel=0.1)
+    assert {-1, 0, 100} == set(last.occupancy.cells.ravel().tolist())

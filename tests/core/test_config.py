@@ -1,0 +1,83 @@
+"""Settings from TOML and the command line."""
+
+import pytest
+
+from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.errors import ConfigError
+
+
+def test_settings_win_over_the_file(tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text("seed = 3\n[lanes]\nhold_s = 0.2\n")
+    cfg = load_config(path, ("lanes.hold_s=0.8", 'surface.classes=["road"]', "lanes.model=line"))
+    assert (cfg.seed, cfg.lanes.hold_s, cfg.surface.classes, cfg.lanes.model) == (3, 0.8, ("road",), "line")
+
+
+def test_toml_comes_back_as_it_was(tmp_path):
+    cfg = load_config(None, ("surface.inlier_m=0.07", "tag_table=0.9.15"))
+    path = tmp_path / "c.toml"
+    path.write_text(cfg.to_toml())
+    assert load_config(path) == cfg
+    assert cfg.tag_table == "carla-from-0.9.14"
+
+
+def test_defaults_need_no_file():
+    assert load_config() == ReplayConfig()
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("lanes.hold=1", "lanes.hold"),
+        ("lanes.hold_s=-1", "lanes.hold_s"),
+        ("lanes.model=spiral", "lanes.model"),
+        ('surface.classes=["rode"]', "rode"),
+        ("stereo.block_px=4", "must be odd"),
+        ("stereo.disparities=100", "multiple of 16"),
+        ("stereo.p1=800", "p2 must exceed p1"),
+        ("surface.batch=5000", r"batch \* subsample must not exceed 10,000,000"),
+        ("seed", "KEY=VALUE"),
+        ("seed.x=1", "seed"),
+        ("tag_table=newest", "tag_table"),
+        ("lanes.hough_rho_px=inf", "lanes.hough_rho_px"),
+        ("sync.max_wait_s=1e300", "sync.max_wait_s"),
+        ("lanes.fit_max_m=nan", "lanes.fit_max_m"),
+        ("lanes.holds_s=1", r"did you mean lanes\.hold_s\?"),
+        ("lane.hold_s=1", r"did you mean lanes\?"),
+        ("surface.zzz=1", "known: enabled, model"),
+        ("hold_s=1", r"no setting hold_s; did you mean lanes\.hold_s or objects\.hold_s\?"),
+        ("stereo.inlier=1", r"no setting stereo\.inlier; did you mean surface\.inlier_m\?"),
+    ],
+)
+def test_what_does_not_fit_is_named(setting, message):
+    with pytest.raises(ConfigError, match=message):
+        load_config(None, ("seed=1", setting))
+
+
+def test_an_unknown_key_of_a_file_is_named_with_the_nearest(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("[lanes]\nhold = 1\n")
+    with pytest.raises(ConfigError, match=r"mine\.toml: no setting lanes\.hold; did you mean lanes\.hold_s\?"):
+        load_config(path)
+
+
+def test_broken_files(tmp_path):
+    with pytest.raises(ConfigError, match=r"absent\.toml"):
+        load_config(tmp_path / "absent.toml")
+    (tmp_path / "b.toml").write_text("a = = 1")
+    with pytest.raises(ConfigError, match="not TOML"):
+        load_config(tmp_path / "b.toml")
+
+
+def test_a_bare_class_and_classes_by_commas():
+    assert load_config(None, ("surface.classes=road",)).surface.classes == ("road",)
+    assert load_config(None, ("surface.classes=road, sidewalk",)).surface.classes == ("road", "sidewalk")
+
+
+def test_every_number_refuses_what_is_not_finite():
+    for section in ("sync", "stereo", "surface", "odometry", "lanes", "objects", "occupancy"):
+        for name, field in type(getattr(ReplayConfig(), section)).model_fields.items():
+            if isinstance(field.default, float):
+                for wild in ("inf", "nan", "-inf", "1e300"):
+                    with pytest.raises(ConfigError, match=name):
+                        load_config(None, (f"{section}.{name}={wild}",))

@@ -1,0 +1,56 @@
+"""Tag tables against CARLA's documentation."""
+
+import pytest
+
+from roadperc_stream.core import semantics as s
+from roadperc_stream.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("version", "tags"),
+    [
+        ("0.8.2", {"road_line": 6, "road": 7, "sidewalk": 8, "vehicle": 10, "traffic_sign": 12}),
+        ("0.9.13", {"road": 7, "sky": 13, "terrain": 22, "pedestrian": 4}),
+        ("0.9.14", {"road": 1, "sidewalk": 2, "car": 14, "road_line": 24, "pedestrian": 12, "guard_rail": 28}),
+        ("0.9.15", {"sky": 11, "bicycle": 19, "other": 22}),
+        ("0.10.0", {"road": 1}),
+    ],
+)
+def test_tags_of_versions(version, tags):
+    table = s.table_for_version(version)
+    for name, tag in tags.items():
+        assert table.names[tag] == name
+
+
+def test_group_stands_for_its_members():
+    assert s.CARLA_BEFORE_0_9_14.tags_of(["vehicle"]) == (10,)
+    assert s.CARLA_FROM_0_9_14.tags_of(["vehicle"]) == (14, 15, 16, 17, 18, 19)
+
+
+def test_colours_are_unique_in_each_table():
+    for table in s.TABLES.values():
+        assert len(set(table.colours)) == len(table.names)
+        assert table.tag_by_colour()[(128, 64, 128)] == table.names.index("road")
+
+
+def test_lookup_masks_a_class():
+    lookup = s.CARLA_FROM_0_9_14.lookup(["road", "road_line"])
+    assert lookup[1] == lookup[24] == 1
+    assert lookup.sum() == 2
+
+
+@pytest.mark.parametrize("wrong", ["", "latest", "carla"])
+def test_no_version(wrong):
+    with pytest.raises(ConfigError, match=r"0\.9\.15"):
+        s.table_for_version(wrong)
+
+
+def test_unknown_class_is_named():
+    with pytest.raises(ConfigError, match="'motorway'"):
+        s.CARLA_FROM_0_9_14.tags_of(["motorway"])
+
+
+def test_labels_of_detectors():
+    assert s.classes_of_label("Car") == ("vehicle",)
+    assert s.classes_of_label("Traffic Light") == ("traffic_light", "traffic_sign")
+    assert s.classes_of_label("Unicorn") is None

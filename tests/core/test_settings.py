@@ -1,0 +1,220 @@
+"""Every setting has an effect: on the sample's frames another value of it gives another result."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.core.config import STAGES, ReplayConfig, load_config, switched_off
+from roadperc_stream.core.config.fields import Section
+from roadperc_stream.input.plan import Cut, samples, survey_log
+from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.sync import SyncCounts
+from roadperc_stream.output.tables import beside
+from roadperc_stream.replay import one_thread, replay
+from tests import logs
+from tests.test_chain import same
+
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
+FRAMES = 8
+
+SURFACE = {
+    "seed": "1",
+    "surface.enabled": "false",
+    "surface.model": "spline",
+    "surface.classes": "road",
+    "surface.inlier_m": "0.005",
+    "surface.drivable_m": "0.02",
+    "surface.hypotheses": "1",
+    "surface.batch": "3",
+    "surface.subsample": "100",
+    "surface.enough_inliers": "1.0",
+    "surface.min_inliers": "1.0",
+    "surface.max_depth_m": "10",
+    "surface.max_tilt_deg": "0.1",
+}
+SPLINE = {
+    "surface.spline_knot_m": "10",
+    "surface.spline_curvature_per_m": "0.0005",
+    "surface.spline_half_width_m": "4",
+}
+STEREO = {
+    "stereo.method": "full",
+    "stereo.disparities": "16",
+    "stereo.block_px": "9",
+    "stereo.p1": "400",
+    "stereo.p2": "2000",
+    "stereo.uniqueness_percent": "40",
+    "stereo.left_right_px": "8",
+    "stereo.speckle_px": "0",
+    "stereo.speckle_step_px": "1",
+    "stereo.refine_px": "0",
+    "stereo.min_disparity_px": "8",
+}
+LANES = {
+    "lanes.enabled": "false",
+    "lanes.model": "line",
+    "lanes.separators": "sidewalk",
+    "lanes.median_px": "21",
+    "lanes.canny_low": "2000",
+    "lanes.canny_high": "2000",
+    "lanes.canny_aperture": "5",
+    "lanes.hough_rho_px": "4",
+    "lanes.hough_theta_deg": "3",
+    "lanes.hough_threshold": "200",
+    "lanes.hough_min_length_px": "200",
+    "lanes.hough_max_gap_px": "10",
+    "lanes.min_slope": "0.6",
+    "lanes.merge_slope": "0.01",
+    "lanes.merge_intercept_px": "4",
+    "lanes.near_m": "2",
+    "lanes.fit_max_m": "20",
+    "lanes.fit_strip_m": "0.1",
+    "lanes.fit_huber": "0.5",
+    "lanes.gate": "0.01",
+    "lanes.process_noise": "5",
+}
+LINES = {"lanes.offset_std_m": "0.2", "lanes.heading_std": "0.1", "lanes.curvature_std_per_m": "0.02"}
+OBJECTS = {
+    "objects.enabled": "false",
+    "objects.min_class_ratio": "0.9",
+    "objects.distance_quantile": "0.5",
+    "objects.distance_pixels": "box",
+    "objects.hold_s": "0",
+    "objects.template_search": "false",
+    "objects.carry_after_s": "1",
+    "objects.template_min_score": "0.99",
+    "objects.min_overlap": "0.9",
+    "objects.distance_penalty": "1.0",
+    "objects.gate": "0.1",
+    "objects.min_distance_std_m": "1",
+    "objects.process_noise": "20",
+    "objects.max_speed_std_mps": "0.5",
+    "objects.min_closing_mps": "10",
+    "objects.min_closing_sigmas": "10",
+}
+ODOMETRY = {
+    "odometry.enabled": "false",
+    "odometry.features": "orb",
+    "odometry.min_rows": "100",
+    "odometry.max_points": "100",
+    "odometry.cell_px": "300",
+    "odometry.window_px": "40",
+    "odometry.forward_backward_px": "0.01",
+    "odometry.max_depth_m": "10",
+    "odometry.depth_std_per_m": "0.01",
+    "odometry.inlier_px": "0.3",
+    "odometry.ransac_iterations": "1",
+    "odometry.min_inliers": "300",
+    "odometry.min_inlier_ratio": "1.0",
+    "odometry.max_speed_mps": "1",
+    "odometry.max_turn_rate_dps": "0.1",
+    "odometry.keyframe_share": "1.0",
+    "odometry.keyframe_flow_px": "1",
+}
+DESCRIPTORS = {"odometry.matcher": "flann", "odometry.match_ratio": "0.5"}
+MONO = {"odometry.min_parallax_px": "50"}
+OCCUPANCY = {
+    "occupancy.enabled": "false",
+    "occupancy.resolution_m": "0.4",
+    "occupancy.x_min_m": "5",
+    "occupancy.x_max_m": "20",
+    "occupancy.half_width_m": "10",
+    "occupancy.min_height_m": "1",
+    "occupancy.max_height_m": "1",
+    "occupancy.obstacle_classes": "pedestrian",
+    "occupancy.pixel_step": "16",
+    "occupancy.min_points": "10",
+    "occupancy.depth_tolerance": "0.0",
+}
+ELSEWHERE = {
+    "tag_table": "below",
+    "sync.tolerance_s": "test_sync.py",
+    "sync.max_wait_s": "test_sync.py",
+    "surface.assumed_height_m": "below",
+    "lanes.hold_s": "stages/lanes/test_votes.py",
+    "objects.restart_s": "stages/objects/test_follow.py",
+}
+"""Settings whose effect the sample does not show, and where it is tested."""
+
+GROUPS = (
+    (SURFACE, ("surface",), ()),
+    (SPLINE, ("surface",), ("surface.model=spline",)),
+    (STEREO, ("stereo",), ()),
+    (LANES, ("surface", "lanes"), ()),
+    (LINES, ("surface", "lanes"), ("lanes.model=line",)),
+    ({"lanes.use_odometry": "false"}, ("surface", "lanes", "odometry"), ()),
+    (OBJECTS, ("objects",), ()),
+    (ODOMETRY, ("odometry",), ()),
+    (DESCRIPTORS, ("odometry",), ("odometry.features=sift",)),
+    (MONO, ("odometry",), ("mono",)),
+    (OCCUPANCY, ("surface", "occupancy"), ()),
+)
+
+
+@cache
+def frames(mono):
+    summary, cfg = log.summarise(SAMPLE), ReplayConfig()
+    found = samples(summary, survey_log(summary, cfg, {}, Cut(frames=FRAMES)), cfg, SyncCounts(), Problems())
+    lacking = {"depth": None, "right": None} if mono else {}
+    return [replace(sample.frame, **lacking) for sample in found]
+
+
+@cache
+def results(stages, settings):
+    others = tuple(switched_off(stage) for stage in STAGES if stage not in stages)
+    cfg = load_config(None, (*others, *(s for s in settings if s != "mono")))
+    state, found = ChainState(), []
+    with one_thread():
+        for frame in frames("mono" in settings):
+            state, result = step(cfg, state, frame)
+            found.append(result)
+    return tuple(found)
+
+
+def all_settings():
+    """``section.key``, and the keys that belong to no section."""
+    for name, field in ReplayConfig.model_fields.items():
+        if isinstance(field.default, Section):
+            yield from (f"{name}.{key}" for key in type(field.default).model_fields)
+        else:
+            yield name
+
+
+def test_no_setting_is_left_out():
+    shown = [key for changes, _, _ in GROUPS for key in changes]
+    assert sorted([*shown, *ELSEWHERE]) == sorted(all_settings())
+
+
+@pytest.mark.parametrize(
+    ("stages", "settings", "change"),
+    [
+        pytest.param(stages, settings, f"{key}={value}", id=key)
+        for changes, stages, settings in GROUPS
+        for key, value in changes.items()
+    ],
+)
+def test_another_value_gives_another_result(stages, settings, change):
+    assert not same(results(stages, (*settings, change)), results(stages, settings))
+
+
+def test_the_tag_table_that_is_set_wins_over_the_logs(tmp_path):
+    """Read as another version's, whose 7 is a traffic light and no road, the log's tags show no road at all."""
+    source = logs.write(tmp_path / "in.mcap", logs.items(1))
+    found = {}
+    for name in ("auto", "0.9.15"):
+        replay(source, tmp_path / f"{name}.mcap", load_config(None, (f"tag_table={name}",)))
+        found[name] = pl.read_parquet(beside(tmp_path / f"{name}.mcap", "metrics"))["surface_source"].to_list()
+    assert found == {"auto": ["depth"], "0.9.15": [None]}
+
+
+def test_without_mounting_and_depth_the_camera_has_the_assumed_height(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(2, roles=("calibration", "image", "segmentation")))
+    replay(source, tmp_path / "out.mcap", load_config(None, ("surface.assumed_height_m=2.5",)))
+    table = pl.read_parquet(beside(tmp_path / "out.mcap", "metrics"))
+    assert table["surface_source"].to_list() == ["assumed"] * 2
+    assert table["camera_height_m"].to_list() == pytest.approx([2.5] * 2)

@@ -1,0 +1,173 @@
+"""Foxglove's messages as JSON say what they say as protobuf; raw images as what compressed ones do."""
+
+import base64
+import json
+
+import cv2
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.json_format import MessageToDict
+
+from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats import points
+from roadperc_stream.input.decoding import Context, Transform, decode
+from roadperc_stream.output import encoding
+from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
+from tests.analytic import Road
+
+STAMP = 1_700_000_000_123_456_789
+BGR = np.random.default_rng(5).integers(0, 256, (3, 5, 3), np.uint8)
+TURN = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+
+
+def png(pixels):
+    return cv2.imencode(".png", pixels)[1].tobytes()
+
+
+def raw(name, pixels, step=0):
+    height, width = pixels.shape[:2]
+    stride = step or pixels.itemsize * pixels.size // height
+    message = RawImage(frame_id="c", width=width, height=height, encoding=name, step=stride, data=pixels.tobytes())
+    set_stamp(message, STAMP)
+    return message.SerializeToString()
+
+
+def one_transform():
+    message = FrameTransform.FromString(b"")
+    message.parent_frame_id, message.child_frame_id = "ego", "c"
+    message.translation.x, message.rotation.w = 1.5, 1.0
+    set_stamp(message, STAMP)
+    return message.SerializeToString()
+
+
+TYPES = MESSAGE_TYPES | {"foxglove.RawImage": RawImage, "foxglove.FrameTransform": FrameTransform}
+MESSAGES = {
+    "calibration": ("foxglove.CameraCalibration", encoding.encode_calibration(STAMP, Road(320, 240).camera)),
+    "tf": ("foxglove.FrameTransforms", encoding.encode_transforms(STAMP, [Transform("ego", "c", TURN)])),
+    "one tf": ("foxglove.FrameTransform", one_transform()),
+    "pose": ("foxglove.PoseInFrame", encoding.encode_pose(STAMP, "map", TURN)),
+    "image": ("foxglove.CompressedImage", encoding.encode_image(STAMP, "c", "png", png(BGR))),
+    "raw image": ("foxglove.RawImage", raw("rgb8", BGR[..., ::-1])),
+    "depth": ("foxglove.RawImage", raw("16UC1", np.array([[1500, 0]], "<u2"))),
+    "depth in metres": ("foxglove.RawImage", raw("32FC1", np.array([[1.5, -1]], "<f4"))),
+    "tags": ("foxglove.CompressedImage", encoding.encode_image(STAMP, "c", "png", png(np.array([[1, 7]], np.uint8)))),
+    "raw tags": ("foxglove.RawImage", raw("mono8", np.array([[1, 7]], np.uint8))),
+    "raw tag colours": ("foxglove.RawImage", raw("rgb8", np.array(TABLE.colours, np.uint8)[[[1, 7]]])),
+    "points": ("foxglove.PointCloud", points.encode_points(STAMP, "l", np.arange(8, dtype=np.float32).reshape(2, 4))),
+}
+
+
+def kind_of(key):
+    return next(kind for kind in ("image", "tags", "depth", "tf", "pose", "points", "calibration") if kind in key)
+
+
+KINDS = {key: "tags" if "tag" in key else kind_of(key) for key in MESSAGES}
+
+
+def as_json(name, data):
+    """The message in Foxglove's JSON, with one field that nobody knows."""
+    said = MessageToDict(TYPES[name].FromString(data), preserving_proto_field_name=True)
+    return json.dumps(with_times(said) | {"unknown_to_all": {"sec": "?"}}).encode()
+
+
+def with_times(value):
+    if isinstance(value, list):
+        return [with_times(item) for item in value]
+    if isinstance(value, dict):
+        return {
+            key: {"sec": STAMP // 10**9, "nsec": STAMP % 10**9} if key == "timestamp" else with_times(item)
+            for key, item in value.items()
+        }
+    return value
+
+
+def numbers(payload):
+    """The content of a payload as what compares exactly."""
+    for name in ("bgr", "tags", "depth_m", "points_m"):
+        if hasattr(payload, name):
+            return [payload.frame_id, getattr(payload, name).tolist()]
+    edges = [payload] if isinstance(payload, Transform) else payload if isinstance(payload, tuple) else []
+    return [[e.parent, e.child, e.parent_T_child.tolist()] for e in edges] or payload
+
+
+@pytest.mark.parametrize("key", MESSAGES)
+def test_json_says_what_protobuf_says(key):
+    name, data = MESSAGES[key]
+    proto = decode(KINDS[key], name, "protobuf", data, 5, Context(TABLE))
+    said = decode(KINDS[key], name, "json", as_json(name, data), 5, Context(TABLE))
+    assert proto.stamp_ns == said.stamp_ns == STAMP
+    np.testing.assert_equal(numbers(said.payload), numbers(proto.payload))
+
+
+def payload(key):
+    name, data = MESSAGES[key]
+    return decode(KINDS[key], name, "protobuf", data, 5, Context(TABLE)).payload
+
+
+def test_raw_and_compressed_hold_the_same():
+    np.testing.assert_array_equal(payload("raw image").bgr, payload("image").bgr)
+    np.testing.assert_array_equal(payload("raw tags").tags, payload("tags").tags)
+    np.testing.assert_array_equal(payload("raw tag colours").tags, [[1, 7]])
+    np.testing.assert_allclose(payload("depth").depth_m, payload("depth in metres").depth_m, rtol=1e-6)
+    assert payload("one tf")[0].parent_T_child[0, 3] == 1.5
+
+
+STAMPED = {"timestamp": {"sec": 1, "nsec": 2}}
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"{",
+        b"\xff\xfe",
+        b"[]",
+        b"7",
+        b"[" * 100_000,
+        json.dumps(STAMPED | {"width": "wide"}).encode(),
+        json.dumps(STAMPED | {"K": [1, float("nan")]}).encode(),
+        json.dumps({"timestamp": {"sec": "1", "nsec": []}}).encode(),
+        json.dumps({"timestamp": {"sec": 2**70, "nsec": 0}}).encode(),
+        json.dumps({"timestamp": {"sec": 1, "nsec": 2**31}}).encode(),
+    ],
+    ids=["empty", "cut", "bytes", "list", "number", "deep", "text", "nan", "time", "late", "nanoseconds"],
+)
+def test_json_that_is_no_message_is_a_stated_error(data):
+    with pytest.raises(DecodeError, match=r"bytes are no foxglove\.CameraCalibration as JSON"):
+        decode("calibration", "foxglove.CameraCalibration", "json", data, 5, Context())
+
+
+def test_a_missing_time_is_the_log_time_and_null_is_nothing():
+    text = json.dumps({"timestamp": None, "frame_id": "c", "data": base64.b64encode(png(BGR)).decode()})
+    found = decode("image", "foxglove.CompressedImage", "json", text.encode(), 77, Context())
+    assert found.stamp_ns == 77
+    np.testing.assert_array_equal(found.payload.bgr, BGR)
+
+
+def test_a_raw_image_of_too_few_bytes_is_named():
+    found = decode("image", "foxglove.RawImage", "protobuf", raw("bgr8", BGR, step=16), 5, Context()).payload
+    with pytest.raises(DecodeError, match="'bgr8' image 5x3 with step 16: expected 48 bytes or more, found 45"):
+        _ = found.grey
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"K": [1' + "0" * 400 + "]}",
+        '{"timestamp": "\\ud800"}',
+        '{"timestamp": {"sec": 1' + "0" * 400 + ', "nsec": 0}}',
+        '{"frame_id": "\\ud800"}',
+    ],
+    ids=["number", "surrogate object", "time", "surrogate text"],
+)
+def test_json_of_no_number_and_no_unicode_is_a_stated_error(text):
+    with pytest.raises(DecodeError, match=r"bytes are no foxglove.CameraCalibration as JSON: "):
+        decode("calibration", "foxglove.CameraCalibration", "json", text.encode(), STAMP, Context())
+
+
+def test_a_schema_of_another_kind_is_named():
+    with pytest.raises(DecodeError, match=r"expected roadperc.Objects \(protobuf\); found std_msgs/msg/String \(cdr\)"):
+        decode("objects", "std_msgs/msg/String", "cdr", b"", STAMP, Context())

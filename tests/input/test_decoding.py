@@ -1,0 +1,133 @@
+"""Messages that lie: numbers that are not finite, stamps beyond time, images that are no PNG."""
+
+import io
+import zlib
+
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from roadperc_stream.core.datatypes import Boundary, Lanes
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats import images
+from roadperc_stream.input.decoding import Context, Transform, decode
+from roadperc_stream.output import encoding
+from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.protobuf import set_stamp
+from tests.analytic import box
+
+STAMP = 1_600_000_000_000_000_000
+
+
+def read(kind, schema, data, encoding_name="protobuf", log_time_ns=STAMP):
+    return decode(kind, schema, encoding_name, data, log_time_ns, Context(TABLE))
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, 1e300])
+def test_a_box_that_is_not_finite_is_refused(wild):
+    data = encoding.encode_detections(STAMP, "c", [box("Car", 0, 0, wild, 5)])
+    with pytest.raises(DecodeError, match="detection 'Car': a number is not finite"):
+        read("detections", "roadperc.Detections", data)
+
+
+def test_a_transform_that_is_not_finite_is_refused():
+    T = np.eye(4)
+    T[0, 3] = np.nan
+    with pytest.raises(DecodeError, match="not finite"):
+        read("tf", "foxglove.FrameTransforms", encoding.encode_transforms(STAMP, [Transform("ego", "c", T)]))
+
+
+def test_a_rotation_without_length_is_refused():
+    message = encoding.encode_transforms(STAMP, [Transform("ego", "c", np.eye(4))])
+    broken = message.replace(np.float64(1.0).tobytes(), np.float64(0.0).tobytes())
+    with pytest.raises(DecodeError, match="orientation"):
+        read("tf", "foxglove.FrameTransforms", broken)
+
+
+def test_boundaries_of_no_known_side_are_left_out():
+    message = pb.Lanes(boundaries=[pb.Boundary(side=7), pb.Boundary(side=-1), pb.Boundary(side=2, offset_m=-1.5)])
+    lanes = read("lanes", "roadperc.Lanes", message.SerializeToString()).payload
+    assert [(b.side, b.offset_m) for b in lanes.boundaries] == [("right", -1.5)]
+
+
+def test_a_stamp_beyond_64_bits_is_refused():
+    message = pb.Detections()
+    message.timestamp.seconds = 2**62
+    with pytest.raises(DecodeError, match="does not fit"):
+        read("detections", "roadperc.Detections", message.SerializeToString())
+    with pytest.raises(DecodeError, match="does not fit"):
+        read("detections", "roadperc.Detections", b"", log_time_ns=2**64 - 1)
+
+
+def test_without_a_stamp_of_its_own_the_log_time_counts():
+    assert read("detections", "roadperc.Detections", b"", log_time_ns=77).stamp_ns == 77
+
+
+def test_lanes_come_back():
+    line = np.array([[0.0, 1.8, 0.0], [1.0, 1.8, 0.0]])
+    lanes = Lanes((Boundary("left", "measured", None, None, 1.8, 0.1, 0.01, line_ego_m=line, outside="road"),))
+    back = read("lanes", "roadperc.Lanes", encoding.encode_lanes(STAMP, "c", lanes)).payload.side("left")
+    assert (back.offset_m, back.heading, back.curvature_per_m, back.outside) == (1.8, 0.1, 0.01, "road")
+    np.testing.assert_array_equal(back.line_ego_m, line)
+
+
+def packed(image, fmt):
+    stream = io.BytesIO()
+    image.save(stream, fmt)
+    return stream.getvalue()
+
+
+GREY = PillowImage.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8))
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (packed(GREY, "JPEG"), "no PNG, they start with ffd8"),
+        (packed(GREY, "GIF"), "no PNG"),
+        (packed(GREY.convert("RGB"), "PNG"), "mode RGB"),
+        (packed(GREY, "PNG")[:50], "no whole PNG"),
+        (b"", "0 bytes are no PNG"),
+    ],
+    ids=["jpeg", "gif", "rgb", "cut", "empty"],
+)
+def test_tags_are_read_from_nothing_but_a_png_of_indices(data, words):
+    with pytest.raises(DecodeError, match=words) as caught:
+        images.decode_indices(data)
+    assert "0x" not in str(caught.value), "an address would differ from run to run"
+
+
+def test_a_header_that_claims_a_huge_image_is_refused():
+    data = bytearray(packed(GREY, "PNG"))
+    data[16:24] = (60_000).to_bytes(4) * 2
+    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4)
+    with pytest.raises(DecodeError, match="hundred million pixels"):
+        images.decode_indices(bytes(data))
+
+
+@pytest.mark.parametrize("decoder", [images.decode_bgr, images.decode_grey])
+def test_a_billion_pixels_are_a_stated_error(decoder):
+    data = bytearray(packed(GREY, "PNG"))
+    data[16:24] = (100_000).to_bytes(4) * 2
+    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4)
+    with pytest.raises(DecodeError, match="bytes are no image"):
+        decoder(bytes(data))
+
+
+def test_indices_come_back():
+    tags = np.arange(64, dtype=np.uint8).reshape(8, 8) % 23
+    np.testing.assert_array_equal(images.decode_indices(images.encode_indices(tags, TABLE.colours)), tags)
+
+
+def test_depth_comes_back_and_saturates():
+    depth = np.array([[np.nan, 0.0004, 1.2345, 65.5, 70.0, np.inf, -1.0]], np.float32)
+    np.testing.assert_array_equal(images.depth_to_mm(depth), [[0, 1, 1234, 65500, 65535, 65535, 0]])
+    back = images.depth_from_mm(images.depth_to_mm(depth))
+    np.testing.assert_allclose(back, [[np.nan, 0.001, 1.234, 65.5, 65.535, 65.535, np.nan]], rtol=1e-6)
+
+
+def test_set_stamp_keeps_nanoseconds():
+    message = pb.Detections()
+    set_stamp(message, STAMP + 123_456_789)
+    assert read("detections", "roadperc.Detections", message.SerializeToString()).stamp_ns == STAMP + 123_456_789

@@ -1,0 +1,231 @@
+"""Topics of other recorders: which role they fill, which are candidates, and what the vehicle's frame is called."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.core.geometry import Camera
+from roadperc_stream.errors import ChannelError
+from roadperc_stream.input.assemble import ego_T_camera_of
+from roadperc_stream.input.decoding import Transform
+from roadperc_stream.input.roles.fill import candidates, fill_roles
+from roadperc_stream.input.sync import Held
+from roadperc_stream.log import Channel
+from roadperc_stream.schemas.channels import PRODUCER
+
+IMAGE, INFO, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"
+TF = "tf2_msgs/msg/TFMessage"
+
+
+def ros(**schemas_of):
+    """Channels by topic."""
+    return [Channel("/" + topic.replace("__", "/"), "cdr", schema) for topic, schema in schemas_of.items()]
+
+
+def test_the_bridges_topics_are_known():
+    names = {"rgb_front": IMAGE, "depth_front": IMAGE, "semantic_segmentation_front": IMAGE}
+    channels = [Channel(f"/carla/hero/{name}/image", "cdr", schema) for name, schema in names.items()]
+    channels += [Channel(f"/carla/hero/{name}/camera_info", "cdr", INFO) for name in names]
+    channels += [Channel("/carla/hero/odometry", "cdr", "nav_msgs/msg/Odometry"), *ros(tf=TF, tf_static=TF)]
+    channels += [Channel("/carla/hero/lidar", "cdr", CLOUD), Channel("/carla/hero/radar_front", "cdr", CLOUD)]
+    filled = fill_roles(channels, {})
+    assert dict(filled.topics) == {
+        "image": "/carla/hero/rgb_front/image",
+        "calibration": "/carla/hero/rgb_front/camera_info",
+        "depth": "/carla/hero/depth_front/image",
+        "depth_calibration": "/carla/hero/depth_front/camera_info",
+        "segmentation": "/carla/hero/semantic_segmentation_front/image",
+        "lidar": "/carla/hero/lidar",
+        "tf": "/tf",
+        "tf_static": "/tf_static",
+        "truth_pose": "/carla/hero/odometry",
+    }
+    assert filled.notes == ()
+
+
+def test_a_camera_info_is_looked_for_beside_its_images():
+    channels = ros(
+        cam0__image_raw=IMAGE, cam0__camera_info=INFO, cam1__image_raw=IMAGE, cam1__camera_info=INFO, cam1__depth=IMAGE
+    )
+    topics = fill_roles(channels, {"image": "/cam1/image_raw"}).topics
+    assert (topics["calibration"], topics["depth"]) == ("/cam1/camera_info", "/cam1/depth")
+    assert "depth_calibration" not in topics
+
+
+def calibrations(channels, **overrides):
+    topics = fill_roles(channels, overrides).topics
+    return {name: topic for name, topic in topics.items() if name.endswith("calibration")}
+
+
+PAIR = {"image": "/robot/cam0/color", "right": "/robot/cam1/color"}
+
+
+def test_a_pair_whose_names_say_no_side_has_each_its_own_calibration():
+    channels = ros(robot__cam0__color=IMAGE, robot__cam1__color=IMAGE, robot__cam0__calib=INFO, robot__cam1__calib=INFO)
+    own = {"calibration": "/robot/cam0/calib", "right_calibration": "/robot/cam1/calib"}
+    assert calibrations(channels, **PAIR) == own
+    swapped = {"image": PAIR["right"], "right": PAIR["image"]}
+    assert calibrations(channels, **swapped) == {
+        "calibration": "/robot/cam1/calib",
+        "right_calibration": "/robot/cam0/calib",
+    }
+    assert fill_roles(channels, PAIR).notes == (
+        "role calibration: /robot/cam0/calib, the only topic that fits",
+        "role right_calibration: /robot/cam1/calib, the only topic that fits",
+    )
+
+
+def test_a_left_camera_of_its_own_has_its_calibration():
+    names = {f"{camera}/{part}": kind for camera in "abc" for part, kind in (("rgb", IMAGE), ("info", INFO))}
+    channels = [Channel(f"/{name}", "cdr", schema) for name, schema in names.items()]
+    assert calibrations(channels, image="/a/rgb", left="/b/rgb", right="/c/rgb") == {
+        "calibration": "/a/info",
+        "left_calibration": "/b/info",
+        "right_calibration": "/c/info",
+    }
+
+
+@pytest.mark.parametrize("named", [PAIR, {"image": PAIR["image"], "left": PAIR["right"]}])
+def test_a_calibration_beside_another_camera_is_never_taken(named):
+    """The front camera has none: that of the other one is not the only topic that fits."""
+    channels = ros(robot__cam0__color=IMAGE, robot__cam1__color=IMAGE, robot__cam1__calib=INFO)
+    assert "calibration" not in calibrations(channels, **named)
+    channels = ros(robot__cam0__color=IMAGE, robot__cam1__color=IMAGE, robot__cam0__calib=INFO)
+    assert calibrations(channels, **named) == {"calibration": "/robot/cam0/calib"}
+
+
+def test_two_calibrations_beside_a_camera_are_candidates():
+    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, b__info_rectified=INFO, c__info=INFO)
+    filled = fill_roles(channels, {"image": "/a/rgb", "right": "/b/rgb"})
+    assert "right_calibration" not in filled.topics
+    assert candidates(channels, filled.topics) == {"right_calibration": ("/b/info", "/b/info_rectified", "/c/info")}
+
+
+def test_what_is_left_over_after_another_camera_was_served_is_not_taken():
+    """Of three cameras in one namespace, with calibrations of two: that of the third is not the right one's."""
+    channels = ros(s__a=IMAGE, s__b=IMAGE, s__c=IMAGE, s__a_info=INFO, s__c_info=INFO)
+    filled = fill_roles(channels, {"image": "/s/a", "right": "/s/b", "calibration": "/s/a_info"})
+    assert "right_calibration" not in filled.topics
+    assert candidates(channels, filled.topics)["right_calibration"] == ("/s/c_info",)
+
+
+def test_one_calibration_beside_two_cameras_is_nobodys_until_somebody_says():
+    channels = ros(s__a=IMAGE, s__b=IMAGE, s__info=INFO)
+    assert calibrations(channels, image="/s/a", right="/s/b") == {}
+    assert calibrations(channels, image="/s/a") == {"calibration": "/s/info"}
+
+
+def test_names_tell_calibrations_in_one_namespace_apart():
+    channels = ros(s__left_image=IMAGE, s__right_image=IMAGE, s__left_info=INFO, s__right_info=INFO)
+    own = {"calibration": "/s/left_info", "right_calibration": "/s/right_info"}
+    assert calibrations(channels, image="/s/left_image", right="/s/right_image") == own
+
+
+def test_a_namespace_goes_before_a_name_elsewhere():
+    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, old__right_info=INFO)
+    assert calibrations(channels, image="/a/rgb", right="/b/rgb")["right_calibration"] == "/b/info"
+    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, old__right_info=INFO)
+    assert calibrations(channels, image="/a/rgb", right="/b/rgb")["right_calibration"] == "/old/right_info"
+
+
+def test_topics_without_a_namespace_tell_nothing():
+    channels = ros(color=IMAGE, other=IMAGE, front__rgb=IMAGE, front__info=INFO, info=INFO)
+    assert calibrations(channels, image="/front/rgb", right="/other") == {"calibration": "/front/info"}
+
+
+def test_compressed_images_have_their_calibration_beside_the_raw_ones():
+    channels = ros(a__rgb__compressed="sensor_msgs/msg/CompressedImage", a__info=INFO, b__info=INFO)
+    assert calibrations(channels, image="/a/rgb/compressed") == {"calibration": "/a/info"}
+
+
+def test_a_depth_beside_its_image_goes_with_the_images_calibration():
+    channels = ros(cam__rgb=IMAGE, cam__range=IMAGE, cam__info=INFO)
+    assert calibrations(channels, image="/cam/rgb", depth="/cam/range") == {"calibration": "/cam/info"}
+    channels = ros(cam__rgb=IMAGE, tof__range=IMAGE, cam__info=INFO, tof__info=INFO)
+    assert calibrations(channels, image="/cam/rgb", depth="/tof/range") == {
+        "calibration": "/cam/info",
+        "depth_calibration": "/tof/info",
+    }
+
+
+def test_a_depth_takes_no_calibration_that_may_be_a_pairs():
+    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__range=IMAGE, b__info=INFO)
+    assert calibrations(channels, image="/a/rgb", right="/b/rgb", depth="/b/range") == {"calibration": "/a/info"}
+
+
+def test_a_depth_camera_has_its_own_calibration():
+    channels = ros(color__image=IMAGE, color__info=INFO, depth__image=IMAGE, depth__info=INFO)
+    topics = fill_roles(channels, {}).topics
+    assert (topics["calibration"], topics["depth_calibration"]) == ("/color/info", "/depth/info")
+
+
+def test_what_nobody_chose_is_listed():
+    channels = ros(cam__image=IMAGE, cam__info=INFO, a__depth=IMAGE, b__depth=IMAGE, velodyne=CLOUD, odom=CLOUD)
+    filled = fill_roles(channels, {})
+    assert filled.unfilled == (
+        "role depth: not filled; candidates: /a/depth (sensor_msgs/msg/Image), /b/depth (sensor_msgs/msg/Image): "
+        "--topic depth=/a/depth",
+        "role lidar: not filled; candidates: /odom (sensor_msgs/msg/PointCloud2), "
+        "/velodyne (sensor_msgs/msg/PointCloud2): --topic lidar=/odom",
+    )
+    assert candidates(channels, filled.topics) == {"depth": ("/a/depth", "/b/depth"), "lidar": ("/odom", "/velodyne")}
+
+
+def test_results_truths_and_what_is_used_are_no_candidates():
+    channels = ros(cam__image=IMAGE, odom="nav_msgs/msg/Odometry")
+    channels += [Channel("/perception/stereo/depth", "cdr", IMAGE, metadata=(PRODUCER,))]
+    assert candidates(channels, {"image": "/cam/image"}) == {}
+
+
+def test_where_no_name_speaks_of_images_every_image_is_a_candidate():
+    """A topic of a Segway speaks of no segmentation."""
+    channels = ros(segway__left__labels__image=IMAGE)
+    assert candidates(channels, {}) == {"image": ("/segway/left/labels/image",)}
+
+
+def test_a_needed_role_must_be_chosen():
+    with pytest.raises(
+        ChannelError, match="2 topics fit role image: /a/image, /b/image; choose one with --topic image="
+    ):
+        fill_roles(ros(a__image=IMAGE, b__image=IMAGE), {})
+    channels = ros(image=IMAGE, a__info=INFO, b__info=INFO)
+    with pytest.raises(ChannelError, match="2 topics fit role calibration: /a/info, /b/info"):
+        fill_roles(channels, {})
+
+
+def test_a_topic_of_the_wrong_schema_is_named():
+    with pytest.raises(
+        ChannelError, match=r"/points: role image expects .*, found sensor_msgs/msg/PointCloud2 \(cdr\)"
+    ):
+        fill_roles(ros(points=CLOUD), {"image": "/points"})
+
+
+def shifted(x_m):
+    T = np.eye(4)
+    T[0, 3] = x_m
+    return T
+
+
+def tree(*edges):
+    return Held({}, {child: Transform(parent, child, shifted(x_m)) for parent, child, x_m in edges})
+
+
+def camera(frame_id):
+    return Camera(frame_id, 320, 240, 300, 300, 160, 120)
+
+
+@pytest.mark.parametrize(
+    ("frame_id", "edges", "x_m"),
+    [
+        ("cam", [("ego", "cam", 1)], 1),
+        ("cam", [("odom", "base_link", 9), ("base_link", "mast", 1), ("mast", "cam", 2)], 3),
+        ("cam", [("base_footprint", "base_link", 1), ("base_link", "cam", 2)], 3),
+        ("hero/rgb", [("map", "hero", 50), ("hero", "hero/rgb", 2)], 2),
+        ("truck7/rgb", [("map", "truck7", 50), ("truck7", "truck7/rgb", 2)], 2),
+        ("cam", [("odom", "base_link", 9)], None),
+        ("cam", [("body", "cam", 1)], None),
+        ("base_link", [("odom", "base_link", 9)], None),
+    ],
+)
+def test_the_vehicles_frame_is_found_by_its_names(frame_id, edges, x_m):
+    found = ego_T_camera_of(tree(*edges), camera(frame_id))
+    assert (None if found is None else found[0, 3]) == x_m

@@ -1,0 +1,105 @@
+"""Images whose names say nothing are offered for what is in them, and for nothing else."""
+
+import cv2
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+
+from roadperc_stream import log
+from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.formats import images
+from roadperc_stream.input.roles.fill import roles_of_log
+from roadperc_stream.input.roles.probe import holds
+from roadperc_stream.log import Channel, Message
+from roadperc_stream.schemas.channels import schema
+from tests import logs
+
+ROWS, COLUMNS = 4, 6
+GREY = np.arange(ROWS * COLUMNS, dtype=np.uint8).reshape(ROWS, COLUMNS) * 10
+TAGS = np.arange(ROWS * COLUMNS, dtype=np.uint8).reshape(ROWS, COLUMNS)
+RED = np.full((ROWS, COLUMNS, 3), (0, 0, 250), np.uint8)
+ROAD = np.full((ROWS, COLUMNS, 3), CARLA_FROM_0_9_14.colours[1], np.uint8)
+
+
+def raw(encoding, pixels):
+    step = pixels.nbytes // ROWS
+    return RawImage(width=COLUMNS, height=ROWS, encoding=encoding, step=step, data=pixels.tobytes())
+
+
+def compressed(data):
+    return CompressedImage(format="png", data=data)
+
+
+def channel(topic, message):
+    found = schema("foxglove.CompressedImage")
+    name = message.DESCRIPTOR.full_name
+    return Channel(topic, "protobuf", name, "protobuf", found.data if name == found.name else b"")
+
+
+def write(path, **messages):
+    """A log with a camera, and one message on each of some topics of a robot."""
+    extra = [
+        Message(channel(f"/robot/{topic}", message), logs.START_NS, logs.START_NS, 0, message.SerializeToString())
+        for topic, message in messages.items()
+    ]
+    return logs.write(path, logs.items(1, roles=("calibration", "tf", "image")), extra)
+
+
+@pytest.mark.parametrize(
+    ("message", "kinds"),
+    [
+        (raw("16UC1", GREY.astype(np.uint16)), {"depth"}),
+        (raw("mono16", GREY.astype(np.uint16)), {"depth"}),
+        (raw("32FC1", GREY.astype(np.float32)), {"depth"}),
+        (raw("mono8", TAGS), {"tags"}),
+        (raw("mono8", GREY), set()),
+        (raw("bgr8", RED), set()),
+        (raw("bgr8", np.zeros_like(RED)), set()),
+        (raw("rgb8", ROAD), {"tags"}),
+        (raw("16UC1", GREY), set()),
+        (compressed(images.encode_indices(TAGS, CARLA_FROM_0_9_14.colours)), {"tags"}),
+        (compressed(cv2.imencode(".png", GREY)[1].tobytes()), set()),
+        (compressed(cv2.imencode(".jpg", RED)[1].tobytes()), set()),
+        (compressed(b""), set()),
+    ],
+)
+def test_what_the_first_image_is(tmp_path, message, kinds):
+    path = write(tmp_path / "a.mcap", thing=message)
+    assert {kind for kind in ("depth", "tags") if holds(path, kind, channel("/robot/thing", message))} == kinds
+
+
+def test_a_channel_without_a_message_and_a_file_that_is_none_hold_nothing(tmp_path):
+    depth = raw("32FC1", GREY.astype(np.float32))
+    path = write(tmp_path / "a.mcap", thing=depth)
+    assert not holds(path, "depth", channel("/robot/other", depth))
+    assert not holds(tmp_path / "none.mcap", "depth", channel("/robot/thing", depth))
+
+
+def unfilled(path):
+    return roles_of_log(log.summarise(path), {}).unfilled
+
+
+def test_what_is_left_over_is_offered_and_never_taken(tmp_path):
+    depth, tags = raw("32FC1", GREY.astype(np.float32)), raw("mono8", TAGS)
+    path = write(tmp_path / "a.mcap", range=depth, classes=tags, photo=raw("bgr8", RED), truth_range=depth)
+    filled = roles_of_log(log.summarise(path), {})
+    assert {"depth", "segmentation"}.isdisjoint(filled.topics)
+    assert filled.unfilled == (
+        "role depth: not filled; candidates: /robot/range (foxglove.RawImage): --topic depth=/robot/range",
+        "role segmentation: not filled; candidates: /robot/classes (foxglove.RawImage): "
+        "--topic segmentation=/robot/classes",
+    )
+
+
+def test_a_better_name_goes_before_what_is_in_an_image(tmp_path):
+    depth = raw("32FC1", GREY.astype(np.float32))
+    path = write(tmp_path / "a.mcap", range=depth, depth_a=depth, depth_b=depth)
+    (line,) = unfilled(path)
+    assert "/robot/range" not in line
+    assert "candidates: /robot/depth_a (foxglove.RawImage), /robot/depth_b (foxglove.RawImage)" in line
+
+
+def test_other_cameras_are_nobodys_depth_and_nobodys_tags(tmp_path):
+    photo = compressed(cv2.imencode(".jpg", RED)[1].tobytes())
+    assert unfilled(write(tmp_path / "a.mcap", back=photo, front=raw("bgr8", RED), infra=raw("mono8", GREY))) == ()

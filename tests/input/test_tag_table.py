@@ -1,0 +1,111 @@
+"""A log whose tags name no table: what the user of a replay says of them stays with its result."""
+
+from dataclasses import replace
+
+import polars as pl
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
+from roadperc_stream.info.examine import examine
+from roadperc_stream.input.roles.fill import Filled, chosen_tag_table, tag_table_needed
+from roadperc_stream.log import Channel, LogWriter, Message, Metadata
+from roadperc_stream.output.tables import beside
+from roadperc_stream.replay import replay
+from roadperc_stream.schemas.channels import METADATA_RECORD, TAG_TABLE_KEY
+from roadperc_stream.view.rerun.recording import save_recording
+from tests import logs
+
+NAMED = ReplayConfig(tag_table="0.9.12")
+OTHER = ReplayConfig(tag_table="0.9.15")
+
+
+@pytest.fixture(scope="module")
+def unnamed(tmp_path_factory):
+    """A log as others record it: its tags are numbers, and nothing says of which table."""
+    path = tmp_path_factory.mktemp("unnamed") / "in.mcap"
+    with LogWriter(path) as writer:
+        for item in logs.items(frames=3):
+            channel = replace(logs.channel(item.role), metadata=())
+            writer.write(Message(channel, item.stamp_ns, item.stamp_ns, 0, item.data))
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(unnamed):
+    return replayed(unnamed, "result", NAMED)
+
+
+def replayed(source, name, cfg):
+    target = source.with_name(f"{name}.mcap")
+    replay(source, target, cfg)
+    return target
+
+
+def recorded(path):
+    return chosen_tag_table(log.summarise(path).metadata)
+
+
+def drivable(path):
+    return pl.read_parquet(beside(path, "metrics"))["drivable_ratio"].to_list()
+
+
+def test_a_result_remembers_what_its_user_said(result):
+    assert recorded(result) == CARLA_BEFORE_0_9_14.name
+
+
+def test_a_replay_of_the_result_takes_the_table_and_hands_it_on(unnamed, result):
+    again = replayed(result, "again", ReplayConfig())
+    assert drivable(again) == drivable(result) != drivable(replayed(unnamed, "without", ReplayConfig()))
+    assert recorded(again) == recorded(result)
+    messages = ([(m.channel.topic, m.data) for m in log.read(path)] for path in (result, again))
+    assert next(messages) == next(messages)
+
+
+def test_what_is_said_now_goes_before_what_was_said(result):
+    other = replayed(result, "other", OTHER)
+    assert recorded(other) == CARLA_FROM_0_9_14.name
+    assert drivable(other) != drivable(result)
+
+
+def test_info_and_the_viewer_take_the_table(unnamed, result, tmp_path):
+    facts = examine(result, {}).replay
+    assert (facts.tag_table, dict(facts.unreadable), dict(facts.alone)) == (CARLA_BEFORE_0_9_14.name, {}, {})
+    assert dict(save_recording(result, tmp_path / "a.rrd", {}).problems) == {}
+    untold = examine(unnamed, {}).replay
+    assert (untold.tag_table, dict(untold.unreadable)) == (None, {"/camera/front/segmentation": 3})
+    assert dict(save_recording(unnamed, tmp_path / "b.rrd", {}).problems) == {"/camera/front/segmentation": 3}
+
+
+def test_a_log_that_names_its_table_is_recorded_as_before(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=2))
+    for cfg, name in ((ReplayConfig(), "auto"), (NAMED, "named")):
+        assert TAG_TABLE_KEY not in record(replayed(source, name, cfg))
+
+
+def record(path):
+    return next(dict(record.values) for record in log.summarise(path).metadata if record.name == METADATA_RECORD)
+
+
+@pytest.mark.parametrize(
+    ("label", "recorded_before", "configured", "needed"),
+    [
+        ("", "", "auto", ""),
+        ("", "", CARLA_FROM_0_9_14.name, CARLA_FROM_0_9_14.name),
+        ("", CARLA_BEFORE_0_9_14.name, "auto", CARLA_BEFORE_0_9_14.name),
+        ("", CARLA_BEFORE_0_9_14.name, CARLA_FROM_0_9_14.name, CARLA_FROM_0_9_14.name),
+        (CARLA_BEFORE_0_9_14.name, "", CARLA_FROM_0_9_14.name, ""),
+    ],
+)
+def test_only_what_is_needed_is_recorded(label, recorded_before, configured, needed):
+    metadata = ((TAG_TABLE_KEY, label),) if label else ()
+    tags = Channel("/seg", "cdr", "sensor_msgs/msg/Image", metadata=metadata)
+    filled = Filled({"segmentation": "/seg"}, tag_table=recorded_before)
+    assert tag_table_needed([tags], filled, configured) == needed
+
+
+@pytest.mark.parametrize("name", ["", "auto", "carla-of-tomorrow"])
+def test_a_record_of_no_known_table_says_nothing(name):
+    assert chosen_tag_table([Metadata(METADATA_RECORD, ((TAG_TABLE_KEY, name),))]) == ""
+    assert chosen_tag_table([Metadata("another", ((TAG_TABLE_KEY, CARLA_FROM_0_9_14.name),))]) == ""

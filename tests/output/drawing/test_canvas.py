@@ -1,0 +1,48 @@
+"""What is drawn depends on what is asked for and on the image's size alone."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.output.drawing.canvas import Pen, box_outline, text_size, write, write_on_plate
+from tests.analytic import box
+
+WHITE = (255, 255, 255)
+
+
+def written(text="Car 10.7 m", rows=960):
+    canvas = np.zeros((rows, 1280, 3), np.uint8)
+    write(canvas, text, (10, 10), WHITE, Pen.of(canvas))
+    return canvas
+
+
+def test_a_text_is_the_same_whatever_was_written_before():
+    first = written()
+    for rows in (240, 480, 720, 1200):
+        written("frame 7 \u00e4\u4e2d 0.35 s", rows)
+    np.testing.assert_array_equal(written(), first)
+
+
+@pytest.mark.parametrize("rows", [240, 480, 960, 2160])
+def test_a_text_stays_in_the_place_that_its_size_says(rows):
+    canvas = np.zeros((rows, 1280, 3), np.uint8)
+    pen, text = Pen.of(canvas), "jgy\u00c4Q 10.7 m"
+    width, height = text_size(text, pen)
+    write(canvas, text, (20, 30), WHITE, pen)
+    at_rows, at_columns = np.nonzero(canvas.any(axis=-1))
+    assert 30 <= at_rows.min() < at_rows.max() < 30 + height
+    assert 20 < at_columns.min() < at_columns.max() < 20 + width
+    write_on_plate(canvas, text, (20, 30), WHITE, pen)
+    dark = (canvas == 25).all(axis=-1)
+    assert dark[30, 20]
+    assert dark[30 + height - 1, 20 + width - 1]
+    assert not dark[30 + height].any()
+    assert not dark[:, 20 + width].any()
+
+
+def test_a_box_has_its_lines_on_its_pixels():
+    canvas = np.zeros((960, 1280, 3), np.uint8)
+    box_outline(canvas, box("", 100, 200, 300, 400).box_px, WHITE, 1, Pen.of(canvas))
+    white = (canvas == 255).all(axis=-1)
+    assert white[200, 100:301].all()
+    assert white[200:401, 300].all()
+    assert white.sum() == 4 * 200

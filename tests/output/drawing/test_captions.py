@@ -1,0 +1,77 @@
+"""Captions lie in the picture and over no other one; the nearest objects have the first choice."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream.core.datatypes import Box, Object
+from roadperc_stream.output.drawing.captions import by_nearness, caption_places, viewer_font_px, viewer_text_size
+from tests.analytic import Road, box
+
+SIZE = (320, 240)
+CAMERA = Road(width=320, height=240).camera
+
+
+def car(distance_m, corners=(100, 60, 140, 90), *, kept=True):
+    return Object(box("Car", *corners), kept=kept, distance_m=distance_m)
+
+
+def places(objects, text_size=(50.0, 10.0)):
+    boxes = [item.detection.box_px for item in objects]
+    return caption_places(SIZE, objects, boxes, [text_size] * len(objects))
+
+
+def test_the_first_choice_is_above_the_box():
+    assert places([car(5.0)]) == (Box(100, 50, 150, 60),)
+
+
+@pytest.mark.parametrize(
+    ("corners", "expected"),
+    [
+        ((100, 4, 140, 90), Box(100, 4, 150, 14)),
+        ((-20, -30, 140, 90), Box(0, 0, 50, 10)),
+        ((300, 60, 320, 90), Box(270, 50, 320, 60)),
+        ((100, -9, 140, 300), Box(100, 0, 150, 10)),
+    ],
+)
+def test_a_caption_stays_in_the_picture(corners, expected):
+    assert places([car(5.0, corners)]) == (expected,)
+
+
+def test_the_nearest_chooses_first_whatever_their_order():
+    far, near, nowhere, middle = car(30.0), car(4.0), car(None), car(9.0)
+    above, inside, below = Box(100, 50, 150, 60), Box(100, 60, 150, 70), Box(100, 90, 150, 100)
+    assert places([far, near, nowhere, middle]) == (below, above, None, inside)
+
+
+def test_what_is_dropped_gives_way_to_what_is_kept():
+    objects = [car(1.0, kept=False), car(50.0)]
+    assert by_nearness(objects) == [1, 0]
+    assert places(objects) == (Box(100, 60, 150, 70), Box(100, 50, 150, 60))
+
+
+def test_captions_side_by_side_leave_each_other_room():
+    assert None not in places([car(5.0, (x, 60, x + 40, 62)) for x in (0, 50, 100)])
+
+
+def test_a_text_too_high_for_the_picture_is_left_out():
+    assert places([car(5.0)], (50.0, 241.0)) == (None,)
+
+
+coordinate = st.integers(-50, 350)
+
+
+@given(st.lists(st.tuples(st.none() | st.floats(0, 100), *[coordinate] * 4, st.booleans()), max_size=12))
+def test_no_caption_lies_over_another_one(rows):
+    objects = [car(distance_m, corners, kept=kept) for distance_m, *corners, kept in rows]
+    found = [place for place in places(objects) if place is not None]
+    for index, place in enumerate(found):
+        assert 0 <= place.x_min < place.x_max <= SIZE[0]
+        assert 0 <= place.y_min < place.y_max <= SIZE[1]
+        assert not any(place.overlap(other) for other in found[:index])
+
+
+def test_text_in_a_viewer_grows_with_the_image_and_its_letters():
+    columns, rows = viewer_text_size(CAMERA, "Car 4.0 m")
+    assert viewer_text_size(CAMERA, 2 * "Car 4.0 m") == pytest.approx((2 * columns, rows))
+    assert rows > viewer_font_px(CAMERA) >= CAMERA.height / 40

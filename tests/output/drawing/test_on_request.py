@@ -1,0 +1,161 @@
+"""Pictures on request: which are written, that they are pictures of the frame, and that nothing else changes."""
+
+import dataclasses
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.core.config import load_config
+from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.output import encoding
+from roadperc_stream.replay import replay
+from roadperc_stream.schemas.channels import ON_REQUEST, PRODUCER
+from roadperc_stream.view.video import write_video
+from tests import logs
+
+CFG = load_config()
+DEBUG = {topic for topic, request in ON_REQUEST.items() if request == "debug"}
+
+
+@pytest.fixture
+def source(tmp_path):
+    return logs.write(tmp_path / "in.mcap", logs.items(3))
+
+
+def pictures(path):
+    found = {}
+    for message in log.read(path):
+        if message.channel.topic in ON_REQUEST:
+            found.setdefault(message.channel.topic, []).append(message)
+    return found
+
+
+def plain(path):
+    return [m for m in log.read(path) if m.channel.topic not in ON_REQUEST]
+
+
+def unnumbered(messages):
+    return [(dataclasses.replace(m.channel, source_id=0), m.log_time_ns, m.sequence, m.data) for m in messages]
+
+
+def test_only_what_is_asked_for_is_registered_and_written(source):
+    for requests in ((), ("overlay",), ("debug",), ("overlay", "debug")):
+        target = source.with_name("out.mcap")
+        replay(source, target, CFG, on_request=requests, force=True)
+        wanted = {topic for topic, request in ON_REQUEST.items() if request in requests}
+        assert {c.topic for c in log.summarise(target).channels if c.topic in ON_REQUEST} == wanted
+        assert set(pictures(target)) <= wanted
+
+
+def test_an_overlay_is_a_jpeg_of_the_frame(source):
+    target = source.with_name("out.mcap")
+    replay(source, target, CFG, on_request=("overlay",))
+    made = pictures(target)["/perception/overlay"]
+    assert [m.sequence for m in made] == [0, 1, 2]
+    for message in made:
+        assert PRODUCER in message.channel.metadata
+        content = decode("image", message.channel.schema_name, "protobuf", message.data, 0, Context())
+        assert content.stamp_ns == message.log_time_ns
+        assert content.payload.frame_id == "camera"
+        picture = content.payload.bgr
+        assert picture.shape == (240, 320, 3)
+        assert b"\xff\xd8\xff" in message.data[:80]
+        # The road is tinted blue, the grey image is not.
+        assert picture[200, 160, 0] > picture[200, 160, 2] + 20
+
+
+def test_everything_else_is_as_without(source):
+    bare, full = source.with_name("bare.mcap"), source.with_name("full.mcap")
+    replay(source, bare, CFG)
+    replay(source, full, CFG, on_request=("overlay", "debug"))
+    assert unnumbered(plain(bare)) == unnumbered(plain(full))
+
+
+def test_the_same_pictures_twice_and_a_later_replay_replaces_them(source):
+    first, second, bare = (source.with_name(f"{name}.mcap") for name in ("first", "second", "bare"))
+    replay(source, first, CFG, on_request=("overlay", "debug"))
+    replay(first, second, CFG, on_request=("overlay", "debug"))
+    assert first.read_bytes() == second.read_bytes()
+    replay(first, bare, CFG)
+    assert not pictures(bare)
+
+
+def test_what_is_absent_has_no_picture(source):
+    target = source.with_name("out.mcap")
+    cfg = load_config(None, ("odometry.enabled=false", "stereo.method=off"))
+    replay(source, target, cfg, on_request=("debug",))
+    assert set(pictures(target)) == {"/perception/debug/lanes"}
+
+
+def test_matches_are_drawn_from_the_second_frame_on(source):
+    target = source.with_name("out.mcap")
+    replay(source, target, CFG, on_request=("debug",))
+    made = pictures(target)
+    assert [m.sequence for m in made.get("/perception/debug/matches", [])] == [1, 2]
+    assert "/perception/debug/template" not in made
+
+
+def test_frames_without_an_image_are_told_of_and_not_drawn(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(3, roles=("calibration", "tf", "depth", "segmentation")))
+    target = tmp_path / "out.mcap"
+    summary = replay(source, target, CFG, on_request=("overlay",))
+    assert not pictures(target)
+    assert "--overlay: frames without a camera image that can be read: 3" in summary.notes
+
+
+def test_the_command_has_both_options(source):
+    target = source.with_name("out.mcap")
+    assert replay_main([str(source), str(target), "--overlay", "--debug", "--quiet"]) == 0
+    assert {"/perception/overlay", "/perception/debug/lanes"} <= set(pictures(target))
+
+
+def test_a_broken_image_leaves_its_frame_without_pictures(tmp_path):
+    items = logs.items(3)
+    second = [item for item in items if item.role == "image"][1]
+    broken = dataclasses.replace(second, data=encoding.encode_image(second.stamp_ns, "camera", "png", b"no image"))
+    source = logs.write(tmp_path / "in.mcap", [broken if item is second else item for item in items])
+    summary = replay(source, tmp_path / "out.mcap", CFG, on_request=("overlay", "debug"))
+    found = pictures(tmp_path / "out.mcap")
+    assert [m.sequence for m in found["/perception/overlay"]] == [0, 2]
+    assert [m.sequence for m in found["/perception/debug/lanes"]] == [0, 2]
+    assert "--overlay and --debug: frames without a camera image that can be read: 1" in summary.notes
+
+
+def test_an_image_of_another_size_is_shown_with_nothing_drawn_in(tmp_path):
+    """The road is seen, for its tags are of the calibration's size: it would be drawn where it is not."""
+    white = cv2.imencode(".png", np.full((200, 400, 3), 255, np.uint8))[1].tobytes()
+    source = logs.write(
+        tmp_path / "in.mcap",
+        [
+            replace(item, data=encoding.encode_image(item.stamp_ns, "camera", "png", white))
+            if item.role == "image"
+            else item
+            for item in logs.items(3)
+        ],
+    )
+    summary = replay(source, tmp_path / "out.mcap", CFG, on_request=("overlay", "debug"))
+    found = pictures(tmp_path / "out.mcap")
+    assert "/perception/drivable" in {message.channel.topic for message in log.read(tmp_path / "out.mcap")}
+    assert set(found) == {"/perception/overlay"}
+    for message in found["/perception/overlay"]:
+        picture = decode("image", message.channel.schema_name, "protobuf", message.data, 0, Context()).payload.bgr
+        assert picture.shape == (200, 400, 3)
+        assert picture[:10].min() < 100
+        assert picture[100:].min() > 245
+    told = "frames with nothing drawn into an image that is not of its calibration's size: 3"
+    assert f"--overlay and --debug: {told}" in summary.notes
+    assert "in all 3 frames: image: 400x200 pixels, its calibration says 320x240" in summary.throughout
+    assert write_video(tmp_path / "out.mcap", tmp_path / "overlays.mp4").pictures == 3
+    replay(source, tmp_path / "bare.mcap", CFG)
+    assert write_video(tmp_path / "bare.mcap", tmp_path / "drawn.mp4").pictures == 3
+    written, drawn = (first_picture(tmp_path / f"{name}.mp4") for name in ("overlays", "drawn"))
+    assert np.abs(written.astype(int) - drawn).mean() < 3
+    assert np.abs(written.astype(int) - drawn)[100:].max() < 12
+
+
+def first_picture(path):
+    return cv2.VideoCapture(str(path)).read()[1]

@@ -1,0 +1,164 @@
+"""What is drawn into a camera image is where the results say it is."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Object, Objects
+from roadperc_stream.output.drawing.colours import DRIVABLE
+from roadperc_stream.output.drawing.overlay import draw_overlay
+from tests.analytic import box
+
+NOTHING = Absent("not run")
+GREEN, ORANGE, GREY = (77, 230, 26), (0, 128, 255), (165, 165, 165)
+
+
+def black(rows=240, columns=320):
+    return np.zeros((rows, columns, 3), np.uint8)
+
+
+def lane(status, x=100.0, **more):
+    line = np.array([(x, 239.0), (x, 120.0)])
+    return Lanes((Boundary("left", status, line_px=line, **more),))
+
+
+def is_colour(drawn, colour):
+    return (np.abs(drawn.astype(int) - colour) <= 2).all(axis=-1)
+
+
+def test_nothing_to_draw_is_the_image_itself():
+    image = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
+    drawn = draw_overlay(image, NOTHING, NOTHING, NOTHING)
+    np.testing.assert_array_equal(drawn, image)
+    assert not np.shares_memory(drawn, image)
+
+
+def test_a_boundary_lies_on_its_pixels_in_the_colour_of_its_status():
+    for status, colour in (("measured", GREEN), ("held", ORANGE)):
+        found = is_colour(draw_overlay(black(), lane(status), NOTHING, NOTHING), colour)
+        rows, columns = np.nonzero(found)
+        assert set(columns) <= set(range(98, 103))
+        assert found[150, 100]
+        assert rows.min() == pytest.approx(120, abs=2)
+    assert not draw_overlay(black(), lane("lost"), NOTHING, NOTHING).any()
+
+
+def test_the_raw_line_is_dashed_thin_and_over_the_smoothed_one():
+    """Where both are in one place its dashes leave the smoothed line to be seen between and beside them."""
+    lanes = lane("measured", raw_px=(100.0, 240.0, 100.0, 120.0))
+    drawn = draw_overlay(black(960, 1280), lanes, NOTHING, NOTHING)
+    middle = drawn[122:236, 100].astype(int)
+    dashed, smoothed = middle[:, 2] > 200, middle[:, 2] < 60
+    assert dashed.sum() > 30
+    assert (smoothed & (middle[:, 1] > 200)).sum() > 30
+    # Three dashes and two gaps at least.
+    assert (np.diff(dashed.astype(int)) == 1).sum() >= 2
+    in_dash = drawn[122:236, 92:109][dashed]
+    assert ((in_dash[..., 1] > 150) & (in_dash[..., 2] < 60)).any(axis=1).all()
+
+
+def test_lines_stand_out_on_a_background_of_their_own_colour():
+    """At either side of a lane's line and of a box lies a dark edge; so small an image has no room for one."""
+    objects = Objects((Object(box("Car", 200, 300, 800, 600), kept=True, class_ratio=1.0),))
+    for rows, edged in ((960, True), (240, False)):
+        image = np.full((rows, 1280, 3), GREEN, np.uint8)
+        drawn = draw_overlay(image, lane("measured"), NOTHING, NOTHING)
+        assert (drawn[180, 85:115].max(axis=1) < 120).any() == edged
+    drawn = draw_overlay(np.full((960, 1280, 3), GREEN, np.uint8), NOTHING, objects, NOTHING)
+    dark = is_colour(drawn, (25, 25, 25))
+    assert dark[450, 190:210].sum() == 2
+    assert dark[590:610, 700].sum() == 2
+
+
+def test_slanted_lines_are_anti_aliased():
+    """A line that crosses a row at a fraction of a pixel has pixels between its colour and the background's."""
+    line = np.array([(60.3, 239.0), (140.7, 120.0)])
+    lanes = Lanes((Boundary("left", "measured", line_px=line, raw_px=(220.2, 240.0, 180.6, 120.0)),))
+    drawn = draw_overlay(black(), lanes, NOTHING, NOTHING)
+    for columns in (slice(0, 160), slice(160, 320)):
+        green = drawn[130:230, columns, 1]
+        assert len(np.unique(green[green > 0])) > 20
+
+
+def test_no_label_goes_into_the_rows_that_are_taken():
+    objects = Objects((Object(box("Car", 80, 5, 200, 90), kept=True, class_ratio=1.0, distance_m=5.0),))
+    drawn = draw_overlay(np.full((240, 320, 3), 255, np.uint8), NOTHING, objects, NOTHING, top_px=40)
+    plate = is_colour(drawn, (25, 25, 25))
+    assert plate.any()
+    assert not plate[:40].any()
+
+
+def test_small_boxes_have_thin_lines():
+    for side, width in ((200, 3), (30, 2), (9, 1)):
+        objects = Objects((Object(box("", 300, 300, 300 + side, 300 + side), kept=True, class_ratio=1.0),))
+        drawn = is_colour(draw_overlay(black(960, 1280), NOTHING, objects, NOTHING), GREEN)
+        assert drawn[300 + side // 2, 290:304].sum() == width
+
+
+def test_a_smaller_copy_has_everything_in_its_place():
+    objects = Objects((Object(box("Car", 200, 80, 260, 160), kept=True, class_ratio=1.0),))
+    drawn = draw_overlay(black(), lane("measured"), objects, NOTHING, width_px=160)
+    assert drawn.shape == (120, 160, 3)
+    found = is_colour(drawn, GREEN)
+    assert found[100, 49:51].any()
+    assert found[60, 100]
+    assert found[60, 129] or found[60, 130]
+    assert not found[60, 105:125].any()
+
+
+def test_only_drivable_pixels_are_tinted():
+    mask = np.zeros((240, 320), bool)
+    mask[200:] = True
+    drawn = draw_overlay(black(), NOTHING, NOTHING, mask)
+    assert not drawn[:200].any()
+    assert (drawn[200:] == drawn[-1, -1]).all()
+    blue, green, red = drawn[-1, -1].astype(int)
+    assert blue > green > red > 0
+    np.testing.assert_allclose(np.array((red, green, blue)) / blue, np.array(DRIVABLE) / DRIVABLE[2], atol=0.03)
+
+
+def test_kept_boxes_are_solid_and_dropped_ones_dashed():
+    for kept, colour in ((True, GREEN), (False, GREY)):
+        objects = Objects((Object(box("Car", 40, 100, 240, 200), kept=kept, class_ratio=0.5),))
+        edge = is_colour(draw_overlay(black(), NOTHING, objects, NOTHING), colour)[199, 42:238]
+        assert edge.all() == kept
+        assert edge.any()
+
+
+def test_text_stays_legible_and_labels_do_not_cover_each_other():
+    """Behind each label lies a dark plate at least 11 pixels high, and three boxes in one place have three of them."""
+    same = [Object(box("Car", 80, 160, 140, 220), kept=True, class_ratio=1.0, distance_m=float(m)) for m in (5, 9, 20)]
+    for rows, columns in ((240, 320), (960, 1280)):
+        white = np.full((rows, columns, 3), 255, np.uint8)
+        plates = is_colour(draw_overlay(white, NOTHING, Objects(tuple(same)), NOTHING), (25, 25, 25)).astype(np.uint8)
+        closed = cv2.morphologyEx(plates, cv2.MORPH_CLOSE, np.ones((1, 9), np.uint8))
+        count, _, stats, _ = cv2.connectedComponentsWithStats(closed)
+        assert count - 1 >= 3
+        assert stats[1:, cv2.CC_STAT_HEIGHT].min() >= 11
+
+
+def test_a_mask_of_another_size_is_refused():
+    with pytest.raises(ValueError, match=r"expected the image's \(240, 320\) pixels, got \(10, 10\)"):
+        draw_overlay(black(), NOTHING, NOTHING, np.zeros((10, 10), bool))
+
+
+coordinates = st.floats(-1e9, 1e9) | st.just(np.nan) | st.just(np.inf)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 90),
+    st.integers(1, 120),
+    st.none() | st.integers(1, 200),
+    st.lists(st.tuples(coordinates, coordinates), max_size=4),
+    st.tuples(*[st.floats(-500, 500)] * 4),
+    st.booleans(),
+)
+def test_any_result_can_be_drawn_into_any_image(rows, columns, width, points, corners, kept):
+    lanes = Lanes((Boundary("right", "measured", line_px=np.array(points, float).reshape(-1, 2)),))
+    objects = Objects((Object(box("Löwe <b>", *corners), kept=kept, distance_m=1.0, time_to_impact_s=2.0),))
+    drawn = draw_overlay(black(rows, columns), lanes, objects, np.ones((rows, columns), bool), width_px=width)
+    assert drawn.dtype == np.uint8
+    assert drawn.shape[1] == (columns if width is None else width)

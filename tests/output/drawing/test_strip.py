@@ -1,0 +1,132 @@
+"""The strip above an overlay says what the frame's row says, and hides no more of the image than its lines."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roadperc_stream.core.datatypes import Absent, Object, Objects
+from roadperc_stream.output.drawing import colours
+from roadperc_stream.output.drawing.canvas import Pen
+from roadperc_stream.output.drawing.colours import bgr
+from roadperc_stream.output.drawing.strip import LEGEND, draw_strip, frame_phrases, lay_out_strip
+from roadperc_stream.schemas.columns import FrameMetrics
+from tests.analytic import box
+
+ROW = FrameMetrics("log", 7, 0)
+FULL = FrameMetrics(
+    "log",
+    7,
+    0,
+    surface_source="stereo",
+    lane_left_status="measured",
+    lane_left_offset_m=1.525,
+    lane_right_status="held",
+    lane_right_offset_m=-1.861,
+    odometry_status="tracked",
+    step_m=0.5,
+)
+
+
+CAR = Object(box("Car", 0, 0, 9, 9), kept=True, distance_m=3.26, time_to_impact_s=0.51)
+FAR_CAR = replace(CAR, distance_m=15.77, time_to_impact_s=0.2)
+NOTHING = Absent("nothing")
+
+
+def words(row, *objects, since_start_s=0.35):
+    return [text for text, _ in frame_phrases(row, Objects(objects), since_start_s)]
+
+
+def test_it_says_the_rows_numbers():
+    assert words(FULL, CAR) == [
+        "frame 7",
+        "0.35 s",
+        "lane left +1.52 m",
+        "lane right -1.86 m",
+        "nearest Car 3.3 m, impact in 0.5 s",
+        "step 0.50 m",
+        "surface: stereo",
+    ]
+
+
+def test_what_is_null_is_left_out():
+    assert words(ROW) == ["frame 7", "0.35 s"]
+    assert [text for text, _ in frame_phrases(ROW, NOTHING, 0.35)] == ["frame 7", "0.35 s"]
+
+
+@pytest.mark.parametrize(
+    ("objects", "said"),
+    [
+        ([CAR, FAR_CAR], ["impact: Car 15.8 m in 0.2 s", "nearest Car 3.3 m"]),
+        ([FAR_CAR, replace(CAR, time_to_impact_s=None)], ["impact: Car 15.8 m in 0.2 s", "nearest Car 3.3 m"]),
+        ([CAR, replace(FAR_CAR, kept=False)], ["nearest Car 3.3 m, impact in 0.5 s"]),
+        ([replace(CAR, time_to_impact_s=None)], ["nearest Car 3.3 m"]),
+        ([replace(CAR, distance_m=None)], ["impact: Car in 0.5 s"]),
+        ([replace(CAR, detection=box("", 0, 0, 9, 9), time_to_impact_s=None)], ["nearest object 3.3 m"]),
+        ([replace(CAR, kept=False)], []),
+    ],
+)
+def test_a_time_to_impact_stands_with_the_object_it_belongs_to(objects, said):
+    assert words(ROW, *objects)[2:] == said
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"odometry_status": "lost"}, "odometry lost"),
+        ({"odometry_status": "first"}, "odometry first"),
+        ({"odometry_status": "tracked"}, "odometry without scale"),
+        ({"lane_left_status": "lost"}, "lane left lost"),
+    ],
+)
+def test_a_status_stands_where_there_is_no_number(columns, said):
+    assert words(FrameMetrics("log", 7, 0, **columns))[-1] == said
+
+
+def test_a_lane_has_the_colour_of_its_status():
+    colours = dict(frame_phrases(FULL, NOTHING, 0.0))
+    assert colours["lane left +1.52 m"] == (77, 230, 26)
+    assert colours["lane right -1.86 m"] == (0, 128, 255)
+
+
+def test_the_legend_has_every_colour_that_an_overlay_draws():
+    drawn = [*colours.OBJECT.values(), colours.RAW_LINE, colours.DRIVABLE]
+    drawn += [colours.BOUNDARY[status] for status in ("measured", "held")]
+    assert {bgr(colour) for colour in drawn} == {entry.colour for entry in LEGEND}
+    assert {entry.text: entry.colour for entry in LEGEND}["not judged"] == bgr(colours.OBJECT["unjudged"])
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(270, 360), (960, 1280)])
+def test_it_covers_the_topmost_rows_and_no_text_is_cut(rows, columns):
+    canvas = np.full((rows, columns, 3), 200, np.uint8)
+    strip = lay_out_strip(Pen.of(canvas), FULL, Objects((CAR, FAR_CAR)), 0.35)
+    draw_strip(canvas, strip)
+    touched = (canvas != 200).any(axis=(1, 2))
+    covered = int(touched.sum())
+    assert touched[:covered].all()
+    assert covered == len(strip) * Pen.of(canvas).row_px
+    assert 20 < covered < rows / 4
+    shade = canvas[0, 0]
+    assert (shade < 100).all()
+    np.testing.assert_array_equal(canvas[:covered, -1], np.broadcast_to(shade, (covered, 3)))
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (20, 30)])
+def test_an_image_that_is_too_small_gets_what_fits(rows, columns):
+    canvas = np.zeros((rows, columns, 3), np.uint8)
+    draw_strip(canvas, lay_out_strip(Pen.of(canvas), FULL, Objects((CAR, FAR_CAR)), 0.0))
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(480, 640), (960, 1280)])
+def test_the_legend_shows_what_the_overlay_draws(rows, columns):
+    """Each entry's symbol is in its colour: an area, whole and dashed lines, whole and dashed boxes."""
+    for entry in LEGEND:
+        canvas = np.zeros((rows, columns, 3), np.uint8)
+        draw_strip(canvas, [[(0, entry)]])
+        symbol = canvas[:, : round(1.8 * Pen.of(canvas).text_px)]
+        mine = (np.abs(symbol.astype(int) - entry.colour) <= 40).all(axis=-1)
+        at = mine[:, mine.any(axis=0)]
+        gaps = np.diff(np.flatnonzero(mine.any(axis=0))).max(initial=1) > 1
+        filled = at[at.any(axis=1)].mean()
+        assert gaps == entry.symbol.startswith("dashed")
+        assert (filled < 0.6) == entry.symbol.endswith("box")

@@ -1,0 +1,93 @@
+"""One table for terminal and page: what becomes of several subjects, and of what does not fit."""
+
+import io
+
+import pytest
+
+from roadperc_stream.output.terminal import console_for, print_table
+from roadperc_stream.output.text_table import TextRow, TextTable, by_header, row, transposed
+
+
+def printed(monkeypatch, table, columns=80):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    stream = io.StringIO()
+    print_table(console_for(stream), table)
+    return stream.getvalue()
+
+
+def test_rows_notes_and_a_rule(monkeypatch):
+    text = printed(monkeypatch, TextTable("Stage", ("ms", "share %"), (row("lanes", "1.25", "7.0"),), ("a note",)))
+    assert [line.split() for line in text.splitlines()] == [
+        [],
+        ["Stage", "ms", "share", "%"],
+        ["─" * (26 + 2 + 4 + 2 + 7)],
+        ["lanes", "1.25", "7.0"],
+        ["a", "note"],
+    ]
+
+
+def test_without_rows_the_notes_stand_behind_the_title_and_nothing_is_nothing(monkeypatch):
+    assert printed(monkeypatch, TextTable("Accuracy", ("x",), (), ("no truth",))) == "\nAccuracy: no truth\n"
+    assert printed(monkeypatch, TextTable("Accuracy", ("x",), ())) == ""
+
+
+SEVERAL = TextTable(
+    "Error", ("median", "worst"), (TextRow("step", (("1", "2"), (), ("3", "4"))),), subjects=("a", "b", "c")
+)
+
+
+def test_several_subjects_have_a_line_each_where_they_have_values():
+    assert [(item.label, item.cells[0]) for item in SEVERAL.flat().rows] == [
+        ("step", ()),
+        ("  a", ("1", "2")),
+        ("  c", ("3", "4")),
+    ]
+
+
+def test_only_listed_subjects_have_a_line_in_their_order():
+    cells = (("1",), ("2",), ("3",))
+    table = TextTable("E", ("x",), (TextRow("step", cells, listed=(2, 0)),), subjects=("a", "b", "c"))
+    assert [item.label for item in table.flat().rows] == ["step", "  c", "  a"]
+
+
+def test_turned_for_a_page_headers_without_cells_are_left_out():
+    assert by_header(SEVERAL.rows[0], SEVERAL.headers) == [("median", ("1", "", "3")), ("worst", ("2", "", "4"))]
+    assert by_header(TextRow("depth", (("1",), ("2",))), ("share", "p5")) == [("share", ("1", "2"))]
+
+
+ONE_VALUE = TextTable("Setting", ("",), (TextRow("lanes.hold_s", (("1.0",), ("2.0",))),), subjects=("base", "slow"))
+
+
+def test_one_value_of_each_subject_is_a_column_of_each():
+    flat = ONE_VALUE.flat()
+    assert (flat.headers, flat.rows) == (("base", "slow"), (row("lanes.hold_s", "1.0", "2.0"),))
+    turned = transposed(flat)
+    assert (turned.headers, turned.rows) == (("lanes.hold_s",), (row("base", "1.0"), row("slow", "2.0")))
+
+
+def test_subjects_that_do_not_fit_as_columns_are_rows(monkeypatch):
+    names = tuple(f"run_number_{k}" for k in range(9))
+    values = tuple((f"{k}",) for k in range(9))
+    rows = tuple(TextRow(key, values) for key in ("lanes.hold_s", "seed"))
+    lines = printed(monkeypatch, TextTable("Setting", ("",), rows, subjects=names)).splitlines()
+    assert lines[1].split() == ["Setting", "lanes.hold_s", "seed"]
+    assert [line.split() for line in lines[3:]] == [[name, str(k), str(k)] for k, name in enumerate(names)]
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_columns_that_do_not_fit_go_on_below_and_none_is_lost(monkeypatch, columns):
+    headers = tuple(f"header{k:02}" for k in range(20))
+    table = TextTable("Run", headers, (row("the_name", *(f"{k}.125" for k in range(20))), row("short", "0.5")))
+    text = printed(monkeypatch, table, columns)
+    assert max(map(len, text.splitlines())) <= columns
+    assert [word for word in text.split() if word.startswith("header")] == list(headers)
+    assert [word for word in text.split() if word.endswith(".125")] == [f"{k}.125" for k in range(20)]
+    assert text.count("the_name") == text.count("Run") > 1
+
+
+def test_words_in_the_last_column_fold_and_labels_do_not(monkeypatch):
+    table = TextTable("Role", ("topic",), (row("image", "word " * 30),), last_is_text=True, label_columns=18)
+    lines = printed(monkeypatch, table).splitlines()
+    assert len(lines) == 6
+    assert max(map(len, lines)) <= 80
+    assert lines[4].startswith(" " * 20 + "word")
