@@ -16,7 +16,7 @@ from roadperc_stream.input.plan import Cut, samples, survey_log
 from roadperc_stream.input.roles.fill import Problems
 from roadperc_stream.input.sync import SyncCounts
 from roadperc_stream.replay import one_thread
-from tests.test_chain import same
+from tests.chain.test_chain import same
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 CFG = load_config(None, ("surface.model=spline",))

@@ -17,7 +17,7 @@ from roadperc_stream.input.sync import SyncCounts
 from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import one_thread, replay
 from tests import logs
-from tests.test_chain import same
+from tests.chain.test_chain import same
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 FRAMES = 8
