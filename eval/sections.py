@@ -7,7 +7,7 @@ from typing import Final
 from rich.table import Table
 
 from roadperc_stream.cli.terminal import grid
-from roadperc_stream.core.reasons import Reason, ranked
+from roadperc_stream.core.reasons import ReasonCount, ranked
 
 from .grid import percent, rounded
 from .quantities import CATEGORIES, SEEN, SIDES, SKEW, STAGES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
@@ -191,7 +191,7 @@ def reasons_grid(title: str) -> Table:
     return grid(title, "frames", "frames %")
 
 
-def given(reason: Reason, summary: Summary) -> list[str]:
+def given(reason: ReasonCount, summary: Summary) -> list[str]:
     """In how many frames a reason was given, and the share in percent."""
     return [str(reason.frames), percent(reason.frames / summary.frames)]
 

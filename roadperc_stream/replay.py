@@ -1,7 +1,7 @@
 """The one loop: a log in, the log with results and the metrics tables out."""
 
 import hashlib
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -19,12 +19,12 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import FrameResult, Odometry, Sample
 from roadperc_stream.core.files import require_free
 from roadperc_stream.core.geometry import Float
-from roadperc_stream.core.reasons import Reasons, grouped, merged, throughout
+from roadperc_stream.core.reasons import ReasonCounts, merged, of_frame, throughout
 from roadperc_stream.input.plan import WHOLE, Cut, Survey, input_messages, samples, span_ns, survey_log
 from roadperc_stream.input.roles.fill import Problems, is_result, tag_table_needed
 from roadperc_stream.input.sync import SyncCounts
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
-from roadperc_stream.metrics import frame_metrics, object_metrics
+from roadperc_stream.metrics import frame_metrics, frame_reasons, object_metrics
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.results import as_written, result_messages
 from roadperc_stream.output.tables import TableWriter, beside
@@ -233,7 +233,7 @@ class ResultWriter:
             writer.register(channel)
         self._way = deque[Float](maxlen=TRAJECTORY_POSES)
         self._last_reasons: tuple[str, ...] = ()
-        self.reasons: Reasons = {}
+        self.reasons: ReasonCounts = {}
 
     def write(
         self, sample: Sample, result: FrameResult, written: FrameResult, row: FrameMetrics, timer: StageTimer
@@ -248,7 +248,7 @@ class ResultWriter:
             time_ns = sample.log_time_ns
             self._writer.write(Message(self._channels[topic], time_ns, time_ns, sample.index, data))
         self._last_reasons = row.reasons
-        self.reasons = merged((self.reasons, grouped(Counter(row.reasons))))
+        self.reasons = merged((self.reasons, of_frame(frame_reasons(sample, result))))
 
 
 def _require_free(source: Path, target: Path, force: bool) -> None:

@@ -1,7 +1,7 @@
 """The row of a frame: what each stage gave, and how far it is from what is true."""
 
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import FrameResult, Sample
+from roadperc_stream.core.datatypes import FrameResult, Reason, Sample
 from roadperc_stream.metrics.lanes import lane_benchmarks, lane_columns, lane_errors, true_lane_columns
 from roadperc_stream.metrics.objects import object_columns, object_errors
 from roadperc_stream.metrics.odometry import odometry_columns, odometry_errors, true_pose_columns
@@ -21,7 +21,7 @@ def frame_metrics(
         stamp_ns=result.stamp_ns,
         sync_skew_ms=None if sample.skew_ns is None else sample.skew_ns / 1e6,
         missing=sample.missing,
-        reasons=(*(f"{role}: no message at this frame" for role in sample.missing), *result.reasons()),
+        reasons=tuple(str(reason) for reason in frame_reasons(sample, result)),
         **surface_columns(result),
         **lane_columns(result.lanes),
         **object_columns(result.objects),
@@ -36,3 +36,8 @@ def frame_metrics(
         **odometry_errors(result.odometry, sample, previous),
         **true_pose_columns(truth),
     )
+
+
+def frame_reasons(sample: Sample, result: FrameResult) -> tuple[Reason, ...]:
+    """Why anything of a frame is missing: its messages, then what the stages report."""
+    return (*(Reason(role, "no_message") for role in sample.missing), *result.reasons())

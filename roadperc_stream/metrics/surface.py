@@ -7,6 +7,7 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Absent, FrameResult, Mask, Sample, Surface, Truth
 from roadperc_stream.core.geometry import angle_between
 from roadperc_stream.core.ground import height_at
+from roadperc_stream.core.scene import DepthMap, Scene
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.schemas.columns import Columns
 
@@ -73,14 +74,16 @@ def _true_drivable(cfg: ReplayConfig, truth: Truth, sample: Sample) -> Mask | No
     if truth.segmentation is None or depth is None or truth.surface is None:
         return None
     try:
-        road = truth.segmentation.table.lookup(cfg.surface.classes)[truth.segmentation.tags]
-        depth_m = depth.depth_m
+        tags, depth_m = truth.segmentation.tags, depth.depth_m
     except DecodeError:
         return None
-    camera = sample.frame.camera
-    if road.shape != camera.size or depth_m.shape != camera.size:
+    frame = sample.frame
+    if tags.shape != frame.camera.size or depth_m.shape != frame.camera.size:
         return None
-    mask = drivable_mask(cfg.surface, truth.surface, camera, depth_m, road, sample.frame.ego_T_camera)
+    true_depth = DepthMap(depth_m, frame.camera, frame.ego_T_camera, depth.limit_m, "depth")
+    table = truth.segmentation.table
+    scene = Scene(frame.stamp_ns, frame.camera, frame.ego_T_camera, tags=tags, table=table, depth=true_depth)
+    mask = drivable_mask(cfg.surface, scene, truth.surface)
     return None if isinstance(mask, Absent) else mask
 
 

@@ -112,7 +112,7 @@ def encode_odometry(stamp_ns: int, frame_id: str, odometry: Odometry) -> bytes:
         up_to_scale=odometry.up_to_scale,
         inliers=odometry.inliers,
         covariance=odometry.covariance,
-        reason=odometry.reason,
+        reason="" if odometry.reason is None else odometry.reason.text,
     )
     set_stamp(message, stamp_ns)
     return message.SerializeToString()

@@ -7,7 +7,7 @@ from typing import Final, get_args
 import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.core.datatypes import EGO, Absent, FrameResult, Mask, Odometry, Sample, Tie
+from roadperc_stream.core.datatypes import EGO, Absent, FrameResult, Mask, Odometry, Reason, Sample, Tie
 from roadperc_stream.core.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceSource
 from roadperc_stream.core.geometry import Float, inverse
 from roadperc_stream.core.semantics import Colour
@@ -24,7 +24,6 @@ from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
-_BEYOND_ROS_2 = f"the frame's stamp is beyond {LAST_STAMP_NS} ns (2038-01-19), the last one ROS 2 messages hold"
 _COLUMNS = {field.name for field in fields(FrameMetrics)}
 _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "surface_source": get_args(SurfaceSource),
@@ -77,10 +76,11 @@ def as_written(result: FrameResult) -> tuple[FrameResult, FrameResult]:
     if result.stamp_ns <= LAST_STAMP_NS:
         return result, result
     outputs = {"stereo": result.stereo, "occupancy": result.occupancy}
-    left_out = [name for name, output in outputs.items() if not isinstance(output, Absent)]
-    reasons = (f"{name}: not written, {_BEYOND_ROS_2}" for name in left_out)
+    not_written = {name: Reason(name, "not_written", (LAST_STAMP_NS,)) for name in outputs}
+    reasons = (not_written[name] for name, output in outputs.items() if not isinstance(output, Absent))
     result = replace(result, problems=(*result.problems, *reasons))
-    return result, replace(result, stereo=Absent(_BEYOND_ROS_2), occupancy=Absent(_BEYOND_ROS_2))
+    absent = {name: Absent(reason) for name, reason in not_written.items()}
+    return result, replace(result, stereo=absent["stereo"], occupancy=absent["occupancy"])
 
 
 def _surface(sample: Sample, result: FrameResult) -> Written:

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from roadperc_stream import log
-from roadperc_stream.chain.pixels import image_fits
-from roadperc_stream.core.datatypes import Absent, CameraImage, Lanes, Mask, Objects, TagImage
+from roadperc_stream.core.datatypes import Absent, CameraImage, Lanes, Mask, Objects, Reason, TagImage, parse_reason
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14
 from roadperc_stream.errors import ChannelError, DecodeError
 from roadperc_stream.input.decoding import Decoded, Payload, context_of_channel, decode
@@ -23,7 +22,7 @@ LANES, OBJECTS, DRIVABLE = "/perception/lanes", "/perception/objects", "/percept
 LATENESS_NS: Final = (0, 2_000_000_000)
 """How far a message's log time may lie from its stamp: first the window that is cheap to read is tried."""
 _KINDS: Final[Mapping[str, Kind]] = {LANES: "lanes", OBJECTS: "objects", DRIVABLE: "tags"}
-_NOTHING: Final = Absent("not in the log")
+_NOTHING: Final = {name: Absent(Reason(name, "not_in_log")) for name in ("lanes", "objects", "drivable")}
 _MOST_WAITING: Final = 64
 """Instants that wait for their metrics at a time: of a sensor that is no frame's they never come."""
 
@@ -122,10 +121,16 @@ def _seen(
     if image_bgr is None:
         return None
     mask = content_of(lambda: _drivable(found), DRIVABLE, stamp_ns, problems)
-    drivable = _NOTHING if mask is None else mask
+    drivable = _NOTHING["drivable"] if mask is None else mask
     # A mask of another size belongs to another camera than this image, and so do lanes and objects.
-    fits = image_fits(reasons) and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
+    fits = _image_fits(reasons) and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
     return SeenFrame(image_bgr, _lanes(found), _objects(found), drivable, fits)
+
+
+def _image_fits(reasons: Iterable[str]) -> bool:
+    """Whether a frame's reasons leave it open that its camera image is of its calibration's size."""
+    parsed = (parse_reason(text) for text in reasons)
+    return not any((reason.source, reason.code) == ("image", "wrong_size") for reason in parsed)
 
 
 def _messages(
@@ -167,17 +172,17 @@ def _kind(channel: Channel, image_topic: str) -> Kind | None:
 
 def _lanes(found: Mapping[str, Decoded]) -> Lanes | Absent:
     lanes = _payload(found, LANES)
-    return lanes if isinstance(lanes, Lanes) else _NOTHING
+    return lanes if isinstance(lanes, Lanes) else _NOTHING["lanes"]
 
 
 def _objects(found: Mapping[str, Decoded]) -> Objects | Absent:
     objects = _payload(found, OBJECTS)
-    return objects if isinstance(objects, Objects) else _NOTHING
+    return objects if isinstance(objects, Objects) else _NOTHING["objects"]
 
 
 def _drivable(found: Mapping[str, Decoded]) -> Mask | Absent:
     tags = _payload(found, DRIVABLE)
-    return tags.tags > 0 if isinstance(tags, TagImage) else _NOTHING
+    return tags.tags > 0 if isinstance(tags, TagImage) else _NOTHING["drivable"]
 
 
 def _payload(found: Mapping[str, Decoded], topic: str) -> Payload | None:

@@ -2,6 +2,14 @@
 
 from roadperc_stream.core.datatypes.arrays import Image, Mask, read_only
 from roadperc_stream.core.datatypes.frame import Box, CameraImage, DepthImage, Detection, Frame, PointCloud, TagImage
+from roadperc_stream.core.datatypes.reason import (
+    MISSING_ROLES,
+    TEMPLATES,
+    Kind,
+    Reason,
+    ReasonCode,
+    parse_reason,
+)
 from roadperc_stream.core.datatypes.results import (
     SIDES,
     Absent,
@@ -29,9 +37,11 @@ from roadperc_stream.core.datatypes.sample import EGO, ODOM, OWN_ODOM, Sample, T
 
 __all__ = [
     "EGO",
+    "MISSING_ROLES",
     "ODOM",
     "OWN_ODOM",
     "SIDES",
+    "TEMPLATES",
     "Absent",
     "Boundary",
     "BoundaryStatus",
@@ -44,6 +54,7 @@ __all__ = [
     "FrameResult",
     "HeightGrid",
     "Image",
+    "Kind",
     "Lanes",
     "Line",
     "Mask",
@@ -55,6 +66,8 @@ __all__ = [
     "Odometry",
     "OdometryStatus",
     "PointCloud",
+    "Reason",
+    "ReasonCode",
     "Sample",
     "Side",
     "StereoDepth",
@@ -64,5 +77,6 @@ __all__ = [
     "Tie",
     "Truth",
     "Verdict",
+    "parse_reason",
     "read_only",
 ]

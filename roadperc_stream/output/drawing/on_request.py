@@ -4,8 +4,18 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from roadperc_stream.chain import pixels
-from roadperc_stream.core.datatypes import Frame, FrameResult, Image, Lanes, Objects, Odometry, Sample, StereoDepth
+from roadperc_stream.core.datatypes import (
+    CameraImage,
+    Frame,
+    FrameResult,
+    Image,
+    Lanes,
+    Objects,
+    Odometry,
+    Sample,
+    StereoDepth,
+)
+from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing.debug import disparity_picture, lanes_picture, matches_picture, template_picture
@@ -53,7 +63,7 @@ class PictureMaker:
 
     def _drawn(self, sample: Sample, result: FrameResult, metrics: FrameMetrics) -> Iterator[Picture]:
         self._first_ns = result.stamp_ns if self._first_ns is None else self._first_ns
-        image = pixels.colours_of(sample.frame)
+        image = _pixels(sample.frame.image)
         fits = image is not None and image.shape[:2] == sample.frame.camera.size
         self.without_image += image is None
         self.misfits += image is not None and not fits
@@ -63,6 +73,14 @@ class PictureMaker:
             yield "/perception/overlay", result.frame_id, draw_frame(seen, metrics, since_start_s, image.shape[1])
         if "debug" in self.requests:
             yield from _debug(sample.frame, image if fits else None, result)
+
+
+def _pixels(image: CameraImage | None) -> Image | None:
+    """(H, W, 3) pixels of a camera image, whatever its size; None where it is missing or cannot be decoded."""
+    try:
+        return None if image is None else image.bgr
+    except DecodeError:
+        return None
 
 
 def _debug(frame: Frame, image: Image | None, result: FrameResult) -> Iterator[Picture]:

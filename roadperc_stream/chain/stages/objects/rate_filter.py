@@ -1,6 +1,6 @@
-"""A number that changes at a rate of its own: the Kalman filter of a value and its rate.
+"""The Kalman filter of a value and its rate.
 
-The rate wanders like a random walk (continuous white noise acceleration: Bar-Shalom, Li and Kirubarajan 2001,
+The rate is a random walk (continuous white noise acceleration: Bar-Shalom, Li and Kirubarajan 2001,
 section 6.2.2), so that one step of 0.2 s equals two of 0.1 s. Two numbers need no matrices: plain floats are faster.
 """
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Motion:
+class RateFilter:
     """Value, rate per second, and their variances and covariance."""
 
     value: float
@@ -17,15 +17,15 @@ class Motion:
     cross_var: float
     rate_var: float
 
-    def predict(self, wander: float, dt_s: float) -> "Motion":
+    def predict(self, rate_walk: float, dt_s: float) -> "RateFilter":
         """The same ``dt_s`` seconds later.
 
         Args:
-            wander: standard deviation by which the rate changes within a second; grows with the root of time.
+            rate_walk: standard deviation by which the rate changes within a second; grows with the root of time.
             dt_s: seconds, not negative.
         """
-        noise = wander**2 * dt_s
-        return Motion(
+        noise = rate_walk**2 * dt_s
+        return RateFilter(
             self.value + self.rate * dt_s,
             self.rate,
             self.value_var + 2 * dt_s * self.cross_var + dt_s**2 * self.rate_var + noise * dt_s**2 / 3,
@@ -33,12 +33,12 @@ class Motion:
             self.rate_var + noise,
         )
 
-    def update(self, measured: float, std: float) -> "Motion":
+    def update(self, measured: float, std: float) -> "RateFilter":
         """After a measurement of the value with its standard deviation."""
         total = self.value_var + std**2
         innovation = measured - self.value
         rest = std**2 / total
-        return Motion(
+        return RateFilter(
             self.value + self.value_var / total * innovation,
             self.rate + self.cross_var / total * innovation,
             self.value_var * rest,
@@ -51,6 +51,6 @@ class Motion:
         return (measured - self.value) ** 2 / (self.value_var + std**2)
 
 
-def start(measured: float, std: float, rate_std: float) -> Motion:
+def start(measured: float, std: float, rate_std: float) -> RateFilter:
     """From one measurement and what rates there may be."""
-    return Motion(measured, 0.0, std**2, 0.0, rate_std**2)
+    return RateFilter(measured, 0.0, std**2, 0.0, rate_std**2)

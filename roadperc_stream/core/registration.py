@@ -12,7 +12,7 @@ Index = NDArray[np.int64]
 def sample_labels(
     depth_camera: Camera, camera_T_depth: Float, camera: Camera, depth_m: Float32, labels: Image
 ) -> Image:
-    """Labels as the depth camera sees them: each depth pixel looks up its point in the other camera's image.
+    """Another camera's labels at the pixels of a depth image: each depth pixel samples its point in the other image.
 
     Args:
         depth_camera: camera of ``depth_m``.
@@ -24,21 +24,21 @@ def sample_labels(
     Returns:
         (H, W) uint8; 0 where the depth is unknown or the point lies outside the other image.
     """
-    columns, rows, _, inside = _seen_from(depth_camera, camera_T_depth, camera, depth_m)
+    columns, rows, _, inside = _projected(depth_camera, camera_T_depth, camera, depth_m)
     sampled = np.zeros(depth_m.shape, np.uint8)
     sampled[inside] = labels[rows, columns]
     return sampled
 
 
 def warp_depth(depth_camera: Camera, camera_T_depth: Float, camera: Camera, depth_m: Float32) -> Float32:
-    """Depth as another camera sees it: every point goes to its nearest pixel and those beside it, the nearest wins.
+    """Depth in another camera's image: every point goes to its nearest pixel, of several points the nearest wins.
 
     Args and units as in ``sample_labels``.
 
     Returns:
         (h, w) float32 metres along the other camera's z, NaN where no point falls.
     """
-    columns, rows, z, _ = _seen_from(depth_camera, camera_T_depth, camera, depth_m)
+    columns, rows, z, _ = _projected(depth_camera, camera_T_depth, camera, depth_m)
     warped = np.full(camera.size, np.inf, np.float32)
     order = np.argsort(-z, kind="stable")
     columns, rows, z = columns[order], rows[order], z[order].astype(np.float32)
@@ -49,7 +49,7 @@ def warp_depth(depth_camera: Camera, camera_T_depth: Float, camera: Camera, dept
 
 
 def depth_of_points(camera: Camera, camera_T_lidar: Float, points_m: Float32) -> Float32:
-    """Sparse depth of a lidar's points as a camera sees them: each falls into one pixel, where the nearest one counts.
+    """Sparse depth of a lidar's points in a camera's image: each falls into one pixel, where the nearest one counts.
 
     The camera is a pinhole here as it is to every stage, whatever lens its image was taken with: so a pixel and its
     depth give the point again, to within half a pixel.
@@ -73,24 +73,24 @@ def depth_of_points(camera: Camera, camera_T_lidar: Float, points_m: Float32) ->
     return depth_m.reshape(camera.size)
 
 
-def _seen_from(
+def _projected(
     depth_camera: Camera, camera_T_depth: Float, camera: Camera, depth_m: Float32
 ) -> tuple[Index, Index, Float, Mask]:
-    """Column, row and z in the other camera of the depth pixels it sees, and which (H, W) pixels those are."""
+    """Column, row and z in the other camera of the depth pixels visible in it, and which (H, W) pixels those are."""
     rows, columns = np.indices(depth_m.shape, dtype=float)
     points = transform(camera_T_depth, unproject(depth_camera, np.stack((columns, rows), axis=-1), depth_m))
     pixels = np.rint(project(camera, points))
     with np.errstate(invalid="ignore"):
         inside: Mask = np.asarray(((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=-1))
-    seen = pixels[inside].astype(np.int64)
-    return seen[:, 0], seen[:, 1], points[inside][:, 2], inside
+    visible = pixels[inside].astype(np.int64)
+    return visible[:, 0], visible[:, 1], points[inside][:, 2], inside
 
 
 def _fill_gaps(depth_m: Float32) -> None:
     """Give empty pixels between two rows or columns of points the farther neighbour's depth, in place.
 
-    A surface seen larger than before leaves lines of empty pixels one wide; the farther neighbour never invents an
-    object in front.
+    A surface that appears larger than before leaves lines of empty pixels one wide; the farther neighbour never
+    invents an object in front.
     """
     for axis in (0, 1):
         before, after = np.roll(depth_m, 1, axis), np.roll(depth_m, -1, axis)

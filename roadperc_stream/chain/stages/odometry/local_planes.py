@@ -1,7 +1,7 @@
-"""Small planes around features: where a feature lies and how its surroundings are inclined.
+"""Small planes around features: depth and slope of the surface that a feature lies on.
 
 On a plane 1 / depth is linear in the image. Fitting it to the pixels around a feature averages the depth's noise, and
-its slope says how the surroundings are stretched when the camera moves. On a road seen at a grazing angle windows
+its slope determines how the surroundings are stretched when the camera moves. On a road seen at a grazing angle windows
 compared without that stretch are matched with a bias: steps came out 1 to 2 % short.
 """
 
@@ -17,7 +17,7 @@ _RIDGE = 1e-9
 """Keeps the normal equations of pixels in one line solvable: their slope across is then none."""
 
 
-def facets_from_depth(depth_m: Float32, px: Float, shrink: int) -> tuple[Float, Float]:
+def local_planes_from_depth(depth_m: Float32, px: Float, shrink: int) -> tuple[Float, Float]:
     """Inverse depths and their slopes, by least squares over the pixels around that belong to the same surface.
 
     Args:
@@ -52,18 +52,18 @@ def slope_of_plane(camera: Camera, plane: Plane) -> Float:
 
 
 def stretch(camera: Camera, px: Float, depth_m: Float, slope: Float, this_T_key: Float) -> Float:
-    """(N, 2, 2) by how much a pixel beside a feature is farther from it in another frame.
+    """(N, 2, 2) derivative of the pixel in another frame by the pixel around a feature.
 
     Args:
         camera: of both frames.
         px: (N, 2) features in the keyframe.
         depth_m: (N,) their depth.
-        slope: (N, 2) as ``facets_from_depth`` gives it.
+        slope: (N, 2) as ``local_planes_from_depth`` gives it.
         this_T_key: the motion.
     """
 
-    def seen(*beside: float) -> Float:
-        there = rays(camera, px + beside) / (1.0 / depth_m + slope @ beside)[:, None]
-        return project(camera, transform(this_T_key, there))
+    def warped(*offset: float) -> Float:
+        points = rays(camera, px + offset) / (1.0 / depth_m + slope @ offset)[:, None]
+        return project(camera, transform(this_T_key, points))
 
-    return np.stack((seen(0.5, 0.0) - seen(-0.5, 0.0), seen(0.0, 0.5) - seen(0.0, -0.5)), axis=-1)
+    return np.stack((warped(0.5, 0.0) - warped(-0.5, 0.0), warped(0.0, 0.5) - warped(0.0, -0.5)), axis=-1)

@@ -1,4 +1,4 @@
-"""Detections judged by the segmentation, with their distance.
+"""Detections filtered by the segmentation, with their distance.
 
 A detector of high recall finds much that is not there: a detection is kept when enough of its box carries its class's
 tags. Its distance is a low quantile of the distances of the box's pixels, because the bare minimum jumps with every
@@ -8,48 +8,30 @@ stray pixel.
 import numpy as np
 
 from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent, Detection, Image, Object, Objects
+from roadperc_stream.core.datatypes import Absent, Detection, Object, Objects, Reason
 from roadperc_stream.core.geometry import Camera, Float32
-from roadperc_stream.core.semantics import TagTable, label_lookup
+from roadperc_stream.core.scene import Scene
+from roadperc_stream.core.semantics import label_lookup
 
 
-def judge(
-    cfg: ObjectsConfig,
-    detections: tuple[Detection, ...] | None,
-    camera: Camera,
-    tags: Image | None,
-    table: TagTable | None,
-    depth_m: Float32 | None,
-    limit_m: float,
-) -> Objects | Absent:
+def filter_detections(cfg: ObjectsConfig, scene: Scene, detections: tuple[Detection, ...] | None) -> Objects | Absent:
     """Every detection with its class ratio, whether it is kept, and its distance.
 
     Args:
         cfg: thresholds.
-        detections: what the detector said; None where the frame has no detections message.
-        camera: the camera of detections, tags and depth.
-        tags: (H, W) tags of ``table``, or None: then nothing is judged and everything kept.
-        table: the tags' table.
-        depth_m: (H, W) metres along z, NaN unknown, or None.
-        limit_m: depth at which the encoding saturates.
+        scene: the frame; without tags every detection is kept.
+        detections: in its image; None where the frame has no detections message.
 
     Returns:
-        The objects in the detector's order. A label that no class belongs to is not judged: kept, without a ratio.
+        The objects in the detector's order. A label that no class belongs to is not filtered: kept, without a ratio.
     """
     if detections is None:
-        return Absent("no detections")
-    return Objects(tuple(_judge_one(cfg, d, camera, tags, table, depth_m, limit_m) for d in detections))
+        return Absent(Reason("objects", "no_detections"))
+    return Objects(tuple(_filtered(cfg, scene, detection) for detection in detections))
 
 
-def _judge_one(
-    cfg: ObjectsConfig,
-    detection: Detection,
-    camera: Camera,
-    tags: Image | None,
-    table: TagTable | None,
-    depth_m: Float32 | None,
-    limit_m: float,
-) -> Object:
+def _filtered(cfg: ObjectsConfig, scene: Scene, detection: Detection) -> Object:
+    camera, tags, table, depth_m = scene.camera, scene.tags, scene.table, scene.depth_m
     x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
     lookup = label_lookup(table, detection.label) if table is not None else None
     if x0 >= x1 or y0 >= y1:
@@ -66,7 +48,7 @@ def _judge_one(
     depths = depth_m[y0:y1, x0:x1]
     if of_class is not None and cfg.distance_pixels == "class":
         distances, depths = distances[of_class], depths[of_class]
-    distance, std, beyond = _nearest(cfg, distances.ravel(), depths.ravel(), limit_m)
+    distance, std, beyond = _nearest(cfg, distances.ravel(), depths.ravel(), scene.depth_limit_m)
     return Object(detection, kept, ratio, distance_m=distance, distance_std_m=std, beyond_range=beyond)
 
 

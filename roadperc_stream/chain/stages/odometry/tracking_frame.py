@@ -1,4 +1,4 @@
-"""A frame as the odometry looks at it: halved as long as it keeps enough rows."""
+"""The frame in which features are tracked: halved as long as it keeps enough rows."""
 
 from dataclasses import dataclass, replace
 
@@ -9,13 +9,17 @@ from roadperc_stream.chain.stages.odometry.features import scaled
 from roadperc_stream.core.config import OdometryConfig
 from roadperc_stream.core.datatypes import Image, Mask, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32
+from roadperc_stream.core.scene import Scene
+
+_MOVABLE = ("vehicle", "pedestrian")
+"""Classes on which no feature is detected or tracked."""
 
 
 @dataclass(frozen=True)
-class View:
-    """A frame as the odometry looks at it.
+class TrackingFrame:
+    """The frame in which features are tracked.
 
-    ``camera``, ``grey`` and ``movable`` (uint8, not 0 on movable things and beside them) are ``shrink`` times smaller
+    ``camera``, ``grey`` and ``movable`` (uint8, not 0 on movable objects and around them) are ``shrink`` times smaller
     than the frame, ``depth_m`` is not. ``road`` is in the camera's frame.
     """
 
@@ -33,7 +37,7 @@ class View:
         return np.asarray((px + 0.5) * self.shrink - 0.5, np.float32)
 
     def on_movable(self, px: Float32) -> Mask:
-        """(N,) which of (N, 2) pixels lie on movable things; NaN lies on none."""
+        """(N,) which of (N, 2) pixels lie on movable objects; NaN lies on none."""
         on = np.zeros(len(px), bool)
         if self.movable is not None:
             known = np.isfinite(px).all(axis=1)
@@ -42,24 +46,23 @@ class View:
         return on
 
 
-def make_view(
-    cfg: OdometryConfig,
-    camera: Camera,
-    ego_T_camera: Float,
-    grey: Image,
-    depth_m: Float32 | None,
-    movable: Mask | None,
-    road: Surface | None,
-    stamp_ns: int,
-) -> View:
-    """The frame at the resolution that is tracked."""
-    shrink = 1
+def tracking_frame(cfg: OdometryConfig, scene: Scene, grey: Image, road: Surface | None) -> TrackingFrame:
+    """The frame at the resolution in which features are tracked.
+
+    Args:
+        cfg: its least number of rows.
+        scene: the frame.
+        grey: (H, W) its image.
+        road: the road in the front camera's frame; None: it is not known.
+    """
+    camera, shrink = scene.camera, 1
     while grey.shape[0] % 2 == 0 and grey.shape[1] % 2 == 0 and grey.shape[0] // 2 >= cfg.min_rows:
         grey = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
         camera = _halved(camera)
         shrink *= 2
+    movable = scene.labels(_MOVABLE)
     avoided = None if movable is None else _with_margin(cfg, movable, grey)
-    return View(camera, ego_T_camera, grey, shrink, depth_m, avoided, road, stamp_ns)
+    return TrackingFrame(camera, scene.ego_T_camera, grey, shrink, scene.dense_depth_m, avoided, road, scene.stamp_ns)
 
 
 def _halved(camera: Camera) -> Camera:
@@ -75,9 +78,9 @@ def _halved(camera: Camera) -> Camera:
     )
 
 
-def _with_margin(cfg: OdometryConfig, movable: Mask, grey: Image) -> Image:
-    """Movable things in the tracked image, and as far around them as a window reaches."""
+def _with_margin(cfg: OdometryConfig, movable: Image, grey: Image) -> Image:
+    """Movable objects in the tracked image, and as far around them as a window reaches."""
     rows, columns = grey.shape
-    small = cv2.resize(movable.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST)
+    small = cv2.resize(movable, (columns, rows), interpolation=cv2.INTER_NEAREST)
     side = max(round(scaled(cfg.window_px, rows)), 1) | 1
     return np.asarray(cv2.dilate(small, np.ones((side, side), np.uint8)), np.uint8)

@@ -1,8 +1,8 @@
-"""Patches around the keyframe's features, aligned with a frame as a motion promises to see them.
+"""Patches around the keyframe's features, aligned with a frame at the pixels that a motion predicts.
 
 Inverse compositional alignment (Baker and Matthews 2004) of a shift alone: the stretch follows from the motion and the
-facets. Features that matching lost are found again where the motion promises them, as in SVO (Forster, Pizzoli and
-Scaramuzza 2014).
+local planes. Features that matching lost are found again where the motion predicts them, as in SVO (Forster, Pizzoli
+and Scaramuzza 2014).
 """
 
 from typing import Final
@@ -10,9 +10,9 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.stages.odometry.facets import stretch
 from roadperc_stream.chain.stages.odometry.keyframes import Keyframe
-from roadperc_stream.chain.stages.odometry.views import View
+from roadperc_stream.chain.stages.odometry.local_planes import stretch
+from roadperc_stream.chain.stages.odometry.tracking_frame import TrackingFrame
 from roadperc_stream.core.datatypes import Image
 from roadperc_stream.core.geometry import Float, Float32, project, transform
 
@@ -27,34 +27,36 @@ _SIDE: Final = 2 * _REACH_PX + 1
 _HALF: Final = np.float32(0.5)
 
 
-def aligned(keyframe: Keyframe, view: View, this_T_key: Float) -> Float32:
-    """(N, 2) pixels of the keyframe's features in a frame, NaN where they do not look as the motion promises.
+def aligned(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
+    """(N, 2) pixels of the keyframe's features in a frame, NaN where they do not look as predicted.
 
     Args:
         keyframe: with points and slopes.
-        view: the frame.
+        frame: the frame.
         this_T_key: the motion.
     """
-    places = keyframe.places
-    promised = promised_px(keyframe, view, this_T_key)
-    chosen = np.flatnonzero(np.isfinite(promised[:, 0]) & np.isfinite(places.slope[:, 0]))
-    found = np.full_like(promised, np.nan)
+    landmarks = keyframe.landmarks
+    predicted = predicted_px(keyframe, frame, this_T_key)
+    chosen = np.flatnonzero(np.isfinite(predicted[:, 0]) & np.isfinite(landmarks.slope[:, 0]))
+    found = np.full_like(predicted, np.nan)
     if not len(chosen):
         return found
-    key_px, start = places.features.px[chosen], promised[chosen]
-    stretched = stretch(view.camera, key_px.astype(float), places.points_m[chosen, 2], places.slope[chosen], this_T_key)
-    px, correlation = _shifted(keyframe.grey, key_px, stretched.astype(np.float32), view.grey, start)
+    key_px, start = landmarks.features.px[chosen], predicted[chosen]
+    stretched = stretch(
+        frame.camera, key_px.astype(float), landmarks.points_m[chosen, 2], landmarks.slope[chosen], this_T_key
+    )
+    px, correlation = _shifted(keyframe.grey, key_px, stretched.astype(np.float32), frame.grey, start)
     good = (np.linalg.norm(px - start, axis=1) < _FARTHEST_PX) & (correlation > _LEAST_CORRELATION)
     found[chosen[good]] = px[good]
     return found
 
 
-def promised_px(keyframe: Keyframe, view: View, this_T_key: Float) -> Float32:
-    """(N, 2) pixels where the motion sees the features, NaN outside the image or on movable things."""
-    px = project(view.camera, transform(this_T_key, keyframe.places.points_m)).astype(np.float32)
-    inside = ((px >= _REACH_PX) & (px <= np.array(view.grey.shape[::-1]) - 1 - _REACH_PX)).all(axis=1)
+def predicted_px(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
+    """(N, 2) pixels where a motion predicts the features, NaN outside the image or on movable objects."""
+    px = project(frame.camera, transform(this_T_key, keyframe.landmarks.points_m)).astype(np.float32)
+    inside = ((px >= _REACH_PX) & (px <= np.array(frame.grey.shape[::-1]) - 1 - _REACH_PX)).all(axis=1)
     px[~inside] = np.nan
-    px[view.on_movable(px)] = np.nan
+    px[frame.on_movable(px)] = np.nan
     return px
 
 
@@ -74,9 +76,9 @@ def _shifted(before: Image, key_px: Float32, stretch: Float32, grey: Image, star
     px = start
     for _ in range(_ITERATIONS):
         px = px - (gain @ (_centred(_sampled(levels, px[:, None] + stretched)) - template)[..., None])[..., 0]
-    seen = _centred(_sampled(levels, px[:, None] + stretched))
-    power = np.sum(seen**2, axis=1) * np.sum(template**2, axis=1)
-    return px, np.sum(seen * template, axis=1) / np.sqrt(power + _FLAT)
+    found = _centred(_sampled(levels, px[:, None] + stretched))
+    power = np.sum(found**2, axis=1) * np.sum(template**2, axis=1)
+    return px, np.sum(found * template, axis=1) / np.sqrt(power + _FLAT)
 
 
 def _offsets(reach: int) -> Float32:
