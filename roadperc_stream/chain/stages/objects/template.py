@@ -30,7 +30,7 @@ class Template:
         read_only(self.grey, np.uint8, (None, None), "template")
 
     def search(self, image_grey: Image, around: Box, scale: float) -> Correlation | None:
-        """How well it fits an image in which the object is ``scale`` times as large; None where it is flat or too large.
+        """How well it fits an image where the object is ``scale`` times as large; None where it is flat or too large.
 
         Args:
             image_grey: (H, W) uint8.

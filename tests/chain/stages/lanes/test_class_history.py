@@ -1,10 +1,10 @@
-"""The vote on the classes beside a boundary: single frames do not make them flicker."""
+"""The majority of the classes beside a boundary: single frames do not make them flicker."""
 
 import pickle
 from itertools import pairwise
 
 from roadperc_stream.chain.stages.lanes import LanesState
-from roadperc_stream.chain.stages.lanes.votes import Votes
+from roadperc_stream.chain.stages.lanes.class_history import ClassHistory
 from roadperc_stream.core.config import LanesConfig
 from tests.analytic import ROAD, STEP_NS, VEHICLE, Road
 from tests.chain.stages.lanes.test_ego_lane import look
@@ -13,22 +13,22 @@ CFG = LanesConfig()
 
 
 def after(*names, step_ns=STEP_NS, cfg=CFG):
-    votes, winners = Votes(), []
+    history, majorities = ClassHistory(), []
     for k, name in enumerate(names):
-        votes = votes.add(cfg, k * step_ns, name)
-        winners.append(votes.winner)
-    return votes, winners
+        history = history.add(cfg, k * step_ns, name)
+        majorities.append(history.majority)
+    return history, majorities
 
 
 def test_a_single_frame_changes_nothing():
-    _, winners = after("road", "road", "vehicle", "road", "vehicle", "road")
-    assert winners == ["road"] * 6
+    _, majorities = after("road", "road", "vehicle", "road", "vehicle", "road")
+    assert majorities == ["road"] * 6
 
 
 def test_a_change_that_lasts_wins_after_half_the_window_in_seconds():
     for step_ns, frames in ((STEP_NS, 6), (STEP_NS // 2, 11)):
-        _, winners = after(*["road"] * 40, *["sidewalk"] * 20, step_ns=step_ns)
-        assert winners[40:].index("sidewalk") + 1 == frames
+        _, majorities = after(*["road"] * 40, *["sidewalk"] * 20, step_ns=step_ns)
+        assert majorities[40:].index("sidewalk") + 1 == frames
 
 
 def test_equal_counts_are_decided_by_the_latest():
@@ -36,9 +36,9 @@ def test_equal_counts_are_decided_by_the_latest():
     assert after("vehicle", "road", "road", "vehicle")[1][-1] == "vehicle"
 
 
-def test_out_of_sight_is_no_vote_and_too_long_out_of_sight_is_nothing():
-    _, winners = after("road", *[""] * 12)
-    assert winners == ["road"] * 11 + [""] * 2
+def test_out_of_sight_adds_nothing_and_too_long_out_of_sight_is_nothing():
+    _, majorities = after("road", *[""] * 12)
+    assert majorities == ["road"] * 11 + [""] * 2
 
 
 def test_without_a_window_the_last_frame_alone_counts():
@@ -46,8 +46,8 @@ def test_without_a_window_the_last_frame_alone_counts():
 
 
 def test_memory_is_bounded():
-    votes, _ = after(*["road"] * 1000, step_ns=1000)
-    assert len(votes.cast) <= 256
+    history, _ = after(*["road"] * 1000, step_ns=1000)
+    assert len(history.observations) <= 256
 
 
 def test_the_lanes_classes_do_not_flicker():

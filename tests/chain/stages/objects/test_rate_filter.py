@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.stages.objects import motion
+from roadperc_stream.chain.stages.objects import rate_filter
 
 WANDER = 2.0
 seconds = st.floats(0.0, 2.0)
@@ -22,7 +22,7 @@ def same(a, b):
 
 @given(seconds, st.floats(-50, 50), st.floats(0.01, 5))
 def test_equals_the_matrix_form(dt, measured, std):
-    first = motion.start(10.0, 0.3, 20.0).predict(WANDER, 0.05).update(9.5, 0.2)
+    first = rate_filter.start(10.0, 0.3, 20.0).predict(WANDER, 0.05).update(9.5, 0.2)
     mean, P = matrices(first)
     F = np.array([[1.0, dt], [0.0, 1.0]])
     Q = WANDER**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
@@ -37,12 +37,12 @@ def test_equals_the_matrix_form(dt, measured, std):
 
 @given(seconds, seconds)
 def test_two_steps_are_one(a, b):
-    first = motion.start(10.0, 0.3, 5.0).predict(WANDER, 0.1).update(9.0, 0.2)
+    first = rate_filter.start(10.0, 0.3, 5.0).predict(WANDER, 0.1).update(9.0, 0.2)
     same(first.predict(WANDER, a).predict(WANDER, b), first.predict(WANDER, a + b))
 
 
 def test_covariance_stays_positive_over_thousands_of_frames():
-    state = motion.start(0.0, 1e-3, 20.0)
+    state = rate_filter.start(0.0, 1e-3, 20.0)
     for _ in range(5000):
         state = state.predict(WANDER, 0.05).update(0.0, 1e-3)
         assert state.value_var > 0

@@ -1,4 +1,4 @@
-"""Objects over time: motions known by construction, names that stay, patches moved by known pixels."""
+"""Objects over time: motions known by construction, ids that stay, templates moved by known pixels."""
 
 import pickle
 from dataclasses import astuple, replace
@@ -6,11 +6,12 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects import ObjectsState, follow, step
+from roadperc_stream.chain.stages.objects import ObjectsState, step, tracker
 from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent
+from roadperc_stream.core.datatypes import Absent, Reason
 from tests.analytic import STEP_NS, box
 from tests.chain.stages.objects.frames import CAMERA, CFG, FAR_M, LIMIT_M, Follower, depth_of, moved, tags_of, texture
+from tests.scenes import scene_of
 
 CAR = box("Car", 100, 80, 140, 110)
 
@@ -74,7 +75,7 @@ def test_one_distance_tells_no_speed():
     assert follower.only.track_id == "1"
 
 
-def test_without_depth_objects_have_names_but_no_motion():
+def test_without_depth_objects_have_ids_but_no_motion():
     follower = Follower()
     for _ in range(5):
         follower.frame(CAR)
@@ -209,7 +210,7 @@ def seen_for(frames, follower, image, *, right=0, down=0, depth_m=None, car=CAR)
 
 
 @pytest.mark.parametrize(("right", "down"), [(0, 0), (3, -1), (-5, 2)])
-def test_a_missed_detection_is_carried_by_its_image(right, down):
+def test_a_missed_detection_is_tracked_by_its_template(right, down):
     follower, image = Follower(), texture()
     first = seen_for(4, follower, image, right=right, down=down, depth_m=15.0)
     for k in range(first, first + 10):
@@ -227,7 +228,7 @@ def test_a_missed_detection_is_carried_by_its_image(right, down):
 def test_a_large_object_is_found_by_its_middle_and_little_is_remembered():
     follower, image, large = Follower(), texture(), box("Car", 40, 20, 240, 200)
     first = seen_for(4, follower, image, right=2, car=large)
-    assert follower.state.tracks[0].patch.grey.shape == (96, 96)
+    assert follower.state.tracks[0].template.grey.shape == (96, 96)
     follower.frame(grey=moved(image, 2 * first, 0))
     np.testing.assert_allclose(astuple(follower.only.detection.box_px), (48, 20, 248, 200), atol=1)
 
@@ -252,7 +253,7 @@ def test_an_object_that_grows_is_found_at_its_size():
             assert follower.only.closing_speed_mps == pytest.approx(5.0, abs=0.3)
 
 
-def test_a_stray_detection_is_not_carried_unless_told():
+def test_a_stray_detection_is_not_tracked_by_default():
     image = texture()
     for after_s, expected in ((0.1, 0), (0.0, 1)):
         follower = Follower(CFG.model_copy(update={"carry_after_s": after_s}))
@@ -260,7 +261,7 @@ def test_a_stray_detection_is_not_carried_unless_told():
         assert len(follower.frame(grey=image)) == expected
 
 
-def test_what_the_image_does_not_show_any_more_is_not_carried_but_keeps_its_name():
+def test_what_the_image_does_not_show_any_more_is_not_tracked_but_keeps_its_id():
     follower = Follower()
     seen_for(4, follower, texture())
     for grey in (texture(7), None, np.full(CAMERA.size, 90, np.uint8)):
@@ -269,7 +270,7 @@ def test_what_the_image_does_not_show_any_more_is_not_carried_but_keeps_its_name
     assert (item.track_id, item.status) == ("1", "tracked")
 
 
-def test_a_match_the_tags_contradict_is_not_carried():
+def test_a_match_the_tags_contradict_is_rejected():
     follower, image = Follower(), texture()
     for _ in range(4):
         follower.frame(CAR, grey=image, tags=tags_of(CAR))
@@ -285,12 +286,12 @@ def test_what_a_detection_shows_already_is_not_said_twice():
     assert [item.status for item in follower.frame(CAR, grey=image, depth_m=20.0)] == ["measured"]
 
 
-def test_carried_objects_come_last_whatever_their_age():
+def test_objects_tracked_by_template_come_last_whatever_their_age():
     follower, image, late = Follower(), texture(), box("Car", 200, 80, 240, 110)
     for _ in range(4):
         follower.frame(CAR, late, grey=image)
-    later, carried = follower.frame(late, grey=image)
-    assert [(later.status, later.detection), (carried.status, carried.track_id)] == [
+    later, coasted = follower.frame(late, grey=image)
+    assert [(later.status, later.detection), (coasted.status, coasted.track_id)] == [
         ("measured", late),
         ("tracked", "1"),
     ]
@@ -299,17 +300,17 @@ def test_carried_objects_come_last_whatever_their_age():
 def test_a_missing_message_is_bridged_and_otherwise_said():
     follower, image = Follower(), texture()
     seen_for(4, follower, image)
-    inputs = (None, CAMERA, None, None, None, LIMIT_M)
-    state, carried = step(CFG, follower.state, *inputs, image, follower.stamp_ns + STEP_NS)
-    assert [item.status for item in carried.objects] == ["tracked"]
-    assert step(CFG, state, *inputs, None, follower.stamp_ns + 2 * STEP_NS)[1] == Absent("no detections")
-    assert step(CFG, ObjectsState(), *inputs, image, STEP_NS)[1] == Absent("no detections")
+    absent = Absent(Reason("objects", "no_detections"))
+    state, coasted = step(CFG, follower.state, scene_of(CAMERA, grey=image, stamp_ns=follower.stamp_ns + STEP_NS))
+    assert [item.status for item in coasted.objects] == ["tracked"]
+    assert step(CFG, state, scene_of(CAMERA, stamp_ns=follower.stamp_ns + 2 * STEP_NS))[1] == absent
+    assert step(CFG, ObjectsState(), scene_of(CAMERA, grey=image, stamp_ns=STEP_NS))[1] == absent
 
 
 def test_the_search_can_be_switched_off():
     follower, image = Follower(CFG.model_copy(update={"template_search": False})), texture()
     seen_for(4, follower, image)
-    assert follower.state.tracks[0].patch is None
+    assert follower.state.tracks[0].template is None
     assert follower.frame(grey=image) == ()
 
 
@@ -330,7 +331,7 @@ def test_resumes_equal_from_a_pickled_state():
 
 
 def test_memory_is_bounded(monkeypatch):
-    monkeypatch.setattr(follow, "_MOST_TRACKS", 5)
+    monkeypatch.setattr(tracker, "_MOST_TRACKS", 5)
     follower = Follower(ObjectsConfig(hold_s=1e4))
     for k in range(30):
         follower.frame(box("Car", 10 * k, 10, 10 * k + 8, 20))
