@@ -5,8 +5,9 @@ from typing import Final
 import polars as pl
 
 from roadperc_stream.errors import TableError
+from roadperc_stream.schemas.columns import RATIO
 
-from .quantities import CATEGORIES, LOST, RATIO, REST, SIDES, STAGES, STORED, TOTAL, Quantity
+from .quantities import CATEGORIES, LOST, REST, SIDES, STAGES, STORED, TOTAL, Quantity
 from .runs import Run
 from .scores import COUNTS, TRACED, correlations
 

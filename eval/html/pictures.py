@@ -12,10 +12,11 @@ from roadperc_stream.core.datatypes import Image
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.input.roles.fill import Problems
 from roadperc_stream.output.drawing.frame import draw_results
+from roadperc_stream.schemas.columns import UNITLESS
 from roadperc_stream.view.seen import read_frame
 
 from ..grid import rounded
-from ..quantities import COUNT, RATIO, SUSPECT, TRUTH, Quantity
+from ..quantities import SUSPECT, TRUTH, Quantity
 from ..summary import Summary, WorstFrame
 from .sources import Sources
 
@@ -92,7 +93,7 @@ def gallery(together: Summary, sources: Mapping[str, Sources]) -> Gallery:
 
 def shown(value: float, quantity: Quantity) -> str:
     """A value with its unit."""
-    unit = "" if quantity.unit in {COUNT, RATIO} else f" {quantity.unit}"
+    unit = "" if quantity.unit in UNITLESS else f" {quantity.unit}"
     return rounded(value, quantity) + unit
 
 

@@ -14,8 +14,9 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import Scalar
+from roadperc_stream.schemas.columns import RATIO
 
-from ..quantities import RATIO, TOTAL, TRUTH, Quantity
+from ..quantities import TOTAL, TRUTH, Quantity
 from .settings import Combination
 
 LESS_SEEN: Final = 0.01

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, replace
-from typing import Final, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
@@ -19,7 +19,7 @@ from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.channels import METRICS_TOPIC
-from roadperc_stream.schemas.columns import Columns, FrameMetrics
+from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
 
@@ -150,8 +150,8 @@ def decode_metrics(data: bytes) -> FrameMetrics:
         message = pb.FrameMetrics.FromString(data)
     except ProtobufError as error:
         raise DecodeError(f"{len(data)} bytes are no roadperc.FrameMetrics: {error}") from error
-    always: Columns = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
-    known: Columns = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
+    always: dict[str, Any] = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
+    known: dict[str, Any] = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
     require_finite("metrics", *(value for value in known.values() if isinstance(value, float)))
     for column, words in _WORDS.items():
         if known.get(column, words[0]) not in words:
