@@ -28,18 +28,11 @@ from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.results import as_written, result_messages
 from roadperc_stream.output.tables import TableWriter, beside
-from roadperc_stream.schemas.channels import (
-    METADATA_RECORD,
-    PRODUCER,
-    TAG_TABLE_KEY,
-    TOPIC_KEY,
-    Request,
-    result_schemas,
-    schema,
-)
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, PRODUCER, TAG_TABLE_KEY, TOPIC_KEY
+from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.topics import Request, result_schemas
 
-CONFIG_ATTACHMENT = "roadperc.toml"
 TRAJECTORY_POSES = 200
 """Length of the trajectory that each frame shows: ten seconds at 20 Hz."""
 

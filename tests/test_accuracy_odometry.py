@@ -16,7 +16,7 @@ from roadperc_stream.core.geometry import inverse
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.tables import beside
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.tools import carla_to_mcap, render_scene
 from tests.chain.stages.odometry.trajectories import aligned_errors_m, distances_m, relative_errors
 

@@ -18,7 +18,7 @@ from roadperc_stream.input.plan import Cut
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import RESULTS
+from roadperc_stream.schemas.topics import RESULTS
 from tests import logs
 from tests.analytic import STEP_NS
 

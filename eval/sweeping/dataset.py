@@ -11,7 +11,7 @@ import tomli_w
 from roadperc_stream import __version__
 from roadperc_stream.core.files import naming, partial_of
 from roadperc_stream.errors import TableError
-from roadperc_stream.replay import CONFIG_ATTACHMENT
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 
 from ..runs import SUFFIX, distinct_names
 from .settings import Combination

@@ -10,7 +10,8 @@ from roadperc_stream.errors import ConfigError
 from roadperc_stream.input.plan import Cut
 from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import ReplaySummary, replay, unwatched
-from roadperc_stream.schemas.channels import Request, parse_topic_options
+from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.schemas.topics import Request
 from roadperc_stream.view.live.options import add_serving_arguments, given_options, serving_options
 from roadperc_stream.view.live.serving import LiveReplay
 

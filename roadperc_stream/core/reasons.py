@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from roadperc_stream.core.config import STAGES
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 
 _NUMBER: Final = re.compile(r"-?\d+(\.\d+)?")
 _LACKED: Final = re.compile(r"\b(?:no|neither|nor) (\w+)")

@@ -13,7 +13,7 @@ from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.roles.fill import is_result
 from roadperc_stream.input.roles.topic_names import CAMERA_OF
 from roadperc_stream.log import Channel, Salvage
-from roadperc_stream.schemas.channels import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
+from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
 
 _NANOSECONDS: Final = 1_000_000_000
 

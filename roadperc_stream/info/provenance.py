@@ -5,16 +5,13 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.errors import TableError
 from roadperc_stream.log import Attachment, Metadata
 from roadperc_stream.output.tables import beside, read_footer
-from roadperc_stream.replay import CONFIG_ATTACHMENT
-from roadperc_stream.schemas.channels import METADATA_RECORD
-
-_DROPPED: Final = "dropped."
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, DROPPED_KEY, METADATA_RECORD
 
 
 @dataclass(frozen=True)
@@ -76,9 +73,9 @@ def provenance_of(
         digest_found=digest_found,
         frames=_number(facts.get("frames", "")),
         dropped={
-            name.removeprefix(_DROPPED): _number(value) or 0
+            name.removeprefix(DROPPED_KEY): _number(value) or 0
             for name, value in facts.items()
-            if name.startswith(_DROPPED)
+            if name.startswith(DROPPED_KEY)
         },
         config_digest=config_digest,
         settings=settings,

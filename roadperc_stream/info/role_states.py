@@ -9,7 +9,7 @@ from roadperc_stream.input.decoding import schemas_of_kind
 from roadperc_stream.input.roles.fill import Filled, Looks, candidates, fill_roles, is_result
 from roadperc_stream.input.roles.topic_names import distinct, fits
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.channels import REFERENCE_ROLES, ROLES, Role
+from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES, Role
 
 State = Literal["filled", "missing", "wrong schema", "several channels"]
 _SHARED_KINDS: Final = ("tf",)

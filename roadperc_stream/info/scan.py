@@ -20,7 +20,7 @@ from roadperc_stream.input.roles.fill import Problems, chosen_tag_table, chosen_
 from roadperc_stream.input.roles.probe import holds
 from roadperc_stream.input.sync import HELD_KINDS, Held, Stamped, SyncCounts, synchronise
 from roadperc_stream.log import Channel, Message, MessageDigest, Metadata, Salvage
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 
 _MOST_SORTED: Final = 100_000
 """Messages of roles, without their content, that are held to be put in the order of log time."""

@@ -26,7 +26,7 @@ from roadperc_stream.core.geometry import Camera, Float, inverse, level_mounting
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.decoding import Transform
 from roadperc_stream.input.sync import Held, Moment, Stamped
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 
 EGO_FRAMES: Final = (EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
 """What recorders call the vehicle's own frame, the one on the road before the one above it (REP 105 and 120, CARLA)."""

@@ -14,7 +14,7 @@ from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.roles.fill import Filled, Problems, is_result, roles_of_log, stamped_messages
 from roadperc_stream.input.sync import HELD_KINDS, Held, Stamped, SyncCounts, reference_role, synchronise
 from roadperc_stream.log import LogSummary, Message, MessageDigest
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 
 _NANOSECONDS = 1_000_000_000
 _EDGES_TOLD = 3

@@ -15,7 +15,7 @@ from roadperc_stream.core.config import SyncConfig
 from roadperc_stream.core.geometry import Camera, Float, inverse
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.decoding import Payload, Transform
-from roadperc_stream.schemas.channels import REFERENCE_ROLES, ROLES
+from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES
 
 _NANOSECONDS = 1_000_000_000
 _MOST_WAITING = 100

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from roadperc_stream.errors import LogError
 from roadperc_stream.formats.raster import Raster
 from roadperc_stream.schemas import cdr
+from roadperc_stream.schemas.names import ROS_GRID_SCHEMA, ROS_IMAGE_SCHEMA
 
 _HEADER_DEFINITION: Final = b"""================================================================================
 MSG: std_msgs/Header
@@ -29,7 +30,7 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-IMAGE: Final = "sensor_msgs/msg/Image"
+IMAGE: Final = ROS_IMAGE_SCHEMA
 IMAGE_DEFINITION: Final = (
     b"""std_msgs/Header header
 uint32 height
@@ -41,7 +42,7 @@ uint8[] data
 """
     + _HEADER_DEFINITION
 )
-OCCUPANCY_GRID: Final = "nav_msgs/msg/OccupancyGrid"
+OCCUPANCY_GRID: Final = ROS_GRID_SCHEMA
 OCCUPANCY_GRID_DEFINITION: Final = (
     b"""std_msgs/Header header
 nav_msgs/MapMetaData info

@@ -14,7 +14,7 @@ from roadperc_stream.core.files import completing, require_free
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import context_of_channel, decode
 from roadperc_stream.input.roles.fill import roles_of_log
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.view.shown import require_shown
 
 _WITHOUT_IMAGE: Final = {"image": "left", "calibration": "left_calibration"}

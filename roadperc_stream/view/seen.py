@@ -15,14 +15,14 @@ from roadperc_stream.input.roles.fill import Problems, is_result, is_result_of, 
 from roadperc_stream.log import Channel, LogSummary, Message
 from roadperc_stream.output.drawing.frame import SeenFrame
 from roadperc_stream.output.results import decode_metrics
-from roadperc_stream.schemas.channels import METRICS_TOPIC, Kind
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.roles import Kind
+from roadperc_stream.schemas.topics import DRIVABLE_TOPIC, LANES_TOPIC, METRICS_TOPIC, OBJECTS_TOPIC
 
 Content = TypeVar("Content")
-LANES, OBJECTS, DRIVABLE = "/perception/lanes", "/perception/objects", "/perception/drivable"
 LATENESS_NS: Final = (0, 2_000_000_000)
 """How far a message's log time may lie from its stamp: first the window that is cheap to read is tried."""
-_KINDS: Final[Mapping[str, Kind]] = {LANES: "lanes", OBJECTS: "objects", DRIVABLE: "tags"}
+_KINDS: Final[Mapping[str, Kind]] = {LANES_TOPIC: "lanes", OBJECTS_TOPIC: "objects", DRIVABLE_TOPIC: "tags"}
 _NOTHING: Final = Absent("not in the log")
 _MOST_WAITING: Final = 64
 """Instants that wait for their metrics at a time: of a sensor that is no frame's they never come."""
@@ -121,7 +121,7 @@ def _seen(
     image_bgr = content_of(lambda: image.bgr, image_topic, stamp_ns, problems)
     if image_bgr is None:
         return None
-    mask = content_of(lambda: _drivable(found), DRIVABLE, stamp_ns, problems)
+    mask = content_of(lambda: _drivable(found), DRIVABLE_TOPIC, stamp_ns, problems)
     drivable = _NOTHING if mask is None else mask
     # A mask of another size belongs to another camera than this image, and so do lanes and objects.
     fits = image_fits(reasons) and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
@@ -166,17 +166,17 @@ def _kind(channel: Channel, image_topic: str) -> Kind | None:
 
 
 def _lanes(found: Mapping[str, Decoded]) -> Lanes | Absent:
-    lanes = _payload(found, LANES)
+    lanes = _payload(found, LANES_TOPIC)
     return lanes if isinstance(lanes, Lanes) else _NOTHING
 
 
 def _objects(found: Mapping[str, Decoded]) -> Objects | Absent:
-    objects = _payload(found, OBJECTS)
+    objects = _payload(found, OBJECTS_TOPIC)
     return objects if isinstance(objects, Objects) else _NOTHING
 
 
 def _drivable(found: Mapping[str, Decoded]) -> Mask | Absent:
-    tags = _payload(found, DRIVABLE)
+    tags = _payload(found, DRIVABLE_TOPIC)
     return tags.tags > 0 if isinstance(tags, TagImage) else _NOTHING
 
 

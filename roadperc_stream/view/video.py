@@ -26,10 +26,9 @@ from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.formats import images
 from roadperc_stream.input.roles.fill import Problems, is_result_of
 from roadperc_stream.output.drawing.frame import draw_frame
-from roadperc_stream.schemas.channels import METRICS_TOPIC
+from roadperc_stream.schemas.topics import METRICS_TOPIC, OVERLAY_TOPIC
 from roadperc_stream.view.seen import content_of, read_frames, read_rows, row_of
 
-OVERLAY: Final = "/perception/overlay"
 _CODEC: Final = "vp09"
 _MOST_COLUMNS: Final = 960
 """A broader film is made smaller: the time that VP9 takes grows with its pixels."""
@@ -124,7 +123,7 @@ def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
 def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
     """Every frame's picture in order, None where there is no image."""
     summary = log.summarise(source)
-    written = [channel for channel in summary.channels if is_result_of(channel, OVERLAY)]
+    written = [channel for channel in summary.channels if is_result_of(channel, OVERLAY_TOPIC)]
     if any(summary.counts.get(channel.source_id) for channel in written):
         yield from _overlays(source, problems)
         return
@@ -139,9 +138,9 @@ def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
 def _overlays(source: Path, problems: Problems) -> Iterator[Image | None]:
     """The overlays of a log: each stands behind the metrics of its frame."""
     frames, picture = 0, None
-    for message in log.read(source, topics=(OVERLAY, METRICS_TOPIC)):
-        if is_result_of(message.channel, OVERLAY):
-            picture = content_of(partial(_decoded, message.data), OVERLAY, message.log_time_ns, problems)
+    for message in log.read(source, topics=(OVERLAY_TOPIC, METRICS_TOPIC)):
+        if is_result_of(message.channel, OVERLAY_TOPIC):
+            picture = content_of(partial(_decoded, message.data), OVERLAY_TOPIC, message.log_time_ns, problems)
         elif row_of(message, problems):
             if frames:
                 yield picture

@@ -10,7 +10,7 @@ from roadperc_stream.eval.compare import main
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 SEGMENTATION = ROLES["segmentation"].topic

@@ -10,7 +10,7 @@ from roadperc_stream.input.decoding import Transform
 from roadperc_stream.input.roles.fill import candidates, fill_roles
 from roadperc_stream.input.sync import Held
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.channels import PRODUCER
+from roadperc_stream.schemas.record import PRODUCER
 
 IMAGE, INFO, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"
 TF = "tf2_msgs/msg/TFMessage"

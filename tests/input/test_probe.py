@@ -12,7 +12,7 @@ from roadperc_stream.formats import images
 from roadperc_stream.input.roles.fill import roles_of_log
 from roadperc_stream.input.roles.probe import holds
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.schemas.channels import schema
+from roadperc_stream.schemas.registry import schema
 from tests import logs
 
 ROWS, COLUMNS = 4, 6

@@ -13,7 +13,7 @@ from roadperc_stream.input.roles.fill import Filled, chosen_tag_table, tag_table
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata
 from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import METADATA_RECORD, TAG_TABLE_KEY
+from roadperc_stream.schemas.record import METADATA_RECORD, TAG_TABLE_KEY
 from roadperc_stream.view.rerun.recording import save_recording
 from tests import logs
 

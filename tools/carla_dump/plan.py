@@ -9,7 +9,7 @@ from typing import Final, TypeVar
 from roadperc_stream.core.datatypes import Detection
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.semantics import TagTable
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 
 from .calibration_file import CalibrationFile, load_calibration
 from .camera_rig import CAMERA_ROLES, LIDAR, Rig, build_rig

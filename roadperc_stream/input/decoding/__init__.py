@@ -15,7 +15,8 @@ from roadperc_stream.input.decoding.own import detection_from_proto
 from roadperc_stream.input.decoding.payload import Context, Decoded, Payload, Transform
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas import cdr, ros2
-from roadperc_stream.schemas.channels import CARLA_BRIDGE, TAG_TABLE_KEY, Kind
+from roadperc_stream.schemas.record import TAG_TABLE_KEY
+from roadperc_stream.schemas.roles import CARLA_BRIDGE, Kind
 
 __all__ = [
     "DECODERS",

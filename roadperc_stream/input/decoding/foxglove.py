@@ -19,8 +19,8 @@ from roadperc_stream.formats.raster import Raster
 from roadperc_stream.input.decoding import pictures
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
 from roadperc_stream.input.decoding.payload import Context, Decoded, Transform, pose_matrix
-from roadperc_stream.schemas.channels import Kind
 from roadperc_stream.schemas.protobuf import stamp_ns
+from roadperc_stream.schemas.roles import Kind
 
 
 def _compressed_image(message: Any, _: Context) -> Decoded:

@@ -17,7 +17,7 @@ from roadperc_stream.input.decoding import pictures
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
 from roadperc_stream.input.decoding.payload import Context, Decoded, Transform, pose_matrix, require_finite
 from roadperc_stream.schemas import cdr, ros2
-from roadperc_stream.schemas.channels import Kind
+from roadperc_stream.schemas.roles import Kind
 
 _FOXGLOVE_TYPES: Final = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
 """Numbers of sensor_msgs/msg/PointField's types, which put the signed ones first, as foxglove's."""

@@ -14,18 +14,9 @@ from roadperc_stream.input.roles.probe import holds
 from roadperc_stream.input.roles.topic_names import distinct, fits, known_elsewhere, without_a_word
 from roadperc_stream.input.sync import Stamped
 from roadperc_stream.log import Channel, LogSummary, Message, Metadata
-from roadperc_stream.schemas.channels import (
-    METADATA_RECORD,
-    ON_REQUEST,
-    PRODUCER,
-    REFERENCE_ROLES,
-    ROLES,
-    TAG_TABLE_KEY,
-    TOPIC_KEY,
-    Kind,
-    Role,
-    result_schemas,
-)
+from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY, TOPIC_KEY
+from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES, Kind, Role
+from roadperc_stream.schemas.topics import ON_REQUEST, result_schemas
 
 _UNNAMED_ROLES = ("depth", "segmentation")
 """Roles whose images any name may have: what is in them tells, where no name does."""

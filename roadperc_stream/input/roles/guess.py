@@ -14,7 +14,7 @@ from roadperc_stream.input.roles.topic_names import (
     shared_parts,
 )
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.channels import ROLES, Role
+from roadperc_stream.schemas.roles import ROLES, Role
 
 _GUESSED_ROLES: Final = ("image", "calibration", "depth", "segmentation", "detections", "tf")
 """Roles that a topic of another name may fill, where only one fits."""

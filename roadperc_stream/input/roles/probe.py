@@ -11,7 +11,7 @@ from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding import context_of_channel, decode
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.schemas.channels import Kind
+from roadperc_stream.schemas.roles import Kind
 
 _MOST_CLASSES: Final = CARLA_FROM_0_9_14
 """The table with most classes: a number beyond is no tag of any version."""

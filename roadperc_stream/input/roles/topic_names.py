@@ -7,7 +7,7 @@ from typing import Final
 
 from roadperc_stream.input.decoding import schemas_of_kind
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.channels import Role
+from roadperc_stream.schemas.roles import Role
 
 CAMERA_OF: Final = {
     "calibration": "image",

@@ -17,11 +17,29 @@ from roadperc_stream.input.roles.fill import Filled, is_result, is_result_of
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.output.results import DRIVABLE_COLOURS
 from roadperc_stream.schemas import cdr, ros2
-from roadperc_stream.schemas.channels import IMAGE_SCHEMA, METRICS_TOPIC, Kind
+from roadperc_stream.schemas.names import IMAGE_SCHEMA
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.schemas.roles import Kind
+from roadperc_stream.schemas.topics import (
+    DEBUG_PREFIX,
+    DRIVABLE_SCENE_TOPIC,
+    DRIVABLE_TOPIC,
+    LANES_TOPIC,
+    LOG_TOPIC,
+    METRICS_TOPIC,
+    OBJECTS_TOPIC,
+    OCCUPANCY_TOPIC,
+    ODOMETRY_TOPIC,
+    OVERLAY_TOPIC,
+    STEREO_DEPTH_TOPIC,
+    SURFACE_TOPIC,
+    TF_TOPIC,
+    TIMES_TOPIC,
+    TRAJECTORY_TOPIC,
+)
 from roadperc_stream.view.rerun import boxes, lanes, pictures, plots, scene
 from roadperc_stream.view.rerun.entry import Entry, World
-from roadperc_stream.view.stage_times import TIMES, StageTimes
+from roadperc_stream.view.stage_times import StageTimes
 
 Drawer = Callable[[Message], Iterator[Entry]]
 
@@ -39,22 +57,22 @@ _KINDS: Final[Mapping[Kind, Callable[[str, str, Any, World], Iterator[Entry]]]] 
     "lanes": lanes.lanes,
 }
 _RESULT_KINDS: Final[Mapping[str, tuple[Kind, str]]] = {
-    "/perception/surface": ("surface", "result"),
-    "/perception/drivable": ("tags", "image"),
-    "/perception/lanes": ("lanes", "result"),
-    "/perception/objects": ("objects", "result"),
-    "/perception/stereo/depth": ("depth", "left"),
-    "/perception/odometry": ("pose", "result"),
-    "/perception/tf": ("tf", "result"),
+    SURFACE_TOPIC: ("surface", "result"),
+    DRIVABLE_TOPIC: ("tags", "image"),
+    LANES_TOPIC: ("lanes", "result"),
+    OBJECTS_TOPIC: ("objects", "result"),
+    STEREO_DEPTH_TOPIC: ("depth", "left"),
+    ODOMETRY_TOPIC: ("pose", "result"),
+    TF_TOPIC: ("tf", "result"),
 }
 """Results that are written as inputs of a role are, and the role whose camera they belong to."""
-_PICTURES: Final = ("/perception/overlay", "/perception/debug/")
+_PICTURES: Final = (OVERLAY_TOPIC, DEBUG_PREFIX)
 _DRIVABLE: Final = TagTable("drivable", ("other", "drivable"), DRIVABLE_COLOURS)
 _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], Iterator[Entry]]]]] = {
-    "/perception/drivable/scene": (SceneUpdate.FromString, scene.outlines),
-    "/perception/trajectory": (PosesInFrame.FromString, scene.trajectory),
-    "/perception/log": (Log.FromString, plots.log_line),
-    "/perception/occupancy": (
+    DRIVABLE_SCENE_TOPIC: (SceneUpdate.FromString, scene.outlines),
+    TRAJECTORY_TOPIC: (PosesInFrame.FromString, scene.trajectory),
+    LOG_TOPIC: (Log.FromString, plots.log_line),
+    OCCUPANCY_TOPIC: (
         lambda data: cdr.read(data, ros2.OCCUPANCY_GRID, ros2.DEFINITIONS[ros2.OCCUPANCY_GRID]),
         scene.occupancy,
     ),
@@ -112,7 +130,7 @@ def _parsed(
 def _numbers(times: StageTimes, world: World, entity: str, message: Any) -> Iterator[Entry]:
     """A frame's metrics, and the times of its stages, which stand in the table alone."""
     yield from plots.metrics(entity, message, world)
-    yield from plots.times(TIMES, times.of(message.log_id, message.frame))
+    yield from plots.times(TIMES_TOPIC, times.of(message.log_id, message.frame))
 
 
 def _encoded(role: str, world: World, message: Message) -> Iterator[Entry]:

@@ -9,8 +9,8 @@ from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.input.roles.fill import is_result_of
 from roadperc_stream.log import Message
-from roadperc_stream.schemas.channels import METRICS_TOPIC
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.schemas.topics import METRICS_TOPIC
 
 
 @dataclass(frozen=True)

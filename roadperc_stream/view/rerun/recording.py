@@ -16,7 +16,8 @@ from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.input.roles.fill import Filled, Problems, roles_of_log
 from roadperc_stream.log import LogSummary
 from roadperc_stream.output.tables import beside
-from roadperc_stream.schemas.channels import REFERENCE_ROLES, RESULTS
+from roadperc_stream.schemas.roles import REFERENCE_ROLES
+from roadperc_stream.schemas.topics import RESULTS
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
 from roadperc_stream.view.rerun.entry import Entry, World

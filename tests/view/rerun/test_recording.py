@@ -14,9 +14,10 @@ from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.log import Channel, LogWriter
 from roadperc_stream.output.drawing.annotations import caption
 from roadperc_stream.output.tables import beside
-from roadperc_stream.schemas.channels import PRODUCER, RESULTS
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.schemas.topics import RESULTS
 from roadperc_stream.view.rerun import save_recording
 from roadperc_stream.view.rerun.blueprint import STAGE_COLOURS
 from roadperc_stream.view.rerun.entry import World
