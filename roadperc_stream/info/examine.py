@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
 
 from roadperc_stream.core.geometry import Camera
+from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.info.facts import CameraFacts, ChannelFacts, FileFacts, LogFacts, ReplayFacts
 from roadperc_stream.info.provenance import provenance_of
 from roadperc_stream.info.scan import Scan
@@ -14,8 +14,6 @@ from roadperc_stream.input.roles.fill import is_result
 from roadperc_stream.input.roles.topic_names import CAMERA_OF
 from roadperc_stream.log import Channel, Salvage
 from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
-
-_NANOSECONDS: Final = 1_000_000_000
 
 
 def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
@@ -52,7 +50,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
 
 
 def _seconds(at_ns: int | None, from_ns: int | None) -> float | None:
-    return None if at_ns is None or from_ns is None else (at_ns - from_ns) / _NANOSECONDS
+    return None if at_ns is None or from_ns is None else ns_to_seconds(at_ns - from_ns)
 
 
 def _file_facts(salvage: Salvage) -> FileFacts:
@@ -85,7 +83,7 @@ def _channel_facts(channel: Channel, scan: Scan, first_ns: int | None) -> Channe
         last_ns=tally.last_ns if tally.messages else None,
         rate_hz=1 / median_s if median_s else None,
         jitter_s=tally.intervals.jitter_s(),
-        longest_gap_s=None if median_s is None else tally.longest_gap_ns / _NANOSECONDS,
+        longest_gap_s=None if median_s is None else ns_to_seconds(tally.longest_gap_ns),
         gap_at_s=_seconds(tally.gap_after_ns, first_ns),
         log_times_back=tally.log_times_back,
         stamps_back=tally.stamps_back,

@@ -9,6 +9,7 @@ from itertools import islice
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
+from roadperc_stream.core.time import ns_to_seconds, seconds_to_ns
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.roles.fill import Filled, Problems, is_result, roles_of_log, stamped_messages
@@ -16,7 +17,6 @@ from roadperc_stream.input.sync import HELD_KINDS, Held, Stamped, SyncCounts, re
 from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.schemas.roles import ROLES
 
-_NANOSECONDS = 1_000_000_000
 _EDGES_TOLD = 3
 """Transforms that a message about them names."""
 
@@ -111,7 +111,7 @@ def _parents(messages: Iterable[Message], filled: Filled, cfg: ReplayConfig) -> 
 
 
 def _length_s(summary: LogSummary) -> float:
-    return ((summary.last_ns or 0) - (summary.first_ns or 0)) / _NANOSECONDS
+    return ns_to_seconds((summary.last_ns or 0) - (summary.first_ns or 0))
 
 
 def input_messages(
@@ -136,7 +136,7 @@ def input_messages(
     yield from (m for m in survey.held_messages if topics is None or m.channel.topic in topics)
     yield from (m for m in read(start_ns=window.start_ns, end_ns=window.end_ns) if not is_result(m.channel))
     if window.end_ns is not None and window.end_stamp_ns is not None:
-        late_until_ns = window.end_ns + round(cfg.sync.max_wait_s * _NANOSECONDS)
+        late_until_ns = window.end_ns + seconds_to_ns(cfg.sync.max_wait_s)
         late = (m for m in read(start_ns=window.end_ns, end_ns=late_until_ns) if not is_result(m.channel))
         yield from (m for m in late if _belongs_before(m, survey, cfg, window.end_stamp_ns))
 
@@ -158,8 +158,8 @@ def _belongs_before(message: Message, survey: Survey, cfg: ReplayConfig, end_sta
 
 def _window(summary: LogSummary, cfg: ReplayConfig, cut: Cut, filled: Filled, reference: str) -> Window:
     first_ns, topic = summary.first_ns or 0, filled.topics[reference]
-    start_ns = None if cut.start_s is None else first_ns + round(cut.start_s * _NANOSECONDS)
-    end_ns = None if cut.end_s is None else first_ns + round(cut.end_s * _NANOSECONDS)
+    start_ns = None if cut.start_s is None else first_ns + seconds_to_ns(cut.start_s)
+    end_ns = None if cut.end_s is None else first_ns + seconds_to_ns(cut.end_s)
     if cut.frames is not None:
         inside = log.read(summary.path, topics=[topic], start_ns=start_ns, end_ns=end_ns)
         beyond = next(islice(inside, cut.frames, None), None)

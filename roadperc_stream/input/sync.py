@@ -13,11 +13,11 @@ import numpy as np
 
 from roadperc_stream.core.config import SyncConfig
 from roadperc_stream.core.geometry import Camera, Float, inverse
+from roadperc_stream.core.time import seconds_to_ns
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.decoding import Payload, Transform
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES
 
-_NANOSECONDS = 1_000_000_000
 _MOST_WAITING = 100
 """Frames that may wait for a silent sensor where all log times are equal."""
 HELD_KINDS = ("calibration", "tf")
@@ -181,7 +181,7 @@ def synchronise(
 
 def _complete(cfg: SyncConfig, reference: Stamped, streams: Mapping[str, deque[Stamped]], now_ns: int) -> bool:
     """Whether nothing that could still come would fit the frame better."""
-    if now_ns - reference.log_time_ns > cfg.max_wait_s * _NANOSECONDS:
+    if now_ns - reference.log_time_ns > seconds_to_ns(cfg.max_wait_s):
         return True
     return all(stream and stream[-1].stamp_ns >= reference.stamp_ns for stream in streams.values())
 
@@ -189,7 +189,7 @@ def _complete(cfg: SyncConfig, reference: Stamped, streams: Mapping[str, deque[S
 def _moment(
     cfg: SyncConfig, reference: Stamped, held: Held, streams: Mapping[str, deque[Stamped]], counts: SyncCounts
 ) -> Moment:
-    tolerance_ns = round(cfg.tolerance_s * _NANOSECONDS)
+    tolerance_ns = seconds_to_ns(cfg.tolerance_s)
     parts = {reference.role: reference}
     for role, stream in streams.items():
         _drop_older(stream, reference.stamp_ns - tolerance_ns, role, counts)
@@ -204,7 +204,7 @@ def _moment(
 
 def _forget(cfg: SyncConfig, streams: Mapping[str, deque[Stamped]], now_ns: int, counts: SyncCounts) -> None:
     """Drop what no frame can want any more, so that a log whose images stop does not fill the memory."""
-    limit_ns = now_ns - round(2 * cfg.max_wait_s * _NANOSECONDS)
+    limit_ns = now_ns - seconds_to_ns(2 * cfg.max_wait_s)
     for role, stream in streams.items():
         while stream and stream[0].log_time_ns < limit_ns:
             stream.popleft()

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import LogError
 from roadperc_stream.formats.raster import Raster
 from roadperc_stream.schemas import cdr
@@ -74,8 +75,7 @@ float64 w
 """
 )
 DEFINITIONS: Final = {IMAGE: IMAGE_DEFINITION, OCCUPANCY_GRID: OCCUPANCY_GRID_DEFINITION}
-_NANOSECONDS: Final = 1_000_000_000
-LAST_STAMP_NS: Final = 2**31 * _NANOSECONDS - 1
+LAST_STAMP_NS: Final = 2**31 * NS_PER_S - 1
 """The seconds of builtin_interfaces/Time, an int32, end on 2038-01-19."""
 _LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
 
@@ -165,7 +165,7 @@ def _aligned(body: bytes, size: int) -> bytes:
 def _pack_stamp(stamp_ns: int) -> bytes:
     if stamp_ns > LAST_STAMP_NS:
         raise LogError(f"stamp {stamp_ns} ns: expected at most {LAST_STAMP_NS} ns, the last one ROS 2 messages hold")
-    return struct.pack("<iI", *divmod(stamp_ns, _NANOSECONDS))
+    return struct.pack("<iI", *divmod(stamp_ns, NS_PER_S))
 
 
 def _pack_string(text: str) -> bytes:

@@ -9,6 +9,7 @@ from roadperc_stream import log
 from roadperc_stream.chain.pixels import image_fits
 from roadperc_stream.core.datatypes import Absent, CameraImage, Lanes, Mask, Objects, TagImage
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import ChannelError, DecodeError
 from roadperc_stream.input.decoding import Decoded, Payload, context_of_channel, decode
 from roadperc_stream.input.roles.fill import Problems, is_result, is_result_of, roles_of_log
@@ -20,7 +21,7 @@ from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import DRIVABLE_TOPIC, LANES_TOPIC, METRICS_TOPIC, OBJECTS_TOPIC
 
 Content = TypeVar("Content")
-LATENESS_NS: Final = (0, 2_000_000_000)
+LATENESS_NS: Final = (0, 2 * NS_PER_S)
 """How far a message's log time may lie from its stamp: first the window that is cheap to read is tried."""
 _KINDS: Final[Mapping[str, Kind]] = {LANES_TOPIC: "lanes", OBJECTS_TOPIC: "objects", DRIVABLE_TOPIC: "tags"}
 _NOTHING: Final = Absent("not in the log")

@@ -22,6 +22,7 @@ from roadperc_stream import log
 from roadperc_stream.cli.plumbing import no_progress
 from roadperc_stream.core.datatypes import Image
 from roadperc_stream.core.files import completing, require_free
+from roadperc_stream.core.time import NS_PER_S, ns_to_seconds
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.formats import images
 from roadperc_stream.input.roles.fill import Problems, is_result_of
@@ -34,7 +35,6 @@ _MOST_COLUMNS: Final = 960
 """A broader film is made smaller: the time that VP9 takes grows with its pixels."""
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 120.0
 _LONGEST_STILL_S: Final = 10.0
-_NANOSECONDS: Final = 1e9
 _FFMPEG_QUIET: Final = -8
 
 
@@ -84,7 +84,7 @@ def write_video(
         if not film.pictures:
             why = "".join(f"; {text}" for text in problems.first.values())
             raise LogError(f"{source}: no camera image to film in any of {filmed} frames{why}")
-    still = (later - earlier > _LONGEST_STILL_S * _NANOSECONDS for earlier, later in pairwise(stamps))
+    still = (later - earlier > _LONGEST_STILL_S * NS_PER_S for earlier, later in pairwise(stamps))
     return Film(film.pictures, rate_hz, filmed, without_image, sum(still), problems)
 
 
@@ -103,7 +103,7 @@ def frame_rate_hz(stamps_ns: Sequence[int]) -> float:
     forward = [later - earlier for earlier, later in pairwise(stamps_ns) if later > earlier]
     if not forward:
         return _SLOWEST_HZ
-    return float(np.clip(_NANOSECONDS / float(np.median(forward)), _SLOWEST_HZ, _FASTEST_HZ))
+    return float(np.clip(NS_PER_S / float(np.median(forward)), _SLOWEST_HZ, _FASTEST_HZ))
 
 
 def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
@@ -113,7 +113,7 @@ def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
     """
     elapsed, ticks = 0.0, [0]
     for earlier, later in pairwise(stamps_ns):
-        seconds = (later - earlier) / _NANOSECONDS
+        seconds = ns_to_seconds(later - earlier)
         elapsed += min(seconds, _LONGEST_STILL_S) if seconds > 0 else 1 / rate_hz
         # Half a picture late rather than by turns early and late, where intervals are those of the rate.
         ticks.append(int(elapsed * rate_hz + 0.5))
@@ -130,7 +130,7 @@ def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
     first_ns: int | None = None
     for row, seen in read_frames(source, problems):
         first_ns = row.stamp_ns if first_ns is None else first_ns
-        since_start_s = (row.stamp_ns - first_ns) / _NANOSECONDS
+        since_start_s = ns_to_seconds(row.stamp_ns - first_ns)
         width_px = 0 if seen is None else min(seen.image_bgr.shape[1], _MOST_COLUMNS)
         yield None if seen is None else draw_frame(seen, row, since_start_s, width_px)
 

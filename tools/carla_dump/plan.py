@@ -9,6 +9,7 @@ from typing import Final, TypeVar
 from roadperc_stream.core.datatypes import Detection
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.semantics import TagTable
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.schemas.roles import ROLES
 
 from .calibration_file import CalibrationFile, load_calibration
@@ -175,7 +176,7 @@ def _mean_rate(stamps_ns: Mapping[int, int]) -> str:
     stamps = list(stamps_ns.values())
     if len(stamps) < 2:
         return ""
-    return f", {(len(stamps) - 1) * 1e9 / (stamps[-1] - stamps[0]):.4g} Hz in the mean"
+    return f", {(len(stamps) - 1) * NS_PER_S / (stamps[-1] - stamps[0]):.4g} Hz in the mean"
 
 
 def _stamps_beside(layout: Layout) -> Path | None:

@@ -7,6 +7,7 @@ from typing import Any, Final
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.core.semantics import TABLES
+from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import foxglove, own, ros
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
@@ -31,7 +32,6 @@ __all__ = [
     "detection_from_proto",
     "schemas_of_kind",
 ]
-_END_OF_TIME_NS: Final = 2**63
 Decoder = Callable[[bytes, Context], Decoded]
 
 _OWN: Final[Mapping[tuple[Kind, str], Decoder]] = {
@@ -110,6 +110,6 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
     except (ProtobufError, ValueError) as error:
         raise DecodeError(f"{len(data)} bytes are no {schema}: {error}") from error
     decoded = decoded if decoded.stamp_ns else replace(decoded, stamp_ns=log_time_ns)
-    if not 0 <= decoded.stamp_ns < _END_OF_TIME_NS:
+    if not 0 <= decoded.stamp_ns < END_OF_TIME_NS:
         raise DecodeError(f"stamp {decoded.stamp_ns} ns does not fit 64 bits")
     return decoded

@@ -6,6 +6,7 @@ from typing import Final
 
 from roadperc_stream.chain import pixels
 from roadperc_stream.core.datatypes import Frame, FrameResult, Image, Lanes, Objects, Odometry, Sample, StereoDepth
+from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing.debug import disparity_picture, lanes_picture, matches_picture, template_picture
@@ -21,7 +22,6 @@ from roadperc_stream.schemas.topics import (
 )
 
 _JPEG_QUALITY: Final = 85
-_NANOSECONDS: Final = 1e9
 Picture = tuple[str, str, Image]
 """Topic, frame_id and (H, W, 3) pixels."""
 
@@ -66,7 +66,7 @@ class PictureMaker:
         self.misfits += image is not None and not fits
         if image is not None and "overlay" in self.requests:
             seen = SeenFrame(image, result.lanes, result.objects, result.drivable, fits)
-            since_start_s = (result.stamp_ns - self._first_ns) / _NANOSECONDS
+            since_start_s = ns_to_seconds(result.stamp_ns - self._first_ns)
             yield OVERLAY_TOPIC, result.frame_id, draw_frame(seen, metrics, since_start_s, image.shape[1])
         if "debug" in self.requests:
             yield from _debug(sample.frame, image if fits else None, result)

@@ -12,6 +12,7 @@ import rerun as rr
 from roadperc_stream import log
 from roadperc_stream.cli.plumbing import no_progress
 from roadperc_stream.core.files import completing, require_free
+from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.input.roles.fill import Filled, Problems, roles_of_log
 from roadperc_stream.log import LogSummary
@@ -29,7 +30,6 @@ from roadperc_stream.view.stage_times import TableTimes
 
 LOG_TIME, FRAME = "message_log_time", "frame"
 _APPLICATION: Final = "roadperc"
-_END_OF_TIME_NS: Final = 2**63
 _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), flush_num_bytes=16 * 2**20)
 """A recording's footer, held in memory, names every chunk: small ones cost 0.25 MB a frame."""
 _MOST_WAITING: Final = 25
@@ -160,7 +160,7 @@ class _Sender:
         Raises:
             LogError: its time is none that Rerun can show.
         """
-        if moment.log_time_ns >= _END_OF_TIME_NS:
+        if moment.log_time_ns >= END_OF_TIME_NS:
             raise LogError(f"log time {moment.log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
         self._recording.set_time(LOG_TIME, timestamp=np.datetime64(moment.log_time_ns, "ns"))
         self._recording.set_time(FRAME, sequence=max(moment.frame, 0))  # what comes before counts to the first frame

@@ -4,10 +4,10 @@ from collections import Counter
 from dataclasses import dataclass
 
 from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.core.time import NS_PER_S
 
 _MOST = 256
 """Votes that are kept: half a second at 500 frames per second."""
-_NANOSECONDS = 1e9
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Votes:
         An empty name (out of sight) is no vote: what was seen before stands until it is too old. While no frame can
         look, nothing is added and the result stays as it is.
         """
-        kept = tuple(vote for vote in self.cast if (stamp_ns - vote[0]) / _NANOSECONDS <= cfg.hold_s)
+        kept = tuple(vote for vote in self.cast if (stamp_ns - vote[0]) / NS_PER_S <= cfg.hold_s)
         return Votes((*kept, (stamp_ns, name))[-_MOST:] if name else kept)
 
     @property

@@ -16,8 +16,8 @@ from roadperc_stream.chain.stages.odometry.views import View, make_view
 from roadperc_stream.core.config import OdometryConfig
 from roadperc_stream.core.datatypes import Absent, Image, Mask, Matches, Odometry, Surface, read_only
 from roadperc_stream.core.geometry import Camera, Float, Float32, inverse, project, transform
+from roadperc_stream.core.time import NS_PER_S
 
-_NANOSECONDS = 1e9
 _FIRST_LENGTH = 1.0
 """Length of the first step where nothing tells its scale."""
 _ASTRAY_PX = 20.0
@@ -145,7 +145,7 @@ def _continued(
         carried = carry(keyframe.places, motion, sighting.px)
         keyframe = make_keyframe(cfg, view, sighting.odom_T_ego @ view.ego_T_camera, carried)
         found_px, covariance = keyframe.places.features.px, np.zeros((6, 6))
-    velocity = _velocity(last_T_this, (view.stamp_ns - fix.stamp_ns) / _NANOSECONDS)
+    velocity = _velocity(last_T_this, (view.stamp_ns - fix.stamp_ns) / NS_PER_S)
     return OdometryState(sighting.odom_T_ego, keyframe, Fix(view.stamp_ns, velocity, found_px, covariance)), out
 
 
@@ -185,7 +185,7 @@ def _guesses(
     next repetition is a consistent motion too. Then, if need be, around where they were seen last; NaN: anywhere.
     """
     if fix.velocity is not None:
-        seconds = (view.stamp_ns - fix.stamp_ns) / _NANOSECONDS
+        seconds = (view.stamp_ns - fix.stamp_ns) / NS_PER_S
         odom_T_camera = odom_T_last @ moved(fix.velocity * seconds) @ view.ego_T_camera
         camera_T_key = inverse(odom_T_camera) @ keyframe.odom_T_camera
         promised = project(view.camera, transform(camera_T_key, keyframe.places.points_m)).astype(np.float32)
@@ -204,7 +204,7 @@ def _placed(cfg: OdometryConfig, keyframe: Keyframe, fix: Fix, view: View, px: F
     else:
         length = _FIRST_LENGTH
         if fix.velocity is not None:
-            length = float(np.linalg.norm(fix.velocity[:3])) * (view.stamp_ns - keyframe.stamp_ns) / _NANOSECONDS
+            length = float(np.linalg.norm(fix.velocity[:3])) * (view.stamp_ns - keyframe.stamp_ns) / NS_PER_S
         motion = motion_from_rays(cfg, view.camera, places.features.px, px, places.points_m, length)
     if motion is None:
         return None
@@ -215,7 +215,7 @@ def _possible(
     cfg: OdometryConfig, keyframe: Keyframe, fix: Fix, view: View, sighting: _Sighting, last_T_this: Float
 ) -> bool:
     """Whether a car can make the motion; a length without scale tells no speed."""
-    velocity = _velocity(last_T_this, (view.stamp_ns - fix.stamp_ns) / _NANOSECONDS)
+    velocity = _velocity(last_T_this, (view.stamp_ns - fix.stamp_ns) / NS_PER_S)
     speed, turn_rate = np.linalg.norm(velocity.reshape(2, 3), axis=1)
     fast = keyframe.places.metric and sighting.motion.scaled and speed > cfg.max_speed_mps
     return not fast and bool(turn_rate <= np.deg2rad(cfg.max_turn_rate_dps))
