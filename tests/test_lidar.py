@@ -12,11 +12,9 @@ from roadperc_stream.chain.registration import depth_of_points
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import ReplayConfig, load_config
-from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, StereoDepth
+from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, StereoDepth, Transform
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats.points import encode_points
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.output.encoding import encode_transforms
+from roadperc_stream.output.encoding import encode_points, encode_transforms
 from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
 from tests import logs

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from roadperc_stream import log
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.formats import images
+from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.input.roles.fill import is_result
 from roadperc_stream.log import Message
 from roadperc_stream.schemas import ros2
@@ -129,7 +130,7 @@ def _fields(message: Message, path: Path) -> Fields:
 def _decoded(message: Message) -> Fields:
     schema, data = message.channel.schema_name, message.data
     if schema == ros2.IMAGE:
-        image = ros2.unpack_image(data)
+        image = unpack_image(data)
         return {"stamp_ns": image.stamp_ns, "frame_id": image.frame_id, "pixels": _digest(image.pixels)}
     if schema == ros2.OCCUPANCY_GRID:
         stamp_ns, frame_id = ros2.unpack_header(data, schema)

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.info.stamps import StampReader
 
 _MOST_KEPT: Final = 65_536

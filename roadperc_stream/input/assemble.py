@@ -20,11 +20,11 @@ from roadperc_stream.core.datatypes import (
     Surface,
     TagImage,
     Tie,
+    Transform,
     Truth,
 )
 from roadperc_stream.core.geometry import Camera, Float, inverse, level_mounting
 from roadperc_stream.errors import ChannelError
-from roadperc_stream.input.decoding import Transform
 from roadperc_stream.input.sync import Held, Moment, Stamped
 from roadperc_stream.schemas.roles import ROLES
 

@@ -12,10 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from roadperc_stream.core.config import SyncConfig
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import Camera, Float, inverse
 from roadperc_stream.core.time import seconds_to_ns
 from roadperc_stream.errors import ChannelError
-from roadperc_stream.input.decoding import Payload, Transform
+from roadperc_stream.input.decoding import Payload
 from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES
 
 _MOST_WAITING = 100

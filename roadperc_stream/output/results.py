@@ -7,18 +7,17 @@ from typing import Final, get_args
 import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.core.datatypes import EGO, Absent, FrameResult, Mask, Odometry, Sample, Tie
+from roadperc_stream.core.datatypes import EGO, Absent, FrameResult, Mask, Odometry, Sample, Tie, Transform
 from roadperc_stream.core.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceSource
 from roadperc_stream.core.geometry import Float, inverse
 from roadperc_stream.core.semantics import Colour
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.input.decoding.payload import require_finite
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.columns import Columns, FrameMetrics
+from roadperc_stream.schemas.fields import require_finite
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
 from roadperc_stream.schemas.topics import (

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import LogError
-from roadperc_stream.formats.raster import Raster
 from roadperc_stream.schemas import cdr
 from roadperc_stream.schemas.names import ROS_GRID_SCHEMA, ROS_IMAGE_SCHEMA
 
@@ -138,24 +137,6 @@ def unpack_header(data: bytes, name: str) -> tuple[int, str]:
     """
     header = cdr.read(data, name, DEFINITIONS[name]).header
     return cdr.stamp_ns(header.stamp), header.frame_id
-
-
-def unpack_image(data: bytes) -> RosImage:
-    """An image of any encoding that ``Raster`` knows.
-
-    Raises:
-        DecodeError: the bytes are no such image; the message says what was found.
-
-    """
-    message = cdr.read(data, IMAGE, IMAGE_DEFINITION)
-    pixels = image_raster(message).pixels()
-    return RosImage(cdr.stamp_ns(message.header.stamp), message.header.frame_id, message.encoding, pixels)
-
-
-def image_raster(message: Any) -> Raster:
-    """Pixels of a sensor_msgs/msg/Image, big-endian ones too."""
-    size = int(message.width), int(message.height), int(message.step)
-    return Raster(str(message.encoding), *size, np.asarray(message.data, np.uint8), bool(message.is_bigendian))
 
 
 def _aligned(body: bytes, size: int) -> bytes:

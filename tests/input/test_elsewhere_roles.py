@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.assemble import ego_T_camera_of
-from roadperc_stream.input.decoding import Transform
 from roadperc_stream.input.roles.fill import candidates, fill_roles
 from roadperc_stream.input.sync import Held
 from roadperc_stream.log import Channel

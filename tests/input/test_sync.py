@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.core.config import SyncConfig
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.errors import ChannelError
-from roadperc_stream.input.decoding import Transform
 from roadperc_stream.input.sync import Held, Stamped, SyncCounts, reference_role, synchronise
 
 MS = 1_000_000

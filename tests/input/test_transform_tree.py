@@ -5,8 +5,9 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import level_mounting, rigid, rotation_from_rpy
-from roadperc_stream.input.decoding import Context, Transform, decode
+from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.input.roles.fill import is_result
 from roadperc_stream.input.sync import Held, Stamped
 from roadperc_stream.output import encoding

@@ -26,6 +26,7 @@ from roadperc_stream.core.datatypes.results import (
     Verdict,
 )
 from roadperc_stream.core.datatypes.sample import EGO, ODOM, OWN_ODOM, Sample, Tie, Truth
+from roadperc_stream.core.datatypes.transform import Transform
 
 __all__ = [
     "EGO",
@@ -62,6 +63,7 @@ __all__ = [
     "SurfaceSource",
     "TagImage",
     "Tie",
+    "Transform",
     "Truth",
     "Verdict",
     "read_only",

@@ -13,7 +13,7 @@ from roadperc_stream.input.decoding import foxglove, own, ros
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
 from roadperc_stream.input.decoding.from_json import from_json
 from roadperc_stream.input.decoding.own import detection_from_proto
-from roadperc_stream.input.decoding.payload import Context, Decoded, Payload, Transform
+from roadperc_stream.input.decoding.payload import Context, Decoded, Payload
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
@@ -24,7 +24,6 @@ __all__ = [
     "Context",
     "Decoded",
     "Payload",
-    "Transform",
     "camera_from_calibration",
     "context_of",
     "context_of_channel",

@@ -20,7 +20,8 @@ from roadperc_stream.core.datatypes import (
 from roadperc_stream.core.datatypes.results import BoundaryStatus, ObjectStatus
 from roadperc_stream.core.geometry import Float, Plane
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.input.decoding.payload import Context, Decoded, optional, require_finite
+from roadperc_stream.input.decoding.payload import Context, Decoded
+from roadperc_stream.schemas.fields import optional, require_finite
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
 from roadperc_stream.schemas.roadperc_pb2 import Lanes as LanesProto

@@ -6,9 +6,10 @@ from typing import Final
 
 import rerun as rr
 
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.core.semantics import Colour
-from roadperc_stream.input.decoding import Payload, Transform
+from roadperc_stream.input.decoding import Payload
 from roadperc_stream.input.sync import Held, Stamped
 
 _CALIBRATIONS: Final = {"left": "left_calibration", "depth": "depth_calibration"}

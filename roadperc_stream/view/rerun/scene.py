@@ -7,12 +7,11 @@ from typing import Any, Final
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.core.datatypes import EGO, PointCloud, Surface
+from roadperc_stream.core.datatypes import EGO, PointCloud, Surface, Transform
 from roadperc_stream.core.geometry import level_mounting
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.input.decoding.payload import require_finite
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.annotations import patch_triangles, road_patch
+from roadperc_stream.schemas.fields import require_finite
 from roadperc_stream.view.rerun.entry import Entry, World
 from roadperc_stream.view.rerun.tree import edge_entry, known_as, new_edges, of_odometry
 

@@ -6,10 +6,9 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.core.datatypes import EGO, ODOM, OWN_ODOM
+from roadperc_stream.core.datatypes import EGO, ODOM, OWN_ODOM, Transform
 from roadperc_stream.core.geometry import inverse
 from roadperc_stream.input.assemble import ego_frame_of
-from roadperc_stream.input.decoding import Transform
 from roadperc_stream.view.rerun.entry import Entry, World
 
 TREE: Final = "/tf"
