@@ -322,7 +322,7 @@ def test_points_nobody_asked_for_are_not_used_but_told(tmp_path):
     others = renamed(source, "others.mcap", ("/velodyne", "/radar", "/rear", "/side"))
     summary = replay(others, tmp_path / "out.mcap", ReplayConfig())
     told = ", ".join(f"{topic} (foxglove.PointCloud)" for topic in ("/radar", "/rear", "/side"))
-    assert summary.notes == (f"role lidar: not filled; candidates: {told}, ...: --topic lidar=/radar",)
+    assert summary.notes == (f"role lidar: not assigned; candidates: {told}, ...: --topic lidar=/radar",)
     table = pl.read_parquet(beside(tmp_path / "out.mcap", "metrics"))
     assert set(table["surface_source"]) == {"assumed"}
     both = renamed(source, "both.mcap", ("/lidar/points", "/velodyne"))

@@ -16,7 +16,7 @@ from roadperc_stream import log
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.ros import unpack_image
-from roadperc_stream.input.roles.fill import is_result
+from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.log import Message
 from roadperc_stream.schemas import ros2
 from roadperc_stream.schemas.names import IMAGE_SCHEMA

@@ -2,8 +2,9 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any, Protocol
 
 from roadperc_stream.errors import TargetError
 
@@ -100,3 +101,39 @@ def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+class PartialFile(Protocol):
+    """A file that is being written under a hidden name: a context manager that gives it its own name at the end."""
+
+    def __enter__(self) -> Any:
+        """Open it."""
+        ...
+
+    def __exit__(self, *raised: Any) -> bool | None:
+        """Name it where nothing was raised, else discard it."""
+        ...
+
+    def complete(self) -> None:
+        """Write what is still to be written: then nothing is left but to give the file its name."""
+        ...
+
+    def discard(self) -> None:
+        """Remove what is not complete."""
+        ...
+
+
+@contextmanager
+def all_or_none(*outputs: PartialFile) -> Iterator[None]:
+    """Open outputs that get their names when all are complete: a disk that is full is full for all of them.
+
+    Nothing half written stays, even where a signal comes while an output is being opened.
+    """
+    with ExitStack() as stack:
+        for output in outputs:
+            stack.callback(output.discard)
+        for output in outputs:
+            stack.enter_context(output)
+        yield
+        for output in outputs:
+            output.complete()

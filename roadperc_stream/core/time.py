@@ -1,5 +1,6 @@
 """Times: logs count integer nanoseconds, people and configurations seconds."""
 
+from dataclasses import dataclass
 from typing import Final
 
 NS_PER_S: Final = 1_000_000_000
@@ -15,3 +16,15 @@ def seconds_to_ns(seconds: float) -> int:
 def ns_to_seconds(time_ns: float) -> float:
     """Seconds of nanoseconds."""
     return time_ns / NS_PER_S
+
+
+@dataclass(frozen=True)
+class TimeRange:
+    """What part of a log is replayed: seconds from its first message, and at most so many frames."""
+
+    start_s: float | None = None
+    end_s: float | None = None
+    frames: int | None = None
+
+
+WHOLE: Final = TimeRange()

@@ -10,8 +10,8 @@ from roadperc_stream.info.provenance import provenance_of
 from roadperc_stream.info.scan import Scan
 from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.assemble import ego_T_camera_of
-from roadperc_stream.input.roles.fill import is_result
-from roadperc_stream.input.roles.topic_names import CAMERA_OF
+from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.roles import CAMERA_OF
 from roadperc_stream.log import Channel, Salvage
 from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
 
@@ -94,17 +94,17 @@ def _channel_facts(channel: Channel, scan: Scan, first_ns: int | None) -> Channe
 
 
 def _replay_facts(scan: Scan) -> ReplayFacts:
-    roles, topics = scan.roles, scan.roles.filled.topics
+    roles, topics = scan.roles, scan.roles.assignment.topics
     return ReplayFacts(
         refusal=roles.refusal,
-        notes=roles.filled.notes,
+        notes=roles.assignment.notes,
         roles=roles.states,
-        reference=roles.reference,
-        frames=scan.counts.frames,
+        reference=roles.assignment.reference,
+        frames=scan.frames,
         alone=dict(scan.alone),
-        unused=dict(scan.counts.dropped),
+        unused=dict(scan.dropped),
         skew_s=_seconds(scan.skew_ns, 0),
-        cameras=tuple(_camera_facts(role, camera, scan) for role, camera in scan.held.cameras.items()),
+        cameras=tuple(_camera_facts(role, camera, scan) for role, camera in scan.latched.cameras.items()),
         tag_table=_tag_table(scan, topics.get("segmentation")),
         unreadable=dict(scan.problems.counts),
         problems=tuple(scan.problems.first.values()),
@@ -112,7 +112,7 @@ def _replay_facts(scan: Scan) -> ReplayFacts:
 
 
 def _camera_facts(role: str, camera: Camera, scan: Scan) -> CameraFacts:
-    ego_T_camera = ego_T_camera_of(scan.held, camera)
+    ego_T_camera = ego_T_camera_of(scan.latched.tree, camera)
     mounting = None if ego_T_camera is None else tuple(map(tuple, ego_T_camera.tolist()))
     return CameraFacts(role, camera, mounting, scan.sizes.get(CAMERA_OF[role]))
 
@@ -121,4 +121,4 @@ def _tag_table(scan: Scan, topic: str | None) -> str | None:
     """The tag table that the segmentation's channel names, else the one a result was made with."""
     channels = (channel for channel in scan.salvage.channels.values() if channel.topic == topic)
     named = next((channel.label(TAG_TABLE_KEY) for channel in channels if channel.label(TAG_TABLE_KEY)), None)
-    return named or scan.roles.filled.tag_table or None
+    return named or scan.roles.assignment.tag_table or None

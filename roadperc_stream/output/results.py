@@ -7,7 +7,7 @@ from typing import Final, get_args
 import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.core.datatypes import EGO, Absent, FrameResult, Mask, Odometry, Sample, Tie, Transform
+from roadperc_stream.core.datatypes import EGO, Absent, FrameAnchor, FrameResult, Mask, Odometry, Sample, Transform
 from roadperc_stream.core.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceSource
 from roadperc_stream.core.geometry import Float, inverse
 from roadperc_stream.core.semantics import Colour
@@ -77,8 +77,8 @@ def result_messages(
     if not isinstance(result.occupancy, Absent):
         yield OCCUPANCY_TOPIC, encoding.encode_occupancy(stamp_ns, result.occupancy)
     if not isinstance(result.odometry, Absent):
-        yield from _odometry(stamp_ns, sample.tie.odom, result.odometry, trajectory)
-    if edges := _edges(sample.tie, result.odometry):
+        yield from _odometry(stamp_ns, sample.anchor.odom, result.odometry, trajectory)
+    if edges := _edges(sample.anchor, result.odometry):
         yield TF_TOPIC, encoding.encode_transforms(stamp_ns, edges)
     yield METRICS_TOPIC, encode_metrics(sample.frame.camera.frame_id, metrics)
     for reason in metrics.reasons:
@@ -134,15 +134,17 @@ def _odometry(stamp_ns: int, odom: str, odometry: Odometry, trajectory: Sequence
         yield ODOMETRY_TOPIC, encoding.encode_pose(stamp_ns, odom, odometry.odom_T_ego)
 
 
-def _edges(tie: Tie, odometry: Odometry | Absent) -> list[Transform]:
+def _edges(anchor: FrameAnchor, odometry: Odometry | Absent) -> list[Transform]:
     """What joins ego with the log's own tree, and odom with ego: from above, or from below where the log is above."""
-    edges = [_hung(tie.frame_id, EGO, inverse(tie.ego_T_frame), tie.placed)] if tie.frame_id else []
+    edges = []
+    if anchor.frame_id:
+        edges.append(_edge_between(anchor.frame_id, EGO, inverse(anchor.ego_T_frame), anchor.placed))
     if not isinstance(odometry, Absent) and odometry.status != "lost":
-        edges.append(_hung(tie.odom, EGO, odometry.odom_T_ego, not tie.placed))
+        edges.append(_edge_between(anchor.odom, EGO, odometry.odom_T_ego, not anchor.placed))
     return edges
 
 
-def _hung(frame_id: str, other: str, frame_T_other: Float, above: bool) -> Transform:
+def _edge_between(frame_id: str, other: str, frame_T_other: Float, above: bool) -> Transform:
     """The edge between two frames with the first one above or below."""
     if above:
         return Transform(frame_id, other, frame_T_other)

@@ -1,5 +1,6 @@
 """Rows of dataclasses to Parquet files, row group by row group."""
 
+import hashlib
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,6 +13,8 @@ from typing import Any, Final, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from roadperc_stream import __version__
+from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.files import naming, partial_of
 from roadperc_stream.errors import TableError
 
@@ -29,6 +32,17 @@ Scalar = bool | int | float | str
 def beside(target: Path, table: str) -> Path:
     """out.mcap gives out.metrics.parquet and out.objects.parquet."""
     return target.with_name(f"{target.stem}.{table}.parquet")
+
+
+def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:
+    """What a table says of where it came from: ``roadperc.log`` is the log beside it, ``roadperc.source`` the input."""
+    facts = {
+        "config_digest": hashlib.sha256(cfg.to_toml().encode()).hexdigest(),
+        "version": __version__,
+        "log": str(target.absolute()),
+        "source": str(source.absolute()),
+    }
+    return {f"roadperc.{key}": value for key, value in facts.items()}
 
 
 def arrow_schema(

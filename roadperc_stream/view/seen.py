@@ -12,7 +12,9 @@ from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import ChannelError, DecodeError
 from roadperc_stream.input.decoding import Decoded, Payload, context_of_channel, decode
-from roadperc_stream.input.roles.fill import Problems, is_result, is_result_of, roles_of_log
+from roadperc_stream.input.earlier_replay import is_result, is_result_of
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.log import Channel, LogSummary, Message
 from roadperc_stream.output.drawing.frame import SeenFrame
 from roadperc_stream.output.results import decode_metrics
@@ -107,7 +109,7 @@ def content_of(content: Callable[[], Content], topic: str, time_ns: int, problem
 def _image_topic(summary: LogSummary) -> str:
     """The topic of the results' camera, as the replay chose it or was told to; empty where the log has it no more."""
     try:
-        topics = roles_of_log(summary, {}).topics
+        topics = assignment_of_log(summary, {}).topics
     except ChannelError:  # an input, of which nobody has said yet what is what
         return ""
     return topics.get("image") or topics.get("left", "")

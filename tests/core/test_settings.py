@@ -7,17 +7,16 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.core.config.fields import Section
-from roadperc_stream.input.plan import Cut, samples, survey_log
-from roadperc_stream.input.roles.fill import Problems
-from roadperc_stream.input.sync import SyncCounts
+from roadperc_stream.core.threads import one_thread
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.input import open_input
 from roadperc_stream.output.tables import beside
-from roadperc_stream.replay import one_thread, replay
+from roadperc_stream.replay import replay
 from tests import logs
-from tests.test_chain import same
+from tests.chain.test_chain import same
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 FRAMES = 8
@@ -158,8 +157,7 @@ GROUPS = (
 
 @cache
 def frames(mono):
-    summary, cfg = log.summarise(SAMPLE), ReplayConfig()
-    found = samples(summary, survey_log(summary, cfg, {}, Cut(frames=FRAMES)), cfg, SyncCounts(), Problems())
+    found = open_input(SAMPLE, ReplayConfig(), time_range=TimeRange(frames=FRAMES)).samples()
     lacking = {"depth": None, "right": None} if mono else {}
     return [replace(sample.frame, **lacking) for sample in found]
 

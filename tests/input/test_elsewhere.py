@@ -247,7 +247,7 @@ def test_a_bag_without_calibration_says_what_could_be_one(tmp_path, recorded, ca
     assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
     err = capsys.readouterr().err
     assert "no calibration" in err
-    assert "role left_calibration: not filled; candidates: /rgb_left/camera_info (sensor_msgs/msg/CameraInfo)" in err
+    assert "role left_calibration: not assigned; candidates: /rgb_left/camera_info (sensor_msgs/msg/CameraInfo)" in err
 
 
 def reordered(message):

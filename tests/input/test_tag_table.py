@@ -9,7 +9,8 @@ from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
 from roadperc_stream.info.examine import examine
-from roadperc_stream.input.roles.fill import Filled, chosen_tag_table, tag_table_needed
+from roadperc_stream.input.earlier_replay import recorded_tag_table
+from roadperc_stream.input.roles import RoleAssignment, tag_table_to_record
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata
 from roadperc_stream.output.tables import beside
 from roadperc_stream.replay import replay
@@ -44,7 +45,7 @@ def replayed(source, name, cfg):
 
 
 def recorded(path):
-    return chosen_tag_table(log.summarise(path).metadata)
+    return recorded_tag_table(log.summarise(path).metadata)
 
 
 def drivable(path):
@@ -101,11 +102,11 @@ def record(path):
 def test_only_what_is_needed_is_recorded(label, recorded_before, configured, needed):
     metadata = ((TAG_TABLE_KEY, label),) if label else ()
     tags = Channel("/seg", "cdr", "sensor_msgs/msg/Image", metadata=metadata)
-    filled = Filled({"segmentation": "/seg"}, tag_table=recorded_before)
-    assert tag_table_needed([tags], filled, configured) == needed
+    roles = RoleAssignment({"segmentation": "/seg"}, tag_table=recorded_before)
+    assert tag_table_to_record([tags], roles, configured) == needed
 
 
 @pytest.mark.parametrize("name", ["", "auto", "carla-of-tomorrow"])
 def test_a_record_of_no_known_table_says_nothing(name):
-    assert chosen_tag_table([Metadata(METADATA_RECORD, ((TAG_TABLE_KEY, name),))]) == ""
-    assert chosen_tag_table([Metadata("another", ((TAG_TABLE_KEY, CARLA_FROM_0_9_14.name),))]) == ""
+    assert recorded_tag_table([Metadata(METADATA_RECORD, ((TAG_TABLE_KEY, name),))]) == ""
+    assert recorded_tag_table([Metadata("another", ((TAG_TABLE_KEY, CARLA_FROM_0_9_14.name),))]) == ""

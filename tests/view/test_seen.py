@@ -10,7 +10,7 @@ from roadperc_stream.cli.view import main
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Absent, Boundary, Lanes
 from roadperc_stream.errors import LogError
-from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.problems import Problems
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics

@@ -25,7 +25,7 @@ from roadperc_stream.core.datatypes.results import (
     SurfaceSource,
     Verdict,
 )
-from roadperc_stream.core.datatypes.sample import EGO, ODOM, OWN_ODOM, Sample, Tie, Truth
+from roadperc_stream.core.datatypes.sample import EGO, ODOM, OWN_ODOM, FrameAnchor, Sample, Truth
 from roadperc_stream.core.datatypes.transform import Transform
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "DepthImage",
     "Detection",
     "Frame",
+    "FrameAnchor",
     "FrameResult",
     "HeightGrid",
     "Image",
@@ -62,7 +63,6 @@ __all__ = [
     "Surface",
     "SurfaceSource",
     "TagImage",
-    "Tie",
     "Transform",
     "Truth",
     "Verdict",

@@ -21,7 +21,7 @@ from roadperc_stream.view.live.timed import TimedSource
 from roadperc_stream.view.stage_times import ReplayTimes, TableTimes
 
 if TYPE_CHECKING:
-    from roadperc_stream.replay import Timed
+    from roadperc_stream.output.writing import Timed
 
 
 def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:

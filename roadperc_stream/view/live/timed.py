@@ -6,7 +6,7 @@ from functools import cached_property
 
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.input.roles.fill import is_result_of
+from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.record import PRODUCER

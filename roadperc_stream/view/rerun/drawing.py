@@ -13,7 +13,8 @@ from google.protobuf.message import DecodeError as ProtobufError
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, context_of_channel, decode
-from roadperc_stream.input.roles.fill import Filled, is_result, is_result_of
+from roadperc_stream.input.earlier_replay import is_result, is_result_of
+from roadperc_stream.input.roles import RoleAssignment
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.output.results import DRIVABLE_COLOURS
 from roadperc_stream.schemas import cdr, ros2
@@ -79,19 +80,21 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], 
 }
 
 
-def drawers(channels: Iterable[Channel], filled: Filled, world: World, times: StageTimes) -> dict[Channel, Drawer]:
+def drawers(
+    channels: Iterable[Channel], assigned: RoleAssignment, world: World, times: StageTimes
+) -> dict[Channel, Drawer]:
     """How the messages of each channel are drawn; channels that are not are left out."""
-    found = {channel: _drawer(channel, filled, world, times) for channel in channels}
+    found = {channel: _drawer(channel, assigned, world, times) for channel in channels}
     return {channel: drawer for channel, drawer in found.items() if drawer is not None}
 
 
-def _drawer(channel: Channel, filled: Filled, world: World, times: StageTimes) -> Drawer | None:
+def _drawer(channel: Channel, assigned: RoleAssignment, world: World, times: StageTimes) -> Drawer | None:
     if is_result(channel):
         return _result_drawer(channel, world, times)
-    roles = filled.roles_of(channel.topic)
+    roles = assigned.roles_of(channel.topic)
     if not roles:
         return None
-    return _kind_drawer(channel, roles[0].kind, roles[0].name, world, filled.tag_table)
+    return _kind_drawer(channel, roles[0].kind, roles[0].name, world, assigned.tag_table)
 
 
 def _result_drawer(channel: Channel, world: World, times: StageTimes) -> Drawer | None:

@@ -7,7 +7,7 @@ from itertools import groupby
 
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.input.roles.fill import is_result_of
+from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.log import Message
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 from roadperc_stream.schemas.topics import METRICS_TOPIC

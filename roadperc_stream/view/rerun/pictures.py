@@ -41,7 +41,7 @@ def tags(entity: str, role: str, payload: TagImage, world: World) -> Iterator[En
 def depth(entity: str, role: str, payload: DepthImage, world: World) -> Iterator[Entry]:
     """Millimetres, 0 where the depth is unknown or saturated: such pixels are no points in space."""
     camera = world.camera_of(role)
-    borrowed = "depth_calibration" not in world.held.cameras
+    borrowed = "depth_calibration" not in world.latched.cameras
     if camera and borrowed and payload.frame_id not in ("", camera.frame_id):
         yield pinhole(f"{entity}/camera", replace(camera, frame_id=payload.frame_id))
     known_mm = np.where(payload.depth_m < payload.limit_m, depth_to_mm(payload.depth_m), 0).astype(np.uint16)
@@ -51,7 +51,7 @@ def depth(entity: str, role: str, payload: DepthImage, world: World) -> Iterator
 
 def calibration(entity: str, role: str, payload: Camera, world: World) -> Iterator[Entry]:
     """A camera; the front one's frame tells which frame of the tree is ego."""
-    world.hold(role, payload)
+    world.latch(role, payload)
     yield pinhole(entity, payload)
     yield from new_edges(world)
 

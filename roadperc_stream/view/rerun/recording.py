@@ -10,14 +10,14 @@ import numpy as np
 import rerun as rr
 
 from roadperc_stream import log
-from roadperc_stream.cli.plumbing import no_progress
 from roadperc_stream.core.files import completing, require_free
+from roadperc_stream.core.progress import no_progress
 from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.errors import DecodeError, LogError, TargetError
-from roadperc_stream.input.roles.fill import Filled, Problems, roles_of_log
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.roles import RoleAssignment, assignment_of_log
 from roadperc_stream.log import LogSummary
 from roadperc_stream.output.tables import beside
-from roadperc_stream.schemas.roles import REFERENCE_ROLES
 from roadperc_stream.schemas.topics import RESULTS
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
@@ -54,13 +54,13 @@ def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = n
         RoadpercError: the log cannot be read or holds nothing that is shown, or the viewer does not start or does not
             answer.
     """
-    summary, filled = _opened(path, overrides)
+    summary, roles = _opened(path, overrides)
     start_viewer()
     recording = _recording(path)
     try:
         with ending_at_once():
             recording.connect_grpc(URL)
-            exported = _export(recording, summary, filled, progress, recording.flush, arrange_early=True)
+            exported = _export(recording, summary, roles, progress, recording.flush, arrange_early=True)
             recording.flush()
             recording.disconnect()  # it waits until all is sent
     except RuntimeError as error:  # what the SDK throws
@@ -78,7 +78,7 @@ def save_recording(
             ``force`` is not set, or it cannot be written whole; nothing is left behind.
     """
     require_free(target, force=force, source=path, suffix=".rrd")
-    summary, filled = _opened(path, overrides)
+    summary, roles = _opened(path, overrides)
     recording = _recording(path, _LARGE_CHUNKS)
     with completing(target, force=force) as temporary, saving(recording, temporary) as outlet:
 
@@ -86,14 +86,14 @@ def save_recording(
             recording.flush()
             outlet.check()
 
-        return _export(recording, summary, filled, progress, keep_up, arrange_early=False)
+        return _export(recording, summary, roles, progress, keep_up, arrange_early=False)
 
 
-def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, Filled]:
+def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleAssignment]:
     summary = log.summarise(path)
-    filled = roles_of_log(summary, overrides)
-    require_shown(summary, filled)
-    return summary, filled
+    roles = assignment_of_log(summary, overrides)
+    require_shown(summary, roles)
+    return summary, roles
 
 
 def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
@@ -106,16 +106,16 @@ def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.R
 def _export(
     recording: rr.RecordingStream,
     summary: LogSummary,
-    filled: Filled,
+    roles: RoleAssignment,
     progress: Progress,
     keep_up: Callable[[], None],
     *,
     arrange_early: bool,
 ) -> Exported:
     """Log every message, and arrange what was logged; ``keep_up`` waits until what was logged has arrived."""
-    role = next((role for role in REFERENCE_ROLES if role in filled.topics), "")
-    reference = filled.topics.get(role)
-    sender = _Sender(recording, summary, filled, World(role))
+    role = roles.reference or ""
+    reference = roles.topics.get(role)
+    sender = _Sender(recording, summary, roles, World(role))
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == reference)
     frames = 0
     messages = log.read(summary.path, validate_crcs=not summary.sealed)
@@ -130,16 +130,16 @@ def _export(
     if not sender.has_sent:
         raise nothing_shown(summary.path, sender.problems.first.values())
     recording.send_blueprint(sender.arranged())
-    return Exported(frames, (*filled.notes, *sender.problems.first.values()), dict(sender.problems.counts))
+    return Exported(frames, (*roles.notes, *sender.problems.first.values()), dict(sender.problems.counts))
 
 
 class _Sender:
     """Sends moments to a recording; what a frame does not have any more is cleared."""
 
-    def __init__(self, recording: rr.RecordingStream, summary: LogSummary, filled: Filled, world: World) -> None:
+    def __init__(self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, world: World) -> None:
         self._recording = recording
-        self._filled = filled
-        self._drawers = drawers(summary.channels, filled, world, TableTimes(beside(summary.path, "metrics")))
+        self._roles = roles
+        self._drawers = drawers(summary.channels, roles, world, TableTimes(beside(summary.path, "metrics")))
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
         self._entities: set[str] = set()
@@ -152,7 +152,7 @@ class _Sender:
 
     def arranged(self) -> rr.blueprint.Blueprint:
         """The blueprint of what has been sent."""
-        return blueprint(Log(self._filled.topics, frozenset(self._entities)), LOG_TIME)
+        return blueprint(Log(self._roles.topics, frozenset(self._entities)), LOG_TIME)
 
     def send(self, moment: Moment) -> None:
         """Log one moment.

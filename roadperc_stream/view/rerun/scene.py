@@ -26,7 +26,7 @@ def transforms(entity: str, role: str, payload: tuple[Transform, ...], world: Wo
     if role == "result":
         yield from (edge_entry(entity, edge) for edge in payload if of_odometry(edge))
     else:
-        world.hold(role, payload)
+        world.latch(role, payload)
         yield from new_edges(world)
 
 

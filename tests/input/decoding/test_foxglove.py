@@ -13,7 +13,6 @@ from google.protobuf.json_format import MessageToDict
 from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats import points
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp

@@ -235,7 +235,7 @@ def test_times_of_another_run_are_left_out(tmp_path):
     ("items", "extra", "why"),
     [
         ([], [logs.foreign()], ""),
-        ([logs.Item("lidar", 5, b"", "/radar")], [], "role lidar: not filled; .* --topic lidar=/radar; "),
+        ([logs.Item("lidar", 5, b"", "/radar")], [], "role lidar: not assigned; .* --topic lidar=/radar; "),
         ([logs.Item("image", 5, b"\xff\xfe\x07bad")], [], "/camera/front/image: message at 5 ns: 6 bytes are no .*; "),
     ],
     ids=["nothing known", "a topic that could fill a role", "nothing that can be read"],

@@ -36,7 +36,7 @@ class Drawn:
         assert sorted(self.frame_at.values()) == sorted(self.edges)
 
     def ego_T(self, frame):
-        """None where the frame does not hang below ego."""
+        """None where the frame is not placed below ego."""
         ego_T_frame, steps = np.eye(4), 0
         while frame in self.edges and steps <= len(self.edges):
             frame, parent_T_frame = self.edges[frame]
@@ -88,7 +88,7 @@ def test_the_camera_is_where_the_chain_has_it(name, role, known_early):
 
 
 def placed(world, drawn, frame_id):
-    wanted, found = ego_T_camera_of(world.held, camera(frame_id)), drawn.ego_T(frame_id)
+    wanted, found = ego_T_camera_of(world.latched.tree, camera(frame_id)), drawn.ego_T(frame_id)
     assert (wanted is None) == (found is None)
     assert wanted is None or found == pytest.approx(wanted, abs=1e-5)
     assert "ego" not in drawn.edges  # odometry places it
