@@ -18,8 +18,8 @@ from roadperc_stream.input import ReplayInput, open_input
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
 from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.output.drawing.on_request import PictureMaker
-from roadperc_stream.output.results import as_written
-from roadperc_stream.output.tables import TableWriter, beside, table_facts
+from roadperc_stream.output.results import drop_beyond_ros_time
+from roadperc_stream.output.tables import TableWriter, sidecar_path, table_facts
 from roadperc_stream.output.writing import ResultWriter, Timed, unwatched, write_origin
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.topics import Request
@@ -74,8 +74,8 @@ def replay(
     started = perf_counter()
     _require_free(source, target, force)
     log_in, facts = open_input(source, cfg, overrides, cut), table_facts(source, target, cfg)
-    frames = TableWriter(beside(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
-    detections = TableWriter(beside(target, "objects"), ObjectMetrics, facts)
+    frames = TableWriter(sidecar_path(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
+    detections = TableWriter(sidecar_path(target, "objects"), ObjectMetrics, facts)
     log_out, pictures = LogWriter(target, log_in.summary.profile), PictureMaker(on_request)
     state = ChainState()
     previous: Sample | None = None
@@ -87,7 +87,7 @@ def replay(
             timer = StageTimer()
             with timer("total"):
                 state, made = step(cfg, state, sample.frame, timer)
-                result, written = as_written(made)
+                result, written = drop_beyond_ros_time(made)
                 row = frame_metrics(cfg, log_in.log_id, sample, result, previous)
                 copy.through(sample.log_time_ns)
                 results.write(sample, result, written, row, timer)
@@ -119,5 +119,5 @@ def _to_copy(log_in: ReplayInput, results_only: bool) -> tuple[Iterable[Channel]
 
 def _require_free(source: Path, target: Path, force: bool) -> None:
     require_free(target, force=force, source=source, suffix=".mcap")
-    for table in (beside(target, "metrics"), beside(target, "objects")):
+    for table in (sidecar_path(target, "metrics"), sidecar_path(target, "objects")):
         require_free(table, force=force, suffix=".parquet")

@@ -16,7 +16,7 @@ from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas.topics import RESULTS
 from tests import logs
@@ -37,7 +37,7 @@ def run(source, name="out", **options):
 
 
 def metrics(target):
-    return pl.read_parquet(beside(target, "metrics"))
+    return pl.read_parquet(sidecar_path(target, "metrics"))
 
 
 def by_topic(path):
@@ -60,7 +60,7 @@ def test_a_row_per_frame_with_every_stage(source):
     assert table["stereo_valid_ratio"].null_count() == 6
     assert set(table["reasons"].explode()) == {"stereo: no right image"}
     assert table["log_id"].unique().to_list() == [summary.log_id]
-    objects = pl.read_parquet(beside(target, "objects"))
+    objects = pl.read_parquet(sidecar_path(target, "objects"))
     assert objects.height == 12
     assert set(objects["label"]) == {"Car", "Pedestrian"}
 

@@ -17,7 +17,7 @@ from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.metrics import intersection_over_union
 from roadperc_stream.output import encoding
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas.roadperc_pb2 import Surface
 from tests import logs, pair
@@ -79,7 +79,7 @@ def replayed(folder, messages):
     target = folder / "out.mcap"
     replay(logs.write(folder / "in.mcap", messages), target, load_config())
     last = {message.channel.topic: message.data for message in log.read(target)}
-    return pl.read_parquet(beside(target, "metrics")), last
+    return pl.read_parquet(sidecar_path(target, "metrics")), last
 
 
 @pytest.fixture(

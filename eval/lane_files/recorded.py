@@ -15,7 +15,7 @@ from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.metrics.lanes import ROW_STEP_PX, columns_at, in_view
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.topics import LANES_TOPIC
 
@@ -128,7 +128,7 @@ def _camera(path: Path, topics: list[str], frame_id: str | None) -> Camera:
 
 
 def _times_ms(path: Path) -> dict[int, float]:
-    table = beside(path, "metrics")
+    table = sidecar_path(path, "metrics")
     if not table.exists():
         return {}
     run = open_run(table, path.stem)

@@ -8,7 +8,7 @@ from roadperc_stream.cli.plumbing import frame_progress, run, seconds, telling, 
 from roadperc_stream.core.config import NEEDS, STAGES, load_config, switched_off
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.output.writing import unwatched
 from roadperc_stream.replay import ReplaySummary, replay
 from roadperc_stream.schemas.roles import parse_topic_options
@@ -136,6 +136,6 @@ def _print_summary(target: Path, summary: ReplaySummary) -> None:
     rate = summary.frames / summary.seconds
     print(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.0f} a second), log {summary.log_id}")
     print(
-        f"wrote {target} ({summary.messages_out} messages), {beside(target, 'metrics').name}, "
-        f"{beside(target, 'objects').name}"
+        f"wrote {target} ({summary.messages_out} messages), {sidecar_path(target, 'metrics').name}, "
+        f"{sidecar_path(target, 'objects').name}"
     )

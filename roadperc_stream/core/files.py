@@ -56,7 +56,7 @@ def require_suffix(target: Path, *suffixes: str) -> None:
 
 
 @contextmanager
-def naming(target: Path) -> Iterator[None]:
+def target_errors(target: Path) -> Iterator[None]:
     """What the system refuses in writing a file, as an error that names the file.
 
     Raises:
@@ -69,7 +69,7 @@ def naming(target: Path) -> Iterator[None]:
 
 
 def partial_of(target: Path, suffix: str = "") -> Path:
-    """The hidden name beside a target under which this process writes it.
+    """The hidden name next to a target under which this process writes it.
 
     Args:
         target: the file or folder.
@@ -80,7 +80,7 @@ def partial_of(target: Path, suffix: str = "") -> Path:
 
 @contextmanager
 def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
-    """A name beside the target to write to, which becomes the target where the block ends without an error.
+    """A name next to the target to write to, which becomes the target where the block ends without an error.
 
     Args:
         target: the file.
@@ -92,7 +92,7 @@ def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
     require_plain(target)
     temporary = partial_of(target, target.suffix)
     try:
-        with naming(target):
+        with target_errors(target):
             target.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             if target.exists() and not force:

@@ -24,7 +24,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
         overrides: topic by role, from ``--topic``.
 
     Raises:
-        LogError: the file cannot be opened, or is no log at all; of one that is damaged the facts tell how.
+        LogError: the file cannot be opened, or is no log at all; of one that is damaged the facts say how.
     """
     scan = Scan.of(path, overrides)
     salvage, tallies = scan.salvage, scan.tallies.values()

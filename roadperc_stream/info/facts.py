@@ -74,7 +74,7 @@ class CameraFacts:
     role: str
     camera: Camera
     ego_T_camera: tuple[tuple[float, ...], ...] | None
-    """The camera's place by the transforms; None where they do not tell it."""
+    """The camera's place by the transforms; None where they do not give it."""
     image_size: tuple[int, int] | None
     """(width, height) of the first of its images that can be decoded; None where there is none."""
 

@@ -10,7 +10,7 @@ from typing import Any
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.errors import TableError
 from roadperc_stream.log import Attachment, Metadata
-from roadperc_stream.output.tables import beside, read_footer
+from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, DROPPED_KEY, METADATA_RECORD
 
 
@@ -25,7 +25,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Table:
+class SidecarTable:
     """A table beside the log."""
 
     path: str
@@ -49,7 +49,7 @@ class Provenance:
     config_digest: str | None
     settings: tuple[Setting, ...]
     config_fault: str
-    tables: tuple[Table, ...]
+    tables: tuple[SidecarTable, ...]
 
     @property
     def changed(self) -> bool:
@@ -80,7 +80,7 @@ def provenance_of(
         config_digest=config_digest,
         settings=settings,
         config_fault=fault,
-        tables=tuple(_table(beside(path, name), digest, config_digest) for name in ("metrics", "objects")),
+        tables=tuple(_table(sidecar_path(path, name), digest, config_digest) for name in ("metrics", "objects")),
     )
 
 
@@ -114,15 +114,15 @@ def _number(text: str) -> int | None:
     return int(text) if text.isdecimal() else None
 
 
-def _table(path: Path, digest: str, config_digest: str | None) -> Table:
+def _table(path: Path, digest: str, config_digest: str | None) -> SidecarTable:
     if not path.exists():
-        return Table(str(path), None, "is not there")
+        return SidecarTable(str(path), None, "is not there")
     try:
         footer = read_footer(path)
     except TableError as error:
-        return Table(str(path), None, str(error).removeprefix(f"{path}: "))
+        return SidecarTable(str(path), None, str(error).removeprefix(f"{path}: "))
     if footer.log_id not in (None, digest[:16]):
-        return Table(str(path), footer.rows, f"is of log {footer.log_id}")
+        return SidecarTable(str(path), footer.rows, f"is of log {footer.log_id}")
     if footer.facts.get("roadperc.config_digest") != config_digest:
-        return Table(str(path), footer.rows, "is of another configuration")
-    return Table(str(path), footer.rows)
+        return SidecarTable(str(path), footer.rows, "is of another configuration")
+    return SidecarTable(str(path), footer.rows)

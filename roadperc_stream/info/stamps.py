@@ -1,6 +1,6 @@
 """The stamp of any message that carries one, without decoding the rest of it.
 
-Where it stands is told by the channel's own schema: a field ``timestamp`` of Foxglove's messages and of this project's
+Where it stands is defined by the channel's own schema: a field ``timestamp`` of Foxglove's messages and of this project's
 (protobuf, JSON), a leading std_msgs/Header (ROS 2), or that of the first part of a list, as transforms have it.
 """
 
@@ -111,7 +111,7 @@ def _cdr_reader(channel: Channel) -> Callable[[bytes], int] | None:
 
 
 def _cdr_stamp_ns(data: bytes, at: int) -> int:
-    """Stamp at a byte of a CDR message, whose second byte tells the order of bytes."""
+    """Stamp at a byte of a CDR message, whose second byte gives the order of bytes."""
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, at)
     return int(seconds) * NS_PER_S + int(nanoseconds)
 

@@ -108,7 +108,7 @@ def input_messages(
 
 
 def span_ns(summary: LogSummary, window: Window) -> tuple[int, int]:
-    """First and last log time of the part to replay; what held before and what arrives late lie outside."""
+    """First and last log time of the part to replay; what was latched before and what arrives late lie outside."""
     first_ns, last_ns = summary.first_ns or 0, summary.last_ns or 0
     start_ns = first_ns if window.start_ns is None else max(window.start_ns, first_ns)
     end_ns = last_ns if window.end_ns is None else min(window.end_ns, last_ns)

@@ -42,7 +42,7 @@ def open_input(
 class ReplayInput:
     """The frames of a log, the messages they are made of, and what became of these.
 
-    ``frames``, ``dropped``, ``unreadable`` and ``notes`` are of the samples taken so far; ``samples`` begins anew.
+    ``frames``, ``dropped``, ``unreadable`` and ``notes`` are of the samples so far; ``samples`` begins anew.
     """
 
     def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan) -> None:
@@ -131,7 +131,7 @@ class ReplayInput:
         return (*self.plan.roles.notes, *(self.plan.problems.first | self._problems.first).values())
 
     def record(self) -> dict[str, str]:
-        """What a result has to record, so that it can be replayed from itself and tells what it is made of."""
+        """What a result has to record of its input, so that it can be replayed from itself."""
         roles = self.plan.roles
         tag_table = tag_table_to_record(self.summary.channels, roles, self._cfg.tag_table)
         return {

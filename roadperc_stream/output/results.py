@@ -86,7 +86,7 @@ def result_messages(
             yield LOG_TOPIC, encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")
 
 
-def as_written(result: FrameResult) -> tuple[FrameResult, FrameResult]:
+def drop_beyond_ros_time(result: FrameResult) -> tuple[FrameResult, FrameResult]:
     """A frame's result, and what of it the log can carry: ROS 2 messages end in 2038, all others go on.
 
     The metrics are those of the whole result, which says what is not written.

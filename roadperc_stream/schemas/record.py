@@ -1,4 +1,4 @@
-"""What a result carries beside its messages, by which a later replay knows it and what made it."""
+"""What a result carries besides its messages, by which a later replay knows it and what made it."""
 
 from typing import Final
 

@@ -18,7 +18,7 @@ from roadperc_stream.core.time import TimeRange
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.sweep import main
 from roadperc_stream.input import open_input, replay_input
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests import logs
@@ -62,7 +62,7 @@ def test_rows_are_those_of_replays_with_the_same_settings(tmp_path):
             settings = (f"surface.inlier_m={inlier_m}", f"sync.tolerance_s={tolerance_s}", "seed=3")
             replay(SAMPLE, tmp_path / "one.mcap", load_config(None, settings), cut=TimeRange(frames=5), force=True)
             mine = swept.filter(pl.col("surface.inlier_m") == inlier_m, pl.col("sync.tolerance_s") == tolerance_s)
-            whole = pl.read_parquet(beside(tmp_path / "one.mcap", "metrics"))
+            whole = pl.read_parquet(sidecar_path(tmp_path / "one.mcap", "metrics"))
             assert mine.height == 5
             assert_frame_equal(
                 without_times(mine, "surface.inlier_m", "sync.tolerance_s"), without_times(whole), check_exact=True

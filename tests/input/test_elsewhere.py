@@ -22,7 +22,7 @@ from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.payload import pose_matrix
 from roadperc_stream.input.decoding.ros import unpack_image
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas import ros2
 from roadperc_stream.schemas.protobuf import stamp_ns
@@ -142,7 +142,7 @@ def run(source, name="out", **options):
 
 
 def rows(target, kind="metrics"):
-    table = pl.read_parquet(beside(target, kind))
+    table = pl.read_parquet(sidecar_path(target, kind))
     return table.drop(["log_id", *[c for c in table.columns if c.endswith("_ms") and c != "sync_skew_ms"]])
 
 

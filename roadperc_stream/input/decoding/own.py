@@ -1,4 +1,4 @@
-"""The messages of roadperc.proto: detections, and what is true or was seen of road, lanes and objects."""
+"""The messages of roadperc.proto: detections, and what is true or was found of road, lanes and objects."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -87,7 +87,7 @@ def _height_grid(grid: Any) -> HeightGrid:
 
 
 def lanes(data: bytes, _: Context) -> Decoded:
-    """roadperc.Lanes: true ones, or those a replay has seen; boundaries of no known side are left out."""
+    """roadperc.Lanes: true ones, or those a replay has found; boundaries of no known side are left out."""
     message = LanesProto.FromString(data)
     return Decoded(
         stamp_ns(message.timestamp), Lanes(tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF))
@@ -140,7 +140,7 @@ _OPTIONAL_NUMBERS: Final = (
 
 
 def objects(data: bytes, _: Context) -> Decoded:
-    """roadperc.Objects: true ones, or those a replay has seen."""
+    """roadperc.Objects: true ones, or those a replay has found."""
     message = ObjectsProto.FromString(data)
     return Decoded(stamp_ns(message.timestamp), Objects(tuple(_object(o) for o in message.objects)))
 

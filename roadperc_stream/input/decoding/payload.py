@@ -1,4 +1,4 @@
-"""What a decoder gives, and what it may need beside the bytes."""
+"""What a decoder gives, and what it may need besides the bytes."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -46,7 +46,7 @@ class Decoded:
 
 @dataclass(frozen=True)
 class Context:
-    """What a decoder may need beside the bytes."""
+    """What a decoder may need besides the bytes."""
 
     tag_table: TagTable | None = None
     definition: bytes = b""

@@ -12,7 +12,7 @@ from roadperc_stream.cli.plumbing import telling
 from roadperc_stream.core.time import ns_to_seconds, seconds_to_ns
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.player import LONGEST_WAIT_S, Inbox, Player
 from roadperc_stream.view.live.server import serving
@@ -49,7 +49,7 @@ def with_times(log: FinishedLog) -> Source:
     Raises:
         TableError: the table cannot be read.
     """
-    timed = TimedSource(log, TableTimes(beside(log.path, "metrics")))
+    timed = TimedSource(log, TableTimes(sidecar_path(log.path, "metrics")))
     return timed if timed.has_times() else log
 
 

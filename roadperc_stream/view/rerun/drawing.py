@@ -39,12 +39,12 @@ from roadperc_stream.schemas.topics import (
     TRAJECTORY_TOPIC,
 )
 from roadperc_stream.view.rerun import boxes, lanes, pictures, plots, scene
-from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.view.rerun.entry import Entry, SceneState
 from roadperc_stream.view.stage_times import StageTimes
 
 Drawer = Callable[[Message], Iterator[Entry]]
 
-_KINDS: Final[Mapping[Kind, Callable[[str, str, Any, World], Iterator[Entry]]]] = {
+_KINDS: Final[Mapping[Kind, Callable[[str, str, Any, SceneState], Iterator[Entry]]]] = {
     "image": pictures.image,
     "tags": pictures.tags,
     "depth": pictures.depth,
@@ -81,14 +81,14 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], 
 
 
 def drawers(
-    channels: Iterable[Channel], assigned: RoleAssignment, world: World, times: StageTimes
+    channels: Iterable[Channel], assigned: RoleAssignment, world: SceneState, times: StageTimes
 ) -> dict[Channel, Drawer]:
     """How the messages of each channel are drawn; channels that are not are left out."""
     found = {channel: _drawer(channel, assigned, world, times) for channel in channels}
     return {channel: drawer for channel, drawer in found.items() if drawer is not None}
 
 
-def _drawer(channel: Channel, assigned: RoleAssignment, world: World, times: StageTimes) -> Drawer | None:
+def _drawer(channel: Channel, assigned: RoleAssignment, world: SceneState, times: StageTimes) -> Drawer | None:
     if is_result(channel):
         return _result_drawer(channel, world, times)
     roles = assigned.roles_of(channel.topic)
@@ -97,7 +97,7 @@ def _drawer(channel: Channel, assigned: RoleAssignment, world: World, times: Sta
     return _kind_drawer(channel, roles[0].kind, roles[0].name, world, assigned.tag_table)
 
 
-def _result_drawer(channel: Channel, world: World, times: StageTimes) -> Drawer | None:
+def _result_drawer(channel: Channel, world: SceneState, times: StageTimes) -> Drawer | None:
     topic = channel.topic
     if not is_result_of(channel, topic):
         return None
@@ -112,7 +112,7 @@ def _result_drawer(channel: Channel, world: World, times: StageTimes) -> Drawer 
     return None
 
 
-def _kind_drawer(channel: Channel, kind: Kind, role: str, world: World, tag_table: str = "") -> Drawer:
+def _kind_drawer(channel: Channel, kind: Kind, role: str, world: SceneState, tag_table: str = "") -> Drawer:
     if kind == "image" and (channel.schema_name, channel.message_encoding) == (IMAGE_SCHEMA, "protobuf"):
         return partial(_encoded, role, world)
     context = context_of_channel(channel, "auto", tag_table)
@@ -130,22 +130,22 @@ def _parsed(
     return draw(message.channel.topic, content)
 
 
-def _numbers(times: StageTimes, world: World, entity: str, message: Any) -> Iterator[Entry]:
+def _numbers(times: StageTimes, world: SceneState, entity: str, message: Any) -> Iterator[Entry]:
     """A frame's metrics, and the times of its stages, which stand in the table alone."""
     yield from plots.metrics(entity, message, world)
     yield from plots.times(TIMES_TOPIC, times.of(message.log_id, message.frame))
 
 
-def _encoded(role: str, world: World, message: Message) -> Iterator[Entry]:
+def _encoded(role: str, world: SceneState, message: Message) -> Iterator[Entry]:
     """The image's own bytes: nothing is decoded."""
     return _parsed(CompressedImage.FromString, partial(_as_it_is, role, world), message)
 
 
-def _as_it_is(role: str, world: World, entity: str, content: Any) -> Iterator[Entry]:
+def _as_it_is(role: str, world: SceneState, entity: str, content: Any) -> Iterator[Entry]:
     yield pictures.encoded(entity, content.data, content.format, world.image_frame(role, content.frame_id))
 
 
-def _decoded(kind: Kind, role: str, context: Context, world: World, message: Message) -> Iterator[Entry]:
+def _decoded(kind: Kind, role: str, context: Context, world: SceneState, message: Message) -> Iterator[Entry]:
     channel = message.channel
     schema, encoding = channel.schema_name, channel.message_encoding
     decoded = decode(kind, schema, encoding, message.data, message.log_time_ns, context)

@@ -26,7 +26,7 @@ class Entry:
 
 
 @dataclass
-class World:
+class SceneState:
     """What holds until replaced: cameras and transforms, and what of them and of the words is drawn already."""
 
     reference: str = "image"

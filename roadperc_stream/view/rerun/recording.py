@@ -17,12 +17,12 @@ from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import RoleAssignment, assignment_of_log
 from roadperc_stream.log import LogSummary
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.topics import RESULTS
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
-from roadperc_stream.view.rerun.entry import Entry, World
-from roadperc_stream.view.rerun.moments import Moment, moments
+from roadperc_stream.view.rerun.entry import Entry, SceneState
+from roadperc_stream.view.rerun.instants import Instant, instants
 from roadperc_stream.view.rerun.outlet import saving
 from roadperc_stream.view.rerun.viewer import URL, ending_at_once, start_viewer
 from roadperc_stream.view.shown import nothing_shown, require_shown
@@ -33,7 +33,7 @@ _APPLICATION: Final = "roadperc"
 _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), flush_num_bytes=16 * 2**20)
 """A recording's footer, held in memory, names every chunk: small ones cost 0.25 MB a frame."""
 _MOST_WAITING: Final = 25
-"""Moments that may wait to be written or sent: the queue to the thread that does it has no end of its own."""
+"""Instants that may wait to be written or sent: the queue to the thread that does it has no end of its own."""
 Progress = Callable[[int, int], None]
 
 
@@ -115,17 +115,17 @@ def _export(
     """Log every message, and arrange what was logged; ``keep_up`` waits until what was logged has arrived."""
     role = roles.reference or ""
     reference = roles.topics.get(role)
-    sender = _Sender(recording, summary, roles, World(role))
+    sender = _Sender(recording, summary, roles, SceneState(role))
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == reference)
     frames = 0
     messages = log.read(summary.path, validate_crcs=not summary.sealed)
-    for count, moment in enumerate(moments(messages, reference), 1):
-        sender.send(moment)
+    for count, instant in enumerate(instants(messages, reference), 1):
+        sender.send(instant)
         if count % _MOST_WAITING == 0:
             keep_up()
-        if arrange_early and frames == 1 and moment.frame == 1:  # the first frame is there: it has most of what comes
+        if arrange_early and frames == 1 and instant.frame == 1:  # the first frame is there: it has most of what comes
             recording.send_blueprint(sender.arranged())
-        frames = max(frames, moment.frame + 1)
+        frames = max(frames, instant.frame + 1)
         progress(frames, expected)
     if not sender.has_sent:
         raise nothing_shown(summary.path, sender.problems.first.values())
@@ -134,12 +134,14 @@ def _export(
 
 
 class _Sender:
-    """Sends moments to a recording; what a frame does not have any more is cleared."""
+    """Sends instants to a recording; what a frame does not have any more is cleared."""
 
-    def __init__(self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, world: World) -> None:
+    def __init__(
+        self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, world: SceneState
+    ) -> None:
         self._recording = recording
         self._roles = roles
-        self._drawers = drawers(summary.channels, roles, world, TableTimes(beside(summary.path, "metrics")))
+        self._drawers = drawers(summary.channels, roles, world, TableTimes(sidecar_path(summary.path, "metrics")))
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
         self._entities: set[str] = set()
@@ -154,24 +156,24 @@ class _Sender:
         """The blueprint of what has been sent."""
         return blueprint(Log(self._roles.topics, frozenset(self._entities)), LOG_TIME)
 
-    def send(self, moment: Moment) -> None:
-        """Log one moment.
+    def send(self, instant: Instant) -> None:
+        """Log one instant.
 
         Raises:
             LogError: its time is none that Rerun can show.
         """
-        if moment.log_time_ns >= END_OF_TIME_NS:
-            raise LogError(f"log time {moment.log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
-        self._recording.set_time(LOG_TIME, timestamp=np.datetime64(moment.log_time_ns, "ns"))
-        self._recording.set_time(FRAME, sequence=max(moment.frame, 0))  # what comes before counts to the first frame
-        entries = list(self._entries(moment))
+        if instant.log_time_ns >= END_OF_TIME_NS:
+            raise LogError(f"log time {instant.log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
+        self._recording.set_time(LOG_TIME, timestamp=np.datetime64(instant.log_time_ns, "ns"))
+        self._recording.set_time(FRAME, sequence=max(instant.frame, 0))  # what comes before counts to the first frame
+        entries = list(self._entries(instant))
         for entry in entries:
             self._log(entry)
-        if moment.has_results:
+        if instant.has_results:
             self._clear({entry.entity for entry in entries if _is_of_a_frame(entry)})
 
-    def _entries(self, moment: Moment) -> Iterator[Entry]:
-        for message in moment.messages:
+    def _entries(self, instant: Instant) -> Iterator[Entry]:
+        for message in instant.messages:
             drawer = self._drawers.get(message.channel)
             topic = message.channel.topic
             try:

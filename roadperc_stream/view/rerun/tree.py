@@ -9,13 +9,13 @@ import rerun as rr
 from roadperc_stream.core.datatypes import EGO, ODOM, OWN_ODOM, Transform
 from roadperc_stream.input.assemble import ego_frame_of
 from roadperc_stream.input.transforms import TransformTree
-from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.view.rerun.entry import Entry, SceneState
 
 TREE: Final = "/tf"
 """Below it each frame of the log has one entity, whichever topic places it: of two entities neither would hold."""
 
 
-def new_edges(world: World) -> Iterator[Entry]:
+def new_edges(world: SceneState) -> Iterator[Entry]:
     """The edges that are not drawn yet as they are now."""
     for child, edge in ego_tree(world).items():
         if not _same(edge, world.edges.get(child)):
@@ -39,7 +39,7 @@ def of_odometry(edge: Transform) -> bool:
     return {edge.parent, edge.child} in ({EGO, ODOM}, {EGO, OWN_ODOM})
 
 
-def ego_tree(world: World) -> Mapping[str, Transform]:
+def ego_tree(world: SceneState) -> Mapping[str, Transform]:
     """The edges by child, as the chain reads them: the frame that it uses as ego is placed at ego.
 
     Without a mounting that is the front camera itself, as soon as a result says how high it was assumed to be.

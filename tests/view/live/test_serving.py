@@ -17,7 +17,7 @@ from roadperc_stream.cli.replay import replay_main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.roadperc_pb2 import StageTimes
@@ -219,7 +219,7 @@ def told_times(viewer):
 
 def table_times(target):
     """The same from the table; a stage that did not run took no time."""
-    times = pl.read_parquet(beside(target, "metrics")).select("stamp_ns", pl.col(TIME_COLUMNS).fill_null(0.0))
+    times = pl.read_parquet(sidecar_path(target, "metrics")).select("stamp_ns", pl.col(TIME_COLUMNS).fill_null(0.0))
     return times.rows()
 
 
@@ -289,10 +289,10 @@ def test_a_finished_log_is_served_with_the_times_of_its_table(source, tmp_path):
 def test_without_a_table_of_its_own_no_times_are_offered(source, tmp_path, table):
     target, other = tmp_path / "out.mcap", tmp_path / "other.mcap"
     replay(source, target, load_config(None, ()))
-    beside(target, "metrics").unlink()
+    sidecar_path(target, "metrics").unlink()
     if table != "none":
         replay(logs.write(tmp_path / "in2.mcap", logs.items(FRAMES - 1)), other, load_config(None, ()))
-        beside(other, "metrics").replace(beside(target, "metrics"))
+        sidecar_path(other, "metrics").replace(sidecar_path(target, "metrics"))
     with served(target) as port, Viewer(port) as viewer:
         told = {channel["topic"] for channel in viewer.channels.values()}
         assert set(RESULTS) <= told
