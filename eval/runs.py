@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 
 SUFFIX: Final = ".metrics.parquet"
 OBJECTS_SUFFIX: Final = ".objects.parquet"
@@ -103,7 +103,7 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _beside_log(log: Path) -> Path:
-    table = beside(log, "metrics")
+    table = sidecar_path(log, "metrics")
     if not table.exists():
         said = f"no {table.name} beside it; roadperc-replay writes one beside its OUT.mcap"
         raise TableError(f"{log}: {said if log.exists() else 'no such file'}")

@@ -12,7 +12,7 @@ from roadperc_stream.cli.replay import add_input_arguments, cut_of
 from roadperc_stream.cli.terminal import console_for, print_lines, print_table
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import LogError
-from roadperc_stream.schemas.channels import parse_topic_options
+from roadperc_stream.schemas.roles import parse_topic_options
 
 from .sweeping.dataset import dataset, describe, table_names, tables
 from .sweeping.processes import sweep_logs

@@ -15,8 +15,8 @@ from roadperc_stream.cli.replay import replay_main
 from roadperc_stream.core.geometry import inverse
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.log import LogWriter
-from roadperc_stream.output.tables import beside
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.tools import carla_to_mcap, render_scene
 from tests.chain.stages.odometry.trajectories import aligned_errors_m, distances_m, relative_errors
 
@@ -94,7 +94,7 @@ def judge(name, source, folder, lengths_m):
     seen = without(source, folder / "in.mcap", case.missing)
     options = ("--quiet", "--results-only", "--only", STAGES, "--set", case.setting)
     assert replay_main([str(seen), str(target), *options]) == 0
-    metrics = pl.read_parquet(beside(target, "metrics"))
+    metrics = pl.read_parquet(sidecar_path(target, "metrics"))
     assert metrics["odometry_status"].to_list() == ["first"] + ["tracked"] * (metrics.height - 1)
     assert set(metrics["surface_source"]) == {case.road}
     (estimated, stamps), (true, true_stamps) = poses(target, "/perception/odometry"), poses(source, "/truth/pose")

@@ -11,13 +11,11 @@ from roadperc_stream import log
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import ReplayConfig, load_config
-from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, Reason, StereoDepth
+from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, Reason, StereoDepth, Transform
 from roadperc_stream.core.registration import depth_of_points
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats.points import encode_points
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.output.encoding import encode_transforms
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.encoding import encode_points, encode_transforms
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
 from tests import logs
 from tests.analytic import VEHICLE, Road, box
@@ -240,7 +238,7 @@ def log_of(path, ego_T_lidar, frame_id="lidar", edges=(), roles=ROLES, frames=4)
 def replayed(source, name="out.mcap", **options):
     target = source.parent / name
     replay(source, target, ReplayConfig(), **options)
-    return target, pl.read_parquet(beside(target, "metrics"))
+    return target, pl.read_parquet(sidecar_path(target, "metrics"))
 
 
 RIG = g.rigid(g.rotation_from_rpy(0.0, 0.0, -0.5), np.array([1.0, 0.0, 1.0]))
@@ -308,7 +306,7 @@ def test_a_loop_of_transforms_is_left_out_and_told_with_its_topic_and_stamp(tmp_
         parent, child = edges[0]
         (note,) = summary.notes
         assert note.startswith(f"/tf: message at {stamp} ns: a loop of transforms ({parent!r} to {child!r}")
-        table = pl.read_parquet(beside(tmp_path / f"out{k}.mcap", "metrics"))
+        table = pl.read_parquet(sidecar_path(tmp_path / f"out{k}.mcap", "metrics"))
         assert table["surface_source"].to_list() == ["lidar"] * 4
 
 
@@ -327,8 +325,8 @@ def test_points_nobody_asked_for_are_not_used_but_told(tmp_path):
     others = renamed(source, "others.mcap", ("/velodyne", "/radar", "/rear", "/side"))
     summary = replay(others, tmp_path / "out.mcap", ReplayConfig())
     told = ", ".join(f"{topic} (foxglove.PointCloud)" for topic in ("/radar", "/rear", "/side"))
-    assert summary.notes == (f"role lidar: not filled; candidates: {told}, ...: --topic lidar=/radar",)
-    table = pl.read_parquet(beside(tmp_path / "out.mcap", "metrics"))
+    assert summary.notes == (f"role lidar: not assigned; candidates: {told}, ...: --topic lidar=/radar",)
+    table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
     assert set(table["surface_source"]) == {"assumed"}
     both = renamed(source, "both.mcap", ("/lidar/points", "/velodyne"))
     assert replay(both, tmp_path / "both_out.mcap", ReplayConfig()).notes == ()

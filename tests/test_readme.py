@@ -8,7 +8,7 @@ import pytest
 
 from roadperc_stream.cli.replay import replay_main
 from roadperc_stream.eval import report
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 
 ROOT = Path(__file__).parents[1]
 WITHOUT_TIMES = "How fast?"
@@ -28,7 +28,7 @@ def demo(tmp_path_factory):
 
 
 def test_the_readme_shows_what_the_demo_prints(demo, capsys):
-    assert report.main([str(beside(demo, "metrics"))]) == 0
+    assert report.main([str(sidecar_path(demo, "metrics"))]) == 0
     printed, _, rest = capsys.readouterr().out.partition(WITHOUT_TIMES)
     assert words(shown().partition(WITHOUT_TIMES)[0]) == words(printed)
     assert numbers(shown().partition(WITHOUT_TIMES)[0]) == pytest.approx(numbers(printed), rel=0.02, abs=0.002)
@@ -37,7 +37,7 @@ def test_the_readme_shows_what_the_demo_prints(demo, capsys):
 
 def test_the_readme_asks_the_table(demo, tmp_path, monkeypatch, capsys):
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    shutil.copy(beside(demo, "metrics"), tmp_path / "out.metrics.parquet")
+    shutil.copy(sidecar_path(demo, "metrics"), tmp_path / "out.metrics.parquet")
     monkeypatch.chdir(tmp_path)
     exec(compile(block, "README.md", "exec"), {})
     printed = capsys.readouterr().out

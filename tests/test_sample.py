@@ -11,7 +11,7 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.core.datatypes import CameraImage, DepthImage, TagImage
 from roadperc_stream.input.decoding import context_of, decode
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.tools import carla_to_mcap, render_scene
 
 ROOT = Path(__file__).parents[1]

@@ -5,15 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.chain.stages.surface import drivable_mask, fit_surface
 from roadperc_stream.core.config import ReplayConfig, load_config
 from roadperc_stream.core.datatypes import Absent
 from roadperc_stream.core.ground import height_at
 from roadperc_stream.core.scene import DepthMap, Scene
-from roadperc_stream.input.plan import WHOLE, samples, survey_log
-from roadperc_stream.input.roles.fill import Problems
-from roadperc_stream.input.sync import SyncCounts
+from roadperc_stream.input import open_input
 from roadperc_stream.metrics import surface_height_error_m
 from roadperc_stream.tools import carla_to_mcap, render_scene
 
@@ -25,8 +22,7 @@ def rendered(folder: Path, *options):
     """Samples of a rendered drive."""
     assert render_scene.main([str(folder / "dump"), *options]) == 0
     assert carla_to_mcap.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
-    cfg, summary = ReplayConfig(), log.summarise(folder / "in.mcap")
-    return samples(summary, survey_log(summary, cfg, {}, WHOLE), cfg, SyncCounts(), Problems())
+    return open_input(folder / "in.mcap", ReplayConfig()).samples()
 
 
 def errors_of(folder, *options):

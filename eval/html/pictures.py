@@ -10,7 +10,7 @@ import cv2
 
 from roadperc_stream.core.datatypes import Image
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.problems import Problems
 from roadperc_stream.output.drawing.frame import draw_results
 from roadperc_stream.schemas.columns import UNITLESS
 from roadperc_stream.view.seen import read_frame

@@ -17,7 +17,7 @@ from roadperc_stream.info.examine import examine
 from roadperc_stream.info.facts import LogFacts
 from roadperc_stream.info.printing import print_log
 from roadperc_stream.info.text import listed
-from roadperc_stream.schemas.channels import parse_topic_options
+from roadperc_stream.schemas.roles import parse_topic_options
 
 _EXAMPLE = """\
 example:

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from roadperc_stream.cli.launch import ending_signals
+from roadperc_stream.core.progress import no_progress
 from roadperc_stream.errors import RoadpercError
 
 EXIT_DONE, EXIT_ERROR = 0, 1
@@ -109,10 +110,6 @@ def frame_progress(what: str, enabled: bool) -> Iterator[Callable[[int, int], No
         console.show_cursor(True)  # a program that ends at once does not give it back
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def no_progress(_done: int, _expected: int) -> None:
-    """Take the news and tell nobody."""
 
 
 def whole_number(text: str) -> int:

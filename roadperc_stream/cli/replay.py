@@ -6,11 +6,13 @@ from pathlib import Path
 from roadperc_stream import __version__
 from roadperc_stream.cli.plumbing import frame_progress, run, seconds, telling, whole_number
 from roadperc_stream.core.config import NEEDS, STAGES, load_config, switched_off
+from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.input.plan import Cut
-from roadperc_stream.output.tables import beside
-from roadperc_stream.replay import ReplaySummary, replay, unwatched
-from roadperc_stream.schemas.channels import Request, parse_topic_options
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.output.writing import unwatched
+from roadperc_stream.replay import ReplaySummary, replay
+from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.schemas.topics import Request
 from roadperc_stream.view.live.options import add_serving_arguments, given_options, serving_options
 from roadperc_stream.view.live.serving import LiveReplay
 
@@ -75,7 +77,7 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", metavar="N", type=whole_number, help="at most so many frames")
 
 
-def cut_of(arguments: argparse.Namespace) -> Cut:
+def cut_of(arguments: argparse.Namespace) -> TimeRange:
     """The part of the log that the options name.
 
     Raises:
@@ -83,7 +85,7 @@ def cut_of(arguments: argparse.Namespace) -> Cut:
     """
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
         raise ConfigError(f"--end {arguments.end}: expected more than --start {arguments.start}")
-    return Cut(arguments.start, arguments.end, arguments.frames)
+    return TimeRange(arguments.start, arguments.end, arguments.frames)
 
 
 def _stages(text: str) -> tuple[str, ...]:
@@ -134,6 +136,6 @@ def _print_summary(target: Path, summary: ReplaySummary) -> None:
     rate = summary.frames / summary.seconds
     print(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.0f} a second), log {summary.log_id}")
     print(
-        f"wrote {target} ({summary.messages_out} messages), {beside(target, 'metrics').name}, "
-        f"{beside(target, 'objects').name}"
+        f"wrote {target} ({summary.messages_out} messages), {sidecar_path(target, 'metrics').name}, "
+        f"{sidecar_path(target, 'objects').name}"
     )

@@ -8,7 +8,7 @@ from shlex import quote
 
 from roadperc_stream import __version__
 from roadperc_stream.cli.plumbing import frame_progress, run
-from roadperc_stream.schemas.channels import parse_topic_options
+from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.view.layout import write_layout
 from roadperc_stream.view.live.options import add_playback_arguments, given_options, playback_options
 from roadperc_stream.view.live.serving import serve_log

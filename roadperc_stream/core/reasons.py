@@ -5,11 +5,16 @@ from dataclasses import dataclass
 from typing import Final
 
 from roadperc_stream.core.config import STAGES
-from roadperc_stream.core.datatypes import MISSING_ROLES, Kind, Reason, parse_reason
+from roadperc_stream.core.datatypes import MISSING_ROLES, FrameResult, Kind, Reason, Sample, parse_reason
 
 _STAGES: Final = (*STAGES, "drivable")
 """Sources that are stages: any other is an input."""
 _MOST_REPORTED: Final = 4
+
+
+def frame_reasons(sample: Sample, result: FrameResult) -> tuple[Reason, ...]:
+    """Why anything of a frame is missing: its messages, then what the stages report."""
+    return (*(Reason(role, "no_message") for role in sample.missing), *result.reasons())
 
 
 @dataclass(frozen=True)

@@ -5,16 +5,13 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.errors import TableError
 from roadperc_stream.log import Attachment, Metadata
-from roadperc_stream.output.tables import beside, read_footer
-from roadperc_stream.replay import CONFIG_ATTACHMENT
-from roadperc_stream.schemas.channels import METADATA_RECORD
-
-_DROPPED: Final = "dropped."
+from roadperc_stream.output.tables import read_footer, sidecar_path
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, DROPPED_KEY, METADATA_RECORD
 
 
 @dataclass(frozen=True)
@@ -28,7 +25,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Table:
+class SidecarTable:
     """A table beside the log."""
 
     path: str
@@ -52,7 +49,7 @@ class Provenance:
     config_digest: str | None
     settings: tuple[Setting, ...]
     config_fault: str
-    tables: tuple[Table, ...]
+    tables: tuple[SidecarTable, ...]
 
     @property
     def changed(self) -> bool:
@@ -76,14 +73,14 @@ def provenance_of(
         digest_found=digest_found,
         frames=_number(facts.get("frames", "")),
         dropped={
-            name.removeprefix(_DROPPED): _number(value) or 0
+            name.removeprefix(DROPPED_KEY): _number(value) or 0
             for name, value in facts.items()
-            if name.startswith(_DROPPED)
+            if name.startswith(DROPPED_KEY)
         },
         config_digest=config_digest,
         settings=settings,
         config_fault=fault,
-        tables=tuple(_table(beside(path, name), digest, config_digest) for name in ("metrics", "objects")),
+        tables=tuple(_table(sidecar_path(path, name), digest, config_digest) for name in ("metrics", "objects")),
     )
 
 
@@ -117,15 +114,15 @@ def _number(text: str) -> int | None:
     return int(text) if text.isdecimal() else None
 
 
-def _table(path: Path, digest: str, config_digest: str | None) -> Table:
+def _table(path: Path, digest: str, config_digest: str | None) -> SidecarTable:
     if not path.exists():
-        return Table(str(path), None, "is not there")
+        return SidecarTable(str(path), None, "is not there")
     try:
         footer = read_footer(path)
     except TableError as error:
-        return Table(str(path), None, str(error).removeprefix(f"{path}: "))
+        return SidecarTable(str(path), None, str(error).removeprefix(f"{path}: "))
     if footer.log_id not in (None, digest[:16]):
-        return Table(str(path), footer.rows, f"is of log {footer.log_id}")
+        return SidecarTable(str(path), footer.rows, f"is of log {footer.log_id}")
     if footer.facts.get("roadperc.config_digest") != config_digest:
-        return Table(str(path), footer.rows, "is of another configuration")
-    return Table(str(path), footer.rows)
+        return SidecarTable(str(path), footer.rows, "is of another configuration")
+    return SidecarTable(str(path), footer.rows)

@@ -1,7 +1,8 @@
 """The row of a frame: what each stage gave, and how far it is from what is true."""
 
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import FrameResult, Reason, Sample
+from roadperc_stream.core.datatypes import FrameResult, Sample
+from roadperc_stream.core.reasons import frame_reasons
 from roadperc_stream.metrics.lanes import lane_benchmarks, lane_columns, lane_errors, true_lane_columns
 from roadperc_stream.metrics.objects import object_columns, object_errors
 from roadperc_stream.metrics.odometry import odometry_columns, odometry_errors, true_pose_columns
@@ -41,8 +42,3 @@ def _input_columns(sample: Sample, result: FrameResult) -> InputColumns:
         missing=sample.missing,
         reasons=tuple(str(reason) for reason in frame_reasons(sample, result)),
     )
-
-
-def frame_reasons(sample: Sample, result: FrameResult) -> tuple[Reason, ...]:
-    """Why anything of a frame is missing: its messages, then what the stages report."""
-    return (*(Reason(role, "no_message") for role in sample.missing), *result.reasons())

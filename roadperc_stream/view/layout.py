@@ -13,8 +13,8 @@ from roadperc_stream.core.datatypes import DepthImage
 from roadperc_stream.core.files import completing, require_free
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import context_of_channel, decode
-from roadperc_stream.input.roles.fill import roles_of_log
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.view.shown import require_shown
 
 _WITHOUT_IMAGE: Final = {"image": "left", "calibration": "left_calibration"}
@@ -48,7 +48,7 @@ def topics_in(path: Path, overrides: Mapping[str, str]) -> dict[str, str]:
         RoadpercError: the log cannot be read or holds nothing to show, or its channels do not fit the roles.
     """
     summary = log.summarise(path)
-    roles = roles_of_log(summary, overrides)
+    roles = assignment_of_log(summary, overrides)
     require_shown(summary, roles)
     filled = dict(roles.topics)
     if "image" not in filled:

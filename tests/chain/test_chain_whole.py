@@ -7,15 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.datatypes import Absent, PointCloud, Reason
-from roadperc_stream.input.plan import Cut, samples, survey_log
-from roadperc_stream.input.roles.fill import Problems
-from roadperc_stream.input.sync import SyncCounts
-from roadperc_stream.replay import one_thread
+from roadperc_stream.core.threads import one_thread
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.input import open_input
 from tests.chain.test_chain import same
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
@@ -26,9 +24,8 @@ EGO_T_LIDAR = g.rigid(g.rotation_from_rpy(0.02, -0.05, 0.3), np.array([0.0, 0.1,
 
 @pytest.fixture(scope="module")
 def frames():
-    summary = log.summarise(SAMPLE)
-    survey = survey_log(summary, CFG, {}, Cut(frames=FRAMES))
-    return [with_lidar(sample.frame) for sample in samples(summary, survey, CFG, SyncCounts(), Problems())]
+    log_in = open_input(SAMPLE, CFG, time_range=TimeRange(frames=FRAMES))
+    return [with_lidar(sample.frame) for sample in log_in.samples()]
 
 
 def with_lidar(frame):

@@ -9,7 +9,7 @@ from roadperc_stream import log
 from roadperc_stream.core.datatypes import Box
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.input.decoding import context_of, decode
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS
 from roadperc_stream.tools.carla_to_mcap import main
 from tests.tools.dump_writer import (

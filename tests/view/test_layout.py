@@ -11,8 +11,9 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2
-from roadperc_stream.schemas.channels import LIVE_ONLY, ON_REQUEST, RESULTS, ROLES, result_schemas
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.schemas.topics import LIVE_ONLY, ON_REQUEST, RESULTS, result_schemas
 from roadperc_stream.view.layout import foxglove_layout, topics_in, write_layout
 from tests import logs
 

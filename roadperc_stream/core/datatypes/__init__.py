@@ -33,7 +33,8 @@ from roadperc_stream.core.datatypes.results import (
     SurfaceSource,
     Verdict,
 )
-from roadperc_stream.core.datatypes.sample import EGO, ODOM, OWN_ODOM, Sample, Tie, Truth
+from roadperc_stream.core.datatypes.sample import EGO, ODOM, OWN_ODOM, FrameAnchor, Sample, Truth
+from roadperc_stream.core.datatypes.transform import Transform
 
 __all__ = [
     "EGO",
@@ -51,6 +52,7 @@ __all__ = [
     "DepthImage",
     "Detection",
     "Frame",
+    "FrameAnchor",
     "FrameResult",
     "HeightGrid",
     "Image",
@@ -74,7 +76,7 @@ __all__ = [
     "Surface",
     "SurfaceSource",
     "TagImage",
-    "Tie",
+    "Transform",
     "Truth",
     "Verdict",
     "parse_reason",

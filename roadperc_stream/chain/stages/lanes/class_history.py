@@ -4,10 +4,10 @@ from collections import Counter
 from dataclasses import dataclass
 
 from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.core.time import NS_PER_S
 
 _MOST = 256
 """Observations that are kept: half a second at 500 frames per second."""
-_NANOSECONDS = 1e9
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class ClassHistory:
         An empty name (out of sight) adds nothing: earlier observations stand until they are too old. While frames have
         no segmentation, nothing is added and the result stays as it is.
         """
-        kept = tuple(item for item in self.observations if (stamp_ns - item[0]) / _NANOSECONDS <= cfg.hold_s)
+        kept = tuple(item for item in self.observations if (stamp_ns - item[0]) / NS_PER_S <= cfg.hold_s)
         return ClassHistory((*kept, (stamp_ns, name))[-_MOST:] if name else kept)
 
     @property

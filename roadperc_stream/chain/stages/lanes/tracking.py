@@ -12,6 +12,7 @@ import numpy as np
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import read_only
 from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.time import NS_PER_S
 
 _OFFSET, _RATE, _HEADING, _CURVATURE = range(4)
 _MEASURED = [_OFFSET, _HEADING, _CURVATURE]
@@ -27,7 +28,6 @@ _TURN_STD = 0.0015
 _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.001
 """Per metre and root metre driven: how fast roads change their curvature."""
-_NANOSECONDS = 1e9
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def predict(cfg: LanesConfig, track: BoundaryTrack, stamp_ns: int, last_T_this: 
     """
     if last_T_this is not None:
         return _moved(track, stamp_ns, last_T_this)
-    dt = (stamp_ns - track.stamp_ns) / _NANOSECONDS
+    dt = (stamp_ns - track.stamp_ns) / NS_PER_S
     F = np.eye(4)
     F[_OFFSET, _RATE] = dt
     Q = np.diag([0.0, 0.0, _HEADING_WALK**2 * dt, _CURVATURE_WALK_PER_M**2 * dt])
@@ -87,7 +87,7 @@ def _moved(track: BoundaryTrack, stamp_ns: int, last_T_this: Float) -> BoundaryT
     """The track in the frame of the moved car: to first order in the angles between car and boundary."""
     dx, dy = float(last_T_this[0, 3]), float(last_T_this[1, 3])
     turn = float(np.arctan2(last_T_this[1, 0], last_T_this[0, 0]))
-    dt = (stamp_ns - track.stamp_ns) / _NANOSECONDS
+    dt = (stamp_ns - track.stamp_ns) / NS_PER_S
     F = np.zeros((4, 4))
     F[_OFFSET, [_OFFSET, _HEADING, _CURVATURE]] = 1.0, dx, dx**2 / 2
     F[_HEADING, [_HEADING, _CURVATURE]] = 1.0, dx
@@ -117,4 +117,4 @@ def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Flo
 
 def expired(cfg: LanesConfig, track: BoundaryTrack) -> bool:
     """Whether the track was last measured longer ago than it may be held."""
-    return (track.stamp_ns - track.measured_ns) / _NANOSECONDS > cfg.hold_s
+    return (track.stamp_ns - track.measured_ns) / NS_PER_S > cfg.hold_s

@@ -12,8 +12,8 @@ from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
 from roadperc_stream.chain.stages.objects.template import Template
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Box, Detection, Object
+from roadperc_stream.core.time import NS_PER_S
 
-_NANOSECONDS = 1e9
 _FIRST_SPEED_STD_MPS = 20.0
 _SIDE_STD = 0.03
 """Of a detected box's centre, in box sides."""
@@ -78,7 +78,7 @@ def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: 
 
 def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int) -> ObjectTrack:
     """The track at a later stamp: the box moves on as its centre did and grows as the object comes nearer."""
-    dt_s = (stamp_ns - track.stamp_ns) / _NANOSECONDS
+    dt_s = (stamp_ns - track.stamp_ns) / NS_PER_S
     width, height = _sides(track.box_px)
     x_px = track.x_px.predict(_DRIFT_WALK * width, dt_s)
     y_px = track.y_px.predict(_DRIFT_WALK * height, dt_s)
@@ -118,12 +118,12 @@ def coasted(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> ObjectTrack
 
 def expired(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
     """Whether the object was last detected longer ago than it is tracked."""
-    return (track.stamp_ns - track.detected_ns) / _NANOSECONDS > cfg.hold_s
+    return (track.stamp_ns - track.detected_ns) / NS_PER_S > cfg.hold_s
 
 
 def confirmed(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
     """Whether the object was observed without a gap for long enough to be no stray detection."""
-    return (track.observed_ns - track.run_ns) / _NANOSECONDS >= cfg.carry_after_s
+    return (track.observed_ns - track.run_ns) / NS_PER_S >= cfg.carry_after_s
 
 
 def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
@@ -159,7 +159,7 @@ def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: 
     if track.rival_m is None or theirs > cfg.gate:
         return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)
     rival_m = track.rival_m.update(distance_m, std_m)
-    if (track.stamp_ns - track.rival_ns) / _NANOSECONDS < cfg.restart_s:
+    if (track.stamp_ns - track.rival_ns) / NS_PER_S < cfg.restart_s:
         return replace(track, rival_m=rival_m)
     return replace(track, distance_m=rival_m, rival_m=None)
 

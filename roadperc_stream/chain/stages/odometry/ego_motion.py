@@ -17,8 +17,8 @@ from roadperc_stream.core.config import OdometryConfig
 from roadperc_stream.core.datatypes import Absent, Matches, Odometry, Reason, Surface, read_only
 from roadperc_stream.core.geometry import Float, Float32, inverse, project, transform
 from roadperc_stream.core.scene import Scene
+from roadperc_stream.core.time import NS_PER_S
 
-_NANOSECONDS = 1e9
 _FIRST_LENGTH = 1.0
 """Length of the first step where its scale is not known."""
 _ASTRAY_PX = 20.0
@@ -144,7 +144,7 @@ def _continued(
         carried = carry(keyframe.landmarks, motion, estimate.px)
         keyframe = make_keyframe(cfg, frame, estimate.odom_T_ego @ frame.ego_T_camera, carried)
         found_px, covariance = keyframe.landmarks.features.px, np.zeros((6, 6))
-    velocity = _velocity(last_T_this, (frame.stamp_ns - last.stamp_ns) / _NANOSECONDS)
+    velocity = _velocity(last_T_this, (frame.stamp_ns - last.stamp_ns) / NS_PER_S)
     return OdometryState(estimate.odom_T_ego, keyframe, LastFrame(frame.stamp_ns, velocity, found_px, covariance)), out
 
 
@@ -186,7 +186,7 @@ def _guesses(
     next repetition is a consistent motion too. Then, if need be, around where they were found last; NaN: anywhere.
     """
     if last.velocity is not None:
-        seconds = (frame.stamp_ns - last.stamp_ns) / _NANOSECONDS
+        seconds = (frame.stamp_ns - last.stamp_ns) / NS_PER_S
         odom_T_camera = odom_T_last @ moved(last.velocity * seconds) @ frame.ego_T_camera
         camera_T_key = inverse(odom_T_camera) @ keyframe.odom_T_camera
         predicted = project(frame.camera, transform(camera_T_key, keyframe.landmarks.points_m)).astype(np.float32)
@@ -207,7 +207,7 @@ def _localised(
     else:
         length = _FIRST_LENGTH
         if last.velocity is not None:
-            length = float(np.linalg.norm(last.velocity[:3])) * (frame.stamp_ns - keyframe.stamp_ns) / _NANOSECONDS
+            length = float(np.linalg.norm(last.velocity[:3])) * (frame.stamp_ns - keyframe.stamp_ns) / NS_PER_S
         motion = motion_from_rays(cfg, frame.camera, landmarks.features.px, px, landmarks.points_m, length)
     if motion is None:
         return None
@@ -223,7 +223,7 @@ def _possible(
     last_T_this: Float,
 ) -> bool:
     """Whether a car can make the motion; without scale its speed is not known."""
-    velocity = _velocity(last_T_this, (frame.stamp_ns - last.stamp_ns) / _NANOSECONDS)
+    velocity = _velocity(last_T_this, (frame.stamp_ns - last.stamp_ns) / NS_PER_S)
     speed, turn_rate = np.linalg.norm(velocity.reshape(2, 3), axis=1)
     fast = keyframe.landmarks.metric and estimate.motion.scaled and speed > cfg.max_speed_mps
     return not fast and bool(turn_rate <= np.deg2rad(cfg.max_turn_rate_dps))

@@ -7,14 +7,14 @@ from itertools import groupby
 
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.input.roles.fill import is_result_of
+from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.log import Message
-from roadperc_stream.schemas.channels import METRICS_TOPIC
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.schemas.topics import METRICS_TOPIC
 
 
 @dataclass(frozen=True)
-class Moment:
+class Instant:
     """All messages of one log time."""
 
     log_time_ns: int
@@ -28,7 +28,7 @@ class Moment:
         return any(is_result_of(message.channel, METRICS_TOPIC) for message in self.messages)
 
 
-def moments(messages: Iterable[Message], reference: str | None) -> Iterator[Moment]:
+def instants(messages: Iterable[Message], reference: str | None) -> Iterator[Instant]:
     """Group messages by log time.
 
     Args:
@@ -39,7 +39,7 @@ def moments(messages: Iterable[Message], reference: str | None) -> Iterator[Mome
     for log_time_ns, together in groupby(messages, key=lambda message: message.log_time_ns):
         group = tuple(together)
         frame = _frame(group, reference, frame)
-        yield Moment(log_time_ns, frame, group)
+        yield Instant(log_time_ns, frame, group)
 
 
 def _frame(group: tuple[Message, ...], reference: str | None, last: int) -> int:
