@@ -290,7 +290,7 @@ def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
             "stereo: no right image",
             "lanes: no segmentation",
             "surface: no segmentation, the lower image stands in for the road",
-            "objects: no segmentation, nothing is judged",
+            "objects: no segmentation, detections are not filtered",
         ]
         assert table["reasons"].to_list() == [reasons] * 6
         texts = [m.data for m in by_topic(target)["/perception/log"]]

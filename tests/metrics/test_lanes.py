@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream import metrics as m
-from roadperc_stream.core.datatypes import Absent, Boundary, Lanes
+from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Reason
 from roadperc_stream.core.geometry import inverse, project, transform
 from roadperc_stream.metrics.lanes import columns_at, lane_benchmarks, true_lane_columns
 from roadperc_stream.schemas.columns.errors import LaneScoreColumns, TrueLaneColumns
@@ -67,6 +67,9 @@ def test_thresholds_grow_with_the_image():
             assert (score.lane_tusimple_fn == 0) is right, (shift_px, road.width)
 
 
+NOTHING = Absent(Reason("lanes", "not_run"))
+
+
 @pytest.mark.parametrize("scale", [1, 2])
 def test_drawn_lines_grow_with_the_image(scale):
     """23 px wide in 1280, moved by 10: 13 of 33 columns are shared, 0.39."""
@@ -87,7 +90,12 @@ def test_lost_boundaries_are_missed_and_nothing_is_found_wrongly():
 
 @pytest.mark.parametrize(
     ("found", "truth"),
-    [(TRUTH, None), (Absent("not run"), TRUTH), (TRUTH, Lanes(())), (TRUTH, Lanes((boundary(900.0),)))],
+    [
+        (TRUTH, None),
+        (NOTHING, TRUTH),
+        (TRUTH, Lanes(())),
+        (TRUTH, Lanes((boundary(900.0),))),
+    ],
 )
 def test_nothing_is_scored_without_truth_in_the_image(found, truth):
     assert lane_benchmarks(found, truth, ROAD.camera, ROAD.ego_T_camera) == LaneScoreColumns()
