@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
-from roadperc_stream.chain.stage_timer import StageTimer
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.core.files import all_or_none, require_free
 from roadperc_stream.core.progress import Progress, no_progress
 from roadperc_stream.core.reasons import throughout
+from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import WHOLE, TimeRange
 from roadperc_stream.input import ReplayInput, open_input

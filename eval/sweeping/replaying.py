@@ -5,10 +5,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from roadperc_stream.chain.stage_timer import StageTimer
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
+from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.input import open_input

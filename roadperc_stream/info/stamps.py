@@ -1,8 +1,7 @@
 """The stamp of any message that carries one, without decoding the rest of it.
 
-Where it stands is defined by the channel's own schema: a field ``timestamp`` of Foxglove's messages and of this
-project's (protobuf, JSON), a leading std_msgs/Header (ROS 2), or that of the first part of a list, as transforms have
-it.
+The channel's own schema says where it stands: a field ``timestamp`` of Foxglove's messages and of this project's
+(protobuf, JSON), a leading std_msgs/Header (ROS 2), or that of the first part of a list, as transforms have it.
 """
 
 import json

@@ -5,11 +5,11 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from roadperc_stream import __version__
-from roadperc_stream.chain.stage_timer import StageTimer
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import FrameResult, Odometry, Sample
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.reasons import ReasonCounts, frame_reasons, merged, of_frame
+from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.results import result_messages

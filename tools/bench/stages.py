@@ -13,11 +13,11 @@ from time import perf_counter
 from rich.console import Console
 from rich.table import Table
 
-from roadperc_stream.chain.stage_timer import StageTimer
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.cli.plumbing import run
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
+from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import LogError

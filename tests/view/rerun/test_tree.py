@@ -109,7 +109,7 @@ def test_frames_above_the_car_are_kept_below_it():
 
 def test_only_what_changes_is_drawn_again():
     world = SceneState()
-    world.hold("calibration", camera("camera"))
+    world.latch("calibration", camera("camera"))
     assert len(list(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))) == 3
     assert not list(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))
     (again,) = scene.transforms("/tf", "tf", (edge("base_link", "camera", 1.2),), world)
@@ -160,7 +160,7 @@ def test_a_transform_that_comes_later_takes_the_place_of_what_was_assumed():
 
 def test_a_right_image_without_calibration_is_not_in_the_front_cameras_plane():
     world = SceneState()
-    world.hold("calibration", camera("camera"))
+    world.latch("calibration", camera("camera"))
     planes = {role: world.image_frame(role, f"{role}_camera") for role in ("image", "left", "depth", "right")}
     front = "camera_image_plane"
     assert planes == {"image": front, "left": front, "depth": front, "right": "right_camera_image_plane"}
@@ -168,8 +168,8 @@ def test_a_right_image_without_calibration_is_not_in_the_front_cameras_plane():
 
 def test_results_are_those_of_the_camera_that_makes_the_frames():
     world = SceneState("left")
-    world.hold("calibration", camera("camera"))
-    world.hold("left_calibration", camera("left"))
+    world.latch("calibration", camera("camera"))
+    world.latch("left_calibration", camera("left"))
     assert world.front == camera("left")
 
 
@@ -186,7 +186,7 @@ def test_of_the_results_only_odometry_is_drawn(odometry):
 @pytest.mark.parametrize(("role", "frame"), [("truth_pose", "odom of the log"), ("result", "odom")])
 def test_a_pose_stands_in_the_odom_of_who_tells_it(role, frame):
     world = SceneState()
-    world.hold("tf", (edge("odom", "base_link", 9.0),))
+    world.latch("tf", (edge("odom", "base_link", 9.0),))
     (arrow,) = scene.pose("/pose", role, edge("odom", "car", 2.0), world)
     assert arrow.frame == frame
 
