@@ -7,7 +7,7 @@ DEMO := logs/runs/demo
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test test-hostile mutants accuracy bench bench-report lint proto sample settings-page clean
+.PHONY: demo test test-hostile mutants accuracy bench bench-report lint pages proto sample settings-page clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -55,6 +55,9 @@ lint: $(VENV)/.installed
 proto: $(VENV)/.installed
 	$(BIN)/python -m grpc_tools.protoc --proto_path=. --plugin=protoc-gen-mypy=$(BIN)/protoc-gen-mypy \
 		--python_out=. --mypy_out=. roadperc_stream/schemas/roadperc.proto
+
+pages: $(VENV)/.installed  # the tables of docs/ that are made from the code
+	$(BIN)/python -m roadperc_stream.eval.metrics_page docs/metrics.md
 
 sample: $(VENV)/.installed
 	$(BIN)/roadperc-render $(SAMPLE_DUMP) $(SAMPLE_OPTIONS) --force

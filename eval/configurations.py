@@ -10,7 +10,7 @@ from roadperc_stream import log
 from roadperc_stream.core.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, LogError
 from roadperc_stream.output.text_table import TextRow, TextTable
-from roadperc_stream.schemas.channels import CONFIG_ATTACHMENT
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 
 from .runs import SUFFIX, Run
 

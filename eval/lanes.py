@@ -22,7 +22,7 @@ NAMED: Final = 10
 
 
 @dataclass(frozen=True)
-class Options:
+class LaneOptions:
     """The files, and how their frames and pixels belong to the run's."""
 
     target: Path | None
@@ -32,7 +32,7 @@ class Options:
     """Columns and rows; None for the camera's."""
 
 
-def print_lanes(path: Path, options: Options) -> None:
+def print_lanes(path: Path, options: LaneOptions) -> None:
     """Export a run's lanes, and score them.
 
     Args:

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 
 SUFFIX: Final = ".metrics.parquet"
 OBJECTS_SUFFIX: Final = ".objects.parquet"
@@ -104,7 +104,7 @@ def _in_folder(folder: Path) -> list[Path]:
 
 
 def _of_log(log: Path) -> Path:
-    table = beside(log, "metrics")
+    table = sidecar_path(log, "metrics")
     if not table.exists():
         missing = f"no {table.name} next to it; roadperc-replay writes one next to its OUT.mcap"
         raise TableError(f"{log}: {missing if log.exists() else 'no such file'}")

@@ -1,16 +1,14 @@
 """Metrics tables as lazy polars frames, and the expressions that boil their columns down."""
 
-from typing import Final
-
 import polars as pl
 
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import TableError
+from roadperc_stream.schemas.columns import RATIO
 
-from .quantities import CATEGORIES, LOST, RATIO, REST, SIDES, STAGES, STORED, TOTAL, Quantity
+from .quantities import CATEGORIES, LOST, REST, SIDES, STAGES, STORED, TOTAL, Quantity
 from .runs import Run
 from .scores import COUNTS, TRACED, correlations
-
-_NANOSECONDS: Final = 1e9
 
 
 def scan(run: Run) -> pl.LazyFrame:
@@ -29,7 +27,7 @@ def scan(run: Run) -> pl.LazyFrame:
     )
     stages = [quantity.column for quantity in STAGES if quantity not in {TOTAL, REST}]
     return stored.with_columns(
-        ((pl.col("stamp_ns") - pl.col("stamp_ns").min()) / _NANOSECONDS).alias("since_start_s"),
+        ((pl.col("stamp_ns") - pl.col("stamp_ns").min()) / NS_PER_S).alias("since_start_s"),
         (pl.col(TOTAL.column) - pl.sum_horizontal(stages)).alias(REST.column),
         _lanes_lost().alias(LOST.column),
         *(column for side in SIDES for column in _second_differences(side)),
@@ -56,8 +54,8 @@ def extent() -> list[pl.Expr]:
     stamp_ns = pl.col("stamp_ns")
     return [
         pl.col("log_id").unique().sort().implode().alias("log_ids"),
-        ((stamp_ns.max() - stamp_ns.min()) / _NANOSECONDS).alias("span_s"),
-        (stamp_ns.diff().max() / _NANOSECONDS).alias("longest_gap_s"),
+        ((stamp_ns.max() - stamp_ns.min()) / NS_PER_S).alias("span_s"),
+        (stamp_ns.diff().max() / NS_PER_S).alias("longest_gap_s"),
         (pl.col("missing").list.len() > 0).sum().alias("incomplete"),
     ]
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import islice
 from typing import Final
 
+from roadperc_stream.core.datatypes import ReasonKind
 from roadperc_stream.core.reasons import merged, ranked
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
@@ -227,7 +228,7 @@ def _beyond_lanes(summary: Summary) -> str:
     )
 
 
-def _reason(summaries: Summaries, kind: str, text: str) -> TextRow:
+def _reason(summaries: Summaries, kind: ReasonKind, text: str) -> TextRow:
     """In how many frames of each summary a reason was given, and the share in percent."""
     frames = [summary.reasons[kind].frames if kind in summary.reasons else 0 for summary in summaries]
     shares = [summary.reason_share(kind) for summary in summaries]

@@ -14,7 +14,8 @@ from typing import Any, Final
 import numpy as np
 import polars as pl
 
-from roadperc_stream.core.reasons import Reasons, grouped, merged
+from roadperc_stream.core.datatypes import ReasonKind
+from roadperc_stream.core.reasons import ReasonCounts, grouped, merged
 
 from .configurations import Group
 from .distribution import Distribution, Sketch, exactly, thinned
@@ -70,7 +71,7 @@ class Summary:
     statistics: Mapping[str, Statistics]
     categories: Mapping[str, Counter[str]]
     missing: Counter[str]
-    reasons: Reasons
+    reasons: ReasonCounts
     totals: Mapping[str, int]
     correlations: Mapping[str, tuple[float | None, ...]]
     worst: Mapping[str, tuple[WorstFrame, ...]] = field(repr=False)
@@ -89,7 +90,7 @@ class Summary:
         """Share of the frames that have one of these values in a text column."""
         return sum(self.categories[column][value] for value in values) / self.frames
 
-    def reason_share(self, kind: str) -> float:
+    def reason_share(self, kind: ReasonKind) -> float:
         """Share of the frames that gave a reason."""
         found = self.reasons.get(kind)
         return found.frames / self.frames if found else 0.0

@@ -10,7 +10,7 @@ from roadperc_stream.core.config import load_config
 from roadperc_stream.core.folders import not_a_log
 from roadperc_stream.errors import LogError
 from roadperc_stream.output.terminal import console_for, frame_progress, print_lines, print_table
-from roadperc_stream.schemas.channels import parse_topic_options
+from roadperc_stream.schemas.roles import parse_topic_options
 
 from .sweeping.dataset import dataset, describe, table_names, tables
 from .sweeping.processes import sweep_logs

@@ -21,7 +21,7 @@ from .trajectories.poses import RunPoses
 
 
 @dataclass(frozen=True)
-class Options:
+class TrajectoryOptions:
     """How paths are compared, and the folders their files go to."""
 
     alignment: Alignment | None
@@ -31,7 +31,7 @@ class Options:
     kitti: Path | None
 
 
-def print_trajectories(arguments: Sequence[str], options: Options) -> None:
+def print_trajectories(arguments: Sequence[str], options: TrajectoryOptions) -> None:
     """Print the errors of runs' paths, and export them.
 
     Args:
@@ -44,7 +44,7 @@ def print_trajectories(arguments: Sequence[str], options: Options) -> None:
     _print_runs(find_runs(arguments), options)
 
 
-def _print_runs(runs: Sequence[Run], options: Options) -> None:
+def _print_runs(runs: Sequence[Run], options: TrajectoryOptions) -> None:
     """Every run's figures; a run that has none is named, and is an error where nothing else came of the command."""
     evaluated: list[Evaluation] = []
     refused: list[TableError] = []
@@ -66,7 +66,7 @@ def _print_runs(runs: Sequence[Run], options: Options) -> None:
         print_parts(console, *_several(evaluated, name_columns(console)))
 
 
-def _export(poses: RunPoses, options: Options) -> bool:
+def _export(poses: RunPoses, options: TrajectoryOptions) -> bool:
     """Write the files that were asked for; whether there were any."""
     if options.tum:
         export_tum(options.tum, poses)

@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.formats import images
-from roadperc_stream.input.decoding import Transform
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output import encoding
-from roadperc_stream.schemas.channels import ROLES, TAG_TABLE_KEY, schema
+from roadperc_stream.schemas.record import TAG_TABLE_KEY
+from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.roles import ROLES
 from tests.analytic import STEP_NS, Road, box
 
 START_NS = 1_600_000_000_000_000_000

@@ -12,9 +12,9 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli import convert, render
 from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.core.datatypes.results import Lanes
 from roadperc_stream.eval.scores import correlations, lag_frames
-from roadperc_stream.output.tables import beside
-from roadperc_stream.schemas.roadperc_pb2 import Lanes
+from roadperc_stream.output.tables import sidecar_path
 
 BEND = ("--scene", "bend", "--weave", "0.5")
 NOISE = ("--tag-noise", "0.02", "--depth-noise", "0.01")
@@ -50,7 +50,7 @@ def drive(folder, *options, settings=()):
     for message in log.read(folder / "in.mcap", topics=["/truth/lanes"]):
         for boundary in Lanes.FromString(message.data).boundaries:
             offsets["left" if boundary.side == 1 else "right"].append(boundary.offset_m)
-    metrics = pl.read_parquet(beside(folder / "out.mcap", "metrics"))
+    metrics = pl.read_parquet(sidecar_path(folder / "out.mcap", "metrics"))
     return Run(metrics, {side: np.array(values) for side, values in offsets.items()})
 
 
@@ -58,7 +58,7 @@ def replay_again(folder, run, setting):
     """The same log with another setting."""
     arguments = [str(folder / "in.mcap"), str(folder / "again.mcap"), "--quiet", "--set", setting]
     assert replay_main(arguments) == 0
-    return Run(pl.read_parquet(beside(folder / "again.mcap", "metrics")), run.true_offsets)
+    return Run(pl.read_parquet(sidecar_path(folder / "again.mcap", "metrics")), run.true_offsets)
 
 
 def report(name, run):

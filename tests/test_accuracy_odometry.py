@@ -16,8 +16,8 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.core.geometry import inverse
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.log import LogWriter
-from roadperc_stream.output.tables import beside
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.roles import ROLES
 from tests.chain.stages.odometry.trajectories import aligned_errors_m, distances_m, relative_errors
 
 STAGES = "stereo,surface,odometry"
@@ -94,7 +94,7 @@ def judge(name, source, folder, lengths_m):
     seen = without(source, folder / "in.mcap", case.missing)
     options = ("--quiet", "--results-only", "--only", STAGES, "--set", case.setting)
     assert replay_main([str(seen), str(target), *options]) == 0
-    metrics = pl.read_parquet(beside(target, "metrics"))
+    metrics = pl.read_parquet(sidecar_path(target, "metrics"))
     assert metrics["odometry_status"].to_list() == ["first"] + ["tracked"] * (metrics.height - 1)
     assert set(metrics["surface_source"]) == {case.road}
     (estimated, stamps), (true, true_stamps) = poses(target, "/perception/odometry"), poses(source, "/truth/pose")

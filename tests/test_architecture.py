@@ -3,76 +3,140 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
+from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "roadperc_stream"
-STAGE_IMPORTS = {"datatypes", "geometry", "ground", "semantics", "config", "template"}
 
-
-def imports(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-            yield from names if node.module == "roadperc_stream" else [node.module]
+BELOW = {"errors", "core"}
+INPUT = BELOW | {"formats", "schemas", "log"}
+MAY_IMPORT = {
+    "errors": set(),
+    "core": {"errors"},
+    "formats": BELOW,
+    "schemas": BELOW,
+    "log": BELOW,
+    "chain": BELOW,
+    "metrics": BELOW | {"schemas", "chain"},
+    "input": INPUT,
+    "output": INPUT,
+    "replay": INPUT | {"input", "chain", "metrics", "output"},
+    "info": INPUT | {"input", "output"},
+    "view": INPUT | {"input", "output"},
+    "cli": INPUT | {"input", "chain", "metrics", "output", "replay", "info", "view"},
+}
+"""What each folder, and each module at the root, imports at most; nothing of the package imports tools or eval."""
+MOST_ROOT_MODULES = 6
+LONGEST_CHAIN = 9
 
 
 def sources(*folders):
     return [p for folder in folders for p in sorted((ROOT / folder).rglob("*.py")) if not p.name.endswith("_pb2.py")]
 
 
-def stage_of(path):
-    """The stage a module belongs to: its file, or its folder below stages/."""
-    return path.relative_to(PACKAGE / "stages").parts[0].removesuffix(".py")
+@cache
+def imports(path):
+    """What a module imports, in full; of the package's own modules their names without it, such as ``core.files``."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            found.update(own_or_member(node.module, alias.name) for alias in node.names)
+    return frozenset(name.removeprefix("roadperc_stream.") for name in found if name != "roadperc_stream")
 
 
-@pytest.mark.parametrize("path", sources("roadperc_stream/stages"), ids=lambda p: p.stem)
+def own_or_member(module, name):
+    """The module that a name is imported from, or the one it is; a constant of the package itself is of no module."""
+    path = PACKAGE.joinpath(*module.split(".")[1:], name)
+    is_module = module.startswith("roadperc_stream") and (path.is_dir() or path.with_suffix(".py").is_file())
+    return f"{module}.{name}" if is_module else module
+
+
+def module_of(path):
+    return ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+
+
+def part_of(module):
+    """The folder, or the module at the root, that a module of the package belongs to."""
+    return module.partition(".")[0]
+
+
+def crossings():
+    """(module, part of the package) of all imports from one part into another."""
+    parts = {*MAY_IMPORT, "tools", "eval"}
+    for path in sources("roadperc_stream"):
+        module = module_of(path)
+        for part in {part_of(name) for name in imports(path)} & parts - {part_of(module)}:
+            yield module, part
+
+
+def test_every_part_has_a_rule():
+    parts = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
+    assert parts - {"__init__"} == set(MAY_IMPORT)
+
+
+def test_parts_import_what_stands_below_them():
+    wrong = {(m, part) for m, part in crossings() if m != "__init__" and part not in MAY_IMPORT[part_of(m)]}
+    assert wrong == set()
+
+
+def test_the_parts_have_one_order_and_no_long_chain():
+    edges = {part: set() for part in MAY_IMPORT}
+    for module, part in crossings():
+        edges.setdefault(part_of(module), set()).add(part)
+    length = {}
+    for part in TopologicalSorter(edges).static_order():  # raises CycleError
+        length[part] = 1 + max((length[below] for below in edges.get(part, ())), default=0)
+    assert max(length.values()) <= LONGEST_CHAIN
+
+
+def test_the_root_holds_the_loop_and_the_public_face():
+    assert len(list(PACKAGE.glob("*.py"))) <= MOST_ROOT_MODULES
+
+
+def test_no_two_classes_have_one_name():
+    trees = [ast.parse(path.read_text()) for path in sources("roadperc_stream", "tools", "eval")]
+    names = Counter(node.name for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+    assert {n for n, count in names.items() if count > 1 and not n.startswith("_")} == set()
+
+
+@pytest.mark.parametrize("path", sources("roadperc_stream/chain/stages"), ids=lambda p: p.stem)
 def test_a_stage_knows_only_its_own_kind(path):
+    stage = module_of(path).split(".")[2]
     for name in imports(path):
         parts = name.split(".")
-        if parts[0] != "roadperc_stream":
-            assert parts[0] in {"numpy", "scipy", "cv2"} | sys.stdlib_module_names, name
-        elif parts[1] == "stages":
-            assert parts[2] == stage_of(path), f"{path.name} imports another stage: {name}"
+        if parts[:2] == ["chain", "stages"]:
+            assert parts[2] == stage, f"{path.name} imports another stage: {name}"
         else:
-            assert parts[1] in STAGE_IMPORTS, name
+            assert parts[0] in {"core", "numpy", "scipy", "cv2"} | sys.stdlib_module_names, name
 
 
-def test_only_the_logs_room_imports_mcap():
+def test_only_the_log_package_imports_mcap():
     users = {p.parent.name for p in sources("roadperc_stream") if any(n.split(".")[0] == "mcap" for n in imports(p))}
     assert users == {"log"}
 
 
 def test_only_the_table_and_the_evaluation_know_parquet():
     users = {p.name for p in sources("roadperc_stream", "tools") if any(n.startswith("pyarrow") for n in imports(p))}
-    assert users == {"table.py"}
+    assert users == {"tables.py"}
 
 
 def test_chain_and_stages_never_see_the_truth():
-    for path in [PACKAGE / "chain.py", *sources("roadperc_stream/stages")]:
+    for path in sources("roadperc_stream/chain"):
         names = {node.id for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Name)}
         assert not names & {"Truth", "Sample"}, path
-
-
-def test_the_package_imports_neither_tools_nor_eval():
-    for path in sources("roadperc_stream"):
-        assert not any(n.startswith(("roadperc_stream.tools", "roadperc_stream.eval")) for n in imports(path)), path
-
-
-def test_nothing_in_the_package_imports_its_commands():
-    for path in sources("roadperc_stream"):
-        if path.parent.name != "cli":
-            assert not any(n.startswith("roadperc_stream.cli") for n in imports(path)), path
 
 
 def test_tools_and_eval_do_not_import_each_other():
     for folder, other in (("tools", "eval"), ("eval", "tools")):
         for path in sources(folder):
-            assert not any(n.startswith(f"roadperc_stream.{other}") for n in imports(path)), path
+            assert other not in {part_of(name) for name in imports(path)}, path
 
 
 def test_the_generated_messages_are_those_of_the_definition(tmp_path):

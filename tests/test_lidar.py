@@ -8,16 +8,14 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.chain.registration import depth_of_points
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import ReplayConfig, load_config
-from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, StereoDepth
+from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, Reason, StereoDepth, Transform
+from roadperc_stream.core.registration import depth_of_points
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats.points import encode_points
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.output.encoding import encode_transforms
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.encoding import encode_points, encode_transforms
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
 from tests import logs
 from tests.analytic import VEHICLE, Road, box
@@ -59,6 +57,10 @@ def lidar_frame(index=0, road=ROAD, **changes):
 
 def run(frame, cfg=CFG):
     return step(cfg, ChainState(), frame)[1]
+
+
+def texts(reasons):
+    return tuple(str(reason) for reason in reasons)
 
 
 def test_each_point_falls_into_its_pixel_and_the_nearest_counts():
@@ -116,7 +118,7 @@ def few_on_the_road(count):
 def test_a_lidar_that_misses_the_road_leaves_the_assumed_plane_and_the_distances(count, mounted, known):
     result = run(lidar_frame(points=few_on_the_road(count), mounted=mounted))
     few = f"{count} road pixels with known depth within max_depth_m, a plane needs three"
-    assert result.problems == (f"surface: {few}: {known} gives the plane",)
+    assert texts(result.problems) == (f"surface: {known} gives the plane: {few}",)
     assert result.surface.source == "assumed"
     assert result.lanes.side("left").status == "measured"
     assert result.objects.objects[0].distance_m == pytest.approx(10.1, abs=0.3)
@@ -127,23 +129,22 @@ def test_a_lidars_points_that_are_no_plane_leave_the_assumed_one():
     road_points = g.intersect_plane(CAMERA, np.array([[200.0, 420.0], [300.0, 420.0], [400.0, 420.0]]), ROAD.plane)
     result = run(lidar_frame(points=cloud(road_points), mounted=True))
     assert result.surface.source == "assumed"
-    assert result.problems == (
-        "surface: no plane through 3 road points holds 20% of them: the mounting gives the plane",
+    assert texts(result.problems) == (
+        "surface: the mounting gives the plane: no plane through 3 road points holds 20% of them",
     )
 
 
 def test_points_beyond_the_range_leave_the_assumed_plane():
     result = run(lidar_frame(), load_config(None, ("surface.max_depth_m=1",)))
     assert result.surface.source == "assumed"
-    assert result.problems[0].startswith("surface: 0 road pixels with known depth within max_depth_m")
+    assert result.problems[0].cause == Reason("surface", "too_few_road_points", (0,))
 
 
 def test_a_depth_camera_that_misses_the_road_still_gives_no_surface():
     depth_m = np.full_like(ROAD.depth_m(), np.nan)
     depth_m[400:402, 320] = 3.0
     result = run(lidar_frame(points=None, depth=DepthImage(CAMERA.frame_id, lambda: (depth_m, np.inf))))
-    few = "2 road pixels with known depth within max_depth_m, a plane needs three"
-    assert result.surface == Absent(few)
+    assert result.surface == Absent(Reason("surface", "too_few_road_points", (2,)))
 
 
 def test_the_drivable_pixels_are_no_dots():
@@ -154,7 +155,7 @@ def test_the_drivable_pixels_are_no_dots():
     assert both / either > 0.98
 
 
-def test_the_spline_takes_every_point():
+def test_the_spline_uses_every_point():
     result = run(lidar_frame(), load_config(None, ("surface.model=spline",)))
     assert result.surface.model == "spline"
     x = np.arange(41)
@@ -173,7 +174,7 @@ def test_without_segmentation_the_lower_image_gives_the_plane():
     result = run(lidar_frame(segmentation=None))
     assert result.surface.source == "lower_image"
     assert result.surface.camera_height_m == pytest.approx(ROAD.height_m, abs=1e-3)
-    assert result.drivable == Absent("no segmentation, and a lidar's points are too few to tell pixels apart")
+    assert result.drivable == Absent(Reason("drivable", "no_segmentation_sparse_depth"))
 
 
 def test_a_depth_sensor_comes_first_and_points_are_not_even_decoded():
@@ -198,7 +199,7 @@ def broken(*_):
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
-        ({"points": PointCloud("lidar", broken)}, "lidar: cut off"),
+        ({"points": PointCloud("lidar", broken)}, "lidar: cannot be decoded: cut off"),
         ({"ego_T_lidar": None}, "lidar: no transform connects its frame 'lidar' with ego"),
         ({"points": PointCloud("lidar", lambda: np.zeros((0, 3), np.float32))}, "lidar: none of its 0 points lies in"),
         (
@@ -207,10 +208,10 @@ def broken(*_):
         ),
     ],
 )
-def test_points_that_cannot_be_used_are_missing_and_said(changes, problem):
+def test_points_that_cannot_be_used_are_missing_and_reported(changes, problem):
     result = run(lidar_frame(**changes))
-    assert result.problems[0].startswith(problem)
-    assert result.problems[1] == "surface: no depth, the mounting gives the plane"
+    assert str(result.problems[0]).startswith(problem)
+    assert str(result.problems[1]) == "surface: no depth, the mounting gives the plane"
     assert result.surface.source == "assumed"
     assert result.objects.objects[0].distance_m is None
 
@@ -237,7 +238,7 @@ def log_of(path, ego_T_lidar, frame_id="lidar", edges=(), roles=ROLES, frames=4)
 def replayed(source, name="out.mcap", **options):
     target = source.parent / name
     replay(source, target, ReplayConfig(), **options)
-    return target, pl.read_parquet(beside(target, "metrics"))
+    return target, pl.read_parquet(sidecar_path(target, "metrics"))
 
 
 RIG = g.rigid(g.rotation_from_rpy(0.0, 0.0, -0.5), np.array([1.0, 0.0, 1.0]))
@@ -305,7 +306,7 @@ def test_a_loop_of_transforms_is_left_out_and_told_with_its_topic_and_stamp(tmp_
         parent, child = edges[0]
         (note,) = summary.notes
         assert note.startswith(f"/tf: message at {stamp} ns: a loop of transforms ({parent!r} to {child!r}")
-        table = pl.read_parquet(beside(tmp_path / f"out{k}.mcap", "metrics"))
+        table = pl.read_parquet(sidecar_path(tmp_path / f"out{k}.mcap", "metrics"))
         assert table["surface_source"].to_list() == ["lidar"] * 4
 
 
@@ -324,8 +325,8 @@ def test_points_nobody_asked_for_are_not_used_but_told(tmp_path):
     others = renamed(source, "others.mcap", ("/velodyne", "/radar", "/rear", "/side"))
     summary = replay(others, tmp_path / "out.mcap", ReplayConfig())
     told = ", ".join(f"{topic} (foxglove.PointCloud)" for topic in ("/radar", "/rear", "/side"))
-    assert summary.notes == (f"role lidar: not filled; candidates: {told}, ...: --topic lidar=/radar",)
-    table = pl.read_parquet(beside(tmp_path / "out.mcap", "metrics"))
+    assert summary.notes == (f"role lidar: not assigned; candidates: {told}, ...: --topic lidar=/radar",)
+    table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
     assert set(table["surface_source"]) == {"assumed"}
     both = renamed(source, "both.mcap", ("/lidar/points", "/velodyne"))
     assert replay(both, tmp_path / "both_out.mcap", ReplayConfig()).notes == ()

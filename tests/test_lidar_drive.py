@@ -6,7 +6,7 @@ import pytest
 
 from roadperc_stream.cli import convert, render, report
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 
 OPTIONS = ("--size", "640x480", "--scene", "straight", "--seconds", "0.5", "--lidar")
 
@@ -22,7 +22,7 @@ def drive(tmp_path_factory):
 
 
 def test_the_points_give_road_lane_distances_and_scale(drive):
-    table = pl.read_parquet(beside(drive / "out.mcap", "metrics"))
+    table = pl.read_parquet(sidecar_path(drive / "out.mcap", "metrics"))
     assert set(table["surface_source"]) == {"lidar"}
     assert table["surface_angle_error_deg"].max() < 0.1
     assert table["camera_height_error_m"].abs().max() < 0.01
@@ -35,7 +35,7 @@ def test_the_points_give_road_lane_distances_and_scale(drive):
 
 
 def test_distances_are_near_the_truth(drive):
-    table = pl.read_parquet(beside(drive / "out.mcap", "objects"))
+    table = pl.read_parquet(sidecar_path(drive / "out.mcap", "objects"))
     known = table.filter(pl.col("kept") & (pl.col("true_distance_m") < 15)).drop_nulls("distance_m")
     error_m = (known["distance_m"] - known["true_distance_m"]).abs()
     assert len(error_m) >= 10
@@ -43,7 +43,7 @@ def test_distances_are_near_the_truth(drive):
 
 
 def test_the_report_names_the_source(drive, capsys):
-    assert report.main([str(beside(drive / "out.mcap", "metrics"))]) == 0
+    assert report.main([str(sidecar_path(drive / "out.mcap", "metrics"))]) == 0
     assert "surface: lidar" in capsys.readouterr().out
 
 

@@ -8,7 +8,7 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 
 PUBLIC_HOUGH = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_min_length_px=150")
 
@@ -23,7 +23,7 @@ def replayed(data_dir, tmp_path_factory):
         if not source.exists():
             assert convert.main([str(data_dir / name), str(source), "--quiet"]) == 0
         assert replay_main([str(source), str(target), "--force", "--quiet", *arguments]) == 0
-        return pl.read_parquet(beside(target, "metrics")), pl.read_parquet(beside(target, "objects"))
+        return pl.read_parquet(sidecar_path(target, "metrics")), pl.read_parquet(sidecar_path(target, "objects"))
 
     return run
 

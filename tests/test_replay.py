@@ -13,12 +13,12 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.core.config import load_config
+from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ChannelError, LogError, TargetError
-from roadperc_stream.input.plan import Cut
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import RESULTS
+from roadperc_stream.schemas.topics import RESULTS
 from tests import logs
 from tests.analytic import STEP_NS
 
@@ -37,7 +37,7 @@ def run(source, name="out", **options):
 
 
 def metrics(target):
-    return pl.read_parquet(beside(target, "metrics"))
+    return pl.read_parquet(sidecar_path(target, "metrics"))
 
 
 def by_topic(path):
@@ -60,7 +60,7 @@ def test_a_row_per_frame_with_every_stage(source):
     assert table["stereo_valid_ratio"].null_count() == 6
     assert set(table["reasons"].explode()) == {"stereo: no right image"}
     assert table["log_id"].unique().to_list() == [summary.log_id]
-    objects = pl.read_parquet(beside(target, "objects"))
+    objects = pl.read_parquet(sidecar_path(target, "objects"))
     assert objects.height == 12
     assert set(objects["label"]) == {"Car", "Pedestrian"}
 
@@ -137,17 +137,19 @@ def test_the_log_carries_its_configuration(source):
 
 
 def test_cuts_cut_the_copy_too(source):
-    target, summary = run(source, cut=Cut(start_s=0.1, frames=2))
+    target, summary = run(source, cut=TimeRange(start_s=0.1, frames=2))
     assert summary.frames == 2
     topics = by_topic(target)
     for topic in ("/camera/front/image", "/camera/front/depth", "/perception/metrics"):
         assert [m.log_time_ns - logs.START_NS for m in topics[topic]] == [2 * STEP_NS, 3 * STEP_NS]
     assert metrics(target)["lane_left_status"].to_list() == ["measured", "measured"]
-    target, summary = run(source, "end", cut=Cut(end_s=0.1))
+    target, summary = run(source, "end", cut=TimeRange(end_s=0.1))
     assert summary.frames == 2
 
 
-@pytest.mark.parametrize("cut", [Cut(start_s=0.1), Cut(start_s=0.1, frames=2), Cut(end_s=0.2), Cut(0.1, 0.2)])
+@pytest.mark.parametrize(
+    "cut", [TimeRange(start_s=0.1), TimeRange(start_s=0.1, frames=2), TimeRange(end_s=0.2), TimeRange(0.1, 0.2)]
+)
 def test_a_cut_carries_what_held_before_it_and_replays_to_itself(source, cut):
     target, _ = run(source, cut=cut)
     again, _ = run(target, "again")
@@ -160,7 +162,7 @@ def test_only_the_last_calibration_before_a_cut_is_carried(tmp_path):
     repeated = [logs.Item("calibration", logs.START_NS + k * STEP_NS, items[0].data) for k in range(1, 4)]
     ordered = sorted([*items, *repeated], key=lambda item: item.stamp_ns)
     source = logs.write(tmp_path / "in.mcap", ordered)
-    target, _ = run(source, cut=Cut(start_s=0.12))
+    target, _ = run(source, cut=TimeRange(start_s=0.12))
     carried = by_topic(target)["/camera/front/calibration"]
     assert [m.log_time_ns - logs.START_NS for m in carried] == [2 * STEP_NS, 3 * STEP_NS]
     assert run(target, "again")[0].read_bytes() == target.read_bytes()
@@ -171,7 +173,7 @@ def late(items, role, delay_ns):
     return sorted(((i.stamp_ns + delay_ns * (i.role == role), k, i) for k, i in enumerate(items)), key=lambda x: x[:2])
 
 
-@pytest.mark.parametrize("cut", [Cut(frames=3), Cut(end_s=0.15), Cut(start_s=0.05, frames=3)])
+@pytest.mark.parametrize("cut", [TimeRange(frames=3), TimeRange(end_s=0.15), TimeRange(start_s=0.05, frames=3)])
 def test_a_late_sensor_is_not_cut_off_its_frame(tmp_path, cut):
     source = tmp_path / "in.mcap"
     with log.LogWriter(source) as writer:
@@ -189,7 +191,7 @@ def test_a_calibration_from_behind_the_cut_is_not_used(tmp_path):
     source = logs.write(tmp_path / "in.mcap", ordered)
     assert run(source)[1].frames == 6
     with pytest.raises(ChannelError, match="no calibration"):
-        run(source, "cut", cut=Cut(frames=3))
+        run(source, "cut", cut=TimeRange(frames=3))
 
 
 def test_what_was_wrong_with_a_calibration_is_said(tmp_path):
@@ -287,7 +289,7 @@ def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
             "stereo: no right image",
             "lanes: no segmentation",
             "surface: no segmentation, the lower image stands in for the road",
-            "objects: no segmentation, nothing is judged",
+            "objects: no segmentation, detections are not filtered",
         ]
         assert table["reasons"].to_list() == [reasons] * 6
         texts = [m.data for m in by_topic(target)["/perception/log"]]
@@ -392,7 +394,7 @@ def test_the_input_is_never_the_output(source):
 
 def test_an_empty_part_is_refused(source):
     with pytest.raises(LogError, match=r"in the part asked for; the log lasts \d\.\d{3} s$"):
-        run(source, cut=Cut(start_s=100))
+        run(source, cut=TimeRange(start_s=100))
 
 
 def test_a_topic_that_is_not_there_is_named(source):

@@ -12,7 +12,7 @@ from roadperc_stream import log
 from roadperc_stream.cli import convert, render
 from roadperc_stream.core.datatypes import CameraImage, DepthImage, TagImage
 from roadperc_stream.input.decoding import context_of, decode
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "logs" / "sample.mcap"

@@ -11,15 +11,15 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from roadperc_stream import log
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import load_config
+from roadperc_stream.core.datatypes import Transform
+from roadperc_stream.core.datatypes.results import Surface
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.formats import images
-from roadperc_stream.input.decoding import Transform
+from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.metrics import intersection_over_union
 from roadperc_stream.output import encoding
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas import ros2
-from roadperc_stream.schemas.roadperc_pb2 import Surface
 from tests import logs, pair
 from tests.analytic import LINE, ROAD, STEP_NS, VEHICLE, Road, box
 
@@ -79,7 +79,7 @@ def replayed(folder, messages):
     target = folder / "out.mcap"
     replay(logs.write(folder / "in.mcap", messages), target, load_config())
     last = {message.channel.topic: message.data for message in log.read(target)}
-    return pl.read_parquet(beside(target, "metrics")), last
+    return pl.read_parquet(sidecar_path(target, "metrics")), last
 
 
 @pytest.fixture(
@@ -105,7 +105,7 @@ def test_the_road_is_the_left_cameras(run):
 
 def test_the_depth_is_the_left_cameras(run):
     left, ego_T_left, _, last = run
-    message = ros2.unpack_image(last["/perception/stereo/depth"])
+    message = unpack_image(last["/perception/stereo/depth"])
     assert (message.frame_id, message.encoding) == ("left", "16UC1")
     true_m = pair.depth_of(left, ego_T_left)
     depth_m = images.depth_from_mm(message.pixels)[true_m < 25]

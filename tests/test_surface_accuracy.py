@@ -5,15 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.chain.stages.surface import drivable_mask, fit_surface
 from roadperc_stream.cli import convert, render
 from roadperc_stream.core.config import ReplayConfig, load_config
 from roadperc_stream.core.datatypes import Absent
 from roadperc_stream.core.ground import height_at
-from roadperc_stream.input.plan import WHOLE, samples, survey_log
-from roadperc_stream.input.roles.fill import Problems
-from roadperc_stream.input.sync import SyncCounts
+from roadperc_stream.core.scene import DepthMap, Scene
+from roadperc_stream.input import open_input
 from roadperc_stream.metrics import surface_height_error_m
 
 HILL = ("--scene", "hill", "--depth-noise", "0.01")
@@ -24,23 +22,24 @@ def rendered(folder: Path, *options):
     """Samples of a rendered drive."""
     assert render.main([str(folder / "dump"), *options]) == 0
     assert convert.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
-    cfg, summary = ReplayConfig(), log.summarise(folder / "in.mcap")
-    return samples(summary, survey_log(summary, cfg, {}, WHOLE), cfg, SyncCounts(), Problems())
+    return open_input(folder / "in.mcap", ReplayConfig()).samples()
 
 
-def judged(folder, *options):
+def errors_of(folder, *options):
     """(frames, 3) of each model: height error, largest error to 60 m ahead, share of the road that is drivable."""
     rows = {model: [] for model in MODELS}
     for sample in rendered(folder, *options):
         frame, truth = sample.frame, sample.truth.surface
         depth_m, tags = frame.depth.depth_m, frame.segmentation.tags
         for model, cfg in MODELS.items():
-            road = frame.segmentation.table.lookup(cfg.classes)[tags]
-            rng = np.random.default_rng(sample.index)
-            surface = fit_surface(cfg, frame.depth_camera, frame.ego_T_depth_camera, depth_m, road.astype(bool), rng)
+            table, rng = frame.segmentation.table, np.random.default_rng(sample.index)
+            road = table.lookup(cfg.classes)[tags]
+            depth = DepthMap(depth_m, frame.depth_camera, frame.ego_T_depth_camera, frame.depth.limit_m, "depth")
+            surface = fit_surface(cfg, depth, road.astype(bool), rng)
             assert not isinstance(surface, Absent)
             assert surface.model == model
-            mask = drivable_mask(cfg, surface, frame.camera, depth_m, road, frame.ego_T_camera)
+            scene = Scene(1, frame.camera, frame.ego_T_camera, tags=tags, table=table, depth=depth)
+            mask = drivable_mask(cfg, scene, surface)
             x, y = np.meshgrid(np.arange(61.0), np.arange(-3.0, 4.0))
             worst = np.abs(height_at(surface, x, y) - height_at(truth, x, y)).max()
             rows[model].append((surface_height_error_m(surface, truth), worst, mask.sum() / road.sum()))
@@ -58,7 +57,7 @@ def judged(folder, *options):
 @pytest.mark.accuracy
 @pytest.mark.parametrize("noise", [(), ("--tag-noise", "0.05", "--seed", "1")], ids=["depth noise", "tag noise too"])
 def test_heights_on_the_hill(tmp_path, noise):
-    (plane, _, _), (spline, worst, share) = judged(tmp_path, *HILL, *noise, "--seconds", "20", "--rate", "2")
+    (plane, _, _), (spline, worst, share) = errors_of(tmp_path, *HILL, *noise, "--seconds", "20", "--rate", "2")
     assert len(spline) == 40
     assert np.median(spline) < min(0.05, np.median(plane) / 3)
     assert spline.max() < 0.05
@@ -69,13 +68,13 @@ def test_heights_on_the_hill(tmp_path, noise):
 @pytest.mark.accuracy
 def test_heights_in_the_bends_of_the_town(tmp_path):
     options = ("--scene", "town", "--depth-noise", "0.01", "--tag-noise", "0.02", "--seconds", "20", "--rate", "1")
-    (plane, _, _), (spline, _, _) = judged(tmp_path, *options)
+    (plane, _, _), (spline, _, _) = errors_of(tmp_path, *options)
     assert np.median(spline) < min(0.05, np.median(plane) / 3)
 
 
 def test_short_heights_on_the_hill(tmp_path):
     options = (*HILL, "--size", "480x360", "--seconds", "2", "--rate", "2")
-    (plane, _, _), (spline, worst, share) = judged(tmp_path, *options)
+    (plane, _, _), (spline, worst, share) = errors_of(tmp_path, *options)
     assert np.median(spline) < min(0.05, np.median(plane) / 3)
     assert worst.max() < 0.5
     assert share.min() > 0.99

@@ -19,7 +19,7 @@ from roadperc_stream.log import LogWriter, Message, Metadata
 from roadperc_stream.output.terminal import PipeConsole, print_lines
 
 from .carla_dump.messages import channels, messages
-from .carla_dump.plan import Options, Plan, make_plan
+from .carla_dump.plan import ConvertOptions, Plan, make_plan
 from .carla_dump.report import console, print_plan
 
 _MISSING: Final = "counted as missing: {}"
@@ -34,8 +34,8 @@ def convert(arguments: argparse.Namespace) -> None:
     _convert(arguments.dump, arguments.out, _options(arguments), force=arguments.force, quiet=arguments.quiet)
 
 
-def _options(arguments: argparse.Namespace) -> Options:
-    return Options(
+def _options(arguments: argparse.Namespace) -> ConvertOptions:
+    return ConvertOptions(
         roles={role: _role_path(arguments.dump, role, name) for role, name in arguments.role},
         carla=arguments.carla,
         fov_deg=arguments.fov,
@@ -61,7 +61,7 @@ class _Progress:
     unreadable: list[str]
 
 
-def _convert(dump: Path, out: Path, options: Options, *, force: bool, quiet: bool) -> None:
+def _convert(dump: Path, out: Path, options: ConvertOptions, *, force: bool, quiet: bool) -> None:
     require_free(out, force=force, suffix=".mcap")
     started = time.monotonic()
     plan = make_plan(dump, options)

@@ -15,18 +15,17 @@ from numpy.typing import NDArray
 from roadperc_stream import log
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.formats import images
-from roadperc_stream.input.roles.fill import is_result
+from roadperc_stream.input.decoding.ros import unpack_image
+from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.log import Message
 from roadperc_stream.schemas import ros2
-from roadperc_stream.schemas.channels import IMAGE_SCHEMA
+from roadperc_stream.schemas.names import IMAGE_SCHEMA
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
+from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULT_PREFIX
 
 from .agreement import Agreement, Difference, Value, distance
 from .rules import Rules
 
-METRICS_TOPIC: Final = "/perception/metrics"
-"""Left out: its fields are the table's columns."""
-_PREFIX: Final = "/perception/"
 _MESSAGE: Final = "message"
 """Stands for the whole message where only one log has it."""
 Fields = dict[str, Value]
@@ -51,14 +50,14 @@ def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules)
 
 
 def _frames(path: Path) -> Iterator[tuple[int, Group]]:
-    """Log time and results of each frame."""
+    """Log time and results of each frame, but for its metrics: their fields are the table's columns."""
     topics = {channel.topic for channel in log.summarise(path).channels if is_result(channel)} - {METRICS_TOPIC}
     results = (message for message in log.read(path, topics=topics) if is_result(message.channel))
     for log_time_ns, messages in groupby(results, lambda message: message.log_time_ns):
         group: Group = {}
         counts: dict[str, int] = defaultdict(int)
         for message in messages:
-            topic = message.channel.topic.removeprefix(_PREFIX)
+            topic = message.channel.topic.removeprefix(RESULT_PREFIX)
             group[topic, counts[topic]] = message
             counts[topic] += 1
         yield log_time_ns, group
@@ -131,7 +130,7 @@ def _fields(message: Message, path: Path) -> Fields:
 def _decoded(message: Message) -> Fields:
     schema, data = message.channel.schema_name, message.data
     if schema == ros2.IMAGE:
-        image = ros2.unpack_image(data)
+        image = unpack_image(data)
         return {"stamp_ns": image.stamp_ns, "frame_id": image.frame_id, "pixels": _digest(image.pixels)}
     if schema == ros2.OCCUPANCY_GRID:
         stamp_ns, frame_id = ros2.unpack_header(data, schema)

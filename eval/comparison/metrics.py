@@ -10,15 +10,11 @@ from typing import Final
 
 import polars as pl
 
+from roadperc_stream.schemas.columns import FrameMetrics, columns_of
+
 from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGES, TRUTH, Quantity
 
-ANSWERED_BY_NULL: Final = ("nearest_object_m", "time_to_impact_s")
-"""No value there may mean that nothing is near: neither coverage is better."""
-COVERED_BY_OTHERS: Final = (
-    *("lane_proposals", "lane_merged", "lane_width_m", "lane_heading_deg", "camera_pitch_deg", "camera_roll_deg"),
-    *("detections_kept", "detections_unjudged", "objects_carried", "odometry_inliers", "turn_deg"),
-)
-"""Known in the same frames as other columns: one loss of coverage is one metric, as far as may be."""
+_COLUMNS: Final = columns_of(FrameMetrics)
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,7 @@ STATES: Final = (
 )
 COVERAGE: Final = (
     _coverage("surface_source"),
-    *(_coverage(q.column) for q in (*SEEN, *OFFSETS, *TRUTH) if q.column not in ANSWERED_BY_NULL + COVERED_BY_OTHERS),
+    *(_coverage(q.column) for q in (*SEEN, *OFFSETS, *TRUTH) if _COLUMNS[q.column].judges_coverage),
 )
 TIMES: Final = tuple(_of_quantity(quantity, timed=True) for quantity in STAGES)
 METRICS: Final = (*ACCURACY, *STATES, *COVERAGE, *TIMES)

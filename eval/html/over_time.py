@@ -54,7 +54,10 @@ CHARTS: Final = (
     TimeChart(
         "Distances",
         "m",
-        (Kind("nearest_object_m", "nearest object"), Kind("stereo_nearest_m", "nearest in stereo", 1.4, "dash")),
+        (
+            Kind("nearest_object_m", "nearest object"),
+            Kind("stereo_nearest_m", "nearest in stereo", 1.4, "dash"),
+        ),
         "The nearest kept object, and the nearest point of stereo.",
     ),
     TimeChart("Time to impact", "s", (Kind("time_to_impact_s", "shortest"),), "The shortest of the frame's objects."),

@@ -10,12 +10,13 @@ import cv2
 
 from roadperc_stream.core.datatypes import Image
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.problems import Problems
 from roadperc_stream.output.drawing.frame import draw_results
+from roadperc_stream.schemas.columns import UNITLESS
 from roadperc_stream.view.seen import read_frame
 
 from ..grid import rounded
-from ..quantities import COUNT, RATIO, Quantity
+from ..quantities import Quantity
 from ..sections import ranked_by
 from ..summary import Summary, WorstFrame
 from .sources import Sources
@@ -103,7 +104,7 @@ def gallery(groups: Sequence[Summary], sources: Mapping[str, Sources]) -> Galler
 
 def shown(value: float, quantity: Quantity) -> str:
     """A value with its unit."""
-    unit = "" if quantity.unit in {COUNT, RATIO} else f" {quantity.unit}"
+    unit = "" if quantity.unit in UNITLESS else f" {quantity.unit}"
     return rounded(value, quantity) + unit
 
 

@@ -10,13 +10,13 @@ import polars as pl
 from numpy.typing import NDArray
 
 from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.time import NS_PER_S
 
 from ..runs import Run
 from ..scan import collect
 
 BUCKETS: Final = 600
 """Parts a run is thinned in: more than the columns of pixels a chart has on a page."""
-_NANOSECONDS: Final = 1e9
 Indices = NDArray[np.intp]
 
 
@@ -45,7 +45,7 @@ def load_series(run: Run, columns: Iterable[str]) -> Series:
     stamps_ns = table["stamp_ns"].to_numpy()
     values = {name: _finite(table[name]) for name in present}
     filled = {name: array for name, array in values.items() if np.isfinite(array).any()}
-    return Series(run.name, table["frame"].to_numpy(), (stamps_ns - stamps_ns.min()) / _NANOSECONDS, filled)
+    return Series(run.name, table["frame"].to_numpy(), (stamps_ns - stamps_ns.min()) / NS_PER_S, filled)
 
 
 def thinned(values: Float, buckets: int = BUCKETS) -> Indices:

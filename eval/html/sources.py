@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 
 from roadperc_stream import log
-from roadperc_stream.schemas.channels import CONFIG_ATTACHMENT
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 
 from ..runs import SUFFIX, Run
 

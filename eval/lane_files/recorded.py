@@ -15,14 +15,14 @@ from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.metrics.lanes import ROW_STEP_PX, columns_at, in_view
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.topics import LANES_TOPIC
 
 from ..runs import open_run
 from ..scan import collect
 from .tusimple import LaneFrame, rounded
 
-LANES: Final = "/perception/lanes"
 _SCHEMAS: Final = {"lanes": "roadperc.Lanes", "calibration": "foxglove.CameraCalibration"}
 _TOP: Final = 160 / 720
 """Where TuSimple's rows begin, as a part of the image's height."""
@@ -54,7 +54,7 @@ class RunLanes:
             DecodeError: a message is not a roadperc.Lanes.
         """
         waiting = deque(self.times_ms)
-        for message in log.read(self.path, topics=[LANES]):
+        for message in log.read(self.path, topics=[LANES_TOPIC]):
             stamp_ns, lines_px = _lines(message)
             while waiting and waiting[0] < stamp_ns:
                 yield self._frame(waiting.popleft())
@@ -75,9 +75,11 @@ def open_lanes(path: Path) -> RunLanes:
         TableError: the table next to it cannot be read.
     """
     channels = log.summarise(path).channels
-    if not any(c.topic == LANES and c.schema_name == _SCHEMAS["lanes"] for c in channels):
-        raise LogError(f"{path}: no {LANES} of {_SCHEMAS['lanes']}; expected an OUT.mcap of roadperc-replay with lanes")
-    frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(path, topics=[LANES])), None)
+    if not any(c.topic == LANES_TOPIC and c.schema_name == _SCHEMAS["lanes"] for c in channels):
+        raise LogError(
+            f"{path}: no {LANES_TOPIC} of {_SCHEMAS['lanes']}; expected an OUT.mcap of roadperc-replay with lanes"
+        )
+    frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(path, topics=[LANES_TOPIC])), None)
     topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
     return RunLanes(path, _camera(path, topics, frame_id), _times_ms(path))
 
@@ -122,11 +124,11 @@ def _camera(path: Path, topics: list[str], frame_id: str | None) -> Camera:
         )
         if isinstance(content.payload, Camera) and content.payload.frame_id == frame_id:
             return content.payload
-    raise LogError(f"{path}: no calibration of {frame_id!r}, the camera of {LANES}; expected one on any topic")
+    raise LogError(f"{path}: no calibration of {frame_id!r}, the camera of {LANES_TOPIC}; expected one on any topic")
 
 
 def _times_ms(path: Path) -> dict[int, float]:
-    table = beside(path, "metrics")
+    table = sidecar_path(path, "metrics")
     if not table.exists():
         return {}
     run = open_run(table, path.stem)

@@ -3,21 +3,19 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import Final
 
 import numpy as np
 
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.metrics import lane_scores
 from roadperc_stream.metrics.lane_scores import Counts, TuSimpleScore
-from roadperc_stream.metrics.lanes import CULANE_COLUMNS, CULANE_THRESHOLDS, TUSIMPLE_COLUMNS
+from roadperc_stream.metrics.lanes import CULANE_COLUMNS, TUSIMPLE_COLUMNS
+from roadperc_stream.metrics.lanes import CULANE_THRESHOLDS as THRESHOLDS
 
 from ..options import LanePairing
 from ..scores import Score
 from .recorded import RunFrame
 from .tusimple import LaneFileError, LaneFrame
-
-THRESHOLDS: Final = tuple(CULANE_THRESHOLDS.values())
 
 
 @dataclass(frozen=True)

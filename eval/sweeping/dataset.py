@@ -9,9 +9,9 @@ from typing import Final
 import tomli_w
 
 from roadperc_stream import __version__
-from roadperc_stream.core.files import naming, partial_of
+from roadperc_stream.core.files import partial_of, target_errors
 from roadperc_stream.errors import TableError
-from roadperc_stream.schemas.channels import CONFIG_ATTACHMENT
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 
 from ..runs import SUFFIX, distinct_names
 from .settings import Combination
@@ -54,7 +54,7 @@ def describe(folder: Path, made: Sequence[Combination], logs: Sequence[Path]) ->
     texts = {folder / MARK: tomli_w.dumps(facts)}
     texts |= {folder / item.folder / CONFIG_ATTACHMENT: item.cfg.to_toml() for item in made}
     for path, text in texts.items():
-        with naming(path):
+        with target_errors(path):
             path.write_text(text, encoding="utf-8")
 
 

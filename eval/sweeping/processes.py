@@ -23,7 +23,7 @@ Bar = Callable[[int, int], None]
 
 
 @dataclass
-class Tally:
+class FrameTally:
     """Frames of all logs, as the one process that works, or all of them, count them up."""
 
     bar: Bar
@@ -67,7 +67,7 @@ def sweep_logs(jobs: Sequence[Job], processes: int, bar: Bar) -> list[tuple[str,
         RoadpercError: a log could not be replayed; the others are given up.
     """
     if min(processes, len(jobs)) == 1:
-        tally = Tally(bar)
+        tally = FrameTally(bar)
         return [sweep_log(job, tally.count) for job in jobs]
     shared = Shared(_CONTEXT.Value("q"), _CONTEXT.Value("q"), _CONTEXT.Event())
     workers = min(processes, len(jobs))

@@ -14,8 +14,9 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import Scalar
+from roadperc_stream.schemas.columns import RATIO
 
-from ..quantities import RATIO, TOTAL, TRUTH, Quantity
+from ..quantities import TOTAL, TRUTH, Quantity
 from .settings import Combination
 
 COVERAGE_SLACK: Final = 0.01
@@ -26,7 +27,7 @@ _TABLE: Final = "table"
 
 
 @dataclass(frozen=True)
-class Metric:
+class SweepMetric:
     """What settings are judged by: ``value`` is a frame's, ``score`` makes one number of those a setting has.
 
     ``noise`` is the share of a score by which it differs from one time to the next.
@@ -50,7 +51,7 @@ class Metric:
 
 
 @dataclass(frozen=True)
-class Score:
+class SettingScore:
     """A setting's number, None where no frame has a value, and the share of frames that have one."""
 
     value: float | None
@@ -70,23 +71,23 @@ def _finite(column: str) -> pl.Expr:
     return pl.when(value.is_finite()).then(value)
 
 
-def _typical(quantity: Quantity) -> Metric:
+def _typical(quantity: Quantity) -> SweepMetric:
     """The median of the absolute value; of a share the mean, for most frames may well have all or nothing of it."""
     value = pl.col("value")
     score = value.mean() if quantity.unit == RATIO else value.abs().median()
-    return Metric(quantity, _finite(quantity.column), score)
+    return SweepMetric(quantity, _finite(quantity.column), score)
 
 
-def _jitter(side: str) -> Metric:
+def _jitter(side: str) -> SweepMetric:
     """Standard deviation of the smoothed offset's second difference, held frames included."""
     quantity = Quantity(f"lane_{side}_offset_m", f"lane {side} jitter", "m", 4)
-    return Metric(quantity, _finite(quantity.column).diff().diff().over(_TABLE), pl.col("value").std(ddof=0))
+    return SweepMetric(quantity, _finite(quantity.column).diff().diff().over(_TABLE), pl.col("value").std(ddof=0))
 
 
-def _share(column: str, name: str) -> Metric:
+def _share(column: str, name: str) -> SweepMetric:
     """Share of frames that have a value."""
     quantity = Quantity(column, name, RATIO, 3, worse="low")
-    return Metric(quantity, _finite(column).is_not_null().cast(pl.Float64), pl.col("value").mean())
+    return SweepMetric(quantity, _finite(column).is_not_null().cast(pl.Float64), pl.col("value").mean())
 
 
 METRICS: Final = (
@@ -102,7 +103,7 @@ METRICS: Final = (
 """The errors against truth, where there is one, and what needs none."""
 
 
-def scores(tables: Sequence[Path], made: Sequence[Combination], metric: Metric) -> list[Score]:
+def scores(tables: Sequence[Path], made: Sequence[Combination], metric: SweepMetric) -> list[SettingScore]:
     """The score of each combination, over all its tables.
 
     Raises:
@@ -120,10 +121,12 @@ def scores(tables: Sequence[Path], made: Sequence[Combination], metric: Metric) 
     except (pl.exceptions.PolarsError, OSError) as error:
         raise TableError(f"{tables[0].parent.parent}: its tables cannot be read: {error}") from error
     found = [rows[_key(item.settings)] for item in made]
-    return [Score(row["score"], row["coverage"]) for row in found]
+    return [SettingScore(row["score"], row["coverage"]) for row in found]
 
 
-def best(metric: Metric, found: Sequence[Score], made: Sequence[Combination], reference: Combination) -> Best | None:
+def best(
+    metric: SweepMetric, found: Sequence[SettingScore], made: Sequence[Combination], reference: Combination
+) -> Best | None:
     """The best of the settings that see most; of equals the nearest to the reference, else the first.
 
     Also the best of those that see less, where it would have won. None where no setting has a value.
@@ -137,7 +140,9 @@ def best(metric: Metric, found: Sequence[Score], made: Sequence[Combination], re
     return Best(winner, None if metric.alike([values[first], values[winner]]) else first)
 
 
-def _least_bad(metric: Metric, values: Mapping[int, float], made: Sequence[Combination], reference: Combination) -> int:
+def _least_bad(
+    metric: SweepMetric, values: Mapping[int, float], made: Sequence[Combination], reference: Combination
+) -> int:
     """The place of the best value; of those that are as good the nearest to the reference, else the first."""
     least = min(values.values(), key=metric.badness)
     equals = [at for at, value in values.items() if metric.alike([value, least])]
@@ -149,7 +154,7 @@ def changed(item: Combination, reference: Combination) -> int:
     return sum(item.settings[key] != value for key, value in reference.settings.items())
 
 
-def effect(found: Sequence[Score], made: Sequence[Combination], key: str) -> dict[Scalar, Score]:
+def effect(found: Sequence[SettingScore], made: Sequence[Combination], key: str) -> dict[Scalar, SettingScore]:
     """What each value of a setting does: the mean score and coverage of the combinations that have it."""
     values = dict.fromkeys(item.settings[key] for item in made)
     return {
@@ -158,9 +163,9 @@ def effect(found: Sequence[Score], made: Sequence[Combination], key: str) -> dic
     }
 
 
-def _mean(found: Sequence[Score]) -> Score:
+def _mean(found: Sequence[SettingScore]) -> SettingScore:
     known = [score.value for score in found if score.value is not None]
-    return Score(fmean(known) if known else None, fmean(score.coverage for score in found))
+    return SettingScore(fmean(known) if known else None, fmean(score.coverage for score in found))
 
 
 def _key(settings: Mapping[str, Scalar]) -> Scalar | tuple[Scalar, ...]:

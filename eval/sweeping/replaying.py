@@ -5,17 +5,15 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from roadperc_stream import log
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
-from roadperc_stream.input.plan import Cut, samples, survey_log
-from roadperc_stream.input.roles.fill import Problems
-from roadperc_stream.input.sync import SyncCounts
-from roadperc_stream.log import LogSummary
+from roadperc_stream.core.stage_timer import StageTimer
+from roadperc_stream.core.threads import one_thread
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.input import open_input
 from roadperc_stream.metrics import frame_metrics
-from roadperc_stream.output.tables import TableWriter
-from roadperc_stream.replay import StageTimer, one_thread, table_facts
+from roadperc_stream.output.tables import TableWriter, table_facts
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
 from .settings import Combination, passes
@@ -33,7 +31,7 @@ class Job:
     folder: Path
     combinations: tuple[Combination, ...]
     overrides: Mapping[str, str]
-    cut: Cut
+    cut: TimeRange
 
 
 @dataclass
@@ -57,33 +55,30 @@ def sweep_log(job: Job, progress: Progress) -> tuple[str, ...]:
     """Replay a log under every combination.
 
     Returns:
-        What is worth knowing of the log: roles that are filled in an unusual way, messages that could not be read.
+        What is worth knowing of the log: roles that were guessed or have no channel, messages that could not be read.
 
     Raises:
         RoadpercError: the log cannot be read or replayed, or a table cannot be written.
     """
-    summary = log.summarise(job.source)
-    notes = [note for some in passes(job.combinations) for note in _one_pass(job, summary, some, progress)]
+    notes = [note for some in passes(job.combinations) for note in _one_pass(job, some, progress)]
     return tuple(dict.fromkeys(notes))
 
 
-def _one_pass(job: Job, summary: LogSummary, some: Sequence[Combination], progress: Progress) -> tuple[str, ...]:
+def _one_pass(job: Job, some: Sequence[Combination], progress: Progress) -> tuple[str, ...]:
     """Take the combinations, which all decode alike, through the log together."""
-    cfg = some[0].cfg
-    survey = survey_log(summary, cfg, job.overrides, job.cut)
-    progress(0, survey.expected_frames)
-    problems, log_id = Problems(), survey.digest[:16]
+    log_in = open_input(job.source, some[0].cfg, job.overrides, job.cut)
+    progress(0, log_in.expected_frames)
     candidates = [Candidate(item.cfg, _table(job, item)) for item in some]
     previous: Sample | None = None
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)
-        for sample in samples(summary, survey, cfg, SyncCounts(), problems):
+        for sample in log_in.samples():
             for candidate in _by_turns(candidates, sample.index):
-                candidate.take(log_id, sample, previous)
+                candidate.take(log_in.log_id, sample, previous)
             previous = sample
             progress(1, 0)
-    return (*survey.filled.notes, *(survey.problems.first | problems.first).values())
+    return log_in.notes
 
 
 def _by_turns(candidates: Sequence[Candidate], frame: int) -> list[Candidate]:

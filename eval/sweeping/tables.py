@@ -6,7 +6,7 @@ from typing import Final
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from ..grid import percent, rounded
-from .ranking import Metric, Score, best, effect
+from .ranking import SettingScore, SweepMetric, best, effect
 from .settings import Combination, shown
 
 LEGEND: Final = (
@@ -14,7 +14,7 @@ LEGEND: Final = (
     "best: of the settings with the highest coverage; lower coverage: better, but in fewer frames",
     "time: compares settings, for they share what is decoded; a replay's is longer",
 )
-Scored = tuple[Metric, Sequence[Score]]
+Scored = tuple[SweepMetric, Sequence[SettingScore]]
 """A metric, and the score of every combination."""
 
 
@@ -71,17 +71,17 @@ def _effect_rows(scored: Scored, made: Sequence[Combination], key: str) -> Itera
         yield row("  frames %", *shares)
 
 
-def _differ(metric: Metric, scores: Sequence[Score]) -> bool:
+def _differ(metric: SweepMetric, scores: Sequence[SettingScore]) -> bool:
     """Whether scores differ by more than their noise, or coverage in the digits that are shown."""
     known = [score.value for score in scores if score.value is not None]
     return len({percent(score.coverage) for score in scores}) > 1 or (bool(known) and not metric.alike(known))
 
 
-def _cells(metric: Metric, score: Score) -> list[str]:
+def _cells(metric: SweepMetric, score: SettingScore) -> list[str]:
     return [_cell(metric, score), percent(score.coverage)]
 
 
-def _cell(metric: Metric, score: Score) -> str:
+def _cell(metric: SweepMetric, score: SettingScore) -> str:
     return "" if score.value is None else rounded(score.value, metric.quantity)
 
 

@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from roadperc_stream.core.files import completing
 from roadperc_stream.core.geometry import Float, inverse
+from roadperc_stream.core.time import NS_PER_S
 
 from .poses import RunPoses
-
-_NS_PER_S = 1_000_000_000
 
 
 def export_tum(folder: Path, run: RunPoses) -> None:
@@ -43,7 +42,7 @@ def tum_lines(stamps_ns: NDArray[np.int64], poses: Float) -> list[str]:
     """
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
     rows = np.hstack((poses[:, :3, 3], quaternions)).tolist()
-    stamps = (divmod(stamp_ns, _NS_PER_S) for stamp_ns in stamps_ns.tolist())
+    stamps = (divmod(stamp_ns, NS_PER_S) for stamp_ns in stamps_ns.tolist())
     return [f"{s}.{ns:09d} {_numbers(row)}" for (s, ns), row in zip(stamps, rows, strict=True)]
 
 

@@ -11,7 +11,7 @@ from roadperc_stream.errors import ConfigError
 
 if TYPE_CHECKING:
     from roadperc_stream.core.config import ReplayConfig
-    from roadperc_stream.input.plan import Cut
+    from roadperc_stream.core.time import TimeRange
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,17 +35,17 @@ def add_topic_argument(parser: argparse.ArgumentParser) -> None:
     completed_by(action, topics)
 
 
-def cut_of(arguments: argparse.Namespace) -> "Cut":
+def cut_of(arguments: argparse.Namespace) -> "TimeRange":
     """The part of the log that the options name.
 
     Raises:
         ConfigError: it ends before it starts.
     """
-    from roadperc_stream.input.plan import Cut
+    from roadperc_stream.core.time import TimeRange
 
     if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
         raise ConfigError(f"--end {arguments.end}: expected more than --start {arguments.start}")
-    return Cut(arguments.start, arguments.end, arguments.frames)
+    return TimeRange(arguments.start, arguments.end, arguments.frames)
 
 
 def config_of(arguments: argparse.Namespace) -> "ReplayConfig":

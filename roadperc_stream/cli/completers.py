@@ -53,7 +53,7 @@ def _settings(prefix: str, takes_several: "Callable[[Setting], bool]") -> Iterab
 
 def topics(prefix: str, **_: Any) -> Iterable[str]:
     """``ROLE=`` for every role; the topic is the user's to name."""
-    from roadperc_stream.schemas.channels import ROLES
+    from roadperc_stream.schemas.roles import ROLES
 
     return [] if "=" in prefix else [f"{role}=" for role in ROLES]
 

@@ -38,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
     if not (arguments.tusimple or arguments.truth):
         parser.error("expected --tusimple FILE, --truth FILE, or both")
     lanes = part("eval.lanes")
-    options = lanes.Options(arguments.tusimple, arguments.truth, arguments.pair, arguments.size)
+    options = lanes.LaneOptions(arguments.tusimple, arguments.truth, arguments.pair, arguments.size)
     return run(lambda: lanes.print_lanes(arguments.log, options))
 
 

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 from roadperc_stream.cli.arguments import config_of, cut_of
 from roadperc_stream.core.process import optional_output
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.output.terminal import frame_progress
-from roadperc_stream.replay import ReplaySummary, replay, unwatched
-from roadperc_stream.schemas.channels import Request, parse_topic_options
+from roadperc_stream.output.writing import unwatched
+from roadperc_stream.replay import ReplaySummary, replay
+from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.schemas.topics import Request
 
 if TYPE_CHECKING:
     from roadperc_stream.view.live.serving import LiveReplay
@@ -64,6 +66,6 @@ def _print_summary(target: Path, summary: ReplaySummary) -> None:
     rate = summary.frames / summary.seconds
     print(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.0f} a second), log {summary.log_id}")
     print(
-        f"wrote {target} ({summary.messages_out} messages), {beside(target, 'metrics').name}, "
-        f"{beside(target, 'objects').name}"
+        f"wrote {target} ({summary.messages_out} messages), {sidecar_path(target, 'metrics').name}, "
+        f"{sidecar_path(target, 'objects').name}"
     )

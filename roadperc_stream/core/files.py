@@ -2,8 +2,9 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any, Protocol
 
 from roadperc_stream.errors import TargetError
 
@@ -55,7 +56,7 @@ def require_suffix(target: Path, *suffixes: str) -> None:
 
 
 @contextmanager
-def naming(target: Path) -> Iterator[None]:
+def target_errors(target: Path) -> Iterator[None]:
     """What the system refuses in writing a file, as an error that names the file.
 
     Raises:
@@ -68,7 +69,7 @@ def naming(target: Path) -> Iterator[None]:
 
 
 def partial_of(target: Path, suffix: str = "") -> Path:
-    """The hidden name beside a target under which this process writes it.
+    """The hidden name next to a target under which this process writes it.
 
     Args:
         target: the file or folder.
@@ -79,7 +80,7 @@ def partial_of(target: Path, suffix: str = "") -> Path:
 
 @contextmanager
 def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
-    """A name beside the target to write to, which becomes the target where the block ends without an error.
+    """A name next to the target to write to, which becomes the target where the block ends without an error.
 
     Args:
         target: the file.
@@ -91,7 +92,7 @@ def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
     require_plain(target)
     temporary = partial_of(target, target.suffix)
     try:
-        with naming(target):
+        with target_errors(target):
             target.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             if target.exists() and not force:
@@ -100,3 +101,39 @@ def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+class PartialFile(Protocol):
+    """A file that is being written under a hidden name: a context manager that gives it its own name at the end."""
+
+    def __enter__(self) -> Any:
+        """Open it."""
+        ...
+
+    def __exit__(self, *raised: Any) -> bool | None:
+        """Name it where nothing was raised, else discard it."""
+        ...
+
+    def complete(self) -> None:
+        """Write what is still to be written: then nothing is left but to give the file its name."""
+        ...
+
+    def discard(self) -> None:
+        """Remove what is not complete."""
+        ...
+
+
+@contextmanager
+def all_or_none(*outputs: PartialFile) -> Iterator[None]:
+    """Open outputs that get their names when all are complete: a disk that is full is full for all of them.
+
+    Nothing half written stays, even where a signal comes while an output is being opened.
+    """
+    with ExitStack() as stack:
+        for output in outputs:
+            stack.callback(output.discard)
+        for output in outputs:
+            stack.enter_context(output)
+        yield
+        for output in outputs:
+            output.complete()

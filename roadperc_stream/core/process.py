@@ -43,7 +43,3 @@ def discard_output(stream: "IO[str]") -> None:
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream.fileno())
     os.close(null)
-
-
-def no_progress(_done: int, _expected: int) -> None:
-    """Progress that nobody watches."""

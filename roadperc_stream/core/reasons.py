@@ -1,25 +1,25 @@
-"""The reasons of many frames: those that differ in their numbers alone are one, with how many frames gave it."""
+"""The reasons of many frames: those of one kind are counted together, with how many frames gave them."""
 
-import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 from roadperc_stream.core.config import STAGES
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.core.datatypes import MISSING_ROLES, FrameResult, Reason, ReasonKind, Sample, parse_reason
 
-_NUMBER: Final = re.compile(r"-?\d+(\.\d+)?")
-_LACKED: Final = re.compile(r"\b(?:no|neither|nor) (\w+)")
-"""How a stage says which inputs it lacks."""
-_OFF: Final = "switched off"
-_OF_STAGES: Final = (*STAGES, "drivable")
-"""Before a reason's first colon: any other word there is an input's."""
-_MOST_TOLD: Final = 4
+_STAGES: Final = (*STAGES, "drivable")
+"""Sources that are stages: any other is an input."""
+_MOST_REPORTED: Final = 4
+
+
+def frame_reasons(sample: Sample, result: FrameResult) -> tuple[Reason, ...]:
+    """Why anything of a frame is missing: its messages, then what the stages report."""
+    return (*(Reason(role, "no_message") for role in sample.missing), *result.reasons())
 
 
 @dataclass(frozen=True)
-class Reason:
-    """One of the texts of a reason, in how many frames it was given, and whether its numbers vary among them."""
+class ReasonCount:
+    """One of the texts of a kind of reason, in how many frames it was given, and whether its numbers vary."""
 
     text: str
     frames: int
@@ -29,67 +29,71 @@ class Reason:
         return f"{self.text} (numbers vary)" if self.varies else self.text
 
 
-Reasons = dict[str, Reason]
-"""By the text with its numbers replaced."""
+ReasonCounts = dict[ReasonKind, ReasonCount]
 
 
-def grouped(counts: Mapping[str, int]) -> Reasons:
-    """The reasons of frames, of which each gives a reason once; the commonest text stands for a reason.
+def of_frame(reasons: Iterable[Reason]) -> ReasonCounts:
+    """The reasons of one frame."""
+    return {reason.kind: ReasonCount(str(reason), 1) for reason in reasons}
+
+
+def grouped(counts: Mapping[str, int]) -> ReasonCounts:
+    """The reasons of frames as a table has them; the commonest text stands for its kind.
 
     Args:
-        counts: frames per text.
+        counts: frames per text, of which each frame gives a kind once.
     """
     texts = sorted(counts, key=lambda text: (-counts[text], text))
-    return merged({_NUMBER.sub("#", text): Reason(text, counts[text])} for text in texts)
+    return merged({parse_reason(text).kind: ReasonCount(text, counts[text])} for text in texts)
 
 
-def merged(parts: Iterable[Mapping[str, Reason]]) -> Reasons:
-    """The reasons of several lots of frames; the first one's text stands for a reason."""
-    whole: Reasons = {}
+def merged(parts: Iterable[Mapping[ReasonKind, ReasonCount]]) -> ReasonCounts:
+    """The reasons of several lots of frames; the first one's text stands for a kind."""
+    whole: ReasonCounts = {}
     for part in parts:
-        for kind, reason in part.items():
-            known = whole.get(kind, Reason(reason.text, 0))
-            varies = known.varies or reason.varies or known.text != reason.text
-            whole[kind] = Reason(known.text, known.frames + reason.frames, varies)
+        for kind, count in part.items():
+            known = whole.get(kind, ReasonCount(count.text, 0))
+            varies = known.varies or count.varies or known.text != count.text
+            whole[kind] = ReasonCount(known.text, known.frames + count.frames, varies)
     return whole
 
 
-def ranked(reasons: Mapping[str, Reason]) -> Reasons:
+def ranked(counts: Mapping[ReasonKind, ReasonCount]) -> ReasonCounts:
     """The most frequent first; of equals those of inputs, of which those of stages often follow."""
-    order = sorted(reasons.items(), key=lambda found: (-found[1].frames, _is_of_stage(found[1]), found[1].text))
-    return dict(order)
+    return dict(sorted(counts.items(), key=lambda item: (-item[1].frames, _source(item[0]) in _STAGES, item[1].text)))
 
 
-def throughout(reasons: Mapping[str, Reason], frames: int, filled: Collection[str]) -> tuple[str, ...]:
-    """What held in all frames of a replay and is no mere lack of an input, in words; a few where there are many.
+def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Collection[str]) -> tuple[str, ...]:
+    """The reasons that held in all frames of a replay, in words; a few where there are many.
 
     Left out are stages that are switched off, inputs for which the log has no topic, and what follows from another
-    reason that is told.
+    reason that is reported.
 
     Args:
-        reasons: of the frames.
+        counts: of the frames.
         frames: how many there are.
         filled: roles that a topic of the log fills.
     """
-    always = [reason for reason in ranked(reasons).values() if reason.frames == frames]
-    apart = [reason for reason in always if _OFF not in reason.text and not _lacks_role(reason.text, filled)]
-    causes = [f": {reason.text.partition(': ')[2]}" for reason in apart]
-    told = [str(reason) for reason in apart if not _follows(reason.text, causes)]
+    always = {kind: count for kind, count in ranked(counts).items() if count.frames == frames}
+    unexpected = {kind: count for kind, count in always.items() if not _is_expected(kind, filled)}
+    first = [str(count) for kind, count in unexpected.items() if not _follows(kind, unexpected)]
     where = f"in all {frames} frames" if frames > 1 else "in the only frame"
-    rest = len(told) - _MOST_TOLD
+    rest = len(first) - _MOST_REPORTED
     more = (f"{where}: {rest} more reason{'s' * (rest > 1)}, which roadperc-report lists",) if rest > 0 else ()
-    return (*(f"{where}: {text}" for text in told[:_MOST_TOLD]), *more)
+    return (*(f"{where}: {text}" for text in first[:_MOST_REPORTED]), *more)
 
 
-def _is_of_stage(reason: Reason) -> bool:
-    return reason.text.partition(":")[0] in _OF_STAGES
+def _source(kind: ReasonKind) -> str:
+    return kind[0][0]
 
 
-def _lacks_role(text: str, filled: Collection[str]) -> bool:
-    return any(word in ROLES and word not in filled for word in _LACKED.findall(text))
+def _is_expected(kind: ReasonKind, filled: Collection[str]) -> bool:
+    """Whether the user switched a stage off, or the log has no topic for an input."""
+    codes = {code for _, code, *_ in kind}
+    missing = {role for code, roles in MISSING_ROLES.items() if code in codes for role in roles}
+    return "switched_off" in codes or not missing.issubset(filled)
 
 
-def _follows(text: str, causes: Iterable[str]) -> bool:
-    """Whether a text hands on another one's cause, as ``lanes: no surface: ...`` that of ``surface: ...``."""
-    after_stage = text.partition(": ")[2]
-    return any(after_stage.endswith(cause) for cause in causes)
+def _follows(kind: ReasonKind, others: Collection[ReasonKind]) -> bool:
+    """Whether a reason's cause, or its cause's, is itself among the reasons."""
+    return any(kind[k:] in others for k in range(1, len(kind)))

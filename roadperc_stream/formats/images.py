@@ -16,6 +16,7 @@ from roadperc_stream.errors import DecodeError
 
 DEPTH_LIMIT_MM: Final = 65535
 UNKNOWN_MM: Final = 0
+PNG_MAGIC: Final = b"\x89PNG\r\n\x1a\n"
 _PALETTE_ENTRIES: Final = 256
 _LAST_UPRIGHT: Final = 4
 """EXIF orientations beyond exchange rows and columns."""

@@ -1,39 +1,19 @@
-"""A lidar's points in and out of foxglove.PointCloud, whose points are records of packed numbers."""
+"""A lidar's points out of foxglove.PointCloud, whose points are records of packed numbers."""
 
 from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
-from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudProto
 from numpy.typing import NDArray
 
 from roadperc_stream.core.geometry import Float, Float32, transform
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.schemas.protobuf import set_stamp
 
 FIELDS: Final = ("x", "y", "z", "intensity")
 """Columns of what is written; a cloud without intensities has the first three."""
 _AXES: Final = FIELDS[:3]
 _TYPES: Final[Mapping[int, str]] = {1: "u1", 2: "i1", 3: "<u2", 4: "<i2", 5: "<u4", 6: "<i4", 7: "<f4", 8: "<f8"}
 """numpy's names of foxglove.PackedElementField.NumericType, all little-endian."""
-
-
-def encode_points(stamp_ns: int, frame_id: str, points: Float32) -> bytes:
-    """foxglove.PointCloud of (N, 3) x, y, z in metres, or (N, 4) with intensities."""
-    columns = points.shape[1]
-    message = PointCloudProto(
-        frame_id=frame_id,
-        point_stride=4 * columns,
-        fields=[
-            PackedElementField(name=name, offset=4 * k, type=PackedElementField.FLOAT32)
-            for k, name in enumerate(FIELDS[:columns])
-        ],
-        data=np.ascontiguousarray(points, "<f4").tobytes(),
-    )
-    message.pose.orientation.w = 1.0
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
 
 
 def unpack_points(message: Any, frame_T_points: Float) -> Float32:

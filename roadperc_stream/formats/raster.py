@@ -56,6 +56,12 @@ class Raster:
     data: bytes | NDArray[np.uint8]
     big_endian: bool = False
 
+    @classmethod
+    def of_ros(cls, message: Any) -> "Raster":
+        """Pixels of a sensor_msgs/msg/Image, big-endian ones too."""
+        size = int(message.width), int(message.height), int(message.step)
+        return cls(str(message.encoding), *size, np.asarray(message.data, np.uint8), bool(message.is_bigendian))
+
     def pixels(self) -> NDArray[Any]:
         """(H, W) or (H, W, channels) numbers; a view of ``data`` where rows are not padded.
 

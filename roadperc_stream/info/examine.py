@@ -2,20 +2,18 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
 
 from roadperc_stream.core.geometry import Camera
+from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.info.facts import CameraFacts, ChannelFacts, FileFacts, LogFacts, ReplayFacts
 from roadperc_stream.info.provenance import provenance_of
 from roadperc_stream.info.scan import Scan
 from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.assemble import ego_T_camera_of
-from roadperc_stream.input.roles.fill import is_result
-from roadperc_stream.input.roles.topic_names import CAMERA_OF
+from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.roles import CAMERA_OF
 from roadperc_stream.log import Channel, Salvage
-from roadperc_stream.schemas.channels import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
-
-_NANOSECONDS: Final = 1_000_000_000
+from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
 
 
 def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
@@ -26,7 +24,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
         overrides: topic by role, from ``--topic``.
 
     Raises:
-        LogError: the file cannot be opened, or is no log at all; of one that is damaged the facts tell how.
+        LogError: the file cannot be opened, or is no log at all; of one that is damaged the facts say how.
     """
     scan = Scan.of(path, overrides)
     salvage, tallies = scan.salvage, scan.tallies.values()
@@ -52,7 +50,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
 
 
 def _seconds(at_ns: int | None, from_ns: int | None) -> float | None:
-    return None if at_ns is None or from_ns is None else (at_ns - from_ns) / _NANOSECONDS
+    return None if at_ns is None or from_ns is None else ns_to_seconds(at_ns - from_ns)
 
 
 def _file_facts(salvage: Salvage) -> FileFacts:
@@ -85,7 +83,7 @@ def _channel_facts(channel: Channel, scan: Scan, first_ns: int | None) -> Channe
         last_ns=tally.last_ns if tally.messages else None,
         rate_hz=1 / median_s if median_s else None,
         jitter_s=tally.intervals.jitter_s(),
-        longest_gap_s=None if median_s is None else tally.longest_gap_ns / _NANOSECONDS,
+        longest_gap_s=None if median_s is None else ns_to_seconds(tally.longest_gap_ns),
         gap_at_s=_seconds(tally.gap_after_ns, first_ns),
         log_times_back=tally.log_times_back,
         stamps_back=tally.stamps_back,
@@ -96,17 +94,17 @@ def _channel_facts(channel: Channel, scan: Scan, first_ns: int | None) -> Channe
 
 
 def _replay_facts(scan: Scan) -> ReplayFacts:
-    roles, topics = scan.roles, scan.roles.filled.topics
+    roles, topics = scan.roles, scan.roles.assignment.topics
     return ReplayFacts(
         refusal=roles.refusal,
-        notes=roles.filled.notes,
+        notes=roles.assignment.notes,
         roles=roles.states,
-        reference=roles.reference,
-        frames=scan.counts.frames,
+        reference=roles.assignment.reference,
+        frames=scan.frames,
         alone=dict(scan.alone),
-        unused=dict(scan.counts.dropped),
+        unused=dict(scan.dropped),
         skew_s=_seconds(scan.skew_ns, 0),
-        cameras=tuple(_camera_facts(role, camera, scan) for role, camera in scan.held.cameras.items()),
+        cameras=tuple(_camera_facts(role, camera, scan) for role, camera in scan.latched.cameras.items()),
         tag_table=_tag_table(scan, topics.get("segmentation")),
         unreadable=dict(scan.problems.counts),
         problems=tuple(scan.problems.first.values()),
@@ -114,7 +112,7 @@ def _replay_facts(scan: Scan) -> ReplayFacts:
 
 
 def _camera_facts(role: str, camera: Camera, scan: Scan) -> CameraFacts:
-    ego_T_camera = ego_T_camera_of(scan.held, camera)
+    ego_T_camera = ego_T_camera_of(scan.latched.tree, camera)
     mounting = None if ego_T_camera is None else tuple(map(tuple, ego_T_camera.tolist()))
     return CameraFacts(role, camera, mounting, scan.sizes.get(CAMERA_OF[role]))
 
@@ -123,4 +121,4 @@ def _tag_table(scan: Scan, topic: str | None) -> str | None:
     """The tag table that the segmentation's channel names, else the one a result was made with."""
     channels = (channel for channel in scan.salvage.channels.values() if channel.topic == topic)
     named = next((channel.label(TAG_TABLE_KEY) for channel in channels if channel.label(TAG_TABLE_KEY)), None)
-    return named or scan.roles.filled.tag_table or None
+    return named or scan.roles.assignment.tag_table or None

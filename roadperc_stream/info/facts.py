@@ -74,7 +74,7 @@ class CameraFacts:
     role: str
     camera: Camera
     ego_T_camera: tuple[tuple[float, ...], ...] | None
-    """The camera's place by the transforms; None where they do not tell it."""
+    """The camera's place by the transforms; None where they do not give it."""
     image_size: tuple[int, int] | None
     """(width, height) of the first of its images that can be decoded; None where there is none."""
 
@@ -92,7 +92,7 @@ class ReplayFacts:
     """The role whose messages make the frames."""
     frames: int
     alone: Mapping[str, int]
-    """Frames for which a filled role has no message within the tolerance, by role."""
+    """Frames for which an assigned role has no message within the tolerance, by role."""
     unused: Mapping[str, int]
     """Messages by role that belong to no frame."""
     skew_s: float | None
@@ -101,7 +101,7 @@ class ReplayFacts:
     tag_table: str | None
     """As the segmentation's channel names it, else as the user of the replay did that made the log."""
     unreadable: Mapping[str, int]
-    """Messages of filled roles that cannot be decoded, by topic."""
+    """Messages of assigned roles that cannot be decoded, by topic."""
     problems: tuple[str, ...]
     """The first of each in words."""
 

@@ -14,7 +14,7 @@ from roadperc_stream.info.facts import LogFacts
 from roadperc_stream.info.printing import print_log
 from roadperc_stream.info.text import listed
 from roadperc_stream.output.terminal import console_for, print_lines
-from roadperc_stream.schemas.channels import parse_topic_options
+from roadperc_stream.schemas.roles import parse_topic_options
 
 
 def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) -> None:

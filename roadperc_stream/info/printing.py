@@ -6,6 +6,7 @@ from typing import Final
 
 from rich.console import Console
 
+from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.info.facts import ChannelFacts, LogFacts
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.replay_printing import print_replay
@@ -19,7 +20,6 @@ _ODD_JITTER, _ODD_GAP = 0.2, 1.5
 _FEWEST: Final = 4
 _NUMBERS_WIDTH: Final = 20
 """Columns that messages, Hz and the gaps beside them need."""
-_NANOSECONDS: Final = 1_000_000_000
 _LAST_DATE_S: Final = 253_402_300_800
 _NATURAL: Final = {".": "protobuf", "/": "cdr"}
 _INTERVALS_NOTE: Final = (
@@ -74,7 +74,7 @@ def _chunks(chunks: Mapping[str, int]) -> str:
 def _span(facts: LogFacts) -> str:
     if facts.first_ns is None:
         return ""
-    seconds = facts.first_ns / _NANOSECONDS
+    seconds = ns_to_seconds(facts.first_ns)
     if seconds >= _LAST_DATE_S:
         return f" over {facts.span_s:.2f} s from {facts.first_ns} ns"
     return f" over {facts.span_s:.2f} s from {datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC"
@@ -87,7 +87,7 @@ def _damage_lines(facts: LogFacts) -> Iterator[str]:
     if len(file.damages) > _DAMAGES_SHOWN:
         yield f"and {len(file.damages) - _DAMAGES_SHOWN} damages more"
     if file.damages and file.last_good_ns is not None and facts.first_ns is not None:
-        after_s = (file.last_good_ns - facts.first_ns) / _NANOSECONDS
+        after_s = ns_to_seconds(file.last_good_ns - facts.first_ns)
         yield f"the last message before that is at {after_s:.3f} s ({file.last_good_ns} ns); below is what can be read"
 
 

@@ -4,20 +4,18 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.log import Attachment, Metadata
-from roadperc_stream.output.tables import beside, read_footer
-from roadperc_stream.schemas.channels import CONFIG_ATTACHMENT, METADATA_RECORD
-
-_DROPPED: Final = "dropped."
+from roadperc_stream.output.tables import read_footer, sidecar_path
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, DROPPED_KEY, METADATA_RECORD
 
 
 @dataclass(frozen=True)
-class Setting:
+class ResolvedSetting:
     """A setting that is not at its default."""
 
     key: str
@@ -27,7 +25,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Table:
+class SidecarTable:
     """A table beside the log."""
 
     path: str
@@ -49,9 +47,9 @@ class Provenance:
     dropped: Mapping[str, int]
     """Messages by role that belonged to no frame."""
     config_digest: str | None
-    settings: tuple[Setting, ...]
+    settings: tuple[ResolvedSetting, ...]
     config_fault: str
-    tables: tuple[Table, ...]
+    tables: tuple[SidecarTable, ...]
 
     @property
     def changed(self) -> bool:
@@ -75,18 +73,18 @@ def provenance_of(
         digest_found=digest_found,
         frames=_number(facts.get("frames", "")),
         dropped={
-            name.removeprefix(_DROPPED): _number(value) or 0
+            name.removeprefix(DROPPED_KEY): _number(value) or 0
             for name, value in facts.items()
-            if name.startswith(_DROPPED)
+            if name.startswith(DROPPED_KEY)
         },
         config_digest=config_digest,
         settings=settings,
         config_fault=fault,
-        tables=tuple(_table(beside(path, name), digest, config_digest) for name in ("metrics", "objects")),
+        tables=tuple(_table(sidecar_path(path, name), digest, config_digest) for name in ("metrics", "objects")),
     )
 
 
-def _settings(toml: bytes | None) -> tuple[tuple[Setting, ...], str]:
+def _settings(toml: bytes | None) -> tuple[tuple[ResolvedSetting, ...], str]:
     """The settings that differ from this version's defaults, or why there is no knowing."""
     if toml is None:
         return (), f"no attachment {CONFIG_ATTACHMENT}"
@@ -96,7 +94,7 @@ def _settings(toml: bytes | None) -> tuple[tuple[Setting, ...], str]:
         return (), f"attachment {CONFIG_ATTACHMENT} is {error}"
     defaults = settings_in(ReplayConfig().to_toml().encode())
     differing = [key for key, value in found.items() if key not in defaults or defaults[key] != value]
-    return tuple(Setting(key, as_typed(found[key]), _default(defaults, key)) for key in differing), ""
+    return tuple(ResolvedSetting(key, as_typed(found[key]), _default(defaults, key)) for key in differing), ""
 
 
 def _default(defaults: Mapping[str, Any], key: str) -> str | None:
@@ -107,15 +105,15 @@ def _number(text: str) -> int | None:
     return int(text) if text.isdecimal() else None
 
 
-def _table(path: Path, digest: str, config_digest: str | None) -> Table:
+def _table(path: Path, digest: str, config_digest: str | None) -> SidecarTable:
     if not path.exists():
-        return Table(str(path), None, "is not there")
+        return SidecarTable(str(path), None, "is not there")
     try:
         footer = read_footer(path)
     except TableError as error:
-        return Table(str(path), None, str(error).removeprefix(f"{path}: "))
+        return SidecarTable(str(path), None, str(error).removeprefix(f"{path}: "))
     if footer.log_id not in (None, digest[:16]):
-        return Table(str(path), footer.rows, f"is of log {footer.log_id}")
+        return SidecarTable(str(path), footer.rows, f"is of log {footer.log_id}")
     if footer.facts.get("roadperc.config_digest") != config_digest:
-        return Table(str(path), footer.rows, "is of another configuration")
-    return Table(str(path), footer.rows)
+        return SidecarTable(str(path), footer.rows, "is of another configuration")
+    return SidecarTable(str(path), footer.rows)

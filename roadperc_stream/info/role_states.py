@@ -1,4 +1,4 @@
-"""Which role of a replay is filled by what, which is not and why, and what a replay has to do without then."""
+"""Which channel is assigned to which role of a replay, which role has none and why, and what a replay lacks then."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,13 +6,20 @@ from typing import Final, Literal
 
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.decoding import schemas_of_kind
-from roadperc_stream.input.roles.fill import Filled, Looks, candidates, fill_roles, is_result
-from roadperc_stream.input.roles.topic_names import distinct, fits
+from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.roles import (
+    NOTHING_TO_REPLAY,
+    ContentProbe,
+    RoleAssignment,
+    assign_roles,
+    candidates,
+    distinct,
+    fits,
+)
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.channels import REFERENCE_ROLES, ROLES, Role
+from roadperc_stream.schemas.roles import ROLES, SHARED_KINDS, Role
 
 State = Literal["filled", "missing", "wrong schema", "several channels"]
-_SHARED_KINDS: Final = ("tf",)
 _COSTS: Final = {
     "calibration": "a replay stops: the camera is not known",
     "segmentation": "no lanes, no detection is judged, the lower image stands in for the road",
@@ -20,7 +27,7 @@ _COSTS: Final = {
     "tf": "the camera is taken as level, at the height of the setting surface.assumed_height_m",
 }
 _SPARED_BY: Final = {"tf": "tf_static"}
-"""Roles that nobody misses where another one is filled."""
+"""Roles that nobody misses where another one is assigned."""
 _UNTOLD_TRUTH: Final = (
     "steps and turns are compared with no truth; a pose or an odometry is an estimate, and the truth only if you say so"
 )
@@ -28,16 +35,16 @@ _UNTOLD_TRUTH: Final = (
 
 @dataclass(frozen=True)
 class RoleState:
-    """A role, and the channel that fills it or why none does."""
+    """A role, and the channel that is assigned to it or why none is."""
 
     role: str
     state: State
     topic: str | None = None
-    """The topic that fills it, or the one whose channel does not fit."""
+    """The topic that is assigned to it, or the one whose channel does not fit."""
     why: str = ""
     """How the topic was chosen (``contract``, ``known``, ``guessed``, ``--topic``), or what is wrong with it."""
     candidates: tuple[str, ...] = ()
-    """Topics that could fill it with ``--topic``."""
+    """Topics that could serve it with ``--topic``."""
     cost: str = ""
     """What a replay has to do without."""
 
@@ -47,41 +54,36 @@ class Roles:
     """All roles of a log."""
 
     states: tuple[RoleState, ...]
-    filled: Filled
+    assignment: RoleAssignment
     refusal: str | None = None
     """Why a replay with these topics stops before its first frame."""
 
-    @property
-    def reference(self) -> str | None:
-        """The role whose messages make the frames."""
-        return next((role for role in REFERENCE_ROLES if role in self.filled.topics), None)
 
-
-def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], looks: Looks) -> Roles:
+def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: ContentProbe) -> Roles:
     """The state of every role.
 
     Args:
         channels: of the log, those with messages.
         overrides: topic by role, from ``--topic``.
-        looks: as ``candidates`` takes it.
+        probe: as ``candidates`` takes it.
     """
     inputs = [channel for channel in channels if not is_result(channel)]
     refusal = None
     try:
-        filled = fill_roles(inputs, overrides)
+        assignment = assign_roles(inputs, overrides)
     except ChannelError as error:
-        refusal, filled = str(error), Filled(_named(inputs, overrides))
-    found = Roles((), filled, refusal)
-    if refusal is None and found.reference is None:
-        refusal = f"no channel fills any of the roles {', '.join(REFERENCE_ROLES)}: nothing to replay"
-    could = {**candidates(inputs, filled.topics, looks), "truth_pose": _poses(inputs, filled.topics)}
+        refusal, assignment = str(error), RoleAssignment(_named(inputs, overrides))
+    found = Roles((), assignment, refusal)
+    if refusal is None and assignment.reference is None:
+        refusal = NOTHING_TO_REPLAY
+    could = {**candidates(inputs, assignment.topics, probe), "truth_pose": _poses(inputs, assignment.topics)}
     states = (_state(role, inputs, found, overrides, could.get(role.name, ())) for role in ROLES.values())
-    return Roles(tuple(states), filled, refusal)
+    return Roles(tuple(states), assignment, refusal)
 
 
-def _poses(inputs: Sequence[Channel], filled: Mapping[str, str]) -> tuple[str, ...]:
+def _poses(inputs: Sequence[Channel], assigned: Mapping[str, str]) -> tuple[str, ...]:
     """Topics whose poses the user may know to be true."""
-    return distinct(c for c in inputs if fits(ROLES["truth_pose"], c) and c.topic not in filled.values())
+    return distinct(c for c in inputs if fits(ROLES["truth_pose"], c) and c.topic not in assigned.values())
 
 
 def _named(inputs: Sequence[Channel], overrides: Mapping[str, str]) -> dict[str, str]:
@@ -104,7 +106,7 @@ def _fault(role: Role, named: Sequence[Channel]) -> tuple[State, str]:
             expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in fitting)
             found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding or 'no encoding'})"
             return "wrong schema", f"found {found}, expected {expected}"
-    if len(named) > 1 and role.kind not in _SHARED_KINDS:
+    if len(named) > 1 and role.kind not in SHARED_KINDS:
         return "several channels", f"{len(named)} channels carry this topic, expected one"
     return "filled", ""
 
@@ -112,9 +114,9 @@ def _fault(role: Role, named: Sequence[Channel]) -> tuple[State, str]:
 def _state(
     role: Role, inputs: Sequence[Channel], roles: Roles, overrides: Mapping[str, str], could: tuple[str, ...]
 ) -> RoleState:
-    topic = roles.filled.topics.get(role.name)
+    topic = roles.assignment.topics.get(role.name)
     if topic is not None:
-        return RoleState(role.name, "filled", topic, _choice(role, topic, roles.filled, overrides))
+        return RoleState(role.name, "filled", topic, _choice(role, topic, roles.assignment, overrides))
     named = overrides.get(role.name, role.topic)
     state, fault = _fault(role, _on(named, inputs))
     if role.name in overrides and state == "missing":
@@ -125,21 +127,21 @@ def _state(
     return RoleState(role.name, state, named if fault else None, fault, could, cost)
 
 
-def _choice(role: Role, topic: str, filled: Filled, overrides: Mapping[str, str]) -> str:
+def _choice(role: Role, topic: str, assignment: RoleAssignment, overrides: Mapping[str, str]) -> str:
     if role.name in overrides:
         return "--topic"
     if topic == role.topic:
         return "contract"
-    return "guessed" if any(note.startswith(f"role {role.name}: {topic},") for note in filled.notes) else "known"
+    return "guessed" if any(note.startswith(f"role {role.name}: {topic},") for note in assignment.notes) else "known"
 
 
 def _cost(role: str, roles: Roles) -> str:
     """What a replay does without, given what else is there; empty where that is nothing."""
-    there: Collection[str] = roles.filled.topics
+    there: Collection[str] = roles.assignment.topics
     if role == "image":
         return "no images: no odometry" if "left" not in there else ""
     if role == "calibration":
-        instead = {"left": "left_calibration", "depth": "depth_calibration"}.get(roles.reference or "", "")
+        instead = {"left": "left_calibration", "depth": "depth_calibration"}.get(roles.assignment.reference or "", "")
         return "" if instead in there else _COSTS[role]
     if role == "depth":
         return _depth_cost(there)

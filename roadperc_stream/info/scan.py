@@ -1,4 +1,4 @@
-"""One pass over a log: every message is counted, and those of filled roles are paired to frames as a replay would."""
+"""One pass over a log: every message is counted, and those of assigned roles are paired to frames as a replay would."""
 
 import heapq
 from collections import Counter
@@ -15,12 +15,14 @@ from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.info.role_states import Roles, roles_of
 from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.info.tally import Tally
-from roadperc_stream.input.plan import without_loops
-from roadperc_stream.input.roles.fill import Problems, chosen_tag_table, chosen_topics, is_result, stamped_messages
-from roadperc_stream.input.roles.probe import holds
-from roadperc_stream.input.sync import HELD_KINDS, Held, Stamped, SyncCounts, synchronise
+from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
+from roadperc_stream.input.latched import LatchedState, without_loops
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.roles import probe_first_message
+from roadperc_stream.input.stream import Stamped, decoded_messages
+from roadperc_stream.input.sync import Synchroniser
 from roadperc_stream.log import Channel, Message, MessageDigest, Metadata, Salvage
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 _MOST_SORTED: Final = 100_000
 """Messages of roles, without their content, that are held to be put in the order of log time."""
@@ -35,10 +37,12 @@ class Scan:
     tallies: dict[int, Tally] = field(default_factory=dict)
     """By ``Channel.source_id``."""
     problems: Problems = field(default_factory=Problems)
-    held: Held = field(default_factory=Held)
-    counts: SyncCounts = field(default_factory=SyncCounts)
+    latched: LatchedState = field(default_factory=LatchedState)
+    frames: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    """Messages per role that belong to no frame."""
     alone: Counter[str] = field(default_factory=Counter)
-    """Frames without a message of a filled role, by role."""
+    """Frames without a message of an assigned role, by role."""
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     """(width, height) of the first image that can be decoded, by role."""
     skew_ns: int | None = None
@@ -58,10 +62,10 @@ class Scan:
         salvage = Salvage(path)
         channels = _used_channels(salvage)
         metadata = _metadata(path)
-        named = {**chosen_topics(metadata, channels), **overrides}
-        roles = roles_of(channels, named, cache(partial(holds, path)))
-        filled = replace(roles.filled, tag_table=chosen_tag_table(metadata))
-        scan = cls(salvage, replace(roles, filled=filled))
+        named = {**recorded_topics(metadata, channels), **overrides}
+        roles = roles_of(channels, named, cache(partial(probe_first_message, path)))
+        assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
+        scan = cls(salvage, replace(roles, assignment=assignment))
         scan._run()
         return scan
 
@@ -81,19 +85,20 @@ class Scan:
         return digest.hexdigest()
 
     def _run(self) -> None:
-        filled = self.roles.filled
-        decoded = stamped_messages(self._counted(self.salvage.messages()), filled, "auto", self.problems)
-        items = self._without_held(without_loops(decoded, self.held, filled, self.problems))
-        if self.roles.reference is None:
+        roles = self.roles.assignment
+        decoded = decoded_messages(self._counted(self.salvage.messages()), roles, "auto", self.problems)
+        items = self._without_latched(without_loops(decoded, self.latched, roles.topics, self.problems))
+        if roles.reference is None:
             for _ in items:
                 pass
             return
-        ordered, topics = in_log_time_order(items, _MOST_SORTED), filled.topics
-        paired = [role for role in topics if ROLES[role].kind not in HELD_KINDS]
-        for moment in synchronise(SyncConfig(), ordered, self.roles.reference, topics, Held(), self.counts):
-            self.alone.update(role for role in paired if role not in moment.parts)
-            if moment.skew_ns is not None:
-                self.skew_ns = max(self.skew_ns or 0, moment.skew_ns)
+        synchroniser = Synchroniser(SyncConfig(), roles.reference, roles.topics, LatchedState())
+        paired = [role for role in roles.topics if ROLES[role].kind not in LATCHED_KINDS]
+        for synced in synchroniser.synced(in_log_time_order(items, _MOST_SORTED)):
+            self.alone.update(role for role in paired if role not in synced.parts)
+            if synced.skew_ns is not None:
+                self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)
+        self.frames, self.dropped = synchroniser.frames, synchroniser.dropped
 
     def _counted(self, messages: Iterable[Message]) -> Iterator[Message]:
         """The messages as they come, each counted."""
@@ -115,11 +120,11 @@ class Scan:
             tally = self.tallies[channel.source_id] = Tally(stamp_reader(channel))
         return tally
 
-    def _without_held(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
+    def _without_latched(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
         """The items that are paired, without their content; calibrations and transforms are kept."""
         for item in items:
-            if ROLES[item.role].kind in HELD_KINDS:
-                self.held = self.held.updated(item)
+            if ROLES[item.role].kind in LATCHED_KINDS:
+                self.latched = self.latched.updated(item)
             else:
                 self._measure(item)
                 yield replace(item, payload=())

@@ -1,6 +1,6 @@
 """The stamp of any message that carries one, without decoding the rest of it.
 
-Where it stands is told by the channel's own schema: a field ``timestamp`` of Foxglove's messages and of this project's
+The channel's own schema says where it stands: a field ``timestamp`` of Foxglove's messages and of this project's
 (protobuf, JSON), a leading std_msgs/Header (ROS 2), or that of the first part of a list, as transforms have it.
 """
 
@@ -15,10 +15,10 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import DecodeError
 
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas.protobuf import stamp_ns
 
-_NANOSECONDS: Final = 1_000_000_000
 _FIELD, _LIST = "timestamp", "transforms"
 _TIMESTAMP: Final = ".google.protobuf.Timestamp"
 _HEADERS: Final = ("std_msgs/Header ", "std_msgs/msg/Header ")
@@ -111,9 +111,9 @@ def _cdr_reader(channel: Channel) -> Callable[[bytes], int] | None:
 
 
 def _cdr_stamp_ns(data: bytes, at: int) -> int:
-    """Stamp at a byte of a CDR message, whose second byte tells the order of bytes."""
+    """Stamp at a byte of a CDR message, whose second byte gives the order of bytes."""
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, at)
-    return int(seconds) * _NANOSECONDS + int(nanoseconds)
+    return int(seconds) * NS_PER_S + int(nanoseconds)
 
 
 def _json_reader(channel: Channel) -> Callable[[bytes], int] | None:
@@ -127,4 +127,4 @@ def _json_reader(channel: Channel) -> Callable[[bytes], int] | None:
 def _json_stamp_ns(data: bytes) -> int:
     message = json.loads(data)
     stamp = (message if _FIELD in message else message[_LIST][0])[_FIELD]
-    return int(stamp["sec"]) * _NANOSECONDS + int(stamp["nsec"])
+    return int(stamp["sec"]) * NS_PER_S + int(stamp["nsec"])

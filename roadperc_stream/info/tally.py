@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.info.stamps import StampReader
 
-_NANOSECONDS: Final = 1_000_000_000
 _MOST_KEPT: Final = 65_536
 """Intervals kept of a channel; of more, every second, every fourth and so on."""
 
@@ -43,7 +43,7 @@ class Intervals:
 
     def _seconds(self) -> Float:
         """(N,) the kept ones."""
-        return np.asarray(self._kept, np.float64) / _NANOSECONDS
+        return np.asarray(self._kept, np.float64) / NS_PER_S
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""How facts are put in words: names that cannot spoil a terminal, sizes, counts."""
+"""How facts are put in words: names that cannot disturb a terminal, sizes, counts."""
 
 from collections.abc import Sequence
 from typing import Final

@@ -1,4 +1,4 @@
-"""Moments to samples: which camera, which mounting, what is missing."""
+"""Synchronised messages to samples: which camera, which mounting, what is missing."""
 
 from collections.abc import Mapping
 from typing import Final, TypeVar
@@ -13,20 +13,23 @@ from roadperc_stream.core.datatypes import (
     CameraImage,
     DepthImage,
     Frame,
+    FrameAnchor,
     Lanes,
     Objects,
     PointCloud,
     Sample,
     Surface,
     TagImage,
-    Tie,
+    Transform,
     Truth,
 )
 from roadperc_stream.core.geometry import Camera, Float, inverse, level_mounting
 from roadperc_stream.errors import ChannelError
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.input.sync import Held, Moment, Stamped
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.input.latched import LatchedState
+from roadperc_stream.input.stream import Stamped
+from roadperc_stream.input.sync import SyncedMessages
+from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.schemas.roles import ROLES
 
 EGO_FRAMES: Final = (EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
 """What recorders call the vehicle's own frame, the one on the road before the one above it (REP 105 and 120, CARLA)."""
@@ -36,52 +39,52 @@ T = TypeVar("T")
 
 
 def sample_of(
-    cfg: ReplayConfig, moment: Moment, index: int, topics: Mapping[str, str], parent_of: Mapping[str, str]
+    cfg: ReplayConfig, synced: SyncedMessages, index: int, topics: Mapping[str, str], parent_of: Mapping[str, str]
 ) -> Sample:
-    """The sample of a moment.
+    """The sample of one instant's messages.
 
     Args:
         cfg: for the height of a camera without a mounting.
-        moment: the messages of one instant.
+        synced: the messages of one instant.
         index: number of the frame in the replay, from 0.
-        topics: topic of each role the log fills.
+        topics: topic of each role that the log has.
         parent_of: parents of all frames that the log places, at this instant or any other.
 
     Raises:
         ChannelError: a camera without calibration; the message names it.
     """
-    parts, held = moment.parts, moment.held
+    parts, latched, tree = synced.parts, synced.latched, synced.latched.tree
     depth = _payload(parts, "depth", DepthImage)
-    camera = _camera(moment, topics)
-    depth_camera = _depth_camera(held, camera, depth)
-    mounting = ego_T_camera_of(held, camera)
+    camera = _camera(synced, topics)
+    depth_camera = _depth_camera(latched, camera, depth)
+    mounting = ego_T_camera_of(tree, camera)
     ego_T_camera = level_mounting(cfg.surface.assumed_height_m) if mounting is None else mounting
-    left_camera = _left_camera(moment, camera, topics)
-    left = _payload(parts, "left", CameraImage) if "left" in topics and moment.reference.role != "left" else None
+    left_camera = _left_camera(synced, camera, topics)
+    left = _payload(parts, "left", CameraImage) if "left" in topics and synced.reference.role != "left" else None
     points = _payload(parts, "lidar", PointCloud)
     detections = parts.get("detections")
     frame = Frame(
-        stamp_ns=moment.reference.stamp_ns,
+        stamp_ns=synced.reference.stamp_ns,
         camera=camera,
         ego_T_camera=ego_T_camera,
         depth_camera=depth_camera,
-        ego_T_depth_camera=_mounting(held, ego_T_camera, camera, depth_camera),
+        ego_T_depth_camera=_mounting(tree, ego_T_camera, camera, depth_camera),
         left_camera=left_camera,
-        ego_T_left=_mounting(held, ego_T_camera, camera, left_camera),
+        ego_T_left=_mounting(tree, ego_T_camera, camera, left_camera),
         mounted=mounting is not None,
         image=_payload(parts, "image", CameraImage) or _payload(parts, "left", CameraImage),
         left=left,
         right=_payload(parts, "right", CameraImage),
-        right_camera=held.cameras.get("right_calibration"),
+        right_camera=latched.cameras.get("right_calibration"),
         depth=depth,
         segmentation=_payload(parts, "segmentation", TagImage),
         detections=detections.payload if detections else None,  # type: ignore[arg-type]
         points=points,
-        ego_T_lidar=None if points is None else _lidar_mounting(held, ego_T_camera, camera, points.frame_id),
+        ego_T_lidar=None if points is None else _lidar_mounting(tree, ego_T_camera, camera, points.frame_id),
     )
     missing = tuple(role for role in topics if _expected(role) and role not in parts)
-    truth, tie = _truth(parts, held, camera), _tie(held, camera, ego_T_camera, parent_of)
-    return Sample(index, moment.reference.log_time_ns, frame, truth, missing, moment.skew_ns, tie)
+    truth, anchor = _truth(parts, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)
+    return Sample(index, synced.reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor)
 
 
 def _expected(role: str) -> bool:
@@ -93,23 +96,23 @@ def _payload(parts: Mapping[str, Stamped], role: str, kind: type[T]) -> T | None
     return part.payload if part is not None and isinstance(part.payload, kind) else None
 
 
-def _camera(moment: Moment, topics: Mapping[str, str]) -> Camera:
+def _camera(synced: SyncedMessages, topics: Mapping[str, str]) -> Camera:
     """Camera of image, segmentation and detections."""
-    role = moment.reference.role
+    role = synced.reference.role
     wanted = {"left": "left_calibration", "depth": "depth_calibration"}.get(role, "calibration")
-    camera = moment.held.cameras.get(wanted) or moment.held.cameras.get("calibration")
+    camera = synced.latched.cameras.get(wanted) or synced.latched.cameras.get("calibration")
     if camera is None:
-        frame_id = getattr(moment.reference.payload, "frame_id", "")
+        frame_id = getattr(synced.reference.payload, "frame_id", "")
         raise ChannelError(
-            f"{topics[role]}: camera {frame_id!r} has no calibration at {moment.reference.stamp_ns} ns: expected a "
+            f"{topics[role]}: camera {frame_id!r} has no calibration at {synced.reference.stamp_ns} ns: expected a "
             f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC"
         )
     return camera
 
 
-def _depth_camera(held: Held, camera: Camera, depth: DepthImage | None) -> Camera:
+def _depth_camera(latched: LatchedState, camera: Camera, depth: DepthImage | None) -> Camera:
     """The depth's own calibration where there is one; else the front camera's numbers under the depth's frame."""
-    own = held.cameras.get("depth_calibration")
+    own = latched.cameras.get("depth_calibration")
     if own is not None:
         return own
     if depth is None or depth.frame_id in ("", camera.frame_id):
@@ -119,59 +122,59 @@ def _depth_camera(held: Held, camera: Camera, depth: DepthImage | None) -> Camer
     )
 
 
-def _left_camera(moment: Moment, camera: Camera, topics: Mapping[str, str]) -> Camera:
+def _left_camera(synced: SyncedMessages, camera: Camera, topics: Mapping[str, str]) -> Camera:
     """The left camera of a stereo pair: one of its own where the log says so, else the front camera.
 
     A log may have a left calibration and no left image at all: the pair's baseline is then still not the distance from
     the front camera, whose image must not be matched instead.
     """
-    if moment.reference.role == "left":
+    if synced.reference.role == "left":
         return camera
-    own = moment.held.cameras.get("left_calibration")
+    own = synced.latched.cameras.get("left_calibration")
     if "left" not in topics:
-        return camera if own is None or _is_front(moment.held, camera, own) else own
+        return camera if own is None or _is_front(synced.latched.tree, camera, own) else own
     if own is None:
-        raise ChannelError(f"{topics['left']}: the left camera has no calibration at {moment.reference.stamp_ns} ns")
+        raise ChannelError(f"{topics['left']}: the left camera has no calibration at {synced.reference.stamp_ns} ns")
     return own
 
 
-def _is_front(held: Held, camera: Camera, other: Camera) -> bool:
+def _is_front(tree: TransformTree, camera: Camera, other: Camera) -> bool:
     """Whether another calibration speaks of the front camera itself: one view, from one place."""
     if not camera.same_view(other):
         return False
     if other.frame_id in ("", camera.frame_id):
         return True
-    camera_T_other = held.lookup(camera.frame_id, other.frame_id)
+    camera_T_other = tree.lookup(camera.frame_id, other.frame_id)
     return camera_T_other is not None and np.allclose(camera_T_other, np.eye(4), atol=_SAME_PLACE)
 
 
-def ego_T_camera_of(held: Held, camera: Camera) -> Float | None:
-    """The camera's mounting; None where no transform tells it, or its frame is the vehicle's and no optical one."""
-    frame = ego_frame_of(held, camera)
-    return None if frame is None else held.lookup(frame, camera.frame_id)
+def ego_T_camera_of(tree: TransformTree, camera: Camera) -> Float | None:
+    """The camera's mounting; None where no transform gives it, or its frame is the vehicle's and no optical one."""
+    frame = ego_frame_of(tree, camera)
+    return None if frame is None else tree.lookup(frame, camera.frame_id)
 
 
-def ego_frame_of(held: Held, camera: Camera) -> str | None:
+def ego_frame_of(tree: TransformTree, camera: Camera) -> str | None:
     """The frame of the transform tree that is ego for a camera; None where the camera has no mounting."""
-    return None if camera.frame_id in EGO_FRAMES else _ego_frame(held, camera.frame_id)
+    return None if camera.frame_id in EGO_FRAMES else _ego_frame(tree, camera.frame_id)
 
 
-def _tie(held: Held, camera: Camera, ego_T_camera: Float, parent_of: Mapping[str, str]) -> Tie:
-    """By the frame of the log that is ego; where it has none, by the camera, as it is taken to be mounted."""
-    own = camera.frame_id if camera.frame_id in EGO_FRAMES else ego_frame_of(held, camera)
+def _anchor(tree: TransformTree, camera: Camera, ego_T_camera: Float, parent_of: Mapping[str, str]) -> FrameAnchor:
+    """At the frame of the log that is ego; where it has none, at the camera, as it is assumed to be mounted."""
+    own = camera.frame_id if camera.frame_id in EGO_FRAMES else ego_frame_of(tree, camera)
     frame_id, ego_T_frame = (camera.frame_id, ego_T_camera) if own is None else (own, np.eye(4))
     placed = frame_id in parent_of
-    odom_taken = placed or ODOM in parent_of or ODOM in parent_of.values()
-    return Tie("" if frame_id == EGO else frame_id, ego_T_frame, placed, OWN_ODOM if odom_taken else ODOM)
+    odom_is_taken = placed or ODOM in parent_of or ODOM in parent_of.values()
+    return FrameAnchor("" if frame_id == EGO else frame_id, ego_T_frame, placed, OWN_ODOM if odom_is_taken else ODOM)
 
 
-def _ego_T(held: Held, frame_id: str, sensor: str = "") -> Float | None:
+def _ego_T(tree: TransformTree, frame_id: str, sensor: str = "") -> Float | None:
     """ego_T_frame; None where the tree does not connect the frame with ego."""
-    frame = _ego_frame(held, frame_id, sensor)
-    return None if frame is None else held.lookup(frame, frame_id)
+    frame = _ego_frame(tree, frame_id, sensor)
+    return None if frame is None else tree.lookup(frame, frame_id)
 
 
-def _ego_frame(held: Held, frame_id: str, sensor: str = "") -> str | None:
+def _ego_frame(tree: TransformTree, frame_id: str, sensor: str = "") -> str | None:
     """Ego under the first of its names that the tree connects with a frame; None where it connects none.
 
     CARLA's bridge calls a vehicle's frame by its role name, and its sensors' frames ``role_name/sensor``: where the
@@ -179,28 +182,28 @@ def _ego_frame(held: Held, frame_id: str, sensor: str = "") -> str | None:
     """
     owner, separator, _ = (sensor or frame_id).partition("/")
     names = (*EGO_FRAMES, owner) if separator else EGO_FRAMES
-    return next((name for name in names if held.lookup(name, frame_id) is not None), None)
+    return next((name for name in names if tree.lookup(name, frame_id) is not None), None)
 
 
-def _mounting(held: Held, ego_T_camera: Float, camera: Camera, other: Camera) -> Float:
+def _mounting(tree: TransformTree, ego_T_camera: Float, camera: Camera, other: Camera) -> Float:
     """ego_T_other by the transform tree; without one the other camera stands where the front camera does."""
-    camera_T_other = held.lookup(camera.frame_id, other.frame_id)
+    camera_T_other = tree.lookup(camera.frame_id, other.frame_id)
     return ego_T_camera if camera_T_other is None else ego_T_camera @ camera_T_other
 
 
-def _lidar_mounting(held: Held, ego_T_camera: Float, camera: Camera, frame_id: str) -> Float | None:
-    """ego_T_lidar by the transform tree, from the camera where that is known; None where the tree does not tell.
+def _lidar_mounting(tree: TransformTree, ego_T_camera: Float, camera: Camera, frame_id: str) -> Float | None:
+    """ego_T_lidar by the transform tree, from the camera where that is known; None where the tree does not give it.
 
     No place is assumed for a lidar: unlike a second camera it never stands where the front camera does. Points in the
     camera's or in ego's own frame need no transform.
     """
-    camera_T_lidar = held.lookup(camera.frame_id, frame_id)
-    return _ego_T(held, frame_id) if camera_T_lidar is None else ego_T_camera @ camera_T_lidar
+    camera_T_lidar = tree.lookup(camera.frame_id, frame_id)
+    return _ego_T(tree, frame_id) if camera_T_lidar is None else ego_T_camera @ camera_T_lidar
 
 
-def _truth(parts: Mapping[str, Stamped], held: Held, camera: Camera) -> Truth:
+def _truth(parts: Mapping[str, Stamped], tree: TransformTree, camera: Camera) -> Truth:
     return Truth(
-        odom_T_ego=_true_pose(_payload(parts, "truth_pose", Transform), held, camera),
+        odom_T_ego=_true_pose(_payload(parts, "truth_pose", Transform), tree, camera),
         surface=_payload(parts, "truth_surface", Surface),
         lanes=_payload(parts, "truth_lanes", Lanes),
         objects=_payload(parts, "truth_objects", Objects),
@@ -209,7 +212,7 @@ def _truth(parts: Mapping[str, Stamped], held: Held, camera: Camera) -> Truth:
     )
 
 
-def _true_pose(pose: Transform | None, held: Held, camera: Camera) -> Float | None:
+def _true_pose(pose: Transform | None, tree: TransformTree, camera: Camera) -> Float | None:
     """odom_T_ego, whichever frame of the vehicle the pose is of; None where no transform connects that with ego."""
-    ego_T_child = None if pose is None else _ego_T(held, pose.child, camera.frame_id)
+    ego_T_child = None if pose is None else _ego_T(tree, pose.child, camera.frame_id)
     return None if pose is None or ego_T_child is None else pose.parent_T_child @ inverse(ego_T_child)

@@ -1,8 +1,9 @@
-"""Reading and writing MCAP files: the only room that imports mcap.
+"""Reading and writing MCAP files: the only package that imports mcap.
 
-Bytes in, bytes out; what they mean is the business of ``channels``.
+Bytes in, bytes out; what they mean is the business of ``schemas`` and ``input``.
 """
 
+from roadperc_stream.log.copying import MessageCopy
 from roadperc_stream.log.framing import Damage
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.reading import read, summarise
@@ -18,6 +19,7 @@ __all__ = [
     "LogSummary",
     "LogWriter",
     "Message",
+    "MessageCopy",
     "MessageDigest",
     "Metadata",
     "Salvage",

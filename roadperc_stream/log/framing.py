@@ -13,10 +13,9 @@ from typing import IO, Final
 
 from mcap.opcode import Opcode
 
-from roadperc_stream.log.integrity import MAGIC
+from roadperc_stream.log.integrity import CRC_BYTES, MAGIC
 
 _HEAD: Final = struct.Struct("<BQ")
-_CRC_BYTES: Final = 4
 _OPCODES: Final = frozenset(int(opcode) for opcode in Opcode)
 _FIRST_PRIVATE: Final = 0x80
 """Opcodes from here on are an application's own."""
@@ -128,18 +127,18 @@ class Framing:
             self.sealed = self._compare("data section", record, self._data_crc)
             self._summary_crc = 0
         elif self._summary_crc is not None:
-            without_last = _CRC_BYTES if record.opcode == Opcode.FOOTER else 0
+            without_last = CRC_BYTES if record.opcode == Opcode.FOOTER else 0
             self._summary_crc = record.crc(self._summary_crc, without_last=without_last)
             if record.opcode == Opcode.FOOTER:
                 self._compare("summary", record, self._summary_crc)
         elif self._data_crc is not None:
             self._data_crc = record.crc(self._data_crc)
         if record.opcode == Opcode.ATTACHMENT:
-            self._compare("attachment", record, zlib.crc32(memoryview(record.body)[:-_CRC_BYTES]))
+            self._compare("attachment", record, zlib.crc32(memoryview(record.body)[:-CRC_BYTES]))
 
     def _compare(self, what: str, record: Record, found: int | None) -> bool:
         """Whether a CRC, the record's last bytes, was there to be compared; zero says that the writer gave none."""
-        expected = int.from_bytes(record.body[-_CRC_BYTES:], "little")
+        expected = int.from_bytes(record.body[-CRC_BYTES:], "little")
         if expected and found is not None and found != expected:
             self.damaged(record.start, f"CRC of the {what} is {found:#010x}, expected {expected:#010x}")
         return bool(expected)

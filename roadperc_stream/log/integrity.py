@@ -19,7 +19,7 @@ _FOOTER: Final = struct.Struct("<BQQQI")
 _FOOTER_OPCODE: Final = 0x02
 _DATA_END: Final = struct.Struct("<BQI")
 _DATA_END_OPCODE: Final = 0x0F
-_CRC_BYTES: Final = 4
+CRC_BYTES: Final = 4
 _BLOCK_BYTES: Final = 4 * 1024 * 1024
 
 
@@ -75,7 +75,7 @@ def check_sections(path: Path, stream: IO[bytes]) -> bool:
     if opcode != _FOOTER_OPCODE:
         raise damaged(path, f"damaged MCAP: no footer record at byte {footer_start}")
     if summary_start and summary_crc:
-        _require_crc(path, stream, "summary", summary_start, footer_start + _FOOTER.size - _CRC_BYTES, summary_crc)
+        _require_crc(path, stream, "summary", summary_start, footer_start + _FOOTER.size - CRC_BYTES, summary_crc)
     data_end = (summary_start or footer_start) - _DATA_END.size
     opcode, _, data_crc = _unpack(stream, _DATA_END, data_end)
     if opcode != _DATA_END_OPCODE or not data_crc:

@@ -9,7 +9,7 @@ from typing import Self
 from mcap.writer import CompressionType, Writer
 
 from roadperc_stream import __version__
-from roadperc_stream.core.files import naming, partial_of
+from roadperc_stream.core.files import partial_of, target_errors
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
 
@@ -36,7 +36,7 @@ class LogWriter:
         self._temporary = partial_of(self.path)
 
     def __enter__(self) -> Self:
-        with naming(self.path):
+        with target_errors(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = self._temporary.open("wb")
         self._writer = Writer(
@@ -57,7 +57,7 @@ class LogWriter:
         """
         self.register(message.channel)
         self.messages += 1
-        with naming(self.path):
+        with target_errors(self.path):
             self._writer.add_message(
                 channel_id=self._channel_ids[message.channel],
                 log_time=message.log_time_ns,
@@ -106,7 +106,7 @@ class LogWriter:
 
     def attach(self, attachment: Attachment) -> None:
         """Add an attachment."""
-        with naming(self.path):
+        with target_errors(self.path):
             self._writer.add_attachment(
                 create_time=attachment.create_time_ns,
                 log_time=attachment.log_time_ns,
@@ -118,7 +118,7 @@ class LogWriter:
 
     def describe(self, metadata: Metadata) -> None:
         """Add a metadata record."""
-        with naming(self.path):
+        with target_errors(self.path):
             self._writer.add_metadata(metadata.name, dict(metadata.values))
         self._end_byte = self._stream.tell()
 
@@ -129,7 +129,7 @@ class LogWriter:
             TargetError: it cannot be written.
         """
         if not self._stream.closed:
-            with naming(self.path):
+            with target_errors(self.path):
                 self._writer.finish()  # type: ignore[no-untyped-call]
                 self._stream.close()
 
@@ -139,7 +139,7 @@ class LogWriter:
         try:
             if kind is None:
                 self.complete()
-                with naming(self.path):
+                with target_errors(self.path):
                     self._name()
         finally:
             with suppress(OSError):  # closing flushes, and a full disk fails again

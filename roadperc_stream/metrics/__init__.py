@@ -8,4 +8,10 @@ from roadperc_stream.metrics.lanes import lane_error_m
 from roadperc_stream.metrics.objects import object_metrics
 from roadperc_stream.metrics.surface import intersection_over_union, surface_height_error_m
 
-__all__ = ["frame_metrics", "intersection_over_union", "lane_error_m", "object_metrics", "surface_height_error_m"]
+__all__ = [
+    "frame_metrics",
+    "intersection_over_union",
+    "lane_error_m",
+    "object_metrics",
+    "surface_height_error_m",
+]

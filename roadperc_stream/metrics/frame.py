@@ -2,12 +2,13 @@
 
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import FrameResult, Sample
+from roadperc_stream.core.reasons import frame_reasons
 from roadperc_stream.metrics.lanes import lane_benchmarks, lane_columns, lane_errors, true_lane_columns
 from roadperc_stream.metrics.objects import object_columns, object_errors
 from roadperc_stream.metrics.odometry import odometry_columns, odometry_errors, true_pose_columns
 from roadperc_stream.metrics.stereo import stereo_columns, stereo_errors_of
 from roadperc_stream.metrics.surface import surface_columns, surface_errors
-from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.columns import FrameKey, FrameMetrics, InputColumns, row_of
 
 
 def frame_metrics(
@@ -15,24 +16,29 @@ def frame_metrics(
 ) -> FrameMetrics:
     """The row of one frame, with errors wherever the log carries truth; ``previous`` is the frame before."""
     frame, truth = sample.frame, sample.truth
-    return FrameMetrics(
-        log_id=log_id,
-        frame=sample.index,
-        stamp_ns=result.stamp_ns,
+    return row_of(
+        FrameMetrics,
+        FrameKey(log_id, sample.index, result.stamp_ns),
+        surface_columns(result),
+        lane_columns(result.lanes),
+        object_columns(result.objects),
+        stereo_columns(result.stereo),
+        odometry_columns(result.odometry),
+        surface_errors(cfg, result, sample),
+        lane_errors(result.lanes, truth.lanes),
+        true_lane_columns(truth.lanes),
+        lane_benchmarks(result.lanes, truth.lanes, frame.camera, frame.ego_T_camera),
+        object_errors(result.objects, truth.objects),
+        stereo_errors_of(result.stereo, sample),
+        odometry_errors(result.odometry, sample, previous),
+        true_pose_columns(truth),
+        _input_columns(sample, result),
+    )
+
+
+def _input_columns(sample: Sample, result: FrameResult) -> InputColumns:
+    return InputColumns(
         sync_skew_ms=None if sample.skew_ns is None else sample.skew_ns / 1e6,
         missing=sample.missing,
-        reasons=(*(f"{role}: no message at this frame" for role in sample.missing), *result.reasons()),
-        **surface_columns(result),
-        **lane_columns(result.lanes),
-        **object_columns(result.objects),
-        **stereo_columns(result.stereo),
-        **odometry_columns(result.odometry),
-        **surface_errors(cfg, result, sample),
-        **lane_errors(result.lanes, truth.lanes),
-        **true_lane_columns(truth.lanes),
-        **lane_benchmarks(result.lanes, truth.lanes, frame.camera, frame.ego_T_camera),
-        **object_errors(result.objects, truth.objects),
-        **stereo_errors_of(result.stereo, sample),
-        **odometry_errors(result.odometry, sample, previous),
-        **true_pose_columns(truth),
+        reasons=tuple(str(reason) for reason in frame_reasons(sample, result)),
     )

@@ -92,34 +92,17 @@ def _best_accuracy(predicted: Sequence[Float], lane: Float, threshold_px: float)
     return max((float(found.mean()) for found in right), default=0.0)
 
 
-def culane_counts(
-    predicted: Sequence[Float],
-    truth: Sequence[Float],
-    shape: tuple[int, int],
-    width_px: float = CULANE_WIDTH_PX,
-    threshold: float = 0.5,
-) -> Counts:
-    """Lines found rightly, wrongly and missed, as CULane counts them (Pan et al., Spatial As Deep, AAAI 2018).
-
-    Lines are drawn ``width_px`` wide; predicted and true ones are paired one to one so that their intersections over
-    union have the largest sum, and a pair above ``threshold`` is a true positive. Precision, recall and F1 of a run
-    are taken from the counts summed over its frames.
+def line_overlaps(
+    predicted: Sequence[Float], truth: Sequence[Float], shape: tuple[int, int], width_px: float = CULANE_WIDTH_PX
+) -> Float:
+    """(predicted, truth) intersections over union of lines drawn ``width_px`` wide, by which CULane pairs them.
 
     Args:
         predicted: a line each: (N, 2) x, y in px from end to end, joined by straight pieces.
         truth: the same, true.
         shape: rows and columns of the image.
         width_px: 30 in the benchmark's images, 1640 px wide.
-        threshold: 0.5 in the benchmark, 0.3 in its looser variant.
     """
-    overlaps = line_overlaps(predicted, truth, shape, width_px)
-    return counts_above(overlaps, threshold)
-
-
-def line_overlaps(
-    predicted: Sequence[Float], truth: Sequence[Float], shape: tuple[int, int], width_px: float = CULANE_WIDTH_PX
-) -> Float:
-    """(predicted, truth) intersections over union of lines drawn ``width_px`` wide; see ``culane_counts``."""
     places = [np.flatnonzero(_drawn(line, shape, width_px)) for line in predicted]  # a line fills few of the pixels
     overlaps = np.zeros((len(predicted), len(truth)))
     for k, true in enumerate(_drawn(line, shape, width_px).reshape(-1) for line in truth):
@@ -131,7 +114,16 @@ def line_overlaps(
 
 
 def counts_above(overlaps: Float, threshold: float) -> Counts:
-    """Counts of the pairs above a threshold, from (predicted, truth) intersections over union."""
+    """Lines found rightly, wrongly and missed, as CULane counts them (Pan et al., Spatial As Deep, AAAI 2018).
+
+    Predicted and true lines are paired one to one so that their intersections over union have the largest sum, and a
+    pair above the threshold is a true positive. Precision, recall and F1 of a run are computed from the counts summed
+    over its frames.
+
+    Args:
+        overlaps: (predicted, truth) intersections over union, as ``line_overlaps`` gives them.
+        threshold: 0.5 in the benchmark, 0.3 in its looser variant.
+    """
     pairs = linear_sum_assignment(overlaps, maximize=True)
     tp = int(np.count_nonzero(overlaps[pairs] > threshold))
     return Counts(tp, overlaps.shape[0] - tp, overlaps.shape[1] - tp)

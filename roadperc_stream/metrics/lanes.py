@@ -8,7 +8,8 @@ import numpy as np
 from roadperc_stream.core.datatypes import SIDES, Absent, Boundary, Lanes
 from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
 from roadperc_stream.metrics import lane_scores
-from roadperc_stream.schemas.columns import Columns
+from roadperc_stream.schemas.columns.errors import LaneErrorColumns, LaneScoreColumns, TrueLaneColumns
+from roadperc_stream.schemas.columns.estimates import LaneColumns
 
 LANE_ERROR_AT_M: Final = 10.0
 ROW_STEP_PX: Final = 10
@@ -16,35 +17,41 @@ ROW_STEP_PX: Final = 10
 TUSIMPLE_COLUMNS: Final = 1280
 CULANE_COLUMNS: Final = 1640
 """Widths of the benchmarks' images: their thresholds in px scale with the image, so that resolution does not matter."""
-CULANE_THRESHOLDS: Final = {50: 0.5, 30: 0.3}
-"""Intersection over union from which a line is found, by the ending of its columns."""
+CULANE_THRESHOLDS: Final = (0.5, 0.3)
+"""Intersection over union from which a line is found."""
 
 
-def lane_columns(lanes: Lanes | Absent) -> Columns:
-    """Each boundary as the chain follows it, and what both say of the lane."""
+def lane_columns(lanes: Lanes | Absent) -> LaneColumns:
+    """Each boundary as the chain tracks it, and what both say of the lane."""
     if isinstance(lanes, Absent):
-        return {}
+        return LaneColumns()
     left, right = lanes.side("left"), lanes.side("right")
-    columns: Columns = {"lane_proposals": len(lanes.proposals_px), "lane_merged": len(lanes.merged_px)}
-    for boundary in (left, right):
-        prefix = f"lane_{boundary.side}"
-        columns[f"{prefix}_status"] = boundary.status
-        columns[f"{prefix}_offset_m"] = boundary.offset_m
-        columns[f"{prefix}_raw_offset_m"] = boundary.raw_offset_m
-        columns[f"{prefix}_boundary_class"] = boundary.outside or None
-    if left.offset_m is not None and right.offset_m is not None:
-        columns["lane_width_m"] = left.offset_m - right.offset_m
+    width_m = None if left.offset_m is None or right.offset_m is None else left.offset_m - right.offset_m
     headings = [boundary.heading for boundary in (left, right) if boundary.heading is not None]
-    if headings:
-        columns["lane_heading_deg"] = float(np.degrees(np.mean(headings)))
-    return columns
+    return LaneColumns(
+        lane_left_status=left.status,
+        lane_left_offset_m=left.offset_m,
+        lane_left_raw_offset_m=left.raw_offset_m,
+        lane_left_boundary_class=left.outside or None,
+        lane_right_status=right.status,
+        lane_right_offset_m=right.offset_m,
+        lane_right_raw_offset_m=right.raw_offset_m,
+        lane_right_boundary_class=right.outside or None,
+        lane_width_m=width_m,
+        lane_heading_deg=float(np.degrees(np.mean(headings))) if headings else None,
+        lane_proposals=len(lanes.proposals_px),
+        lane_merged=len(lanes.merged_px),
+    )
 
 
-def lane_errors(lanes: Lanes | Absent, truth: Lanes | None) -> Columns:
+def lane_errors(lanes: Lanes | Absent, truth: Lanes | None) -> LaneErrorColumns:
     """How far each boundary is off on the road; nothing without truth."""
     if isinstance(lanes, Absent) or truth is None:
-        return {}
-    return {f"lane_{side}_error_m": lane_error_m(lanes.side(side), truth.side(side)) for side in SIDES}
+        return LaneErrorColumns()
+    return LaneErrorColumns(
+        lane_left_error_m=lane_error_m(lanes.side("left"), truth.side("left")),
+        lane_right_error_m=lane_error_m(lanes.side("right"), truth.side("right")),
+    )
 
 
 def lane_error_m(boundary: Boundary, truth: Boundary) -> float | None:
@@ -59,45 +66,56 @@ def lane_error_m(boundary: Boundary, truth: Boundary) -> float | None:
     return float(y - np.interp(x, line[:, 0], line[:, 1]))
 
 
-def true_lane_columns(truth: Lanes | None) -> Columns:
+def true_lane_columns(truth: Lanes | None) -> TrueLaneColumns:
     """Where the true boundaries are at the ego origin, for the smoothed ones' jitter and lag."""
-    return {} if truth is None else {f"lane_{side}_true_offset_m": truth.side(side).offset_m for side in SIDES}
+    if truth is None:
+        return TrueLaneColumns()
+    return TrueLaneColumns(truth.side("left").offset_m, truth.side("right").offset_m)
 
 
-def lane_benchmarks(lanes: Lanes | Absent, truth: Lanes | None, camera: Camera, ego_T_camera: Float) -> Columns:
+def lane_benchmarks(
+    lanes: Lanes | Absent, truth: Lanes | None, camera: Camera, ego_T_camera: Float
+) -> LaneScoreColumns:
     """TuSimple's and CULane's scores of the two boundaries in the image; none where no true one is in view."""
     if isinstance(lanes, Absent) or truth is None:
-        return {}
+        return LaneScoreColumns()
     visible = (in_view(_projected(truth.side(side), camera, ego_T_camera), camera) for side in SIDES)
     true_px = [line for line in visible if len(line)]
     if not true_px:
-        return {}
+        return LaneScoreColumns()
     found_px = [line for side in SIDES if len(line := in_view(lanes.side(side).line_px, camera))]
-    return {**_tusimple_columns(found_px, true_px, camera), **_culane_columns(found_px, true_px, camera)}
+    points = _tusimple(found_px, true_px, camera)
+    overlaps = _culane_overlaps(found_px, true_px, camera)
+    at_50, at_30 = (lane_scores.counts_above(overlaps, threshold) for threshold in CULANE_THRESHOLDS)
+    return LaneScoreColumns(
+        lane_tusimple_accuracy=None if points is None else points.accuracy,
+        lane_tusimple_fp=None if points is None else points.fp,
+        lane_tusimple_fn=None if points is None else points.fn,
+        lane_culane_tp_50=at_50.tp,
+        lane_culane_fp_50=at_50.fp,
+        lane_culane_fn_50=at_50.fn,
+        lane_culane_tp_30=at_30.tp,
+        lane_culane_fp_30=at_30.fp,
+        lane_culane_fn_30=at_30.fn,
+    )
 
 
-def _tusimple_columns(found_px: Sequence[Float], true_px: Sequence[Float], camera: Camera) -> Columns:
+def _tusimple(found_px: Sequence[Float], true_px: Sequence[Float], camera: Camera) -> lane_scores.TuSimpleScore | None:
     top = min(line[:, 1].min() for line in true_px)
     rows = np.arange(np.ceil(top / ROW_STEP_PX) * ROW_STEP_PX, camera.height, ROW_STEP_PX)
     if not len(rows):
-        return {}
-    score = lane_scores.tusimple(
+        return None
+    return lane_scores.tusimple(
         [columns_at(line, rows, camera) for line in found_px],
         [columns_at(line, rows, camera) for line in true_px],
         rows,
         lane_scores.TUSIMPLE_PX * camera.width / TUSIMPLE_COLUMNS,
     )
-    return {f"lane_tusimple_{name}": value for name, value in score._asdict().items()}
 
 
-def _culane_columns(found_px: Sequence[Float], true_px: Sequence[Float], camera: Camera) -> Columns:
+def _culane_overlaps(found_px: Sequence[Float], true_px: Sequence[Float], camera: Camera) -> Float:
     width_px = lane_scores.CULANE_WIDTH_PX * camera.width / CULANE_COLUMNS
-    overlaps = lane_scores.line_overlaps(found_px, true_px, camera.size, width_px)
-    return {
-        f"lane_culane_{name}_{percent}": value
-        for percent, threshold in CULANE_THRESHOLDS.items()
-        for name, value in lane_scores.counts_above(overlaps, threshold)._asdict().items()
-    }
+    return lane_scores.line_overlaps(found_px, true_px, camera.size, width_px)
 
 
 def columns_at(line_px: Float, rows: Float, camera: Camera) -> Float:

@@ -6,7 +6,9 @@ import numpy as np
 
 from roadperc_stream.core.datatypes import Absent, FrameResult, Object, Objects, Sample
 from roadperc_stream.core.semantics import classes_of_label
-from roadperc_stream.schemas.columns import Columns, ObjectMetrics
+from roadperc_stream.schemas.columns import ObjectMetrics
+from roadperc_stream.schemas.columns.errors import ObjectErrorColumns
+from roadperc_stream.schemas.columns.estimates import ObjectColumns
 
 MATCH_OVERLAP = 0.5
 """Intersection over union from which a detection stands for a true object of its kind."""
@@ -29,35 +31,31 @@ def _object_row(
 ) -> ObjectMetrics:
     box = item.detection.box_px
     return ObjectMetrics(
-        log_id,
-        sample.index,
-        sample.frame.stamp_ns,
-        item.track_id or None,
-        item.detection.label,
-        item.detection.score,
-        box.x_min,
-        box.y_min,
-        box.x_max,
-        box.y_max,
-        item.class_ratio,
-        item.kept,
-        item.distance_m,
-        item.distance_std_m,
-        item.closing_speed_mps,
-        item.closing_speed_std_mps,
-        item.time_to_impact_s,
-        item.time_to_impact_std_s,
-        item.status,
-        item.beyond_range,
-        is_true,
-        *_true_columns(partner),
+        log_id=log_id,
+        frame=sample.index,
+        stamp_ns=sample.frame.stamp_ns,
+        track_id=item.track_id or None,
+        label=item.detection.label,
+        score=item.detection.score,
+        x_min_px=box.x_min,
+        y_min_px=box.y_min,
+        x_max_px=box.x_max,
+        y_max_px=box.y_max,
+        class_ratio=item.class_ratio,
+        kept=item.kept,
+        distance_m=item.distance_m,
+        distance_std_m=item.distance_std_m,
+        closing_speed_mps=item.closing_speed_mps,
+        closing_speed_std_mps=item.closing_speed_std_mps,
+        time_to_impact_s=item.time_to_impact_s,
+        time_to_impact_std_s=item.time_to_impact_std_s,
+        status=item.status,
+        beyond_range=item.beyond_range,
+        is_true=is_true,
+        true_distance_m=None if partner is None else partner.distance_m,
+        true_closing_speed_mps=None if partner is None else partner.closing_speed_mps,
+        true_time_to_impact_s=None if partner is None else true_time_to_impact_s(partner),
     )
-
-
-def _true_columns(true: Object | None) -> tuple[float | None, float | None, float | None]:
-    if true is None:
-        return None, None, None
-    return true.distance_m, true.closing_speed_mps, true_time_to_impact_s(true)
 
 
 def true_time_to_impact_s(true: Object) -> float | None:
@@ -67,51 +65,47 @@ def true_time_to_impact_s(true: Object) -> float | None:
     return true.distance_m / true.closing_speed_mps if true.closing_speed_mps > 0 else None
 
 
-def object_columns(objects: Objects | Absent) -> Columns:
+def object_columns(objects: Objects | Absent) -> ObjectColumns:
     """How many detections were kept, and the nearest and most urgent of them."""
     if isinstance(objects, Absent):
-        return {}
+        return ObjectColumns()
     kept = [item for item in objects.objects if item.kept]
     nearest, urgent = objects.nearest, objects.most_urgent
-    return {
-        "detections": sum(item.status == "measured" for item in objects.objects),
-        "detections_kept": sum(item.status == "measured" for item in kept),
-        "objects_carried": sum(item.status == "tracked" for item in kept),
-        "detections_unjudged": sum(item.kept and item.class_ratio is None for item in objects.objects),
-        "nearest_object_m": None if nearest is None else nearest.distance_m,
-        "nearest_object_class": None if nearest is None else nearest.detection.label,
-        "time_to_impact_s": None if urgent is None else urgent.time_to_impact_s,
-        "time_to_impact_std_s": None if urgent is None else urgent.time_to_impact_std_s,
-    }
+    return ObjectColumns(
+        detections=sum(item.status == "measured" for item in objects.objects),
+        detections_kept=sum(item.status == "measured" for item in kept),
+        detections_unjudged=sum(item.kept and item.class_ratio is None for item in objects.objects),
+        objects_carried=sum(item.status == "tracked" for item in kept),
+        nearest_object_m=None if nearest is None else nearest.distance_m,
+        nearest_object_class=None if nearest is None else nearest.detection.label,
+        time_to_impact_s=None if urgent is None else urgent.time_to_impact_s,
+        time_to_impact_std_s=None if urgent is None else urgent.time_to_impact_std_s,
+    )
 
 
-def object_errors(objects: Objects | Absent, truth: Objects | None) -> Columns:
+def object_errors(objects: Objects | Absent, truth: Objects | None) -> ObjectErrorColumns:
     """Mean distance error of what was kept, and how the filter judged; nothing without true objects."""
     if isinstance(objects, Absent) or truth is None:
-        return {}
+        return ObjectErrorColumns()
     pairs = list(zip(objects.objects, true_partners(objects.objects, truth), strict=True))
     errors = [
         abs(item.distance_m - true.distance_m)
         for item, true in pairs
         if true is not None and item.kept and item.distance_m is not None and true.distance_m is not None
     ]
-    mean_m = float(np.mean(errors)) if errors else None
-    return {"object_distance_error_m": mean_m, **_filter_columns(pairs)}
-
-
-def _filter_columns(pairs: Sequence[tuple[Object, Object | None]]) -> Columns:
-    """How the filter judged what the detector found: right are kept detections that stand for a true object."""
+    # The filter is judged by what the detector found: right are kept detections that stand for a true object.
     judged = [(item.kept, true is not None) for item, true in pairs if item.status == "measured"]
     tp, fp = judged.count((True, True)), judged.count((True, False))
     fn, tn = judged.count((False, True)), judged.count((False, False))
-    return {
-        "filter_tp": tp,
-        "filter_fp": fp,
-        "filter_fn": fn,
-        "filter_tn": tn,
-        "filter_precision": tp / (tp + fp) if tp + fp else None,
-        "filter_recall": tp / (tp + fn) if tp + fn else None,
-    }
+    return ObjectErrorColumns(
+        object_distance_error_m=float(np.mean(errors)) if errors else None,
+        filter_tp=tp,
+        filter_fp=fp,
+        filter_fn=fn,
+        filter_tn=tn,
+        filter_precision=tp / (tp + fp) if tp + fp else None,
+        filter_recall=tp / (tp + fn) if tp + fn else None,
+    )
 
 
 def true_partners(objects: Sequence[Object], truth: Objects | None) -> list[Object | None]:

@@ -7,43 +7,50 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Absent, FrameResult, Mask, Sample, Surface, Truth
 from roadperc_stream.core.geometry import angle_between
 from roadperc_stream.core.ground import height_at
+from roadperc_stream.core.scene import DepthMap, Scene
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.schemas.columns import Columns
+from roadperc_stream.schemas.columns.errors import SurfaceErrorColumns
+from roadperc_stream.schemas.columns.estimates import SurfaceColumns
 
 HEIGHT_ERROR_FROM_M, HEIGHT_ERROR_TO_M, HEIGHT_ERROR_ASIDE_M = 5.0, 40.0, 4.0
 """Ego x from and to which heights are judged, and how far to either side."""
 
 
-def surface_columns(result: FrameResult) -> Columns:
-    """The road as the chain sees it, and the share of the image that is drivable."""
-    columns: Columns = {}
-    if not isinstance(result.surface, Absent):
-        surface = result.surface
-        columns |= {
-            "surface_inlier_ratio": surface.inlier_ratio,
-            "surface_source": surface.source,
-            "camera_height_m": surface.camera_height_m,
-            "camera_pitch_deg": float(np.degrees(surface.pitch)),
-            "camera_roll_deg": float(np.degrees(surface.roll)),
-        }
-    if not isinstance(result.drivable, Absent):
-        columns["drivable_ratio"] = float(result.drivable.mean())
-    return columns
+def surface_columns(result: FrameResult) -> SurfaceColumns:
+    """The road's plane, and the share of the image that is drivable."""
+    surface, drivable = result.surface, result.drivable
+    drivable_ratio = None if isinstance(drivable, Absent) else float(drivable.mean())
+    if isinstance(surface, Absent):
+        return SurfaceColumns(drivable_ratio=drivable_ratio)
+    return SurfaceColumns(
+        surface_inlier_ratio=surface.inlier_ratio,
+        camera_height_m=surface.camera_height_m,
+        camera_pitch_deg=float(np.degrees(surface.pitch)),
+        camera_roll_deg=float(np.degrees(surface.roll)),
+        drivable_ratio=drivable_ratio,
+        surface_source=surface.source,
+    )
 
 
-def surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> Columns:
+def surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> SurfaceErrorColumns:
     """How far plane, heights and drivable pixels are off, where the log carries their truth."""
-    columns: Columns = {}
-    truth = sample.truth
-    if truth.surface is not None and not isinstance(result.surface, Absent):
-        angle = angle_between(result.surface.ego_plane.n, truth.surface.ego_plane.n)
-        columns["surface_angle_error_deg"] = float(np.degrees(angle))
-        columns["surface_height_error_m"] = surface_height_error_m(result.surface, truth.surface)
-        columns["camera_height_error_m"] = result.surface.camera_height_m - truth.surface.camera_height_m
-    true_mask = _true_drivable(cfg, truth, sample)
-    if true_mask is not None and not isinstance(result.drivable, Absent):
-        columns["drivable_iou"] = intersection_over_union(result.drivable, true_mask)
-    return columns
+    surface, truth = result.surface, sample.truth
+    drivable_iou = _drivable_iou(cfg, result, sample)
+    if truth.surface is None or isinstance(surface, Absent):
+        return SurfaceErrorColumns(drivable_iou=drivable_iou)
+    return SurfaceErrorColumns(
+        surface_angle_error_deg=float(np.degrees(angle_between(surface.ego_plane.n, truth.surface.ego_plane.n))),
+        camera_height_error_m=surface.camera_height_m - truth.surface.camera_height_m,
+        surface_height_error_m=surface_height_error_m(surface, truth.surface),
+        drivable_iou=drivable_iou,
+    )
+
+
+def _drivable_iou(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> float | None:
+    true_mask = _true_drivable(cfg, sample.truth, sample)
+    if true_mask is None or isinstance(result.drivable, Absent):
+        return None
+    return intersection_over_union(result.drivable, true_mask)
 
 
 def surface_height_error_m(surface: Surface, truth: Surface) -> float | None:
@@ -73,14 +80,16 @@ def _true_drivable(cfg: ReplayConfig, truth: Truth, sample: Sample) -> Mask | No
     if truth.segmentation is None or depth is None or truth.surface is None:
         return None
     try:
-        road = truth.segmentation.table.lookup(cfg.surface.classes)[truth.segmentation.tags]
-        depth_m = depth.depth_m
+        tags, depth_m = truth.segmentation.tags, depth.depth_m
     except DecodeError:
         return None
-    camera = sample.frame.camera
-    if road.shape != camera.size or depth_m.shape != camera.size:
+    frame = sample.frame
+    if tags.shape != frame.camera.size or depth_m.shape != frame.camera.size:
         return None
-    mask = drivable_mask(cfg.surface, truth.surface, camera, depth_m, road, sample.frame.ego_T_camera)
+    true_depth = DepthMap(depth_m, frame.camera, frame.ego_T_camera, depth.limit_m, "depth")
+    table = truth.segmentation.table
+    scene = Scene(frame.stamp_ns, frame.camera, frame.ego_T_camera, tags=tags, table=table, depth=true_depth)
+    mask = drivable_mask(cfg.surface, scene, truth.surface)
     return None if isinstance(mask, Absent) else mask
 
 

@@ -8,6 +8,8 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
@@ -21,10 +23,11 @@ from roadperc_stream.core.datatypes import (
     Occupancy,
     Odometry,
     Surface,
+    Transform,
 )
 from roadperc_stream.core.geometry import Camera, Float, Float32, Lens, quaternion
 from roadperc_stream.formats.images import depth_to_mm
-from roadperc_stream.input.decoding import Transform
+from roadperc_stream.formats.points import FIELDS
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import RosGrid, RosImage, pack_image, pack_occupancy_grid
@@ -112,7 +115,7 @@ def encode_odometry(stamp_ns: int, frame_id: str, odometry: Odometry) -> bytes:
         up_to_scale=odometry.up_to_scale,
         inliers=odometry.inliers,
         covariance=odometry.covariance,
-        reason=odometry.reason,
+        reason="" if odometry.reason is None else odometry.reason.text,
     )
     set_stamp(message, stamp_ns)
     return message.SerializeToString()
@@ -265,3 +268,20 @@ def _set_vector(vector: Any, values: Float) -> None:
 
 def _set_quaternion(target: Any, transform: Float) -> None:
     target.x, target.y, target.z, target.w = quaternion(transform[:3, :3])
+
+
+def encode_points(stamp_ns: int, frame_id: str, points: Float32) -> bytes:
+    """foxglove.PointCloud of (N, 3) x, y, z in metres, or (N, 4) with intensities."""
+    columns = points.shape[1]
+    message = PointCloud(
+        frame_id=frame_id,
+        point_stride=4 * columns,
+        fields=[
+            PackedElementField(name=name, offset=4 * k, type=PackedElementField.FLOAT32)
+            for k, name in enumerate(FIELDS[:columns])
+        ],
+        data=np.ascontiguousarray(points, "<f4").tobytes(),
+    )
+    message.pose.orientation.w = 1.0
+    set_stamp(message, stamp_ns)
+    return message.SerializeToString()

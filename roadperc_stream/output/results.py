@@ -2,29 +2,55 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, replace
-from typing import Final, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.core.datatypes import EGO, Absent, FrameResult, Mask, Odometry, Sample, Tie
+from roadperc_stream.core.datatypes import (
+    EGO,
+    Absent,
+    FrameAnchor,
+    FrameResult,
+    Mask,
+    Odometry,
+    Reason,
+    Sample,
+    Transform,
+)
 from roadperc_stream.core.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceSource
 from roadperc_stream.core.geometry import Float, inverse
 from roadperc_stream.core.semantics import Colour
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.input.decoding.payload import require_finite
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
-from roadperc_stream.schemas.channels import METRICS_TOPIC
-from roadperc_stream.schemas.columns import Columns, FrameMetrics
+from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.fields import require_finite
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
+from roadperc_stream.schemas.topics import (
+    DRIVABLE_SCENE_TOPIC,
+    DRIVABLE_TOPIC,
+    LANES_ANNOTATIONS_TOPIC,
+    LANES_SCENE_TOPIC,
+    LANES_TOPIC,
+    LOG_TOPIC,
+    METRICS_TOPIC,
+    OBJECTS_ANNOTATIONS_TOPIC,
+    OBJECTS_SCENE_TOPIC,
+    OBJECTS_TOPIC,
+    OCCUPANCY_TOPIC,
+    ODOMETRY_STATE_TOPIC,
+    ODOMETRY_TOPIC,
+    STEREO_DEPTH_TOPIC,
+    SURFACE_TOPIC,
+    TF_TOPIC,
+    TRAJECTORY_TOPIC,
+)
 
 DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
-_BEYOND_ROS_2 = f"the frame's stamp is beyond {LAST_STAMP_NS} ns (2038-01-19), the last one ROS 2 messages hold"
 _COLUMNS = {field.name for field in fields(FrameMetrics)}
 _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "surface_source": get_args(SurfaceSource),
@@ -56,20 +82,20 @@ def result_messages(
     yield from _lanes_and_objects(sample, result)
     if not isinstance(result.stereo, Absent):
         depth = encoding.encode_depth(stamp_ns, result.stereo.frame_id, result.stereo.depth_m)
-        yield "/perception/stereo/depth", depth
+        yield STEREO_DEPTH_TOPIC, depth
     if not isinstance(result.occupancy, Absent):
-        yield "/perception/occupancy", encoding.encode_occupancy(stamp_ns, result.occupancy)
+        yield OCCUPANCY_TOPIC, encoding.encode_occupancy(stamp_ns, result.occupancy)
     if not isinstance(result.odometry, Absent):
-        yield from _odometry(stamp_ns, sample.tie.odom, result.odometry, trajectory)
-    if edges := _edges(sample.tie, result.odometry):
-        yield "/perception/tf", encoding.encode_transforms(stamp_ns, edges)
+        yield from _odometry(stamp_ns, sample.anchor.odom, result.odometry, trajectory)
+    if edges := _edges(sample.anchor, result.odometry):
+        yield TF_TOPIC, encoding.encode_transforms(stamp_ns, edges)
     yield METRICS_TOPIC, encode_metrics(sample.frame.camera.frame_id, metrics)
     for reason in metrics.reasons:
         if reason not in previous_reasons:
-            yield "/perception/log", encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")
+            yield LOG_TOPIC, encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")
 
 
-def as_written(result: FrameResult) -> tuple[FrameResult, FrameResult]:
+def drop_beyond_ros_time(result: FrameResult) -> tuple[FrameResult, FrameResult]:
     """A frame's result, and what of it the log can carry: ROS 2 messages end in 2038, all others go on.
 
     The metrics are those of the whole result, which says what is not written.
@@ -77,55 +103,58 @@ def as_written(result: FrameResult) -> tuple[FrameResult, FrameResult]:
     if result.stamp_ns <= LAST_STAMP_NS:
         return result, result
     outputs = {"stereo": result.stereo, "occupancy": result.occupancy}
-    left_out = [name for name, output in outputs.items() if not isinstance(output, Absent)]
-    reasons = (f"{name}: not written, {_BEYOND_ROS_2}" for name in left_out)
+    not_written = {name: Reason(name, "not_written", (LAST_STAMP_NS,)) for name in outputs}
+    reasons = (not_written[name] for name, output in outputs.items() if not isinstance(output, Absent))
     result = replace(result, problems=(*result.problems, *reasons))
-    return result, replace(result, stereo=Absent(_BEYOND_ROS_2), occupancy=Absent(_BEYOND_ROS_2))
+    absent = {name: Absent(reason) for name, reason in not_written.items()}
+    return result, replace(result, stereo=absent["stereo"], occupancy=absent["occupancy"])
 
 
 def _surface(sample: Sample, result: FrameResult) -> Written:
     stamp_ns, frame = result.stamp_ns, sample.frame
     if not isinstance(result.surface, Absent):
-        yield "/perception/surface", encoding.encode_surface(stamp_ns, result.surface)
+        yield SURFACE_TOPIC, encoding.encode_surface(stamp_ns, result.surface)
     if not isinstance(result.drivable, Absent):
-        yield "/perception/drivable", _drivable(stamp_ns, frame.camera.frame_id, result.drivable)
+        yield DRIVABLE_TOPIC, _drivable(stamp_ns, frame.camera.frame_id, result.drivable)
         if not isinstance(result.front_surface, Absent):
             scene = annotations.drivable_scene(
                 stamp_ns, result.front_surface, frame.camera, frame.ego_T_camera, result.drivable
             )
-            yield "/perception/drivable/scene", scene
+            yield DRIVABLE_SCENE_TOPIC, scene
 
 
 def _lanes_and_objects(sample: Sample, result: FrameResult) -> Written:
     stamp_ns, camera = result.stamp_ns, sample.frame.camera
     if not isinstance(result.lanes, Absent):
-        yield "/perception/lanes", encoding.encode_lanes(stamp_ns, camera.frame_id, result.lanes)
-        yield "/perception/lanes/annotations", annotations.lane_annotations(stamp_ns, camera, result.lanes)
-        yield "/perception/lanes/scene", annotations.lanes_scene(stamp_ns, result.lanes)
+        yield LANES_TOPIC, encoding.encode_lanes(stamp_ns, camera.frame_id, result.lanes)
+        yield LANES_ANNOTATIONS_TOPIC, annotations.lane_annotations(stamp_ns, camera, result.lanes)
+        yield LANES_SCENE_TOPIC, annotations.lanes_scene(stamp_ns, result.lanes)
     if not isinstance(result.objects, Absent):
-        yield "/perception/objects", encoding.encode_objects(stamp_ns, camera.frame_id, result.objects)
-        yield "/perception/objects/annotations", annotations.object_annotations(stamp_ns, camera, result.objects)
+        yield OBJECTS_TOPIC, encoding.encode_objects(stamp_ns, camera.frame_id, result.objects)
+        yield OBJECTS_ANNOTATIONS_TOPIC, annotations.object_annotations(stamp_ns, camera, result.objects)
         scene = annotations.objects_scene(stamp_ns, camera, sample.frame.ego_T_camera, result.objects)
-        yield "/perception/objects/scene", scene
+        yield OBJECTS_SCENE_TOPIC, scene
 
 
 def _odometry(stamp_ns: int, odom: str, odometry: Odometry, trajectory: Sequence[Float]) -> Written:
     """Of a lost frame the state alone says where the car was last: as a pose of this frame it would be false."""
-    yield "/perception/odometry/state", encoding.encode_odometry(stamp_ns, EGO, odometry)
-    yield "/perception/trajectory", encoding.encode_poses(stamp_ns, odom, trajectory)
+    yield ODOMETRY_STATE_TOPIC, encoding.encode_odometry(stamp_ns, EGO, odometry)
+    yield TRAJECTORY_TOPIC, encoding.encode_poses(stamp_ns, odom, trajectory)
     if odometry.status != "lost":
-        yield "/perception/odometry", encoding.encode_pose(stamp_ns, odom, odometry.odom_T_ego)
+        yield ODOMETRY_TOPIC, encoding.encode_pose(stamp_ns, odom, odometry.odom_T_ego)
 
 
-def _edges(tie: Tie, odometry: Odometry | Absent) -> list[Transform]:
+def _edges(anchor: FrameAnchor, odometry: Odometry | Absent) -> list[Transform]:
     """What joins ego with the log's own tree, and odom with ego: from above, or from below where the log is above."""
-    edges = [_hung(tie.frame_id, EGO, inverse(tie.ego_T_frame), tie.placed)] if tie.frame_id else []
+    edges = []
+    if anchor.frame_id:
+        edges.append(_edge_between(anchor.frame_id, EGO, inverse(anchor.ego_T_frame), anchor.placed))
     if not isinstance(odometry, Absent) and odometry.status != "lost":
-        edges.append(_hung(tie.odom, EGO, odometry.odom_T_ego, not tie.placed))
+        edges.append(_edge_between(anchor.odom, EGO, odometry.odom_T_ego, not anchor.placed))
     return edges
 
 
-def _hung(frame_id: str, other: str, frame_T_other: Float, above: bool) -> Transform:
+def _edge_between(frame_id: str, other: str, frame_T_other: Float, above: bool) -> Transform:
     """The edge between two frames with the first one above or below."""
     if above:
         return Transform(frame_id, other, frame_T_other)
@@ -150,8 +179,8 @@ def decode_metrics(data: bytes) -> FrameMetrics:
         message = pb.FrameMetrics.FromString(data)
     except ProtobufError as error:
         raise DecodeError(f"{len(data)} bytes are no roadperc.FrameMetrics: {error}") from error
-    always: Columns = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
-    known: Columns = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
+    always: dict[str, Any] = {"log_id": message.log_id, "frame": message.frame, "stamp_ns": message.stamp_ns}
+    known: dict[str, Any] = {field.name: value for field, value in message.ListFields() if field.name in _COLUMNS}
     require_finite("metrics", *(value for value in known.values() if isinstance(value, float)))
     for column, words in _WORDS.items():
         if known.get(column, words[0]) not in words:

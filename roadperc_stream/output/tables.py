@@ -1,5 +1,6 @@
 """Rows of dataclasses to Parquet files, row group by row group."""
 
+import hashlib
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,7 +13,9 @@ from typing import Any, Final, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from roadperc_stream.core.files import naming, partial_of
+from roadperc_stream import __version__
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.files import partial_of, target_errors
 from roadperc_stream.errors import TableError
 
 ROW_GROUP_ROWS: Final = 1000
@@ -26,9 +29,25 @@ _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
 Scalar = bool | int | float | str
 
 
-def beside(target: Path, table: str) -> Path:
+def sidecar_path(target: Path, table: str) -> Path:
     """out.mcap gives out.metrics.parquet and out.objects.parquet."""
     return target.with_name(f"{target.stem}.{table}.parquet")
+
+
+def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:
+    """What a table says of where it came from.
+
+    ``roadperc.log`` is the log it lies next to, ``roadperc.source`` the input, ``roadperc.config`` the configuration.
+    """
+    toml = cfg.to_toml()
+    facts = {
+        "config": toml,
+        "config_digest": hashlib.sha256(toml.encode()).hexdigest(),
+        "version": __version__,
+        "log": str(target.absolute()),
+        "source": str(source.absolute()),
+    }
+    return {f"roadperc.{key}": value for key, value in facts.items()}
 
 
 def arrow_schema(
@@ -131,7 +150,7 @@ class TableWriter:
         self._rows: list[dict[str, Any]] = []
 
     def __enter__(self) -> Self:
-        with naming(self._path):
+        with target_errors(self._path):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = pq.ParquetWriter(self._temporary, self._schema, compression="zstd")
         return self
@@ -148,7 +167,7 @@ class TableWriter:
 
     def _flush(self) -> None:
         if self._rows:
-            with naming(self._path):
+            with target_errors(self._path):
                 self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
             self._rows.clear()
 
@@ -159,7 +178,7 @@ class TableWriter:
             TargetError: it cannot be written.
         """
         self._flush()
-        with naming(self._path):
+        with target_errors(self._path):
             self._writer.close()
 
     def __exit__(
@@ -168,7 +187,7 @@ class TableWriter:
         try:
             if kind is None:
                 self.complete()
-                with naming(self._path):
+                with target_errors(self._path):
                     self._temporary.replace(self._path)
         finally:
             with suppress(OSError):  # closing writes the footer, and a full disk fails again

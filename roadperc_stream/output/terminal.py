@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from roadperc_stream.core.process import discard_output, no_progress
+from roadperc_stream.core.process import discard_output
+from roadperc_stream.core.progress import no_progress
 from roadperc_stream.output.text_table import TextRow, TextTable, row, transposed
 
 NARROWEST, WIDEST = 80, 120

@@ -8,6 +8,7 @@ from typing import Any, Final
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.schemas.definitions import brief, types_of
 
@@ -53,7 +54,7 @@ def as_defined(otherwise: str) -> Iterator[None]:
 
 def stamp_ns(stamp: Any) -> int:
     """Integer nanoseconds of a builtin_interfaces/Time."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 @lru_cache(_MOST_LAYOUTS)

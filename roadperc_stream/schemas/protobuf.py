@@ -15,6 +15,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message as ProtobufMessage
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.schemas import roadperc_pb2
 
 MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {
@@ -49,9 +50,9 @@ def schema_data(name: str) -> bytes:
 
 def stamp_ns(timestamp: Any) -> int:
     """Integer nanoseconds of a google.protobuf.Timestamp."""
-    return int(timestamp.seconds) * 1_000_000_000 + int(timestamp.nanos)
+    return int(timestamp.seconds) * NS_PER_S + int(timestamp.nanos)
 
 
 def set_stamp(message: Any, stamp: int) -> None:
     """Write integer nanoseconds into a message's ``timestamp``."""
-    message.timestamp.seconds, message.timestamp.nanos = divmod(stamp, 1_000_000_000)
+    message.timestamp.seconds, message.timestamp.nanos = divmod(stamp, NS_PER_S)

@@ -16,9 +16,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import LogError
-from roadperc_stream.formats.raster import Raster
 from roadperc_stream.schemas import cdr
+from roadperc_stream.schemas.names import ROS_GRID_SCHEMA, ROS_IMAGE_SCHEMA
 
 _HEADER_DEFINITION: Final = b"""================================================================================
 MSG: std_msgs/Header
@@ -29,7 +30,7 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-IMAGE: Final = "sensor_msgs/msg/Image"
+IMAGE: Final = ROS_IMAGE_SCHEMA
 IMAGE_DEFINITION: Final = (
     b"""std_msgs/Header header
 uint32 height
@@ -41,7 +42,7 @@ uint8[] data
 """
     + _HEADER_DEFINITION
 )
-OCCUPANCY_GRID: Final = "nav_msgs/msg/OccupancyGrid"
+OCCUPANCY_GRID: Final = ROS_GRID_SCHEMA
 OCCUPANCY_GRID_DEFINITION: Final = (
     b"""std_msgs/Header header
 nav_msgs/MapMetaData info
@@ -73,8 +74,7 @@ float64 w
 """
 )
 DEFINITIONS: Final = {IMAGE: IMAGE_DEFINITION, OCCUPANCY_GRID: OCCUPANCY_GRID_DEFINITION}
-_NANOSECONDS: Final = 1_000_000_000
-LAST_STAMP_NS: Final = 2**31 * _NANOSECONDS - 1
+LAST_STAMP_NS: Final = 2**31 * NS_PER_S - 1
 """The seconds of builtin_interfaces/Time, an int32, end on 2038-01-19."""
 _LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
 
@@ -139,24 +139,6 @@ def unpack_header(data: bytes, name: str) -> tuple[int, str]:
     return cdr.stamp_ns(header.stamp), header.frame_id
 
 
-def unpack_image(data: bytes) -> RosImage:
-    """An image of any encoding that ``Raster`` knows.
-
-    Raises:
-        DecodeError: the bytes are no such image; the message says what was found.
-
-    """
-    message = cdr.read(data, IMAGE, IMAGE_DEFINITION)
-    pixels = image_raster(message).pixels()
-    return RosImage(cdr.stamp_ns(message.header.stamp), message.header.frame_id, message.encoding, pixels)
-
-
-def image_raster(message: Any) -> Raster:
-    """Pixels of a sensor_msgs/msg/Image, big-endian ones too."""
-    size = int(message.width), int(message.height), int(message.step)
-    return Raster(str(message.encoding), *size, np.asarray(message.data, np.uint8), bool(message.is_bigendian))
-
-
 def _aligned(body: bytes, size: int) -> bytes:
     return body + b"\x00" * (-len(body) % size)
 
@@ -164,7 +146,7 @@ def _aligned(body: bytes, size: int) -> bytes:
 def _pack_stamp(stamp_ns: int) -> bytes:
     if stamp_ns > LAST_STAMP_NS:
         raise LogError(f"stamp {stamp_ns} ns: expected at most {LAST_STAMP_NS} ns, the last one ROS 2 messages hold")
-    return struct.pack("<iI", *divmod(stamp_ns, _NANOSECONDS))
+    return struct.pack("<iI", *divmod(stamp_ns, NS_PER_S))
 
 
 def _pack_string(text: str) -> bytes:

@@ -6,7 +6,7 @@ from importlib import import_module
 from shlex import quote
 
 from roadperc_stream.output.terminal import frame_progress
-from roadperc_stream.schemas.channels import parse_topic_options
+from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.view.layout.writing import write_layout
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.serving import serve_log, serves_times

@@ -6,24 +6,26 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from roadperc_stream import log
-from roadperc_stream.chain.pixels import image_fits
-from roadperc_stream.core.datatypes import Absent, CameraImage, Lanes, Mask, Objects, TagImage
+from roadperc_stream.core.datatypes import Absent, CameraImage, Lanes, Mask, Objects, Reason, TagImage, parse_reason
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import ChannelError, DecodeError
 from roadperc_stream.input.decoding import Decoded, Payload, context_of_channel, decode
-from roadperc_stream.input.roles.fill import Problems, is_result, is_result_of, roles_of_log
+from roadperc_stream.input.earlier_replay import is_result, is_result_of
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.log import Channel, LogSummary, Message
 from roadperc_stream.output.drawing.frame import SeenFrame
 from roadperc_stream.output.results import decode_metrics
-from roadperc_stream.schemas.channels import METRICS_TOPIC, Kind
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.roles import Kind
+from roadperc_stream.schemas.topics import DRIVABLE_TOPIC, LANES_TOPIC, METRICS_TOPIC, OBJECTS_TOPIC
 
 Content = TypeVar("Content")
-LANES, OBJECTS, DRIVABLE = "/perception/lanes", "/perception/objects", "/perception/drivable"
-LATENESS_NS: Final = (0, 2_000_000_000)
+LATENESS_NS: Final = (0, 2 * NS_PER_S)
 """How far a message's log time may lie from its stamp: first the window that is cheap to read is tried."""
-_KINDS: Final[Mapping[str, Kind]] = {LANES: "lanes", OBJECTS: "objects", DRIVABLE: "tags"}
-_NOTHING: Final = Absent("not in the log")
+_KINDS: Final[Mapping[str, Kind]] = {LANES_TOPIC: "lanes", OBJECTS_TOPIC: "objects", DRIVABLE_TOPIC: "tags"}
+_NOTHING: Final = {name: Absent(Reason(name, "not_in_log")) for name in ("lanes", "objects", "drivable")}
 _MOST_WAITING: Final = 64
 """Instants that wait for their metrics at a time: of a sensor that is no frame's they never come."""
 
@@ -106,7 +108,7 @@ def content_of(content: Callable[[], Content], topic: str, time_ns: int, problem
 def _image_topic(summary: LogSummary) -> str:
     """The topic of the results' camera, as the replay chose it or was told to; empty where the log has it no more."""
     try:
-        topics = roles_of_log(summary, {}).topics
+        topics = assignment_of_log(summary, {}).topics
     except ChannelError:  # an input, of which nobody has said yet what is what
         return ""
     return topics.get("image") or topics.get("left", "")
@@ -121,11 +123,17 @@ def _seen(
     image_bgr = content_of(lambda: image.bgr, image_topic, stamp_ns, problems)
     if image_bgr is None:
         return None
-    mask = content_of(lambda: _drivable(found), DRIVABLE, stamp_ns, problems)
-    drivable = _NOTHING if mask is None else mask
+    mask = content_of(lambda: _drivable(found), DRIVABLE_TOPIC, stamp_ns, problems)
+    drivable = _NOTHING["drivable"] if mask is None else mask
     # A mask of another size belongs to another camera than this image, and so do lanes and objects.
-    fits = image_fits(reasons) and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
+    fits = _image_fits(reasons) and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
     return SeenFrame(image_bgr, _lanes(found), _objects(found), drivable, fits)
+
+
+def _image_fits(reasons: Iterable[str]) -> bool:
+    """Whether a frame's reasons leave it open that its camera image is of its calibration's size."""
+    parsed = (parse_reason(text) for text in reasons)
+    return not any((reason.source, reason.code) == ("image", "wrong_size") for reason in parsed)
 
 
 def _messages(
@@ -166,18 +174,18 @@ def _kind(channel: Channel, image_topic: str) -> Kind | None:
 
 
 def _lanes(found: Mapping[str, Decoded]) -> Lanes | Absent:
-    lanes = _payload(found, LANES)
-    return lanes if isinstance(lanes, Lanes) else _NOTHING
+    lanes = _payload(found, LANES_TOPIC)
+    return lanes if isinstance(lanes, Lanes) else _NOTHING["lanes"]
 
 
 def _objects(found: Mapping[str, Decoded]) -> Objects | Absent:
-    objects = _payload(found, OBJECTS)
-    return objects if isinstance(objects, Objects) else _NOTHING
+    objects = _payload(found, OBJECTS_TOPIC)
+    return objects if isinstance(objects, Objects) else _NOTHING["objects"]
 
 
 def _drivable(found: Mapping[str, Decoded]) -> Mask | Absent:
-    tags = _payload(found, DRIVABLE)
-    return tags.tags > 0 if isinstance(tags, TagImage) else _NOTHING
+    tags = _payload(found, DRIVABLE_TOPIC)
+    return tags.tags > 0 if isinstance(tags, TagImage) else _NOTHING["drivable"]
 
 
 def _payload(found: Mapping[str, Decoded], topic: str) -> Payload | None:

@@ -5,21 +5,22 @@ from pathlib import Path
 from shlex import quote
 
 from roadperc_stream.errors import LogError
-from roadperc_stream.input.roles.fill import Filled, is_result_of
+from roadperc_stream.input.earlier_replay import is_result_of
+from roadperc_stream.input.roles import RoleAssignment
 from roadperc_stream.log import LogSummary
 
 
-def require_shown(summary: LogSummary, filled: Filled) -> None:
-    """See that some messages of a log fill a role or are a result.
+def require_shown(summary: LogSummary, roles: RoleAssignment) -> None:
+    """See that some messages of a log have a role or are a result.
 
     Raises:
-        LogError: none are; the message names the topics that could fill a role, where there are any.
+        LogError: none are; the message names the topics that could serve a role, where there are any.
     """
     holding = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
     if not holding:
         raise LogError(f"{summary.path}: no message to show")
-    if not filled.topics and not any(is_result_of(channel, channel.topic) for channel in holding):
-        raise nothing_shown(summary.path, filled.unfilled)
+    if not roles.topics and not any(is_result_of(channel, channel.topic) for channel in holding):
+        raise nothing_shown(summary.path, roles.unassigned)
 
 
 def nothing_shown(path: Path, reasons: Iterable[str]) -> LogError:

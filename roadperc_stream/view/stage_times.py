@@ -5,11 +5,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from roadperc_stream.output.tables import read_rows_around
-from roadperc_stream.schemas.channels import LIVE_ONLY
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
-(TIMES,) = LIVE_ONLY
-"""Where viewers have them."""
 TimesMs = Mapping[str, float]
 """Milliseconds by time column; stages that did not run are left out."""
 

@@ -21,21 +21,21 @@ from google.protobuf.message import DecodeError as ProtobufError
 from roadperc_stream import log
 from roadperc_stream.core.datatypes import Image
 from roadperc_stream.core.files import completing, require_free
-from roadperc_stream.core.process import no_progress
+from roadperc_stream.core.progress import no_progress
+from roadperc_stream.core.time import NS_PER_S, ns_to_seconds
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.formats import images
-from roadperc_stream.input.roles.fill import Problems, is_result_of
+from roadperc_stream.input.earlier_replay import is_result_of
+from roadperc_stream.input.problems import Problems
 from roadperc_stream.output.drawing.frame import draw_frame
-from roadperc_stream.schemas.channels import METRICS_TOPIC
+from roadperc_stream.schemas.topics import METRICS_TOPIC, OVERLAY_TOPIC
 from roadperc_stream.view.seen import content_of, read_frames, read_rows, row_of
 
-OVERLAY: Final = "/perception/overlay"
 _CODEC: Final = "vp09"
 _MOST_COLUMNS: Final = 1280
 """A broader video is made smaller: the time that VP9 takes grows with its pixels."""
 _SLOWEST_HZ, _FASTEST_HZ = 1.0, 120.0
 _LONGEST_STILL_S: Final = 10.0
-_NANOSECONDS: Final = 1e9
 _FFMPEG_QUIET: Final = -8
 
 
@@ -89,7 +89,7 @@ def write_video(
         if not video.pictures:
             why = "".join(f"; {text}" for text in problems.first.values())
             raise LogError(f"{source}: no camera image in any of {frames} frames{why}")
-    still = (later - earlier > _LONGEST_STILL_S * _NANOSECONDS for earlier, later in pairwise(stamps))
+    still = (later - earlier > _LONGEST_STILL_S * NS_PER_S for earlier, later in pairwise(stamps))
     return Video(video.pictures, rate_hz, frames, without_image, sum(still), problems)
 
 
@@ -110,7 +110,7 @@ def frame_rate_hz(stamps_ns: Sequence[int]) -> float:
     forward = [later - earlier for earlier, later in pairwise(stamps_ns) if later > earlier]
     if not forward:
         return _SLOWEST_HZ
-    return float(np.clip(_NANOSECONDS / float(np.median(forward)), _SLOWEST_HZ, _FASTEST_HZ))
+    return float(np.clip(NS_PER_S / float(np.median(forward)), _SLOWEST_HZ, _FASTEST_HZ))
 
 
 def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
@@ -120,7 +120,7 @@ def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
     """
     elapsed, ticks = 0.0, [0]
     for earlier, later in pairwise(stamps_ns):
-        seconds = (later - earlier) / _NANOSECONDS
+        seconds = ns_to_seconds(later - earlier)
         elapsed += min(seconds, _LONGEST_STILL_S) if seconds > 0 else 1 / rate_hz
         # Half a picture late rather than by turns early and late, where intervals are those of the rate.
         ticks.append(int(elapsed * rate_hz + 0.5))
@@ -130,14 +130,14 @@ def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
 def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
     """Every frame's picture in order, None where there is no image."""
     summary = log.summarise(source)
-    written = [channel for channel in summary.channels if is_result_of(channel, OVERLAY)]
+    written = [channel for channel in summary.channels if is_result_of(channel, OVERLAY_TOPIC)]
     if any(summary.counts.get(channel.source_id) for channel in written):
         yield from _overlays(source, problems)
         return
     first_ns: int | None = None
     for row, seen in read_frames(source, problems):
         first_ns = row.stamp_ns if first_ns is None else first_ns
-        since_start_s = (row.stamp_ns - first_ns) / _NANOSECONDS
+        since_start_s = ns_to_seconds(row.stamp_ns - first_ns)
         width_px = 0 if seen is None else min(seen.image_bgr.shape[1], _MOST_COLUMNS)
         yield None if seen is None else draw_frame(seen, row, since_start_s, width_px)
 
@@ -145,9 +145,9 @@ def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
 def _overlays(source: Path, problems: Problems) -> Iterator[Image | None]:
     """The overlays of a log: each stands behind the metrics of its frame."""
     frames, picture = 0, None
-    for message in log.read(source, topics=(OVERLAY, METRICS_TOPIC)):
-        if is_result_of(message.channel, OVERLAY):
-            picture = content_of(partial(_decoded, message.data), OVERLAY, message.log_time_ns, problems)
+    for message in log.read(source, topics=(OVERLAY_TOPIC, METRICS_TOPIC)):
+        if is_result_of(message.channel, OVERLAY_TOPIC):
+            picture = content_of(partial(_decoded, message.data), OVERLAY_TOPIC, message.log_time_ns, problems)
         elif row_of(message, problems):
             if frames:
                 yield picture

@@ -9,7 +9,7 @@ import pytest
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import ReplayConfig, load_config
-from roadperc_stream.core.datatypes import Absent, CameraImage, DepthImage, TagImage
+from roadperc_stream.core.datatypes import Absent, CameraImage, DepthImage, Reason, TagImage
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.errors import DecodeError
 from tests.analytic import ROAD, Road, box
@@ -30,6 +30,10 @@ def run(frames, state=None, cfg=CFG):
         state, result = step(cfg, state, frame)
         results.append(result)
     return state, results
+
+
+def texts(reasons):
+    return tuple(str(reason) for reason in reasons)
 
 
 def same(a, b):
@@ -69,10 +73,10 @@ def test_any_input_may_be_missing(missing):
             assert result.objects.objects[0].distance_m is None
         if missing == "segmentation":
             assert result.surface.source == "lower_image"
-            assert result.lanes == Absent("no segmentation")
-            assert "lanes: no segmentation" in result.reasons()
+            assert result.lanes == Absent(Reason("lanes", "no_segmentation"))
+            assert "lanes: no segmentation" in texts(result.reasons())
         if missing == "detections":
-            assert result.objects == Absent("no detections")
+            assert result.objects == Absent(Reason("objects", "no_detections"))
 
 
 def test_everything_may_be_missing():
@@ -87,56 +91,58 @@ def broken(*_):
     raise DecodeError("cut off")
 
 
-def test_what_cannot_be_decoded_counts_as_missing_and_is_said():
+def test_what_cannot_be_decoded_counts_as_missing_and_is_reported():
     frame = replace(drive(1)[0], segmentation=TagImage("camera", TABLE, broken), depth=DepthImage("camera", broken))
     _, (result,) = run([frame])
-    assert result.problems == (
-        "segmentation: cut off",
-        "depth: cut off",
+    assert texts(result.problems) == (
+        "segmentation: cannot be decoded: cut off",
+        "depth: cannot be decoded: cut off",
         "surface: no depth, the mounting gives the plane",
-        "objects: no segmentation, nothing is judged",
+        "objects: no segmentation, detections are not filtered",
         "objects: no depth, no distances",
     )
     assert result.surface.source == "assumed"
 
 
-def test_pixels_of_another_size_than_the_calibration_are_said():
+def test_pixels_of_another_size_than_the_calibration_are_reported():
     tags = Road(width=100, height=50).tags()
     frame = replace(drive(1)[0], segmentation=TagImage("camera", TABLE, lambda: tags))
     _, (result,) = run([frame])
-    assert result.problems == (
+    assert texts(result.problems) == (
         "segmentation: 100x50 pixels, its calibration says 320x240",
         "surface: no segmentation, the lower image stands in for the road",
-        "objects: no segmentation, nothing is judged",
+        "objects: no segmentation, detections are not filtered",
     )
 
 
 def test_time_that_goes_back_clears_the_memory():
     frames = drive(4)
     _, results = run([*frames, frames[0]])
-    assert any("time went back" in problem for problem in results[-1].problems)
+    stamps = (frames[-1].stamp_ns, frames[0].stamp_ns)
+    assert Reason("time", "time_went_back", stamps) in results[-1].problems
     assert results[-1].lanes.side("left").status == "measured"
 
 
-def test_time_that_stands_still_is_told_from_time_that_goes_back():
+def test_time_that_stands_still_differs_from_time_that_goes_back():
     frame = drive(1)[0]
     _, results = run([frame, frame])
-    assert f"time stood still at {frame.stamp_ns} ns: memory of the stages cleared" in results[-1].problems
+    assert f"time: stood still at {frame.stamp_ns} ns, state of all stages cleared" in texts(results[-1].problems)
 
 
 def test_an_image_that_cannot_be_used_is_lost_and_one_that_is_not_there_is_no_odometry():
     without = drive(1)[0]
     _, (absent,) = run([replace(without, image=None)])
-    assert absent.odometry == Absent("no image")
+    assert absent.odometry == Absent(Reason("odometry", "no_image"))
     _, (lost,) = run([replace(without, image=CameraImage("camera", broken, broken))])
     assert lost.odometry.status == "lost"
-    assert "odometry: lost, its image cannot be used" in lost.reasons()
+    assert "odometry: lost, its image cannot be used" in texts(lost.reasons())
 
 
 def test_switched_off_stages_say_so():
     cfg = load_config(None, ("lanes.enabled=false", "objects.enabled=false"))
     _, (result,) = run(drive(1), cfg=cfg)
-    assert result.lanes == result.objects == Absent("switched off")
+    assert result.lanes == Absent(Reason("lanes", "switched_off"))
+    assert result.objects == Absent(Reason("objects", "switched_off"))
 
 
 def test_arrays_cannot_be_written_to():
@@ -175,11 +181,11 @@ def test_roll_and_pitch_of_the_mounting_do_not_move_the_lane():
     assert g.angle_between(result.surface.plane.n, tilted.plane.n) < 1e-3
 
 
-def test_a_front_camera_that_is_not_rectified_is_said_to_be_taken_as_it_is():
+def test_a_front_camera_that_is_not_rectified_is_reported_as_used_as_it_is():
     (frame,) = drive(1)
     lens = g.Lens(frame.camera.fx, frame.camera.fy, frame.camera.cx, frame.camera.cy)
     _, (plain, through_lens) = run(
         [frame, replace(frame, stamp_ns=frame.stamp_ns + 1, camera=replace(frame.camera, lens=lens))]
     )
-    said = "image: its camera is not rectified, and only stereo undoes the distortion"
-    assert (said in plain.problems, said in through_lens.problems) == (False, True)
+    not_rectified = Reason("image", "not_rectified")
+    assert (not_rectified in plain.problems, not_rectified in through_lens.problems) == (False, True)

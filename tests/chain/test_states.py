@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import load_config
-from roadperc_stream.input.plan import Cut, samples, survey_log
-from roadperc_stream.input.roles.fill import Problems
-from roadperc_stream.input.sync import SyncCounts
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.input import open_input
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 PLAIN = (type(None), bool, int, float, str, bytes, Enum)
@@ -34,9 +32,9 @@ def changeable(value, where):
 @pytest.fixture(scope="module")
 def state():
     """After frames in which every stage had something to remember."""
-    cfg, summary = load_config(), log.summarise(SAMPLE)
+    cfg = load_config()
     state = ChainState()
-    for sample in samples(summary, survey_log(summary, cfg, {}, Cut(frames=3)), cfg, SyncCounts(), Problems()):
+    for sample in open_input(SAMPLE, cfg, time_range=TimeRange(frames=3)).samples():
         state, _ = step(cfg, state, sample.frame)
     return state
 

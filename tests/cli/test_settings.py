@@ -17,7 +17,7 @@ from roadperc_stream.core.config.catalogue import Setting, catalogue, sections
 from roadperc_stream.core.stage_names import STAGES
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.replay import table_facts
-from tests.test_settings import all_settings
+from tests.core.test_settings import all_settings
 
 ROOT = Path(__file__).parents[2]
 BY_KEY = {setting.key: setting for setting in catalogue()}

@@ -1,42 +1,49 @@
-"""Reasons that differ in numbers alone are one, and a replay tells of those that held in all frames."""
-
-from collections import Counter
+"""Reasons of one kind are counted together, and a replay reports those that held in all frames."""
 
 import pytest
 
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.reasons import Reason, grouped, merged, ranked, throughout
+from roadperc_stream.core.datatypes import Reason
+from roadperc_stream.core.reasons import ReasonCount, grouped, merged, of_frame, ranked, throughout
 from tests import logs
 
 FILLED = ("image", "calibration", "segmentation")
+TILTED = "surface: the points' plane is tilted by {} degrees, expected at most 30"
+SIZE = "image: 520x360 pixels, its calibration says 640x480"
 
 
 def found(*texts):
-    """What one frame's reasons are among several frames."""
-    return grouped(Counter(texts))
+    """The reasons of one frame, as a table has them."""
+    return grouped(dict.fromkeys(texts, 1))
 
 
-def test_texts_that_differ_in_numbers_are_one_reason_and_the_commonest_stands_for_it():
-    (reason,) = grouped({"tilted by 3 degrees": 1, "tilted by -12.5 degrees": 4}).values()
-    assert reason == Reason("tilted by -12.5 degrees", 5, varies=True)
-    assert str(reason) == "tilted by -12.5 degrees (numbers vary)"
+def test_texts_that_differ_in_numbers_are_one_kind_and_the_commonest_stands_for_it():
+    (count,) = grouped({TILTED.format(3): 1, TILTED.format(-12): 4}).values()
+    assert count == ReasonCount(TILTED.format(-12), 5, varies=True)
+    assert str(count) == f"{TILTED.format(-12)} (numbers vary)"
 
 
 def test_the_same_text_twice_does_not_vary():
-    (reason,) = merged([found("image: 520x360 pixels"), found("image: 520x360 pixels")]).values()
-    assert reason == Reason("image: 520x360 pixels", 2)
-    assert str(reason) == "image: 520x360 pixels"
+    (count,) = merged([found(SIZE), found(SIZE)]).values()
+    assert count == ReasonCount(SIZE, 2)
+    assert str(count) == SIZE
 
 
 def test_a_reason_varies_for_good():
-    parts = [found("at 1"), found("at 2"), found("at 1")]
-    assert next(iter(merged(parts).values())) == Reason("at 1", 3, varies=True)
-    assert merged([merged(parts), found("at 1")]) == merged([found("at 1"), merged(parts)])
+    first, second = found(TILTED.format(1)), found(TILTED.format(2))
+    assert next(iter(merged([first, second, first]).values())) == ReasonCount(TILTED.format(1), 3, varies=True)
+    assert merged([merged([first, second, first]), first]) == merged([first, merged([first, second, first])])
+
+
+def test_reasons_of_a_frame_and_those_read_back_are_the_same():
+    reasons = (Reason("image", "wrong_size", (520, 360, 640, 480)), Reason("surface", "plane_tilted", (90.0, 30.0)))
+    assert of_frame(reasons) == found(SIZE, TILTED.format(90))
 
 
 def test_the_most_frequent_come_first_and_inputs_before_stages():
-    whole = merged([found("lanes: a", "image: b", "drivable: c"), found("lanes: a")])
-    assert [reason.text for reason in ranked(whole).values()] == ["lanes: a", "image: b", "drivable: c"]
+    lanes, image, drivable = "lanes: no segmentation", SIZE, "drivable: neither depth nor segmentation"
+    whole = merged([found(lanes, image, drivable), found(lanes)])
+    assert [count.text for count in ranked(whole).values()] == [lanes, image, drivable]
 
 
 @pytest.mark.parametrize(
@@ -46,35 +53,40 @@ def test_the_most_frequent_come_first_and_inputs_before_stages():
         "drivable: neither depth nor segmentation",
         "objects: no detections",
         "surface: no depth, the assumed height gives the plane",
+        "lanes: no drivable surface: neither depth nor segmentation",
         "lanes: switched off",
         "lanes: no surface: switched off",
     ],
 )
-def test_what_the_log_lacks_or_the_user_switched_off_is_not_told(text):
+def test_what_the_log_lacks_or_the_user_switched_off_is_not_reported(text):
     assert throughout(found(text), 1, FILLED) == ()
 
 
-def test_what_held_in_all_frames_is_told_and_nothing_else():
-    size, late = "image: 520x360 pixels, its calibration says 640x480", "depth: no message at this frame"
-    whole = merged([found(size, late), found(size)])
-    assert throughout(whole, 2, FILLED) == (f"in all 2 frames: {size}",)
-    assert throughout(found(size), 1, FILLED) == (f"in the only frame: {size}",)
+def test_what_held_in_all_frames_is_reported_and_nothing_else():
+    late = "depth: no message at this frame"
+    whole = merged([found(SIZE, late), found(SIZE)])
+    assert throughout(whole, 2, FILLED) == (f"in all 2 frames: {SIZE}",)
+    assert throughout(found(SIZE), 1, FILLED) == (f"in the only frame: {SIZE}",)
 
 
-def test_a_lack_of_an_input_that_the_log_has_is_told():
+def test_a_missing_input_that_the_log_has_is_reported():
     assert throughout(found("lanes: no segmentation"), 1, FILLED) == ("in the only frame: lanes: no segmentation",)
 
 
-def test_what_follows_from_another_reason_is_told_once():
+def test_what_follows_from_another_reason_is_reported_once():
     why = "no plane holds three of the road's points"
-    whole = found(f"surface: {why}", f"lanes: no surface: {why}", f"drivable: no surface: {why}")
-    assert throughout(whole, 1, FILLED) == (f"in the only frame: surface: {why}",)
+    later = (
+        f"drivable: no surface: {why}",
+        f"lanes: no surface: {why}",
+        f"occupancy: no drivable surface: no surface: {why}",
+    )
+    assert throughout(found(f"surface: {why}", *later), 1, FILLED) == (f"in the only frame: surface: {why}",)
 
 
-def test_of_many_a_few_are_told():
-    told = throughout(found(*(f"lidar: {letter}" for letter in "abcdef")), 1, FILLED)
-    assert [note.partition(": ")[2] for note in told[:4]] == [f"lidar: {letter}" for letter in "abcd"]
-    assert told[4:] == ("in the only frame: 2 more reasons, which roadperc-report lists",)
+def test_of_many_a_few_are_reported():
+    notes = throughout(found(*(f"lidar: {letter}" for letter in "abcdef")), 1, FILLED)
+    assert [note.partition(": ")[2] for note in notes[:4]] == [f"lidar: {letter}" for letter in "abcd"]
+    assert notes[4:] == ("in the only frame: 2 more reasons, which roadperc-report lists",)
 
 
 def test_the_command_prints_them(tmp_path, capsys):

@@ -7,17 +7,16 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.core.config.fields import Section
-from roadperc_stream.input.plan import Cut, samples, survey_log
-from roadperc_stream.input.roles.fill import Problems
-from roadperc_stream.input.sync import SyncCounts
-from roadperc_stream.output.tables import beside
-from roadperc_stream.replay import one_thread, replay
+from roadperc_stream.core.threads import one_thread
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.input import open_input
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.replay import replay
 from tests import logs
-from tests.test_chain import same
+from tests.chain.test_chain import same
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 FRAMES = 8
@@ -158,8 +157,7 @@ GROUPS = (
 
 @cache
 def frames(mono):
-    summary, cfg = log.summarise(SAMPLE), ReplayConfig()
-    found = samples(summary, survey_log(summary, cfg, {}, Cut(frames=FRAMES)), cfg, SyncCounts(), Problems())
+    found = open_input(SAMPLE, ReplayConfig(), time_range=TimeRange(frames=FRAMES)).samples()
     lacking = {"depth": None, "right": None} if mono else {}
     return [replace(sample.frame, **lacking) for sample in found]
 
@@ -208,13 +206,13 @@ def test_the_tag_table_that_is_set_wins_over_the_logs(tmp_path):
     found = {}
     for name in ("auto", "0.9.15"):
         replay(source, tmp_path / f"{name}.mcap", load_config(None, (f"tag_table={name}",)))
-        found[name] = pl.read_parquet(beside(tmp_path / f"{name}.mcap", "metrics"))["surface_source"].to_list()
+        found[name] = pl.read_parquet(sidecar_path(tmp_path / f"{name}.mcap", "metrics"))["surface_source"].to_list()
     assert found == {"auto": ["depth"], "0.9.15": [None]}
 
 
 def test_without_mounting_and_depth_the_camera_has_the_assumed_height(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(2, roles=("calibration", "image", "segmentation")))
     replay(source, tmp_path / "out.mcap", load_config(None, ("surface.assumed_height_m=2.5",)))
-    table = pl.read_parquet(beside(tmp_path / "out.mcap", "metrics"))
+    table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
     assert table["surface_source"].to_list() == ["assumed"] * 2
     assert table["camera_height_m"].to_list() == pytest.approx([2.5] * 2)

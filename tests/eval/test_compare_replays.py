@@ -8,9 +8,9 @@ from roadperc_stream import log
 from roadperc_stream.cli.compare import main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.log import LogWriter
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 SEGMENTATION = ROLES["segmentation"].topic
@@ -94,7 +94,7 @@ def test_dropped_tags_show_by_what_they_cost(runs, capsys):
 
 
 def test_message_fields_are_tolerated_and_ignored_like_columns(runs, capsys):
-    tables = [beside(runs[name], "metrics") for name in ("base", "careless")]
+    tables = [sidecar_path(runs[name], "metrics") for name in ("base", "careless")]
     ignored = ("--exact", "--allow", "1000%", "--ignore", "*_*", "--ignore", "drivable*", "--ignore", "occupancy*")
     assert compare(capsys, *tables, *ignored[:-2])[0] == 0
     code, text, _ = compare(

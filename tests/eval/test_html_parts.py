@@ -16,10 +16,11 @@ from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.series import Series, thinned
 from roadperc_stream.eval.html.trajectory import paths, trajectory
 from roadperc_stream.formats import images
-from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.problems import Problems
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output import encoding
-from roadperc_stream.schemas.channels import PRODUCER, schema
+from roadperc_stream.schemas.record import PRODUCER
+from roadperc_stream.schemas.registry import schema
 from roadperc_stream.view.seen import read_frame
 from tests.analytic import box
 

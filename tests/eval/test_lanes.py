@@ -17,7 +17,7 @@ from roadperc_stream.eval.lane_files.recorded import default_rows, open_lanes
 from roadperc_stream.eval.lane_files.scoring import score_frame
 from roadperc_stream.eval.lane_files.tusimple import LaneFrame, read_frames, to_line
 from roadperc_stream.output import encoding
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from tests.analytic import Road
 from tests.eval import tables
 from tests.eval.tables import START_NS, STEP_NS
@@ -92,7 +92,7 @@ def require_tusimple(line):
 
 def test_every_frame_is_a_line_of_the_format(drive, tmp_path, capsys):
     tables.write(
-        beside(drive, "metrics"), [tables.row(k) for k in range(4)], [{"total_ms": 10.0 + k} for k in range(4)]
+        sidecar_path(drive, "metrics"), [tables.row(k) for k in range(4)], [{"total_ms": 10.0 + k} for k in range(4)]
     )
     code, text, _ = lanes(capsys, drive, "--tusimple", tmp_path / "out" / "drive.json")
     assert (code, text) == (0, "drive: 4 frames, lanes in 3\n")
@@ -108,7 +108,7 @@ def test_every_frame_is_a_line_of_the_format(drive, tmp_path, capsys):
 
 def test_a_frame_the_table_alone_knows_stands_in_its_place(tmp_path):
     log = run_log(tmp_path / "a.mcap", [seen(STAMPS_NS[1], upright(LEFT_PX))])
-    tables.write(beside(log, "metrics"), [tables.row(k) for k in range(3)])
+    tables.write(sidecar_path(log, "metrics"), [tables.row(k) for k in range(3)])
     assert [(f.stamp_ns, len(f.lines_px)) for f in open_lanes(log).frames()] == list(
         zip(STAMPS_NS, (0, 1, 0), strict=True)
     )

@@ -297,13 +297,15 @@ def test_rare_reasons_are_counted_together(tmp_path, capsys):
 
 
 def test_reasons_that_differ_in_numbers_are_one_and_inputs_come_before_stages(tmp_path, capsys):
-    rows = [row(k, reasons=("lanes: no surface", f"image: {k} bytes", f"time {-k / 4} s")) for k in range(4)]
+    size = ", its calibration says 640x480"
+    texts = ("lanes: no segmentation", "image: {k}x9 pixels" + size, "depth: {k}x9 pixels" + size)
+    rows = [row(k, reasons=tuple(text.format(k=k) for text in texts)) for k in range(4)]
     _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
     said = text.partition("Missing outputs")[2].splitlines()[2:5]
     assert [line.split() for line in said] == [
-        ["image:", "0", "bytes", "(numbers", "vary)", "4", "100.0"],
-        ["time", "-0.25", "s", "(numbers", "vary)", "4", "100.0"],
-        ["lanes:", "no", "surface", "4", "100.0"],
+        [*f"depth: 0x9 pixels{size} (numbers vary)".split(), "4", "100.0"],
+        [*f"image: 0x9 pixels{size} (numbers vary)".split(), "4", "100.0"],
+        ["lanes:", "no", "segmentation", "4", "100.0"],
     ]
 
 
@@ -315,14 +317,14 @@ def test_reasons_of_some_runs_are_told_log_by_log(tmp_path, capsys):
     """What all runs say alike is said once; of the others, which run says it how often."""
     both = "objects: no detections"
     seen = [row(k, reasons=(both,)) for k in range(4)]
-    blind = [row(k, reasons=(both, f"image: {k}x9 pixels")) for k in range(2)] + seen[2:]
+    blind = [row(k, reasons=(both, f"image: {k}x9 pixels, its calibration says 64x48")) for k in range(2)] + seen[2:]
     paths = [write(tmp_path / f"{n}.metrics.parquet", rows) for n, rows in (("seen", seen), ("blind", blind))]
     _, text, _ = report(capsys, *paths)
     assert line_of(text, both)[-2:] == ["8", "100.0"]
     assert line_of(text, "image: 0x9 pixels (numbers vary)")[-2:] == ["2", "25.0"]
     by_log = text.partition("Missing outputs by run")[2].split("\n\n")[0].splitlines()[2:]
     assert [line.split() for line in by_log] == [
-        ["image:", "0x9", "pixels", "(numbers", "vary)"],
+        ["image:", "0x9", "pixels,", "its", "calibration", "says", "64x48", "(numbers", "vary)"],
         ["blind", "2", "50.0"],
     ]
 

@@ -13,15 +13,12 @@ import pytest
 from polars.testing import assert_frame_equal
 from pydantic import BaseModel
 
-from roadperc_stream import log
 from roadperc_stream.cli.sweep import main
 from roadperc_stream.core.config import load_config
+from roadperc_stream.core.time import TimeRange
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.input import plan
-from roadperc_stream.input.plan import Cut, samples, survey_log
-from roadperc_stream.input.roles.fill import Problems
-from roadperc_stream.input.sync import SyncCounts
-from roadperc_stream.output.tables import beside
+from roadperc_stream.input import open_input, replay_input
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests import logs
@@ -63,9 +60,9 @@ def test_rows_are_those_of_replays_with_the_same_settings(tmp_path):
     for inlier_m in (0.01, 0.05):
         for tolerance_s in (0.0, 0.01):
             settings = (f"surface.inlier_m={inlier_m}", f"sync.tolerance_s={tolerance_s}", "seed=3")
-            replay(SAMPLE, tmp_path / "one.mcap", load_config(None, settings), cut=Cut(frames=5), force=True)
+            replay(SAMPLE, tmp_path / "one.mcap", load_config(None, settings), cut=TimeRange(frames=5), force=True)
             mine = swept.filter(pl.col("surface.inlier_m") == inlier_m, pl.col("sync.tolerance_s") == tolerance_s)
-            whole = pl.read_parquet(beside(tmp_path / "one.mcap", "metrics"))
+            whole = pl.read_parquet(sidecar_path(tmp_path / "one.mcap", "metrics"))
             assert mine.height == 5
             assert_frame_equal(
                 without_times(mine, "surface.inlier_m", "sync.tolerance_s"), without_times(whole), check_exact=True
@@ -116,7 +113,7 @@ def count_calls(monkeypatch, where, name):
 )
 def test_the_log_is_read_and_decoded_once_where_it_can(source, tmp_path, monkeypatch, options, times):
     images = count_calls(monkeypatch, cv2, "imdecode")
-    made = count_calls(monkeypatch, plan, "sample_of")
+    made = count_calls(monkeypatch, replay_input, "sample_of")
     sweep(source, tmp_path / "out", *options)
     assert (len(images), len(made)) == (4 * times, 4 * times)
 
@@ -138,9 +135,8 @@ class Watched:
 def test_no_other_settings_decide_what_a_sample_is(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(6, roles=tuple(r for r in logs.ALL if r != "tf")))
     read = set()
-    cfg, summary = Watched(load_config(), read), log.summarise(source)
-    found = survey_log(summary, cfg, {}, Cut(start_s=0.05, frames=3))
-    assert len(list(samples(summary, found, cfg, SyncCounts(), Problems()))) == 3
+    log_in = open_input(source, Watched(load_config(), read), time_range=TimeRange(start_s=0.05, frames=3))
+    assert len(list(log_in.samples())) == 3
     assert read == {"sync.tolerance_s", "sync.max_wait_s", "tag_table", "surface.assumed_height_m"}
 
 

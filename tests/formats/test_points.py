@@ -10,9 +10,9 @@ from hypothesis.extra import numpy as hnp
 
 from roadperc_stream.core import geometry as g
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats.points import encode_points
 from roadperc_stream.input.decoding import Context, decode
-from roadperc_stream.schemas.channels import POINTS_SCHEMA
+from roadperc_stream.output.encoding import encode_points
+from roadperc_stream.schemas.names import POINTS_SCHEMA
 
 STAMP = 1_600_000_000_000_000_000
 TYPES = {

@@ -13,7 +13,7 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.info.examine import examine
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata, read
 from roadperc_stream.output import encoding
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from tests import logs
 from tests.info.odd import SECOND_NS, WRITERS, write
 
@@ -283,8 +283,8 @@ def test_an_input_changed_after_the_replay_is_seen(result, tmp_path, capsys):
 def test_a_table_of_another_run_is_told_apart(drive, result):
     other = result.with_name("other.mcap")
     assert replay_main([str(drive), str(other), "--quiet"]) == 0
-    beside(other, "metrics").replace(beside(result, "metrics"))
-    beside(result, "objects").write_bytes(b"no table")
+    sidecar_path(other, "metrics").replace(sidecar_path(result, "metrics"))
+    sidecar_path(result, "objects").write_bytes(b"no table")
     faults = [table.fault for table in facts_of(result).provenance.tables]
     assert faults == ["is of another configuration", "is not a table of a replay, or was cut short"]
 

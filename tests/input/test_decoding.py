@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from roadperc_stream.core.datatypes import Boundary, Lanes
+from roadperc_stream.core.datatypes import Boundary, Lanes, Transform
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
-from roadperc_stream.input.decoding import Context, Transform, decode
+from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp

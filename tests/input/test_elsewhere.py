@@ -21,7 +21,8 @@ from roadperc_stream.core.geometry import rigid
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.payload import pose_matrix
-from roadperc_stream.output.tables import beside
+from roadperc_stream.input.decoding.ros import unpack_image
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas import ros2
 from roadperc_stream.schemas.protobuf import stamp_ns
@@ -55,7 +56,7 @@ def in_metres(message):
     """The same depth as 32FC1."""
     if message.channel.topic != "/camera/front/depth":
         return message
-    image = ros2.unpack_image(message.data)
+    image = unpack_image(message.data)
     image = replace(image, encoding="32FC1", pixels=images.depth_from_mm(image.pixels))
     return replace(message, data=ros2.pack_image(image))
 
@@ -72,7 +73,7 @@ def in_ros(message, colours):
         rgb = np.array(TABLE.colours, np.uint8)[images.decode_indices(picture.data)]
         return ros2.IMAGE, of_colours(stamp_ns(picture.timestamp), picture.frame_id, rgb[..., ::-1], colours)
     if topic == "/camera/front/depth":
-        depth = ros2.unpack_image(data)
+        depth = unpack_image(data)
         return ros2.IMAGE, rosbag.image(depth.stamp_ns, depth.frame_id, depth.encoding, depth.pixels)
     if topic == "/camera/front/calibration":
         camera = CameraCalibration.FromString(data)
@@ -141,7 +142,7 @@ def run(source, name="out", **options):
 
 
 def rows(target, kind="metrics"):
-    table = pl.read_parquet(beside(target, kind))
+    table = pl.read_parquet(sidecar_path(target, kind))
     return table.drop(["log_id", *[c for c in table.columns if c.endswith("_ms") and c != "sync_skew_ms"]])
 
 
@@ -246,7 +247,7 @@ def test_a_bag_without_calibration_says_what_could_be_one(tmp_path, recorded, ca
     assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
     err = capsys.readouterr().err
     assert "no calibration" in err
-    assert "role left_calibration: not filled; candidates: /rgb_left/camera_info (sensor_msgs/msg/CameraInfo)" in err
+    assert "role left_calibration: not assigned; candidates: /rgb_left/camera_info (sensor_msgs/msg/CameraInfo)" in err
 
 
 def reordered(message):
@@ -255,9 +256,15 @@ def reordered(message):
 
 
 BROKEN = {
-    "/camera/front/image": ({"encoding": "bayer_rggb8"}, "image: image encoding 'bayer_rggb8': expected one of bgr8"),
-    "/camera/front/depth": ({"step": 10}, "depth: '16UC1' image 360x270 with step 10: expected 194400 bytes or more"),
-    "/camera/front/segmentation": ({"encoding": "rgba8"}, "segmentation: colour "),
+    "/camera/front/image": (
+        {"encoding": "bayer_rggb8"},
+        "image encoding 'bayer_rggb8': expected one of bgr8",
+    ),
+    "/camera/front/depth": (
+        {"step": 10},
+        "'16UC1' image 360x270 with step 10: expected 194400 bytes or more",
+    ),
+    "/camera/front/segmentation": ({"encoding": "rgba8"}, "colour "),
 }
 
 
@@ -273,8 +280,9 @@ def test_what_cannot_be_decoded_is_missing_with_its_reason_and_kept(tmp_path, re
         made.finish()
     target, summary = run(source)
     reasons = [reason for row in rows(target)["reasons"] for reason in row]
-    for _, words in BROKEN.values():
-        assert sum(reason.startswith(words) for reason in reasons) == FRAMES, words
+    for topic, (_, words) in BROKEN.items():
+        start = f"{topic.split('/')[-1]}: cannot be decoded: {words}"
+        assert sum(reason.startswith(start) for reason in reasons) == FRAMES, start
     assert summary.frames == FRAMES
     assert rows(target)["lane_left_offset_m"].null_count() == FRAMES
     assert kept(target) == kept(source)

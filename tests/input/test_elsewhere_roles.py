@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.assemble import ego_T_camera_of
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.input.roles.fill import candidates, fill_roles
-from roadperc_stream.input.sync import Held
+from roadperc_stream.input.roles import RoleAssignment, assign_roles, candidates
+from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.channels import PRODUCER
+from roadperc_stream.schemas.record import PRODUCER
 
 IMAGE, INFO, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"
 TF = "tf2_msgs/msg/TFMessage"
@@ -27,8 +27,8 @@ def test_the_bridges_topics_are_known():
     channels += [Channel(f"/carla/hero/{name}/camera_info", "cdr", INFO) for name in names]
     channels += [Channel("/carla/hero/odometry", "cdr", "nav_msgs/msg/Odometry"), *ros(tf=TF, tf_static=TF)]
     channels += [Channel("/carla/hero/lidar", "cdr", CLOUD), Channel("/carla/hero/radar_front", "cdr", CLOUD)]
-    filled = fill_roles(channels, {})
-    assert dict(filled.topics) == {
+    roles = assign_roles(channels, {})
+    assert dict(roles.topics) == {
         "image": "/carla/hero/rgb_front/image",
         "calibration": "/carla/hero/rgb_front/camera_info",
         "depth": "/carla/hero/depth_front/image",
@@ -39,20 +39,20 @@ def test_the_bridges_topics_are_known():
         "tf_static": "/tf_static",
         "truth_pose": "/carla/hero/odometry",
     }
-    assert filled.notes == ()
+    assert roles.notes == ()
 
 
 def test_a_camera_info_is_looked_for_beside_its_images():
     channels = ros(
         cam0__image_raw=IMAGE, cam0__camera_info=INFO, cam1__image_raw=IMAGE, cam1__camera_info=INFO, cam1__depth=IMAGE
     )
-    topics = fill_roles(channels, {"image": "/cam1/image_raw"}).topics
+    topics = assign_roles(channels, {"image": "/cam1/image_raw"}).topics
     assert (topics["calibration"], topics["depth"]) == ("/cam1/camera_info", "/cam1/depth")
     assert "depth_calibration" not in topics
 
 
 def calibrations(channels, **overrides):
-    topics = fill_roles(channels, overrides).topics
+    topics = assign_roles(channels, overrides).topics
     return {name: topic for name, topic in topics.items() if name.endswith("calibration")}
 
 
@@ -68,7 +68,7 @@ def test_a_pair_whose_names_say_no_side_has_each_its_own_calibration():
         "calibration": "/robot/cam1/calib",
         "right_calibration": "/robot/cam0/calib",
     }
-    assert fill_roles(channels, PAIR).notes == (
+    assert assign_roles(channels, PAIR).notes == (
         "role calibration: /robot/cam0/calib, the only topic that fits",
         "role right_calibration: /robot/cam1/calib, the only topic that fits",
     )
@@ -95,17 +95,17 @@ def test_a_calibration_beside_another_camera_is_never_taken(named):
 
 def test_two_calibrations_beside_a_camera_are_candidates():
     channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, b__info_rectified=INFO, c__info=INFO)
-    filled = fill_roles(channels, {"image": "/a/rgb", "right": "/b/rgb"})
-    assert "right_calibration" not in filled.topics
-    assert candidates(channels, filled.topics) == {"right_calibration": ("/b/info", "/b/info_rectified", "/c/info")}
+    roles = assign_roles(channels, {"image": "/a/rgb", "right": "/b/rgb"})
+    assert "right_calibration" not in roles.topics
+    assert candidates(channels, roles.topics) == {"right_calibration": ("/b/info", "/b/info_rectified", "/c/info")}
 
 
 def test_what_is_left_over_after_another_camera_was_served_is_not_taken():
     """Of three cameras in one namespace, with calibrations of two: that of the third is not the right one's."""
     channels = ros(s__a=IMAGE, s__b=IMAGE, s__c=IMAGE, s__a_info=INFO, s__c_info=INFO)
-    filled = fill_roles(channels, {"image": "/s/a", "right": "/s/b", "calibration": "/s/a_info"})
-    assert "right_calibration" not in filled.topics
-    assert candidates(channels, filled.topics)["right_calibration"] == ("/s/c_info",)
+    roles = assign_roles(channels, {"image": "/s/a", "right": "/s/b", "calibration": "/s/a_info"})
+    assert "right_calibration" not in roles.topics
+    assert candidates(channels, roles.topics)["right_calibration"] == ("/s/c_info",)
 
 
 def test_one_calibration_beside_two_cameras_is_nobodys_until_somebody_says():
@@ -154,20 +154,20 @@ def test_a_depth_takes_no_calibration_that_may_be_a_pairs():
 
 def test_a_depth_camera_has_its_own_calibration():
     channels = ros(color__image=IMAGE, color__info=INFO, depth__image=IMAGE, depth__info=INFO)
-    topics = fill_roles(channels, {}).topics
+    topics = assign_roles(channels, {}).topics
     assert (topics["calibration"], topics["depth_calibration"]) == ("/color/info", "/depth/info")
 
 
 def test_what_nobody_chose_is_listed():
     channels = ros(cam__image=IMAGE, cam__info=INFO, a__depth=IMAGE, b__depth=IMAGE, velodyne=CLOUD, odom=CLOUD)
-    filled = fill_roles(channels, {})
-    assert filled.unfilled == (
-        "role depth: not filled; candidates: /a/depth (sensor_msgs/msg/Image), /b/depth (sensor_msgs/msg/Image): "
+    roles = assign_roles(channels, {})
+    assert roles.unassigned == (
+        "role depth: not assigned; candidates: /a/depth (sensor_msgs/msg/Image), /b/depth (sensor_msgs/msg/Image): "
         "--topic depth=/a/depth",
-        "role lidar: not filled; candidates: /odom (sensor_msgs/msg/PointCloud2), "
+        "role lidar: not assigned; candidates: /odom (sensor_msgs/msg/PointCloud2), "
         "/velodyne (sensor_msgs/msg/PointCloud2): --topic lidar=/odom",
     )
-    assert candidates(channels, filled.topics) == {"depth": ("/a/depth", "/b/depth"), "lidar": ("/odom", "/velodyne")}
+    assert candidates(channels, roles.topics) == {"depth": ("/a/depth", "/b/depth"), "lidar": ("/odom", "/velodyne")}
 
 
 def test_results_truths_and_what_is_used_are_no_candidates():
@@ -186,17 +186,17 @@ def test_a_needed_role_must_be_chosen():
     with pytest.raises(
         ChannelError, match="2 topics fit role image: /a/image, /b/image; choose one with --topic image="
     ):
-        fill_roles(ros(a__image=IMAGE, b__image=IMAGE), {})
+        assign_roles(ros(a__image=IMAGE, b__image=IMAGE), {})
     channels = ros(image=IMAGE, a__info=INFO, b__info=INFO)
     with pytest.raises(ChannelError, match="2 topics fit role calibration: /a/info, /b/info"):
-        fill_roles(channels, {})
+        assign_roles(channels, {})
 
 
 def test_a_topic_of_the_wrong_schema_is_named():
     with pytest.raises(
         ChannelError, match=r"/points: role image expects .*, found sensor_msgs/msg/PointCloud2 \(cdr\)"
     ):
-        fill_roles(ros(points=CLOUD), {"image": "/points"})
+        assign_roles(ros(points=CLOUD), {"image": "/points"})
 
 
 def shifted(x_m):
@@ -206,7 +206,7 @@ def shifted(x_m):
 
 
 def tree(*edges):
-    return Held({}, {child: Transform(parent, child, shifted(x_m)) for parent, child, x_m in edges})
+    return TransformTree().updated(Transform(parent, child, shifted(x_m)) for parent, child, x_m in edges)
 
 
 def camera(frame_id):
@@ -229,3 +229,8 @@ def camera(frame_id):
 def test_the_vehicles_frame_is_found_by_its_names(frame_id, edges, x_m):
     found = ego_T_camera_of(tree(*edges), camera(frame_id))
     assert (None if found is None else found[0, 3]) == x_m
+
+
+def test_the_role_that_makes_the_frames():
+    assert RoleAssignment({"depth": "/d", "left": "/l"}).reference == "left"
+    assert RoleAssignment({"detections": "/x"}).reference is None

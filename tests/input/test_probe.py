@@ -9,10 +9,9 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from roadperc_stream import log
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.formats import images
-from roadperc_stream.input.roles.fill import roles_of_log
-from roadperc_stream.input.roles.probe import holds
+from roadperc_stream.input.roles import assignment_of_log, probe_first_message
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.schemas.channels import schema
+from roadperc_stream.schemas.registry import schema
 from tests import logs
 
 ROWS, COLUMNS = 4, 6
@@ -66,28 +65,30 @@ def write(path, **messages):
 )
 def test_what_the_first_image_is(tmp_path, message, kinds):
     path = write(tmp_path / "a.mcap", thing=message)
-    assert {kind for kind in ("depth", "tags") if holds(path, kind, channel("/robot/thing", message))} == kinds
+    assert {
+        kind for kind in ("depth", "tags") if probe_first_message(path, kind, channel("/robot/thing", message))
+    } == kinds
 
 
 def test_a_channel_without_a_message_and_a_file_that_is_none_hold_nothing(tmp_path):
     depth = raw("32FC1", GREY.astype(np.float32))
     path = write(tmp_path / "a.mcap", thing=depth)
-    assert not holds(path, "depth", channel("/robot/other", depth))
-    assert not holds(tmp_path / "none.mcap", "depth", channel("/robot/thing", depth))
+    assert not probe_first_message(path, "depth", channel("/robot/other", depth))
+    assert not probe_first_message(tmp_path / "none.mcap", "depth", channel("/robot/thing", depth))
 
 
-def unfilled(path):
-    return roles_of_log(log.summarise(path), {}).unfilled
+def unassigned(path):
+    return assignment_of_log(log.summarise(path), {}).unassigned
 
 
 def test_what_is_left_over_is_offered_and_never_taken(tmp_path):
     depth, tags = raw("32FC1", GREY.astype(np.float32)), raw("mono8", TAGS)
     path = write(tmp_path / "a.mcap", range=depth, classes=tags, photo=raw("bgr8", RED), truth_range=depth)
-    filled = roles_of_log(log.summarise(path), {})
-    assert {"depth", "segmentation"}.isdisjoint(filled.topics)
-    assert filled.unfilled == (
-        "role depth: not filled; candidates: /robot/range (foxglove.RawImage): --topic depth=/robot/range",
-        "role segmentation: not filled; candidates: /robot/classes (foxglove.RawImage): "
+    roles = assignment_of_log(log.summarise(path), {})
+    assert {"depth", "segmentation"}.isdisjoint(roles.topics)
+    assert roles.unassigned == (
+        "role depth: not assigned; candidates: /robot/range (foxglove.RawImage): --topic depth=/robot/range",
+        "role segmentation: not assigned; candidates: /robot/classes (foxglove.RawImage): "
         "--topic segmentation=/robot/classes",
     )
 
@@ -95,11 +96,11 @@ def test_what_is_left_over_is_offered_and_never_taken(tmp_path):
 def test_a_better_name_goes_before_what_is_in_an_image(tmp_path):
     depth = raw("32FC1", GREY.astype(np.float32))
     path = write(tmp_path / "a.mcap", range=depth, depth_a=depth, depth_b=depth)
-    (line,) = unfilled(path)
+    (line,) = unassigned(path)
     assert "/robot/range" not in line
     assert "candidates: /robot/depth_a (foxglove.RawImage), /robot/depth_b (foxglove.RawImage)" in line
 
 
 def test_other_cameras_are_nobodys_depth_and_nobodys_tags(tmp_path):
     photo = compressed(cv2.imencode(".jpg", RED)[1].tobytes())
-    assert unfilled(write(tmp_path / "a.mcap", back=photo, front=raw("bgr8", RED), infra=raw("mono8", GREY))) == ()
+    assert unassigned(write(tmp_path / "a.mcap", back=photo, front=raw("bgr8", RED), infra=raw("mono8", GREY))) == ()

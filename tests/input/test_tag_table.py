@@ -9,11 +9,12 @@ from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
 from roadperc_stream.info.examine import examine
-from roadperc_stream.input.roles.fill import Filled, chosen_tag_table, tag_table_needed
+from roadperc_stream.input.earlier_replay import recorded_tag_table
+from roadperc_stream.input.roles import RoleAssignment, tag_table_to_record
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import METADATA_RECORD, TAG_TABLE_KEY
+from roadperc_stream.schemas.record import METADATA_RECORD, TAG_TABLE_KEY
 from roadperc_stream.view.rerun.recording import save_recording
 from tests import logs
 
@@ -44,11 +45,11 @@ def replayed(source, name, cfg):
 
 
 def recorded(path):
-    return chosen_tag_table(log.summarise(path).metadata)
+    return recorded_tag_table(log.summarise(path).metadata)
 
 
 def drivable(path):
-    return pl.read_parquet(beside(path, "metrics"))["drivable_ratio"].to_list()
+    return pl.read_parquet(sidecar_path(path, "metrics"))["drivable_ratio"].to_list()
 
 
 def test_a_result_remembers_what_its_user_said(result):
@@ -101,11 +102,11 @@ def record(path):
 def test_only_what_is_needed_is_recorded(label, recorded_before, configured, needed):
     metadata = ((TAG_TABLE_KEY, label),) if label else ()
     tags = Channel("/seg", "cdr", "sensor_msgs/msg/Image", metadata=metadata)
-    filled = Filled({"segmentation": "/seg"}, tag_table=recorded_before)
-    assert tag_table_needed([tags], filled, configured) == needed
+    roles = RoleAssignment({"segmentation": "/seg"}, tag_table=recorded_before)
+    assert tag_table_to_record([tags], roles, configured) == needed
 
 
 @pytest.mark.parametrize("name", ["", "auto", "carla-of-tomorrow"])
 def test_a_record_of_no_known_table_says_nothing(name):
-    assert chosen_tag_table([Metadata(METADATA_RECORD, ((TAG_TABLE_KEY, name),))]) == ""
-    assert chosen_tag_table([Metadata("another", ((TAG_TABLE_KEY, CARLA_FROM_0_9_14.name),))]) == ""
+    assert recorded_tag_table([Metadata(METADATA_RECORD, ((TAG_TABLE_KEY, name),))]) == ""
+    assert recorded_tag_table([Metadata("another", ((TAG_TABLE_KEY, CARLA_FROM_0_9_14.name),))]) == ""

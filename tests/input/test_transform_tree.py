@@ -5,10 +5,11 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import level_mounting, rigid, rotation_from_rpy
-from roadperc_stream.input.decoding import Context, Transform, decode
-from roadperc_stream.input.roles.fill import is_result
-from roadperc_stream.input.sync import Held, Stamped
+from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.output import encoding
 from roadperc_stream.replay import replay
 from tests import logs
@@ -26,7 +27,7 @@ def place(x_m):
     return rigid(rotation_from_rpy(0.0, 0.0, 0.5), np.array([x_m, 40.0, 1.0]))
 
 
-# The log's edges by frame; what ties ego to them as (parent, child); and what odom is called, above ego or below it.
+# The log's edges by frame; what joins ego to them as (parent, child); and what odom is called, above ego or below it.
 TREES = {
     "our own": ([[edge("ego", "camera", MOUNTED)]], None, "odom", True),
     "no transforms": ([], ("ego", "camera"), "odom", True),
@@ -94,11 +95,11 @@ def edges_of(path, *, results):
 
 @pytest.mark.parametrize("name", TREES)
 def test_the_results_join_the_tree_of_the_log(name, tmp_path):
-    tree, tie, odom, above = TREES[name]
+    tree, anchor, odom, above = TREES[name]
     target = replayed(tmp_path, tree)
     written = list(edges_of(target, results=True))
     assert len(written) == FRAMES
-    wanted = {(odom, "ego") if above else ("ego", odom)} | ({tie} if tie else set())
+    wanted = {(odom, "ego") if above else ("ego", odom)} | ({anchor} if anchor else set())
     for edges in written:
         assert {(found.parent, found.child) for found in edges} == wanted
     parents = {}
@@ -110,27 +111,27 @@ def test_the_results_join_the_tree_of_the_log(name, tmp_path):
 @pytest.mark.parametrize("name", TREES)
 def test_camera_and_car_are_where_the_chain_has_them(name, tmp_path):
     target = replayed(tmp_path, TREES[name][0])
-    held = Held()
+    tree = TransformTree()
     for edges in (*edges_of(target, results=False), *edges_of(target, results=True)):
-        held = held.updated(Stamped("tf", 0, 0, edges))
+        tree = tree.updated(edges)
     mounted = level_mounting(CFG.surface.assumed_height_m) if tree_is_silent(name) else MOUNTED
-    assert held.lookup("ego", "camera") == pytest.approx(mounted, abs=1e-9)
+    assert tree.lookup("ego", "camera") == pytest.approx(mounted, abs=1e-9)
     (*_, last) = log.read(target, topics=["/perception/odometry"])
     pose = decode("pose", "foxglove.PoseInFrame", "protobuf", last.data, last.log_time_ns, Context()).payload
     assert pose.parent == TREES[name][2]
-    assert held.lookup(pose.parent, "ego") == pytest.approx(pose.parent_T_child, abs=1e-9)
+    assert tree.lookup(pose.parent, "ego") == pytest.approx(pose.parent_T_child, abs=1e-9)
     for frame_T_camera, frame_id in (
         ((place(100.0) @ MOUNTED, "odom"),) if name.endswith("car that the log places") else ()
     ):
-        assert held.lookup(frame_id, "camera") == pytest.approx(frame_T_camera, abs=1e-9)
+        assert tree.lookup(frame_id, "camera") == pytest.approx(frame_T_camera, abs=1e-9)
 
 
 def test_what_the_log_says_of_the_car_stays(tmp_path):
     target = replayed(tmp_path, TREES["a car that the log places"][0])
-    held = Held()
+    tree = TransformTree()
     for edges in (*edges_of(target, results=False), *edges_of(target, results=True)):
-        held = held.updated(Stamped("tf", 0, 0, edges))
-    assert held.lookup("odom", "ego") == pytest.approx(place(100.0), abs=1e-9)
+        tree = tree.updated(edges)
+    assert tree.lookup("odom", "ego") == pytest.approx(place(100.0), abs=1e-9)
 
 
 def tree_is_silent(name):

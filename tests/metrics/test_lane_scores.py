@@ -9,7 +9,6 @@ from roadperc_stream.metrics.lane_scores import (
     Counts,
     TuSimpleScore,
     counts_above,
-    culane_counts,
     lane_angle,
     line_overlaps,
     tusimple,
@@ -25,6 +24,10 @@ def upright(x):
 
 def line(x, bottom=589, top=0):
     return np.array([(x, bottom), (x, top)], float)
+
+
+def culane(predicted, truth, shape, threshold=0.5):
+    return counts_above(line_overlaps(predicted, truth, shape), threshold)
 
 
 def test_the_true_lanes_score_full():
@@ -82,9 +85,9 @@ def test_nothing_found_and_nothing_there():
     assert tusimple([], [upright(1.0)], ROWS) == TuSimpleScore(0.0, 0.0, 1.0)
     assert tusimple([upright(1.0)], [], ROWS) == TuSimpleScore(0.0, 1.0, 0.0)
     assert tusimple([], [], ROWS) == TuSimpleScore(0.0, 0.0, 0.0)
-    assert culane_counts([], [], SHAPE) == Counts(0, 0, 0)
-    assert culane_counts([line(9)], [], SHAPE) == Counts(0, 1, 0)
-    assert culane_counts([], [line(9)], SHAPE) == Counts(0, 0, 1)
+    assert culane([], [], SHAPE) == Counts(0, 0, 0)
+    assert culane([line(9)], [], SHAPE) == Counts(0, 1, 0)
+    assert culane([], [line(9)], SHAPE) == Counts(0, 0, 1)
 
 
 def test_a_lane_needs_a_column_for_every_row():
@@ -100,14 +103,14 @@ def test_the_overlap_of_two_upright_lines():
 
 
 def test_a_line_moved_by_25_pixels_is_found_wrongly_and_missed():
-    assert culane_counts([line(825)], [line(800)], SHAPE) == Counts(0, 1, 1)
-    assert culane_counts([line(825)], [line(800)], SHAPE, threshold=0.3) == Counts(0, 1, 1)
+    assert culane([line(825)], [line(800)], SHAPE) == Counts(0, 1, 1)
+    assert culane([line(825)], [line(800)], SHAPE, threshold=0.3) == Counts(0, 1, 1)
 
 
 def test_a_line_moved_by_13_pixels_is_found_at_the_looser_threshold_only():
     """17 of 43 columns are shared: 0.4."""
-    assert culane_counts([line(813)], [line(800)], SHAPE, threshold=0.5) == Counts(0, 1, 1)
-    assert culane_counts([line(813)], [line(800)], SHAPE, threshold=0.3) == Counts(1, 0, 0)
+    assert culane([line(813)], [line(800)], SHAPE, threshold=0.5) == Counts(0, 1, 1)
+    assert culane([line(813)], [line(800)], SHAPE, threshold=0.3) == Counts(1, 0, 0)
 
 
 def test_a_pair_at_the_threshold_is_not_found():
@@ -120,7 +123,7 @@ def test_lines_are_paired_for_the_largest_sum():
 
 
 def test_two_found_lines_do_not_share_a_true_one():
-    assert culane_counts([line(800), line(802)], [line(800)], SHAPE) == Counts(1, 1, 0)
+    assert culane([line(800), line(802)], [line(800)], SHAPE) == Counts(1, 1, 0)
 
 
 lanes = st.lists(st.floats(0, 1280), max_size=4)
@@ -131,7 +134,7 @@ def test_scores_are_shares_and_counts_add_up(found, true):
     score = tusimple([upright(x) for x in found], [upright(x) for x in true], ROWS)
     assert all(0.0 <= value <= 1.0 for value in (score.accuracy, score.fn))
     assert score.fp <= 1.0
-    tp, fp, fn = culane_counts([line(x, 79) for x in found], [line(x, 79) for x in true], (80, 1280))
+    tp, fp, fn = culane([line(x, 79) for x in found], [line(x, 79) for x in true], (80, 1280))
     assert (tp + fp, tp + fn) == (len(found), len(true))
 
 

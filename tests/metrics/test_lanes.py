@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from roadperc_stream import metrics as m
-from roadperc_stream.core.datatypes import Absent, Boundary, Lanes
+from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Reason
 from roadperc_stream.core.geometry import inverse, project, transform
 from roadperc_stream.metrics.lanes import columns_at, lane_benchmarks, true_lane_columns
+from roadperc_stream.schemas.columns.errors import LaneScoreColumns, TrueLaneColumns
 from tests.analytic import Road
 from tests.metrics.frames import boundary
 
@@ -39,7 +40,9 @@ TRUTH = Lanes((boundary(1.8), boundary(-1.9, side="right")))
 def scored(left_px, right_px):
     found = Lanes((seen(TRUTH.side("left"), left_px), seen(TRUTH.side("right"), right_px)))
     columns = lane_benchmarks(found, TRUTH, ROAD.camera, ROAD.ego_T_camera)
-    return [columns[f"lane_tusimple_{name}"] for name in ("accuracy", "fp", "fn")], [columns[name] for name in COUNTS]
+    return [getattr(columns, f"lane_tusimple_{name}") for name in ("accuracy", "fp", "fn")], [
+        getattr(columns, name) for name in COUNTS
+    ]
 
 
 def test_the_true_boundaries_score_full():
@@ -61,7 +64,10 @@ def test_thresholds_grow_with_the_image():
             line_px = project(road.camera, transform(inverse(road.ego_T_camera), steep.side("left").line_ego_m[1:]))
             found = Lanes((replace(steep.side("left"), line_px=line_px + np.array([0.9 * px, 0.0])),))
             score = lane_benchmarks(found, steep, road.camera, road.ego_T_camera)
-            assert (score["lane_tusimple_fn"] == 0) is right, (shift_px, road.width)
+            assert (score.lane_tusimple_fn == 0) is right, (shift_px, road.width)
+
+
+NOTHING = Absent(Reason("lanes", "not_run"))
 
 
 @pytest.mark.parametrize("scale", [1, 2])
@@ -72,22 +78,27 @@ def test_drawn_lines_grow_with_the_image(scale):
     line_px = project(road.camera, transform(inverse(road.ego_T_camera), true.line_ego_m[1:]))
     found = Lanes((replace(true, line_px=line_px + np.array([10.0 / scale, 0.0])),))
     score = lane_benchmarks(found, Lanes((true,)), road.camera, road.ego_T_camera)
-    assert (score["lane_culane_tp_50"], score["lane_culane_tp_30"]) == (0, 1)
+    assert (score.lane_culane_tp_50, score.lane_culane_tp_30) == (0, 1)
 
 
 def test_lost_boundaries_are_missed_and_nothing_is_found_wrongly():
     lost = Lanes((Boundary("left", "lost"), Boundary("right", "lost")))
     columns = lane_benchmarks(lost, TRUTH, ROAD.camera, ROAD.ego_T_camera)
-    assert [columns[f"lane_tusimple_{name}"] for name in ("accuracy", "fp", "fn")] == [0.0, 0.0, 1.0]
-    assert [columns[name] for name in COUNTS] == [0, 0, 2, 0, 0, 2]
+    assert [getattr(columns, f"lane_tusimple_{name}") for name in ("accuracy", "fp", "fn")] == [0.0, 0.0, 1.0]
+    assert [getattr(columns, name) for name in COUNTS] == [0, 0, 2, 0, 0, 2]
 
 
 @pytest.mark.parametrize(
     ("found", "truth"),
-    [(TRUTH, None), (Absent("not run"), TRUTH), (TRUTH, Lanes(())), (TRUTH, Lanes((boundary(900.0),)))],
+    [
+        (TRUTH, None),
+        (NOTHING, TRUTH),
+        (TRUTH, Lanes(())),
+        (TRUTH, Lanes((boundary(900.0),))),
+    ],
 )
 def test_nothing_is_scored_without_truth_in_the_image(found, truth):
-    assert lane_benchmarks(found, truth, ROAD.camera, ROAD.ego_T_camera) == {}
+    assert lane_benchmarks(found, truth, ROAD.camera, ROAD.ego_T_camera) == LaneScoreColumns()
 
 
 def test_a_line_behind_a_crest_is_not_scored():
@@ -99,7 +110,7 @@ def test_a_line_behind_a_crest_is_not_scored():
     line_px = project(ROAD.camera, transform(inverse(ROAD.ego_T_camera), near))
     found = Lanes((replace(hill.side("left"), line_px=line_px),))
     columns = lane_benchmarks(found, hill, ROAD.camera, ROAD.ego_T_camera)
-    assert (columns["lane_tusimple_accuracy"], columns["lane_culane_tp_50"]) == (1.0, 1)
+    assert (columns.lane_tusimple_accuracy, columns.lane_culane_tp_50) == (1.0, 1)
 
 
 def test_columns_at_rows():
@@ -109,5 +120,5 @@ def test_columns_at_rows():
 
 
 def test_true_offsets_are_those_of_the_truth():
-    assert true_lane_columns(TRUTH) == {"lane_left_true_offset_m": 1.8, "lane_right_true_offset_m": -1.9}
-    assert true_lane_columns(None) == {}
+    assert true_lane_columns(TRUTH) == TrueLaneColumns(1.8, -1.9)
+    assert true_lane_columns(None) == TrueLaneColumns()

@@ -7,6 +7,7 @@ import pytest
 
 from roadperc_stream.core.datatypes import DepthImage, StereoDepth
 from roadperc_stream.metrics.stereo import stereo_errors_of
+from roadperc_stream.schemas.columns.errors import StereoErrorColumns
 from tests.metrics.frames import sample_and_result
 
 BASELINE_M = 0.5
@@ -29,18 +30,18 @@ def test_the_logs_own_depth_is_stereos_truth():
     estimated = wall(12.5)
     estimated[:240] = np.nan
     found = columns(estimated, wall(10.0))
-    assert found["stereo_epe_px"] == pytest.approx(16 - 12.8)
-    assert found["stereo_d1_ratio"] == 1.0
-    assert found["stereo_abs_rel"] == pytest.approx(0.25)
-    assert found["stereo_coverage"] == 0.5
+    assert found.stereo_epe_px == pytest.approx(16 - 12.8)
+    assert found.stereo_d1_ratio == 1.0
+    assert found.stereo_abs_rel == pytest.approx(0.25)
+    assert found.stereo_coverage == 0.5
 
 
 def test_the_true_depth_has_no_errors():
     found = columns(wall(10.0), wall(10.0))
-    assert found == {"stereo_epe_px": 0, "stereo_d1_ratio": 0, "stereo_abs_rel": 0, "stereo_coverage": 1.0}
+    assert found == StereoErrorColumns(0, 0, 0, 1.0)
 
 
 def test_nothing_is_said_without_depth_at_the_left_camera():
-    assert columns(wall(10.0), wall(10.0), depth=None) == {}
-    assert columns(wall(10.0), wall(10.0), right_camera=None) == {}
-    assert columns(wall(10.0), np.zeros((2, 2), np.float32)) == {}
+    assert columns(wall(10.0), wall(10.0), depth=None) == StereoErrorColumns()
+    assert columns(wall(10.0), wall(10.0), right_camera=None) == StereoErrorColumns()
+    assert columns(wall(10.0), np.zeros((2, 2), np.float32)) == StereoErrorColumns()

@@ -7,7 +7,7 @@ import pytest
 
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Odometry, Sample, Truth
+from roadperc_stream.core.datatypes import Odometry, Reason, Sample, Truth
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.output.results import result_messages
 from roadperc_stream.schemas import roadperc_pb2 as pb
@@ -20,12 +20,12 @@ POSES = {"/perception/odometry", "/perception/tf"}
 def test_a_lost_frame_has_a_state_with_its_reason_but_no_pose(status):
     """The last pose known is no pose of a frame that is lost: viewers would draw the car where it is not."""
     sample = Sample(0, 0, SMALL.frame(0), Truth())
-    reason = "no image" if status == "lost" else ""
+    reason = Reason("odometry", "no_image") if status == "lost" else None
     _, result = step(ReplayConfig(), ChainState(), sample.frame)
     result = replace(result, odometry=Odometry(status, np.eye(4), reason=reason))
     row = frame_metrics(ReplayConfig(), "log", sample, result)
     written = dict(result_messages(sample, result, row, (), (np.eye(4),)))
     assert POSES & set(written) == (set() if status == "lost" else POSES)
     state = pb.Odometry.FromString(written["/perception/odometry/state"])
-    assert (state.status, state.reason) == (pb.Odometry.Status.Value(status.upper()), reason)
+    assert (state.status, state.reason) == (pb.Odometry.Status.Value(status.upper()), "no image" if reason else "")
     assert ("odometry: lost, no image" in row.reasons) == (status == "lost")

@@ -11,6 +11,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from roadperc_stream.core.datatypes import Occupancy
 from roadperc_stream.errors import DecodeError, LogError
+from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.output.encoding import encode_occupancy
 from roadperc_stream.schemas import ros2
 
@@ -21,13 +22,13 @@ def image(frame_id="camera", dtype=np.uint16, encoding="16UC1"):
 
 @given(st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9))
 def test_roundtrip_with_every_alignment(frame_id):
-    packed = ros2.unpack_image(ros2.pack_image(image(frame_id)))
+    packed = unpack_image(ros2.pack_image(image(frame_id)))
     assert (packed.frame_id, packed.stamp_ns, packed.encoding) == (frame_id, 1_500_000_000, "16UC1")
     np.testing.assert_array_equal(packed.pixels, image().pixels)
 
 
 def test_floats():
-    packed = ros2.unpack_image(ros2.pack_image(image(dtype=np.float32, encoding="32FC1")))
+    packed = unpack_image(ros2.pack_image(image(dtype=np.float32, encoding="32FC1")))
     assert packed.pixels.dtype == np.float32
     np.testing.assert_array_equal(packed.pixels, image().pixels)
 
@@ -45,12 +46,12 @@ def test_a_public_reader_reads_it(frame_id):
 @given(st.integers(0, 60))
 def test_cut_bytes_are_a_stated_error(length):
     with pytest.raises(DecodeError):
-        ros2.unpack_image(ros2.pack_image(image())[:length])
+        unpack_image(ros2.pack_image(image())[:length])
 
 
 def test_foreign_encoding_is_named():
     with pytest.raises(DecodeError, match="'bgr8'"):
-        ros2.unpack_image(ros2.pack_image(image(encoding="bgr8")))
+        unpack_image(ros2.pack_image(image(encoding="bgr8")))
 
 
 @pytest.mark.parametrize("frame_id", ["", "e", "eg", "ego", "ego_", "ego_x", "ego_xy", "ego_xyz"])

@@ -10,7 +10,7 @@ from roadperc_stream.cli.convert import main
 from roadperc_stream.core.datatypes import Box
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.input.decoding import context_of, decode
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS
 from tests.tools.dump_writer import (
     CALIBRATION,

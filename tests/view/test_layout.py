@@ -16,14 +16,14 @@ from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.replay import replay
 from roadperc_stream.schemas import roadperc_pb2
-from roadperc_stream.schemas.channels import LIVE_ONLY, METRICS_TOPIC, ON_REQUEST, RESULTS, ROLES, result_schemas
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, ON_REQUEST, RESULTS, TIMES_TOPIC, result_schemas
 from roadperc_stream.view.layout import curves
 from roadperc_stream.view.layout.arrangement import layout_of
 from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
 from roadperc_stream.view.layout.panels import column, row, tabs, words
 from roadperc_stream.view.layout.writing import write_layout
-from roadperc_stream.view.stage_times import TIMES
 from tests import logs
 
 SCHEMAS = {role.topic: role.schema for role in ROLES.values()} | result_schemas(["overlay", "debug"]) | LIVE_ONLY
@@ -79,7 +79,7 @@ def drawn(layout):
     for config in panels_of(layout, "3D").values():
         yield from ((topic, IN_SPACE) for topic in config["topics"])
     for config in [*panels_of(layout, "Plot").values(), *panels_of(layout, "StateTransitions").values()]:
-        yield from ((path["value"], {SCHEMAS[METRICS_TOPIC], SCHEMAS[TIMES]}) for path in config["paths"])
+        yield from ((path["value"], {SCHEMAS[METRICS_TOPIC], SCHEMAS[TIMES_TOPIC]}) for path in config["paths"])
     for config in panels_of(layout, "RosOut").values():
         yield config["topicToRender"], {"foxglove.Log"}
     for config in panels_of(layout, "RawMessages").values():
@@ -180,13 +180,13 @@ def test_every_plotted_metric_is_a_column():
 
 
 def test_the_times_are_shown_only_where_somebody_serves_them():
-    times = [path.partition(".")[2] for path in paths_of(laid_out(EVERYTHING)) if path.startswith(TIMES)]
+    times = [path.partition(".")[2] for path in paths_of(laid_out(EVERYTHING)) if path.startswith(TIMES_TOPIC)]
     assert sorted(times) == sorted(TIME_COLUMNS)
-    without = replace(EVERYTHING, results=EVERYTHING.results - {TIMES})
-    assert TIMES not in shown(laid_out(without))
+    without = replace(EVERYTHING, results=EVERYTHING.results - {TIMES_TOPIC})
+    assert TIMES_TOPIC not in shown(laid_out(without))
     assert laid_out(without.with_times()) == laid_out(EVERYTHING)
     no_stereo = replace(EVERYTHING, results=EVERYTHING.results - {"/perception/stereo/depth"})
-    assert f"{TIMES}.stereo_ms" not in paths_of(laid_out(no_stereo))
+    assert f"{TIMES_TOPIC}.stereo_ms" not in paths_of(laid_out(no_stereo))
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -285,7 +285,7 @@ def test_a_log_s_layout_names_only_topics_with_messages(replayed, name):
     assert ("/perception/overlay" in shown(layout)) is (name == "full")
     under = layout["configById"]["Image!front"]["imageMode"]["imageTopic"]
     assert under == ("/perception/drivable" if name == "results" else "/camera/front/image")
-    assert TIMES not in shown(layout)
+    assert TIMES_TOPIC not in shown(layout)
 
 
 def log_summary(path):

@@ -10,13 +10,14 @@ from roadperc_stream.cli.view import main
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Absent, Boundary, Lanes
 from roadperc_stream.errors import LogError
-from roadperc_stream.input.roles.fill import Problems
+from roadperc_stream.input.problems import Problems
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import PRODUCER, schema
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.record import PRODUCER
+from roadperc_stream.schemas.registry import schema
 from roadperc_stream.view.seen import read_frame, read_frames, read_rows
 from roadperc_stream.view.video import write_video
 from tests import logs

@@ -10,8 +10,9 @@ from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import PRODUCER, schema
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.record import PRODUCER
+from roadperc_stream.schemas.registry import schema
 from roadperc_stream.view.video import frame_rate_hz, pictures_shown, write_video
 from tests import logs
 

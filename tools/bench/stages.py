@@ -13,16 +13,15 @@ from time import perf_counter
 from rich.console import Console
 from rich.table import Table
 
-from roadperc_stream import log
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.cli.plumbing import run
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
+from roadperc_stream.core.stage_timer import StageTimer
+from roadperc_stream.core.threads import one_thread
+from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import LogError
-from roadperc_stream.input.plan import Cut, samples, survey_log
-from roadperc_stream.input.roles.fill import Problems
-from roadperc_stream.input.sync import SyncCounts
-from roadperc_stream.replay import StageTimer, one_thread
+from roadperc_stream.input import open_input
 
 WARM_UP = 3
 
@@ -43,11 +42,9 @@ def measure(path: Path, frames: int) -> dict[str, float]:
         RoadpercError: the log cannot be replayed, or holds too few frames.
     """
     cfg, times = ReplayConfig(), dict[str, list[float]]()
-    summary = log.summarise(path)
-    survey = survey_log(summary, cfg, {}, Cut(frames=frames + WARM_UP))
     state = ChainState()
     with one_thread():
-        for sample in samples(summary, survey, cfg, SyncCounts(), Problems()):
+        for sample in open_input(path, cfg, time_range=TimeRange(frames=frames + WARM_UP)).samples():
             timer = StageTimer()
             state, _ = step(cfg, state, sample.frame, timer)
             readings = timer.elapsed_ms | {"camera image": _decode_ms(sample)}

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import Camera, Float, level_mounting, rigid
 from roadperc_stream.errors import DumpError
-from roadperc_stream.input.decoding import Transform
 
 from .calibration_file import (
     CalibrationFile,

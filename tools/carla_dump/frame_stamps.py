@@ -9,12 +9,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import DumpError
 
-EPOCH_NS: Final = 1_577_836_800 * 1_000_000_000
+EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
 """2020-01-01T00:00:00Z: where the time of every dump starts, so that a conversion is reproducible."""
 DEFAULT_RATE_HZ: Final = 20.0
-_SECOND_NS: Final = 1_000_000_000
 _UNIX_TIME_FROM_S: Final = 1_000_000_000
 """Seconds from here on (2001) are Unix time; a simulation does not run for 31 years."""
 _LIMIT_S: Final = 2**31
@@ -28,9 +28,9 @@ def stamps_of_rate(frames: Sequence[int], rate_hz: float) -> dict[int, int]:
     Raises:
         DumpError: the last stamp does not fit a message.
     """
-    step_ns = _SECOND_NS / Fraction(rate_hz)
+    step_ns = NS_PER_S / Fraction(rate_hz)
     stamps = {number: EPOCH_NS + round((number - frames[0]) * step_ns) for number in frames}
-    if frames and stamps[frames[-1]] >= _LIMIT_S * _SECOND_NS:
+    if frames and stamps[frames[-1]] >= _LIMIT_S * NS_PER_S:
         raise DumpError(f"frame {frames[-1]}: at {rate_hz:g} Hz it lies beyond the year 2038; see --rate")
     return stamps
 
@@ -86,8 +86,8 @@ def _seconds_ns(text: str) -> int | None:
         return None
     if not seconds.is_finite() or not 0 <= seconds < _LIMIT_S:
         return None
-    stamp = round(seconds * _SECOND_NS) + (0 if seconds >= _UNIX_TIME_FROM_S else EPOCH_NS)
-    return stamp if stamp < _LIMIT_S * _SECOND_NS else None
+    stamp = round(seconds * NS_PER_S) + (0 if seconds >= _UNIX_TIME_FROM_S else EPOCH_NS)
+    return stamp if stamp < _LIMIT_S * NS_PER_S else None
 
 
 def _date_ns(date: re.Match[str]) -> int | None:
@@ -96,7 +96,7 @@ def _date_ns(date: re.Match[str]) -> int | None:
         moment = datetime.fromisoformat(f"{day}T{time}").replace(tzinfo=UTC)
     except ValueError:
         return None
-    return int(moment.timestamp()) * _SECOND_NS + round(Decimal(f"0{fraction or ''}") * _SECOND_NS)
+    return int(moment.timestamp()) * NS_PER_S + round(Decimal(f"0{fraction or ''}") * NS_PER_S)
 
 
 def _increasing(path: Path, frames: Sequence[int], stamps: Mapping[int, tuple[int, int]]) -> dict[int, int]:

@@ -9,9 +9,9 @@ from typing import Final, Literal
 from PIL import Image as PillowImage
 
 from roadperc_stream.errors import DumpError
+from roadperc_stream.formats.images import PNG_MAGIC
 
 ImageFormat = Literal["png", "jpeg"]
-PNG_MAGIC: Final = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC: Final = b"\xff\xd8\xff"
 _JPEG_END: Final = b"\xff\xd9"
 _OTHERS: Final = {b"BM": "BMP", b"GIF8": "GIF", b"II*\x00": "TIFF", b"MM\x00*": "TIFF", b"v/1\x01": "OpenEXR"}

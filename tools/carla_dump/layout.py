@@ -44,7 +44,7 @@ class Sensor:
 
 
 @dataclass(frozen=True)
-class Layout:
+class DumpLayout:
     """Everything found in a dump."""
 
     dump: Path
@@ -53,7 +53,7 @@ class Layout:
     notes: tuple[str, ...] = ()
 
 
-def find_layout(dump: Path, overrides: Mapping[str, Path]) -> Layout:
+def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
     """Look through a dump folder.
 
     Args:
@@ -83,7 +83,7 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> Layout:
             f"{dump}: both {documents['detections'].name} and {sensors['detections'].source}/ hold detections; "
             "choose with --role detections=PATH"
         )
-    return Layout(dump, sensors, documents, tuple(notes))
+    return DumpLayout(dump, sensors, documents, tuple(notes))
 
 
 def _entries(folder: Path) -> list[Path]:

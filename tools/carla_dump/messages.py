@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from roadperc_stream.formats.images import encode_indices
-from roadperc_stream.formats.points import encode_points
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.output import encoding
-from roadperc_stream.schemas.channels import ROLES, TAG_TABLE_KEY, schema
+from roadperc_stream.output.encoding import encode_points
+from roadperc_stream.schemas.record import TAG_TABLE_KEY
+from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.roles import ROLES
 
 from .camera_rig import EGO, FRONT
 from .depth_files import depth_metres

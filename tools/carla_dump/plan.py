@@ -9,7 +9,8 @@ from typing import Final, TypeVar
 from roadperc_stream.core.datatypes import Detection
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.semantics import TagTable
-from roadperc_stream.schemas.channels import ROLES
+from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.schemas.roles import ROLES
 
 from .calibration_file import CalibrationFile, load_calibration
 from .camera_rig import CAMERA_ROLES, LIDAR, Rig, build_rig
@@ -17,8 +18,8 @@ from .carla_poses import load_poses
 from .depth_files import LOSSY_DEPTH, DepthEncoding, depth_encoding
 from .detection_files import load_detections, load_kitti_labels
 from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_rate
-from .layout import Layout, find_layout
-from .survey import Survey, front_sensors, points_fault, require_size, survey
+from .layout import DumpLayout, find_layout
+from .survey import SensorSurvey, front_sensors, points_fault, require_size, survey
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
 from .truth_file import NO_TRUTH, TruthTables, load_truth
 
@@ -28,7 +29,7 @@ _DEPTH_ROLES: Final[tuple[str, ...]] = ("depth", "truth_depth")
 
 
 @dataclass(frozen=True)
-class Options:
+class ConvertOptions:
     """What the command line says."""
 
     roles: Mapping[str, Path] = field(default_factory=dict)
@@ -43,9 +44,9 @@ class Options:
 class Plan:
     """A conversion, ready to be written."""
 
-    layout: Layout
-    options: Options
-    surveys: Mapping[str, Survey]
+    layout: DumpLayout
+    options: ConvertOptions
+    surveys: Mapping[str, SensorSurvey]
     stamps_ns: Mapping[int, int]
     """Stamp by frame number, in the order of frames."""
     timing: str
@@ -73,7 +74,7 @@ class Plan:
         return tuple(fault for survey in self.surveys.values() for fault in survey.unreadable)
 
 
-def make_plan(dump: Path, options: Options) -> Plan:
+def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     """Look through a dump and decide everything.
 
     Raises:
@@ -114,7 +115,7 @@ def make_plan(dump: Path, options: Options) -> Plan:
     )
 
 
-def _calibration(layout: Layout, options: Options) -> tuple[CalibrationFile, Path]:
+def _calibration(layout: DumpLayout, options: ConvertOptions) -> tuple[CalibrationFile, Path]:
     """What ``calibration.json`` says; a field of view from the command line takes the place of K."""
     path = layout.documents.get("calibration")
     calibration = load_calibration(path) if path else CalibrationFile()
@@ -123,7 +124,7 @@ def _calibration(layout: Layout, options: Options) -> tuple[CalibrationFile, Pat
     return calibration, path or layout.dump / "calibration.json"
 
 
-def _surveys(layout: Layout, options: Options, notes: list[str]) -> dict[str, Survey]:
+def _surveys(layout: DumpLayout, options: ConvertOptions, notes: list[str]) -> dict[str, SensorSurvey]:
     """Surveys of everything but detections, in the order of the channel table.
 
     A lidar's folder is an extra that is guessed by its name: where it gives nothing the cameras go on without it,
@@ -139,7 +140,7 @@ def _surveys(layout: Layout, options: Options, notes: list[str]) -> dict[str, Su
 
 
 def _rig(
-    layout: Layout, calibration: CalibrationFile, path: Path, surveys: Mapping[str, Survey], notes: list[str]
+    layout: DumpLayout, calibration: CalibrationFile, path: Path, surveys: Mapping[str, SensorSurvey], notes: list[str]
 ) -> Rig:
     sizes = {role: found.size for role, found in surveys.items() if found.size}
     left_is_front = "image" in surveys and "image" not in layout.sensors
@@ -152,12 +153,12 @@ def _rig(
     return rig
 
 
-def _frames(layout: Layout) -> list[int]:
+def _frames(layout: DumpLayout) -> list[int]:
     """Frame numbers of all cameras, sorted."""
     return sorted({number for role, s in layout.sensors.items() if role in CAMERA_ROLES for number in s.files})
 
 
-def _stamps(layout: Layout, rate_hz: float | None, notes: list[str]) -> tuple[dict[int, int], str]:
+def _stamps(layout: DumpLayout, rate_hz: float | None, notes: list[str]) -> tuple[dict[int, int], str]:
     frames = _frames(layout)
     path = layout.documents.get("timestamps") or _stamps_beside(layout)
     if path is not None:
@@ -175,10 +176,10 @@ def _mean_rate(stamps_ns: Mapping[int, int]) -> str:
     stamps = list(stamps_ns.values())
     if len(stamps) < 2:
         return ""
-    return f", {(len(stamps) - 1) * 1e9 / (stamps[-1] - stamps[0]):.4g} Hz in the mean"
+    return f", {(len(stamps) - 1) * NS_PER_S / (stamps[-1] - stamps[0]):.4g} Hz in the mean"
 
 
-def _stamps_beside(layout: Layout) -> Path | None:
+def _stamps_beside(layout: DumpLayout) -> Path | None:
     """KITTI raw keeps the stamps of a camera beside its ``data`` folder."""
     image = layout.sensors.get("image")
     path = image.first.parent.parent / "timestamps.txt" if image and image.first.parent.name == "data" else None
@@ -186,7 +187,7 @@ def _stamps_beside(layout: Layout) -> Path | None:
 
 
 def _tags(
-    surveys: Mapping[str, Survey], options: Options, carla_tags: str | None
+    surveys: Mapping[str, SensorSurvey], options: ConvertOptions, carla_tags: str | None
 ) -> tuple[dict[str, TagEncoding], TagTable | None, str]:
     encodings: dict[str, TagEncoding] = {}
     table: TagTable | None = None
@@ -200,12 +201,14 @@ def _tags(
     return encodings, table, source
 
 
-def _described(survey: Survey, depth: Mapping[str, DepthEncoding], tags: Mapping[str, TagEncoding]) -> Survey:
+def _described(
+    survey: SensorSurvey, depth: Mapping[str, DepthEncoding], tags: Mapping[str, TagEncoding]
+) -> SensorSurvey:
     role = survey.sensor.role
     return replace(survey, encoding=depth.get(role) or tags.get(role) or survey.encoding)
 
 
-def _detections(layout: Layout, notes: list[str]) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
+def _detections(layout: DumpLayout, notes: list[str]) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
     """Detections by frame number, and where they come from."""
     if "detections" in layout.sensors:
         sensor = layout.sensors["detections"]
@@ -218,7 +221,7 @@ def _detections(layout: Layout, notes: list[str]) -> tuple[Mapping[int, tuple[De
     return detections, f"{path.name}, {kind}"
 
 
-def _truth(layout: Layout, surface_frame_id: str) -> TruthTables:
+def _truth(layout: DumpLayout, surface_frame_id: str) -> TruthTables:
     path = layout.documents.get("truth")
     return load_truth(path, surface_frame_id) if path else NO_TRUTH
 

@@ -19,7 +19,7 @@ Header = tuple[tuple[int, int] | None, str]
 
 
 @dataclass(frozen=True)
-class Survey:
+class SensorSurvey:
     """A sensor's files that can be read, as far as their headers tell, and the faults of those that cannot."""
 
     sensor: Sensor
@@ -68,7 +68,7 @@ def _same_files(ours: Mapping[int, Path], theirs: Mapping[int, Path]) -> bool:
     return ours[min(ours)].read_bytes() == theirs[min(theirs)].read_bytes()
 
 
-def survey(sensor: Sensor) -> Survey:
+def survey(sensor: Sensor) -> SensorSurvey:
     """Look at every file's header: what is empty, cut off or foreign is counted as missing.
 
     Raises:
@@ -91,7 +91,7 @@ def survey(sensor: Sensor) -> Survey:
         sizes |= {} if size is None else {number: size}
     if not files:
         raise DumpError(f"{sensor.source}: none of {len(faults)} files can be read; {faults[0]}")
-    return Survey(replace(sensor, files=files), tuple(faults), sizes, _counted(kinds))
+    return SensorSurvey(replace(sensor, files=files), tuple(faults), sizes, _counted(kinds))
 
 
 def points_fault(sensor: Sensor, frames: Collection[int]) -> str:

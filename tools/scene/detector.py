@@ -8,7 +8,7 @@ import numpy as np
 
 from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
 
-from .drive import Moment, Thing
+from .drive import SceneMoment, Thing
 from .truth import ObjectTruth
 
 MISSED: Final = 0.05
@@ -26,7 +26,7 @@ Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Detection:
+class DetectedBox:
     """A half-open box in pixels with a label and a score."""
 
     label: str
@@ -39,11 +39,11 @@ class Detection:
 
 
 def detect(
-    moment: Moment, camera: Camera, world_T_camera: Float, seen: Sequence[ObjectTruth], rng: np.random.Generator
-) -> list[Detection]:
+    moment: SceneMoment, camera: Camera, world_T_camera: Float, seen: Sequence[ObjectTruth], rng: np.random.Generator
+) -> list[DetectedBox]:
     """Detections in one frame, the best first."""
     found = [
-        Detection(truth.label, _jittered(truth.box_px, camera, rng), float(rng.uniform(0.55, 0.99)))
+        DetectedBox(truth.label, _jittered(truth.box_px, camera, rng), float(rng.uniform(0.55, 0.99)))
         for truth in seen
         if rng.random() >= MISSED
     ]
@@ -67,12 +67,12 @@ def _jittered(box: Box, camera: Camera, rng: np.random.Generator) -> Box:
 
 def _occluded(
     hidden: Sequence[Thing], camera: Camera, world_T_camera: Float, rng: np.random.Generator
-) -> Iterator[Detection]:
+) -> Iterator[DetectedBox]:
     """Some of the things that stand behind others, with the box of the whole thing."""
     for thing in hidden:
         box = whole_box(thing, camera, world_T_camera)
         if box is not None and box[2] - box[0] >= OCCLUDED_MIN_PX * camera.width and rng.random() < OCCLUDED_FOUND:
-            yield Detection(thing.label, _jittered(box, camera, rng), float(rng.uniform(0.35, 0.75)))
+            yield DetectedBox(thing.label, _jittered(box, camera, rng), float(rng.uniform(0.35, 0.75)))
 
 
 def whole_box(thing: Thing, camera: Camera, world_T_camera: Float) -> Box | None:
@@ -87,11 +87,11 @@ def whole_box(thing: Thing, camera: Camera, world_T_camera: Float) -> Box | None
     return (float(x0), float(y0), float(x1), float(y1)) if inside else None
 
 
-def _false(camera: Camera, rng: np.random.Generator) -> Detection:
+def _false(camera: Camera, rng: np.random.Generator) -> DetectedBox:
     """A box of a likely shape on whatever is there: a facade, a tree, the road."""
     label = "Car" if rng.random() < 0.6 else "Pedestrian"
     height = camera.height * float(np.exp(rng.uniform(np.log(0.03), np.log(0.2))))
     width = height * float(rng.uniform(1.0, 2.2) if label == "Car" else rng.uniform(0.3, 0.55))
     x, y = rng.uniform(0, camera.width), camera.height * rng.uniform(0.2, 0.8)
     box = (float(x) - width / 2, float(y) - height / 2, float(x) + width / 2, float(y) + height / 2)
-    return Detection(label, box, float(rng.uniform(0.3, 0.75)))
+    return DetectedBox(label, box, float(rng.uniform(0.3, 0.75)))

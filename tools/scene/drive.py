@@ -10,7 +10,7 @@ from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, Float, rigid
 
 from .drawings import CAR_M, CAR_WIDTH_M
 from .faces import Faces, together
-from .layout import Layout
+from .layout import Fixtures
 from .shade import Shadow
 from .traffic import Ego, Traffic
 from .view import Scenery
@@ -22,7 +22,7 @@ BASELINE_M: Final = 0.5
 
 
 @dataclass(frozen=True)
-class Rig:
+class CameraPair:
     """The front camera and its fellow on the right: the same pinhole twice, 90 degrees wide, level on the car."""
 
     camera: Camera
@@ -30,13 +30,13 @@ class Rig:
     ego_T_right: Float
 
 
-def make_rig(width: int, height: int) -> Rig:
+def make_rig(width: int, height: int) -> CameraPair:
     """Cameras of a size in pixels; their centre is CARLA's w / 2 counted from the corner of the first pixel."""
     half = width / 2
     camera = Camera("front", width, height, half, half, half - 0.5, height / 2 - 0.5)
     left = rigid(EGO_R_OPTICAL, np.array([MOUNT_X_M, 0.0, MOUNT_Z_M]))
     right = rigid(EGO_R_OPTICAL, np.array([MOUNT_X_M, -BASELINE_M, MOUNT_Z_M]))
-    return Rig(camera, left, right)
+    return CameraPair(camera, left, right)
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Thing:
 
 
 @dataclass(frozen=True)
-class Moment:
+class SceneMoment:
     """Everything at one time; ``things[i]`` has the number i + 1 in the views."""
 
     time_s: float
@@ -64,7 +64,7 @@ class Drive:
     """A drive through a world."""
 
     ego: Ego
-    layout: Layout
+    layout: Fixtures
     traffic: Traffic
     seed: int
 
@@ -72,9 +72,9 @@ class Drive:
     def of(cls, world: World, speed_mps: float, weave_m: float, seed: int, *, static: bool = False) -> "Drive":
         """A drive whose things are drawn from the seed."""
         ego = Ego(world, speed_mps, weave_m, static)
-        return cls(ego, Layout(world, seed), Traffic(ego, seed), seed)
+        return cls(ego, Fixtures(world, seed), Traffic(ego, seed), seed)
 
-    def at(self, time_s: float) -> Moment:
+    def at(self, time_s: float) -> SceneMoment:
         """The moment at a time since the start."""
         world, s = self.ego.world, self.ego.s(time_s)
         fixtures = self.layout.near(s)
@@ -87,7 +87,7 @@ class Drive:
             Shadow(thing.pose(time_s), CAR_M[0] / 2, CAR_WIDTH_M / 2) for thing in things if thing.label == "Car"
         )
         scenery = Scenery(world, s, together(groups), shadows, MOUNT_Z_M, self.seed)
-        return Moment(time_s, self.ego.pose(time_s), scenery, things)
+        return SceneMoment(time_s, self.ego.pose(time_s), scenery, things)
 
 
 def _standing(world_T_body: Float) -> Callable[[float], Float]:

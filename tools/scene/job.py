@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from . import dump, spoil
 from .detector import detect
-from .drive import Drive, Moment, Rig, make_rig
+from .drive import CameraPair, Drive, SceneMoment, make_rig
 from .options import SENSORS, RenderOptions
 from .scanner import scan
 from .truth import ObjectTruth, lanes_truth, objects_truth, surface_truth
-from .view import View, photograph, render
+from .view import RenderedView, photograph, render
 from .world import make_world
 
 PURPOSES: Final = {name: number for number, name in enumerate(("detections", "tags", "depth", "rgb", "right", "drop"))}
@@ -71,7 +71,9 @@ def frame_name(frame: int) -> str:
     return f"{frame:06d}"
 
 
-def _write_frame(folder: Path, options: RenderOptions, frame: int, moment: Moment, rig: Rig, left: View) -> None:
+def _write_frame(
+    folder: Path, options: RenderOptions, frame: int, moment: SceneMoment, rig: CameraPair, left: RenderedView
+) -> None:
     """The files of one frame, but for those that are dropped."""
     suffix = ".jpg" if options.jpeg else ".png"
     name = frame_name(frame)
@@ -89,7 +91,7 @@ def _write_frame(folder: Path, options: RenderOptions, frame: int, moment: Momen
 
 
 def _picture(
-    options: RenderOptions, frame: int, sensor: str, moment: Moment, rig: Rig, left: View
+    options: RenderOptions, frame: int, sensor: str, moment: SceneMoment, rig: CameraPair, left: RenderedView
 ) -> NDArray[np.uint8]:
     """What a sensor's file shows, spoiled as asked for."""
     if sensor == "depth":
@@ -108,7 +110,12 @@ def _picture(
 
 
 def _record(
-    records: _Records, options: RenderOptions, frame: int, moment: Moment, rig: Rig, objects: list[ObjectTruth]
+    records: _Records,
+    options: RenderOptions,
+    frame: int,
+    moment: SceneMoment,
+    rig: CameraPair,
+    objects: list[ObjectTruth],
 ) -> None:
     name = frame_name(frame)
     world_T_camera = moment.world_T_ego @ rig.ego_T_left
@@ -121,7 +128,7 @@ def _record(
     records.objects[name] = [truth.to_json() for truth in objects]
 
 
-def _write_records(folder: Path, options: RenderOptions, rig: Rig, records: _Records) -> None:
+def _write_records(folder: Path, options: RenderOptions, rig: CameraPair, records: _Records) -> None:
     truth = {"lanes": records.lanes, "surface": records.surface, "objects": records.objects}
     dump.write_json(folder / "calibration.json", dump.calibration(rig.camera, options.rate_hz, lidar=options.lidar))
     dump.write_json(folder / "detections.json", records.detections)

@@ -36,7 +36,7 @@ class Fixture:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class Fixtures:
     """The fixtures of a world."""
 
     world: World

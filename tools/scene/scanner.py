@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, Float32, rays, rigid
 
-from .drive import Moment
+from .drive import SceneMoment
 from .view import depth_seen
 
 MOUNT_Z_M: Final = 2.4
@@ -30,7 +30,7 @@ ATTENUATION_PER_M: Final = 0.004
 _FOCAL_PX: Final = 640.0
 
 
-def scan(moment: Moment) -> Float32:
+def scan(moment: SceneMoment) -> Float32:
     """(N, 4) x forward, y right, z up in metres and intensity, as CARLA has it: left-handed, from the lidar."""
     camera, pixels = _rays()
     world_T_camera = moment.world_T_ego @ rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, MOUNT_Z_M]))

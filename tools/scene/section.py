@@ -45,7 +45,7 @@ class Zone:
 
 
 @dataclass(frozen=True)
-class Section:
+class RoadSection:
     """Zones painted one over the other, curbs at d = +-curb_m, and the ego lane's borders."""
 
     zones: tuple[Zone, ...]
@@ -108,7 +108,7 @@ def bins(d_m: Float32) -> NDArray[np.int32]:
     return index.astype(np.int32)
 
 
-def street(*, parking: bool, broken: bool) -> Section:
+def street(*, parking: bool, broken: bool) -> RoadSection:
     """Two lanes of 3.6 m about a double yellow line; with parking also white edge lines and a strip beyond them."""
     lane, curb = 3.6, 6.0 if parking else 3.6
     zones = [
@@ -123,7 +123,7 @@ def street(*, parking: bool, broken: bool) -> Section:
         zones.append(Zone(-lane - LINE_M, -lane, "road_line", WHITE, 0.3))
         zones.append(Zone(lane, lane + LINE_M, "road_line", WHITE, 0.3))
     outside = "road" if parking else "sidewalk"
-    return Section(tuple(zones), curb, curb + 3.5, -0.225, -lane, "road", outside, broken and parking)
+    return RoadSection(tuple(zones), curb, curb + 3.5, -0.225, -lane, "road", outside, broken and parking)
 
 
 def _bin(d_m: float) -> int:

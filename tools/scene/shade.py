@@ -15,7 +15,7 @@ from .grain import GRAIN_STD, ROWS, TEXEL_M, Grain, depth_level, level_depth_m, 
 from .grain import LEVELS as GRAIN_LEVELS
 from .ground import Ground
 from .raster import Drawn, pixel_boxes
-from .section import REACH_M, Section, Zone
+from .section import REACH_M, RoadSection, Zone
 from .sheet import LEVELS as SHEET_LEVELS
 from .sheet import Sheet
 
@@ -51,7 +51,7 @@ class Shadow:
 
 
 @lru_cache(maxsize=4)
-def ground_profile(section: Section, focal_px: float) -> Float32:
+def ground_profile(section: RoadSection, focal_px: float) -> Float32:
     """The cross-section's colours in haze and the strength of their grain over d, a row for each level of depth.
 
     Each row is blurred by a pixel's width at its depth. The second half of the rows has no right line, for the gaps of
@@ -84,7 +84,7 @@ def _seen_from(row: Float32, depth_m: float, focal_px: float) -> Float32:
     return row
 
 
-def shade_ground(ground: Ground, section: Section, grain: Grain, brightness: Float32) -> Picture:
+def shade_ground(ground: Ground, section: RoadSection, grain: Grain, brightness: Float32) -> Picture:
     """(rows, W, 3) colours of the ground's rows in a brightness of (rows, W); arbitrary where there is no ground."""
     level = depth_level(ground.depth_m)
     column = (ground.d_m + np.float32(REACH_M)) * np.float32(1 / PROFILE_TEXEL_M) - np.float32(0.5)

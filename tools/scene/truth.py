@@ -17,10 +17,10 @@ from roadperc_stream.core.geometry import (
     transform_plane,
 )
 
-from .drive import Drive, Moment, Rig
+from .drive import CameraPair, Drive, SceneMoment
 from .path import Path
 from .terrain import Terrain
-from .view import View
+from .view import RenderedView
 from .world import World
 
 LINE_LENGTH_M: Final = 60
@@ -56,7 +56,7 @@ class ObjectTruth:
         }
 
 
-def lanes_truth(moment: Moment) -> dict[str, Any]:
+def lanes_truth(moment: SceneMoment) -> dict[str, Any]:
     """Both boundaries of the ego lane in the ego frame: the edges that face the lane."""
     world = moment.scenery.world
     section = world.section
@@ -70,7 +70,7 @@ def lanes_truth(moment: Moment) -> dict[str, Any]:
     }
 
 
-def _boundary(world: World, moment: Moment, d_m: float) -> dict[str, Any]:
+def _boundary(world: World, moment: SceneMoment, d_m: float) -> dict[str, Any]:
     step = DERIVATIVE_STEP_M
     around = line_at(world, moment, d_m, np.array([-step, 0.0, step]))[:, 1]
     line = line_at(world, moment, d_m, np.arange(LINE_LENGTH_M + 1.0))
@@ -83,7 +83,7 @@ def _boundary(world: World, moment: Moment, d_m: float) -> dict[str, Any]:
     }
 
 
-def line_at(world: World, moment: Moment, d_m: float, x_ego_m: Float) -> Float:
+def line_at(world: World, moment: SceneMoment, d_m: float, x_ego_m: Float) -> Float:
     """(N, 3) points in the ego frame of the line at lateral d where ego x has the (N,) values given.
 
     Found by Newton's method along s; the line runs at most 45 degrees askew within the first 60 m.
@@ -103,7 +103,7 @@ def _on_road(path: Path, terrain: Terrain, s_m: Float, d_m: float, ego_T_world: 
     return transform(ego_T_world, np.stack((x, y, terrain.height(x)), axis=-1))
 
 
-def surface_truth(moment: Moment, rig: Rig) -> dict[str, Any]:
+def surface_truth(moment: SceneMoment, rig: CameraPair) -> dict[str, Any]:
     """The plane through the road ahead of the front camera, and the road's heights in the ego frame."""
     camera_x = float(rig.ego_T_left[0, 3])
     near, far = PLANE_AHEAD_M
@@ -155,7 +155,7 @@ def height_in_ego(terrain: Terrain, world_T_ego: Float, x_m: Float, y_m: Float) 
     return z
 
 
-def objects_truth(drive: Drive, moment: Moment, rig: Rig, view: View) -> list[ObjectTruth]:
+def objects_truth(drive: Drive, moment: SceneMoment, rig: CameraPair, view: RenderedView) -> list[ObjectTruth]:
     """Every object with enough visible pixels, from the clean front view."""
     boxes = ndimage.find_objects(view.owner, len(moment.things))
     found = (_object(drive, moment, rig, view, i + 1, box) for i, box in enumerate(boxes) if box is not None)
@@ -163,7 +163,7 @@ def objects_truth(drive: Drive, moment: Moment, rig: Rig, view: View) -> list[Ob
 
 
 def _object(
-    drive: Drive, moment: Moment, rig: Rig, view: View, number: int, box: tuple[slice, slice]
+    drive: Drive, moment: SceneMoment, rig: CameraPair, view: RenderedView, number: int, box: tuple[slice, slice]
 ) -> ObjectTruth | None:
     rows, columns = np.nonzero(view.owner[box] == number)
     if len(rows) < MIN_PIXELS:

@@ -13,7 +13,7 @@ from .faces import Faces
 from .grain import make_grain
 from .ground import FAR_M, Ground, trace_ground
 from .raster import Drawn, draw_faces
-from .section import Section, bins
+from .section import RoadSection, bins
 from .shade import (
     Shadow,
     cast_shadows,
@@ -42,7 +42,7 @@ class Scenery:
 
 
 @dataclass(frozen=True)
-class View:
+class RenderedView:
     """What a camera sees; all arrays (H, W), colours (H, W, 3) blue, green, red."""
 
     rgb: NDArray[np.uint8]
@@ -62,13 +62,15 @@ class _Sight:
     drawn: Drawn
 
 
-def render(scenery: Scenery, camera: Camera, world_T_camera: Float) -> View:
+def render(scenery: Scenery, camera: Camera, world_T_camera: Float) -> RenderedView:
     """The scenery from a camera's pose in the world."""
     sight = _look(scenery, camera, world_T_camera)
     ground, drawn = sight.ground, sight.drawn
     # Index -1, no face, takes the last entry.
     owner = np.append(drawn.faces.owner, 0)[drawn.face].astype(np.int32)
-    return View(_colours(scenery, sight), _depth(ground, drawn), _tags(ground, drawn, scenery.world.section), owner)
+    return RenderedView(
+        _colours(scenery, sight), _depth(ground, drawn), _tags(ground, drawn, scenery.world.section), owner
+    )
 
 
 def photograph(scenery: Scenery, camera: Camera, world_T_camera: Float) -> NDArray[np.uint8]:
@@ -99,7 +101,7 @@ def _depth(ground: Ground, drawn: Drawn) -> Float32:
     return depth
 
 
-def _tags(ground: Ground, drawn: Drawn, section: Section) -> NDArray[np.uint8]:
+def _tags(ground: Ground, drawn: Drawn, section: RoadSection) -> NDArray[np.uint8]:
     tags = np.full(drawn.face.shape, SKY, np.uint8)
     index = bins(ground.d_m)
     below = section.tag_table[index]

@@ -11,7 +11,7 @@ from roadperc_stream.core.geometry import Float, rigid
 
 from .options import SceneName
 from .path import Element, Path, chain
-from .section import Section, street
+from .section import RoadSection, street
 from .terrain import Terrain, level_ground, rolling_ground
 
 RADIUS_M: Final = 150.0
@@ -27,7 +27,7 @@ class World:
     name: SceneName
     path: Path
     terrain: Terrain
-    section: Section
+    section: RoadSection
 
     def ground_pose(self, s_m: float, d_m: float, turn: float = 0.0) -> Float:
         """world_T_body of a body on its wheels at (s, d), turned by ``turn`` radians against the road.

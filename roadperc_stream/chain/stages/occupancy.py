@@ -5,9 +5,9 @@ and cells whose middle, looked up in the image, is drivable and as far away as t
 the image are metres apart, and this inverse mapping leaves no gaps between them. Everything else is unknown, so also
 what lies behind an obstacle. Occupied wins over free.
 
-Of a lidar's few points every one counts, and a cell whose middle is seen as drivable is free without one. Heights alone
-tell there what is in the way: a point that an obstacle hides from the camera but not from the lidar has the obstacle's
-tag.
+Of a lidar's few points every one counts, and a cell whose middle is visible as drivable is free without one. Heights
+alone decide there what is an obstacle: a point that an obstacle hides from the camera but not from the lidar has the
+obstacle's tag.
 """
 
 from typing import Final
@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.core.config import OccupancyConfig
-from roadperc_stream.core.datatypes import Absent, Image, Mask, Occupancy, Surface
-from roadperc_stream.core.geometry import Camera, Float, Float32, inverse, project, transform
+from roadperc_stream.core.datatypes import Absent, Mask, Occupancy, Reason, Surface
+from roadperc_stream.core.geometry import Camera, Float32, inverse, project, transform
 from roadperc_stream.core.ground import ego_points, height_above, height_at, part
-from roadperc_stream.core.semantics import TagTable
+from roadperc_stream.core.scene import Scene
 
 UNKNOWN: Final = -1
 FREE: Final = 0
@@ -30,50 +30,34 @@ _MEDIAN_PX: Final = 3
 """A single drivable pixel among others frees no cell, a single hole among drivable ones leaves none unknown."""
 
 
-def build(
-    cfg: OccupancyConfig,
-    camera: Camera,
-    ego_T_camera: Float,
-    surface: Surface | Absent,
-    depth_m: Float32 | None,
-    drivable: Mask | Absent,
-    tags: Image | None,
-    table: TagTable | None,
-    *,
-    dense: bool,
-) -> Occupancy | Absent:
+def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivable: Mask | Absent) -> Occupancy | Absent:
     """The grid of one frame.
 
     Args:
         cfg: extent, resolution and thresholds.
-        camera: the camera of all images.
-        ego_T_camera: its mounting.
-        surface: the road, from which heights are counted.
-        depth_m: (H, W) metres, NaN unknown.
+        scene: the frame; without tags heights alone decide what is an obstacle.
+        surface: the road, from which heights are measured, in the front camera's frame.
         drivable: (H, W) drivable pixels.
-        tags: (H, W) tags of ``table``; None: heights alone tell what is in the way.
-        table: the tags' table.
-        dense: whether the depth is known at most pixels, or at a lidar's points alone.
 
     Returns:
         The grid, or why there is none.
     """
-    if depth_m is None:
-        return Absent("no depth")
+    if scene.depth_m is None:
+        return Absent(Reason("occupancy", "no_depth"))
     if isinstance(surface, Absent):
-        return Absent(f"no surface: {surface.reason}")
+        return Absent(Reason("occupancy", "no_surface", cause=surface.reason))
     if isinstance(drivable, Absent):
-        return Absent(f"no drivable surface: {drivable.reason}")
-    step = _pixel_step(cfg, camera) if dense else 1
-    seen = depth_m[::step, ::step]
-    x, y, z = ego_points(part(camera, 0, step, step), ego_T_camera, seen)
+        return Absent(Reason("occupancy", "no_drivable_surface", cause=drivable.reason))
+    dense = scene.dense_depth_m is not None
+    step = _pixel_step(cfg, scene.camera) if dense else 1
+    x, y, z = ego_points(part(scene.camera, 0, step, step), scene.ego_T_camera, scene.depth_m[::step, ::step])
     height = height_above(surface, x, y, z)
-    in_the_way = _in_the_way(cfg, height, _obstacles(cfg, tags, table, step) if dense else None)
+    occupied = _occupied(cfg, height, _obstacles(cfg, scene, step) if dense else None)
     free = drivable[::step, ::step] & np.isfinite(height)
     cells = np.full(_shape(cfg), UNKNOWN, np.int8)
     cells[_enough(cfg, x[free], y[free])] = FREE
-    cells[_seen_through(cfg, camera, ego_T_camera, surface, depth_m if dense else None, drivable)] = FREE
-    cells[_enough(cfg, x[in_the_way], y[in_the_way])] = OCCUPIED
+    cells[_visible_drivable(cfg, scene, surface, drivable)] = FREE
+    cells[_enough(cfg, x[occupied], y[occupied])] = OCCUPIED
     return Occupancy(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cells)
 
 
@@ -88,15 +72,15 @@ def _shape(cfg: OccupancyConfig) -> tuple[int, int]:
     return int(rows + 1e-6), int(columns + 1e-6)
 
 
-def _obstacles(cfg: OccupancyConfig, tags: Image | None, table: TagTable | None, step: int) -> Mask | None:
-    """Every ``step``-th pixel in both directions that is of an obstacle's class."""
-    if tags is None or table is None:
+def _obstacles(cfg: OccupancyConfig, scene: Scene, step: int) -> Mask | None:
+    """Every ``step``-th pixel in both directions that is of an obstacle's class; None without tags."""
+    if scene.tags is None or scene.table is None:
         return None
-    few = np.ascontiguousarray(tags[::step, ::step])
-    return np.asarray(cv2.LUT(few, table.lookup(cfg.obstacle_classes)), np.uint8).view(np.bool_)
+    few = np.ascontiguousarray(scene.tags[::step, ::step])
+    return np.asarray(cv2.LUT(few, scene.table.lookup(cfg.obstacle_classes)), np.uint8).view(np.bool_)
 
 
-def _in_the_way(cfg: OccupancyConfig, height_m: Float32, obstacles: Mask | None) -> Mask:
+def _occupied(cfg: OccupancyConfig, height_m: Float32, obstacles: Mask | None) -> Mask:
     """Points high enough, or of an obstacle, and not so high that one passes below."""
     with np.errstate(invalid="ignore"):
         high = height_m >= np.float32(cfg.min_height_m)
@@ -115,16 +99,15 @@ def _enough(cfg: OccupancyConfig, x: Float32, y: Float32) -> Mask:
     return result
 
 
-def _seen_through(
-    cfg: OccupancyConfig, camera: Camera, ego_T_camera: Float, surface: Surface, depth_m: Float32 | None, drivable: Mask
-) -> Mask:
-    """(rows, columns) cells whose middle is seen as drivable road, at its own distance where the depth tells."""
+def _visible_drivable(cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask) -> Mask:
+    """(rows, columns) cells whose middle is visible as drivable road, at its own distance where the depth is dense."""
+    camera, depth_m = scene.camera, scene.dense_depth_m
     rows, columns = _shape(cfg)
     x, y = np.meshgrid(
         cfg.x_min_m + cfg.resolution_m * (np.arange(columns) + 0.5),
         -cfg.half_width_m + cfg.resolution_m * (np.arange(rows) + 0.5),
     )
-    middles = transform(inverse(ego_T_camera), np.stack((x, y, height_at(surface, x, y)), axis=-1))
+    middles = transform(inverse(scene.ego_T_camera), np.stack((x, y, height_at(surface, x, y)), axis=-1))
     pixels = np.rint(np.nan_to_num(project(camera, middles), nan=-1.0))
     inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=-1)
     u, v = pixels[inside].astype(np.intp).T

@@ -2,6 +2,14 @@
 
 from roadperc_stream.core.datatypes.arrays import Image, Mask, read_only
 from roadperc_stream.core.datatypes.frame import Box, CameraImage, DepthImage, Detection, Frame, PointCloud, TagImage
+from roadperc_stream.core.datatypes.reason import (
+    MISSING_ROLES,
+    TEMPLATES,
+    Reason,
+    ReasonCode,
+    ReasonKind,
+    parse_reason,
+)
 from roadperc_stream.core.datatypes.results import (
     SIDES,
     Absent,
@@ -25,13 +33,16 @@ from roadperc_stream.core.datatypes.results import (
     SurfaceSource,
     Verdict,
 )
-from roadperc_stream.core.datatypes.sample import EGO, ODOM, OWN_ODOM, Sample, Tie, Truth
+from roadperc_stream.core.datatypes.sample import EGO, ODOM, OWN_ODOM, FrameAnchor, Sample, Truth
+from roadperc_stream.core.datatypes.transform import Transform
 
 __all__ = [
     "EGO",
+    "MISSING_ROLES",
     "ODOM",
     "OWN_ODOM",
     "SIDES",
+    "TEMPLATES",
     "Absent",
     "Boundary",
     "BoundaryStatus",
@@ -41,6 +52,7 @@ __all__ = [
     "DepthImage",
     "Detection",
     "Frame",
+    "FrameAnchor",
     "FrameResult",
     "HeightGrid",
     "Image",
@@ -55,14 +67,18 @@ __all__ = [
     "Odometry",
     "OdometryStatus",
     "PointCloud",
+    "Reason",
+    "ReasonCode",
+    "ReasonKind",
     "Sample",
     "Side",
     "StereoDepth",
     "Surface",
     "SurfaceSource",
     "TagImage",
-    "Tie",
+    "Transform",
     "Truth",
     "Verdict",
+    "parse_reason",
     "read_only",
 ]

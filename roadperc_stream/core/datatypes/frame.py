@@ -189,7 +189,7 @@ class Frame:
     ``camera`` is the camera of image, segmentation and detections; the depth may come from another one. The left camera
     of a stereo pair is the front camera where ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting
     (``mounted`` False) the transforms are those of a level camera at the assumed height. ``ego_T_lidar`` is None where
-    no transform tells where the points are.
+    no transform says where the points are.
     """
 
     stamp_ns: int

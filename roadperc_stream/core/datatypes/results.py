@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.core.datatypes.arrays import Mask, read_only
 from roadperc_stream.core.datatypes.frame import Box, Detection
+from roadperc_stream.core.datatypes.reason import Reason
 from roadperc_stream.core.geometry import Float, Float32, Plane
 
 Side = Literal["left", "right"]
@@ -26,7 +27,7 @@ Line = tuple[float, float, float, float]
 class Absent:
     """A stage's output that could not be made, and why."""
 
-    reason: str
+    reason: Reason
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ class Odometry:
     With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
     x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is when ``step`` begins: the last frame
     that was not missing. ``reason`` says why a frame is ``lost``; its pose is then the last one known. ``matches`` are
-    what the motion was told from, None where there was none.
+    the features that the motion was estimated from, None where there was none.
     """
 
     status: OdometryStatus
@@ -109,7 +110,7 @@ class Odometry:
     up_to_scale: bool = False
     covariance: tuple[float, ...] = ()
     since_ns: int | None = None
-    reason: str = ""
+    reason: Reason | None = None
     matches: Matches | None = None
 
     def __post_init__(self) -> None:
@@ -182,7 +183,7 @@ class Lanes:
 
 @dataclass(frozen=True)
 class Object:
-    """A detection judged by the segmentation, with its distance."""
+    """A detection filtered by the segmentation, with its distance."""
 
     detection: Detection
     kept: bool
@@ -199,7 +200,7 @@ class Object:
 
     @property
     def verdict(self) -> Verdict:
-        """What became of it: ``unjudged`` ones are kept because nothing could judge them."""
+        """What became of it: ``unjudged`` ones are kept because no segmentation could confirm or refute them."""
         if not self.kept:
             return "dropped"
         return "unjudged" if self.class_ratio is None else "kept"
@@ -207,15 +208,15 @@ class Object:
 
 @dataclass(frozen=True)
 class Correlation:
-    """How well a patch fits an image, by the place of its first pixel.
+    """How well a template fits an image, by the position of its first pixel.
 
-    ``scores[row, column]``, -1 to 1, is that of the patch whose first pixel lies on (x_px + column, y_px + row); -inf
-    where the image shows nothing. ``patch_px`` are its columns and rows.
+    ``scores[row, column]``, -1 to 1, is that of the template whose first pixel lies on (x_px + column, y_px + row);
+    -inf where the image has no texture. ``template_px`` are its columns and rows.
     """
 
     x_px: int
     y_px: int
-    patch_px: tuple[int, int]
+    template_px: tuple[int, int]
     scores: Float32
 
     def __post_init__(self) -> None:
@@ -223,23 +224,23 @@ class Correlation:
 
     @property
     def peak(self) -> tuple[Box, float]:
-        """Where the patch fits best, and how well."""
+        """Where the template fits best, and how well."""
         row, column = np.unravel_index(int(np.argmax(self.scores)), self.scores.shape)
         left, top = float(self.x_px + column), float(self.y_px + row)
-        place = Box(left, top, left + self.patch_px[0], top + self.patch_px[1])
-        return place, min(float(self.scores[row, column]), 1.0)
+        box_px = Box(left, top, left + self.template_px[0], top + self.template_px[1])
+        return box_px, min(float(self.scores[row, column]), 1.0)
 
     def match(self, min_score: float) -> tuple[Box, float] | None:
-        """The peak, if it reaches a score; None where the image shows nothing at all."""
-        place, score = self.peak
-        return None if score < min_score or not np.isfinite(score) else (place, score)
+        """The peak, if it reaches a score; None where the image has no texture at all."""
+        box_px, score = self.peak
+        return None if score < min_score or not np.isfinite(score) else (box_px, score)
 
 
 @dataclass(frozen=True)
 class Objects:
-    """All detections of a frame, kept and dropped, in the detector's order, then those found by their image alone.
+    """All detections of a frame, kept and dropped, in the detector's order, then those tracked by their template alone.
 
-    ``searches`` are where that was looked for.
+    ``searches`` are the correlations of that template matching.
     """
 
     objects: tuple[Object, ...]
@@ -274,29 +275,28 @@ class FrameResult:
     drivable: Mask | Absent
     lanes: Lanes | Absent
     objects: Objects | Absent
-    problems: tuple[str, ...] = ()
-    stereo: StereoDepth | Absent = Absent("not run")
-    odometry: Odometry | Absent = Absent("not run")
-    occupancy: Occupancy | Absent = Absent("not run")
-    front_surface: Surface | Absent = Absent("not run")
+    problems: tuple[Reason, ...] = ()
+    stereo: StereoDepth | Absent = Absent(Reason("stereo", "not_run"))
+    odometry: Odometry | Absent = Absent(Reason("odometry", "not_run"))
+    occupancy: Occupancy | Absent = Absent(Reason("occupancy", "not_run"))
+    front_surface: Surface | Absent = Absent(Reason("surface", "not_run"))
     """``surface`` with its plane in the frame of the front camera."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.drivable, Absent):
             read_only(self.drivable, np.bool_, (None, None), "drivable")
 
-    def reasons(self) -> tuple[str, ...]:
-        """Why stages gave nothing, as ``stage: reason``, and what was wrong with the input."""
-        stages = {
-            "stereo": self.stereo,
-            "surface": self.surface,
-            "drivable": self.drivable,
-            "odometry": self.odometry,
-            "lanes": self.lanes,
-            "objects": self.objects,
-            "occupancy": self.occupancy,
-        }
-        absent = tuple(f"{name}: {out.reason}" for name, out in stages.items() if isinstance(out, Absent))
-        lost = isinstance(self.odometry, Odometry) and self.odometry.status == "lost"
-        where = (f"odometry: lost, {self.odometry.reason}",) if lost else ()
-        return absent + where + self.problems
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why stages gave nothing, and what was wrong with the input."""
+        stages = (
+            self.stereo,
+            self.surface,
+            self.drivable,
+            self.odometry,
+            self.lanes,
+            self.objects,
+            self.occupancy,
+        )
+        absent = tuple(out.reason for out in stages if isinstance(out, Absent))
+        lost = self.odometry.reason if isinstance(self.odometry, Odometry) else None
+        return absent + (() if lost is None else (Reason("odometry", "lost", cause=lost),)) + self.problems

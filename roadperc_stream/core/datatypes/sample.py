@@ -28,20 +28,20 @@ class Truth:
 
 
 EGO, ODOM = "ego", "odom"
-"""The results' frames: the car's, and that of its way."""
+"""The results' frames: the car's, and that of its trajectory."""
 OWN_ODOM: Final = "perception_odom"
 """Odom where the log has a frame of that name, or says itself where the car is."""
 
 
 @dataclass(frozen=True)
-class Tie:
+class FrameAnchor:
     """Where ego and odom join the log's own tree of transforms, in which no frame may get a second parent."""
 
     frame_id: str = ""
-    """The log's frame that is tied to ego; empty where it is called so in the log, too."""
+    """The log's frame that ego is joined to; empty where it is called so in the log, too."""
     ego_T_frame: Float = field(default_factory=lambda: np.eye(4))
     placed: bool = False
-    """Whether the log itself places that frame: then ego hangs below it, and odom below ego."""
+    """Whether the log itself places that frame: then ego is placed below it, and odom below ego."""
     odom: str = ODOM
 
 
@@ -55,4 +55,4 @@ class Sample:
     truth: Truth
     missing: tuple[str, ...] = ()
     skew_ns: int | None = None
-    tie: Tie = field(default_factory=Tie)
+    anchor: FrameAnchor = field(default_factory=FrameAnchor)

@@ -7,22 +7,23 @@ from typing import Any, Final
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.core.semantics import TABLES
+from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import foxglove, own, ros
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
 from roadperc_stream.input.decoding.from_json import from_json
 from roadperc_stream.input.decoding.own import detection_from_proto
-from roadperc_stream.input.decoding.payload import Context, Decoded, Payload, Transform
+from roadperc_stream.input.decoding.payload import Context, Decoded, Payload
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas import cdr, ros2
-from roadperc_stream.schemas.channels import CARLA_BRIDGE, TAG_TABLE_KEY, Kind
+from roadperc_stream.schemas.record import TAG_TABLE_KEY
+from roadperc_stream.schemas.roles import CARLA_BRIDGE, Kind
 
 __all__ = [
     "DECODERS",
     "Context",
     "Decoded",
     "Payload",
-    "Transform",
     "camera_from_calibration",
     "context_of",
     "context_of_channel",
@@ -30,7 +31,6 @@ __all__ = [
     "detection_from_proto",
     "schemas_of_kind",
 ]
-_END_OF_TIME_NS: Final = 2**63
 Decoder = Callable[[bytes, Context], Decoded]
 
 _OWN: Final[Mapping[tuple[Kind, str], Decoder]] = {
@@ -109,6 +109,6 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
     except (ProtobufError, ValueError) as error:
         raise DecodeError(f"{len(data)} bytes are no {schema}: {error}") from error
     decoded = decoded if decoded.stamp_ns else replace(decoded, stamp_ns=log_time_ns)
-    if not 0 <= decoded.stamp_ns < _END_OF_TIME_NS:
+    if not 0 <= decoded.stamp_ns < END_OF_TIME_NS:
         raise DecodeError(f"stamp {decoded.stamp_ns} ns does not fit 64 bits")
     return decoded

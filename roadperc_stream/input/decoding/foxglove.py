@@ -12,15 +12,15 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudPro
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from roadperc_stream.core.datatypes import PointCloud
+from roadperc_stream.core.datatypes import PointCloud, Transform
 from roadperc_stream.core.geometry import Float32
 from roadperc_stream.formats import points
 from roadperc_stream.formats.raster import Raster
 from roadperc_stream.input.decoding import pictures
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
-from roadperc_stream.input.decoding.payload import Context, Decoded, Transform, pose_matrix
-from roadperc_stream.schemas.channels import Kind
+from roadperc_stream.input.decoding.payload import Context, Decoded, pose_matrix
 from roadperc_stream.schemas.protobuf import stamp_ns
+from roadperc_stream.schemas.roles import Kind
 
 
 def _compressed_image(message: Any, _: Context) -> Decoded:

@@ -1,4 +1,4 @@
-"""The messages of roadperc.proto: detections, and what is true or was seen of road, lanes and objects."""
+"""The messages of roadperc.proto: detections, and what is true or was found of road, lanes and objects."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -20,7 +20,8 @@ from roadperc_stream.core.datatypes import (
 from roadperc_stream.core.datatypes.results import BoundaryStatus, ObjectStatus
 from roadperc_stream.core.geometry import Float, Plane
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.input.decoding.payload import Context, Decoded, optional, require_finite
+from roadperc_stream.input.decoding.payload import Context, Decoded
+from roadperc_stream.schemas.fields import optional, require_finite
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
 from roadperc_stream.schemas.roadperc_pb2 import Lanes as LanesProto
@@ -86,7 +87,7 @@ def _height_grid(grid: Any) -> HeightGrid:
 
 
 def lanes(data: bytes, _: Context) -> Decoded:
-    """roadperc.Lanes: true ones, or those a replay has seen; boundaries of no known side are left out."""
+    """roadperc.Lanes: true ones, or those a replay has found; boundaries of no known side are left out."""
     message = LanesProto.FromString(data)
     return Decoded(
         stamp_ns(message.timestamp), Lanes(tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF))
@@ -139,7 +140,7 @@ _OPTIONAL_NUMBERS: Final = (
 
 
 def objects(data: bytes, _: Context) -> Decoded:
-    """roadperc.Objects: true ones, or those a replay has seen."""
+    """roadperc.Objects: true ones, or those a replay has found."""
     message = ObjectsProto.FromString(data)
     return Decoded(stamp_ns(message.timestamp), Objects(tuple(_object(o) for o in message.objects)))
 

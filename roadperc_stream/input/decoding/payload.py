@@ -1,7 +1,7 @@
-"""What a decoder gives, and what it may need beside the bytes."""
+"""What a decoder gives, and what it may need besides the bytes."""
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -14,22 +14,12 @@ from roadperc_stream.core.datatypes import (
     PointCloud,
     Surface,
     TagImage,
+    Transform,
 )
 from roadperc_stream.core.geometry import Camera, Float, rigid, rotation_from_quaternion
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
-
-_LARGEST: Final = float(np.finfo(np.float32).max)
-
-
-@dataclass(frozen=True)
-class Transform:
-    """One edge of the transform tree: ``parent_T_child``."""
-
-    parent: str
-    child: str
-    parent_T_child: Float
-
+from roadperc_stream.schemas.fields import require_finite
 
 Payload = (
     CameraImage
@@ -56,7 +46,7 @@ class Decoded:
 
 @dataclass(frozen=True)
 class Context:
-    """What a decoder may need beside the bytes."""
+    """What a decoder may need besides the bytes."""
 
     tag_table: TagTable | None = None
     definition: bytes = b""
@@ -78,18 +68,3 @@ def pose_matrix(position: Any, orientation: Any) -> Float:
         raise DecodeError(f"pose without an orientation: {error}") from error
     require_finite("pose", position.x, position.y, position.z)
     return rigid(rotation, np.array([position.x, position.y, position.z]))
-
-
-def require_finite(what: str, *values: float | None) -> None:
-    """Refuse numbers that are none; unknown ones are None.
-
-    Raises:
-        DecodeError: one is NaN, infinite, or larger than the 32 bits hold in which it is computed with and shown.
-    """
-    if not (np.abs([value for value in values if value is not None]) <= _LARGEST).all():
-        raise DecodeError(f"{what}: a number is not finite in 32 bits")
-
-
-def optional(message: Any, name: str) -> Any:
-    """A field of a protobuf message; None where it is not set."""
-    return getattr(message, name) if message.HasField(name) else None

@@ -13,7 +13,6 @@ from roadperc_stream.formats import images
 from roadperc_stream.formats.palette import PALETTE_TABLE, tags_of_colours
 from roadperc_stream.formats.raster import Raster
 
-_PNG: Final = b"\x89PNG\r\n\x1a\n"
 _COLOUR_TYPE: Final = 25
 """Where a PNG says how its pixels are coloured."""
 _TRUE_COLOURS: Final = (b"\x02", b"\x06")
@@ -57,7 +56,7 @@ def encoded_tags(frame_id: str, content: bytes, table: TagTable | None) -> TagIm
     Raises:
         DecodeError: numbers, and nobody says which table is theirs.
     """
-    if content.startswith(_PNG) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS:
+    if content.startswith(images.PNG_MAGIC) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS:
         known = _table_of(table, indexed=False)
         return TagImage(frame_id, known, lambda: tags_of_colours(images.decode_bgr(content), known))
     known = _table_of(table, indexed=True)
@@ -104,7 +103,7 @@ def _decoded_depth(layout: str, content: bytes) -> tuple[Float32, float]:
 
 
 def _png16(layout: str, content: bytes) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
-    pixels = images.decode_unchanged(content) if content.startswith(_PNG) else None
+    pixels = images.decode_unchanged(content) if content.startswith(images.PNG_MAGIC) else None
     if pixels is None:
         raise DecodeError(f"depth of format {layout!r}: expected a whole PNG, it starts with {content[:4].hex()}")
     if pixels.dtype != np.uint16 or pixels.ndim != 2:

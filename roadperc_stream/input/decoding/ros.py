@@ -9,15 +9,17 @@ import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 
-from roadperc_stream.core.datatypes import Box, Detection, PointCloud
+from roadperc_stream.core.datatypes import Box, Detection, PointCloud, Transform
 from roadperc_stream.core.geometry import Float32
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import points
+from roadperc_stream.formats.raster import Raster
 from roadperc_stream.input.decoding import pictures
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
-from roadperc_stream.input.decoding.payload import Context, Decoded, Transform, pose_matrix, require_finite
+from roadperc_stream.input.decoding.payload import Context, Decoded, pose_matrix
 from roadperc_stream.schemas import cdr, ros2
-from roadperc_stream.schemas.channels import Kind
+from roadperc_stream.schemas.fields import require_finite
+from roadperc_stream.schemas.roles import Kind
 
 _FOXGLOVE_TYPES: Final = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
 """Numbers of sensor_msgs/msg/PointField's types, which put the signed ones first, as foxglove's."""
@@ -34,15 +36,15 @@ def _frame_id(message: Any) -> str:
 
 
 def _image(message: Any, _: Context) -> Decoded:
-    return _stamped(message, pictures.raw_image(_frame_id(message), ros2.image_raster(message)))
+    return _stamped(message, pictures.raw_image(_frame_id(message), Raster.of_ros(message)))
 
 
 def _depth(message: Any, _: Context) -> Decoded:
-    return _stamped(message, pictures.raw_depth(_frame_id(message), ros2.image_raster(message)))
+    return _stamped(message, pictures.raw_depth(_frame_id(message), Raster.of_ros(message)))
 
 
 def _tags(message: Any, context: Context) -> Decoded:
-    raster = ros2.image_raster(message)
+    raster = Raster.of_ros(message)
     return _stamped(message, pictures.raw_tags(_frame_id(message), raster, context.tag_table))
 
 
@@ -174,6 +176,18 @@ def _pose_stamped(message: Any, _: Context) -> Decoded:
 def _pose_of(message: Any, pose: Any, child: str) -> Decoded:
     matrix = pose_matrix(pose.position, pose.orientation)
     return _stamped(message, Transform(_frame_id(message), child, matrix))
+
+
+def unpack_image(data: bytes) -> ros2.RosImage:
+    """An image, as this project writes them, of any encoding that ``Raster`` knows.
+
+    Raises:
+        DecodeError: the bytes are no such image; the message says what was found.
+
+    """
+    message = cdr.read(data, ros2.IMAGE, ros2.IMAGE_DEFINITION)
+    pixels = Raster.of_ros(message).pixels()
+    return ros2.RosImage(cdr.stamp_ns(message.header.stamp), message.header.frame_id, message.encoding, pixels)
 
 
 DECODERS: Final[Mapping[tuple[Kind, str], Callable[[Any, Context], Decoded]]] = {

@@ -1,5 +1,6 @@
-"""What the pixels of a log's images can be, where no name tells."""
+"""What the pixels of a log's images can be, where no name says so."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -11,16 +12,23 @@ from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding import context_of_channel, decode
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.schemas.channels import Kind
+from roadperc_stream.schemas.roles import Kind
 
+ContentProbe = Callable[[Kind, Channel], bool]
+"""Whether what is in a channel is of a kind."""
 _MOST_CLASSES: Final = CARLA_FROM_0_9_14
 """The table with most classes: a number beyond is no tag of any version."""
 
 
-def holds(path: Path, kind: Kind, channel: Channel) -> bool:
+def no_probe(_kind: Kind, _channel: Channel) -> bool:
+    """Whether a channel is of a kind, where nothing is read: it is not known to be."""
+    return False
+
+
+def probe_first_message(path: Path, kind: Kind, channel: Channel) -> bool:
     """Whether the first message of a channel is depth, or tags: by its encoding, and by pixels that are all some class.
 
-    A log, or a message, that cannot be read tells nothing.
+    A log, or a message, that cannot be read says nothing.
 
     Args:
         path: the log.

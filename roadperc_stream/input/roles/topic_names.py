@@ -1,4 +1,4 @@
-"""What the schemas and the names of topics say of the roles they could fill."""
+"""What the schemas and the names of topics say of the roles they could serve."""
 
 import re
 from collections.abc import Iterable
@@ -7,7 +7,7 @@ from typing import Final
 
 from roadperc_stream.input.decoding import schemas_of_kind
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.channels import Role
+from roadperc_stream.schemas.roles import Role
 
 CAMERA_OF: Final = {
     "calibration": "image",
@@ -26,7 +26,7 @@ _WORDS: Final = {
 }
 _SIDES: Final = {"left", "right"}
 _TRANSPORTS: Final = ("compressed", "compressedDepth")
-"""What ROS 2's image_transport hangs on the topic of a camera's images."""
+"""What ROS 2's image_transport appends to the topic of a camera's images."""
 
 
 def fits(role: Role, channel: Channel) -> bool:
@@ -59,7 +59,7 @@ def beside_camera(role: Role, camera_topic: str, channels: Iterable[Channel]) ->
     """Calibrations in the namespace of a camera's images which its own could be.
 
     Those whose last name speaks of the camera, else those whose last name speaks of nothing; the namespace is that of
-    the camera whatever it is called. Topics without a namespace tell nothing.
+    the camera whatever it is called. Topics without a namespace say nothing.
     """
     parts = _parts(camera_topic)
     parts = parts[:-1] if parts[-1] in _TRANSPORTS else parts

@@ -142,7 +142,7 @@ def _draw_ways(canvas: Image, matches: Matches, chosen: Mask, colour: Colour, pe
 def _lay_heat(canvas: Image, search: Correlation) -> None:
     """Blend the scores in, each at the middle of the patch it belongs to; nothing where the image shows nothing."""
     rows, columns = search.scores.shape
-    x, y = search.x_px + (search.patch_px[0] - 1) // 2, search.y_px + (search.patch_px[1] - 1) // 2
+    x, y = search.x_px + (search.template_px[0] - 1) // 2, search.y_px + (search.template_px[1] - 1) // 2
     covered = canvas[y : y + rows, x : x + columns]
     known = np.isfinite(search.scores)
     heat = _turbo((np.where(known, search.scores, np.float32(-1)) + np.float32(1)) / np.float32(2))

@@ -4,17 +4,34 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from roadperc_stream.chain import pixels
-from roadperc_stream.core.datatypes import Frame, FrameResult, Image, Lanes, Objects, Odometry, Sample, StereoDepth
+from roadperc_stream.core.datatypes import (
+    CameraImage,
+    Frame,
+    FrameResult,
+    Image,
+    Lanes,
+    Objects,
+    Odometry,
+    Sample,
+    StereoDepth,
+)
+from roadperc_stream.core.time import ns_to_seconds
+from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing.debug import disparity_picture, lanes_picture, matches_picture, template_picture
 from roadperc_stream.output.drawing.frame import SeenFrame, draw_frame
-from roadperc_stream.schemas.channels import Request
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.topics import (
+    DEBUG_DISPARITY_TOPIC,
+    DEBUG_LANES_TOPIC,
+    DEBUG_MATCHES_TOPIC,
+    DEBUG_TEMPLATE_TOPIC,
+    OVERLAY_TOPIC,
+    Request,
+)
 
 _JPEG_QUALITY: Final = 85
-_NANOSECONDS: Final = 1e9
 Picture = tuple[str, str, Image]
 """Topic, frame_id and (H, W, 3) pixels."""
 
@@ -53,16 +70,24 @@ class PictureMaker:
 
     def _drawn(self, sample: Sample, result: FrameResult, metrics: FrameMetrics) -> Iterator[Picture]:
         self._first_ns = result.stamp_ns if self._first_ns is None else self._first_ns
-        image = pixels.colours_of(sample.frame)
+        image = _pixels(sample.frame.image)
         fits = image is not None and image.shape[:2] == sample.frame.camera.size
         self.without_image += image is None
         self.misfits += image is not None and not fits
         if image is not None and "overlay" in self.requests:
             seen = SeenFrame(image, result.lanes, result.objects, result.drivable, fits)
-            since_start_s = (result.stamp_ns - self._first_ns) / _NANOSECONDS
-            yield "/perception/overlay", result.frame_id, draw_frame(seen, metrics, since_start_s, image.shape[1])
+            since_start_s = ns_to_seconds(result.stamp_ns - self._first_ns)
+            yield OVERLAY_TOPIC, result.frame_id, draw_frame(seen, metrics, since_start_s, image.shape[1])
         if "debug" in self.requests:
             yield from _debug(sample.frame, image if fits else None, result)
+
+
+def _pixels(image: CameraImage | None) -> Image | None:
+    """(H, W, 3) pixels of a camera image, whatever its size; None where it is missing or cannot be decoded."""
+    try:
+        return None if image is None else image.bgr
+    except DecodeError:
+        return None
 
 
 def _debug(frame: Frame, image: Image | None, result: FrameResult) -> Iterator[Picture]:
@@ -71,13 +96,13 @@ def _debug(frame: Frame, image: Image | None, result: FrameResult) -> Iterator[P
     baseline_m = frame.right_camera.baseline_m if frame.right_camera else None
     if isinstance(result.stereo, StereoDepth) and baseline_m:
         disparity = disparity_picture(frame.left_camera, baseline_m, result.stereo)
-        yield "/perception/debug/disparity", result.stereo.frame_id, disparity
+        yield DEBUG_DISPARITY_TOPIC, result.stereo.frame_id, disparity
 
 
 def _over_image(image: Image, result: FrameResult) -> Iterator[Picture]:
     if isinstance(result.lanes, Lanes):
-        yield "/perception/debug/lanes", result.frame_id, lanes_picture(image, result.lanes)
+        yield DEBUG_LANES_TOPIC, result.frame_id, lanes_picture(image, result.lanes)
     if isinstance(result.odometry, Odometry) and result.odometry.matches is not None:
-        yield "/perception/debug/matches", result.frame_id, matches_picture(image, result.odometry.matches)
+        yield DEBUG_MATCHES_TOPIC, result.frame_id, matches_picture(image, result.odometry.matches)
     if isinstance(result.objects, Objects) and result.objects.searches:
-        yield "/perception/debug/template", result.frame_id, template_picture(image, result.objects.searches)
+        yield DEBUG_TEMPLATE_TOPIC, result.frame_id, template_picture(image, result.objects.searches)

@@ -4,7 +4,8 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from roadperc_stream.core.datatypes import EGO
-from roadperc_stream.schemas.channels import ON_REQUEST, ROLES
+from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.schemas.topics import ON_REQUEST, TIMES_TOPIC
 from roadperc_stream.view.layout import curves, scripts
 from roadperc_stream.view.layout.contents import LogContents
 from roadperc_stream.view.layout.panels import (
@@ -24,7 +25,6 @@ from roadperc_stream.view.layout.panels import (
     titled,
     words,
 )
-from roadperc_stream.view.stage_times import TIMES
 
 _DRIVABLE: Final = "/perception/drivable"
 _IN_THE_IMAGE: Final = ("/perception/lanes/annotations", "/perception/objects/annotations")
@@ -209,7 +209,7 @@ def _scripts(has: LogContents) -> list[Script]:
 
 def _times(has: LogContents) -> Panel | None:
     """Of the stages that ran, where a server knows the times: no log has them."""
-    if TIMES not in has.results:
+    if TIMES_TOPIC not in has.results:
         return None
     ran = {column for column, topic in _OUTPUT_OF.items() if topic in has.results}
     return curves.plot(curves.stage_times(), ran | set(_ALWAYS_TIMED))

@@ -9,15 +9,18 @@ from typing import Final
 
 from roadperc_stream import log
 from roadperc_stream.core.datatypes import EGO, DepthImage
+from roadperc_stream.core.datatypes.transform import Transform
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.input.decoding import Payload, Transform, context_of_channel, decode, schemas_of_kind
-from roadperc_stream.input.roles.fill import Problems, is_result, is_result_of, roles_of_log
+from roadperc_stream.input.decoding import Payload, context_of_channel, decode, schemas_of_kind
+from roadperc_stream.input.earlier_replay import is_result, is_result_of
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.roles.assignment import assignment_of_log
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.channels import METRICS_TOPIC, RESULTS, ROLES, Kind
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.roles import ROLES, Kind
+from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULTS, TIMES_TOPIC
 from roadperc_stream.view.seen import read_rows
 from roadperc_stream.view.shown import require_shown
-from roadperc_stream.view.stage_times import TIMES
 
 _DEPTH_ROLES: Final = ("depth", "truth_depth")
 _TF_ROLES: Final = ("tf", "tf_static")
@@ -57,12 +60,12 @@ class LogContents:
 
     def with_times(self) -> "LogContents":
         """The same as a live server offers it that knows the times of the stages."""
-        return replace(self, results=self.results | {TIMES})
+        return replace(self, results=self.results | {TIMES_TOPIC})
 
 
 OF_A_LIVE_REPLAY: Final = LogContents(
     roles={name: role.topic for name, role in ROLES.items()},
-    results=frozenset(RESULTS) | {TIMES},
+    results=frozenset(RESULTS) | {TIMES_TOPIC},
     columns=_COLUMNS,
     has_ego_frame=True,
 )
@@ -80,7 +83,7 @@ def contents_of(path: Path, overrides: Mapping[str, str]) -> LogContents:
         RoadpercError: the log cannot be read or holds nothing to show, or its channels do not fit the roles.
     """
     summary = log.summarise(path)
-    roles = roles_of_log(summary, overrides)
+    roles = assignment_of_log(summary, overrides)
     require_shown(summary, roles)
     present = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
     results = frozenset(channel.topic for channel in present if is_result_of(channel, channel.topic))

@@ -4,10 +4,9 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from roadperc_stream.schemas.channels import METRICS_TOPIC
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.topics import METRICS_TOPIC, TIMES_TOPIC
 from roadperc_stream.view.layout.panels import Config, Panel, titled
-from roadperc_stream.view.stage_times import TIMES
 
 BLUE: Final = "#4e98e2"
 ORANGE: Final = "#f5774d"
@@ -30,7 +29,7 @@ _LEGEND_WIDTH_PX: Final = 150
 
 
 @dataclass(frozen=True)
-class Curve:
+class PlotSeries:
     """A metric in a plot."""
 
     metric: str
@@ -49,7 +48,7 @@ class Plot:
     name: str
     title: str
     unit: str
-    curves: tuple[Curve, ...]
+    curves: tuple[PlotSeries, ...]
 
 
 def _offsets(side: str) -> Plot:
@@ -59,15 +58,15 @@ def _offsets(side: str) -> Plot:
         f"{side.capitalize()} boundary, offset",
         "m",
         (
-            Curve(f"lane_{side}_raw_offset_m", "raw", ORANGE, joined=False),
-            Curve(f"lane_{side}_offset_m", "smoothed", BLUE),
-            Curve(f"lane_{side}_true_offset_m", "true", GREEN, _THIN),
+            PlotSeries(f"lane_{side}_raw_offset_m", "raw", ORANGE, joined=False),
+            PlotSeries(f"lane_{side}_offset_m", "smoothed", BLUE),
+            PlotSeries(f"lane_{side}_true_offset_m", "true", GREEN, _THIN),
         ),
     )
 
 
 def _offset_error(side: str) -> Plot:
-    curve = Curve(f"lane_{side}_error_m", "smoothed", BLUE)
+    curve = PlotSeries(f"lane_{side}_error_m", "smoothed", BLUE)
     return Plot(f"{side}_error", f"{side.capitalize()} boundary, error at 10 m", "m", (curve,))
 
 
@@ -77,29 +76,32 @@ LANE: Final = Plot(
     "lane",
     "Lane",
     "m, degrees",
-    (Curve("lane_width_m", "width, m", BLUE), Curve("lane_heading_deg", "heading, °", ORANGE)),
+    (PlotSeries("lane_width_m", "width, m", BLUE), PlotSeries("lane_heading_deg", "heading, °", ORANGE)),
 )
 NEAREST: Final = Plot(
     "objects",
     "Nearest object",
     "m, s",
     (
-        Curve("nearest_object_m", "object, m", BLUE),
-        Curve("stereo_nearest_m", "stereo, m", PURPLE, _THIN),
-        Curve("time_to_impact_s", "impact, s", ORANGE),
+        PlotSeries("nearest_object_m", "object, m", BLUE),
+        PlotSeries("stereo_nearest_m", "stereo, m", PURPLE, _THIN),
+        PlotSeries("time_to_impact_s", "impact, s", ORANGE),
     ),
 )
 MOTION: Final = Plot(
-    "odometry", "Odometry", "m, degrees", (Curve("step_m", "step, m", BLUE), Curve("turn_deg", "turn, °", ORANGE))
+    "odometry",
+    "Odometry",
+    "m, degrees",
+    (PlotSeries("step_m", "step, m", BLUE), PlotSeries("turn_deg", "turn, °", ORANGE)),
 )
 COUNTS: Final = Plot(
     "inliers",
     "Odometry inliers and detections",
     "count",
     (
-        Curve("odometry_inliers", "inliers", BLUE),
-        Curve("detections", "detections", ORANGE, _THIN),
-        Curve("detections_kept", "kept", GREEN),
+        PlotSeries("odometry_inliers", "inliers", BLUE),
+        PlotSeries("detections", "detections", ORANGE, _THIN),
+        PlotSeries("detections_kept", "kept", GREEN),
     ),
 )
 CAMERA: Final = Plot(
@@ -107,9 +109,9 @@ CAMERA: Final = Plot(
     "Camera over the road",
     "m, degrees",
     (
-        Curve("camera_height_m", "height, m", BLUE),
-        Curve("camera_pitch_deg", "pitch, °", ORANGE),
-        Curve("camera_roll_deg", "roll, °", GREEN),
+        PlotSeries("camera_height_m", "height, m", BLUE),
+        PlotSeries("camera_pitch_deg", "pitch, °", ORANGE),
+        PlotSeries("camera_roll_deg", "roll, °", GREEN),
     ),
 )
 SHARES: Final = Plot(
@@ -117,9 +119,9 @@ SHARES: Final = Plot(
     "Shares",
     "",
     (
-        Curve("drivable_ratio", "drivable", BLUE),
-        Curve("surface_inlier_ratio", "road inliers", ORANGE),
-        Curve("stereo_valid_ratio", "stereo valid", GREEN),
+        PlotSeries("drivable_ratio", "drivable", BLUE),
+        PlotSeries("surface_inlier_ratio", "road inliers", ORANGE),
+        PlotSeries("stereo_valid_ratio", "stereo valid", GREEN),
     ),
 )
 SURFACE_ERRORS: Final = Plot(
@@ -127,31 +129,31 @@ SURFACE_ERRORS: Final = Plot(
     "Surface errors",
     "degrees, m",
     (
-        Curve("surface_angle_error_deg", "angle, °", BLUE),
-        Curve("camera_height_error_m", "camera, m", ORANGE),
-        Curve("surface_height_error_m", "road, m", GREEN),
+        PlotSeries("surface_angle_error_deg", "angle, °", BLUE),
+        PlotSeries("camera_height_error_m", "camera, m", ORANGE),
+        PlotSeries("surface_height_error_m", "road, m", GREEN),
     ),
 )
 OBJECT_ERRORS: Final = Plot(
     "object_errors",
     "Object and stereo errors",
     "m, px",
-    (Curve("object_distance_error_m", "distance, m", BLUE), Curve("stereo_epe_px", "disparity, px", ORANGE)),
+    (PlotSeries("object_distance_error_m", "distance, m", BLUE), PlotSeries("stereo_epe_px", "disparity, px", ORANGE)),
 )
 MOTION_ERRORS: Final = Plot(
     "odometry_errors",
     "Odometry errors",
     "m, degrees",
-    (Curve("step_error_m", "step, m", BLUE), Curve("turn_error_deg", "turn, °", ORANGE)),
+    (PlotSeries("step_error_m", "step, m", BLUE), PlotSeries("turn_error_deg", "turn, °", ORANGE)),
 )
 SCORES: Final = Plot(
     "scores",
     "Scores of road and boxes",
     "",
     (
-        Curve("drivable_iou", "drivable IoU", BLUE),
-        Curve("filter_precision", "box precision", ORANGE),
-        Curve("filter_recall", "box recall", GREEN),
+        PlotSeries("drivable_iou", "drivable IoU", BLUE),
+        PlotSeries("filter_precision", "box precision", ORANGE),
+        PlotSeries("filter_recall", "box recall", GREEN),
     ),
 )
 STATES: Final = {
@@ -170,7 +172,7 @@ BOUNDARY_STATES: Final = {
 def stage_times() -> Plot:
     """Milliseconds of each stage."""
     stages = [column.removesuffix("_ms") for column in TIME_COLUMNS]
-    curves = [Curve(f"{stage}_ms", stage, _STAGE_COLOURS[stage], _THIN, topic=TIMES) for stage in stages]
+    curves = [PlotSeries(f"{stage}_ms", stage, _STAGE_COLOURS[stage], _THIN, topic=TIMES_TOPIC) for stage in stages]
     return Plot("times", "Time per stage, ms (live only)", "ms", tuple(curves))
 
 
@@ -179,7 +181,7 @@ def plot(described: Plot, columns: Collection[str]) -> Panel | None:
     return _plot(described, [curve for curve in described.curves if curve.metric in columns])
 
 
-def _plot(described: Plot, curves: Iterable[Curve]) -> Panel | None:
+def _plot(described: Plot, curves: Iterable[PlotSeries]) -> Panel | None:
     paths = [_path(curve) for curve in curves]
     if not paths:
         return None
@@ -198,7 +200,7 @@ def _plot(described: Plot, curves: Iterable[Curve]) -> Panel | None:
     return Panel("Plot", described.name, {**config, **titled(described.title)})
 
 
-def _path(curve: Curve) -> Config:
+def _path(curve: PlotSeries) -> Config:
     return {
         "value": f"{curve.topic}.{curve.metric}",
         "enabled": True,

@@ -8,6 +8,7 @@ from queue import Empty, SimpleQueue
 from threading import Event
 from typing import Final, Protocol
 
+from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.log import Message
 from roadperc_stream.view.live.playhead import Move, Order, Playhead, Status, decide, obey
 from roadperc_stream.view.live.source import Source, held
@@ -173,7 +174,7 @@ class Player:
         self._playhead, moved = obey(self._playhead, request.order, reach, self._clock_ns())
         request.answer.set_result(Answer(self._playhead, moved))
         if asked_ns is not None and asked_ns > reach.last_ns and not reach.complete:
-            beyond_s = (asked_ns - reach.last_ns) / 1e9
+            beyond_s = ns_to_seconds(asked_ns - reach.last_ns)
             self._audience.warn(f"computed only up to {beyond_s:.1f} s before the time asked for: playing from there")
         if moved:
             self._go_to(self._playhead.log_ns)

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import Final
 
-_NANOSECONDS = 1_000_000_000
+from roadperc_stream.core.time import NS_PER_S
+
 TICK_S: Final = 0.1
 """Longest wait while playing, so that the viewer's clock moves through gaps of the log."""
 EDGE_POLL_S: Final = 0.05
@@ -129,20 +130,20 @@ def decide(playhead: Playhead, next_ns: int | None, reach: Reach, clock_ns: int,
         return _out_of_messages(playhead, reach, clock_ns, loop_ns)
     if next_ns <= now_ns:
         return Move(playhead, send=True)
-    return Move(playhead, wait_s=min((next_ns - now_ns) / playhead.rate / _NANOSECONDS, TICK_S))
+    return Move(playhead, wait_s=min((next_ns - now_ns) / playhead.rate / NS_PER_S, TICK_S))
 
 
 def _at_the_edge(playhead: Playhead, reach: Reach, clock_ns: int) -> Move:
-    lead_ns = RESUME_LEAD_S * playhead.rate * _NANOSECONDS
+    lead_ns = RESUME_LEAD_S * playhead.rate * NS_PER_S
     if reach.complete or reach.last_ns - playhead.log_ns >= lead_ns:
         return Move(replace(playhead, status=Status.PLAYING, clock_ns=clock_ns))
     return Move(playhead, wait_s=EDGE_POLL_S)
 
 
 def _at_the_end(playhead: Playhead, clock_ns: int, loop_ns: int) -> Move:
-    wait_ns = playhead.clock_ns + round(LOOP_PAUSE_S * _NANOSECONDS) - clock_ns
+    wait_ns = playhead.clock_ns + round(LOOP_PAUSE_S * NS_PER_S) - clock_ns
     if wait_ns > 0:
-        return Move(playhead, wait_s=wait_ns / _NANOSECONDS)
+        return Move(playhead, wait_s=wait_ns / NS_PER_S)
     return Move(playhead.turned(Status.PAUSED, loop_ns, clock_ns), restart=True, wait_s=None)
 
 

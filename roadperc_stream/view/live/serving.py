@@ -9,20 +9,20 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from roadperc_stream.core.process import optional_output
+from roadperc_stream.core.time import ns_to_seconds, seconds_to_ns
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.topics import TIMES_TOPIC
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.player import LONGEST_WAIT_S, Inbox, Player
 from roadperc_stream.view.live.server import serving
 from roadperc_stream.view.live.source import FinishedLog, RunningReplay, Source
 from roadperc_stream.view.live.timed import TimedSource
-from roadperc_stream.view.stage_times import TIMES, ReplayTimes, TableTimes
+from roadperc_stream.view.stage_times import ReplayTimes, TableTimes
 
 if TYPE_CHECKING:
-    from roadperc_stream.replay import Timed
-
-_NANOSECONDS = 1_000_000_000
+    from roadperc_stream.output.writing import Timed
 
 
 def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:
@@ -50,7 +50,7 @@ def with_times(log: FinishedLog) -> Source:
     Raises:
         TableError: the table cannot be read.
     """
-    timed = TimedSource(log, TableTimes(beside(log.path, "metrics")))
+    timed = TimedSource(log, TableTimes(sidecar_path(log.path, "metrics")))
     return timed if timed.has_times() else log
 
 
@@ -61,7 +61,7 @@ def serves_times(path: Path) -> bool:
         LogError: the log cannot be read or holds no message.
         TableError: the metrics table beside it cannot be read.
     """
-    return any(channel.topic == TIMES for channel in with_times(FinishedLog.opened(path)).channels)
+    return any(channel.topic == TIMES_TOPIC for channel in with_times(FinishedLog.opened(path)).channels)
 
 
 class LiveReplay:
@@ -151,9 +151,9 @@ def playing(
 
 
 def _start(source: FinishedLog, start_s: float) -> int:
-    start_ns = source.first_ns + round(start_s * _NANOSECONDS)
+    start_ns = source.first_ns + seconds_to_ns(start_s)
     if source.reach().clamp(start_ns) != start_ns:
-        length_s = (source.last_ns - source.first_ns) / _NANOSECONDS
+        length_s = ns_to_seconds(source.last_ns - source.first_ns)
         raise LogError(f"{source.path}: --start {start_s:g}: expected 0 to {length_s:.3f}, the log's length in seconds")
     return start_ns
 

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from roadperc_stream import log
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, GrowingLog, Message
 from roadperc_stream.view.live.playhead import Reach
 
-_LOOK_BACK_NS: Final = 1_000_000_000
+_LOOK_BACK_NS: Final = NS_PER_S
 _LOOK_BACK_GROWTH: Final = 4
 
 

@@ -6,13 +6,15 @@ from functools import cached_property
 
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.input.roles.fill import is_result_of
+from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2 as pb
-from roadperc_stream.schemas.channels import LIVE_ONLY, METRICS_TOPIC, PRODUCER, schema
+from roadperc_stream.schemas.record import PRODUCER
+from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, TIMES_TOPIC
 from roadperc_stream.view.live.playhead import Reach
 from roadperc_stream.view.live.source import Source
-from roadperc_stream.view.stage_times import TIMES, StageTimes
+from roadperc_stream.view.stage_times import StageTimes
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,8 @@ class TimedSource:
     @cached_property
     def channel(self) -> Channel:
         """The channel of the times."""
-        found = schema(LIVE_ONLY[TIMES])
-        return Channel(TIMES, found.message_encoding, found.name, found.schema_encoding, found.data, (PRODUCER,))
+        found = schema(LIVE_ONLY[TIMES_TOPIC])
+        return Channel(TIMES_TOPIC, found.message_encoding, found.name, found.schema_encoding, found.data, (PRODUCER,))
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -39,7 +41,7 @@ class TimedSource:
 
     def read(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
         """Messages there are now, up to but not including ``end_ns``."""
-        if TIMES not in topics:
+        if TIMES_TOPIC not in topics:
             yield from self.source.read(topics, start_ns, end_ns)
             return
         for message in self.source.read({*topics, METRICS_TOPIC}, start_ns, end_ns):

@@ -8,21 +8,38 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from roadperc_stream.core.datatypes import EGO
-from roadperc_stream.schemas.channels import METRICS_TOPIC
+from roadperc_stream.schemas.topics import (
+    DEBUG_PREFIX,
+    DRIVABLE_SCENE_TOPIC,
+    DRIVABLE_TOPIC,
+    LANES_ANNOTATIONS_TOPIC,
+    LANES_SCENE_TOPIC,
+    LOG_TOPIC,
+    METRICS_TOPIC,
+    OBJECTS_ANNOTATIONS_TOPIC,
+    OBJECTS_SCENE_TOPIC,
+    OCCUPANCY_TOPIC,
+    ODOMETRY_TOPIC,
+    OVERLAY_TOPIC,
+    STEREO_DEPTH_TOPIC,
+    SURFACE_TOPIC,
+    TF_TOPIC,
+    TIMES_TOPIC,
+    TRAJECTORY_TOPIC,
+)
 from roadperc_stream.view.rerun.plots import MISSING, STATES
 from roadperc_stream.view.rerun.tree import TREE
-from roadperc_stream.view.stage_times import TIMES
 
-_IN_THE_IMAGE: Final = ("/perception/lanes/annotations", "/perception/objects/annotations")
+_IN_THE_IMAGE: Final = (LANES_ANNOTATIONS_TOPIC, OBJECTS_ANNOTATIONS_TOPIC)
 _IN_SPACE: Final = (
-    "/perception/surface",
-    "/perception/drivable/scene",
-    "/perception/lanes/scene",
-    "/perception/objects/scene",
-    "/perception/occupancy",
-    "/perception/odometry",
-    "/perception/trajectory",
-    "/perception/tf",
+    SURFACE_TOPIC,
+    DRIVABLE_SCENE_TOPIC,
+    LANES_SCENE_TOPIC,
+    OBJECTS_SCENE_TOPIC,
+    OCCUPANCY_TOPIC,
+    ODOMETRY_TOPIC,
+    TRAJECTORY_TOPIC,
+    TF_TOPIC,
 )
 _CURVES: Final[Mapping[str, tuple[str, ...]]] = {
     "lane offsets, m": (
@@ -114,14 +131,14 @@ def _front(log: Log) -> list[rrb.View]:
     results, inputs = log.present(_IN_THE_IMAGE), log.present([log.topics.get("detections")])
     name = "image and results" if results else "image and detections" if inputs else "image"
     views: list[rrb.View] = [_picture(name, entity, (*(results or inputs),)) for entity in under]
-    made = sorted(e for e in log.entities if e.startswith(("/perception/overlay", "/perception/debug/")))
+    made = sorted(e for e in log.entities if e.startswith((OVERLAY_TOPIC, DEBUG_PREFIX)))
     return views + [_picture(entity.rpartition("/")[2], entity) for entity in made]
 
 
 def _aside(log: Log) -> rrb.Container | None:
     """Tags and depth, each with what was found of it behind."""
-    tags = {"tags": log.topics.get("segmentation"), "drivable": "/perception/drivable"}
-    depth = {"depth": log.topics.get("depth"), "stereo depth": "/perception/stereo/depth"}
+    tags = {"tags": log.topics.get("segmentation"), "drivable": DRIVABLE_TOPIC}
+    depth = {"depth": log.topics.get("depth"), "stereo depth": STEREO_DEPTH_TOPIC}
     more = {"left": log.topics.get("left"), "right": log.topics.get("right")}
     stacks = [_tabs(_named(log, names)) for names in (tags, depth | more)]
     there = [stack for stack in stacks if stack is not None]
@@ -140,7 +157,7 @@ def _picture(name: str, entity: str, over: tuple[str, ...] = ()) -> rrb.Spatial2
 
 def _space(log: Log) -> rrb.View | None:
     """Seen from behind the car and above it; the depth, or what stereo found of it, as points."""
-    depth = log.present([log.topics.get("depth"), "/perception/stereo/depth"])[:1]
+    depth = log.present([log.topics.get("depth"), STEREO_DEPTH_TOPIC])[:1]
     inputs = log.present(log.topics.get(role) for role in ("image", "calibration", "lidar", "truth_lanes"))
     parts = [*depth, *inputs, *log.present([TREE]), *log.present(_IN_SPACE)]
     if not (depth or log.present(_IN_SPACE) or log.has(log.topics.get("lidar", "?"))):
@@ -182,11 +199,11 @@ def _line(name: str) -> rr.SeriesLines:
 
 def _times(log: Log) -> rrb.View:
     """Milliseconds of the stages that ran; the legend lies over the curves, so it is short."""
-    there = [stage for stage in STAGE_COLOURS if f"{TIMES}/{stage}_ms" in log.entities]
+    there = [stage for stage in STAGE_COLOURS if f"{TIMES_TOPIC}/{stage}_ms" in log.entities]
     return rrb.TimeSeriesView(
         name="time per stage, ms",
-        contents=[f"{TIMES}/{stage}_ms" for stage in there],
-        overrides={f"{TIMES}/{stage}_ms": _stage_line(stage) for stage in there},
+        contents=[f"{TIMES_TOPIC}/{stage}_ms" for stage in there],
+        overrides={f"{TIMES_TOPIC}/{stage}_ms": _stage_line(stage) for stage in there},
         plot_legend=rrb.Corner2D.RightTop,
     )
 
@@ -198,12 +215,12 @@ def _stage_line(stage: str) -> rr.SeriesLines:
 
 def _stages_and_words(log: Log) -> list[rrb.View]:
     views: list[rrb.View] = []
-    if log.has(TIMES):
+    if log.has(TIMES_TOPIC):
         views.append(_times(log))
     states = sorted(e for e in log.entities if e.startswith(METRICS_TOPIC) and e.endswith((*STATES, MISSING)))
     if states:
         views.append(rrb.StateTimelineView(name="states", contents=states))
-    lines = log.present(("/perception/log", f"{METRICS_TOPIC}/reasons"))
+    lines = log.present((LOG_TOPIC, f"{METRICS_TOPIC}/reasons"))
     if lines:
         views.append(rrb.TextLogView(name="log", contents=lines))
     return views

@@ -10,14 +10,14 @@ from roadperc_stream.core.geometry import Camera
 from roadperc_stream.output.drawing.annotations import box_in_space, caption
 from roadperc_stream.output.drawing.captions import caption_places, viewer_text_size
 from roadperc_stream.view.rerun.classes import BoxClass, box_context
-from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.view.rerun.entry import Entry, SceneState
 
 _KEPT_PX, _DROPPED_PX = 1.5, 0.75
 _CAPTION_MARGIN = (1.25, 1.8)
 """Columns and rows that the viewer's captions take beside those of the text."""
 
 
-def detections(entity: str, _role: str, payload: Sequence[Detection], world: World) -> Iterator[Entry]:
+def detections(entity: str, _role: str, payload: Sequence[Detection], world: SceneState) -> Iterator[Entry]:
     """What the detector said."""
     texts = [f"{detection.label} {detection.score:.2f}" for detection in payload]
     yield Entry(entity, box_context())
@@ -25,7 +25,7 @@ def detections(entity: str, _role: str, payload: Sequence[Detection], world: Wor
     yield Entry(entity, boxes, world.image_frame(world.reference, ""))
 
 
-def objects(entity: str, role: str, payload: Objects, world: World) -> Iterator[Entry]:
+def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iterator[Entry]:
     """Boxes told apart by what became of them; the kept ones of known distance in the camera's frame."""
     true = role.startswith("truth")
     judged = [(item, BoxClass.TRUE if true else BoxClass[item.verdict.upper()]) for item in payload.objects]

@@ -13,19 +13,38 @@ from google.protobuf.message import DecodeError as ProtobufError
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, context_of_channel, decode
-from roadperc_stream.input.roles.fill import Filled, is_result, is_result_of
+from roadperc_stream.input.earlier_replay import is_result, is_result_of
+from roadperc_stream.input.roles import RoleAssignment
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.output.results import DRIVABLE_COLOURS
 from roadperc_stream.schemas import cdr, ros2
-from roadperc_stream.schemas.channels import IMAGE_SCHEMA, METRICS_TOPIC, Kind
+from roadperc_stream.schemas.names import IMAGE_SCHEMA
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.schemas.roles import Kind
+from roadperc_stream.schemas.topics import (
+    DEBUG_PREFIX,
+    DRIVABLE_SCENE_TOPIC,
+    DRIVABLE_TOPIC,
+    LANES_TOPIC,
+    LOG_TOPIC,
+    METRICS_TOPIC,
+    OBJECTS_TOPIC,
+    OCCUPANCY_TOPIC,
+    ODOMETRY_TOPIC,
+    OVERLAY_TOPIC,
+    STEREO_DEPTH_TOPIC,
+    SURFACE_TOPIC,
+    TF_TOPIC,
+    TIMES_TOPIC,
+    TRAJECTORY_TOPIC,
+)
 from roadperc_stream.view.rerun import boxes, lanes, pictures, plots, scene
-from roadperc_stream.view.rerun.entry import Entry, World
-from roadperc_stream.view.stage_times import TIMES, StageTimes
+from roadperc_stream.view.rerun.entry import Entry, SceneState
+from roadperc_stream.view.stage_times import StageTimes
 
 Drawer = Callable[[Message], Iterator[Entry]]
 
-_KINDS: Final[Mapping[Kind, Callable[[str, str, Any, World], Iterator[Entry]]]] = {
+_KINDS: Final[Mapping[Kind, Callable[[str, str, Any, SceneState], Iterator[Entry]]]] = {
     "image": pictures.image,
     "tags": pictures.tags,
     "depth": pictures.depth,
@@ -39,44 +58,46 @@ _KINDS: Final[Mapping[Kind, Callable[[str, str, Any, World], Iterator[Entry]]]] 
     "lanes": lanes.lanes,
 }
 _RESULT_KINDS: Final[Mapping[str, tuple[Kind, str]]] = {
-    "/perception/surface": ("surface", "result"),
-    "/perception/drivable": ("tags", "image"),
-    "/perception/lanes": ("lanes", "result"),
-    "/perception/objects": ("objects", "result"),
-    "/perception/stereo/depth": ("depth", "left"),
-    "/perception/odometry": ("pose", "result"),
-    "/perception/tf": ("tf", "result"),
+    SURFACE_TOPIC: ("surface", "result"),
+    DRIVABLE_TOPIC: ("tags", "image"),
+    LANES_TOPIC: ("lanes", "result"),
+    OBJECTS_TOPIC: ("objects", "result"),
+    STEREO_DEPTH_TOPIC: ("depth", "left"),
+    ODOMETRY_TOPIC: ("pose", "result"),
+    TF_TOPIC: ("tf", "result"),
 }
 """Results that are written as inputs of a role are, and the role whose camera they belong to."""
-_PICTURES: Final = ("/perception/overlay", "/perception/debug/")
+_PICTURES: Final = (OVERLAY_TOPIC, DEBUG_PREFIX)
 _DRIVABLE: Final = TagTable("drivable", ("other", "drivable"), DRIVABLE_COLOURS)
 _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], Iterator[Entry]]]]] = {
-    "/perception/drivable/scene": (SceneUpdate.FromString, scene.outlines),
-    "/perception/trajectory": (PosesInFrame.FromString, scene.trajectory),
-    "/perception/log": (Log.FromString, plots.log_line),
-    "/perception/occupancy": (
+    DRIVABLE_SCENE_TOPIC: (SceneUpdate.FromString, scene.outlines),
+    TRAJECTORY_TOPIC: (PosesInFrame.FromString, scene.trajectory),
+    LOG_TOPIC: (Log.FromString, plots.log_line),
+    OCCUPANCY_TOPIC: (
         lambda data: cdr.read(data, ros2.OCCUPANCY_GRID, ros2.DEFINITIONS[ros2.OCCUPANCY_GRID]),
         scene.occupancy,
     ),
 }
 
 
-def drawers(channels: Iterable[Channel], filled: Filled, world: World, times: StageTimes) -> dict[Channel, Drawer]:
+def drawers(
+    channels: Iterable[Channel], assigned: RoleAssignment, world: SceneState, times: StageTimes
+) -> dict[Channel, Drawer]:
     """How the messages of each channel are drawn; channels that are not are left out."""
-    found = {channel: _drawer(channel, filled, world, times) for channel in channels}
+    found = {channel: _drawer(channel, assigned, world, times) for channel in channels}
     return {channel: drawer for channel, drawer in found.items() if drawer is not None}
 
 
-def _drawer(channel: Channel, filled: Filled, world: World, times: StageTimes) -> Drawer | None:
+def _drawer(channel: Channel, assigned: RoleAssignment, world: SceneState, times: StageTimes) -> Drawer | None:
     if is_result(channel):
         return _result_drawer(channel, world, times)
-    roles = filled.roles_of(channel.topic)
+    roles = assigned.roles_of(channel.topic)
     if not roles:
         return None
-    return _kind_drawer(channel, roles[0].kind, roles[0].name, world, filled.tag_table)
+    return _kind_drawer(channel, roles[0].kind, roles[0].name, world, assigned.tag_table)
 
 
-def _result_drawer(channel: Channel, world: World, times: StageTimes) -> Drawer | None:
+def _result_drawer(channel: Channel, world: SceneState, times: StageTimes) -> Drawer | None:
     topic = channel.topic
     if not is_result_of(channel, topic):
         return None
@@ -91,7 +112,7 @@ def _result_drawer(channel: Channel, world: World, times: StageTimes) -> Drawer 
     return None
 
 
-def _kind_drawer(channel: Channel, kind: Kind, role: str, world: World, tag_table: str = "") -> Drawer:
+def _kind_drawer(channel: Channel, kind: Kind, role: str, world: SceneState, tag_table: str = "") -> Drawer:
     if kind == "image" and (channel.schema_name, channel.message_encoding) == (IMAGE_SCHEMA, "protobuf"):
         return partial(_encoded, role, world)
     context = context_of_channel(channel, "auto", tag_table)
@@ -109,22 +130,22 @@ def _parsed(
     return draw(message.channel.topic, content)
 
 
-def _numbers(times: StageTimes, world: World, entity: str, message: Any) -> Iterator[Entry]:
+def _numbers(times: StageTimes, world: SceneState, entity: str, message: Any) -> Iterator[Entry]:
     """A frame's metrics, and the times of its stages, which stand in the table alone."""
     yield from plots.metrics(entity, message, world)
-    yield from plots.times(TIMES, times.of(message.log_id, message.frame))
+    yield from plots.times(TIMES_TOPIC, times.of(message.log_id, message.frame))
 
 
-def _encoded(role: str, world: World, message: Message) -> Iterator[Entry]:
+def _encoded(role: str, world: SceneState, message: Message) -> Iterator[Entry]:
     """The image's own bytes: nothing is decoded."""
     return _parsed(CompressedImage.FromString, partial(_as_it_is, role, world), message)
 
 
-def _as_it_is(role: str, world: World, entity: str, content: Any) -> Iterator[Entry]:
+def _as_it_is(role: str, world: SceneState, entity: str, content: Any) -> Iterator[Entry]:
     yield pictures.encoded(entity, content.data, content.format, world.image_frame(role, content.frame_id))
 
 
-def _decoded(kind: Kind, role: str, context: Context, world: World, message: Message) -> Iterator[Entry]:
+def _decoded(kind: Kind, role: str, context: Context, world: SceneState, message: Message) -> Iterator[Entry]:
     channel = message.channel
     schema, encoding = channel.schema_name, channel.message_encoding
     decoded = decode(kind, schema, encoding, message.data, message.log_time_ns, context)

@@ -6,10 +6,12 @@ from typing import Final
 
 import rerun as rr
 
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.core.semantics import Colour
-from roadperc_stream.input.decoding import Payload, Transform
-from roadperc_stream.input.sync import Held, Stamped
+from roadperc_stream.input.decoding import Payload
+from roadperc_stream.input.latched import LatchedState
+from roadperc_stream.input.stream import Stamped
 
 _CALIBRATIONS: Final = {"left": "left_calibration", "depth": "depth_calibration"}
 
@@ -24,12 +26,12 @@ class Entry:
 
 
 @dataclass
-class World:
+class SceneState:
     """What holds until replaced: cameras and transforms, and what of them and of the words is drawn already."""
 
     reference: str = "image"
     """The role whose messages make the frames: the results are those of its camera."""
-    held: Held = field(default_factory=Held)
+    latched: LatchedState = field(default_factory=LatchedState)
     assumed_mounting: Float | None = None
     """ego_T_camera of a front camera that the log does not place."""
     edges: dict[str, Transform] = field(default_factory=dict)
@@ -42,7 +44,7 @@ class World:
 
     def camera_of(self, role: str) -> Camera | None:
         """The camera of an image's role; left and depth images without calibration are the front camera's."""
-        cameras = self.held.cameras
+        cameras = self.latched.cameras
         if role == "right":
             return cameras.get("right_calibration")
         return cameras.get(_CALIBRATIONS.get(role, "calibration")) or cameras.get("calibration")
@@ -54,13 +56,12 @@ class World:
 
     def knows(self, frame_id: str) -> bool:
         """Whether the log's transforms place a frame, or others below it."""
-        edges = self.held.transforms
-        return frame_id in edges or any(edge.parent == frame_id for edge in edges.values())
+        return self.latched.tree.knows(frame_id)
 
-    def hold(self, role: str, payload: Payload) -> None:
+    def latch(self, role: str, payload: Payload) -> None:
         """Take in a calibration or transforms; edges that close a loop are left out, as the chain leaves them out."""
-        kept, _ = self.held.without_loops(Stamped(role, 0, 0, payload))
-        self.held = self.held.updated(kept)
+        kept, _ = self.latched.split_loops(Stamped(role, 0, 0, payload))
+        self.latched = self.latched.updated(kept)
 
 
 def image_plane(frame_id: str) -> str:

@@ -8,7 +8,7 @@ import rerun as rr
 from roadperc_stream.core.datatypes import EGO, Boundary, Lanes
 from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.view.rerun.classes import LineClass, line_context
-from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.view.rerun.entry import Entry, SceneState
 
 _HALF_PIXEL = 0.5
 _SMOOTHED_PX, _RAW_PX, _PROPOSAL_PX = 2.0, 1.0, 0.5
@@ -17,7 +17,7 @@ _PARTS = 20
 """Into so many a metre of line is cut to end it at the image's edge."""
 
 
-def lanes(entity: str, role: str, payload: Lanes, world: World) -> Iterator[Entry]:
+def lanes(entity: str, role: str, payload: Lanes, world: SceneState) -> Iterator[Entry]:
     """Smoothed, raw and proposed lines in the image, and the boundaries in the ego frame."""
     yield Entry(entity, line_context())
     yield from _on_the_image(f"{entity}/annotations", payload, role, world)
@@ -32,7 +32,7 @@ def lanes(entity: str, role: str, payload: Lanes, world: World) -> Iterator[Entr
     yield Entry(f"{entity}/scene", strips, EGO)
 
 
-def _on_the_image(entity: str, payload: Lanes, role: str, world: World) -> Iterator[Entry]:
+def _on_the_image(entity: str, payload: Lanes, role: str, world: SceneState) -> Iterator[Entry]:
     frame, camera = world.image_frame(world.reference, ""), world.front
     drawn = [boundary for boundary in payload.boundaries if len(boundary.line_px)]
     smoothed = rr.LineStrips2D(

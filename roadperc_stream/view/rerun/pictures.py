@@ -10,7 +10,7 @@ import rerun as rr
 from roadperc_stream.core.datatypes import CameraImage, DepthImage, TagImage
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.formats.images import depth_to_mm, encode_jpeg
-from roadperc_stream.view.rerun.entry import Entry, World, annotation_context, image_plane
+from roadperc_stream.view.rerun.entry import Entry, SceneState, annotation_context, image_plane
 from roadperc_stream.view.rerun.tree import new_edges
 
 _MM_PER_M: Final = 1000.0
@@ -26,22 +26,22 @@ def encoded(entity: str, contents: bytes, image_format: str, frame: str) -> Entr
     return Entry(entity, rr.EncodedImage(contents=contents, media_type=f"image/{image_format}"), frame)
 
 
-def image(entity: str, role: str, payload: CameraImage, world: World) -> Iterator[Entry]:
+def image(entity: str, role: str, payload: CameraImage, world: SceneState) -> Iterator[Entry]:
     """An image of raw pixels, or of a message that is no foxglove.CompressedImage: encoded here."""
     jpeg = encode_jpeg(payload.bgr, _JPEG_QUALITY)
     yield encoded(entity, jpeg, "jpeg", world.image_frame(role, payload.frame_id))
 
 
-def tags(entity: str, role: str, payload: TagImage, world: World) -> Iterator[Entry]:
+def tags(entity: str, role: str, payload: TagImage, world: SceneState) -> Iterator[Entry]:
     """Class ids, and the names and colours of their table."""
     yield Entry(entity, annotation_context(payload.table.names, payload.table.colours))
     yield Entry(entity, rr.SegmentationImage(payload.tags), world.image_frame(role, payload.frame_id))
 
 
-def depth(entity: str, role: str, payload: DepthImage, world: World) -> Iterator[Entry]:
+def depth(entity: str, role: str, payload: DepthImage, world: SceneState) -> Iterator[Entry]:
     """Millimetres, 0 where the depth is unknown or saturated: such pixels are no points in space."""
     camera = world.camera_of(role)
-    borrowed = "depth_calibration" not in world.held.cameras
+    borrowed = "depth_calibration" not in world.latched.cameras
     if camera and borrowed and payload.frame_id not in ("", camera.frame_id):
         yield pinhole(f"{entity}/camera", replace(camera, frame_id=payload.frame_id))
     known_mm = np.where(payload.depth_m < payload.limit_m, depth_to_mm(payload.depth_m), 0).astype(np.uint16)
@@ -49,9 +49,9 @@ def depth(entity: str, role: str, payload: DepthImage, world: World) -> Iterator
     yield Entry(entity, picture, image_plane(payload.frame_id or (camera.frame_id if camera else "")))
 
 
-def calibration(entity: str, role: str, payload: Camera, world: World) -> Iterator[Entry]:
+def calibration(entity: str, role: str, payload: Camera, world: SceneState) -> Iterator[Entry]:
     """A camera; the front one's frame tells which frame of the tree is ego."""
-    world.hold(role, payload)
+    world.latch(role, payload)
     yield pinhole(entity, payload)
     yield from new_edges(world)
 

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import rerun as rr
 
-from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.view.rerun.entry import Entry, SceneState
 
 STATES: Final = ("_status", "_source", "_class")
 """How the metrics end that are words."""
@@ -15,7 +15,7 @@ _LEVELS: Final = ("INFO", "DEBUG", "INFO", "WARN", "ERROR", "CRITICAL")
 """Rerun's words for foxglove.Log's levels, whose first is unknown."""
 
 
-def metrics(entity: str, message: Any, world: World) -> Iterator[Entry]:
+def metrics(entity: str, message: Any, world: SceneState) -> Iterator[Entry]:
     """Every number of a roadperc.FrameMetrics as a curve, its words as states, and the reasons for what is unknown."""
     for field, value in message.ListFields():
         if isinstance(value, int | float) and field.name not in _IDENTIFIERS:
@@ -33,7 +33,7 @@ def _words(message: Any) -> dict[str, str]:
     return {name: getattr(message, name) for name in states} | {MISSING: ", ".join(message.missing)}
 
 
-def _reasons(entity: str, reasons: str, world: World) -> Iterator[Entry]:
+def _reasons(entity: str, reasons: str, world: SceneState) -> Iterator[Entry]:
     """A line where they change: it holds until the next one."""
     if reasons != world.words.get("reasons", ""):
         line = rr.TextLog(reasons, level="WARN") if reasons else rr.TextLog("nothing is missing any more", level="INFO")

@@ -11,16 +11,18 @@ import rerun as rr
 
 from roadperc_stream import log
 from roadperc_stream.core.files import completing, require_free
-from roadperc_stream.core.process import no_progress
+from roadperc_stream.core.progress import no_progress
+from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.errors import DecodeError, LogError, TargetError
-from roadperc_stream.input.roles.fill import Filled, Problems, roles_of_log
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.roles import RoleAssignment, assignment_of_log
 from roadperc_stream.log import LogSummary
-from roadperc_stream.output.tables import beside
-from roadperc_stream.schemas.channels import REFERENCE_ROLES, RESULTS
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.topics import RESULTS
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
-from roadperc_stream.view.rerun.entry import Entry, World
-from roadperc_stream.view.rerun.moments import Moment, moments
+from roadperc_stream.view.rerun.entry import Entry, SceneState
+from roadperc_stream.view.rerun.instants import Instant, instants
 from roadperc_stream.view.rerun.outlet import saving
 from roadperc_stream.view.rerun.viewer import URL, ending_at_once, start_viewer
 from roadperc_stream.view.shown import nothing_shown, require_shown
@@ -28,11 +30,10 @@ from roadperc_stream.view.stage_times import TableTimes
 
 LOG_TIME, FRAME = "message_log_time", "frame"
 _APPLICATION: Final = "roadperc"
-_END_OF_TIME_NS: Final = 2**63
 _LARGE_CHUNKS: Final = rr.ChunkBatcherConfig(flush_tick=timedelta(seconds=10), flush_num_bytes=16 * 2**20)
 """A recording's footer, held in memory, names every chunk: small ones cost 0.25 MB a frame."""
 _MOST_WAITING: Final = 25
-"""Moments that may wait to be written or sent: the queue to the thread that does it has no end of its own."""
+"""Instants that may wait to be written or sent: the queue to the thread that does it has no end of its own."""
 Progress = Callable[[int, int], None]
 
 
@@ -53,13 +54,13 @@ def open_viewer(path: Path, overrides: Mapping[str, str], progress: Progress = n
         RoadpercError: the log cannot be read or holds nothing that is shown, or the viewer does not start or does not
             answer.
     """
-    summary, filled = _opened(path, overrides)
+    summary, roles = _opened(path, overrides)
     start_viewer()
     recording = _recording(path)
     try:
         with ending_at_once():
             recording.connect_grpc(URL)
-            exported = _export(recording, summary, filled, progress, recording.flush, arrange_early=True)
+            exported = _export(recording, summary, roles, progress, recording.flush, arrange_early=True)
             recording.flush()
             recording.disconnect()  # it waits until all is sent
     except RuntimeError as error:  # what the SDK throws
@@ -77,7 +78,7 @@ def save_recording(
             ``force`` is not set, or it cannot be written whole; nothing is left behind.
     """
     require_free(target, force=force, source=path, suffix=".rrd")
-    summary, filled = _opened(path, overrides)
+    summary, roles = _opened(path, overrides)
     recording = _recording(path, _LARGE_CHUNKS)
     with completing(target, force=force) as temporary, saving(recording, temporary) as outlet:
 
@@ -85,14 +86,14 @@ def save_recording(
             recording.flush()
             outlet.check()
 
-        return _export(recording, summary, filled, progress, keep_up, arrange_early=False)
+        return _export(recording, summary, roles, progress, keep_up, arrange_early=False)
 
 
-def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, Filled]:
+def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleAssignment]:
     summary = log.summarise(path)
-    filled = roles_of_log(summary, overrides)
-    require_shown(summary, filled)
-    return summary, filled
+    roles = assignment_of_log(summary, overrides)
+    require_shown(summary, roles)
+    return summary, roles
 
 
 def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
@@ -105,40 +106,42 @@ def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.R
 def _export(
     recording: rr.RecordingStream,
     summary: LogSummary,
-    filled: Filled,
+    roles: RoleAssignment,
     progress: Progress,
     keep_up: Callable[[], None],
     *,
     arrange_early: bool,
 ) -> Exported:
     """Log every message, and arrange what was logged; ``keep_up`` waits until what was logged has arrived."""
-    role = next((role for role in REFERENCE_ROLES if role in filled.topics), "")
-    reference = filled.topics.get(role)
-    sender = _Sender(recording, summary, filled, World(role))
+    role = roles.reference or ""
+    reference = roles.topics.get(role)
+    sender = _Sender(recording, summary, roles, SceneState(role))
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == reference)
     frames = 0
     messages = log.read(summary.path, validate_crcs=not summary.sealed)
-    for count, moment in enumerate(moments(messages, reference), 1):
-        sender.send(moment)
+    for count, instant in enumerate(instants(messages, reference), 1):
+        sender.send(instant)
         if count % _MOST_WAITING == 0:
             keep_up()
-        if arrange_early and frames == 1 and moment.frame == 1:  # the first frame is there: it has most of what comes
+        if arrange_early and frames == 1 and instant.frame == 1:  # the first frame is there: it has most of what comes
             recording.send_blueprint(sender.arranged())
-        frames = max(frames, moment.frame + 1)
+        frames = max(frames, instant.frame + 1)
         progress(frames, expected)
     if not sender.has_sent:
         raise nothing_shown(summary.path, sender.problems.first.values())
     recording.send_blueprint(sender.arranged())
-    return Exported(frames, (*filled.notes, *sender.problems.first.values()), dict(sender.problems.counts))
+    return Exported(frames, (*roles.notes, *sender.problems.first.values()), dict(sender.problems.counts))
 
 
 class _Sender:
-    """Sends moments to a recording; what a frame does not have any more is cleared."""
+    """Sends instants to a recording; what a frame does not have any more is cleared."""
 
-    def __init__(self, recording: rr.RecordingStream, summary: LogSummary, filled: Filled, world: World) -> None:
+    def __init__(
+        self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, world: SceneState
+    ) -> None:
         self._recording = recording
-        self._filled = filled
-        self._drawers = drawers(summary.channels, filled, world, TableTimes(beside(summary.path, "metrics")))
+        self._roles = roles
+        self._drawers = drawers(summary.channels, roles, world, TableTimes(sidecar_path(summary.path, "metrics")))
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
         self._entities: set[str] = set()
@@ -151,26 +154,26 @@ class _Sender:
 
     def arranged(self) -> rr.blueprint.Blueprint:
         """The blueprint of what has been sent."""
-        return blueprint(Log(self._filled.topics, frozenset(self._entities)), LOG_TIME)
+        return blueprint(Log(self._roles.topics, frozenset(self._entities)), LOG_TIME)
 
-    def send(self, moment: Moment) -> None:
-        """Log one moment.
+    def send(self, instant: Instant) -> None:
+        """Log one instant.
 
         Raises:
             LogError: its time is none that Rerun can show.
         """
-        if moment.log_time_ns >= _END_OF_TIME_NS:
-            raise LogError(f"log time {moment.log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
-        self._recording.set_time(LOG_TIME, timestamp=np.datetime64(moment.log_time_ns, "ns"))
-        self._recording.set_time(FRAME, sequence=max(moment.frame, 0))  # what comes before counts to the first frame
-        entries = list(self._entries(moment))
+        if instant.log_time_ns >= END_OF_TIME_NS:
+            raise LogError(f"log time {instant.log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
+        self._recording.set_time(LOG_TIME, timestamp=np.datetime64(instant.log_time_ns, "ns"))
+        self._recording.set_time(FRAME, sequence=max(instant.frame, 0))  # what comes before counts to the first frame
+        entries = list(self._entries(instant))
         for entry in entries:
             self._log(entry)
-        if moment.has_results:
+        if instant.has_results:
             self._clear({entry.entity for entry in entries if _is_of_a_frame(entry)})
 
-    def _entries(self, moment: Moment) -> Iterator[Entry]:
-        for message in moment.messages:
+    def _entries(self, instant: Instant) -> Iterator[Entry]:
+        for message in instant.messages:
             drawer = self._drawers.get(message.channel)
             topic = message.channel.topic
             try:

@@ -7,13 +7,12 @@ from typing import Any, Final
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.core.datatypes import EGO, PointCloud, Surface
+from roadperc_stream.core.datatypes import EGO, PointCloud, Surface, Transform
 from roadperc_stream.core.geometry import level_mounting
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.input.decoding.payload import require_finite
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.annotations import patch_triangles, road_patch
-from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.schemas.fields import require_finite
+from roadperc_stream.view.rerun.entry import Entry, SceneState
 from roadperc_stream.view.rerun.tree import edge_entry, known_as, new_edges, of_odometry
 
 _ROAD: Final = (*colours.DRIVABLE, 70)
@@ -22,16 +21,16 @@ _BELOW_THE_ROAD_M: Final = -0.05
 """The map lies a little lower than the road's plane: in one plane they would flicker."""
 
 
-def transforms(entity: str, role: str, payload: tuple[Transform, ...], world: World) -> Iterator[Entry]:
+def transforms(entity: str, role: str, payload: tuple[Transform, ...], world: SceneState) -> Iterator[Entry]:
     """What a message changes in the tree, or where odometry sees the car."""
     if role == "result":
         yield from (edge_entry(entity, edge) for edge in payload if of_odometry(edge))
     else:
-        world.hold(role, payload)
+        world.latch(role, payload)
         yield from new_edges(world)
 
 
-def pose(entity: str, role: str, payload: Transform, world: World) -> Iterator[Entry]:
+def pose(entity: str, role: str, payload: Transform, world: SceneState) -> Iterator[Entry]:
     """Where the car is and looks to: an arrow of 2 m."""
     matrix = payload.parent_T_child
     arrow = rr.Arrows3D(origins=[matrix[:3, 3]], vectors=[2.0 * matrix[:3, 0]], colors=[_WAY], radii=[0.1])
@@ -39,7 +38,7 @@ def pose(entity: str, role: str, payload: Transform, world: World) -> Iterator[E
     yield Entry(entity, arrow, known_as(payload.parent) if in_the_tree else payload.parent)
 
 
-def road(entity: str, role: str, payload: Surface, world: World) -> Iterator[Entry]:
+def road(entity: str, role: str, payload: Surface, world: SceneState) -> Iterator[Entry]:
     """A patch of the road ahead; and from the first one the mounting of a camera that the log does not place."""
     if role.startswith("truth"):
         return  # it would cover the road that was found
@@ -56,7 +55,7 @@ def _assumed_height_m(surface: Surface) -> float:
     return float((surface.camera_height_m - surface.ego_plane.offset_m) / surface.ego_plane.normal[2])
 
 
-def points(entity: str, _role: str, payload: PointCloud, _world: World) -> Iterator[Entry]:
+def points(entity: str, _role: str, payload: PointCloud, _world: SceneState) -> Iterator[Entry]:
     """A lidar's points."""
     cloud = rr.Points3D(payload.points_m, radii=rr.Radius.ui_points(1.5))
     yield Entry(entity, cloud, known_as(payload.frame_id))

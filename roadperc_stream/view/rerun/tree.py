@@ -6,17 +6,16 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.core.datatypes import EGO, ODOM, OWN_ODOM
-from roadperc_stream.core.geometry import inverse
+from roadperc_stream.core.datatypes import EGO, ODOM, OWN_ODOM, Transform
 from roadperc_stream.input.assemble import ego_frame_of
-from roadperc_stream.input.decoding import Transform
-from roadperc_stream.view.rerun.entry import Entry, World
+from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.view.rerun.entry import Entry, SceneState
 
 TREE: Final = "/tf"
 """Below it each frame of the log has one entity, whichever topic places it: of two entities neither would hold."""
 
 
-def new_edges(world: World) -> Iterator[Entry]:
+def new_edges(world: SceneState) -> Iterator[Entry]:
     """The edges that are not drawn yet as they are now."""
     for child, edge in ego_tree(world).items():
         if not _same(edge, world.edges.get(child)):
@@ -36,41 +35,31 @@ def known_as(frame_id: str) -> str:
 
 
 def of_odometry(edge: Transform) -> bool:
-    """Whether an edge of the results says where the car is; the others tie ego to the log's tree, as is done here."""
+    """Whether an edge of the results says where the car is; the others join ego to the log's tree, as is done here."""
     return {edge.parent, edge.child} in ({EGO, ODOM}, {EGO, OWN_ODOM})
 
 
-def ego_tree(world: World) -> Mapping[str, Transform]:
-    """The edges by child, as the chain reads them: what it takes for ego hangs on ego.
+def ego_tree(world: SceneState) -> Mapping[str, Transform]:
+    """The edges by child, as the chain reads them: the frame that it uses as ego is placed at ego.
 
-    Without a mounting that is the front camera itself, as soon as a result tells how high it was taken to be.
+    Without a mounting that is the front camera itself, as soon as a result says how high it was assumed to be.
     """
     camera, assumed = world.front, world.assumed_mounting
-    own = ego_frame_of(world.held, camera) if camera else None
+    tree = world.latched.tree
+    own = ego_frame_of(tree, camera) if camera else None
     if camera and own is None and assumed is not None:
-        return _below_ego(world.held.transforms, camera.frame_id, Transform(EGO, camera.frame_id, assumed))
-    return _below_ego(world.held.transforms, own or EGO, Transform(EGO, own or EGO, np.eye(4)))
+        return _below_ego(tree, camera.frame_id, Transform(EGO, camera.frame_id, assumed))
+    return _below_ego(tree, own or EGO, Transform(EGO, own or EGO, np.eye(4)))
 
 
-def _below_ego(edges: Mapping[str, Transform], frame: str, ego_T_frame: Transform) -> Mapping[str, Transform]:
+def _below_ego(tree: TransformTree, frame: str, ego_T_frame: Transform) -> Mapping[str, Transform]:
     """The tree with a frame on top, and that frame below ego."""
-    tree = _hung_from(edges, frame) | {frame: ego_T_frame}
+    edges = dict(tree.rooted_at(frame).edges) | {frame: ego_T_frame}
     return {
         child: Transform(known_as(edge.parent), known_as(child), edge.parent_T_child)
-        for child, edge in tree.items()
+        for child, edge in edges.items()
         if child != EGO  # odometry alone says where ego is
     }
-
-
-def _hung_from(edges: Mapping[str, Transform], frame: str) -> dict[str, Transform]:
-    """The tree with a frame on top: the edges above it are turned round, so that what hangs on them is not lost."""
-    tree, at = dict(edges), frame
-    above = tree.pop(frame, None)
-    while above is not None:
-        turned = Transform(at, above.parent, inverse(above.parent_T_child))
-        at, above = above.parent, tree.get(above.parent)
-        tree[at] = turned
-    return tree
 
 
 def edge_entry(entity: str, edge: Transform) -> Entry:

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from roadperc_stream.chain.stages.occupancy import FREE, OCCUPIED, UNKNOWN, build
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import OccupancyConfig, load_config
-from roadperc_stream.core.datatypes import Absent
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.core.datatypes import Absent, Reason
 from roadperc_stream.errors import ConfigError
 from tests.analytic import LINE, OTHER, ROAD, VEHICLE, Road
 from tests.hills import Hill
+from tests.scenes import scene_of
 
 CFG = OccupancyConfig()
 WIDE = Road(left_m=6.0, right_m=-6.0)
@@ -27,7 +27,7 @@ def surface_of(road):
     return replace(Hill().surface(), plane=road.plane, ego_plane=ego_plane, model="plane", height_grid=None)
 
 
-def scene(road=WIDE, block=None, tag=VEHICLE, bottom_m=0.0):
+def pictures(road=WIDE, block=None, tag=VEHICLE, bottom_m=0.0):
     """Depth, tags and drivable pixels, with a board across the road at ``block``."""
     depth_m, tags = road.depth_m(), road.tags()
     if block is not None:
@@ -42,9 +42,9 @@ def scene(road=WIDE, block=None, tag=VEHICLE, bottom_m=0.0):
     return depth_m, tags, drivable
 
 
-def grid(depth_m, tags, drivable, road=WIDE, cfg=CFG, surface=None, *, dense=True):
+def grid(depth_m, tags, drivable, road=WIDE, cfg=CFG, surface=None):
     surface = surface_of(road) if surface is None else surface
-    return build(cfg, road.camera, road.ego_T_camera, surface, depth_m, drivable, tags, TABLE, dense=dense)
+    return build(cfg, scene_of(road.camera, road.ego_T_camera, depth_m=depth_m, tags=tags), surface, drivable)
 
 
 def cell(occupancy, x, y):
@@ -60,13 +60,13 @@ def area(occupancy, x_min, x_max, y_min, y_max):
 
 
 def test_the_grid_covers_what_the_configuration_says():
-    occupancy = grid(*scene())
+    occupancy = grid(*pictures())
     assert occupancy.cells.shape == (150, 200)
     assert (occupancy.x_min_m, occupancy.y_min_m, occupancy.resolution_m) == (0.0, -15.0, 0.2)
 
 
 def test_an_empty_road_is_free_without_holes_and_nothing_else_is():
-    occupancy = grid(*scene())
+    occupancy = grid(*pictures())
     assert (area(occupancy, 8, 40, -5.8, 5.8) == FREE).all()
     assert (occupancy.cells != OCCUPIED).all()
     assert (area(occupancy, 0, 40, 10, 15) == UNKNOWN).all()
@@ -75,7 +75,7 @@ def test_an_empty_road_is_free_without_holes_and_nothing_else_is():
 
 @pytest.mark.parametrize("tag", [VEHICLE, OTHER, ROAD])
 def test_a_board_is_occupied_and_hides_what_lies_behind(tag):
-    depth_m, tags, drivable = scene(block=CAR, tag=tag)
+    depth_m, tags, drivable = pictures(block=CAR, tag=tag)
     drivable &= depth_m > 12.1 if tag == ROAD else True
     drivable |= (tags == ROAD) & (depth_m < 11.9)
     occupancy = grid(depth_m, tags, drivable)
@@ -90,41 +90,41 @@ def test_a_board_is_occupied_and_hides_what_lies_behind(tag):
 
 def test_a_board_on_a_hill():
     hill = Hill(left_m=6.0, right_m=-6.0, height_m=1.4, width=320, height=240)
-    occupancy = grid(*scene(hill), hill, surface=hill.surface())
+    occupancy = grid(*pictures(hill), hill, surface=hill.surface())
     assert (area(occupancy, 8, 30, -5.6, 5.6) == FREE).all()
     assert (occupancy.cells != OCCUPIED).all()
-    assert not (area(grid(*scene(hill), hill), 8, 30, -5.6, 5.6) == FREE).all()
-    hidden = grid(*scene(hill, CAR), hill, surface=hill.surface())
+    assert not (area(grid(*pictures(hill), hill), 8, 30, -5.6, 5.6) == FREE).all()
+    hidden = grid(*pictures(hill, CAR), hill, surface=hill.surface())
     assert (area(hidden, 11.8, 12.2, -0.8, 0.8) == OCCUPIED).any(axis=1).all()
     assert (area(hidden, 12.4, 30, -0.8, 0.8) == UNKNOWN).all()
 
 
 def test_low_things_are_in_the_way_by_their_class_alone():
     low = (12.0, -1.0, 1.0, 0.2)
-    assert (grid(*scene(block=low, tag=VEHICLE)).cells == OCCUPIED).any()
-    assert (grid(*scene(block=low, tag=OTHER)).cells != OCCUPIED).all()
-    assert (build_without_tags(*scene(block=low)).cells != OCCUPIED).all()
-    assert (build_without_tags(*scene(block=CAR)).cells == OCCUPIED).any()
+    assert (grid(*pictures(block=low, tag=VEHICLE)).cells == OCCUPIED).any()
+    assert (grid(*pictures(block=low, tag=OTHER)).cells != OCCUPIED).all()
+    assert (build_without_tags(*pictures(block=low)).cells != OCCUPIED).all()
+    assert (build_without_tags(*pictures(block=CAR)).cells == OCCUPIED).any()
 
 
 def build_without_tags(depth_m, _tags, drivable):
-    return build(CFG, WIDE.camera, WIDE.ego_T_camera, surface_of(WIDE), depth_m, drivable, None, None, dense=True)
+    return grid(depth_m, None, drivable)
 
 
 def test_one_passes_below_what_hangs_high():
-    occupancy = grid(*scene(block=(12.0, -3.0, 3.0, 4.0), tag=OTHER, bottom_m=2.6))
+    occupancy = grid(*pictures(block=(12.0, -3.0, 3.0, 4.0), tag=OTHER, bottom_m=2.6))
     assert (occupancy.cells != OCCUPIED).all()
     assert (area(occupancy, 8, 40, -3, 3) == FREE).all()
 
 
 def test_occupied_wins_over_free():
-    depth_m, tags, drivable = scene(block=CAR)
+    depth_m, tags, drivable = pictures(block=CAR)
     occupancy = grid(depth_m, tags, np.ones_like(drivable))
     assert cell(occupancy, 12.05, 0.0) == OCCUPIED
 
 
 def test_single_pixels_change_nothing():
-    depth_m, tags, drivable = scene()
+    depth_m, tags, drivable = pictures()
     depth_m[300, 320] = 6.0
     drivable[400, 320] = False
     depth_m[380, ::40] = np.nan
@@ -136,7 +136,7 @@ def test_single_pixels_change_nothing():
 
 def test_what_a_crest_hides_is_unknown():
     crest = Hill(left_m=6.0, right_m=-6.0, grade=0.2, wave_m=60.0, width=320, height=240)
-    occupancy = grid(*scene(crest), crest, surface=crest.surface())
+    occupancy = grid(*pictures(crest), crest, surface=crest.surface())
     assert (area(occupancy, 36, 40, -2, 2) == UNKNOWN).all()
     assert (area(occupancy, 8, 24, -2, 2) == FREE).all()
 
@@ -144,7 +144,7 @@ def test_what_a_crest_hides_is_unknown():
 @settings(max_examples=15, deadline=None)
 @given(st.floats(5.0, 30.0), st.floats(-4.0, 4.0))
 def test_a_board_is_where_it_stands(x, y):
-    occupancy = grid(*scene(block=(x, y - 0.5, y + 0.5, 1.5)))
+    occupancy = grid(*pictures(block=(x, y - 0.5, y + 0.5, 1.5)))
     rows, columns = np.nonzero(occupancy.cells == OCCUPIED)
     assert len(rows)
     assert np.abs(0.2 * (columns + 0.5) - x).max() < 0.2
@@ -168,14 +168,14 @@ def test_a_board_is_where_it_stands(x, y):
 )
 def test_every_key_has_an_effect(change, board):
     tag = OTHER if "min_height_m" in change else VEHICLE
-    scenery = scene(block=board, tag=tag, bottom_m=1.0 if "max_height_m" in change else 0.0)
+    scenery = pictures(block=board, tag=tag, bottom_m=1.0 if "max_height_m" in change else 0.0)
     changed = grid(*scenery, cfg=OccupancyConfig(**change)).cells
     usual = grid(*scenery).cells
     assert changed.shape != usual.shape or (changed != usual).any()
 
 
 def test_the_depth_tolerance_decides_where_road_and_depth_disagree():
-    depth_m, tags, drivable = scene()
+    depth_m, tags, drivable = pictures()
     cfg = OccupancyConfig(min_points=10_000)
     strict = cfg.model_copy(update={"depth_tolerance": 0.01})
     off_by_a_twentieth = (1.05 * depth_m).astype(np.float32)
@@ -193,15 +193,16 @@ def test_settings_that_do_not_fit_are_refused(setting):
 
 
 def test_missing_inputs_are_stated():
-    depth_m, tags, drivable = scene()
-    place = (CFG, WIDE.camera, WIDE.ego_T_camera)
-    absent = Absent("none")
-    assert "depth" in build(*place, surface_of(WIDE), None, drivable, tags, TABLE, dense=True).reason
-    assert "surface" in build(*place, absent, depth_m, drivable, tags, TABLE, dense=True).reason
-    assert "drivable" in build(*place, surface_of(WIDE), depth_m, absent, tags, TABLE, dense=True).reason
+    depth_m, tags, drivable = pictures()
+    no_plane, no_depth = Reason("surface", "plane_without_points"), Reason("drivable", "no_depth_no_segmentation")
+    assert grid(None, tags, drivable) == Absent(Reason("occupancy", "no_depth"))
+    without_surface = Reason("occupancy", "no_surface", cause=no_plane)
+    assert grid(depth_m, tags, drivable, surface=Absent(no_plane)) == Absent(without_surface)
+    without_drivable = Reason("occupancy", "no_drivable_surface", cause=no_depth)
+    assert grid(depth_m, tags, Absent(no_depth)) == Absent(without_drivable)
 
 
 def test_unknown_depth_is_unknown_ground():
-    depth_m, tags, drivable = scene()
+    depth_m, tags, drivable = pictures()
     blind = grid(np.full_like(depth_m, np.nan), tags, drivable)
     assert (blind.cells == UNKNOWN).all()

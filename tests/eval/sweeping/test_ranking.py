@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval.sweeping.ranking import METRICS, Best, Score, best, effect, scores
+from roadperc_stream.eval.sweeping.ranking import METRICS, Best, SettingScore, best, effect, scores
 from roadperc_stream.eval.sweeping.settings import Combination, combinations, passes, reference_of
 from roadperc_stream.eval.sweeping.tables import best_settings, effects, without_effect
 from roadperc_stream.eval.sweeping.varied import varied
@@ -46,7 +46,7 @@ def errors(*values):
 def test_scores_are_medians_of_the_error_without_its_sign_beside_coverage(tmp_path):
     files = dataset(tmp_path, [errors(0.1, -0.3, 0.2), errors(-0.4, None, 0.0), errors(None, None, None)])
     found = scores(files, GATES, ERROR)
-    assert found == [Score(0.2, 1.0), Score(0.2, pytest.approx(2 / 3)), Score(None, 0.0)]
+    assert found == [SettingScore(0.2, 1.0), SettingScore(0.2, pytest.approx(2 / 3)), SettingScore(None, 0.0)]
 
 
 def test_of_a_share_the_mean_counts(tmp_path):
@@ -56,7 +56,7 @@ def test_of_a_share_the_mean_counts(tmp_path):
 
 def test_values_that_are_not_finite_are_none(tmp_path):
     files = dataset(tmp_path, [errors(0.1, float("nan")), errors(float("inf"), 0.2), errors(0.3, 0.3)])
-    assert scores(files, GATES, ERROR) == [Score(0.1, 0.5), Score(0.2, 0.5), Score(0.3, 1.0)]
+    assert scores(files, GATES, ERROR) == [SettingScore(0.1, 0.5), SettingScore(0.2, 0.5), SettingScore(0.3, 1.0)]
 
 
 def test_jitter_does_not_cross_from_log_to_log(tmp_path):
@@ -65,7 +65,7 @@ def test_jitter_does_not_cross_from_log_to_log(tmp_path):
         [{"lane_left_offset_m": offset} for offset in offsets] for offsets in ((0, 1, 4, 9), (0, 0, 0, 1), (5, 5, 5, 5))
     ]
     files = dataset(tmp_path, rows)
-    assert scores(files, GATES, JITTER) == [Score(0.0, 0.5), Score(0.5, 0.5), Score(0.0, 0.5)]
+    assert scores(files, GATES, JITTER) == [SettingScore(0.0, 0.5), SettingScore(0.5, 0.5), SettingScore(0.0, 0.5)]
 
 
 def test_measured_is_the_share_of_frames_with_a_raw_offset(tmp_path):
@@ -84,7 +84,7 @@ def test_tables_that_cannot_be_read_are_named(tmp_path):
 
 
 def ranked(metric, *found, reference=0):
-    return best(metric, [Score(*score) for score in found], GATES, GATES[reference])
+    return best(metric, [SettingScore(*score) for score in found], GATES, GATES[reference])
 
 
 def test_the_least_error_is_best_and_the_most_overlap():
@@ -99,7 +99,7 @@ def test_of_equals_the_reference_is_best_else_the_first():
 
 def test_of_equals_the_one_that_changes_least_is_best():
     some = made("lanes.gate=1,2", "lanes.hold_s=1,2")
-    found = [Score(0.2, 1.0), Score(0.1, 1.0), Score(0.2, 1.0), Score(0.1, 1.0)]
+    found = [SettingScore(0.2, 1.0), SettingScore(0.1, 1.0), SettingScore(0.2, 1.0), SettingScore(0.1, 1.0)]
     assert best(ERROR, found, some, some[2]) == Best(3, None)
 
 
@@ -123,7 +123,7 @@ def test_without_any_value_there_is_no_best():
     st.integers(0, 2),
 )
 def test_nothing_that_sees_as_much_beats_the_best(pairs, reference):
-    found = [Score(value, coverage if value is not None else 0.0) for value, coverage in pairs]
+    found = [SettingScore(value, coverage if value is not None else 0.0) for value, coverage in pairs]
     for metric in (ERROR, OVERLAP):
         chosen = best(metric, found, GATES, GATES[reference])
         known = [score for score in found if score.value is not None]
@@ -136,9 +136,15 @@ def test_nothing_that_sees_as_much_beats_the_best(pairs, reference):
 
 def test_effects_are_means_over_the_other_settings():
     some = made("lanes.gate=1,2", "lanes.hold_s=1,2")
-    found = [Score(0.1, 1.0), Score(0.3, 0.5), Score(None, 0.0), Score(0.6, 1.0)]
-    assert effect(found, some, "lanes.gate") == {1.0: Score(pytest.approx(0.2), 0.75), 2.0: Score(0.6, 0.5)}
-    assert effect(found, some, "lanes.hold_s") == {1.0: Score(0.1, 0.5), 2.0: Score(pytest.approx(0.45), 0.75)}
+    found = [SettingScore(0.1, 1.0), SettingScore(0.3, 0.5), SettingScore(None, 0.0), SettingScore(0.6, 1.0)]
+    assert effect(found, some, "lanes.gate") == {
+        1.0: SettingScore(pytest.approx(0.2), 0.75),
+        2.0: SettingScore(0.6, 0.5),
+    }
+    assert effect(found, some, "lanes.hold_s") == {
+        1.0: SettingScore(0.1, 0.5),
+        2.0: SettingScore(pytest.approx(0.45), 0.75),
+    }
 
 
 def cells(table):
@@ -147,7 +153,10 @@ def cells(table):
 
 
 def test_the_table_shows_the_best_the_reference_and_what_has_lower_coverage():
-    found = [(ERROR, [Score(0.3, 1.0), Score(0.1, 0.5), Score(0.2, 1.0)]), (OVERLAP, [Score(0.9, 1.0)] * 3)]
+    found = [
+        (ERROR, [SettingScore(0.3, 1.0), SettingScore(0.1, 0.5), SettingScore(0.2, 1.0)]),
+        (OVERLAP, [SettingScore(0.9, 1.0)] * 3),
+    ]
     assert cells(best_settings(found, GATES, GATES[0])) == [
         ["lane left at 10 m, m", "  lower coverage"],
         ["0.200", "0.100"],
@@ -163,7 +172,7 @@ def test_the_table_shows_the_best_the_reference_and_what_has_lower_coverage():
 
 def test_the_table_names_only_what_the_best_changes():
     some = made("lanes.gate=1,2", "objects.gate=3,4")
-    found = [(ERROR, [Score(0.2, 1.0), Score(0.2, 1.0), Score(0.1, 1.0), Score(0.2, 1.0)])]
+    found = [(ERROR, [SettingScore(0.2, 1.0), SettingScore(0.2, 1.0), SettingScore(0.1, 1.0), SettingScore(0.2, 1.0)])]
     assert cells(best_settings(found, some, some[0]))[-1] == ["lanes.gate=2"]
     assert cells(best_settings(found, some, some[1]))[-1] == ["lanes.gate=2 objects.gate=3"]
     assert cells(best_settings(found, some, some[2]))[-1] == ["reference"]

@@ -10,10 +10,10 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.json_format import MessageToDict
 
+from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats import points
-from roadperc_stream.input.decoding import Context, Transform, decode
+from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
 from tests.analytic import Road
@@ -56,7 +56,7 @@ MESSAGES = {
     "tags": ("foxglove.CompressedImage", encoding.encode_image(STAMP, "c", "png", png(np.array([[1, 7]], np.uint8)))),
     "raw tags": ("foxglove.RawImage", raw("mono8", np.array([[1, 7]], np.uint8))),
     "raw tag colours": ("foxglove.RawImage", raw("rgb8", np.array(TABLE.colours, np.uint8)[[[1, 7]]])),
-    "points": ("foxglove.PointCloud", points.encode_points(STAMP, "l", np.arange(8, dtype=np.float32).reshape(2, 4))),
+    "points": ("foxglove.PointCloud", encoding.encode_points(STAMP, "l", np.arange(8, dtype=np.float32).reshape(2, 4))),
 }
 
 

@@ -13,7 +13,8 @@ from roadperc_stream.core.config import load_config
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.output import encoding
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import ON_REQUEST, PRODUCER
+from roadperc_stream.schemas.record import PRODUCER
+from roadperc_stream.schemas.topics import ON_REQUEST
 from roadperc_stream.view.video import write_video
 from tests import logs
 

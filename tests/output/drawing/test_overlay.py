@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Object, Objects
+from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Object, Objects, Reason
 from roadperc_stream.output.drawing.colours import DRIVABLE
 from roadperc_stream.output.drawing.overlay import draw_overlay
 from tests.analytic import box
 
-NOTHING = Absent("not run")
+NOTHING = Absent(Reason("lanes", "not_run"))
 GREEN, ORANGE, GREY = (77, 230, 26), (0, 128, 255), (165, 165, 165)
 
 

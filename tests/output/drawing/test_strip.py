@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Absent, Object, Objects
+from roadperc_stream.core.datatypes import Absent, Object, Objects, Reason
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import Pen
 from roadperc_stream.output.drawing.colours import bgr
@@ -30,7 +30,7 @@ FULL = FrameMetrics(
 
 CAR = Object(box("Car", 0, 0, 9, 9), kept=True, distance_m=3.26, time_to_impact_s=0.51)
 FAR_CAR = replace(CAR, distance_m=15.77, time_to_impact_s=0.2)
-NOTHING = Absent("nothing")
+NOTHING = Absent(Reason("objects", "not_run"))
 
 
 def words(row, *objects, since_start_s=0.35):

@@ -17,16 +17,15 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
-from roadperc_stream.output.tables import beside
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.replay import replay
-from roadperc_stream.schemas.channels import RESULTS
 from roadperc_stream.schemas.columns import TIME_COLUMNS
-from roadperc_stream.schemas.roadperc_pb2 import StageTimes
+from roadperc_stream.schemas.topics import RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.server import ServeError
 from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, serves_times, with_times
 from roadperc_stream.view.live.source import FinishedLog
-from roadperc_stream.view.stage_times import TIMES
+from roadperc_stream.view.stage_times import StageTimes
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.view.live.client import PATIENCE_S, Viewer
@@ -241,13 +240,13 @@ def source(tmp_path):
 
 def told_times(viewer):
     """Log time and milliseconds of each stage, as they came."""
-    told = [(m.log_time_ns, StageTimes.FromString(m.data)) for m in viewer.shown(TIMES)]
+    told = [(m.log_time_ns, StageTimes.FromString(m.data)) for m in viewer.shown(TIMES_TOPIC)]
     return [(log_time_ns, *(getattr(times, name) for name in TIME_COLUMNS)) for log_time_ns, times in told]
 
 
 def table_times(target):
     """The same from the table; a stage that did not run took no time."""
-    times = pl.read_parquet(beside(target, "metrics")).select("stamp_ns", pl.col(TIME_COLUMNS).fill_null(0.0))
+    times = pl.read_parquet(sidecar_path(target, "metrics")).select("stamp_ns", pl.col(TIME_COLUMNS).fill_null(0.0))
     return times.rows()
 
 
@@ -297,7 +296,7 @@ def test_a_running_replay_is_watched_and_sought(source, tmp_path):
         viewer.control(play=True, rate=5.0, seek_ns=FIRST_NS)
         written = [(m.channel.topic, m.log_time_ns, m.data) for m in log.read(target)]
         viewer.until(lambda: len(viewer.shown()) == len(written) + FRAMES)
-        assert sorted(tuple(m) for m in viewer.shown() if m.topic != TIMES) == sorted(written)
+        assert sorted(tuple(m) for m in viewer.shown() if m.topic != TIMES_TOPIC) == sorted(written)
         assert told_times(viewer) == table_times(target)
 
 
@@ -306,7 +305,7 @@ def test_a_finished_log_is_served_with_the_times_of_its_table(source, tmp_path):
     replay(source, target, load_config(None, ()))
     assert serves_times(target)
     with served(target) as port, Viewer(port) as viewer:
-        viewer.subscribe(TIMES)
+        viewer.subscribe(TIMES_TOPIC)
         viewer.until(lambda: len(viewer.shown()) == FRAMES)
         assert told_times(viewer) == table_times(target)
         viewer.control(play=False, seek_ns=FIRST_NS + 3 * STEP_NS)
@@ -318,15 +317,15 @@ def test_a_finished_log_is_served_with_the_times_of_its_table(source, tmp_path):
 def test_without_a_table_of_its_own_no_times_are_offered(source, tmp_path, table):
     target, other = tmp_path / "out.mcap", tmp_path / "other.mcap"
     replay(source, target, load_config(None, ()))
-    beside(target, "metrics").unlink()
+    sidecar_path(target, "metrics").unlink()
     if table != "none":
         replay(logs.write(tmp_path / "in2.mcap", logs.items(FRAMES - 1)), other, load_config(None, ()))
-        beside(other, "metrics").replace(beside(target, "metrics"))
+        sidecar_path(other, "metrics").replace(sidecar_path(target, "metrics"))
     assert not serves_times(target)
     with served(target) as port, Viewer(port) as viewer:
         told = {channel["topic"] for channel in viewer.channels.values()}
         assert set(RESULTS) <= told
-        assert TIMES not in told
+        assert TIMES_TOPIC not in told
 
 
 def test_the_output_is_the_same_watched_or_not(source, tmp_path):

@@ -4,12 +4,14 @@ from dataclasses import dataclass, field
 
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2 as pb
-from roadperc_stream.schemas.channels import LIVE_ONLY, PRODUCER, RESULTS, schema
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.record import PRODUCER
+from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.topics import LIVE_ONLY, RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live.playhead import Reach
 from roadperc_stream.view.live.source import held
 from roadperc_stream.view.live.timed import TimedSource
-from roadperc_stream.view.stage_times import TIMES, ReplayTimes
+from roadperc_stream.view.stage_times import ReplayTimes
 
 S = 1_000_000_000
 IMAGE, LINE = Channel("/image", "raw"), Channel("/perception/log", "raw")
@@ -68,17 +70,17 @@ def test_the_channel_is_that_of_the_contract():
     assert source.channels[:2] == (IMAGE, METRICS)
     assert [(c.topic, c.schema_name) for c in source.channels[2:]] == list(LIVE_ONLY.items())
     assert source.channel.schema_data == schema("roadperc.StageTimes").data
-    assert TIMES not in RESULTS
+    assert TIMES_TOPIC not in RESULTS
 
 
 def test_each_frames_times_follow_its_metrics():
     assert plain(TimedSource(Script(LOG), known(0, 1, 2)).follow(1 * S)) == [
         ("/image", 1),
         ("/perception/metrics", 1),
-        (TIMES, 1),
+        (TIMES_TOPIC, 1),
         ("/image", 2),
         ("/perception/metrics", 2),
-        (TIMES, 2),
+        (TIMES_TOPIC, 2),
     ]
 
 
@@ -102,7 +104,7 @@ def test_times_that_come_late_come_before_the_next_frame():
         None,
         ("/perception/log", 0),
         None,
-        (TIMES, 0),
+        (TIMES_TOPIC, 0),
         None,
         ("/image", 1),
     ]
@@ -113,17 +115,17 @@ def test_times_of_the_last_frame_come_at_the_end():
     coming = TimedSource(Script([metrics(0)]), times).follow(0)
     assert plain([next(coming)]) == [("/perception/metrics", 0)]
     note(times, 0)
-    assert plain(coming) == [(TIMES, 0)]
+    assert plain(coming) == [(TIMES_TOPIC, 0)]
 
 
 def test_a_frame_whose_times_are_not_known_has_none():
-    assert plain(TimedSource(Script(LOG), known(0, 2)).follow(0)).count((TIMES, 1)) == 0
-    assert (TIMES, 2) in plain(TimedSource(Script(LOG), known(0, 2)).follow(0))
+    assert plain(TimedSource(Script(LOG), known(0, 2)).follow(0)).count((TIMES_TOPIC, 1)) == 0
+    assert (TIMES_TOPIC, 2) in plain(TimedSource(Script(LOG), known(0, 2)).follow(0))
 
 
 def test_what_holds_after_a_seek():
     source = TimedSource(Script(LOG), known(0, 1, 2))
-    assert plain(held(source, {"/image", TIMES}, 1 * S + 5)) == [("/image", 1), (TIMES, 1)]
+    assert plain(held(source, {"/image", TIMES_TOPIC}, 1 * S + 5)) == [("/image", 1), (TIMES_TOPIC, 1)]
     assert plain(held(source, {"/image", "/perception/metrics"}, 0)) == [("/image", 0), ("/perception/metrics", 0)]
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.schemas.channels import RESULTS
+from roadperc_stream.schemas.topics import RESULTS
 from tests import logs
 from tests.view.rerun.chunks import imported
 

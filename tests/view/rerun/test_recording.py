@@ -13,13 +13,14 @@ from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.log import Channel, LogWriter
 from roadperc_stream.output.drawing.annotations import caption
-from roadperc_stream.output.tables import beside
-from roadperc_stream.schemas.channels import PRODUCER, RESULTS
+from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.schemas.topics import RESULTS
 from roadperc_stream.view.rerun import save_recording
 from roadperc_stream.view.rerun.blueprint import STAGE_COLOURS
-from roadperc_stream.view.rerun.entry import World
+from roadperc_stream.view.rerun.entry import SceneState
 from roadperc_stream.view.rerun.plots import metrics
 from tests import logs
 from tests.analytic import STEP_NS
@@ -92,7 +93,7 @@ def test_metrics_are_those_of_the_log(saved, output):
 
 def test_times_are_those_of_the_table(saved, output):
     seen = [cell[0] for cell in saved["/perception/times/lanes_ms"].column("Scalars:scalars")]
-    assert seen == pl.read_parquet(beside(output, "metrics"))["lanes_ms"].to_list()
+    assert seen == pl.read_parquet(sidecar_path(output, "metrics"))["lanes_ms"].to_list()
 
 
 def test_boxes_captions_and_classes_are_those_of_the_log(saved, output):
@@ -205,7 +206,7 @@ def test_roles_without_a_message_are_a_state_that_ends(without_second_detections
 
 
 def test_reasons_are_told_once_and_so_is_their_end():
-    world, told = World(), []
+    world, told = SceneState(), []
     for reasons in ((), ("stereo: no right image",), ("stereo: no right image",), ()):
         entries = metrics("/perception/metrics", FrameMetrics(reasons=reasons), world)
         told.append([entry.archetype.text.as_arrow_array().to_pylist() for entry in entries])
@@ -225,7 +226,7 @@ def test_times_of_another_run_are_left_out(tmp_path):
     other = logs.write(tmp_path / "other.mcap", logs.items(frames=3))
     assert replay_main([str(source), str(tmp_path / "out.mcap"), "--quiet"]) == 0
     assert replay_main([str(other), str(tmp_path / "else.mcap"), "--quiet"]) == 0
-    beside(tmp_path / "else.mcap", "metrics").replace(beside(tmp_path / "out.mcap", "metrics"))
+    sidecar_path(tmp_path / "else.mcap", "metrics").replace(sidecar_path(tmp_path / "out.mcap", "metrics"))
     save_recording(tmp_path / "out.mcap", tmp_path / "out.rrd", {})
     assert not [e for e in recorded(tmp_path / "out.rrd") if e.startswith("/perception/times")]
 
@@ -234,7 +235,7 @@ def test_times_of_another_run_are_left_out(tmp_path):
     ("items", "extra", "why"),
     [
         ([], [logs.foreign()], ""),
-        ([logs.Item("lidar", 5, b"", "/radar")], [], "role lidar: not filled; .* --topic lidar=/radar; "),
+        ([logs.Item("lidar", 5, b"", "/radar")], [], "role lidar: not assigned; .* --topic lidar=/radar; "),
         ([logs.Item("image", 5, b"\xff\xfe\x07bad")], [], "/camera/front/image: message at 5 ns: 6 bytes are no .*; "),
     ],
     ids=["nothing known", "a topic that could fill a role", "nothing that can be read"],

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Surface
+from roadperc_stream.core.datatypes import Surface, Transform
 from roadperc_stream.core.geometry import Camera, Plane, inverse, level_mounting, rigid, rotation_from_rpy
 from roadperc_stream.input.assemble import ego_T_camera_of
-from roadperc_stream.input.decoding import Transform
 from roadperc_stream.view.rerun import pictures, scene
-from roadperc_stream.view.rerun.entry import World
+from roadperc_stream.view.rerun.entry import SceneState
 
 
 def edge(parent, child, x_m, roll=0.0, yaw=0.0):
@@ -37,7 +36,7 @@ class Drawn:
         assert sorted(self.frame_at.values()) == sorted(self.edges)
 
     def ego_T(self, frame):
-        """None where the frame does not hang below ego."""
+        """None where the frame is not placed below ego."""
         ego_T_frame, steps = np.eye(4), 0
         while frame in self.edges and steps <= len(self.edges):
             frame, parent_T_frame = self.edges[frame]
@@ -75,7 +74,7 @@ TREES = {
 def test_the_camera_is_where_the_chain_has_it(name, role, known_early):
     """After every message, whether the calibration comes before the transforms or after them."""
     frame_id, messages = TREES[name]
-    world, drawn = World(), Drawn()
+    world, drawn = SceneState(), Drawn()
     parts = [("/tf", role, tuple(message), world) for message in messages]
     steps = [(scene.transforms, part) for part in parts]
     steps.insert(
@@ -89,7 +88,7 @@ def test_the_camera_is_where_the_chain_has_it(name, role, known_early):
 
 
 def placed(world, drawn, frame_id):
-    wanted, found = ego_T_camera_of(world.held, camera(frame_id)), drawn.ego_T(frame_id)
+    wanted, found = ego_T_camera_of(world.latched.tree, camera(frame_id)), drawn.ego_T(frame_id)
     assert (wanted is None) == (found is None)
     assert wanted is None or found == pytest.approx(wanted, abs=1e-5)
     assert "ego" not in drawn.edges  # odometry places it
@@ -98,7 +97,7 @@ def placed(world, drawn, frame_id):
 
 
 def test_frames_above_the_car_are_kept_below_it():
-    world, drawn = World(), Drawn()
+    world, drawn = SceneState(), Drawn()
     drawn.add(pictures.calibration("/c", "calibration", camera("cam"), world))
     above = edge("map", "base_link", 50.0, yaw=0.3)
     messages = (above, edge("base_link", "cam", 1.0)), (edge("map", "sign", 60.0),)
@@ -109,8 +108,8 @@ def test_frames_above_the_car_are_kept_below_it():
 
 
 def test_only_what_changes_is_drawn_again():
-    world = World()
-    world.hold("calibration", camera("camera"))
+    world = SceneState()
+    world.latch("calibration", camera("camera"))
     assert len(list(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))) == 3
     assert not list(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))
     (again,) = scene.transforms("/tf", "tf", (edge("base_link", "camera", 1.2),), world)
@@ -118,7 +117,7 @@ def test_only_what_changes_is_drawn_again():
 
 
 def test_a_frame_that_is_moved_to_another_parent_is_drawn_again():
-    world, drawn = World(), Drawn()
+    world, drawn = SceneState(), Drawn()
     moved = Transform("base_footprint", "camera", MOUNT.parent_T_child)
     drawn.add(pictures.calibration("/c", "calibration", camera("camera"), world))
     for message in ((FOOT, MOUNT), (moved,)):
@@ -127,7 +126,7 @@ def test_a_frame_that_is_moved_to_another_parent_is_drawn_again():
 
 
 def test_an_edge_that_closes_a_loop_is_left_out():
-    world, drawn = World(), Drawn()
+    world, drawn = SceneState(), Drawn()
     drawn.add(pictures.calibration("/c", "calibration", camera("camera"), world))
     drawn.add(scene.transforms("/tf", "tf", (FOOT, MOUNT), world))
     drawn.add(scene.transforms("/tf", "tf", (edge("camera", "base_footprint", 1.0),), world))
@@ -143,7 +142,7 @@ def surface(height_m):
 @pytest.mark.parametrize("frame_id", ["camera", "base_link"])
 def test_a_camera_nobody_places_stands_as_high_as_the_chain_took_it_to_be(frame_id):
     """The vehicle's own frame is no optical one: its camera is not placed, wherever the tree has the frame."""
-    world, drawn = World(), Drawn()
+    world, drawn = SceneState(), Drawn()
     drawn.add(pictures.calibration("/c", "calibration", camera(frame_id), world))
     drawn.add(scene.transforms("/tf", "tf", (edge("ego", "base_link", 9.0), edge("map", "camera", 9.0)), world))
     drawn.add(e for e in scene.road("/perception/surface", "result", surface(1.7), world))
@@ -152,7 +151,7 @@ def test_a_camera_nobody_places_stands_as_high_as_the_chain_took_it_to_be(frame_
 
 
 def test_a_transform_that_comes_later_takes_the_place_of_what_was_assumed():
-    world, drawn = World(), Drawn()
+    world, drawn = SceneState(), Drawn()
     drawn.add(pictures.calibration("/c", "calibration", camera("camera"), world))
     drawn.add(scene.road("/perception/surface", "result", surface(1.7), world))
     drawn.add(scene.transforms("/tf_static", "tf_static", (FOOT, MOUNT), world))
@@ -160,17 +159,17 @@ def test_a_transform_that_comes_later_takes_the_place_of_what_was_assumed():
 
 
 def test_a_right_image_without_calibration_is_not_in_the_front_cameras_plane():
-    world = World()
-    world.hold("calibration", camera("camera"))
+    world = SceneState()
+    world.latch("calibration", camera("camera"))
     planes = {role: world.image_frame(role, f"{role}_camera") for role in ("image", "left", "depth", "right")}
     front = "camera_image_plane"
     assert planes == {"image": front, "left": front, "depth": front, "right": "right_camera_image_plane"}
 
 
 def test_results_are_those_of_the_camera_that_makes_the_frames():
-    world = World("left")
-    world.hold("calibration", camera("camera"))
-    world.hold("left_calibration", camera("left"))
+    world = SceneState("left")
+    world.latch("calibration", camera("camera"))
+    world.latch("left_calibration", camera("left"))
     assert world.front == camera("left")
 
 
@@ -180,18 +179,18 @@ def test_results_are_those_of_the_camera_that_makes_the_frames():
 def test_of_the_results_only_odometry_is_drawn(odometry):
     """What ties ego to the log's frames stands in the tree already, the other way round."""
     ties = (edge("base_link", "ego", 0.0), edge("ego", "camera", 1.0))
-    (drawn,) = scene.transforms("/perception/tf", "result", (*ties, odometry), World())
+    (drawn,) = scene.transforms("/perception/tf", "result", (*ties, odometry), SceneState())
     assert drawn.entity == f"/perception/tf/{odometry.child}"
 
 
 @pytest.mark.parametrize(("role", "frame"), [("truth_pose", "odom of the log"), ("result", "odom")])
 def test_a_pose_stands_in_the_odom_of_who_tells_it(role, frame):
-    world = World()
-    world.hold("tf", (edge("odom", "base_link", 9.0),))
+    world = SceneState()
+    world.latch("tf", (edge("odom", "base_link", 9.0),))
     (arrow,) = scene.pose("/pose", role, edge("odom", "car", 2.0), world)
     assert arrow.frame == frame
 
 
 def test_a_pose_of_an_odom_that_the_log_does_not_place_stands_in_that_of_the_results():
-    (arrow,) = scene.pose("/truth/pose", "truth_pose", edge("odom", "ego", 2.0), World())
+    (arrow,) = scene.pose("/truth/pose", "truth_pose", edge("odom", "ego", 2.0), SceneState())
     assert arrow.frame == "odom"

@@ -1,7 +1,7 @@
 """Lane boundaries on the road: from edge pixels to offset, heading and curvature in the ego frame.
 
 The boundary is the edge that faces the ego lane. Both edges of a marking lie within a few centimetres, and so does the
-second line of a double one, so only pixels whose neighbour towards the ego lane is road are taken, and of several
+second line of a double one, so only pixels whose neighbour towards the ego lane is road are used, and of several
 parallel edges the innermost well supported one. The fit is y = offset + heading x + curvature x^2 / 2, by iteratively
 reweighted least squares (Huber's weights, Holland and Welsch 1977), reaching farther ahead step by step so that a bend
 is followed from the straight part near the car.
@@ -18,20 +18,20 @@ from roadperc_stream.core.geometry import Float
 
 _REACH_STEP_M = 6.0
 _SHORTEST_M = 0.25
-"""Length on the road from which a line tells a direction: the nearest 100 rows of 960 show less than half a metre."""
+"""Length on the road from which a line has a direction: the nearest 100 rows of 960 show less than half a metre."""
 _SEARCH_M = 0.6
 """Half width of the strip around a Hough line in which edges are looked for."""
 _BIN_M = 0.04
 _PEAK_SHARE = 0.4
-"""Support of the innermost edge, as a share of the best supported one, from which it is taken for the boundary."""
+"""Support of the innermost edge, as a share of the best supported one, from which it counts as the boundary."""
 _MIN_POINTS = 8
 _REWEIGHTINGS = 5
 _EDGE_STD_PX = 1.0
 _GROUND_STD_M = 0.01
 _CURVATURE_PRIOR_PER_M = 0.01
-"""Standard deviation of road curvature: what a short stretch cannot tell is close to straight."""
+"""Standard deviation of road curvature: where a short stretch does not determine it, the road is close to straight."""
 _CORRELATED_ROWS = 40.0
-"""Edges of neighbouring rows err together: so many of them count as one."""
+"""Errors of edges in neighbouring rows are correlated: so many edges count as one."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def facing_edges(separators: Image, road: Mask, side: Side, top: int) -> Float:
         separators: (H - top, W) uint8 from row ``top`` down, not 0 at separators.
         road: (H, W) drivable surface.
         side: the boundary's side: a left one faces right.
-        top: the first row looked at.
+        top: the first row evaluated.
     """
     marked = separators.view(bool)
     inner = road[top:] & ~marked
@@ -106,12 +106,12 @@ def fit_curve(
     while True:
         aside = inward * (points[:, 1] - lateral(state, points[:, 0]))
         strip = (points[:, 0] <= reach) & (np.abs(aside) < cfg.fit_strip_m)
-        taken = points[strip][_innermost_of_rows(rows[strip], aside[strip])]
-        if len(taken) < _MIN_POINTS:
+        inliers = points[strip][_innermost_of_rows(rows[strip], aside[strip])]
+        if len(inliers) < _MIN_POINTS:
             return None
-        state, covariance = _robust_fit(cfg, taken, state, metres_per_px)
+        state, covariance = _robust_fit(cfg, inliers, state, metres_per_px)
         if reach >= cfg.fit_max_m:
-            return Curve(state, covariance, float(taken[:, 0].max()))
+            return Curve(state, covariance, float(inliers[:, 0].max()))
         reach = min(reach + _REACH_STEP_M, cfg.fit_max_m)
 
 

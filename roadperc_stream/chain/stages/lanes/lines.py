@@ -35,7 +35,7 @@ class LineGroup:
 
 
 def without_salt(cfg: LanesConfig, separators: Image) -> Image:
-    """The separators' mask behind a median filter that takes salt and slivers away."""
+    """The separators' mask behind a median filter that removes salt noise and slivers."""
     size = round(cfg.median_px * separators.shape[0] / REFERENCE_ROWS)
     if size < 2:
         return separators

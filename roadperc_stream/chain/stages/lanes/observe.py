@@ -1,4 +1,4 @@
-"""Both boundaries of the ego lane as one frame alone shows them."""
+"""Both boundaries of the ego lane as one frame alone shows them, without memory."""
 
 from dataclasses import dataclass, field, replace
 
@@ -16,15 +16,15 @@ from roadperc_stream.core.semantics import TagTable
 
 _INSIDE_M = (0.2, 0.4, 0.6)
 _OUTSIDE_M = (0.2, 0.4, 0.6, 0.8, 1.0)
-"""Distances beside a boundary at which the class there is looked up; a double marking is 0.35 m wide."""
+"""Distances beside a boundary at which the class there is sampled; a double marking is 0.35 m wide."""
 _MARKINGS = ("road_line",)
 _LINE_SAMPLES = 20
 _CLASS_AHEAD_M = np.arange(4.0, 14.0, 0.5)
 
 
 @dataclass(frozen=True)
-class View:
-    """The road as the camera sees it: what turns pixels into places and back."""
+class RoadProjection:
+    """From pixels to points on the road and back."""
 
     camera: Camera
     ego_T_camera: Float
@@ -50,7 +50,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class ObservedBoundary:
     """One boundary: its merged Hough line, and its curve on the road where one fits."""
 
     group: LineGroup
@@ -72,7 +72,7 @@ class Observation:
     ``edge_pixels`` (H, W) are those along which lines were proposed, ``edges`` those that face the ego lane.
     """
 
-    view: View
+    projection: RoadProjection
     tags: Image
     table: TagTable
     far: float
@@ -80,14 +80,14 @@ class Observation:
     proposals: Float = field(default_factory=lambda: np.empty((0, 4)))
     groups: tuple[LineGroup, ...] = ()
     edges: dict[Side, Edges] = field(default_factory=dict)
-    sightings: dict[Side, Sighting] = field(default_factory=dict)
+    boundaries: dict[Side, ObservedBoundary] = field(default_factory=dict)
 
     def curve_along(self, cfg: LanesConfig, side: Side, line: Float) -> Curve | None:
         """The boundary as the edges near a (3,) state have it; None where too few do."""
         if side not in self.edges:
             return None
         edges = self.edges[side]
-        return fit_curve(cfg, edges.points, edges.rows, line, side, 1.0 / self.view.camera.fx)
+        return fit_curve(cfg, edges.points, edges.rows, line, side, 1.0 / self.projection.camera.fx)
 
     def classes_beside(self, side: Side, curve: Curve) -> tuple[str, str]:
         """The class inside and the class outside a boundary, empty where that is out of sight."""
@@ -99,54 +99,55 @@ class Observation:
         """The most frequent class on a strip beside a curve."""
         x = np.tile(_CLASS_AHEAD_M, len(sideways_m))
         y = lateral(curve.state, x) + np.repeat(sideways_m, len(_CLASS_AHEAD_M))
-        pixels = self.view.pixels(self.view.on_road(x, y))
+        pixels = self.projection.pixels(self.projection.on_road(x, y))
         pixels = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(int)
         height, width = self.tags.shape
-        seen = pixels[((pixels >= 0) & (pixels < (width, height))).all(axis=1)]
-        counts = np.bincount(self.tags[seen[:, 1], seen[:, 0]], minlength=len(self.table.names))
+        visible = pixels[((pixels >= 0) & (pixels < (width, height))).all(axis=1)]
+        counts = np.bincount(self.tags[visible[:, 1], visible[:, 0]], minlength=len(self.table.names))
         counts[list(self.table.tags_of(without))] = 0
         return self.table.name_of(int(counts.argmax())) if counts.any() else ""
 
 
-def observe(cfg: LanesConfig, view: View, tags: Image, table: TagTable, road: Mask) -> Observation:
+def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: TagTable, road: Mask) -> Observation:
     """Find the ego lane's boundaries in one frame.
 
     Args:
         cfg: thresholds.
-        view: camera and road.
+        projection: camera and road.
         tags: (H, W) tags of ``table``.
         table: the tags' table.
         road: (H, W) drivable surface.
     """
     far = lines.road_far_end(road)
     if far is None:
-        return Observation(view, tags, table, float(view.camera.cy))
+        return Observation(projection, tags, table, float(projection.camera.cy))
     separators = np.asarray(cv2.LUT(tags, table.lookup(cfg.separators)), np.uint8)
     edge_pixels = lines.edges_of(cfg, separators * np.uint8(255))
     proposals = lines.propose(cfg, edge_pixels)
-    groups = lines.merge(cfg, lines.on_road(cfg, proposals, road), view.camera.height)
-    edges = {side: _edges(view, separators[far:], road, side, far) for side in SIDES} if cfg.model == "curve" else {}
-    seen = Observation(view, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
-    chosen = _ego_lane(cfg, view, groups)
-    return replace(
-        seen, sightings={side: Sighting(group, _curve(cfg, seen, side, group)) for side, group in chosen.items()}
-    )
+    groups = lines.merge(cfg, lines.on_road(cfg, proposals, road), projection.camera.height)
+    edges = {}
+    if cfg.model == "curve":
+        edges = {side: _edges(projection, separators[far:], road, side, far) for side in SIDES}
+    found = Observation(projection, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
+    chosen = _ego_lane(cfg, projection, groups)
+    curves = {side: _curve(cfg, found, side, group) for side, group in chosen.items()}
+    return replace(found, boundaries={side: ObservedBoundary(group, curves[side]) for side, group in chosen.items()})
 
 
-def _edges(view: View, separators: Image, road: Mask, side: Side, top: int) -> Edges:
+def _edges(projection: RoadProjection, separators: Image, road: Mask, side: Side, top: int) -> Edges:
     pixels = facing_edges(separators, road, side, top)
-    points = view.ground(pixels)[:, :2]
+    points = projection.ground(pixels)[:, :2]
     known = np.isfinite(points).all(axis=1)
     return Edges(points[known], pixels[known, 1])
 
 
-def _ego_lane(cfg: LanesConfig, view: View, groups: tuple[LineGroup, ...]) -> dict[Side, LineGroup]:
+def _ego_lane(cfg: LanesConfig, projection: RoadProjection, groups: tuple[LineGroup, ...]) -> dict[Side, LineGroup]:
     """The closest line on each side of the car's path at the image's bottom, among those with near support.
 
-    A short fragment far away otherwise extrapolates to the closest place.
+    A short fragment far away would otherwise extrapolate to the closest position.
     """
-    bottom, path = float(view.camera.height), view.path_column()
-    near = [group for group in groups if _nearest_x(view, group) <= cfg.near_m]
+    bottom, path = float(projection.camera.height), projection.path_column()
+    near = [group for group in groups if _nearest_x(projection, group) <= cfg.near_m]
     left = [group for group in near if group.x(bottom) < path and group.slope < 0]
     right = [group for group in near if group.x(bottom) >= path and group.slope > 0]
     chosen: dict[Side, LineGroup] = {}
@@ -157,17 +158,17 @@ def _ego_lane(cfg: LanesConfig, view: View, groups: tuple[LineGroup, ...]) -> di
     return chosen
 
 
-def _nearest_x(view: View, group: LineGroup) -> float:
+def _nearest_x(projection: RoadProjection, group: LineGroup) -> float:
     """Ego x in metres of the line's lowest supported point; infinite above the horizon."""
-    x = view.ground(np.array([[group.x(group.bottom_px), group.bottom_px]]))[0, 0]
+    x = projection.ground(np.array([[group.x(group.bottom_px), group.bottom_px]]))[0, 0]
     return float(x) if np.isfinite(x) else np.inf
 
 
-def _curve(cfg: LanesConfig, seen: Observation, side: Side, group: LineGroup) -> Curve | None:
+def _curve(cfg: LanesConfig, observation: Observation, side: Side, group: LineGroup) -> Curve | None:
     """The boundary on the road: the Hough line itself in the line model, else the edges along it."""
     rows = np.linspace(group.top_px, group.bottom_px, _LINE_SAMPLES).tolist()
-    line = line_on_ground(seen.view.ground(np.array([(group.x(row), row) for row in rows])))
+    line = line_on_ground(observation.projection.ground(np.array([(group.x(row), row) for row in rows])))
     if line is None or cfg.model == "curve":
-        return None if line is None else seen.curve_along(cfg, side, line)
+        return None if line is None else observation.curve_along(cfg, side, line)
     std = np.array([cfg.offset_std_m, cfg.heading_std, cfg.curvature_std_per_m])
     return Curve(line, np.diag(std**2), cfg.fit_max_m)

@@ -1,8 +1,8 @@
 """One boundary over time: a Kalman filter on offset, heading and curvature in the ego frame.
 
-Where odometry tells how the car moved since the last frame, the boundary is moved against it; else the car's sideways
-motion is a random acceleration, and heading and curvature wander (Bar-Shalom, Li and Kirubarajan 2001, chapter 6). A
-measurement outside the gate is not taken; a boundary unseen is held, then lost.
+Where the car's motion since the last frame is known from odometry, the boundary is moved against it; else the car's
+sideways motion is a random acceleration, and heading and curvature are random walks (Bar-Shalom, Li and Kirubarajan
+2001, chapter 6). A measurement outside the gate is rejected; a boundary without measurements is held, then lost.
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ import numpy as np
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import read_only
 from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.time import NS_PER_S
 
 _OFFSET, _RATE, _HEADING, _CURVATURE = range(4)
 _MEASURED = [_OFFSET, _HEADING, _CURVATURE]
@@ -27,11 +28,10 @@ _TURN_STD = 0.0015
 _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.001
 """Per metre and root metre driven: how fast roads change their curvature."""
-_NANOSECONDS = 1e9
 
 
 @dataclass(frozen=True)
-class Track:
+class BoundaryTrack:
     """(4,) offset m, its rate m/s, heading rad, curvature 1/m; (4, 4) covariance; when it was last measured."""
 
     mean: Float
@@ -54,17 +54,17 @@ class Track:
         return self.covariance[np.ix_(_MEASURED, _MEASURED)]
 
 
-def start(state: Float, covariance: Float, stamp_ns: int) -> Track:
+def start(state: Float, covariance: Float, stamp_ns: int) -> BoundaryTrack:
     """A new track: its state equals the first measurement."""
     mean = np.zeros(4)
     mean[_MEASURED] = state
     P = np.zeros((4, 4))
     P[_RATE, _RATE] = _FIRST_RATE_STD_MPS**2
     P[np.ix_(_MEASURED, _MEASURED)] = covariance
-    return Track(mean, P, stamp_ns, stamp_ns)
+    return BoundaryTrack(mean, P, stamp_ns, stamp_ns)
 
 
-def predict(cfg: LanesConfig, track: Track, stamp_ns: int, last_T_this: Float | None) -> Track:
+def predict(cfg: LanesConfig, track: BoundaryTrack, stamp_ns: int, last_T_this: Float | None) -> BoundaryTrack:
     """The track at a later stamp, by how the car moved since, or without that by its own rate.
 
     Args:
@@ -75,7 +75,7 @@ def predict(cfg: LanesConfig, track: Track, stamp_ns: int, last_T_this: Float | 
     """
     if last_T_this is not None:
         return _moved(track, stamp_ns, last_T_this)
-    dt = (stamp_ns - track.stamp_ns) / _NANOSECONDS
+    dt = (stamp_ns - track.stamp_ns) / NS_PER_S
     F = np.eye(4)
     F[_OFFSET, _RATE] = dt
     pull = np.array([dt**2 / 2, dt])
@@ -83,14 +83,14 @@ def predict(cfg: LanesConfig, track: Track, stamp_ns: int, last_T_this: Float | 
     Q[:2, :2] = cfg.process_noise**2 * np.outer(pull, pull)
     Q[_HEADING, _HEADING] = _HEADING_WALK**2 * dt
     Q[_CURVATURE, _CURVATURE] = _CURVATURE_WALK_PER_M**2 * dt
-    return Track(F @ track.mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
+    return BoundaryTrack(F @ track.mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
 
 
-def _moved(track: Track, stamp_ns: int, last_T_this: Float) -> Track:
-    """The track as the moved car sees it: to first order in the angles between car and boundary."""
+def _moved(track: BoundaryTrack, stamp_ns: int, last_T_this: Float) -> BoundaryTrack:
+    """The track in the frame of the moved car: to first order in the angles between car and boundary."""
     dx, dy = float(last_T_this[0, 3]), float(last_T_this[1, 3])
     turn = float(np.arctan2(last_T_this[1, 0], last_T_this[0, 0]))
-    dt = (stamp_ns - track.stamp_ns) / _NANOSECONDS
+    dt = (stamp_ns - track.stamp_ns) / NS_PER_S
     F = np.zeros((4, 4))
     F[_OFFSET, [_OFFSET, _HEADING, _CURVATURE]] = 1.0, dx, dx**2 / 2
     F[_HEADING, [_HEADING, _CURVATURE]] = 1.0, dx
@@ -98,14 +98,14 @@ def _moved(track: Track, stamp_ns: int, last_T_this: Float) -> Track:
     mean = F @ track.mean
     mean[_OFFSET] -= dy
     mean[_HEADING] -= turn
-    # Should the next motion not be known, the rate is what it was on the way here.
+    # Should the next motion not be known, the rate is that of this step.
     mean[_RATE] = (mean[_OFFSET] - track.mean[_OFFSET]) / dt
     walked = abs(dx)
     Q = np.diag([_STEP_STD_M**2, _MOVED_RATE_STD_MPS**2, _TURN_STD**2, _CURVATURE_WALK_ROOT_M**2 * walked])
-    return Track(mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
+    return BoundaryTrack(mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
 
 
-def update(cfg: LanesConfig, track: Track, state: Float, covariance: Float) -> Track | None:
+def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Float) -> BoundaryTrack | None:
     """The track after a measurement at its stamp; None where the measurement lies outside the gate."""
     innovation = state - _H @ track.mean
     S = _H @ track.covariance @ _H.T + covariance
@@ -115,9 +115,9 @@ def update(cfg: LanesConfig, track: Track, state: Float, covariance: Float) -> T
     rest = np.eye(4) - gain @ _H
     # Joseph's form keeps the covariance symmetric and positive over thousands of frames.
     P = rest @ track.covariance @ rest.T + gain @ covariance @ gain.T
-    return Track(track.mean + gain @ innovation, P, track.stamp_ns, track.stamp_ns)
+    return BoundaryTrack(track.mean + gain @ innovation, P, track.stamp_ns, track.stamp_ns)
 
 
-def expired(cfg: LanesConfig, track: Track) -> bool:
+def expired(cfg: LanesConfig, track: BoundaryTrack) -> bool:
     """Whether the track was last measured longer ago than it may be held."""
-    return (track.stamp_ns - track.measured_ns) / _NANOSECONDS > cfg.hold_s
+    return (track.stamp_ns - track.measured_ns) / NS_PER_S > cfg.hold_s

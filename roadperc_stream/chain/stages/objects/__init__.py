@@ -1,5 +1,5 @@
-"""Objects: detections judged by the segmentation, with their distance, followed from frame to frame."""
+"""Objects: detections filtered by the segmentation, with their distance, tracked from frame to frame."""
 
-from roadperc_stream.chain.stages.objects.follow import ObjectsState, step
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 
 __all__ = ["ObjectsState", "step"]

@@ -1,7 +1,7 @@
 """Which detection is which object: the pairs of largest total similarity (the assignment problem).
 
 Similar are boxes that overlap; where the distances contradict each other the overlap counts for less. So an object
-whose distance jumps to something in front keeps its name, and of two that pass each other each keeps its own.
+whose distance jumps to something in front keeps its id, and of two that pass each other each keeps its own.
 """
 
 from collections.abc import Iterable, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from roadperc_stream.chain.stages.objects.tracking import Track, distance_std_m
+from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Box, Object
 from roadperc_stream.core.geometry import Float
@@ -18,14 +18,14 @@ from roadperc_stream.core.semantics import classes_of_label
 
 
 def assign(
-    cfg: ObjectsConfig, tracks: Sequence[Track], items: Sequence[Object], boxes: Sequence[Box]
+    cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object], boxes: Sequence[Box]
 ) -> dict[int, int]:
     """The position in ``items`` of each track's detection, by the track's position; both appear at most once.
 
     Args:
         cfg: gates.
         tracks: predicted to the time of the detections.
-        items: judged detections.
+        items: filtered detections.
         boxes: their boxes within the image.
 
     Equal similarities are decided by the order of tracks and items.
@@ -37,11 +37,13 @@ def assign(
     return {int(row): int(column) for row, column in zip(rows, columns, strict=True) if scores[row, column] > 0}
 
 
-def similarities(cfg: ObjectsConfig, tracks: Sequence[Track], items: Sequence[Object], boxes: Sequence[Box]) -> Float:
+def similarities(
+    cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object], boxes: Sequence[Box]
+) -> Float:
     """(tracks, items) 0 to 1: how well each detection fits each predicted track; 0 where it cannot be the same object.
 
     It is the overlap, which counts for less as the distances contradict each other, to the whole at the filter's gate.
-    All pairs at once: a detector may say thousands of things, and each is held against every track.
+    All pairs at once: a detector may give thousands of boxes, and each is compared with every track.
     """
     kinds = [_kind(track.detection.label) for track in tracks], [_kind(item.detection.label) for item in items]
     numbers = {kind: number for number, kind in enumerate(dict.fromkeys((*kinds[0], *kinds[1])))}
@@ -74,13 +76,13 @@ def _areas(corners: Float) -> Float:
     return areas
 
 
-def _contradictions(cfg: ObjectsConfig, tracks: Sequence[Track], items: Sequence[Object]) -> Float:
+def _contradictions(cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object]) -> Float:
     """(tracks, items) 0 where the distances agree or one is unknown, 1 from the gate on."""
     motions = [track.distance_m for track in tracks]
     expected = np.array([np.nan if m is None else m.value for m in motions])[:, None]
     variances = np.array([np.nan if m is None else m.value_var for m in motions])[:, None]
     measured = np.array([np.nan if item.distance_m is None else item.distance_m for item in items])
-    # As Motion.surprise has it; float_power rounds as Python's ** does, squaring by a product does not always.
+    # As RateFilter.surprise has it; float_power rounds as Python's ** does, squaring by a product does not always.
     noise = np.float_power(np.array([distance_std_m(cfg, item) for item in items]), 2.0)
     surprise = np.float_power(measured - expected, 2.0) / (variances + noise)
     unknown: NDArray[np.bool_] = np.isnan(expected) | np.isnan(measured)

@@ -3,18 +3,18 @@
 from dataclasses import replace
 from math import sqrt
 
-from roadperc_stream.chain.stages.objects.motion import Motion
-from roadperc_stream.chain.stages.objects.tracking import Track
+from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
+from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Object
 
 
-def with_motion(cfg: ObjectsConfig, item: Object, track: Track) -> Object:
-    """An object with its track's id, and what the track's distances say of its motion.
+def with_motion(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
+    """An object with its track's id, and its closing speed and time to impact by the track's distances.
 
     The speed is that of the distance to the camera, positive when coming nearer. A speed that is not known well is
     not given. A time to impact is given only for what surely comes nearer, and not while the distances contradict
-    the one that is followed: either may be another thing's.
+    the filtered one: either may be another object's.
     """
     named = replace(item, track_id=track.id)
     distance = track.distance_m
@@ -30,7 +30,7 @@ def with_motion(cfg: ObjectsConfig, item: Object, track: Track) -> Object:
     )
 
 
-def _time_to_impact_std_s(distance: Motion) -> float:
+def _time_to_impact_std_s(distance: RateFilter) -> float:
     """First-order propagation through distance / closing speed, their covariance included."""
     by_distance = -1 / distance.rate
     by_rate = distance.value / distance.rate**2

@@ -1,65 +1,82 @@
-"""Where a patch of one image lies in another: normalised cross-correlation.
+"""The template of an object: how it last looked, and the search for it in another image."""
 
-Source: Lewis, Fast Normalized Cross-Correlation, 1995; OpenCV's matchTemplate with TM_CCOEFF_NORMED, which is 1 where
-the image is the patch but for brightness and contrast.
-"""
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from roadperc_stream.core.datatypes import Box, Correlation, Image, Mask
+from roadperc_stream.chain.stages.objects.template_matching import correlate
+from roadperc_stream.core.datatypes import Box, Correlation, Image, read_only
 
-_FLAT = 0.5
-"""Standard deviation in grey levels up to which pixels show nothing: what is left of rounding."""
+_LARGEST_PX = 96
+"""Longest side that is kept: the middle of a larger object is enough to find it."""
+_SMALLEST_PX = 8
+"""Fewer pixels are found everywhere."""
 
 
-def find_patch(image: Image, patch: Image, around: Box | None, min_score: float) -> tuple[Box, float] | None:
-    """The place in the image that looks most like the patch.
+@dataclass(frozen=True)
+class Template:
+    """(h, w) grey pixels of an object of ``sides_px``, whose middle is ``off_px`` away from the object's.
 
-    Args:
-        image: (H, W) grey.
-        patch: (h, w) grey, what is looked for.
-        around: the patch is looked for wholly inside this box, clipped to the image; None is the whole image.
-        min_score: least correlation that counts as found, -1 to 1.
-
-    Returns:
-        The patch's box in the image and its correlation; None where nothing reaches ``min_score``, the patch is empty
-        or flat, or it does not fit into the box.
+    ``distance_m`` is how far the object was then, None where that was not known.
     """
-    found = correlate(image, patch, around)
-    return None if found is None else found.match(min_score)
+
+    grey: Image
+    off_px: tuple[float, float]
+    sides_px: tuple[float, float]
+    distance_m: float | None
+
+    def __post_init__(self) -> None:
+        read_only(self.grey, np.uint8, (None, None), "template")
+
+    def search(self, image_grey: Image, around: Box, scale: float) -> Correlation | None:
+        """How well it fits an image where the object is ``scale`` times as large; None where it is flat or too large.
+
+        Args:
+            image_grey: (H, W) uint8.
+            around: where the object's middle may be.
+            scale: 1 is the size at which it was cut out.
+        """
+        pixels = _resized(self.grey, scale)
+        rows, columns = pixels.shape
+        x, y = (off * scale for off in self.off_px)
+        region = Box(
+            around.x_min + x - columns / 2,
+            around.y_min + y - rows / 2,
+            around.x_max + x + columns / 2,
+            around.y_max + y + rows / 2,
+        )
+        return correlate(image_grey, pixels, region)
+
+    def whole(self, box_px: Box, scale: float) -> Box:
+        """The whole object's box where the template, ``scale`` times as large, lies in a box."""
+        x, y = (off * scale for off in self.off_px)
+        centre_x, centre_y = (box_px.x_min + box_px.x_max) / 2 - x, (box_px.y_min + box_px.y_max) / 2 - y
+        width, height = (side * scale for side in self.sides_px)
+        return Box(centre_x - width / 2, centre_y - height / 2, centre_x + width / 2, centre_y + height / 2)
 
 
-def correlate(image: Image, patch: Image, around: Box | None) -> Correlation | None:
-    """How well the patch fits everywhere in a box.
-
-    Args:
-        image: (H, W) grey.
-        patch: (h, w) grey, what is looked for.
-        around: where it may lie, wholly, clipped to the image; None is the whole image.
-
-    Returns:
-        None where the patch is empty or flat, or does not fit into the box.
-    """
-    height, width = image.shape
-    x0, y0, x1, y1 = (0, 0, width, height) if around is None else around.rounded(width, height)
-    rows, columns = patch.shape
-    if not patch.size or float(patch.std()) <= _FLAT or columns > x1 - x0 or rows > y1 - y0:
+def cut(image_grey: Image, box_px: Box, distance_m: float | None) -> Template | None:
+    """The middle of a box in the image, at most ``_LARGEST_PX`` in either direction; None where it is too small."""
+    height, width = image_grey.shape
+    x0, y0, x1, y1 = box_px.rounded(width, height)
+    x0, x1 = _middle(x0, x1)
+    y0, y1 = _middle(y0, y1)
+    if x1 - x0 < _SMALLEST_PX or y1 - y0 < _SMALLEST_PX:
         return None
-    window = image[y0:y1, x0:x1]
-    scores = np.asarray(cv2.matchTemplate(window, patch, cv2.TM_CCOEFF_NORMED), np.float32)
-    # Where the image is flat a correlation is 0 / 0, for which OpenCV may say 1.
-    scores[_flat(window, rows, columns)] = -np.inf
-    return Correlation(x0, y0, (columns, rows), scores)
+    off_px = ((x0 + x1 - box_px.x_min - box_px.x_max) / 2, (y0 + y1 - box_px.y_min - box_px.y_max) / 2)
+    sides_px = (box_px.x_max - box_px.x_min, box_px.y_max - box_px.y_min)
+    return Template(image_grey[y0:y1, x0:x1].copy(), off_px, sides_px, distance_m)
 
 
-def _flat(image: Image, rows: int, columns: int) -> Mask:
-    """At which places (top left corners) a patch of that size covers pixels that show nothing."""
-    sums, squares = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    total, total_of_squares = (
-        table[rows:, columns:] - table[:-rows, columns:] - table[rows:, :-columns] + table[:-rows, :-columns]
-        for table in (np.asarray(sums, float), np.asarray(squares, float))
-    )
-    count = rows * columns
-    flat: Mask = total_of_squares * count - total**2 <= (_FLAT * count) ** 2
-    return flat
+def _middle(first: int, end: int) -> tuple[int, int]:
+    cut_off = max(end - first - _LARGEST_PX, 0)
+    return first + cut_off // 2, end - (cut_off - cut_off // 2)
+
+
+def _resized(grey: Image, scale: float) -> Image:
+    rows, columns = (max(round(side * scale), 1) for side in grey.shape)
+    if (rows, columns) == grey.shape:
+        return grey
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(grey, (columns, rows), interpolation=how), np.uint8)

@@ -1,19 +1,19 @@
 """One object over time: where its box is in the image, how far it is and how fast it comes nearer.
 
 Three filters of a value and its rate: column and row of the box's centre, and the distance. The distance may jump to
-something that passes in front of the object: a jump is not taken. What lies beyond the gate starts a rival of the
-distance's filter, which takes over when its distances have followed each other for a while.
+something that passes in front of the object: a jump is rejected. What lies beyond the gate starts a rival of the
+distance's filter, which replaces it when its distances have been consistent for a while.
 """
 
 from dataclasses import dataclass, replace
 
-from roadperc_stream.chain.stages.objects import motion
-from roadperc_stream.chain.stages.objects.motion import Motion
-from roadperc_stream.chain.stages.objects.patch import Patch
+from roadperc_stream.chain.stages.objects import rate_filter
+from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
+from roadperc_stream.chain.stages.objects.template import Template
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Box, Detection, Object
+from roadperc_stream.core.time import NS_PER_S
 
-_NANOSECONDS = 1e9
 _FIRST_SPEED_STD_MPS = 20.0
 _SIDE_STD = 0.03
 """Of a detected box's centre, in box sides."""
@@ -29,29 +29,29 @@ _ZOOM = (0.5, 2.0)
 
 
 @dataclass(frozen=True)
-class Track:
-    """An object that is followed.
+class ObjectTrack:
+    """An object that is tracked.
 
-    ``box_px`` is its place at ``stamp_ns``, seen or predicted; ``x_px`` and ``y_px`` follow the box's centre. It was
-    last detected at ``detected_ns``, last seen (detected or found by its patch) at ``seen_ns``, and that in every frame
-    since ``run_ns``; ``missed`` says whether a frame has gone by without it since. ``rival_m`` has followed the
-    distances beyond the gate since ``rival_ns``.
+    ``box_px`` is its box at ``stamp_ns``, observed or predicted; ``x_px`` and ``y_px`` are the filters of its centre.
+    It was last detected at ``detected_ns``, last observed (detected or found by its template) at ``observed_ns``, and
+    that in every frame since ``run_ns``; ``missed`` says whether a frame has gone by without it since. ``rival_m`` is
+    the filter of the distances beyond the gate since ``rival_ns``.
     """
 
     number: int
     detection: Detection
     box_px: Box
-    x_px: Motion
-    y_px: Motion
-    distance_m: Motion | None
+    x_px: RateFilter
+    y_px: RateFilter
+    distance_m: RateFilter | None
     stamp_ns: int
     detected_ns: int
-    seen_ns: int
+    observed_ns: int
     run_ns: int
     missed: bool = False
-    rival_m: Motion | None = None
+    rival_m: RateFilter | None = None
     rival_ns: int = 0
-    patch: Patch | None = None
+    template: Template | None = None
 
     @property
     def id(self) -> str:
@@ -59,15 +59,15 @@ class Track:
         return str(self.number)
 
 
-def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: int) -> Track:
+def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: int) -> ObjectTrack:
     """A new track of a detected object; ``box_px`` is its box within the image."""
     (x, y), (width, height) = _centre(box_px), _sides(box_px)
-    return Track(
+    return ObjectTrack(
         number,
         item.detection,
         box_px,
-        motion.start(x, _centre_std(width), _FIRST_DRIFT_STD * width),
-        motion.start(y, _centre_std(height), _FIRST_DRIFT_STD * height),
+        rate_filter.start(x, _centre_std(width), _FIRST_DRIFT_STD * width),
+        rate_filter.start(y, _centre_std(height), _FIRST_DRIFT_STD * height),
         None if item.distance_m is None else _first_distance(item.distance_m, distance_std_m(cfg, item)),
         stamp_ns,
         stamp_ns,
@@ -76,9 +76,9 @@ def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: 
     )
 
 
-def predict(cfg: ObjectsConfig, track: Track, stamp_ns: int) -> Track:
+def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int) -> ObjectTrack:
     """The track at a later stamp: the box moves on as its centre did and grows as the object comes nearer."""
-    dt_s = (stamp_ns - track.stamp_ns) / _NANOSECONDS
+    dt_s = (stamp_ns - track.stamp_ns) / NS_PER_S
     width, height = _sides(track.box_px)
     x_px = track.x_px.predict(_DRIFT_WALK * width, dt_s)
     y_px = track.y_px.predict(_DRIFT_WALK * height, dt_s)
@@ -93,11 +93,11 @@ def predict(cfg: ObjectsConfig, track: Track, stamp_ns: int) -> Track:
         distance_m=distance_m,
         rival_m=rival_m,
         stamp_ns=stamp_ns,
-        missed=track.seen_ns != track.stamp_ns,
+        missed=track.observed_ns != track.stamp_ns,
     )
 
 
-def zoom(before_m: float | None, after_m: Motion | None) -> float:
+def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
     """How many times larger an object appears than at another distance; 1 where a distance is not known."""
     if before_m is None or after_m is None:
         return 1.0
@@ -105,25 +105,25 @@ def zoom(before_m: float | None, after_m: Motion | None) -> float:
     return min(max(before_m / after_m.value, least), most) if after_m.value > 0 else most
 
 
-def detected(cfg: ObjectsConfig, track: Track, item: Object, box_px: Box) -> Track:
+def detected(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box) -> ObjectTrack:
     """The predicted track after the detection that belongs to it."""
-    seen = _placed(cfg, track, item, box_px)
-    return replace(seen, detection=item.detection, detected_ns=track.stamp_ns)
+    updated = _updated(cfg, track, item, box_px)
+    return replace(updated, detection=item.detection, detected_ns=track.stamp_ns)
 
 
-def carried(cfg: ObjectsConfig, track: Track, item: Object) -> Track:
-    """The predicted track after its patch was found in the image, which does not count as a detection."""
-    return _placed(cfg, track, item, item.detection.box_px)
+def coasted(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> ObjectTrack:
+    """The predicted track after its template was found in the image, which does not count as a detection."""
+    return _updated(cfg, track, item, item.detection.box_px)
 
 
-def expired(cfg: ObjectsConfig, track: Track) -> bool:
-    """Whether the object was last detected longer ago than it is followed."""
-    return (track.stamp_ns - track.detected_ns) / _NANOSECONDS > cfg.hold_s
+def expired(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
+    """Whether the object was last detected longer ago than it is tracked."""
+    return (track.stamp_ns - track.detected_ns) / NS_PER_S > cfg.hold_s
 
 
-def proven(cfg: ObjectsConfig, track: Track) -> bool:
-    """Whether the object was seen without a gap for long enough to be no stray detection."""
-    return (track.seen_ns - track.run_ns) / _NANOSECONDS >= cfg.carry_after_s
+def confirmed(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
+    """Whether the object was observed without a gap for long enough to be no stray detection."""
+    return (track.observed_ns - track.run_ns) / NS_PER_S >= cfg.carry_after_s
 
 
 def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
@@ -133,14 +133,14 @@ def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
     return max(_UNKNOWN_STD_SHARE * (item.distance_m or 0.0), cfg.min_distance_std_m)
 
 
-def _placed(cfg: ObjectsConfig, track: Track, item: Object, box_px: Box) -> Track:
+def _updated(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box) -> ObjectTrack:
     (x, y), (width, height) = _centre(box_px), _sides(box_px)
     moved = replace(
         track,
         box_px=box_px,
         x_px=track.x_px.update(x, _centre_std(width)),
         y_px=track.y_px.update(y, _centre_std(height)),
-        seen_ns=track.stamp_ns,
+        observed_ns=track.stamp_ns,
         run_ns=track.stamp_ns if track.missed else track.run_ns,
     )
     if item.distance_m is None:
@@ -148,7 +148,7 @@ def _placed(cfg: ObjectsConfig, track: Track, item: Object, box_px: Box) -> Trac
     return _measured(cfg, moved, item.distance_m, distance_std_m(cfg, item))
 
 
-def _measured(cfg: ObjectsConfig, track: Track, distance_m: float, std_m: float) -> Track:
+def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: float) -> ObjectTrack:
     """The track after a distance: it belongs to the filter or to its rival, whichever it fits, or to a new rival."""
     if track.distance_m is None:
         return replace(track, distance_m=_first_distance(distance_m, std_m))
@@ -159,13 +159,13 @@ def _measured(cfg: ObjectsConfig, track: Track, distance_m: float, std_m: float)
     if track.rival_m is None or theirs > cfg.gate:
         return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)
     rival_m = track.rival_m.update(distance_m, std_m)
-    if (track.stamp_ns - track.rival_ns) / _NANOSECONDS < cfg.restart_s:
+    if (track.stamp_ns - track.rival_ns) / NS_PER_S < cfg.restart_s:
         return replace(track, rival_m=rival_m)
     return replace(track, distance_m=rival_m, rival_m=None)
 
 
-def _first_distance(distance_m: float, std_m: float) -> Motion:
-    return motion.start(distance_m, std_m, _FIRST_SPEED_STD_MPS)
+def _first_distance(distance_m: float, std_m: float) -> RateFilter:
+    return rate_filter.start(distance_m, std_m, _FIRST_SPEED_STD_MPS)
 
 
 def _centre_std(side: float) -> float:

@@ -1,4 +1,4 @@
-"""Visual odometry: points followed from a keyframe, and the motion they tell."""
+"""Visual odometry: features tracked from a keyframe, and the motion estimated from them."""
 
 from roadperc_stream.chain.stages.odometry.ego_motion import OdometryState, step
 

@@ -1,9 +1,9 @@
 """A motion where no depth is known: turn and direction from the essential matrix, the length from known points.
 
 Five-point RANSAC in OpenCV's USAC form (Nister 2004; Raguram et al. 2013), then least squares over Sampson's distance
-with Huber's loss. The length comes from points whose place is known: on the road's plane below the camera, or
+with Huber's loss. The length comes from known points: on the road's plane below the camera, or
 triangulated by earlier motions. Where the image shifts no more than by a turn, the camera stands: an essential matrix
-would then be made of noise.
+would then be fitted to noise.
 """
 
 import cv2
@@ -20,12 +20,12 @@ from roadperc_stream.core.geometry import Camera, Float, Float32, project, rays,
 _SMALLEST_SET = 8
 _CONFIDENCE = 0.999
 _MIN_KNOWN = 5
-"""Points of known place that are enough to tell the length."""
+"""Known points that are enough to determine the length."""
 _MIN_DEPTH_PARALLAX_PX = 2.0
 """Parallax, at 960 rows, from which a point is triangulated."""
 _EVALUATIONS = 20
 _STANDING_SHARE = 0.75
-"""Share of the points that must lie where a turn alone promises them if the camera stands."""
+"""Share of the points that must lie where a rotation alone predicts them if the camera stands."""
 _REWEIGHTINGS = 5
 _SMALL_ANGLE = 1e-4
 """Radians; closer points weigh no more."""
@@ -78,7 +78,7 @@ def motion_from_rays(
 
 
 def _standing(cfg: OdometryConfig, camera: Camera, a: Float, px: Float32) -> tuple[Float, Float, Mask, Float] | None:
-    """The turn alone, where nearly everything lies where it promises; None where the camera has moved."""
+    """The rotation alone, where it predicts nearly all points; None where the camera has moved."""
     R = _turn(a, rays(camera, px.astype(float)))
     shift_px = np.linalg.norm(project(camera, a @ R.T) - px, axis=1)
     if not np.quantile(shift_px, _STANDING_SHARE) < scaled(cfg.min_parallax_px, camera.height):
@@ -99,7 +99,7 @@ def _turn(a: Float, b: Float) -> Float:
 
 
 def _direction(cfg: OdometryConfig, camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, Float] | None:
-    """R, unit t with b ~ R a + t, (N,) who agrees, and the (6, 6) covariance of unit t and R."""
+    """R, unit t with b ~ R a + t, (N,) inliers, and the (6, 6) covariance of unit t and R."""
     E, _ = cv2.findEssentialMat(
         a[:, :2],
         b[:, :2],
@@ -122,7 +122,7 @@ def _direction(cfg: OdometryConfig, camera: Camera, a: Float, b: Float) -> tuple
 
 
 def _refined(camera: Camera, R: Float, t: Float, a: Float, b: Float) -> tuple[Float, Float, Float]:
-    """Least squares over the turn and the direction's two tangents."""
+    """Least squares over the rotation and the direction's two tangents."""
     tangents = np.linalg.svd(t[None])[2][1:]
 
     def at(small: Float) -> tuple[Float, Float]:
@@ -147,9 +147,9 @@ def _sampson(R: Float, t: Float, a: Float, b: Float) -> Float:
 
 
 def _length(cfg: OdometryConfig, camera: Camera, R: Float, t: Float, X: Float, b: Float) -> tuple[float, float] | None:
-    """Length of the motion and its variance, from points whose place is known.
+    """Length of the motion and its variance, from known points.
 
-    Each point tells one: b x (R X + length t) = 0. The weighted median of them starts a least squares over those that
+    Each point gives one: b x (R X + length t) = 0. The weighted median of them starts a least squares over those that
     agree with it; None where they are too few.
     """
     if len(X) < _MIN_KNOWN:

@@ -1,7 +1,7 @@
-"""Points of an image and where they are in a later one: corners with optical flow, or descriptors.
+"""Features of an image and their matches in a later one: corners with optical flow, or descriptors.
 
 Corners are those of Shi and Tomasi (1994), followed by the pyramidal Lucas-Kanade tracker (Bouguet 2000) and kept where
-following them back returns to the start (Kalal, Mikolajczyk and Matas 2010). Descriptors are ORB (Rublee et al. 2011)
+tracking them back returns to the start (Kalal, Mikolajczyk and Matas 2010). Descriptors are ORB (Rublee et al. 2011)
 or SIFT (Lowe 2004), kept by Lowe's ratio test. ORB's corners are whole pixels of a pyramid, so its matches are brought
 to sub-pixel by optical flow that starts at the match.
 """
@@ -25,7 +25,7 @@ _FLOW_STOP: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
 _CORNER_BLOCK_PX = 5
 _SMALLEST_WINDOW_PX = 5
 _CORNER_FLOOR = 1e-5
-"""Eigenvalue below which a window has no texture that could be followed."""
+"""Eigenvalue below which a window has no texture that could be tracked."""
 _CANDIDATES_PER_POINT = 4
 _ORB_FAST_THRESHOLD = 7
 _ORB_SMALLEST_SIDE_PX = 2
@@ -57,7 +57,7 @@ class Features:
 
 @dataclass(frozen=True)
 class Frontend:
-    """One way to find points and to find them again.
+    """One way to detect features and to match them.
 
     ``detect(cfg, grey, allowed)`` gives the features of an image where ``allowed`` (uint8) is not 0, and their (N,)
     strengths. ``match(cfg, before, features, guess_px, grey)`` gives the (N, 2) pixels in ``grey`` of the features of
@@ -179,7 +179,7 @@ def _flow(cfg: OdometryConfig, before: Image, px: Float32, guess_px: Float32, gr
 
 
 def _nearest(cfg: OdometryConfig, features: Features, others: Features, norm: int) -> Float32:
-    """(N, 2) pixels of the features' matches among others: clearly the nearest, and each taken once."""
+    """(N, 2) pixels of the features' matches among others: clearly the nearest, and each used once."""
     found = np.full_like(features.px, np.nan)
     if len(features.px) == 0 or len(others.px) < 2:
         return found

@@ -1,8 +1,8 @@
-"""A motion against a keyframe, and what tells it where the points' places are known: perspective from n points.
+"""A motion against a keyframe, and its estimation where the points are known: perspective from n points.
 
 RANSAC (Fischler and Bolles 1981) finds who agrees, Gauss-Newton with Huber's weights refines the motion and gives its
 covariance from the normal equations. A point's error is that of its pixel, and that of its depth as far as a change of
-depth would shift the pixel: so far points with poor depth still tell the turn.
+depth would shift the pixel: so far points with poor depth still determine the rotation.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from roadperc_stream.core.datatypes import Mask
 from roadperc_stream.core.geometry import Camera, Float, Float32, project, rigid, transform
 
 PIXEL_STD_PX = 0.5
-"""Standard deviation of a followed point, at 960 rows; the covariance is scaled to what the points really scatter."""
+"""Standard deviation of a tracked point, at 960 rows; the covariance is scaled to the points' real scatter."""
 _HUBER = 1.5
 _ITERATIONS = 8
 _CONFIDENCE = 0.999
 _SMALLEST_SET = 6
 _SINGULAR = 1e12
-"""Condition number of normal equations that do not tell the motion."""
+"""Condition number of normal equations that do not determine the motion."""
 _NEAREST_M = 0.1
 _CONVERGED = 1e-6
 """Metres and radians below which another iteration changes nothing."""
@@ -33,9 +33,9 @@ _CONVERGED = 1e-6
 class Motion:
     """``this_T_key`` maps the keyframe's camera coordinates to this frame's camera.
 
-    ``inliers`` are the (N,) features that agree, ``points_m`` the (N, 3) places of the keyframe's features as far as
+    ``inliers`` are the (N,) features that agree, ``points_m`` the (N, 3) points of the keyframe's features as far as
     they are known after the motion, ``covariance`` the (6, 6) one of a small translation and rotation (m, rad) of this
-    camera in its own axes, None where it cannot be told. ``scaled`` says that known points tell the length.
+    camera in its own axes, None where it is not known. ``scaled`` says that the length comes from known points.
     """
 
     this_T_key: Float
@@ -48,7 +48,7 @@ class Motion:
 def motion_from_points(
     cfg: OdometryConfig, camera: Camera, points_m: Float, px: Float32, start: Float | None = None
 ) -> Motion | None:
-    """The motion that sees points where they are found.
+    """The motion that projects points to the pixels where they were found.
 
     Args:
         cfg: thresholds.
@@ -131,15 +131,15 @@ def _linearised(
 
     A point not in front of the camera is infinitely far off.
     """
-    seen = transform(this_T_key, X)
-    ahead = seen[:, 2] > _NEAREST_M
-    seen[~ahead] = (0.0, 0.0, 1.0)
-    P = _projection_derivative(camera, seen)
-    residual = px - project(camera, seen)
+    points = transform(this_T_key, X)
+    ahead = points[:, 2] > _NEAREST_M
+    points[~ahead] = (0.0, 0.0, 1.0)
+    P = _projection_derivative(camera, points)
+    residual = px - project(camera, points)
     along = np.einsum("nij,nj->ni", P, (X / X[:, 2:]) @ this_T_key[:3, :3].T)
     depth_std_m = cfg.depth_std_per_m * X[:, 2] ** 2
     std = np.sqrt(std_px**2 + np.sum(along**2, axis=1) * depth_std_m**2)
-    J = np.concatenate((P, -P @ _cross_matrices(seen)), axis=2) / std[:, None, None]
+    J = np.concatenate((P, -P @ _cross_matrices(points)), axis=2) / std[:, None, None]
     residual /= std[:, None]
     return residual, J, np.where(ahead, np.linalg.norm(residual, axis=1), np.inf)
 

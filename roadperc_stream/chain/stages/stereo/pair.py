@@ -8,7 +8,7 @@ import numpy as np
 from roadperc_stream.chain.stages.stereo.matching import disparity, rounded_up
 from roadperc_stream.chain.stages.stereo.rectification import lens_fault, rectification, resampled, turned_back
 from roadperc_stream.core.config import StereoConfig
-from roadperc_stream.core.datatypes import Absent, Image, Mask, StereoDepth
+from roadperc_stream.core.datatypes import Absent, Image, Mask, Reason, StereoDepth
 from roadperc_stream.core.geometry import Camera, Float, Float32, Plane, inverse, rays, rigid, transform_plane
 
 _BASELINES_M: Final = (1e-3, 1e3)
@@ -20,43 +20,39 @@ _NEARER: Final = 1.1
 def match(
     cfg: StereoConfig,
     left: Camera,
-    right: Camera | None,
+    right: Camera,
     ego_T_left: Float,
     left_image: Image | None,
     right_image: Image | None,
 ) -> StereoDepth | Absent:
-    """Depth of a stereo pair, as the left camera sees it: with its rectified intrinsics, but turned as it is mounted.
+    """Depth of a stereo pair in the left camera's image: with its rectified intrinsics, but turned as it is mounted.
 
     Args:
         cfg: method and thresholds.
         left: camera of ``left_image``.
         right: camera of ``right_image``, its ``baseline_m`` to the right of the left one along the rectified rows.
-        ego_T_left: mounting of the left camera: how near the nearest road pixel is decides what must be tried.
+        ego_T_left: mounting of the left camera: how near the nearest road pixel is decides which disparities are tried.
         left_image: (H, W, 3) blue, green, red or (H, W) grey.
         right_image: the same of the right camera.
 
     Returns:
-        (H, W) float32 metres along z, NaN where the pair does not tell: hidden from the right camera, outside its
+        (H, W) float32 metres along z, NaN where the pair does not show it: hidden from the right camera, outside its
         image, ambiguous, or so far away that the disparity is mostly error. Or why there is none.
     """
     if cfg.method == "off":
-        return Absent("switched off")
-    if left_image is None or right_image is None or right is None:
-        given = {"left image": left_image, "right image": right_image, "calibration of the right camera": right}
-        return Absent(", ".join(f"no {name}" for name, thing in given.items() if thing is None))
-    baseline_m = right.baseline_m
-    shortest_m, longest_m = _BASELINES_M
-    if baseline_m is None or not shortest_m <= baseline_m <= longest_m:
-        said = "is 0" if baseline_m is None else f"gives a baseline of {baseline_m:g} m"
-        wanted = f"-fx * baseline, which is {shortest_m:g} to {longest_m:g} m"
-        return Absent(f"P[0][3] of the right camera {said}: expected {wanted}")
+        return Absent(Reason("stereo", "switched_off"))
+    if left_image is None or right_image is None:
+        return Absent(_without_images(left_image, right_image))
+    baseline_m = _baseline_m(right)
+    if isinstance(baseline_m, Reason):
+        return Absent(baseline_m)
     fault = _fault(left, right, left_image, right_image)
     if fault is not None:
         return Absent(fault)
     ego_T_rectified = ego_T_left @ rigid(rectification(left).T, np.zeros(3))
     count = disparities_needed(left, baseline_m, ego_T_rectified) if cfg.disparities == "auto" else cfg.disparities
     if count is None:
-        return Absent("the mounting puts the left camera below the road: set stereo.disparities")
+        return Absent(Reason("stereo", "camera_below_road"))
     disparity_px = _rectified_disparity(cfg, count, left, right, _grey(left_image), _grey(right_image))
     return StereoDepth(left.frame_id, depth_of(cfg, left, baseline_m, turned_back(left, disparity_px)))
 
@@ -87,44 +83,59 @@ def depth_of(cfg: StereoConfig, left: Camera, baseline_m: float, disparity_px: F
     return depth_m
 
 
+def _baseline_m(right: Camera) -> float | Reason:
+    """The distance of the pair's cameras, or why it cannot be theirs."""
+    if right.baseline_m is None:
+        return Reason("stereo", "no_baseline", _BASELINES_M)
+    if not _BASELINES_M[0] <= right.baseline_m <= _BASELINES_M[1]:
+        return Reason("stereo", "wrong_baseline", (right.baseline_m, *_BASELINES_M))
+    return right.baseline_m
+
+
+def _without_images(left_image: Image | None, right_image: Image | None) -> Reason:
+    if left_image is None and right_image is None:
+        return Reason("stereo", "no_left_no_right_image")
+    return Reason("stereo", "no_left_image" if left_image is None else "no_right_image")
+
+
 def _grey(image: Image) -> Image:
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def _fault(left: Camera, right: Camera, left_image: Image, right_image: Image) -> str | None:
+def _fault(left: Camera, right: Camera, left_image: Image, right_image: Image) -> Reason | None:
     """Why the two images are no pair that can be matched."""
     if left.size != right.size:
-        return f"the left camera has {left.width}x{left.height} pixels, the right one {right.width}x{right.height}"
+        return Reason("stereo", "pair_of_two_sizes", (left.width, left.height, right.width, right.height))
     for side, camera, image in (("left", left, left_image), ("right", right, right_image)):
         height, width = image.shape[:2]
         if (height, width) != camera.size:
-            return f"{side} image: {width}x{height} pixels, its calibration says {camera.width}x{camera.height}"
-        fault = lens_fault(camera)
+            return Reason("stereo", "pair_of_wrong_size", (side, width, height, camera.width, camera.height))
+        fault = lens_fault(side, camera)
         if fault is not None:
-            return f"not rectified: the {side} camera {fault}"
+            return fault
     return None
 
 
 def _rectified_disparity(
     cfg: StereoConfig, count: int, left: Camera, right: Camera, left_grey: Image, right_grey: Image
 ) -> Float32:
-    """(H, W) disparities seen by both cameras; images that are not rectified, or to other intrinsics, are resampled."""
+    """(H, W) disparities visible to both cameras; images not rectified, or to other intrinsics, are resampled."""
     if left.lens is None and right.lens is None and right.same_view(left):
         disparity_px = disparity(cfg, count, left_grey, right_grey)
-        return _seen_by_right(disparity_px, None)
-    left_rectified, left_seen = resampled(left, left, left_grey)
-    right_rectified, right_seen = resampled(right, left, right_grey)
+        return _visible_to_right(disparity_px, None)
+    left_rectified, left_valid = resampled(left, left, left_grey)
+    right_rectified, right_valid = resampled(right, left, right_grey)
     disparity_px = disparity(cfg, count, left_rectified, right_rectified)
-    disparity_px[~left_seen] = np.nan
-    return _seen_by_right(disparity_px, right_seen)
+    disparity_px[~left_valid] = np.nan
+    return _visible_to_right(disparity_px, right_valid)
 
 
-def _seen_by_right(disparity_px: Float32, right_seen: Mask | None) -> Float32:
-    """The disparities (H, W) whose partner lies in the right image, at one of its pixels that were seen at all."""
+def _visible_to_right(disparity_px: Float32, right_valid: Mask | None) -> Float32:
+    """The disparities (H, W) whose partner lies in the right image, at one of its pixels that are valid."""
     partner = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
     with np.errstate(invalid="ignore"):
         inside = partner >= 0
-    if right_seen is not None:
+    if right_valid is not None:
         columns = np.rint(np.where(inside, partner, 0)).astype(np.intp)
-        inside &= np.take_along_axis(right_seen, columns, axis=1)
+        inside &= np.take_along_axis(right_valid, columns, axis=1)
     return np.where(inside, disparity_px, np.float32(np.nan))

@@ -1,4 +1,4 @@
-"""The cameras of a pair that is not rectified: their images resampled, and what is found turned back again."""
+"""The cameras of a pair that is not rectified: their images resampled, and the disparities turned back again."""
 
 from functools import lru_cache
 from typing import Final
@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.stereo.matching import within_one_thing
-from roadperc_stream.core.datatypes import Image, Mask
+from roadperc_stream.core.datatypes import Image, Mask, Reason
 from roadperc_stream.core.geometry import Camera, Float, Float32, Lens, pinhole_fault, project, rays
 
 _MODELS: Final = ("", "plumb_bob", "rational_polynomial")
@@ -20,19 +20,19 @@ _LARGEST_COEFFICIENT: Final = 1e4
 """A rational lens may have coefficients of hundreds, none has this."""
 
 
-def lens_fault(camera: Camera) -> str | None:
-    """Why a camera's images cannot be rectified; None where they can or need not be."""
+def lens_fault(side: str, camera: Camera) -> Reason | None:
+    """Why the images of a pair's camera cannot be rectified; None where they can or need not be."""
     lens = camera.lens
     if lens is None:
-        return "has distortion but no R" if any(camera.distortion) else None
+        return Reason("stereo", "lens_without_rotation", (side,)) if any(camera.distortion) else None
     pinhole = pinhole_fault(camera.width, camera.height, lens.fx, lens.fy, lens.cx, lens.cy)
     if pinhole is not None:
-        return f"has a K that is no camera's: {pinhole}"
+        return Reason("stereo", "lens_without_camera_matrix", (side, pinhole))
     if not _is_rotation(rectification(camera)):
-        return f"has an R that is no rotation: {list(lens.R)}"
+        return Reason("stereo", "lens_rotation_invalid", (side, str(list(lens.R))))
     if lens.model not in _MODELS:
-        return f"has distortion of model {lens.model!r}; known: {', '.join(filter(None, _MODELS))}"
-    return _distortion_fault(camera.distortion)
+        return Reason("stereo", "lens_model_unknown", (side, lens.model, ", ".join(filter(None, _MODELS))))
+    return _distortion_fault(side, camera.distortion)
 
 
 def _is_rotation(R: Float) -> bool:
@@ -42,14 +42,14 @@ def _is_rotation(R: Float) -> bool:
     return bool(np.abs(R @ R.T - np.eye(3)).max() <= _NOT_TURNED and np.linalg.det(R) > 0)
 
 
-def _distortion_fault(coefficients: tuple[float, ...]) -> str | None:
+def _distortion_fault(side: str, coefficients: tuple[float, ...]) -> Reason | None:
     """Why no image can be rectified by such coefficients; none at all are no distortion."""
     if coefficients and len(coefficients) not in _COEFFICIENTS:
         known = ", ".join(str(count) for count in _COEFFICIENTS)
-        return f"has {len(coefficients)} distortion coefficients, expected one of {known}"
+        return Reason("stereo", "lens_coefficient_count", (side, len(coefficients), known))
     wild = [d for d in coefficients if not abs(d) <= _LARGEST_COEFFICIENT]
     if wild:
-        return f"has a distortion coefficient {wild[0]:g}, expected at most {_LARGEST_COEFFICIENT:g} in size"
+        return Reason("stereo", "lens_coefficient_size", (side, wild[0], _LARGEST_COEFFICIENT))
     return None
 
 
@@ -59,9 +59,9 @@ def rectification(camera: Camera) -> Float:
 
 
 def resampled(camera: Camera, target: Camera, image: Image) -> tuple[Image, Mask]:
-    """The image as the rectified target camera would see it, and which of its pixels the image holds."""
-    columns, rows, seen = _maps(camera, target)
-    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_LINEAR), np.uint8), seen
+    """The image resampled to the rectified target camera, and which of its pixels lie in the image."""
+    columns, rows, valid = _maps(camera, target)
+    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_LINEAR), np.uint8), valid
 
 
 @lru_cache(maxsize=4)
@@ -71,14 +71,14 @@ def _maps(camera: Camera, target: Camera) -> tuple[Float32, Float32, Mask]:
     size = (target.width, target.height)
     distortion, R = np.array(camera.distortion), rectification(camera)
     columns, rows = cv2.initUndistortRectifyMap(lens.K, distortion, R, target.K, size, cv2.CV_32FC1)
-    seen = (columns >= 0) & (columns <= camera.width - 1) & (rows >= 0) & (rows <= camera.height - 1)
-    return np.asarray(columns, np.float32), np.asarray(rows, np.float32), seen
+    valid = (columns >= 0) & (columns <= camera.width - 1) & (rows >= 0) & (rows <= camera.height - 1)
+    return np.asarray(columns, np.float32), np.asarray(rows, np.float32), valid
 
 
 def turned_back(left: Camera, disparity_px: Float32) -> Float32:
     """The disparities f b / z of the left camera's own pixels (H, W), of those of the rectified camera's.
 
-    Both stand in one place, so nothing hides anything: each pixel's ray looks up the rectified pixel it goes through.
+    Both stand in one place, so nothing hides anything: each pixel's ray samples the rectified pixel it goes through.
     """
     if np.array_equal(rectification(left), np.eye(3)):
         return disparity_px

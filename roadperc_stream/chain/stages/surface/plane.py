@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.core.config import SurfaceConfig
-from roadperc_stream.core.datatypes import Absent, Mask
+from roadperc_stream.core.datatypes import Absent, Mask, Reason
 from roadperc_stream.core.geometry import Float, Float32, Plane, facing, fit_plane
 
 _CAMERA_CENTRE = np.zeros(3)
 _COLLINEAR = 1e-3
-"""Sine of the angle between two sides of a triangle below which its three points are taken for a line."""
+"""Sine of the angle between two sides of a triangle below which its three points count as a line."""
 
 
 def road_plane(
@@ -31,20 +31,20 @@ def road_plane(
         rng: source of the hypotheses.
     """
     if len(points) < 3:
-        return Absent(f"{len(points)} road pixels with known depth within max_depth_m, a plane needs three")
+        return Absent(Reason("surface", "too_few_road_points", (len(points),)))
     sample = points[rng.integers(0, len(points), min(cfg.subsample, len(points)))].astype(float)
     plane = _ransac(cfg, sample, up, rng)
     if plane is None:
-        return Absent(f"no plane through {len(points)} road points holds {cfg.min_inliers:.0%} of them")
+        return Absent(Reason("surface", "no_plane", (len(points), cfg.min_inliers)))
     for cloud in (sample, points):  # the sample's refit is cheap, and leaves one pass over all points to do
         close = _close(cfg, plane, cloud)
         if np.count_nonzero(close) < 3:
-            return Absent("no plane holds three of the road's points")
+            return Absent(Reason("surface", "plane_without_points"))
         plane = facing(fit_plane(cloud, close), _CAMERA_CENTRE)
-    # The refit may turn a hypothesis that was level: of points that all lie within ``inlier_m`` it takes every one.
+    # The refit may turn a hypothesis that was level: of points that all lie within ``inlier_m`` it includes every one.
     tilt_deg = float(np.degrees(np.arccos(min(abs(float(plane.n @ up)), 1.0))))
     if not tilt_deg <= cfg.max_tilt_deg:
-        return Absent(f"the points' plane is tilted by {tilt_deg:.0f} degrees, expected at most {cfg.max_tilt_deg:g}")
+        return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
     return plane, float(np.mean(_close(cfg, plane, points)))
 
 

@@ -1,4 +1,4 @@
-"""The road of one frame: what depth and segmentation say of it, and which pixels show it."""
+"""The road of one frame: its surface from depth and segmentation, and the pixels that lie on it."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -9,7 +9,7 @@ import numpy as np
 from roadperc_stream.chain.stages.surface.plane import road_plane
 from roadperc_stream.chain.stages.surface.spline import fit_height_grid
 from roadperc_stream.core.config import SurfaceConfig
-from roadperc_stream.core.datatypes import Absent, Image, Mask, Surface, SurfaceSource
+from roadperc_stream.core.datatypes import Absent, Image, Mask, Reason, Surface, SurfaceSource
 from roadperc_stream.core.geometry import (
     Camera,
     Float,
@@ -23,38 +23,54 @@ from roadperc_stream.core.geometry import (
     transform_plane,
 )
 from roadperc_stream.core.ground import ego_points, height_above, height_at, part
+from roadperc_stream.core.scene import DepthMap, Scene
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
 _LOWER_IMAGE = 0.6
-"""Rows below this share of the image show the road in front of the car, where no segmentation says more."""
+"""Rows below this share of the image show the road in front of the car, where there is no segmentation."""
 
 _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
 """Ego x and y at which a height field's highest row in the image is looked for: as far as heights are looked up."""
 
 
-def fit_surface(
-    cfg: SurfaceConfig,
-    camera: Camera,
-    ego_T_camera: Float,
-    depth_m: Float32,
-    road: Mask | None,
-    rng: np.random.Generator,
-) -> Surface | Absent:
+def find_surface(
+    cfg: SurfaceConfig, scene: Scene, rng: np.random.Generator
+) -> tuple[Surface | Absent, tuple[Reason, ...]]:
+    """The road of a frame: fitted to its depth, else the one that the mounting promises.
+
+    Returns:
+        The surface, its plane in the frame of the camera the depth belongs to, or why there is none; and why an assumed
+        one stands in although there is depth. A lidar that misses the road says no more of it than no lidar; what it
+        hits is as far away as before.
+    """
+    if scene.depth is None:
+        return assumed_surface(scene.camera, scene.ego_T_camera), ()
+    labels = scene.labels(cfg.classes)
+    road = None
+    if labels is not None:
+        road = scene.depth.labels_from(scene.camera, scene.ego_T_camera, labels).view(bool)
+    surface = fit_surface(cfg, scene.depth, road, rng)
+    if isinstance(surface, Absent) and not scene.depth.dense:
+        why = Reason("surface", "plane_assumed", (scene.plane_source,), surface.reason)
+        return assumed_surface(scene.camera, scene.ego_T_camera), (why,)
+    return surface, ()
+
+
+def fit_surface(cfg: SurfaceConfig, depth: DepthMap, road: Mask | None, rng: np.random.Generator) -> Surface | Absent:
     """The road from a depth image: its plane, and with the model ``spline`` its height field too.
 
     Args:
         cfg: thresholds.
-        camera: the camera the depth belongs to.
-        ego_T_camera: its mounting, which says roughly where up is.
-        depth_m: (H, W) metres, NaN unknown.
-        road: (H, W) pixels of a drivable class as the depth camera sees them; None where there is no segmentation,
+        depth: its camera's mounting says roughly where up is.
+        road: (H, W) pixels of a drivable class in the depth's image; None where there is no segmentation,
             then the lower image stands in and the surface is marked ``lower_image``.
         rng: source of the hypotheses.
 
     Returns:
         The surface, or why there is none. Where too few points support a height field the plane stays.
     """
-    source: SurfaceSource = "depth" if road is not None else "lower_image"
+    source = depth.source if road is not None else "lower_image"
+    camera, ego_T_camera, depth_m = depth.camera, depth.ego_T_camera, depth.depth_m
     usable = _usable(cfg, camera, depth_m, road)
     found = road_plane(cfg, _points(camera, depth_m, usable), inverse(ego_T_camera)[:3, :3] @ _UP_EGO, rng)
     if isinstance(found, Absent):
@@ -67,41 +83,34 @@ def fit_surface(
 
 
 def assumed_surface(camera: Camera, ego_T_camera: Float) -> Surface:
-    """The ground the mounting promises, where no depth tells: ego's plane z = 0, marked ``assumed``."""
+    """The ground by the mounting alone, for want of depth: ego's plane z = 0, marked ``assumed``."""
     plane = transform_plane(inverse(ego_T_camera), Plane.of(_UP_EGO, 0.0))
     return _surface("assumed", camera, ego_T_camera, plane, None)
 
 
-def drivable_mask(
-    cfg: SurfaceConfig,
-    surface: Surface | Absent,
-    camera: Camera,
-    depth_m: Float32 | None,
-    road: Image | None,
-    ego_T_camera: Float,
-) -> Mask | Absent:
+def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -> Mask | Absent:
     """(H, W) pixels of a drivable class within ``drivable_m`` of the surface.
 
-    The distance to a plane is taken at right angles, that to a height field vertically: on a slope of 10 % that is
-    half a percent more. Without depth the class alone decides, without segmentation the surface alone.
+    The distance to a plane is measured at right angles, that to a height field vertically: on a slope of 10 % that is
+    half a percent more. Without dense depth the class alone decides, without segmentation the surface alone.
 
     Args:
-        cfg: thresholds.
-        surface: the road, its plane in the frame of ``camera``.
-        camera: the camera of depth and segmentation.
-        depth_m: (H, W) metres as that camera sees them, NaN unknown.
-        road: (H, W) 1 where the class is drivable.
-        ego_T_camera: the camera's mounting, which places a height field before it.
+        cfg: classes and thresholds.
+        scene: the frame.
+        surface: the road, its plane in the frame of the front camera.
     """
+    road, depth_m, camera = scene.labels(cfg.classes), scene.dense_depth_m, scene.camera
+    if depth_m is None and road is not None:
+        return road.view(bool)
     if depth_m is None:
-        return road.view(bool) if road is not None else Absent("neither depth nor segmentation")
+        return Absent(Reason("drivable", "no_segmentation_sparse_depth" if scene.depth else "no_depth_no_segmentation"))
     if isinstance(surface, Absent):
-        return Absent(f"no surface: {surface.reason}")
+        return Absent(Reason("drivable", "no_surface", cause=surface.reason))
     if surface.height_grid is None:
         return _near(cfg, plane_distance(camera, depth_m, surface.plane), road)
-    top = max(_horizon_row(surface, camera, ego_T_camera), 0 if road is None else _first_row(road))
+    top = max(_horizon_row(surface, camera, scene.ego_T_camera), 0 if road is None else _first_row(road))
     mask = np.zeros(camera.size, bool)
-    lower = ego_points(part(camera, top, 1, 1), ego_T_camera, depth_m[top:])
+    lower = ego_points(part(camera, top, 1, 1), scene.ego_T_camera, depth_m[top:])
     mask[top:] = _near(cfg, height_above(surface, *lower), None if road is None else road[top:])
     return mask
 

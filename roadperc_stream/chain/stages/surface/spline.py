@@ -3,11 +3,11 @@
 Method: a penalised B-spline (P-spline, Eilers and Marx 1996), cubic on evenly spaced knots along x (de Boor 1978) and
 linear across y, is added to the road's plane. The penalty on the second differences of its coefficients is the prior
 that a road's curvature has a standard deviation, so that the data's own scatter decides how smooth the field is, and
-what no data tell goes on straight. The fit is robust by iteratively reweighted least squares (Holland and Welsch 1977):
-Huber's weights find the road, Tukey's then leave out what stands on it. It grows outwards from the car, by what a road
-can bend, and sees one point for each square metre, the one of median height, so that the many pixels near the car count
-no more than the few far ahead. A place sees four B-splines only, so that the equations of a long road are solved as a
-band, in a time that grows with its length.
+where there are no data it goes on straight. The fit is robust by iteratively reweighted least squares (Holland and
+Welsch 1977): Huber's weights find the road, Tukey's then leave out what stands on it. It grows outwards from the car,
+by what a road can bend, and uses one point of each square metre, the one of median height, so that the many pixels near
+the car count no more than the few far ahead. Only four B-splines are not 0 at a point, so that the equations of a long
+road are solved as a band, in a time that grows with its length.
 """
 
 from dataclasses import dataclass
@@ -25,17 +25,17 @@ from roadperc_stream.core.ground import REACH_M, ego_points, height_above, part
 _STEP_M = 1.0
 """Side of the fit's cells, and of the grid's."""
 _COLUMNS = 160
-"""Image columns that are looked at: evenly spread, as neighbours say the same. Rows are few where the road is far."""
+"""Image columns that are used: evenly spread, as neighbours are alike. Rows are few where the road is far."""
 _ENOUGH_POINTS = 20_000
 """Points of the road that are never thinned: a lidar's are hardly more."""
 _DEGREE = 3
-_SEEN = 2 * (_DEGREE + 1)
-"""Coefficients that a place sees: those of four B-splines, in the middle and across."""
+_SUPPORT = 2 * (_DEGREE + 1)
+"""Coefficients that count at a place: those of four B-splines, in the middle and across."""
 _MIN_CELLS = 12
 _MIN_LENGTH_KNOTS = 2
 """Stretch of road in knots below which a height field says no more than a plane."""
 _BANK_STD = 0.03
-"""Standard deviation of the slope across the road against the plane's, which holds where a narrow strip cannot tell."""
+"""Standard deviation of the slope across the road against the plane's, which holds where a strip is too narrow."""
 _POINTS_THAT_COUNT = 4
 """Points of a cell beyond which more do not make it more certain: their errors are not independent."""
 _FINEST_STD_M = 0.005
@@ -51,21 +51,21 @@ _NORMAL_MAD = 1.4826
 
 @dataclass(frozen=True)
 class _Design:
-    """What N places see of the coefficients: (N, 8) indices of those they see, and by how much each counts.
+    """The equations of N places: (N, 8) indices of the coefficients that count there, and by how much each counts.
 
     Coefficients of one B-spline are neighbours: its height in the middle, then its rise in a half width across.
     """
 
-    seen: NDArray[np.intp]
+    indices: NDArray[np.intp]
     values: Float
 
     def take(self, chosen: Mask) -> "_Design":
         """The places of a mask."""
-        return _Design(self.seen[chosen], self.values[chosen])
+        return _Design(self.indices[chosen], self.values[chosen])
 
     def heights(self, coefficients: Float) -> Float:
         """(N,) metres."""
-        result: Float = np.sum(self.values * coefficients[self.seen], axis=1)
+        result: Float = np.sum(self.values * coefficients[self.indices], axis=1)
         return result
 
 
@@ -74,7 +74,7 @@ def fit_height_grid(
 ) -> HeightGrid | None:
     """The height field through the road's points, ``spline_half_width_m`` to either side and ``max_depth_m`` ahead.
 
-    It ends where heights are no more looked up, at 200 m.
+    It ends at 200 m, beyond which no height is sampled.
 
     Args:
         cfg: knots, smoothness and extent.
@@ -99,9 +99,9 @@ def _road_points(
 ) -> tuple[Float32, Float32, Float32]:
     """Ego x and y, and height above the road's plane, of (N,) points of the road, all in metres."""
     columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
-    taken = usable[:, ::columns]
+    sampled = usable[:, ::columns]
     x, y, z = ego_points(part(camera, 0, 1, columns), ego_T_camera, depth_m[:, ::columns])
-    x, y, z = x[taken], y[taken], z[taken]
+    x, y, z = x[sampled], y[sampled], z[sampled]
     return x, y, height_above(surface, x, y, z)
 
 
@@ -139,8 +139,8 @@ def _design(cfg: SurfaceConfig, x: Float, y: Float) -> _Design:
     sparse = BSpline.design_matrix(np.clip(x, 0.0, _length_m(cfg)), knots, _DEGREE)
     along, column = sparse.data.reshape(-1, _DEGREE + 1), sparse.indices.reshape(-1, _DEGREE + 1)[:, 0]
     across = along * (y / cfg.spline_half_width_m)[:, None]
-    seen = 2 * column.astype(np.intp)[:, None] + np.arange(_SEEN)
-    return _Design(seen, np.stack((along, across), axis=-1).reshape(-1, _SEEN))
+    indices = 2 * column.astype(np.intp)[:, None] + np.arange(_SUPPORT)
+    return _Design(indices, np.stack((along, across), axis=-1).reshape(-1, _SUPPORT))
 
 
 def _prior(cfg: SurfaceConfig) -> Float:
@@ -151,11 +151,11 @@ def _prior(cfg: SurfaceConfig) -> Float:
     prior = np.zeros((2 * count, 2 * count))
     prior[::2, ::2] = bend.T @ bend
     prior[1::2, 1::2] = bend.T @ bend + bank.T @ bank
-    band = np.zeros((2 * _SEEN - 1, 2 * count))
-    for beside in range(1 - _SEEN, _SEEN):
+    band = np.zeros((2 * _SUPPORT - 1, 2 * count))
+    for beside in range(1 - _SUPPORT, _SUPPORT):
         diagonal = np.diag(prior, -beside)
         start = max(-beside, 0)
-        band[_SEEN - 1 + beside, start : start + len(diagonal)] = diagonal
+        band[_SUPPORT - 1 + beside, start : start + len(diagonal)] = diagonal
     return band
 
 
@@ -176,10 +176,10 @@ def _grow(cfg: SurfaceConfig, points: Float, certainty: Float) -> Float:
     known_m = float(x.min())
     for reach in np.arange(known_m + _REACH_STEP_M, _length_m(cfg) + _REACH_STEP_M, _REACH_STEP_M):
         bend = _GATE_STDS * cfg.spline_curvature_per_m / 2 * np.maximum(x - known_m, 0.0) ** 2
-        taken = (x <= reach) & (np.abs(heights - design.heights(coefficients)) <= _GATE_M + bend)
-        if taken.any():
-            coefficients = _robust_fit(design.take(taken), heights[taken], certainty[taken], prior, coefficients)
-            known_m = float(x[taken].max())
+        inliers = (x <= reach) & (np.abs(heights - design.heights(coefficients)) <= _GATE_M + bend)
+        if inliers.any():
+            coefficients = _robust_fit(design.take(inliers), heights[inliers], certainty[inliers], prior, coefficients)
+            known_m = float(x[inliers].max())
     return coefficients
 
 
@@ -194,18 +194,18 @@ def _robust_fit(design: _Design, heights: Float, certainty: Float, prior: Float,
         coefficients: (P,) to start from.
     """
     count = prior.shape[1]
-    seen = design.seen
-    products = (design.values[:, :, None] * design.values[:, None, :]).reshape(len(seen), -1)
+    indices = design.indices
+    products = (design.values[:, :, None] * design.values[:, None, :]).reshape(len(indices), -1)
     # Row and column of each product in the band, whose middle row is the diagonal.
-    entries = ((_SEEN - 1 + seen[:, :, None] - seen[:, None, :]) * count + seen[:, None, :]).ravel()
+    entries = ((_SUPPORT - 1 + indices[:, :, None] - indices[:, None, :]) * count + indices[:, None, :]).ravel()
     for i in range(_HUBER_ROUNDS + _TUKEY_ROUNDS):
         residual = np.abs(heights - design.heights(coefficients))
         std = max(_NORMAL_MAD * float(np.median(residual)), _FINEST_STD_M)
         robust = _huber(residual / std) if i < _HUBER_ROUNDS else _tukey(residual / std)
         weights = robust * certainty / std**2
-        told = np.bincount(entries, (weights[:, None] * products).ravel(), prior.size).reshape(prior.shape)
-        right = np.bincount(seen.ravel(), ((weights * heights)[:, None] * design.values).ravel(), count)
-        solved = solve_banded((_SEEN - 1, _SEEN - 1), told + prior, right, overwrite_ab=True, check_finite=False)
+        left = np.bincount(entries, (weights[:, None] * products).ravel(), prior.size).reshape(prior.shape)
+        right = np.bincount(indices.ravel(), ((weights * heights)[:, None] * design.values).ravel(), count)
+        solved = solve_banded((_SUPPORT - 1, _SUPPORT - 1), left + prior, right, overwrite_ab=True, check_finite=False)
         coefficients = np.asarray(solved, float)
     return coefficients
 

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from roadperc_stream.chain.stages.lanes import LanesState, step
 from roadperc_stream.chain.stages.surface import assumed_surface
 from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import Absent
+from roadperc_stream.core.datatypes import Absent, Reason
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import LINE, ROAD, SIDEWALK, STEP_NS, VEHICLE, Road
+from tests.scenes import scene_of
 
 CFG = LanesConfig()
 ROAD_CLASSES = ("road", "road_line")
@@ -23,10 +24,8 @@ def look(road, tags=None, state=None, index=0, cfg=CFG, moved=None):
     tags = road.tags() if tags is None else tags
     surface = assumed_surface(road.camera, road.ego_T_camera)
     drivable = TABLE.lookup(ROAD_CLASSES)[tags].view(bool)
-    stamp_ns = 1_000_000_000 + index * STEP_NS
-    return step(
-        cfg, state or LanesState(), road.camera, road.ego_T_camera, surface, tags, TABLE, drivable, None, stamp_ns
-    )
+    scene = scene_of(road.camera, road.ego_T_camera, tags=tags, stamp_ns=1_000_000_000 + index * STEP_NS)
+    return step(cfg, state or LanesState(), scene, surface, drivable, None)
 
 
 def y_at(boundary, x):
@@ -82,7 +81,7 @@ def test_drawn_lines_lie_on_the_edges():
     assert (left.line_px[:, 1] > 479).all()
 
 
-def test_unseen_is_held_then_lost_then_found_again():
+def test_a_boundary_without_measurements_is_held_then_lost_then_found_again():
     road = Road()
     state, _ = look(road)
     blank = np.full_like(road.tags(), ROAD)
@@ -110,15 +109,15 @@ def test_how_long_it_is_held_is_set():
 def test_a_frame_without_tags_holds_and_without_memory_says_why():
     road = Road()
     surface = assumed_surface(road.camera, road.ego_T_camera)
-    nothing = (road.camera, road.ego_T_camera, surface, None, None, Absent("no segmentation"), None)
+    inputs = (surface, Absent(Reason("drivable", "no_depth_no_segmentation")), None)
     state, _ = look(road)
-    _, held = step(CFG, state, *nothing, 1_000_000_000 + STEP_NS)
+    _, held = step(CFG, state, scene_of(road.camera, road.ego_T_camera, stamp_ns=1_000_000_000 + STEP_NS), *inputs)
     assert [b.status for b in held.boundaries] == ["held", "held"]
-    _, absent = step(CFG, LanesState(), *nothing, 1)
-    assert absent == Absent("no segmentation")
+    _, absent = step(CFG, LanesState(), scene_of(road.camera, road.ego_T_camera), *inputs)
+    assert absent == Absent(Reason("lanes", "no_segmentation"))
 
 
-def test_a_jump_outside_the_gate_is_not_taken_and_the_dashes_prediction_is_followed():
+def test_a_jump_outside_the_gate_is_rejected_and_the_dashes_prediction_is_followed():
     """The line vanishes for a frame and the next one out is closest: the boundary stays where it was."""
     road, farther = Road(left_m=1.8), Road(left_m=4.0)
     state, _ = look(road)

@@ -45,17 +45,17 @@ def test_jitter_shrinks_and_a_drift_is_followed_without_lag():
     assert abs(np.mean(states[50:, 0] - true[50:])) < 0.005
 
 
-def test_outside_the_gate_nothing_is_taken():
+def test_a_measurement_outside_the_gate_is_rejected():
     track, _ = run([(1.7, 0.0, 0.0)] * 20)
     predicted = tracking.predict(CFG, track, 20 * DT_NS, None)
     assert tracking.update(CFG, predicted, np.array([3.2, 0.0, 0.0]), R) is None
     assert tracking.update(CFG, predicted, np.array([1.72, 0.0, 0.0]), R) is not None
 
 
-def test_covariance_grows_while_unseen_and_stays_symmetric():
+def test_covariance_grows_without_measurements_and_stays_symmetric():
     track, _ = run([(1.7, 0.0, 0.0)] * 20 + [None] * 5)
-    seen, _ = run([(1.7, 0.0, 0.0)] * 20)
-    assert track.covariance[0, 0] > seen.covariance[0, 0]
+    measured, _ = run([(1.7, 0.0, 0.0)] * 20)
+    assert track.covariance[0, 0] > measured.covariance[0, 0]
     np.testing.assert_allclose(track.covariance, track.covariance.T, atol=1e-12)
     assert np.linalg.eigvalsh(track.covariance).min() > 0
 

@@ -11,6 +11,7 @@ from roadperc_stream.core.datatypes import Box, Detection, Object
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
 from tests.analytic import STEP_NS
+from tests.scenes import scene_of
 
 MATCH_OVERLAP = 0.5
 NEAR_M = 30.0
@@ -42,8 +43,8 @@ def camera_of(folder):
     return Camera("camera", calibration["width"], calibration["height"], fx, fy, cx - 0.5, cy - 0.5)
 
 
-def pixels(folder, room, name):
-    return cv2.imread(str(folder / room / f"{name}.png"))
+def pixels(folder, sensor, name):
+    return cv2.imread(str(folder / sensor / f"{name}.png"))
 
 
 def depth_m(folder, name):
@@ -62,9 +63,17 @@ def through(cfg, folder, *, image=True):
     for index, name in enumerate(sorted(truth)):
         tags = np.ascontiguousarray(pixels(folder, "segmentation", name)[..., 2])
         grey = cv2.cvtColor(pixels(folder, "rgb", name), cv2.COLOR_BGR2GRAY) if image else None
-        seen = detections_of(detections[name])
-        stamp_ns = (index + 1) * STEP_NS
-        state, objects = step(cfg, state, seen, camera, tags, TABLE, depth_m(folder, name), 1000.0, grey, stamp_ns)
+        scene = scene_of(
+            camera,
+            tags=tags,
+            table=TABLE,
+            depth_m=depth_m(folder, name),
+            limit_m=1000.0,
+            grey=grey,
+            detections=detections_of(detections[name]),
+            stamp_ns=(index + 1) * STEP_NS,
+        )
+        state, objects = step(cfg, state, scene)
         found += [Found(index, item, *stands_for(item, truth[name])) for item in objects.objects if item.kept]
     return Drive(found, [truth[name] for name in sorted(truth)])
 

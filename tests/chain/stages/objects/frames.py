@@ -8,8 +8,8 @@ from roadperc_stream.chain.stages.objects import ObjectsState, step
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Objects
 from roadperc_stream.core.geometry import Camera
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import STEP_NS, VEHICLE
+from tests.scenes import scene_of
 
 CAMERA = Camera("camera", 320, 240, 1e6, 1e6, 159.5, 119.5)
 """So long a lens that the distance of every pixel is its depth."""
@@ -32,8 +32,9 @@ class Follower:
         if isinstance(depth_m, float):
             depth_m = np.full(CAMERA.size, depth_m, np.float32)
         self.stamp_ns += dt_ns
-        inputs = (detections, CAMERA, tags, TABLE, depth_m, LIMIT_M, grey)
-        self.state, out = step(self.cfg, self.state, *inputs, self.stamp_ns)
+        inputs = {"detections": detections, "tags": tags, "depth_m": depth_m, "grey": grey}
+        scene = scene_of(CAMERA, limit_m=LIMIT_M, stamp_ns=self.stamp_ns, **inputs)
+        self.state, out = step(self.cfg, self.state, scene)
         assert isinstance(out, Objects)
         self.objects = out.objects
         return self.objects

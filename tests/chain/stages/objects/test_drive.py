@@ -1,4 +1,4 @@
-"""Closing speed, time to impact and carried objects on rendered drives, where the truth is known."""
+"""Closing speed, time to impact and objects tracked by template on rendered drives, where the truth is known."""
 
 import numpy as np
 import pytest
@@ -32,8 +32,8 @@ class Figures:
         timed = [f for f in closing if f.item.time_to_impact_s is not None]
         self.impact_coverage = len(timed) / len(closing)
         self.impact_errors = np.array([self.impact_error(f) for f in timed])
-        carried = [f for f in drive.found if f.item.status == "tracked"]
-        self.carried, self.carried_right = len(carried), sum(f.truth is not None for f in carried)
+        coasted = [f for f in drive.found if f.item.status == "tracked"]
+        self.coasted, self.coasted_right = len(coasted), sum(f.truth is not None for f in coasted)
         truths = sum(len(truths) for truths in drive.truths)
         self.detected, self.followed = (
             len({(f.frame, f.truth["id"]) for f in drive.found if f.truth and f.item.status in statuses}) / truths
@@ -52,9 +52,9 @@ class Figures:
             f"closing speed: median {np.median(error):.3f} p90 {np.quantile(error, 0.9):.3f} m/s, coverage "
             f"{self.coverage:.0%} of {self.near}; in deviations median {np.median(deviation):.2f} p95 "
             f"{np.quantile(deviation, 0.95):.2f}\n  time to impact: median {np.median(impact):.1%} p90 "
-            f"{np.quantile(impact, 0.9):.1%}, coverage {self.impact_coverage:.0%}\n  carried by the image: "
-            f"{self.carried_right} of {self.carried} right; found of what is visible {self.detected:.1%} detected, "
-            f"{self.followed:.1%} with those carried"
+            f"{np.quantile(impact, 0.9):.1%}, coverage {self.impact_coverage:.0%}\n  tracked by template: "
+            f"{self.coasted_right} of {self.coasted} right; found of what is visible {self.detected:.1%} detected, "
+            f"{self.followed:.1%} with those tracked by template"
         )
 
 
@@ -64,7 +64,7 @@ def test_short_closing_speed_of_near_objects(tmp_path):
     assert figures.coverage > 0.85
     assert np.median(np.abs(figures.impact_errors)) < 0.03
     assert figures.followed > figures.detected
-    assert figures.carried_right > 0.7 * figures.carried
+    assert figures.coasted_right > 0.7 * figures.coasted
 
 
 @pytest.mark.accuracy

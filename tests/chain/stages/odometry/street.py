@@ -9,6 +9,8 @@ from roadperc_stream.chain.stages import odometry
 from roadperc_stream.chain.stages.odometry import OdometryState
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import OdometryConfig
+from tests.analytic import VEHICLE
+from tests.scenes import scene_of
 
 CFG = OdometryConfig(min_rows=240)
 CAMERA = g.Camera("front", 640, 480, 320.0, 320.0, 319.5, 239.5)
@@ -46,13 +48,13 @@ def photograph(odom_T_ego, camera=CAMERA, ego_T_camera=EGO_T_CAMERA):
     odom_T_camera = odom_T_ego @ ego_T_camera
     nearest, grey = np.full(camera.size, np.inf), np.zeros(camera.size, np.float32)
     for plane, pattern in zip(PLANES, TEXTURES, strict=True):
-        seen = g.intersect_plane(camera, pixels, g.transform_plane(g.inverse(odom_T_camera), plane))
-        points = g.transform(odom_T_camera, seen) / GRAIN_M
+        visible = g.intersect_plane(camera, pixels, g.transform_plane(g.inverse(odom_T_camera), plane))
+        points = g.transform(odom_T_camera, visible) / GRAIN_M
         axes = [k for k in range(3) if abs(plane.normal[k]) < 0.5]
         u, v = (np.nan_to_num(points[..., k]).astype(np.float32) for k in axes)
         colours = cv2.remap(pattern, u % 1023, v % 1023, cv2.INTER_LINEAR)
-        closer = seen[..., 2] < nearest
-        nearest, grey = np.where(closer, seen[..., 2], nearest), np.where(closer, colours, grey)
+        closer = visible[..., 2] < nearest
+        nearest, grey = np.where(closer, visible[..., 2], nearest), np.where(closer, colours, grey)
     return Shot(np.rint(grey).astype(np.uint8), nearest.astype(np.float32))
 
 
@@ -68,22 +70,20 @@ def drive(count, step_m=0.4, turn=0.01):
     return poses
 
 
-def run(shots, cfg=CFG, state=None, first=0, depth=True, **inputs):
-    """The states and results of shots; None is a missing frame."""
+def run(shots, cfg=CFG, state=None, first=0, depth=True, movable=None, road=None):
+    """The states and results of shots; None is a missing frame. ``movable`` are pixels of vehicles."""
+    tags = None if movable is None else np.where(movable, VEHICLE, 0).astype(np.uint8)
     state, states, results = state or OdometryState(), [], []
     for k, shot in enumerate(shots, first):
-        state, out = odometry.step(
-            cfg,
-            state,
+        scene = scene_of(
             CAMERA,
             EGO_T_CAMERA,
-            shot and shot.grey,
-            shot.depth_m if shot and depth else None,
-            inputs.get("movable"),
-            inputs.get("road"),
-            np.random.default_rng((0, k)),
-            1_000_000_000 + k * STEP_NS,
+            grey=shot and shot.grey,
+            depth_m=shot.depth_m if shot and depth else None,
+            tags=tags,
+            stamp_ns=1_000_000_000 + k * STEP_NS,
         )
+        state, out = odometry.step(cfg, state, scene, road, np.random.default_rng((0, k)))
         states.append(state)
         results.append(out)
     return states, results

@@ -11,15 +11,15 @@ from roadperc_stream.chain.stages.odometry import OdometryState
 from roadperc_stream.chain.stages.surface import assumed_surface
 from roadperc_stream.core.config import OdometryConfig
 from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, inverse, level_mounting, rigid
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.tools import render_scene
 from roadperc_stream.tools.carla_dump.depth_files import carla_metres
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m
+from tests.scenes import scene_of
 
 CFG = OdometryConfig()
 SATURATED_M = np.float32(65.535)
 """Where 16-bit depth in millimetres ends, as the converted log has it."""
-MOVABLE = CARLA_FROM_0_9_14.lookup(("vehicle", "pedestrian"))
 
 
 def calibrated(folder):
@@ -30,31 +30,29 @@ def calibrated(folder):
 
 
 def pictures(folder):
-    """Grey, depth and movable mask of every frame; None where there is none."""
+    """Grey, depth and tags of every frame; None where there is none."""
     for path in sorted((folder / "rgb").iterdir()):
         depth, tags = (folder / sensor / f"{path.stem}.png" for sensor in ("depth", "segmentation"))
         yield (
             cv2.imread(str(path), cv2.IMREAD_GRAYSCALE),
             np.minimum(carla_metres(cv2.imread(str(depth))), SATURATED_M) if depth.exists() else None,
-            cv2.LUT(cv2.imread(str(tags))[..., 2], MOVABLE).view(bool) if tags.exists() else None,
+            np.ascontiguousarray(cv2.imread(str(tags))[..., 2]) if tags.exists() else None,
         )
 
 
-def follow(frames, camera, ego_T_camera, cfg=CFG, depth=True, tags=True, road=None, rate_hz=20):
+def track(frames, camera, ego_T_camera, cfg=CFG, depth=True, tags=True, road=None, rate_hz=20):
     state, results = OdometryState(), []
-    for k, (grey, depth_m, movable) in enumerate(frames):
-        state, out = odometry.step(
-            cfg,
-            state,
+    for k, (grey, depth_m, frame_tags) in enumerate(frames):
+        scene = scene_of(
             camera,
             ego_T_camera,
-            grey,
-            depth_m if depth else None,
-            movable if tags else None,
-            road,
-            np.random.default_rng((0, k)),
-            round(1e9 * (1 + k / rate_hz)),
+            grey=grey,
+            depth_m=depth_m if depth else None,
+            tags=frame_tags if tags else None,
+            table=TABLE,
+            stamp_ns=round(1e9 * (1 + k / rate_hz)),
         )
+        state, out = odometry.step(cfg, state, scene, road, np.random.default_rng((0, k)))
         results.append(out)
     return results
 
@@ -71,13 +69,13 @@ def rgbd(data_dir):
 
 def test_carla_rgbd_steps_and_chained_steps(rgbd):
     camera, frames = rgbd
-    results = follow(frames, camera, level_mounting(2.0))
+    results = track(frames, camera, level_mounting(2.0))
     steps_m = np.array([np.linalg.norm(out.step[:3, 3]) for out in results[1:]])
     assert len(steps_m) == 89
     assert ((steps_m > 0.185) & (steps_m < 0.315)).all()
     errors = []
     for i in range(0, 85, 5):
-        _, direct = follow([frames[i], frames[i + 5]], camera, level_mounting(2.0), rate_hz=4)
+        _, direct = track([frames[i], frames[i + 5]], camera, level_mounting(2.0), rate_hz=4)
         chained = inverse(results[i].odom_T_ego) @ results[i + 5].odom_T_ego
         shift_m = np.linalg.norm(direct.step[:3, 3] - chained[:3, 3])
         errors.append(shift_m / np.linalg.norm(direct.step[:3, 3]))
@@ -87,7 +85,7 @@ def test_carla_rgbd_steps_and_chained_steps(rgbd):
 
 def test_carla_rgbd_there_and_back(rgbd):
     camera, frames = rgbd
-    results = follow(frames + frames[-2::-1], camera, level_mounting(2.0))
+    results = track(frames + frames[-2::-1], camera, level_mounting(2.0))
     miss_m = np.linalg.norm(results[-1].odom_T_ego[:3, 3])
     print(f"\nthere and back: {miss_m:.3f} m of {distances_m(poses(results))[-1]:.1f} m")
     assert miss_m < 0.20
@@ -98,7 +96,7 @@ def test_course_odometry_turns_little_and_goes_ahead(data_dir):
     folder = data_dir / "course_odometry"
     camera, frames = calibrated(folder)[0], list(pictures(folder))
     axle_T_camera = rigid(EGO_R_OPTICAL, np.array([2.0, 0.0, 1.5]))
-    results = follow(frames, camera, axle_T_camera, road=assumed_surface(camera, axle_T_camera))
+    results = track(frames, camera, axle_T_camera, road=assumed_surface(camera, axle_T_camera))
     for out in results[1:]:
         ahead, left, up = out.step[:3, 3]
         assert angle_deg(out.step[:3, :3]) < 3
@@ -110,18 +108,13 @@ def course_steps(data_dir):
     """The steps of the course's frames with nothing but the images known."""
     folder = data_dir / "course_odometry"
     camera, frames = calibrated(folder)[0], list(pictures(folder))
-    results = follow(frames, camera, level_mounting(1.5))
+    results = track(frames, camera, level_mounting(1.5))
     assert all(out.status == "tracked" and out.up_to_scale for out in results[1:])
     return [out.step for out in results[1:]]
 
 
 def test_course_odometry_without_any_scale_turns_little(course_steps):
     assert max(angle_deg(step[:3, :3]) for step in course_steps) < 3
-
-
-@pytest.mark.xfail(strict=True, reason="in the turn at the end the camera, ahead of the axle, goes 13 and 15 deg aside")
-def test_course_odometry_without_any_scale_goes_ahead(course_steps):
-    assert max(np.rad2deg(np.arctan2(np.hypot(*step[1:3, 3]), step[0, 3])) for step in course_steps) < 10
 
 
 def rendered(folder, *options):
@@ -136,7 +129,7 @@ def test_standing_still(tmp_path):
     camera, ego_T_camera = rendered(tmp_path, *options)
     for depth in (True, False):
         for tags in (True, False):
-            results = follow(pictures(tmp_path), camera, ego_T_camera, depth=depth, tags=tags)
+            results = track(pictures(tmp_path), camera, ego_T_camera, depth=depth, tags=tags)
             stray_m = np.linalg.norm(poses(results)[:, :3, 3], axis=1).max()
             print(f"\nstanding, depth {depth}, tags {tags}: strays {1000 * stray_m:.2f} mm")
             assert stray_m < 0.02
@@ -144,5 +137,5 @@ def test_standing_still(tmp_path):
 
 def test_short_standing_still(tmp_path):
     camera, ego_T_camera = rendered(tmp_path, "--static", "--rgb-noise", "2", "--seconds", "1", "--size", "640x480")
-    results = follow(pictures(tmp_path), camera, ego_T_camera, tags=False)
+    results = track(pictures(tmp_path), camera, ego_T_camera, tags=False)
     assert np.linalg.norm(poses(results)[:, :3, 3], axis=1).max() < 0.02

@@ -9,7 +9,7 @@ import pytest
 
 from roadperc_stream.chain.stages.surface import assumed_surface
 from roadperc_stream.core.config import OdometryConfig
-from roadperc_stream.core.datatypes import Absent
+from roadperc_stream.core.datatypes import Absent, Reason
 from roadperc_stream.core.geometry import inverse
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, STEP_NS, Shot, drive, photograph, pose, run
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m, relative_errors
@@ -101,7 +101,7 @@ def test_a_missing_frame_is_lost_and_its_motion_is_not():
     assert statuses(results) == ["first", "tracked", "tracked", "lost", "tracked", "tracked", "tracked", "tracked"]
     np.testing.assert_array_equal(results[3].odom_T_ego, results[2].odom_T_ego)
     assert results[3].step is None
-    assert results[3].reason == "no image"
+    assert results[3].reason == Reason("odometry", "no_image")
     assert results[4].since_ns == 1_000_000_000 + 2 * STEP_NS
     assert np.linalg.norm((inverse(POSES[7]) @ results[7].odom_T_ego)[:3, 3]) < 0.02
     assert states[3] is states[2]
@@ -121,15 +121,15 @@ def test_another_place_is_lost_and_then_followed():
 @pytest.mark.parametrize(
     ("limit", "reason"),
     [
-        ({"max_speed_mps": 5.0}, "the points agree on a motion that the car cannot make"),
-        ({"max_turn_rate_dps": 5.0}, "the points agree on a motion that the car cannot make"),
-        ({"min_inliers": 390}, "too few points agree on a motion"),
+        ({"max_speed_mps": 5.0}, "impossible_motion"),
+        ({"max_turn_rate_dps": 5.0}, "impossible_motion"),
+        ({"min_inliers": 390}, "too_few_inliers"),
     ],
 )
 def test_what_the_car_cannot_do_is_lost(limit, reason):
     _, results = run(SHOTS[:2], CFG.model_copy(update=limit))
     assert statuses(results) == ["first", "lost"]
-    assert results[1].reason == reason
+    assert results[1].reason == Reason("odometry", reason)
 
 
 def test_without_depth_the_shape_is_kept_in_steps():
@@ -170,11 +170,11 @@ def test_depth_with_holes_and_noise_that_grows():
     assert relative_errors(poses(results), np.array(POSES), (4.0,), every=1)[0] < 0.02
 
 
-def test_movable_things_are_left_out():
+def test_movable_objects_are_left_out():
     movable = np.zeros(CAMERA.size, bool)
     movable[:, 320:] = True
     states, results = run(SHOTS[:3], movable=movable)
-    assert states[0].keyframe.places.features.px[:, 0].max() < 160
+    assert states[0].keyframe.landmarks.features.px[:, 0].max() < 160
     assert statuses(results) == ["first", "tracked", "tracked"]
 
 

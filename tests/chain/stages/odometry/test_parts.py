@@ -9,16 +9,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
-from roadperc_stream.chain.stages.odometry.facets import facets_from_depth, slope_of_plane, stretch
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, spread
 from roadperc_stream.chain.stages.odometry.keyframes import make_keyframe
+from roadperc_stream.chain.stages.odometry.landmarks import find_landmarks
+from roadperc_stream.chain.stages.odometry.local_planes import local_planes_from_depth, slope_of_plane, stretch
 from roadperc_stream.chain.stages.odometry.motion import motion_from_points, moved
-from roadperc_stream.chain.stages.odometry.patches import aligned
-from roadperc_stream.chain.stages.odometry.places import place_features
-from roadperc_stream.chain.stages.odometry.views import make_view
+from roadperc_stream.chain.stages.odometry.patch_alignment import aligned
+from roadperc_stream.chain.stages.odometry.tracking_frame import tracking_frame
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import OdometryConfig
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, photograph, pose
+from tests.scenes import scene_of
 
 FULL = OdometryConfig()
 small = st.floats(-0.05, 0.05)
@@ -37,15 +38,15 @@ def cloud(count=200, seed=0):
     return g.unproject(CAMERA, px, rng.uniform(4, 40, count))
 
 
-def seen(this_T_key, X):
+def pixels_of(this_T_key, X):
     return g.project(CAMERA, g.transform(this_T_key, X)).astype(np.float32)
 
 
 @settings(max_examples=25, deadline=None)
 @given(this_T_key=motions)
-def test_points_tell_the_motion_despite_outliers(this_T_key):
+def test_points_give_the_motion_despite_outliers(this_T_key):
     X = cloud()
-    px = seen(this_T_key, X)
+    px = pixels_of(this_T_key, X)
     px[::5] += 15
     motion = motion_from_points(FULL, CAMERA, X, px)
     np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=1e-4)
@@ -55,11 +56,11 @@ def test_points_tell_the_motion_despite_outliers(this_T_key):
 
 @settings(max_examples=25, deadline=None)
 @given(this_T_key=motions)
-def test_rays_tell_turn_direction_and_length(this_T_key):
+def test_rays_give_rotation_direction_and_length(this_T_key):
     X = cloud()
-    px, known = seen(this_T_key, X), X.copy()
+    px, known = pixels_of(this_T_key, X), X.copy()
     known[30:] = np.nan
-    motion = motion_from_rays(FULL, CAMERA, seen(np.eye(4), X), px, known, 1.0)
+    motion = motion_from_rays(FULL, CAMERA, pixels_of(np.eye(4), X), px, known, 1.0)
     np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=2e-3)
     assert motion.scaled
     filled = np.isfinite(motion.points_m[30:, 0])
@@ -67,62 +68,64 @@ def test_rays_tell_turn_direction_and_length(this_T_key):
     np.testing.assert_allclose(motion.points_m[30:][filled] / X[30:][filled], 1.0, atol=0.2)
 
 
-def test_rays_alone_give_the_length_they_are_told():
+def test_rays_alone_have_the_fallback_length():
     this_T_key, X = moved(np.array([0.05, 0.0, -0.6, 0.0, 0.02, 0.0])), cloud()
     nothing = np.full_like(X, np.nan)
-    motion = motion_from_rays(FULL, CAMERA, seen(np.eye(4), X), seen(this_T_key, X), nothing, 3.0)
+    motion = motion_from_rays(FULL, CAMERA, pixels_of(np.eye(4), X), pixels_of(this_T_key, X), nothing, 3.0)
     assert not motion.scaled
     assert np.linalg.norm(motion.this_T_key[:3, 3]) == pytest.approx(3.0)
 
 
 def test_a_turn_alone_is_no_translation():
     this_T_key, X = moved(np.array([0.0, 0.0, 0.0, 0.01, -0.03, 0.005])), cloud()
-    motion = motion_from_rays(FULL, CAMERA, seen(np.eye(4), X), seen(this_T_key, X), np.full_like(X, np.nan), 1.0)
+    motion = motion_from_rays(
+        FULL, CAMERA, pixels_of(np.eye(4), X), pixels_of(this_T_key, X), np.full_like(X, np.nan), 1.0
+    )
     np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=1e-5)
     assert motion.covariance is None
 
 
 def test_the_covariance_is_the_scatter():
     this_T_key, X = moved(np.array([0.05, 0.0, -0.5, 0.0, 0.02, 0.0])), cloud()
-    rng, px, errors, told = np.random.default_rng(1), seen(this_T_key, X), [], []
+    rng, px, errors, variances = np.random.default_rng(1), pixels_of(this_T_key, X), [], []
     for _ in range(200):
         noisy = px + rng.normal(0, 0.2, px.shape).astype(np.float32)
         motion = motion_from_points(FULL, CAMERA, X, noisy)
         error = motion.this_T_key @ g.inverse(this_T_key)
         errors.append(np.concatenate((error[:3, 3], Rotation.from_matrix(error[:3, :3]).as_rotvec())))
-        told.append(np.diag(motion.covariance))
-    ratio = np.std(errors, axis=0) / np.sqrt(np.mean(told, axis=0))
+        variances.append(np.diag(motion.covariance))
+    ratio = np.std(errors, axis=0) / np.sqrt(np.mean(variances, axis=0))
     assert ((ratio > 0.6) & (ratio < 1.5)).all()
 
 
 @pytest.mark.parametrize("points", [0, 5])
-def test_too_few_points_tell_nothing(points):
+def test_too_few_points_give_no_motion(points):
     X = cloud(points)
-    assert motion_from_points(FULL, CAMERA, X, seen(np.eye(4), X)) is None
-    assert motion_from_rays(FULL, CAMERA, seen(np.eye(4), X), seen(np.eye(4), X), X, 1.0) is None
+    assert motion_from_points(FULL, CAMERA, X, pixels_of(np.eye(4), X)) is None
+    assert motion_from_rays(FULL, CAMERA, pixels_of(np.eye(4), X), pixels_of(np.eye(4), X), X, 1.0) is None
 
 
 @settings(max_examples=25, deadline=None)
 @given(nx=st.floats(-0.3, 0.3), nz=st.floats(-0.3, 0.3), shrink=st.sampled_from([1, 2]))
-def test_facets_of_a_plane_are_exact(nx, nz, shrink):
+def test_local_planes_of_a_plane_are_exact(nx, nz, shrink):
     plane = g.Plane.of(np.array([nx, -1.0, nz - 1.0]), 12.0)
     rows, columns = np.indices(CAMERA.size, dtype=float)
     depth_m = g.intersect_plane(CAMERA, np.stack((columns, rows), axis=-1), plane)[..., 2].astype(np.float32)
     px = np.random.default_rng(0).uniform(20, 200, (30, 2))
     full = px * shrink + (shrink - 1) / 2
     expected = 1 / g.intersect_plane(CAMERA, full, plane)[:, 2]
-    inverse_depth, slope = facets_from_depth(depth_m, px, shrink)
+    inverse_depth, slope = local_planes_from_depth(depth_m, px, shrink)
     # Nearer than 100 m: beyond max_depth_m none is used, and beside the horizon one pixel's neighbours lie behind it.
     fine = np.isfinite(expected) & (expected > 1e-2)
     np.testing.assert_allclose(inverse_depth[fine], expected[fine], rtol=1e-4)
     np.testing.assert_allclose(slope[fine], np.tile(slope_of_plane(CAMERA, plane) * shrink, (fine.sum(), 1)), atol=1e-5)
 
 
-def test_facets_keep_to_their_side_of_an_edge_and_out_of_holes():
+def test_local_planes_keep_to_their_side_of_an_edge_and_out_of_holes():
     depth_m = np.full((60, 60), 5.0, np.float32)
     depth_m[:, 30:] = 20.0
     depth_m[:20] = np.nan
-    inverse_depth, slope = facets_from_depth(depth_m, np.array([[29.0, 40.0], [30.0, 40.0], [10.0, 10.0]]), 1)
+    inverse_depth, slope = local_planes_from_depth(depth_m, np.array([[29.0, 40.0], [30.0, 40.0], [10.0, 10.0]]), 1)
     np.testing.assert_allclose(1 / inverse_depth, [5.0, 20.0, np.nan], rtol=1e-6)
     np.testing.assert_allclose(slope[:2], 0.0, atol=1e-7)
 
@@ -173,9 +176,9 @@ def test_a_shifted_image_is_matched_to_sub_pixels(features):
 
 def test_halving_keeps_rays():
     shot = photograph(pose(0))
-    view = make_view(CFG, CAMERA, EGO_T_CAMERA, shot.grey, None, None, None, 0)
-    assert (view.shrink, view.grey.shape) == (2, (240, 320))
-    np.testing.assert_allclose(g.rays(view.camera, np.array([10.0, 20.0])), g.rays(CAMERA, np.array([20.5, 40.5])))
+    frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA), shot.grey, None)
+    assert (frame.shrink, frame.grey.shape) == (2, (240, 320))
+    np.testing.assert_allclose(g.rays(frame.camera, np.array([10.0, 20.0])), g.rays(CAMERA, np.array([20.5, 40.5])))
 
 
 @pytest.mark.parametrize(
@@ -184,53 +187,53 @@ def test_halving_keeps_rays():
 )
 def test_an_image_is_halved_while_it_is_even_and_keeps_enough_rows(rows, columns, shrink):
     camera = replace(CAMERA, width=columns, height=rows)
-    view = make_view(CFG, camera, EGO_T_CAMERA, np.zeros((rows, columns), np.uint8), None, None, None, 0)
-    assert view.shrink == shrink
-    assert view.grey.shape == view.camera.size == (rows // shrink, columns // shrink)
+    frame = tracking_frame(CFG, scene_of(camera, EGO_T_CAMERA), np.zeros((rows, columns), np.uint8), None)
+    assert frame.shrink == shrink
+    assert frame.grey.shape == frame.camera.size == (rows // shrink, columns // shrink)
 
 
 @pytest.mark.parametrize("shrink", [1, 2, 4])
 def test_pixels_of_the_tracked_image_lie_where_the_frame_has_them(shrink):
     camera = g.Camera("front", 640, 240 * shrink, 300.0, 310.0, 333.0, 111.0)
-    view = make_view(CFG, camera, EGO_T_CAMERA, np.zeros(camera.size, np.uint8), None, None, None, 0)
+    frame = tracking_frame(CFG, scene_of(camera, EGO_T_CAMERA), np.zeros(camera.size, np.uint8), None)
     X = np.array([[1.0, -0.5, 7.0], [-2.0, 0.4, 20.0]])
-    assert view.shrink == shrink
-    np.testing.assert_allclose(view.whole(g.project(view.camera, X)), g.project(camera, X), rtol=1e-6)
+    assert frame.shrink == shrink
+    np.testing.assert_allclose(frame.whole(g.project(frame.camera, X)), g.project(camera, X), rtol=1e-6)
 
 
 def test_what_moves_is_avoided_with_the_reach_of_a_window():
     """20 px of 960 rows are 5 of 240, so that a margin of two pixels surrounds each thing."""
-    movable = np.zeros((480, 640), bool)
-    movable[200:210, 300:320] = True
-    view = make_view(CFG, CAMERA, EGO_T_CAMERA, np.zeros((480, 640), np.uint8), None, movable, None, 0)
-    rows, columns = np.nonzero(view.movable)
+    tags = np.full((480, 640), 7, np.uint8)
+    tags[200:210, 300:320] = 10  # a vehicle
+    frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA, tags=tags), np.zeros((480, 640), np.uint8), None)
+    rows, columns = np.nonzero(frame.movable)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (98, 106, 148, 161)
     px = np.float32([[148, 98], [161.4, 106.4], [147, 100], [162, 100], [150, 97], [150, 107], [np.nan, 100]])
-    np.testing.assert_array_equal(view.on_movable(px), [True, True, False, False, False, False, False])
+    np.testing.assert_array_equal(frame.on_movable(px), [True, True, False, False, False, False, False])
 
 
 def test_nothing_moves_where_nobody_says_what_does():
-    view = make_view(CFG, CAMERA, EGO_T_CAMERA, np.zeros((480, 640), np.uint8), None, None, None, 0)
-    np.testing.assert_array_equal(view.on_movable(np.float32([[3, 4], [np.nan, 5]])), [False, False])
+    frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA), np.zeros((480, 640), np.uint8), None)
+    np.testing.assert_array_equal(frame.on_movable(np.float32([[3, 4], [np.nan, 5]])), [False, False])
 
 
-def test_places_by_depth_lie_where_the_depth_says():
+def test_landmarks_lie_where_the_depth_says():
     shot = photograph(pose(0))
-    view = make_view(CFG, CAMERA, EGO_T_CAMERA, shot.grey, shot.depth_m, None, None, 0)
-    places = place_features(CFG, view, None)
-    assert (places.source, places.metric) == ("depth", True)
-    heights = g.transform(EGO_T_CAMERA, places.points_m)
+    frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA, depth_m=shot.depth_m), shot.grey, None)
+    landmarks = find_landmarks(CFG, frame, None)
+    assert (landmarks.source, landmarks.metric) == ("depth", True)
+    heights = g.transform(EGO_T_CAMERA, landmarks.points_m)
     on_plane = [np.abs(heights[:, 2]), np.abs(heights[:, 1] - 7), np.abs(heights[:, 1] + 6), np.abs(heights[:, 0] - 45)]
     assert np.quantile(np.min(on_plane, axis=0), 0.95) < 0.01
 
 
-def test_where_no_feature_can_be_seen_none_is_aligned():
+def test_where_no_feature_is_visible_none_is_aligned():
     shot = photograph(pose(0))
-    view = make_view(CFG, CAMERA, EGO_T_CAMERA, shot.grey, shot.depth_m, None, None, 0)
-    keyframe = make_keyframe(CFG, view, EGO_T_CAMERA)
+    frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA, depth_m=shot.depth_m), shot.grey, None)
+    keyframe = make_keyframe(CFG, frame, EGO_T_CAMERA)
     behind = g.rigid(np.eye(3), np.array([0.0, 0.0, -1e3]))
-    px = aligned(keyframe, view, behind)
-    assert px.shape == keyframe.places.features.px.shape
+    px = aligned(keyframe, frame, behind)
+    assert px.shape == keyframe.landmarks.features.px.shape
     assert len(px) > 20
     assert np.isnan(px).all()
 

@@ -11,14 +11,17 @@ from hypothesis import strategies as st
 from roadperc_stream.chain.stages.surface import assumed_surface, drivable_mask, fit_surface
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import SurfaceConfig
-from roadperc_stream.core.datatypes import Absent
+from roadperc_stream.core.datatypes import Absent, Reason
+from roadperc_stream.core.scene import DepthMap
 from tests.analytic import ROAD, Road
+from tests.scenes import scene_of
 
 CFG = SurfaceConfig()
 
 
 def fit(road, depth_m, mask, cfg=CFG, seed=0):
-    return fit_surface(cfg, road.camera, road.ego_T_camera, depth_m, mask, np.random.default_rng(seed))
+    depth = DepthMap(depth_m, road.camera, road.ego_T_camera, np.inf, "depth")
+    return fit_surface(cfg, depth, mask, np.random.default_rng(seed))
 
 
 @settings(max_examples=15, deadline=None)
@@ -68,7 +71,8 @@ def test_plane_printed_for_course_frame_0(data_dir, outliers):
         rng = np.random.default_rng(0)
         wild = rng.random(depth.shape) < 1 / 3
         depth[wild] = rng.uniform(1, 60, wild.sum()).astype(np.float32)
-    surface = fit_surface(CFG, camera, g.level_mounting(1.4), depth, road, np.random.default_rng(0))
+    depth_map = DepthMap(depth, camera, g.level_mounting(1.4), np.inf, "depth")
+    surface = fit_surface(CFG, depth_map, road, np.random.default_rng(0))
     assert np.degrees(g.angle_between(surface.plane.n, plane.n)) < 0.01
     assert surface.camera_height_m == pytest.approx(plane.offset_m, abs=1e-3)
 
@@ -94,18 +98,16 @@ def test_a_wall_is_no_road():
 
 
 @pytest.mark.parametrize(
-    ("mask", "depth"),
+    ("mask", "depth", "count"),
     [
-        (np.zeros((480, 640), bool), np.full((480, 640), 5.0, np.float32)),
-        (np.ones((480, 640), bool), np.full((480, 640), np.nan, np.float32)),
-        (np.eye(480, 640, dtype=bool) & (np.arange(480) == 400)[:, None], np.full((480, 640), 5.0, np.float32)),
+        (np.zeros((480, 640), bool), np.full((480, 640), 5.0, np.float32), 0),
+        (np.ones((480, 640), bool), np.full((480, 640), np.nan, np.float32), 0),
+        (np.eye(480, 640, dtype=bool) & (np.arange(480) == 400)[:, None], np.full((480, 640), 5.0, np.float32), 1),
     ],
     ids=["no road", "all depth unknown", "one point"],
 )
-def test_degenerate_input_is_a_stated_absence(mask, depth):
-    absent = fit(Road(), depth, mask)
-    assert isinstance(absent, Absent)
-    assert "three" in absent.reason
+def test_degenerate_input_is_a_stated_absence(mask, depth, count):
+    assert fit(Road(), depth, mask) == Absent(Reason("surface", "too_few_road_points", (count,)))
 
 
 def test_three_collinear_points_are_a_stated_absence():
@@ -126,7 +128,10 @@ def test_drivable_pixels_are_near_the_plane_and_of_a_class():
     surface = fit(road, depth, tags == ROAD)
     depth = depth.copy()
     depth[400, 300:310] *= 0.7
-    mask = drivable_mask(CFG, surface, road.camera, depth, (tags == ROAD).astype(np.uint8), road.ego_T_camera)
+    scene = scene_of(
+        road.camera, road.ego_T_camera, depth_m=depth, tags=np.where(tags == ROAD, ROAD, 0).astype(np.uint8)
+    )
+    mask = drivable_mask(CFG, scene, surface)
     known = (tags == ROAD) & np.isfinite(depth)
     known[400, 300:310] = False
     np.testing.assert_array_equal(mask, known)
@@ -134,13 +139,14 @@ def test_drivable_pixels_are_near_the_plane_and_of_a_class():
 
 def test_drivable_without_depth_or_tags():
     road = Road()
-    classes = (road.tags() == ROAD).astype(np.uint8)
-    surface = assumed_surface(road.camera, road.ego_T_camera)
-    mounting = road.ego_T_camera
-    mask = drivable_mask(CFG, surface, road.camera, None, classes, mounting)
-    np.testing.assert_array_equal(mask, classes.astype(bool))
-    assert isinstance(drivable_mask(CFG, surface, road.camera, None, None, mounting), Absent)
-    assert isinstance(drivable_mask(CFG, Absent("none"), road.camera, road.depth_m(), classes, mounting), Absent)
+    tags = np.where(road.tags() == ROAD, ROAD, 0).astype(np.uint8)
+    place, surface = (road.camera, road.ego_T_camera), assumed_surface(road.camera, road.ego_T_camera)
+    np.testing.assert_array_equal(drivable_mask(CFG, scene_of(*place, tags=tags), surface), tags == ROAD)
+    nothing = Reason("drivable", "no_depth_no_segmentation")
+    assert drivable_mask(CFG, scene_of(*place), surface) == Absent(nothing)
+    no_plane = Reason("surface", "plane_without_points")
+    no_surface = drivable_mask(CFG, scene_of(*place, tags=tags, depth_m=road.depth_m()), Absent(no_plane))
+    assert no_surface == Absent(Reason("drivable", "no_surface", cause=no_plane))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -150,7 +156,7 @@ def test_points_that_lie_on_every_plane_are_no_wall(seed):
     depth = np.random.default_rng(seed).normal(0.01, 0.001, road.camera.size).astype(np.float32)
     found = fit(road, depth, None, seed=seed)
     assert isinstance(found, Absent)
-    assert re.fullmatch(r"the points' plane is tilted by [5-9]\d degrees, expected at most 30", found.reason)
+    assert re.fullmatch(r"the points' plane is tilted by [5-9]\d degrees, expected at most 30", found.reason.text)
 
 
 def test_a_wall_is_no_setting():
@@ -164,7 +170,7 @@ def test_too_few_points_are_counted(limit_m):
     depth[400:402, 320] = 3.0
     found = fit(road, depth, None, SurfaceConfig(max_depth_m=limit_m))
     count = 2 if limit_m > 3 else 0
-    assert found == Absent(f"{count} road pixels with known depth within max_depth_m, a plane needs three")
+    assert found == Absent(Reason("surface", "too_few_road_points", (count,)))
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-33, 1e-42])
@@ -173,4 +179,4 @@ def test_points_all_in_one_place_are_no_plane(scale):
     road = Road(width=320, height=240)
     found = fit(road, (road.depth_m() * scale).astype(np.float32), None)
     assert isinstance(found, Absent)
-    assert "tilted by 90 degrees" in found.reason
+    assert "tilted by 90 degrees" in found.reason.text

@@ -14,10 +14,11 @@ from roadperc_stream.chain.stages.surface import assumed_surface, drivable_mask,
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import LanesConfig, SurfaceConfig
 from roadperc_stream.core.ground import height_at
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.core.scene import DepthMap
 from roadperc_stream.metrics import surface_height_error_m
 from tests.analytic import LINE, ROAD
 from tests.hills import Hill
+from tests.scenes import scene_of
 
 CFG = SurfaceConfig(model="spline")
 HILL = Hill(width=320, height=240)
@@ -30,7 +31,18 @@ def road_of(hill):
 def fit(hill, depth_m=None, mask=None, cfg=CFG):
     depth_m = hill.depth_m() if depth_m is None else depth_m
     mask = road_of(hill) if mask is None else mask
-    return fit_surface(cfg, hill.camera, hill.ego_T_camera, depth_m, mask, np.random.default_rng(0))
+    return fit_surface(cfg, depth_of(hill, depth_m), mask, np.random.default_rng(0))
+
+
+def depth_of(hill, depth_m, ego_T_camera=None):
+    mounting = hill.ego_T_camera if ego_T_camera is None else ego_T_camera
+    return DepthMap(depth_m, hill.camera, mounting, np.inf, "depth")
+
+
+def drivable(hill, surface, depth_m, road):
+    """The drivable pixels where (H, W) ``road`` alone has a drivable class; None: there is no segmentation."""
+    tags = None if road is None else np.where(road, ROAD, 0).astype(np.uint8)
+    return drivable_mask(CFG, scene_of(hill.camera, hill.ego_T_camera, depth_m=depth_m, tags=tags), surface)
 
 
 def noisy(depth_m, std=0.01):
@@ -128,7 +140,7 @@ def test_a_short_stretch_leaves_the_plane(farthest_m):
 
 def test_a_camera_that_looks_back_leaves_the_plane():
     back = g.rigid(g.rotation_from_rpy(0, 0, np.pi), np.zeros(3)) @ HILL.ego_T_camera
-    surface = fit_surface(CFG, HILL.camera, back, HILL.depth_m(), road_of(HILL), np.random.default_rng(0))
+    surface = fit_surface(CFG, depth_of(HILL, HILL.depth_m(), back), road_of(HILL), np.random.default_rng(0))
     assert surface.model == "plane"
 
 
@@ -137,10 +149,10 @@ def test_without_depth_the_plane_stays():
 
 
 def test_without_segmentation_the_lower_image_shows_a_field_too():
-    surface = fit_surface(CFG, HILL.camera, HILL.ego_T_camera, HILL.depth_m(), None, np.random.default_rng(0))
+    surface = fit_surface(CFG, depth_of(HILL, HILL.depth_m()), None, np.random.default_rng(0))
     assert (surface.source, surface.model) == ("lower_image", "plane")
     high = replace(HILL, pitch=-0.2)
-    surface = fit_surface(CFG, high.camera, high.ego_T_camera, high.depth_m(), None, np.random.default_rng(0))
+    surface = fit_surface(CFG, depth_of(high, high.depth_m()), None, np.random.default_rng(0))
     assert (surface.source, surface.model) == ("lower_image", "spline")
 
 
@@ -194,7 +206,7 @@ def test_drivable_pixels_are_near_the_field():
     classes[:3] = 1
     raised = depth_m.copy()
     raised[200, 150:160] *= 0.7
-    mask = drivable_mask(CFG, surface, hill.camera, raised, classes, hill.ego_T_camera)
+    mask = drivable(hill, surface, raised, classes)
     known = road & (depth_m < 50)
     known[200, 150:160] = False
     assert mask[known].all()
@@ -202,32 +214,31 @@ def test_drivable_pixels_are_near_the_field():
     assert not mask[:3].any()
     assert not mask[~classes.view(bool)].any()
     level = replace(surface, model="plane", height_grid=None)
-    plane = drivable_mask(CFG, level, hill.camera, raised, classes, hill.ego_T_camera)
+    plane = drivable(hill, level, raised, classes)
     assert np.count_nonzero(plane[depth_m > 20]) < 0.1 * np.count_nonzero(mask[depth_m > 20])
 
 
 def test_drivable_without_classes_or_road():
     depth_m = HILL.depth_m()
     surface = fit(HILL, depth_m)
-    everything = drivable_mask(CFG, surface, HILL.camera, depth_m, None, HILL.ego_T_camera)
+    everything = drivable(HILL, surface, depth_m, None)
     assert everything[depth_m < 40].mean() > 0.99
     nothing = np.zeros(depth_m.shape, np.uint8)
-    assert not drivable_mask(CFG, surface, HILL.camera, depth_m, nothing, HILL.ego_T_camera).any()
+    assert not drivable(HILL, surface, depth_m, nothing).any()
 
 
 def test_lanes_over_a_hill_are_as_straight_as_they_are():
     hill = Hill(left_m=1.8, right_m=-1.9)
     surface = fit(hill)
-    road = drivable_mask(CFG, surface, hill.camera, hill.depth_m(), road_of(hill).astype(np.uint8), hill.ego_T_camera)
+    road = drivable(hill, surface, hill.depth_m(), road_of(hill))
     found = {}
     for model in (surface, replace(surface, model="plane", height_grid=None)):
-        _, seen = lanes.step(
-            LanesConfig(), LanesState(), hill.camera, hill.ego_T_camera, model, hill.tags(), TABLE, road, None, 1
-        )
-        x = seen.side("left").offset_m + 30 * seen.side("left").heading + 450 * seen.side("left").curvature_per_m
+        scene = scene_of(hill.camera, hill.ego_T_camera, tags=hill.tags())
+        left = lanes.step(LanesConfig(), LanesState(), scene, model, road, None)[1].side("left")
+        x = left.offset_m + 30 * left.heading + 450 * left.curvature_per_m
         found[model.model] = abs(x - 1.8)
         if model is surface:
-            points = seen.side("left").line_ego_m
+            points = left.line_ego_m
             np.testing.assert_allclose(points[:, 2], hill.z(points[:, 0], points[:, 1]), atol=0.02)
     assert found["spline"] < 0.1
     assert found["spline"] < found["plane"] / 3

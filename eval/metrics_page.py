@@ -1,0 +1,42 @@
+"""Writes the tables of docs/metrics.md, which come from the table of columns: ``make pages``."""
+
+import re
+import sys
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.schemas.columns import FrameMetrics, ObjectMetrics, columns_of
+
+_BLOCK: Final = re.compile(r"(<!-- columns: (?P<groups>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
+"""A table in the page, below the names of the groups of columns it defines."""
+_HEADER: Final = "| column | meaning | unit | better | null where |\n|---|---|---|---|---|\n"
+_GROUPS: Final = {group.__name__: group for group in (*FrameMetrics.__bases__, ObjectMetrics)}
+
+
+def with_tables(page: str) -> str:
+    """The page with each of its tables of columns made anew.
+
+    Raises:
+        KeyError: the page names a group of columns that does not exist.
+    """
+    return _BLOCK.sub(lambda block: f"{block[1]}{table(block['groups'].split())}{block[3]}", page)
+
+
+def table(groups: list[str]) -> str:
+    """Markdown lines that define the columns of some groups."""
+    columns = {name: column for group in groups for name, column in columns_of(_GROUPS[group]).items()}
+    rows = (
+        f"| `{name}` | {column.meaning} | {column.unit} | {column.better} | {column.null} |"
+        for name, column in columns.items()
+    )
+    return _HEADER + "".join(f"{row}\n" for row in rows)
+
+
+def main() -> None:
+    """Rewrite the page that is named."""
+    path = Path(sys.argv[1])
+    path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""Template matching: normalised cross-correlation.
+
+Source: Lewis, Fast Normalized Cross-Correlation, 1995; OpenCV's matchTemplate with TM_CCOEFF_NORMED, which is 1 where
+the image is the template but for brightness and contrast.
+"""
+
+import cv2
+import numpy as np
+
+from roadperc_stream.core.datatypes import Box, Correlation, Image, Mask
+
+_FLAT = 0.5
+"""Standard deviation in grey levels up to which pixels have no texture: what is left of rounding."""
+
+
+def correlate(image: Image, template: Image, around: Box | None) -> Correlation | None:
+    """How well the template fits everywhere in a box.
+
+    Args:
+        image: (H, W) grey.
+        template: (h, w) grey, what is searched for.
+        around: where it may lie, wholly, clipped to the image; None is the whole image.
+
+    Returns:
+        None where the template is empty or flat, or does not fit into the box.
+    """
+    height, width = image.shape
+    x0, y0, x1, y1 = (0, 0, width, height) if around is None else around.rounded(width, height)
+    rows, columns = template.shape
+    if not template.size or float(template.std()) <= _FLAT or columns > x1 - x0 or rows > y1 - y0:
+        return None
+    window = image[y0:y1, x0:x1]
+    scores = np.asarray(cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED), np.float32)
+    # Where the image is flat a correlation is 0 / 0, for which OpenCV may say 1.
+    scores[_flat(window, rows, columns)] = -np.inf
+    return Correlation(x0, y0, (columns, rows), scores)
+
+
+def _flat(image: Image, rows: int, columns: int) -> Mask:
+    """At which positions (top left corners) a template of that size covers pixels without texture."""
+    sums, squares = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
+    total, total_of_squares = (
+        table[rows:, columns:] - table[:-rows, columns:] - table[rows:, :-columns] + table[:-rows, :-columns]
+        for table in (np.asarray(sums, float), np.asarray(squares, float))
+    )
+    count = rows * columns
+    flat: Mask = total_of_squares * count - total**2 <= (_FLAT * count) ** 2
+    return flat

@@ -1,0 +1,176 @@
+"""One frame of the objects: filter the detections, associate them with tracks, and search for tracks without one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+from roadperc_stream.chain.stages.objects import tracking
+from roadperc_stream.chain.stages.objects.association import assign, similarities
+from roadperc_stream.chain.stages.objects.filtering import filter_detections
+from roadperc_stream.chain.stages.objects.impact import with_motion
+from roadperc_stream.chain.stages.objects.template import cut
+from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
+from roadperc_stream.core.config import ObjectsConfig
+from roadperc_stream.core.datatypes import Absent, Box, Correlation, Object, Objects
+from roadperc_stream.core.geometry import Camera
+from roadperc_stream.core.scene import Scene
+
+_MOST_TRACKS = 256
+"""Objects that are remembered; beyond, those longest without a detection are forgotten."""
+_SEARCH_SIGMAS = 3.0
+_SEARCH_SIDES = 1.0
+"""Most that is searched to each side of the predicted centre, in box sides."""
+
+
+@dataclass(frozen=True)
+class ObjectsState:
+    """What the objects remember from one frame to the next; ``next_number`` names the next new object."""
+
+    tracks: tuple[ObjectTrack, ...] = ()
+    next_number: int = 1
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """Kept detections in an order that does not depend on the detector's: items, boxes in the image, positions."""
+
+    items: tuple[Object, ...]
+    boxes: tuple[Box, ...]
+    positions: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """A track without a detection, the object where its template was found, and the correlation of that search."""
+
+    track: ObjectTrack
+    item: Object | None = None
+    correlation: Correlation | None = None
+
+
+def step(cfg: ObjectsConfig, state: ObjectsState, scene: Scene) -> tuple[ObjectsState, Objects | Absent]:
+    """Filter a frame's detections and track the kept ones over time.
+
+    Args:
+        cfg: thresholds.
+        state: what the last frame left.
+        scene: the frame, later than the last one; without tags every detection is kept, without a grey image tracks
+            without a detection are not searched for.
+
+    Returns:
+        The new state, and the objects: the detector's own in its order, the kept ones with track id, closing speed
+        and time to impact; then, with status ``tracked``, those that were found by their template alone, the oldest
+        first. Distances are this frame's own; speed and time to impact come from the filter. Absent where there are
+        neither detections nor objects tracked without them.
+    """
+    filtered = filter_detections(cfg, scene, scene.detections)
+    own = () if isinstance(filtered, Absent) else filtered.objects
+    kept = _kept(scene.camera, own)
+    known = [tracking.predict(cfg, track, scene.stamp_ns) for track in state.tracks]
+    known = [track for track in known if not tracking.expired(cfg, track)]
+    pairs = assign(cfg, known, kept.items, kept.boxes)
+    detected = _detected(cfg, state.next_number, scene, known, kept, pairs)
+    missed = [track for k, track in enumerate(known) if k not in pairs]
+    searched = [_searched(cfg, scene, track, kept) for track in missed]
+    found = tuple(with_motion(cfg, s.item, s.track) for s in searched if s.item is not None)
+    tracks = _remembered([*detected.values(), *(s.track for s in searched)])
+    started = len(kept.items) - len(pairs)
+    after = ObjectsState(tracks, state.next_number + started)
+    if isinstance(filtered, Absent) and not found:
+        return after, filtered
+    tracked = tuple(with_motion(cfg, item, detected[k]) if k in detected else item for k, item in enumerate(own))
+    return after, Objects(tracked + found, tuple(s.correlation for s in searched if s.correlation is not None))
+
+
+def _kept(camera: Camera, objects: Sequence[Object]) -> _Kept:
+    """The kept objects, those of the highest score first, so that the order of the detections decides nothing."""
+    found = [(item, _within(camera, item.detection.box_px), k) for k, item in enumerate(objects) if item.kept]
+    found.sort(key=lambda entry: (-entry[0].detection.score, *_corners(entry[0].detection.box_px), *_words(entry[0])))
+    return _Kept(tuple(item for item, _, _ in found), tuple(b for _, b, _ in found), tuple(k for _, _, k in found))
+
+
+def _within(camera: Camera, box: Box) -> Box:
+    """The part of a box that is in the image."""
+    x, y = float(camera.width), float(camera.height)
+    return Box(
+        min(max(box.x_min, 0.0), x),
+        min(max(box.y_min, 0.0), y),
+        min(max(box.x_max, 0.0), x),
+        min(max(box.y_max, 0.0), y),
+    )
+
+
+def _corners(box: Box) -> tuple[float, float, float, float]:
+    return box.x_min, box.y_min, box.x_max, box.y_max
+
+
+def _words(item: Object) -> tuple[str, str]:
+    return item.detection.label, item.detection.id
+
+
+def _detected(
+    cfg: ObjectsConfig,
+    next_number: int,
+    scene: Scene,
+    known: Sequence[ObjectTrack],
+    kept: _Kept,
+    pairs: dict[int, int],
+) -> dict[int, ObjectTrack]:
+    """The tracks after this frame's detections, old and new, by the detection's position."""
+    track_of = {item: track for track, item in pairs.items()}
+    tracks: dict[int, ObjectTrack] = {}
+    for k, (item, box, position) in enumerate(zip(kept.items, kept.boxes, kept.positions, strict=True)):
+        if k in track_of:
+            track = tracking.detected(cfg, known[track_of[k]], item, box)
+        else:
+            track = tracking.start(cfg, next_number, item, box, scene.stamp_ns)
+            next_number += 1
+        tracks[position] = _with_template(cfg, scene, track)
+    return tracks
+
+
+def _with_template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> ObjectTrack:
+    """The track with its template from this frame; without an image the last one is still good for a while."""
+    if scene.grey is None or not cfg.template_search:
+        return track
+    distance_m = track.distance_m.value if track.distance_m else None
+    return replace(track, template=cut(scene.grey, track.box_px, distance_m))
+
+
+def _searched(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack, kept: _Kept) -> _Searched:
+    """The track and its object where its template matches, filtered as detections are; no object if it does not match.
+
+    A match that overlaps a kept detection is that object again, and one that the tags contradict is chance.
+    """
+    searchable = cfg.template_search and tracking.confirmed(cfg, track)
+    if track.template is None or scene.grey is None or not searchable:
+        return _Searched(track)
+    scale = tracking.zoom(track.template.distance_m, track.distance_m)
+    correlation = track.template.search(scene.grey, _around(track), scale)
+    found = None if correlation is None else correlation.match(cfg.template_min_score)
+    lost = _Searched(track, None, correlation)
+    if found is None:
+        return lost
+    box_px = _within(scene.camera, track.template.whole(found[0], scale))
+    filtered = filter_detections(cfg, scene, (replace(track.detection, box_px=box_px),))
+    if isinstance(filtered, Absent) or not filtered.objects[0].kept:
+        return lost
+    item = replace(filtered.objects[0], status="tracked")
+    after = tracking.coasted(cfg, track, item)
+    detected = similarities(cfg, [after], kept.items, kept.boxes).any()
+    return lost if detected else _Searched(after, item, correlation)
+
+
+def _around(track: ObjectTrack) -> Box:
+    """Where the object's centre may be: near the predicted one."""
+    width, height = track.box_px.x_max - track.box_px.x_min, track.box_px.y_max - track.box_px.y_min
+    x, y = track.x_px.value, track.y_px.value
+    aside = min(_SEARCH_SIGMAS * sqrt(track.x_px.value_var), _SEARCH_SIDES * width) + 1.0
+    above = min(_SEARCH_SIGMAS * sqrt(track.y_px.value_var), _SEARCH_SIDES * height) + 1.0
+    return Box(x - aside, y - above, x + aside, y + above)
+
+
+def _remembered(tracks: Sequence[ObjectTrack]) -> tuple[ObjectTrack, ...]:
+    """The tracks, the oldest first, as many as may be kept."""
+    latest = sorted(tracks, key=lambda track: (-track.detected_ns, track.number))[:_MOST_TRACKS]
+    return tuple(sorted(latest, key=lambda track: track.number))

@@ -1,0 +1,93 @@
+"""What the stages see of one frame: its pixels, decoded, its depth from whichever source, and its detections."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from roadperc_stream.core.datatypes import Detection, Image, SurfaceSource
+from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.core.registration import sample_labels, warp_depth
+from roadperc_stream.core.semantics import TagTable
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """(H, W) metres along z, NaN unknown, and the camera that has them; ``limit_m`` is where the encoding saturates."""
+
+    depth_m: Float32
+    camera: Camera
+    ego_T_camera: Float
+    limit_m: float
+    source: SurfaceSource
+
+    @property
+    def dense(self) -> bool:
+        """Whether most pixels have a depth: the points of a lidar are few."""
+        return self.source != "lidar"
+
+    def registered_to(self, camera: Camera, ego_T_camera: Float) -> Float32:
+        """(h, w) the depth as another camera observes it."""
+        if self._is_of(camera, ego_T_camera):
+            return self.depth_m
+        return warp_depth(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m)
+
+    def labels_from(self, camera: Camera, ego_T_camera: Float, labels: Image) -> Image:
+        """(H, W) another camera's (h, w) labels at the pixels of this depth."""
+        if self._is_of(camera, ego_T_camera):
+            return labels
+        return sample_labels(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m, labels)
+
+    def _is_of(self, camera: Camera, ego_T_camera: Float) -> bool:
+        """Whether the depth belongs to that camera, so that pixel lies on pixel."""
+        same_place = np.allclose(ego_T_camera, self.ego_T_camera, atol=1e-6)
+        return bool(same_place) and camera.same_view(self.camera)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One frame as every stage takes it.
+
+    ``camera`` is the front camera, to which ``tags`` (H, W, of ``table``), ``grey`` (H, W) and ``detections`` belong;
+    ``depth`` may be another one's. What the frame does not have, or what cannot be used, is None; no detections message
+    is None too, an empty one (). ``image_unusable`` says that ``grey`` is None although the frame has an image. Without
+    a mounting (``mounted`` False) ``ego_T_camera`` is that of a level camera at the assumed height.
+    """
+
+    stamp_ns: int
+    camera: Camera
+    ego_T_camera: Float
+    mounted: bool = False
+    tags: Image | None = None
+    table: TagTable | None = None
+    grey: Image | None = None
+    image_unusable: bool = False
+    depth: DepthMap | None = None
+    detections: tuple[Detection, ...] | None = None
+
+    @cached_property
+    def depth_m(self) -> Float32 | None:
+        """(H, W) metres as the front camera observes them."""
+        return None if self.depth is None else self.depth.registered_to(self.camera, self.ego_T_camera)
+
+    @property
+    def dense_depth_m(self) -> Float32 | None:
+        """``depth_m`` for what needs it at most pixels; None of the points of a lidar."""
+        return self.depth_m if self.depth is not None and self.depth.dense else None
+
+    @property
+    def depth_limit_m(self) -> float:
+        """Depth at which the encoding saturates; infinite without depth."""
+        return np.inf if self.depth is None else self.depth.limit_m
+
+    @property
+    def plane_source(self) -> str:
+        """What the assumed road plane rests on, in words."""
+        return "the mounting" if self.mounted else "the assumed height"
+
+    def labels(self, classes: tuple[str, ...]) -> Image | None:
+        """(H, W) uint8, 1 at pixels of the classes; None without tags."""
+        if self.table is None or self.tags is None:
+            return None
+        return np.asarray(cv2.LUT(self.tags, self.table.lookup(classes)), np.uint8)

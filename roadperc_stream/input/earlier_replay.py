@@ -1,0 +1,42 @@
+"""What an earlier replay left in the log it wrote: its results, and the topics and the tag table its user chose."""
+
+from collections.abc import Iterable
+from typing import Final
+
+from roadperc_stream.core.semantics import TABLES
+from roadperc_stream.log import Channel, Metadata
+from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY, TOPIC_KEY
+from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.schemas.topics import ON_REQUEST, result_schemas
+
+_SCHEMAS: Final = result_schemas(tuple(ON_REQUEST.values()))
+"""Of every result, by topic."""
+
+
+def is_result(channel: Channel) -> bool:
+    """Whether an earlier replay wrote this channel."""
+    return PRODUCER in channel.metadata
+
+
+def is_result_of(channel: Channel, topic: str) -> bool:
+    """Whether a replay wrote this channel: other programs may use the topic as well, for messages of their own."""
+    return channel.topic == topic and is_result(channel) and channel.schema_name == _SCHEMAS.get(topic)
+
+
+def recorded_topics(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> dict[str, str]:
+    """Topics by role that the user of an earlier replay named, as its result records them; those that are there."""
+    record = _record(metadata)
+    named = {key.removeprefix(TOPIC_KEY): topic for key, topic in record.items() if key.startswith(TOPIC_KEY)}
+    there = {channel.topic for channel in channels if not is_result(channel)}
+    return {role: topic for role, topic in named.items() if role in ROLES and topic in there}
+
+
+def recorded_tag_table(metadata: Iterable[Metadata]) -> str:
+    """The tag table that the user of an earlier replay named, as its result records it; empty where none is known."""
+    name = _record(metadata).get(TAG_TABLE_KEY, "")
+    return name if name in TABLES else ""
+
+
+def _record(metadata: Iterable[Metadata]) -> dict[str, str]:
+    """What a result says of how it came about; empty of other logs."""
+    return next((dict(record.values) for record in metadata if record.name == METADATA_RECORD), {})

@@ -1,0 +1,144 @@
+"""A log as the input of a replay: what every loop over frames opens."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from roadperc_stream import log
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.datatypes import Sample
+from roadperc_stream.core.time import WHOLE, TimeRange
+from roadperc_stream.errors import ChannelError
+from roadperc_stream.input.assemble import sample_of
+from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.latched import without_loops
+from roadperc_stream.input.plan import InputPlan, input_messages, plan_input, span_ns
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.roles import tag_table_to_record
+from roadperc_stream.input.stream import decoded_messages
+from roadperc_stream.input.sync import SyncedMessages, Synchroniser
+from roadperc_stream.log import Channel, LogSummary, Message
+from roadperc_stream.schemas.record import DROPPED_KEY, TAG_TABLE_KEY, TOPIC_KEY
+
+
+def open_input(
+    source: Path, cfg: ReplayConfig, overrides: Mapping[str, str] | None = None, time_range: TimeRange = WHOLE
+) -> "ReplayInput":
+    """Check a log, assign its channels to roles, and find the part to replay.
+
+    Args:
+        source: the log.
+        cfg: how messages are decoded, paired and placed.
+        overrides: topic of each role that is not on the contract's topic.
+        time_range: the part to replay; the copy of the input is cut with it.
+
+    Raises:
+        ChannelError: the channels do not fit the roles.
+        LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
+    """
+    summary = log.summarise(source)
+    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides or {}, time_range))
+
+
+class ReplayInput:
+    """The frames of a log, the messages they are made of, and what became of these.
+
+    ``frames``, ``dropped``, ``unreadable`` and ``notes`` are of the samples so far; ``samples`` begins anew.
+    """
+
+    def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan) -> None:
+        self.summary, self.plan = summary, plan
+        self._cfg = cfg
+        self._begin()
+
+    def _begin(self) -> None:
+        plan = self.plan
+        self._problems = Problems()
+        self._synchroniser = Synchroniser(self._cfg.sync, plan.reference, plan.roles.topics, plan.latched)
+
+    @property
+    def log_id(self) -> str:
+        """The first digits of the digest of all input messages: names the log in every table."""
+        return self.plan.digest[:16]
+
+    @property
+    def topics(self) -> Mapping[str, str]:
+        """Topic of each role that the log has."""
+        return self.plan.roles.topics
+
+    @property
+    def expected_frames(self) -> int:
+        """Messages of the reference role; one that cannot be read makes no frame."""
+        return self.plan.expected_frames
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time of the part to replay."""
+        return span_ns(self.summary, self.plan.window)
+
+    def samples(self) -> Iterator[Sample]:
+        """The frames in order, a few messages in memory at a time.
+
+        Raises:
+            ChannelError: a camera without calibration; the message names it.
+        """
+        self._begin()
+        plan, topics = self.plan, self.topics
+        messages = input_messages(self.summary, self._cfg, plan, topics=set(topics.values()))
+        decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems)
+        items = without_loops(decoded, plan.latched, topics, self._problems)
+        for index, synced in enumerate(self._synchroniser.synced(items)):
+            yield self._sample(synced, index)
+
+    def _sample(self, synced: SyncedMessages, index: int) -> Sample:
+        try:
+            sample = sample_of(self._cfg, synced, index, self.topics, self.plan.parent_of)
+        except ChannelError as error:
+            known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned)
+            raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
+        if "truth_pose" in synced.parts and sample.truth.odom_T_ego is None:
+            topic = self.topics["truth_pose"]
+            text = f"{topic}: no transform connects the frame of its poses with ego: they are no truth"
+            self._problems.report(topic, text)
+        return sample
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """All channels of the log but the results of an earlier replay."""
+        return tuple(channel for channel in self.summary.channels if not is_result(channel))
+
+    def messages(self) -> Iterator[Message]:
+        """All messages of the part to replay as they stand in the log, in log-time order; no results."""
+        return input_messages(self.summary, self._cfg, self.plan)
+
+    @property
+    def frames(self) -> int:
+        """Samples so far."""
+        return self._synchroniser.frames
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Messages per role that belong to no frame."""
+        return dict(self._synchroniser.dropped)
+
+    @property
+    def unreadable(self) -> dict[str, int]:
+        """Messages per topic that could not be decoded."""
+        return dict(self._problems.counts)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know: roles that were guessed or have no channel, the first problem of each topic."""
+        return (*self.plan.roles.notes, *(self.plan.problems.first | self._problems.first).values())
+
+    def record(self) -> dict[str, str]:
+        """What a result has to record of its input, so that it can be replayed from itself."""
+        roles = self.plan.roles
+        tag_table = tag_table_to_record(self.summary.channels, roles, self._cfg.tag_table)
+        return {
+            "digest": self.plan.digest,
+            "input_messages": str(self.plan.messages),
+            "frames": str(self.frames),
+            **{f"{TOPIC_KEY}{role}": topic for role, topic in sorted(roles.chosen.items())},
+            **({TAG_TABLE_KEY: tag_table} if tag_table else {}),
+            **{f"{DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},
+        }

@@ -1,0 +1,167 @@
+"""Which channel of a log is assigned to which role."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Final
+
+from roadperc_stream.errors import ChannelError
+from roadperc_stream.input.decoding import schemas_of_kind
+from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
+from roadperc_stream.input.roles.guess import choice, could_serve, guess, unassigned
+from roadperc_stream.input.roles.probe import ContentProbe, no_probe, probe_first_message
+from roadperc_stream.input.roles.topic_names import distinct, fits, known_elsewhere, without_a_word
+from roadperc_stream.log import Channel, LogSummary
+from roadperc_stream.schemas.record import TAG_TABLE_KEY
+from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES, SHARED_KINDS, Role
+
+NOTHING_TO_REPLAY: Final = f"no channel for any of the roles {', '.join(REFERENCE_ROLES)}: nothing to replay"
+_UNNAMED_ROLES: Final = ("depth", "segmentation")
+"""Roles whose images any name may have: what is in them says so, where no name does."""
+_MOST_CANDIDATES_NAMED: Final = 3
+"""Candidates of a role, in notes."""
+
+
+@dataclass(frozen=True)
+class RoleAssignment:
+    """The roles that a log has channels for, each with its topic."""
+
+    topics: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+    """What was guessed and what is left unassigned, to be reported to the user."""
+    unassigned: tuple[str, ...] = ()
+    """Of these the roles that some topic of the log could serve, with the topics."""
+    chosen: Mapping[str, str] = field(default_factory=dict)
+    """Topics that were chosen because the user named them, in this replay or in the one that made the log."""
+    tag_table: str = ""
+    """Table of tags whose channel names none, as the user of the replay named it that made the log; empty: nobody."""
+
+    @property
+    def reference(self) -> str | None:
+        """The role whose messages make the frames; None where no topic has any."""
+        return next((role for role in REFERENCE_ROLES if role in self.topics), None)
+
+    def roles_of(self, topic: str) -> list[Role]:
+        """Roles that a topic is assigned to."""
+        return [ROLES[name] for name, known in self.topics.items() if known == topic]
+
+
+def assignment_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> RoleAssignment:
+    """The roles of a log's channels that have messages; a result keeps to the topics it was made with.
+
+    Raises:
+        ChannelError: as ``assign_roles``; the message names the log.
+    """
+    present = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
+    named = {**recorded_topics(summary.metadata, present), **overrides}
+    try:
+        roles = assign_roles(present, named, partial(probe_first_message, summary.path))
+    except ChannelError as error:
+        raise ChannelError(f"{summary.path}: {error}") from error
+    chosen = _choices(present, named) if named else {}
+    return replace(roles, chosen=chosen, tag_table=recorded_tag_table(summary.metadata))
+
+
+def _choices(channels: Sequence[Channel], named: Mapping[str, str]) -> dict[str, str]:
+    """The named topics without which other ones, or none, would have been chosen."""
+    try:
+        unasked: Mapping[str, str] = assign_roles(channels, {}).topics
+    except ChannelError:
+        unasked = {}
+    return {role: topic for role, topic in named.items() if unasked.get(role) != topic}
+
+
+def tag_table_to_record(channels: Iterable[Channel], roles: RoleAssignment, configured: str) -> str:
+    """The table to be recorded: what the user named, now or earlier, where a channel of tags names none; else empty.
+
+    Args:
+        channels: of the log.
+        roles: the topic of each.
+        configured: table of this replay, or ``auto``.
+    """
+    tags = (c for c in channels if any(role.kind == "tags" for role in roles.roles_of(c.topic)) and not is_result(c))
+    if all(channel.label(TAG_TABLE_KEY) for channel in tags):
+        return ""
+    return roles.tag_table if configured == "auto" else configured
+
+
+def assign_roles(
+    channels: Iterable[Channel], overrides: Mapping[str, str], probe: ContentProbe = no_probe
+) -> RoleAssignment:
+    """Assign topics to roles: those the user names, those that are known, else the only topic that fits.
+
+    Where several fit, those in the namespace of the role's camera come first; a role that is not needed stays
+    unassigned where they still are several.
+
+    Args:
+        channels: of the log; results of earlier replays do not count.
+        overrides: topic by role, from ``--topic``.
+        probe: says which candidates hold depth or tags, where no name does.
+
+    Raises:
+        ChannelError: a topic asked for is not there or has the wrong schema, or several fit a role that is needed.
+    """
+    inputs = [channel for channel in channels if not is_result(channel)]
+    topics: dict[str, str] = {}
+    for role in ROLES.values():
+        topic = overrides.get(role.name, role.topic)
+        named = [channel for channel in inputs if channel.topic == topic]
+        if role.name in overrides and not named:
+            there = ", ".join(sorted({channel.topic for channel in inputs})) or "none"
+            raise ChannelError(f"--topic {role.name}={topic}: no such topic; topics in the log: {there}")
+        if named:
+            _require_one_fitting(role, named)
+            topics[role.name] = topic
+    for role in ROLES.values():
+        elsewhere = known_elsewhere(role, unassigned(inputs, topics))
+        if role.name not in topics and (known := choice(role, elsewhere, topics)):
+            topics[role.name] = known
+    notes = []
+    for role in ROLES.values():
+        if role.name not in topics and (guessed := guess(role, inputs, topics)):
+            topics[role.name] = guessed
+            notes.append(f"role {role.name}: {guessed}, the only topic that fits")
+    left = _unassigned_in_words(candidates(inputs, topics, probe), inputs)
+    return RoleAssignment({name: topics[name] for name in ROLES if name in topics}, (*notes, *left), left)
+
+
+def candidates(
+    channels: Iterable[Channel], assigned: Mapping[str, str], probe: ContentProbe = no_probe
+) -> Mapping[str, tuple[str, ...]]:
+    """Topics that could serve the unassigned roles, by role; roles without any, and truths, are left out.
+
+    Args:
+        channels: of the log; results of earlier replays do not count.
+        assigned: topic of each role that has one; these topics are nobody's candidates.
+        probe: says which channels hold depth or tags, where no name does.
+    """
+    unused = unassigned((channel for channel in channels if not is_result(channel)), assigned)
+    left = [role for role in ROLES.values() if role.name not in assigned and not role.truth]
+    found = {role.name: could_serve(role, unused, assigned) for role in left}
+    if not (assigned.keys() | {name for name, topics in found.items() if topics}) & set(REFERENCE_ROLES):
+        found["image"] = distinct(c for c in unused if fits(ROLES["image"], c))
+    for name in _UNNAMED_ROLES:
+        if name in found and not found[name]:
+            found[name] = distinct(c for c in without_a_word(ROLES[name], unused) if probe(ROLES[name].kind, c))
+    return {name: topics for name, topics in found.items() if topics}
+
+
+def _unassigned_in_words(found: Mapping[str, tuple[str, ...]], channels: Iterable[Channel]) -> tuple[str, ...]:
+    """A line for each role that some topic could serve; a few of the topics where there are many."""
+    schemas = {channel.topic: channel.schema_name for channel in channels}
+    lines = []
+    for name, topics in found.items():
+        some = ", ".join(f"{topic} ({schemas[topic]})" for topic in topics[:_MOST_CANDIDATES_NAMED])
+        more = ", ..." if len(topics) > _MOST_CANDIDATES_NAMED else ""
+        lines.append(f"role {name}: not assigned; candidates: {some}{more}: --topic {name}={topics[0]}")
+    return tuple(lines)
+
+
+def _require_one_fitting(role: Role, channels: list[Channel]) -> None:
+    for channel in channels:
+        if not fits(role, channel):
+            expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in schemas_of_kind(role.kind))
+            found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding})"
+            raise ChannelError(f"{channel.topic}: role {role.name} expects {expected}, found {found}")
+    if len(channels) > 1 and role.kind not in SHARED_KINDS:
+        raise ChannelError(f"{role.topic}: {len(channels)} channels carry this topic, role {role.name} takes one")

@@ -1,0 +1,64 @@
+"""The messages of a log as payloads of the roles they are assigned to, in the order of the log."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from roadperc_stream.core.datatypes import Transform
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.input.decoding import Context, Payload, context_of_channel, decode
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.roles import RoleAssignment
+from roadperc_stream.log import Channel, Message
+
+
+@dataclass(frozen=True, eq=False)
+class Stamped:
+    """One decoded message of a role."""
+
+    role: str
+    log_time_ns: int
+    stamp_ns: int
+    payload: Payload
+
+    @property
+    def edges(self) -> tuple[Transform, ...]:
+        """The transforms of a transforms message; none of any other."""
+        parts = self.payload if isinstance(self.payload, tuple) else ()
+        return tuple(part for part in parts if isinstance(part, Transform))
+
+    def children(self) -> tuple[str, ...]:
+        """Frames that a transforms message places; for other messages one empty name."""
+        return tuple(edge.child for edge in self.edges) or ("",)
+
+
+def decoded_messages(
+    messages: Iterable[Message], roles: RoleAssignment, tag_table: str, problems: Problems
+) -> Iterator[Stamped]:
+    """Decode the messages of assigned roles; one that cannot be decoded is counted and left out.
+
+    Args:
+        messages: in log-time order.
+        roles: the topic of each role.
+        tag_table: configured table, or ``auto``: the channel's, else the one that an earlier replay recorded.
+        problems: takes the messages that cannot be decoded.
+    """
+    contexts: dict[Channel, Context] = {}
+    roles_by_topic = {topic: roles.roles_of(topic) for topic in set(roles.topics.values())}
+    for message in messages:
+        channel = message.channel
+        if channel not in contexts:
+            contexts[channel] = context_of_channel(channel, tag_table, roles.tag_table)
+        for role in roles_by_topic.get(channel.topic, ()):
+            try:
+                decoded = decode(
+                    role.kind,
+                    channel.schema_name,
+                    channel.message_encoding,
+                    message.data,
+                    message.log_time_ns,
+                    contexts[channel],
+                )
+            except DecodeError as error:
+                problems.add(channel.topic, message.log_time_ns, error)
+                continue
+            yield Stamped(role.name, message.log_time_ns, decoded.stamp_ns, decoded.payload)

@@ -1,0 +1,97 @@
+"""The tree of transforms: which frame is placed below which, and the transform between any two of them."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from roadperc_stream.core.datatypes import Transform
+from roadperc_stream.core.geometry import Float, inverse
+from roadperc_stream.errors import ChannelError
+
+
+@dataclass(frozen=True)
+class TransformTree:
+    """Frames, each placed by the one edge to its parent."""
+
+    edges: Mapping[str, Transform] = field(default_factory=dict)
+    """By child."""
+
+    @property
+    def parent_of(self) -> dict[str, str]:
+        """The parent of every frame that has one."""
+        return {child: edge.parent for child, edge in self.edges.items()}
+
+    def updated(self, edges: Iterable[Transform]) -> "TransformTree":
+        """The tree with some edges added or replaced."""
+        return TransformTree({**self.edges, **{edge.child: edge for edge in edges}})
+
+    def knows(self, frame: str) -> bool:
+        """Whether a frame is placed, or others below it."""
+        return frame in self.edges or any(edge.parent == frame for edge in self.edges.values())
+
+    def lookup(self, target: str, source: str) -> Float | None:
+        """target_T_source along the tree; None where the frames are not connected.
+
+        Raises:
+            ChannelError: the tree has a loop.
+        """
+        target_to_root, source_to_root = self._to_root(target), self._to_root(source)
+        for frame, frame_T_target in target_to_root.items():
+            if frame in source_to_root:
+                result: Float = inverse(frame_T_target) @ source_to_root[frame]
+                return result
+        return None
+
+    def _to_root(self, frame: str) -> dict[str, Float]:
+        """ancestor_T_frame of a frame and all its ancestors, nearest first."""
+        path = {frame: np.eye(4)}
+        at = frame
+        while (edge := self.edges.get(at)) is not None:
+            if edge.parent in path:
+                raise ChannelError(f"/tf: frame {edge.parent!r} is its own ancestor: expected a tree of transforms")
+            path[edge.parent] = edge.parent_T_child @ path[at]
+            at = edge.parent
+        return path
+
+    def rooted_at(self, frame: str) -> "TransformTree":
+        """The same tree with a frame as its root: the edges above it are inverted, so that nothing is lost."""
+        edges, at = dict(self.edges), frame
+        above = edges.pop(frame, None)
+        while above is not None:
+            inverted = Transform(at, above.parent, inverse(above.parent_T_child))
+            at, above = above.parent, edges.get(above.parent)
+            edges[at] = inverted
+        return TransformTree(edges)
+
+    def looping(self, edges: Iterable[Transform]) -> tuple[str, ...]:
+        """Children of the edges that would be part of a loop in the tree, in their order.
+
+        An edge that contradicts another one of the same message goes with it, for neither is more likely; one that
+        contradicts the tree so far goes alone.
+
+        Args:
+            edges: of one message.
+        """
+        edges = tuple(edges)
+        parents, found, known = {edge.child: edge.parent for edge in edges}, set[str](), self.parent_of
+        while loops := _in_loops({**known, **parents}, parents):
+            found |= loops
+            parents = {child: parent for child, parent in parents.items() if child not in loops}
+        return tuple(dict.fromkeys(edge.child for edge in edges if edge.child in found))
+
+
+def _in_loops(parent_of: Mapping[str, str], starts: Iterable[str]) -> set[str]:
+    """The frames that are their own ancestors, of those on the paths to the root from ``starts``."""
+    found, done = set[str](), set[str]()
+    for start in starts:
+        path: dict[str, None] = {}
+        at = start
+        while at in parent_of and at not in done and at not in path:
+            path[at] = None
+            at = parent_of[at]
+        done |= path.keys()
+        if at in path:
+            frames = list(path)
+            found.update(frames[frames.index(at) :])
+    return found

@@ -1,0 +1,248 @@
+"""How far a frame's estimates are from the truth, and the truth that evaluation needs beside them."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from roadperc_stream.schemas.columns.column import COUNT, RATIO, Column
+
+_NO_TRUE_PLANE = "no plane, or no true one"
+
+
+@dataclass(frozen=True)
+class SurfaceErrorColumns:
+    """Plane, heights and drivable pixels."""
+
+    surface_angle_error_deg: Annotated[
+        float | None,
+        Column(
+            "angle between the two unit normals in the ego frame, atan2(norm(cross(n, n*)), dot(n, n*))",
+            "deg",
+            _NO_TRUE_PLANE,
+            label="surface angle",
+            decimals=4,
+            better="low",
+        ),
+    ] = None
+    camera_height_error_m: Annotated[
+        float | None,
+        Column(
+            "h - h*, the height of the camera the depth belongs to",
+            "m",
+            _NO_TRUE_PLANE,
+            label="camera height",
+            decimals=4,
+            better="near 0",
+        ),
+    ] = None
+    surface_height_error_m: Annotated[
+        float | None,
+        Column(
+            "median of abs(z - z*) at the nodes of the true height grid with 5 m <= x <= 40 m and abs(y) < 4 m",
+            "m",
+            "no plane, or no true grid there",
+            label="road height 5-40 m",
+            decimals=4,
+            better="low",
+        ),
+    ] = None
+    drivable_iou: Annotated[
+        float | None,
+        Column(
+            "intersection over union of the drivable mask A and of B, which clean tags, "
+            "clean depth and the true plane give",
+            RATIO,
+            "no mask, or one of the three is not there; both masks empty",
+            label="drivable IoU",
+            decimals=3,
+            better="high",
+        ),
+    ] = None
+
+
+def _lane_error(side: str) -> Column:
+    return Column(
+        "y(10 m) - y*(10 m) with y(x) = offset + heading x + curvature x² / 2, in the ego frame; positive where the "
+        "estimate lies farther left",
+        "m",
+        "boundary lost, or the true line does not reach 10 m",
+        label=f"lane {side} at 10 m",
+        decimals=3,
+        better="near 0",
+    )
+
+
+@dataclass(frozen=True)
+class LaneErrorColumns:
+    """The boundaries on the road."""
+
+    lane_left_error_m: Annotated[float | None, _lane_error("left")] = None
+    lane_right_error_m: Annotated[float | None, _lane_error("right")] = None
+
+
+_TRUE_OFFSET = Column("true lateral offset at x = 0, to compare the smoothed offset with", "m", "no true boundary")
+
+
+@dataclass(frozen=True)
+class TrueLaneColumns:
+    """Where the true boundaries are, for jitter and lag."""
+
+    lane_left_true_offset_m: Annotated[float | None, _TRUE_OFFSET] = None
+    lane_right_true_offset_m: Annotated[float | None, _TRUE_OFFSET] = None
+
+
+def _culane(what: str, threshold: str) -> Column:
+    return Column(f"{what} at an intersection over union above {threshold}, lines drawn 30 px wide", COUNT)
+
+
+@dataclass(frozen=True)
+class LaneScoreColumns:
+    """The boundaries in the image, as the public benchmarks score lanes."""
+
+    lane_tusimple_accuracy: Annotated[
+        float | None,
+        Column(
+            "mean over the true lanes of the share of rows where the best found lane is right: "
+            "abs(x - x*) < 20 px / cos(a), a the angle of the true lane's fitted straight line from the upright; a row "
+            "where neither has a point is right too. Rows are the multiples of 10 px from the true lines' top to the "
+            "image's bottom",
+            RATIO,
+            label="lane points (TuSimple)",
+            decimals=3,
+            better="high",
+        ),
+    ] = None
+    lane_tusimple_fp: Annotated[
+        float | None,
+        Column(
+            "(found lanes - matched true lanes) / found lanes; a true lane is matched at an accuracy of 0.85 or more",
+            RATIO,
+            label="wrong lanes (TuSimple)",
+            decimals=3,
+            better="low",
+        ),
+    ] = None
+    lane_tusimple_fn: Annotated[
+        float | None,
+        Column("unmatched true lanes / true lanes", RATIO, label="missed lanes (TuSimple)", decimals=3, better="low"),
+    ] = None
+    lane_culane_tp_50: Annotated[int | None, _culane("true positives", "0.5")] = None
+    lane_culane_fp_50: Annotated[int | None, _culane("false positives: other found lines", "0.5")] = None
+    lane_culane_fn_50: Annotated[int | None, _culane("false negatives: other true lines", "0.5")] = None
+    lane_culane_tp_30: Annotated[int | None, _culane("true positives", "0.3")] = None
+    lane_culane_fp_30: Annotated[int | None, _culane("false positives: other found lines", "0.3")] = None
+    lane_culane_fn_30: Annotated[int | None, _culane("false negatives: other true lines", "0.3")] = None
+
+
+@dataclass(frozen=True)
+class ObjectErrorColumns:
+    """Distances, and how the filter judged the detections."""
+
+    object_distance_error_m: Annotated[
+        float | None,
+        Column(
+            "mean of abs(d - d*) over kept detections with both distances",
+            "m",
+            "there is none",
+            label="objects' mean distance",
+            decimals=3,
+            better="low",
+        ),
+    ] = None
+    filter_tp: Annotated[int | None, Column("kept detections that stand for a true object", COUNT)] = None
+    filter_fp: Annotated[int | None, Column("kept detections that do not", COUNT)] = None
+    filter_fn: Annotated[int | None, Column("dropped detections that stand for a true object", COUNT)] = None
+    filter_tn: Annotated[int | None, Column("dropped detections that do not", COUNT)] = None
+    filter_precision: Annotated[
+        float | None,
+        Column("tp / (tp + fp)", RATIO, "nothing was kept", label="filter precision", decimals=3, better="high"),
+    ] = None
+    filter_recall: Annotated[
+        float | None,
+        Column(
+            "tp / (tp + fn)",
+            RATIO,
+            "no detection stands for a true object",
+            label="filter recall",
+            decimals=3,
+            better="high",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class StereoErrorColumns:
+    """Stereo depth against the depth camera's, over what both cameras see."""
+
+    stereo_epe_px: Annotated[
+        float | None,
+        Column("mean of abs(d - d*)", "px", label="stereo disparity", decimals=2, better="low"),
+    ] = None
+    stereo_d1_ratio: Annotated[
+        float | None,
+        Column(
+            "share with abs(d - d*) > 3 px and abs(d - d*) > 0.05 d*",
+            RATIO,
+            label="stereo outliers (D1)",
+            decimals=4,
+            better="low",
+        ),
+    ] = None
+    stereo_abs_rel: Annotated[
+        float | None,
+        Column("mean of abs(Z - Z*) / Z*", RATIO, label="stereo relative depth", decimals=4, better="low"),
+    ] = None
+    stereo_coverage: Annotated[
+        float | None,
+        Column(
+            "share of the counted pixels that have a disparity",
+            RATIO,
+            label="stereo true pixels known",
+            decimals=3,
+            better="high",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class OdometryErrorColumns:
+    """The step since the last frame against the true one."""
+
+    step_error_m: Annotated[
+        float | None,
+        Column(
+            "length of the translation of E = (T*ₖ₋₁⁻¹ T*ₖ)⁻¹ S, S the estimated step since the last frame",
+            "m",
+            "no step, no true pose at either end, or a step without scale",
+            label="step",
+            decimals=4,
+            better="low",
+        ),
+    ] = None
+    turn_error_deg: Annotated[
+        float | None,
+        Column(
+            "angle of the rotation of E",
+            "deg",
+            "no step, or no true pose at either end",
+            label="turn",
+            decimals=4,
+            better="low",
+        ),
+    ] = None
+
+
+def _true_pose(what: str, unit: str = "") -> Column:
+    return Column(what, unit, "no true pose")
+
+
+@dataclass(frozen=True)
+class TruePoseColumns:
+    """The true pose odom_T_ego, so that whole trajectories are evaluated from the table alone."""
+
+    true_x_m: Annotated[float | None, _true_pose("true position of the ego frame in odom, x", "m")] = None
+    true_y_m: Annotated[float | None, _true_pose("the same, y", "m")] = None
+    true_z_m: Annotated[float | None, _true_pose("the same, z", "m")] = None
+    true_qx: Annotated[float | None, _true_pose("its orientation, unit quaternion, x")] = None
+    true_qy: Annotated[float | None, _true_pose("the same, y")] = None
+    true_qz: Annotated[float | None, _true_pose("the same, z")] = None
+    true_qw: Annotated[float | None, _true_pose("the same, w")] = None

@@ -1,0 +1,277 @@
+"""What the chain says of a frame, with no truth needed."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from roadperc_stream.schemas.columns.column import COUNT, RATIO, Column
+
+_NO_PLANE = "no plane was found"
+_NO_OBJECTS = "the stage did not run"
+
+
+@dataclass(frozen=True)
+class SurfaceColumns:
+    """The road's plane and the drivable pixels."""
+
+    surface_inlier_ratio: Annotated[
+        float | None,
+        Column(
+            "share of the points considered that lie on the plane",
+            RATIO,
+            _NO_PLANE,
+            label="surface inlier ratio",
+            decimals=3,
+            better="high",
+        ),
+    ] = None
+    camera_height_m: Annotated[
+        float | None,
+        Column(
+            "height of the camera the depth belongs to over the road",
+            "m",
+            _NO_PLANE,
+            label="camera height",
+            decimals=3,
+        ),
+    ] = None
+    camera_pitch_deg: Annotated[
+        float | None,
+        Column(
+            "pitch of that camera against the road, nose down positive",
+            "deg",
+            _NO_PLANE,
+            label="camera pitch",
+            decimals=3,
+            judges_coverage=False,
+        ),
+    ] = None
+    camera_roll_deg: Annotated[
+        float | None,
+        Column(
+            "roll of that camera against the road, right side down positive",
+            "deg",
+            _NO_PLANE,
+            label="camera roll",
+            decimals=3,
+            judges_coverage=False,
+        ),
+    ] = None
+    drivable_ratio: Annotated[
+        float | None,
+        Column("drivable pixels / pixels of the image", RATIO, "no mask", label="drivable share of image", decimals=3),
+    ] = None
+    surface_source: Annotated[
+        str | None,
+        Column(
+            "what the plane comes from: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags) or `assumed` "
+            "(the mounting)",
+            null=_NO_PLANE,
+        ),
+    ] = None
+
+
+def _status(side: str) -> Column:
+    return Column(f"status of the {side} boundary: `measured`, `held` (predicted without a measurement) or `lost`")
+
+
+def _offset(side: str) -> Column:
+    meaning = "smoothed lateral offset of the boundary at the ego origin (x = 0), positive to the left"
+    return Column(meaning, "m", "boundary lost", label=f"{side} offset", decimals=2)
+
+
+def _raw_offset(side: str) -> Column:
+    meaning = "the same as measured in this frame alone"
+    return Column(meaning, "m", "boundary held or lost", label=f"{side} raw_offset", decimals=2)
+
+
+def _boundary_class() -> Column:
+    return Column("class of the pixels beyond the boundary, such as `sidewalk`", null="boundary lost, or not known")
+
+
+@dataclass(frozen=True)
+class LaneColumns:
+    """The two boundaries of the ego lane."""
+
+    lane_left_status: Annotated[str | None, _status("left")] = None
+    lane_left_offset_m: Annotated[float | None, _offset("left")] = None
+    lane_left_raw_offset_m: Annotated[float | None, _raw_offset("left")] = None
+    lane_left_boundary_class: Annotated[str | None, _boundary_class()] = None
+    lane_right_status: Annotated[str | None, _status("right")] = None
+    lane_right_offset_m: Annotated[float | None, _offset("right")] = None
+    lane_right_raw_offset_m: Annotated[float | None, _raw_offset("right")] = None
+    lane_right_boundary_class: Annotated[str | None, _boundary_class()] = None
+    lane_width_m: Annotated[
+        float | None,
+        Column(
+            "left offset less right offset",
+            "m",
+            "a boundary is lost",
+            label="lane width",
+            decimals=3,
+            judges_coverage=False,
+        ),
+    ] = None
+    lane_heading_deg: Annotated[
+        float | None,
+        Column(
+            "mean heading of the boundaries against the car's axis, positive to the left",
+            "deg",
+            "both boundaries are lost",
+            label="lane heading",
+            decimals=3,
+            judges_coverage=False,
+        ),
+    ] = None
+    lane_proposals: Annotated[
+        int | None,
+        Column(
+            "lines found in the image",
+            COUNT,
+            "the stage did not run",
+            label="lane lines proposed",
+            decimals=1,
+            judges_coverage=False,
+        ),
+    ] = None
+    lane_merged: Annotated[
+        int | None,
+        Column(
+            "lines left after neighbouring ones are merged",
+            COUNT,
+            "the stage did not run",
+            label="lane lines merged",
+            decimals=1,
+            judges_coverage=False,
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class ObjectColumns:
+    """How many detections were kept, and the nearest and most urgent of them."""
+
+    detections: Annotated[
+        int | None,
+        Column("detections of the detector", COUNT, _NO_OBJECTS, label="detections a frame", decimals=1),
+    ] = None
+    detections_kept: Annotated[
+        int | None,
+        Column(
+            "of these, kept by the filter",
+            COUNT,
+            _NO_OBJECTS,
+            label="detections kept",
+            decimals=1,
+            judges_coverage=False,
+        ),
+    ] = None
+    detections_unjudged: Annotated[
+        int | None,
+        Column(
+            "of these, kept because nothing could judge them: no segmentation, or a label without classes",
+            COUNT,
+            _NO_OBJECTS,
+            label="detections not judged",
+            decimals=1,
+            judges_coverage=False,
+        ),
+    ] = None
+    objects_carried: Annotated[
+        int | None,
+        Column(
+            "objects the detector missed in this frame, tracked on by their image patch",
+            COUNT,
+            _NO_OBJECTS,
+            label="objects tracked on",
+            decimals=1,
+            judges_coverage=False,
+        ),
+    ] = None
+    nearest_object_m: Annotated[
+        float | None,
+        Column(
+            "distance of the nearest kept object",
+            "m",
+            "no kept object has a distance",
+            label="nearest object",
+            decimals=2,
+            judges_coverage=False,
+        ),
+    ] = None
+    nearest_object_class: Annotated[str | None, Column("label of that object", null="the same")] = None
+    time_to_impact_s: Annotated[
+        float | None,
+        Column(
+            "smallest time to impact of the kept objects: distance over closing speed",
+            "s",
+            "none comes nearer",
+            label="time to impact",
+            decimals=2,
+            judges_coverage=False,
+        ),
+    ] = None
+    time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")] = None
+
+
+@dataclass(frozen=True)
+class StereoColumns:
+    """Depth from the stereo pair."""
+
+    stereo_valid_ratio: Annotated[
+        float | None,
+        Column("pixels with a depth / pixels", RATIO, "no stereo depth", label="stereo valid pixels", decimals=3),
+    ] = None
+    stereo_nearest_m: Annotated[
+        float | None,
+        Column("2 % quantile of the depths", "m", "no pixel has a depth", label="stereo nearest", decimals=2),
+    ] = None
+
+
+def _pose_of(what: str, null: str) -> Column:
+    return Column(what, "m", null)
+
+
+def _rotation_of(what: str, null: str) -> Column:
+    return Column(what, "", null)
+
+
+@dataclass(frozen=True)
+class OdometryColumns:
+    """The car's motion since the last frame, and its pose since the first."""
+
+    odometry_status: Annotated[
+        str | None, Column("`first`, `tracked` or `lost`", null="the stage did not run, or has no image")
+    ] = None
+    odometry_inliers: Annotated[
+        int | None,
+        Column(
+            "points that agree with the motion",
+            COUNT,
+            "as the status",
+            label="odometry inliers",
+            decimals=1,
+            judges_coverage=False,
+        ),
+    ] = None
+    step_m: Annotated[
+        float | None,
+        Column("length of the step since the last frame", "m", "no step, or no scale", label="step", decimals=3),
+    ] = None
+    turn_deg: Annotated[
+        float | None,
+        Column(
+            "angle of the rotation since the last frame",
+            "deg",
+            "no step",
+            label="turn",
+            decimals=3,
+            judges_coverage=False,
+        ),
+    ] = None
+    odom_x_m: Annotated[float | None, _pose_of("position of the ego frame in odom, x", "as the status")] = None
+    odom_y_m: Annotated[float | None, _pose_of("the same, y", "as the status")] = None
+    odom_z_m: Annotated[float | None, _pose_of("the same, z", "as the status")] = None
+    odom_qx: Annotated[float | None, _rotation_of("its orientation, unit quaternion, x", "as the status")] = None
+    odom_qy: Annotated[float | None, _rotation_of("the same, y", "as the status")] = None
+    odom_qz: Annotated[float | None, _rotation_of("the same, z", "as the status")] = None
+    odom_qw: Annotated[float | None, _rotation_of("the same, w", "as the status")] = None

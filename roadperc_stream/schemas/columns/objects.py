@@ -1,0 +1,60 @@
+"""The row of a detection, or of an object that is tracked on without one."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from roadperc_stream.schemas.columns.column import RATIO, Column
+from roadperc_stream.schemas.columns.frame import FrameKey
+
+_NOT_TRACKED = "too few distances so far, or contradicting ones"
+_NO_TRUTH = "no true object"
+
+
+@dataclass(frozen=True)
+class ObjectMetrics(FrameKey):
+    """A detection as the chain filtered and followed it, and the true object it stands for."""
+
+    track_id: Annotated[str | None, Column("the object's track through the log", null="not tracked")]
+    label: Annotated[str, Column("class by the detector")]
+    score: Annotated[float, Column("the detector's confidence, 0 to 1")]
+    x_min_px: Annotated[float, Column("box: left edge, from the image's left edge", "px")]
+    y_min_px: Annotated[float, Column("box: upper edge, from the image's upper edge", "px")]
+    x_max_px: Annotated[float, Column("box: right edge, exclusive", "px")]
+    y_max_px: Annotated[float, Column("box: lower edge, exclusive", "px")]
+    class_ratio: Annotated[
+        float | None,
+        Column("share of the box's pixels that are of the label's classes", RATIO, "no tags, or an unknown label"),
+    ]
+    kept: Annotated[bool, Column("passed the filter")]
+    distance_m: Annotated[
+        float | None,
+        Column(
+            "straight from the camera: the 2 % quantile over the pixels of its class in its box",
+            "m",
+            "no depth there, or beyond its range",
+        ),
+    ]
+    distance_std_m: Annotated[float | None, Column("its standard deviation", "m", "the same")]
+    closing_speed_mps: Annotated[
+        float | None, Column("how fast the distance shrinks, positive when nearing", "m/s", _NOT_TRACKED)
+    ]
+    closing_speed_std_mps: Annotated[float | None, Column("its standard deviation", "m/s", "the same")]
+    time_to_impact_s: Annotated[
+        float | None, Column("distance over closing speed", "s", "does not come nearer, or no closing speed")
+    ]
+    time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")]
+    status: Annotated[
+        str, Column("`measured` (detected), `tracked` (followed by its image patch without a detection) or `lost`")
+    ]
+    beyond_range: Annotated[bool, Column("the depth saturates there")]
+    is_true: Annotated[bool | None, Column("stands for a true object", null="the log has no true objects")]
+    true_distance_m: Annotated[float | None, Column("distance of that object", "m", _NO_TRUTH)]
+    true_closing_speed_mps: Annotated[float | None, Column("its closing speed", "m/s", _NO_TRUTH)]
+    true_time_to_impact_s: Annotated[
+        float | None,
+        Column(
+            "what the truth says, else its distance / its closing speed",
+            "s",
+            "no true object, or it does not come nearer",
+        ),
+    ]

@@ -1,0 +1,17 @@
+"""What a result carries besides its messages, by which a later replay knows it and what made it."""
+
+from typing import Final
+
+PRODUCER: Final = ("producer", "roadperc")
+"""Channel metadata by which a later replay knows the results of an earlier one."""
+TAG_TABLE_KEY: Final = "tag_table"
+"""Names the table of a channel's tags: in the channel's metadata, or, where its recorder did not, in a result's record
+of how it came about."""
+METADATA_RECORD: Final = "roadperc"
+"""Metadata record of a result: how it came about."""
+TOPIC_KEY: Final = "topic."
+"""Keys of that record which begin so name a role, and the topic that was chosen for it."""
+DROPPED_KEY: Final = "dropped."
+"""Keys of that record which begin so name a role, and how many of its messages belonged to no frame."""
+CONFIG_ATTACHMENT: Final = "roadperc.toml"
+"""Attachment of a result: the whole configuration."""

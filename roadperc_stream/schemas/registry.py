@@ -1,0 +1,23 @@
+"""The definition of every schema that this project writes, by its name."""
+
+from dataclasses import dataclass
+
+from roadperc_stream.schemas import ros2
+from roadperc_stream.schemas.protobuf import schema_data
+
+
+@dataclass(frozen=True)
+class Schema:
+    """Name, encoding and definition, as a log stores them."""
+
+    name: str
+    message_encoding: str
+    schema_encoding: str
+    data: bytes
+
+
+def schema(name: str) -> Schema:
+    """Schema of any message this project writes."""
+    if name in ros2.DEFINITIONS:
+        return Schema(name, "cdr", "ros2msg", ros2.DEFINITIONS[name])
+    return Schema(name, "protobuf", "protobuf", schema_data(name))

@@ -1,0 +1,105 @@
+"""What an input channel can be for, and the topic and schema that the contract gives each role."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from roadperc_stream.errors import ChannelError
+from roadperc_stream.schemas.names import CALIBRATION_SCHEMA, IMAGE_SCHEMA, POINTS_SCHEMA, ROS_IMAGE_SCHEMA
+
+Kind = Literal[
+    "image", "tags", "depth", "points", "calibration", "detections", "tf", "pose", "surface", "lanes", "objects"
+]
+
+
+@dataclass(frozen=True)
+class Role:
+    """What an input channel is for."""
+
+    name: str
+    topic: str
+    kind: Kind
+    schema: str
+    """Schema that ``roadperc-convert`` writes."""
+    truth: bool = False
+    elsewhere: tuple[str, ...] = ()
+    """Topics of other recorders, ``*`` standing for any one name: here those of CARLA's ROS bridge."""
+
+
+ROLES: Final = {
+    role.name: role
+    for role in (
+        Role("image", "/camera/front/image", "image", IMAGE_SCHEMA, elsewhere=("/carla/*/rgb_front/image",)),
+        Role(
+            "calibration",
+            "/camera/front/calibration",
+            "calibration",
+            CALIBRATION_SCHEMA,
+            elsewhere=("/carla/*/rgb_front/camera_info",),
+        ),
+        Role("depth", "/camera/front/depth", "depth", ROS_IMAGE_SCHEMA, elsewhere=("/carla/*/depth_front/image",)),
+        Role(
+            "depth_calibration",
+            "/camera/front/depth/calibration",
+            "calibration",
+            CALIBRATION_SCHEMA,
+            elsewhere=("/carla/*/depth_front/camera_info",),
+        ),
+        Role(
+            "segmentation",
+            "/camera/front/segmentation",
+            "tags",
+            IMAGE_SCHEMA,
+            elsewhere=("/carla/*/semantic_segmentation_front/image",),
+        ),
+        Role("detections", "/camera/front/detections", "detections", "roadperc.Detections"),
+        Role("left", "/camera/left/image", "image", IMAGE_SCHEMA),
+        Role("left_calibration", "/camera/left/calibration", "calibration", CALIBRATION_SCHEMA),
+        Role("right", "/camera/right/image", "image", IMAGE_SCHEMA),
+        Role("right_calibration", "/camera/right/calibration", "calibration", CALIBRATION_SCHEMA),
+        Role("lidar", "/lidar/points", "points", POINTS_SCHEMA, elsewhere=("/carla/*/lidar",)),
+        Role("tf", "/tf", "tf", "foxglove.FrameTransforms"),
+        Role("tf_static", "/tf_static", "tf", "foxglove.FrameTransforms"),
+        Role(
+            "truth_pose",
+            "/truth/pose",
+            "pose",
+            "foxglove.PoseInFrame",
+            truth=True,
+            elsewhere=("/carla/*/odometry",),
+        ),
+        Role("truth_surface", "/truth/surface", "surface", "roadperc.Surface", truth=True),
+        Role("truth_lanes", "/truth/lanes", "lanes", "roadperc.Lanes", truth=True),
+        Role("truth_objects", "/truth/objects", "objects", "roadperc.Objects", truth=True),
+        Role("truth_depth", "/truth/depth", "depth", ROS_IMAGE_SCHEMA, truth=True),
+        Role("truth_segmentation", "/truth/segmentation", "tags", IMAGE_SCHEMA, truth=True),
+    )
+}
+
+REFERENCE_ROLES: Final = ("image", "left", "depth", "segmentation")
+"""One frame per message of the first of these roles that a log has a topic for."""
+
+LATCHED_KINDS: Final = ("calibration", "tf")
+"""Kinds whose messages hold until replaced."""
+SHARED_KINDS: Final = ("tf",)
+"""Kinds whose topic may carry several channels."""
+CARLA_BRIDGE: Final = "/carla/"
+"""How the topics of CARLA's ROS bridge begin."""
+
+
+def parse_topic_options(options: Iterable[str]) -> dict[str, str]:
+    """``role=/topic`` options as a mapping.
+
+    Raises:
+        ChannelError: not of that form, or a role that does not exist.
+
+    """
+    mapping = {}
+    for option in options:
+        role, separator, topic = option.partition("=")
+        if not separator or not topic:
+            raise ChannelError(f"--topic {option}: expected ROLE=/TOPIC, such as image=/front/rgb")
+        if role not in ROLES:
+            raise ChannelError(f"--topic {option}: no role {role!r}; roles: {', '.join(ROLES)}")
+        mapping[role] = topic
+    return mapping

@@ -1,0 +1,74 @@
+"""The topics and schemas of the results."""
+
+from collections.abc import Collection, Mapping
+from typing import Final, Literal
+
+from roadperc_stream.schemas.names import IMAGE_SCHEMA, ROS_GRID_SCHEMA, ROS_IMAGE_SCHEMA
+
+RESULT_PREFIX: Final = "/perception/"
+"""How the topics of results begin."""
+DEBUG_PREFIX: Final = "/perception/debug/"
+"""How the topics of the pictures begin that show what a stage did."""
+SURFACE_TOPIC: Final = "/perception/surface"
+DRIVABLE_TOPIC: Final = "/perception/drivable"
+DRIVABLE_SCENE_TOPIC: Final = "/perception/drivable/scene"
+OCCUPANCY_TOPIC: Final = "/perception/occupancy"
+LANES_TOPIC: Final = "/perception/lanes"
+LANES_ANNOTATIONS_TOPIC: Final = "/perception/lanes/annotations"
+LANES_SCENE_TOPIC: Final = "/perception/lanes/scene"
+OBJECTS_TOPIC: Final = "/perception/objects"
+OBJECTS_ANNOTATIONS_TOPIC: Final = "/perception/objects/annotations"
+OBJECTS_SCENE_TOPIC: Final = "/perception/objects/scene"
+STEREO_DEPTH_TOPIC: Final = "/perception/stereo/depth"
+ODOMETRY_TOPIC: Final = "/perception/odometry"
+ODOMETRY_STATE_TOPIC: Final = "/perception/odometry/state"
+TRAJECTORY_TOPIC: Final = "/perception/trajectory"
+TF_TOPIC: Final = "/perception/tf"
+METRICS_TOPIC: Final = "/perception/metrics"
+LOG_TOPIC: Final = "/perception/log"
+OVERLAY_TOPIC: Final = "/perception/overlay"
+DEBUG_LANES_TOPIC: Final = "/perception/debug/lanes"
+DEBUG_MATCHES_TOPIC: Final = "/perception/debug/matches"
+DEBUG_TEMPLATE_TOPIC: Final = "/perception/debug/template"
+DEBUG_DISPARITY_TOPIC: Final = "/perception/debug/disparity"
+TIMES_TOPIC: Final = "/perception/times"
+
+RESULTS: Final[Mapping[str, str]] = {
+    SURFACE_TOPIC: "roadperc.Surface",
+    DRIVABLE_TOPIC: IMAGE_SCHEMA,
+    DRIVABLE_SCENE_TOPIC: "foxglove.SceneUpdate",
+    OCCUPANCY_TOPIC: ROS_GRID_SCHEMA,
+    LANES_TOPIC: "roadperc.Lanes",
+    LANES_ANNOTATIONS_TOPIC: "foxglove.ImageAnnotations",
+    LANES_SCENE_TOPIC: "foxglove.SceneUpdate",
+    OBJECTS_TOPIC: "roadperc.Objects",
+    OBJECTS_ANNOTATIONS_TOPIC: "foxglove.ImageAnnotations",
+    OBJECTS_SCENE_TOPIC: "foxglove.SceneUpdate",
+    STEREO_DEPTH_TOPIC: ROS_IMAGE_SCHEMA,
+    ODOMETRY_TOPIC: "foxglove.PoseInFrame",
+    ODOMETRY_STATE_TOPIC: "roadperc.Odometry",
+    TRAJECTORY_TOPIC: "foxglove.PosesInFrame",
+    TF_TOPIC: "foxglove.FrameTransforms",
+    METRICS_TOPIC: "roadperc.FrameMetrics",
+    LOG_TOPIC: "foxglove.Log",
+}
+"""Result topics and their schemas, in the order in which their channels are registered."""
+
+Request = Literal["overlay", "debug"]
+ON_REQUEST: Final[Mapping[str, Request]] = {
+    OVERLAY_TOPIC: "overlay",
+    DEBUG_LANES_TOPIC: "debug",
+    DEBUG_MATCHES_TOPIC: "debug",
+    DEBUG_TEMPLATE_TOPIC: "debug",
+    DEBUG_DISPARITY_TOPIC: "debug",
+}
+"""Topics of pictures, foxglove.CompressedImage all, that are made only where somebody asks for them, and for what."""
+
+LIVE_ONLY: Final[Mapping[str, str]] = {TIMES_TOPIC: "roadperc.StageTimes"}
+"""Topics that a live server adds to those of the log: a log of the same input is the same bytes every time, and the
+times of its stages are not."""
+
+
+def result_schemas(requests: Collection[Request]) -> dict[str, str]:
+    """Topics and schemas of a replay's results, those on request among them."""
+    return dict(RESULTS) | {topic: IMAGE_SCHEMA for topic, request in ON_REQUEST.items() if request in requests}

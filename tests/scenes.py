@@ -1,0 +1,13 @@
+"""Scenes for the stages, without a log or a chain around them."""
+
+import numpy as np
+
+from roadperc_stream.core.scene import DepthMap, Scene
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+
+
+def scene_of(camera, ego_T_camera=None, *, depth_m=None, limit_m=np.inf, source="depth", stamp_ns=1, **inputs):
+    """A scene of the front camera, to which the depth belongs; the tags are those of CARLA before 0.9.14."""
+    ego_T_camera = np.eye(4) if ego_T_camera is None else ego_T_camera
+    depth = None if depth_m is None else DepthMap(depth_m, camera, ego_T_camera, limit_m, source)
+    return Scene(stamp_ns, camera, ego_T_camera, **{"table": TABLE, "depth": depth, **inputs})

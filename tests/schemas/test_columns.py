@@ -1,0 +1,114 @@
+"""The one table of columns, and all that is made from it."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, get_type_hints
+
+import pyarrow as pa
+import pytest
+
+from roadperc_stream.eval.metrics_page import table, with_tables
+from roadperc_stream.eval.quantities import DERIVED, NUMBERS
+from roadperc_stream.output.tables import arrow_schema
+from roadperc_stream.schemas.columns import TIME_COLUMNS, Column, FrameMetrics, ObjectMetrics, columns_of, row_of
+from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics as FrameMetricsProto
+
+PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
+ROWS = pytest.mark.parametrize("row_type", [FrameMetrics, ObjectMetrics])
+PROTO_TYPES = {
+    str: FrameMetricsProto.DESCRIPTOR.fields_by_name["log_id"].type,
+    int: FrameMetricsProto.DESCRIPTOR.fields_by_name["frame"].type,
+    float: FrameMetricsProto.DESCRIPTOR.fields_by_name["lane_width_m"].type,
+}
+
+
+@ROWS
+def test_every_column_says_what_it_means(row_type):
+    columns = columns_of(row_type)
+    assert list(columns) == [field.name for field in fields(row_type)]
+    assert all(column.meaning for column in columns.values())
+    for name, column in columns.items():
+        ending = name.rsplit("_", 1)[-1]
+        known = {"m": "m", "s": "s", "deg": "deg", "px": "px", "ns": "ns", "ms": "ms", "mps": "m/s", "ratio": "ratio"}
+        assert column.unit == known.get(ending, column.unit), name
+
+
+@ROWS
+def test_a_column_that_may_be_null_says_where(row_type):
+    hints, shared = get_type_hints(row_type), ("lane_tusimple", "lane_culane", "filter_", "stereo_", "lane_")
+    for name, column in columns_of(row_type).items():
+        optional = type(None) in getattr(hints[name], "__args__", ())
+        assert optional or not column.null, name
+        assert column.null or not optional or name.startswith(shared) or name.startswith("detections"), name
+
+
+def test_the_message_has_a_field_of_the_same_type_for_every_column():
+    known = {field.name: field for field in FrameMetricsProto.DESCRIPTOR.fields}
+    hints = get_type_hints(FrameMetrics)
+    assert known.keys() - {"timestamp", "frame_id"} == hints.keys()
+    for name, hint in hints.items():
+        kinds = [kind for kind in getattr(hint, "__args__", (hint,)) if kind not in {type(None), ...}]
+        assert known[name].type == PROTO_TYPES[kinds[0]], name
+        assert known[name].is_repeated == (getattr(hint, "__origin__", None) is tuple), name
+        assert known[name].has_presence == (type(None) in getattr(hint, "__args__", ())), name
+
+
+def test_the_table_has_every_column_in_its_order():
+    schema = arrow_schema(FrameMetrics, TIME_COLUMNS)
+    assert schema.names == [*columns_of(FrameMetrics), *TIME_COLUMNS]
+    assert schema.field("missing").type == pa.list_(pa.string())
+    assert not schema.field("stamp_ns").nullable
+    assert schema.field("lane_width_m").nullable
+    assert schema.names[:4] == ["log_id", "frame", "stamp_ns", "surface_inlier_ratio"]
+    assert schema.names[-len(TIME_COLUMNS) - 3 :][:3] == ["sync_skew_ms", "missing", "reasons"]
+
+
+def test_reports_know_labels_for_columns_that_exist_and_no_label_twice():
+    columns = {**columns_of(FrameMetrics), **dict.fromkeys(TIME_COLUMNS)}
+    stored = [quantity for quantity in NUMBERS if quantity not in DERIVED]
+    assert {quantity.column for quantity in stored} <= columns.keys()
+    assert {name for name, column in columns.items() if column and column.label} <= {q.column for q in stored}
+
+
+def test_the_page_defines_every_column():
+    page = PAGE.read_text(encoding="utf-8")
+    assert page == with_tables(page), "run `make pages`"
+    for name in (*columns_of(FrameMetrics), *columns_of(ObjectMetrics)):
+        assert f"\n| `{name}` |" in page, name
+
+
+def test_a_table_of_the_page():
+    assert table(["LaneErrorColumns"]).splitlines()[2].startswith("| `lane_left_error_m` | y(10 m) - y*(10 m)")
+    with pytest.raises(KeyError, match="Nobody"):
+        with_tables("<!-- columns: Nobody -->\n<!-- end -->")
+
+
+@dataclass(frozen=True)
+class First:
+    a: Annotated[int, Column("one")]
+
+
+@dataclass(frozen=True)
+class Second:
+    b: Annotated[float | None, Column("other")] = None
+
+
+@dataclass(frozen=True)
+class Both(Second, First):
+    pass
+
+
+def test_a_row_is_made_of_its_groups():
+    assert row_of(Both, First(1), Second(2.0)) == Both(1, 2.0)
+    assert list(columns_of(Both)) == ["a", "b"]
+    with pytest.raises(TypeError, match="missing"):
+        row_of(Both, Second(2.0))
+
+
+def test_a_field_without_a_definition_is_refused():
+    @dataclass(frozen=True)
+    class Bare:
+        c: int
+
+    with pytest.raises(TypeError, match="c: expected a column's definition"):
+        columns_of(Bare)
