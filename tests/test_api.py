@@ -161,7 +161,8 @@ def test_tags_without_a_table_and_a_pose_that_is_none_are_refused():
 
 
 def test_importing_the_package_imports_nothing_else():
-    code = "import sys, roadperc_stream as rp; dir(rp); print(sorted(sys.modules.keys() & {'numpy', 'cv2', 'polars', 'typing'}))"
+    code = "import sys, roadperc_stream as rp; dir(rp);"
+    code += "print(sorted(sys.modules.keys() & {'numpy', 'cv2', 'polars', 'typing'}))"
     ended = subprocess.run(
         [sys.executable, "-S", "-c", code], capture_output=True, text=True, check=True, cwd=SAMPLE.parents[1]
     )
