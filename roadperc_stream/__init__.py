@@ -1,15 +1,64 @@
-"""Replay camera logs through one perception chain, frame by frame, the same way every time."""
+"""Replay camera logs through one perception chain, frame by frame, the same way every time.
+
+    import roadperc_stream as rp
+
+    rp.replay("in.mcap", "out.mcap")                        # a log in, the log with results and its tables out
+    for frame in rp.frames("in.mcap"): ...                  # the frames of a log with their results
+    rp.Chain(camera).step(stamp_ns, depth_m=..., tags=...)  # arrays of your own
+    rp.metrics("out.mcap")                                  # a row per frame, as a polars frame
+
+Each name is imported when it is first used.
+"""
 
 TYPE_CHECKING = False  # typing itself would be half the time that importing this takes
 
 __version__: str
 
+if TYPE_CHECKING:
+    from roadperc_stream.api import Chain as Chain
+    from roadperc_stream.api import LogFrame as LogFrame
+    from roadperc_stream.api import frames as frames
+    from roadperc_stream.api import metrics as metrics
+    from roadperc_stream.api import replay as replay
+    from roadperc_stream.core.config import ReplayConfig as ReplayConfig
+    from roadperc_stream.core.config import load_config as load_config
+    from roadperc_stream.core.datatypes import Absent as Absent
+    from roadperc_stream.core.datatypes import Box as Box
+    from roadperc_stream.core.datatypes import Detection as Detection
+    from roadperc_stream.core.datatypes import FrameResult as FrameResult
+    from roadperc_stream.core.geometry import Camera as Camera
+    from roadperc_stream.errors import RoadpercError as RoadpercError
+
+_HOMES = {
+    "Chain": "api",
+    "LogFrame": "api",
+    "frames": "api",
+    "metrics": "api",
+    "replay": "api",
+    "ReplayConfig": "core.config",
+    "load_config": "core.config",
+    "Absent": "core.datatypes",
+    "Box": "core.datatypes",
+    "Detection": "core.datatypes",
+    "FrameResult": "core.datatypes",
+    "Camera": "core.geometry",
+    "RoadpercError": "errors",
+}
+__all__ = [*_HOMES, "__version__"]  # noqa: PLE0604
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
 if not TYPE_CHECKING:
 
-    def __getattr__(name: str) -> str:
-        """The version when it is asked for: importlib.metadata takes longer than all that a command does before."""
-        if name != "__version__":
-            raise AttributeError(name)
-        from importlib.metadata import version  # noqa: PLC0415
+    def __getattr__(name: str) -> object:
+        """A public name when it is asked for, and the version, which importlib.metadata takes long to find."""
+        from importlib import import_module  # noqa: PLC0415
 
-        return version("roadperc_stream")
+        if name == "__version__":
+            return import_module("importlib.metadata").version("roadperc_stream")
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"roadperc_stream.{_HOMES[name]}"), name)

@@ -1,0 +1,300 @@
+"""The package for notebooks and scripts: replay a log, go through its frames, run the chain on arrays, read metrics.
+
+Lengths are in metres, stamps in nanoseconds, pixels count from 0 at the centre of the first one. ``a_T_b`` is a (4, 4)
+matrix that maps coordinates in frame b to frame a: ego is x forward, y left, z up, cameras are x right, y down,
+z forward.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
+
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.core.config import ReplayConfig, load_config, validated
+from roadperc_stream.core.datatypes import (
+    CameraImage,
+    DepthImage,
+    Detection,
+    Frame,
+    FrameResult,
+    Image,
+    Sample,
+    TagImage,
+    Truth,
+)
+from roadperc_stream.core.geometry import Camera, Float, level_mounting
+from roadperc_stream.core.semantics import TagTable, table_for_version
+from roadperc_stream.core.threads import one_thread
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.errors import ConfigError, TableError
+from roadperc_stream.input import open_input
+from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.replay import ReplaySummary
+from roadperc_stream.replay import replay as _replay
+from roadperc_stream.schemas.columns import FrameMetrics
+
+if TYPE_CHECKING:
+    import polars as pl
+
+Config = ReplayConfig | Mapping[str, Any] | str | Path | None
+"""A configuration, a nested mapping such as ``{"lanes": {"hold_s": 0.8}}``, a TOML file, or None for the defaults."""
+
+
+def replay(
+    src: str | Path,
+    dst: str | Path,
+    *,
+    config: Config = None,
+    topics: Mapping[str, str] | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    max_frames: int | None = None,
+    results_only: bool = False,
+    force: bool = False,
+) -> ReplaySummary:
+    """Replay a log through the chain, as ``roadperc-replay`` does.
+
+    Args:
+        src: the log to read.
+        dst: the log to write; ``dst`` with ``.metrics.parquet`` and ``.objects.parquet`` comes beside it.
+        config: the chain's configuration.
+        topics: topic by role, where the log's topics are not this project's, such as ``{"image": "/front/rgb"}``.
+        start_s: seconds after the log's first message from which to replay.
+        end_s: seconds after the log's first message up to which to replay.
+        max_frames: replay at most so many frames.
+        results_only: leave the input's messages out of ``dst``.
+        force: replace an existing ``dst``.
+
+    Returns:
+        Frames, dropped messages, notes, and the reasons that held in all frames.
+
+    Raises:
+        RoadpercError: the input cannot be read or replayed, or the output cannot be written; nothing is left behind.
+    """
+    return _replay(
+        Path(src),
+        Path(dst),
+        _config(config),
+        overrides=dict(topics or {}),
+        time_range=TimeRange(start_s, end_s, max_frames),
+        results_only=results_only,
+        force=force,
+    )
+
+
+@dataclass(frozen=True)
+class LogFrame:
+    """A frame of a log: what the chain could see, what is true, what the chain made of it, and its row of metrics."""
+
+    input: Frame
+    truth: Truth
+    result: FrameResult
+    metrics: FrameMetrics
+
+
+def frames(
+    log: str | Path,
+    *,
+    config: Config = None,
+    topics: Mapping[str, str] | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    max_frames: int | None = None,
+) -> Iterator[LogFrame]:
+    """Run the chain over a log and give its frames with their results, in order, one in memory at a time.
+
+    Nothing is written. Arguments as in ``replay``.
+
+    Raises:
+        RoadpercError: the log cannot be read or replayed.
+    """
+    cfg = _config(config)
+    log_in = open_input(Path(log), cfg, topics, TimeRange(start_s, end_s, max_frames))
+    state = ChainState()
+    previous: Sample | None = None
+    for sample in log_in.samples():
+        with one_thread():  # the same bits as in a replay, whatever the caller's own settings
+            state, result = step(cfg, state, sample.frame)
+            row = frame_metrics(cfg, log_in.log_id, sample, result, previous)
+        yield LogFrame(sample.frame, sample.truth, result, row)
+        previous = sample
+
+
+class Chain:
+    """The perception chain for arrays of your own: call ``step`` once per frame, in the order of time.
+
+    It remembers what the chain remembers from one frame to the next; ``reset`` forgets it.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        config: Config = None,
+        *,
+        ego_T_camera: ArrayLike | None = None,
+        right_camera: Camera | None = None,
+        tag_table: str = "",
+    ) -> None:
+        """Set up the chain.
+
+        Args:
+            camera: of image, depth, tags and detections.
+            config: the chain's configuration.
+            ego_T_camera: (4, 4) mounting; None for a level camera at ``surface.assumed_height_m``.
+            right_camera: of a rectified pair whose left camera is ``camera``; its ``baseline_m`` is positive.
+            tag_table: CARLA version whose tag numbers ``tags`` holds, such as ``"0.9.15"``; empty for the
+                configuration's ``tag_table``.
+
+        Raises:
+            ConfigError: the configuration does not fit, or the tag table is not known.
+        """
+        self._cfg = _config(config)
+        self._camera, self._right_camera = camera, right_camera
+        self._mounted = ego_T_camera is not None
+        self._ego_T_camera = _pose(ego_T_camera, self._cfg)
+        self._table = _tag_table(tag_table or self._cfg.tag_table)
+        self._state = ChainState()
+
+    def reset(self) -> None:
+        """Forget all earlier frames."""
+        self._state = ChainState()
+
+    def step(
+        self,
+        stamp_ns: int,
+        *,
+        image: ArrayLike | None = None,
+        depth_m: ArrayLike | None = None,
+        tags: ArrayLike | None = None,
+        detections: Sequence[Detection] | None = None,
+        right_image: ArrayLike | None = None,
+    ) -> FrameResult:
+        """Run the chain on one frame; any input may be missing.
+
+        Args:
+            stamp_ns: the frame's time; one that does not lie after the last one's clears the memory.
+            image: (H, W, 3) uint8 in OpenCV's order blue, green, red, or (H, W) grey.
+            depth_m: (H, W) metres along the camera's z axis, NaN unknown.
+            tags: (H, W) uint8 class of each pixel, by ``tag_table``.
+            detections: of a detector, boxes in pixels.
+            right_image: as ``image``, of the right camera.
+
+        Returns:
+            What each stage made; ``Absent`` with a reason where it could make nothing.
+
+        Raises:
+            ValueError: an array is of another shape or type.
+            ConfigError: tags were given, and nobody said of which table.
+        """
+        camera, ego_T_camera = self._camera, self._ego_T_camera
+        frame = Frame(
+            stamp_ns=stamp_ns,
+            camera=camera,
+            ego_T_camera=ego_T_camera,
+            depth_camera=camera,
+            ego_T_depth_camera=ego_T_camera,
+            left_camera=camera,
+            ego_T_left=ego_T_camera,
+            mounted=self._mounted,
+            image=_camera_image("image", image, camera),
+            right=_camera_image("right_image", right_image, self._right_camera or camera),
+            right_camera=self._right_camera,
+            depth=self._depth(depth_m),
+            segmentation=self._tags(tags),
+            detections=None if detections is None else tuple(detections),
+        )
+        with one_thread():
+            self._state, result = step(self._cfg, self._state, frame)
+        return result
+
+    def _depth(self, depth_m: ArrayLike | None) -> DepthImage | None:
+        if depth_m is None:
+            return None
+        pixels = _pixels("depth_m", depth_m, np.float32, self._camera)
+        return DepthImage(self._camera.frame_id, lambda: (pixels, np.inf))
+
+    def _tags(self, tags: ArrayLike | None) -> TagImage | None:
+        if tags is None:
+            return None
+        if self._table is None:
+            raise ConfigError("tags: of which table? Expected Chain(camera, tag_table='0.9.15') or another version")
+        pixels = _pixels("tags", tags, np.uint8, self._camera)
+        return TagImage(self._camera.frame_id, self._table, lambda: pixels)
+
+
+def metrics(run: str | Path) -> "pl.DataFrame":
+    """The metrics of a run, a row per frame, as a polars frame.
+
+    Args:
+        run: a log with results, whose table lies beside it, or the table itself.
+
+    Raises:
+        TableError: there is no such table, or it cannot be read.
+    """
+    import polars as pl  # noqa: PLC0415 - what replays and steps does not need it
+
+    from roadperc_stream.output.tables import sidecar_path  # noqa: PLC0415
+
+    path = Path(run)
+    table = sidecar_path(path, "metrics") if path.suffix == ".mcap" else path
+    try:
+        return pl.read_parquet(table)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise TableError(f"{table}: is not a metrics table that can be read: {error}") from error
+
+
+def _config(config: Config) -> ReplayConfig:
+    if isinstance(config, ReplayConfig):
+        return config
+    if isinstance(config, Mapping):
+        return validated(config, "config")
+    return load_config(None if config is None else Path(config))
+
+
+def _pose(ego_T_camera: ArrayLike | None, cfg: ReplayConfig) -> Float:
+    if ego_T_camera is None:
+        return level_mounting(cfg.surface.assumed_height_m)
+    pose = np.array(ego_T_camera, np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError(f"ego_T_camera: expected (4, 4) finite numbers, found {pose.shape}")
+    return pose
+
+
+def _tag_table(version: str) -> TagTable | None:
+    return None if version == "auto" else table_for_version(version)
+
+
+def _camera_image(name: str, pixels: ArrayLike | None, camera: Camera) -> CameraImage | None:
+    if pixels is None:
+        return None
+    image = _pixels(name, pixels, np.uint8, camera, colours=True)
+    return CameraImage(
+        camera.frame_id, _converted(image, cv2.COLOR_GRAY2BGR, 2), _converted(image, cv2.COLOR_BGR2GRAY, 3)
+    )
+
+
+def _converted(image: Image, conversion: int, dimensions: int) -> Callable[[], Image]:
+    """The image as it is, or converted where it has that many dimensions."""
+    if image.ndim != dimensions:
+        return lambda: image
+    return lambda: np.asarray(cv2.cvtColor(image, conversion), np.uint8)
+
+
+def _pixels(name: str, pixels: ArrayLike, dtype: DTypeLike, camera: Camera, *, colours: bool = False) -> Any:
+    """A copy of the caller's pixels, which may change afterwards.
+
+    Raises:
+        ValueError: their type or size is another.
+    """
+    found = np.asarray(pixels)
+    if not np.can_cast(found.dtype, dtype, "same_kind"):
+        raise ValueError(f"{name}: expected {np.dtype(dtype)}, found {found.dtype}")
+    shapes = [camera.size, (*camera.size, 3)] if colours else [camera.size]
+    if found.shape not in shapes:
+        raise ValueError(f"{name}: expected {' or '.join(map(str, shapes))} of the camera, found {found.shape}")
+    return np.array(found, dtype, order="C")

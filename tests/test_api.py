@@ -1,0 +1,177 @@
+"""The package from Python: what a notebook calls gives what the commands give."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import roadperc_stream as rp
+from roadperc_stream.output.tables import sidecar_path
+
+SAMPLE = Path(__file__).parents[1] / "logs" / "sample.mcap"
+CAMERA = rp.Camera("camera", 320, 240, 200.0, 200.0, 159.5, 119.5)
+STEP_NS = 50_000_000
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    target = tmp_path_factory.mktemp("run") / "out.mcap"
+    summary = rp.replay(str(SAMPLE), str(target), config={"lanes": {"hold_s": 0.8}}, max_frames=5)
+    assert summary.frames == 5
+    return target
+
+
+def test_frames_are_those_of_a_replay(run):
+    found = list(rp.frames(SAMPLE, config={"lanes": {"hold_s": 0.8}}, max_frames=5))
+    table = rp.metrics(run)
+    assert [frame.metrics.stamp_ns for frame in found] == table["stamp_ns"].to_list()
+    for column in ("lane_left_offset_m", "camera_height_m", "odom_x_m", "step_error_m", "time_to_impact_s"):
+        assert [getattr(frame.metrics, column) for frame in found] == table[column].to_list(), column
+    assert found[0].input.stamp_ns == found[0].result.stamp_ns
+    assert found[0].truth.lanes is not None
+
+
+def test_metrics_are_the_table_beside_the_log(run):
+    assert rp.metrics(run).equals(pl.read_parquet(sidecar_path(run, "metrics")))
+    assert rp.metrics(str(sidecar_path(run, "metrics"))).height == 5
+
+
+def test_metrics_of_nothing_name_the_table(tmp_path):
+    with pytest.raises(rp.RoadpercError, match=r"none\.metrics\.parquet: is not a metrics table"):
+        rp.metrics(tmp_path / "none.mcap")
+    (tmp_path / "bad.parquet").write_bytes(b"no table")
+    with pytest.raises(rp.RoadpercError, match=r"bad\.parquet: is not a metrics table"):
+        rp.metrics(tmp_path / "bad.parquet")
+
+
+def test_a_configuration_in_any_form(tmp_path):
+    file = tmp_path / "settings.toml"
+    file.write_text("[lanes]\nhold_s = 0.8\n", encoding="utf-8")
+    loaded = rp.load_config(file)
+    for config in (loaded, file, str(file), {"lanes": {"hold_s": 0.8}}):
+        chain = rp.Chain(CAMERA, config)
+        assert chain._cfg == loaded
+    with pytest.raises(rp.RoadpercError, match=r"no setting lanes\.hold; did you mean lanes\.hold_s\?"):
+        rp.Chain(CAMERA, {"lanes": {"hold": 1}})
+
+
+def road(height_m=1.5):
+    """Depth and tags (CARLA 0.9.15) of a straight lane with lines 1.8 m to either side."""
+    rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
+    with np.errstate(divide="ignore"):
+        depth_m = np.where(rows > CAMERA.cy, CAMERA.fy * height_m / (rows - CAMERA.cy), np.nan)
+    depth_m[depth_m > 60] = np.nan
+    lateral_m = -(columns - CAMERA.cx) / CAMERA.fx * depth_m
+    tags = np.full(CAMERA.size, 11, np.uint8)
+    tags[np.abs(lateral_m) < 6] = 2
+    tags[np.abs(lateral_m) < 3.5] = 1
+    tags[np.abs(np.abs(lateral_m) - 1.8) < 0.1] = 24
+    return depth_m.astype(np.float32), tags
+
+
+def test_the_chain_on_arrays_measures_what_was_drawn():
+    chain = rp.Chain(CAMERA, tag_table="0.9.15")
+    depth_m, tags = road()
+    for frame in range(3):
+        result = chain.step(frame * STEP_NS, depth_m=depth_m, tags=tags)
+    assert result.surface.camera_height_m == pytest.approx(1.5, abs=0.005)
+    assert result.lanes.side("left").offset_m == pytest.approx(1.7, abs=0.03)
+    assert result.lanes.side("right").offset_m == pytest.approx(-1.7, abs=0.03)
+    assert depth_m.flags.writeable
+
+
+def test_the_caller_may_use_the_arrays_again():
+    depth_m, tags = road()
+    first, second = rp.Chain(CAMERA, tag_table="0.9.15"), rp.Chain(CAMERA, tag_table="0.9.15")
+    expected = first.step(0, depth_m=depth_m, tags=tags)
+    found = second.step(0, depth_m=depth_m, tags=tags)
+    depth_m[:], tags[:] = 1.0, 0
+    assert found.lanes == expected.lanes
+    assert np.array_equal(found.drivable, expected.drivable)
+
+
+def test_detections_are_filtered_and_measured():
+    depth_m, tags = road()
+    depth_m[100:140, 150:180], tags[100:140, 150:180] = 12.0, 14
+    car = rp.Detection("car", rp.Box(150, 100, 180, 140), 0.9)
+    phantom = rp.Detection("car", rp.Box(10, 10, 40, 40), 0.9)
+    result = rp.Chain(CAMERA, tag_table="0.9.15").step(0, depth_m=depth_m, tags=tags, detections=[car, phantom])
+    found, dropped = result.objects.objects
+    assert (found.kept, dropped.kept) == (True, False)
+    assert found.distance_m == pytest.approx(12.0, abs=0.3)
+
+
+def test_what_is_missing_is_said():
+    result = rp.Chain(CAMERA).step(0, image=np.zeros((240, 320, 3), np.uint8))
+    assert isinstance(result.lanes, rp.Absent)
+    assert any("segmentation" in str(reason) for reason in result.reasons())
+
+
+def test_a_pose_makes_the_camera_mounted():
+    pose = np.array([[0, 0, 1, 1.5], [-1, 0, 0, 0], [0, -1, 0, 2.0], [0, 0, 0, 1]], float)
+    result = rp.Chain(CAMERA, ego_T_camera=pose).step(0)
+    assert result.surface.camera_height_m == pytest.approx(2.0)
+
+
+def test_grey_and_colour_are_the_same_image_to_the_chain():
+    rng = np.random.default_rng(1)
+    grey = rng.integers(0, 255, CAMERA.size, np.uint8)
+    depth_m, _ = road()
+    poses = []
+    for image in (grey, np.repeat(grey[..., None], 3, axis=2)):
+        chain = rp.Chain(CAMERA)
+        chain.step(0, image=image, depth_m=depth_m)
+        poses.append(chain.step(STEP_NS, image=image, depth_m=depth_m).odometry.odom_T_ego)
+    assert np.array_equal(*poses)
+
+
+def test_reset_forgets():
+    depth_m, tags = road()
+    chain = rp.Chain(CAMERA, tag_table="0.9.15")
+    chain.step(STEP_NS, depth_m=depth_m, tags=tags)
+    chain.reset()
+    assert not any("time" in str(reason) for reason in chain.step(0, depth_m=depth_m, tags=tags).reasons())
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        (
+            {"depth_m": np.zeros((10, 10), np.float32)},
+            r"depth_m: expected \(240, 320\) of the camera, found \(10, 10\)",
+        ),
+        ({"tags": np.zeros((240, 320), np.float32)}, "tags: expected uint8, found float32"),
+        ({"image": np.zeros((240, 320, 4), np.uint8)}, r"image: expected \(240, 320\) or \(240, 320, 3\)"),
+        ({"image": np.zeros((240, 320, 3))}, "image: expected uint8, found float64"),
+    ],
+)
+def test_arrays_of_another_shape_or_type_are_refused(inputs, message):
+    with pytest.raises(ValueError, match=message):
+        rp.Chain(CAMERA, tag_table="0.9.15").step(0, **inputs)
+
+
+def test_tags_without_a_table_and_a_pose_that_is_none_are_refused():
+    with pytest.raises(rp.RoadpercError, match="tags: of which table"):
+        rp.Chain(CAMERA).step(0, tags=np.zeros((240, 320), np.uint8))
+    with pytest.raises(ValueError, match=r"ego_T_camera: expected \(4, 4\) finite numbers, found \(3, 3\)"):
+        rp.Chain(CAMERA, ego_T_camera=np.eye(3))
+
+
+def test_importing_the_package_imports_nothing_else():
+    code = "import sys, roadperc_stream as rp; dir(rp);"
+    code += "print(sorted(sys.modules.keys() & {'numpy', 'cv2', 'polars', 'typing'}))"
+    ended = subprocess.run(
+        [sys.executable, "-S", "-c", code], capture_output=True, text=True, check=True, cwd=SAMPLE.parents[1]
+    )
+    assert ended.stdout.strip() == "[]"
+    assert rp.__version__
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        rp.nothing  # noqa: B018
+
+
+def test_every_public_name_is_there():
+    for name in rp.__all__:
+        assert getattr(rp, name) is not None

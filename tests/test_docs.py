@@ -1,0 +1,163 @@
+"""README and docs hold: every command and example runs, in order, in one folder, and what they show is printed."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [
+    ROOT / "README.md",
+    *(ROOT / "docs" / f"{name}.md" for name in ("viewing", "recordings", "chain", "evaluation")),
+]
+"""Pages whose commands run, in the order in which a reader meets them."""
+EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
+TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+SERVES = re.compile(r"--(foxglove|live)$")
+OPENS_VIEWER = re.compile(r"^roadperc-view \S+$")
+OTHERS = {"--delta_unit"}
+"""Options of evo, which the pages name beside ours."""
+
+
+@dataclass(frozen=True)
+class Block:
+    page: str
+    language: str
+    text: str
+
+    def lines(self):
+        return [bare for line in self.text.splitlines() if (bare := re.sub(r"(^|\s+)# .*", "", line).strip())]
+
+
+def blocks():
+    return [Block(page.name, *found) for page in PAGES for found in FENCE.findall(page.read_text(encoding="utf-8"))]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A reader's folder after ``make demo``."""
+    folder = tmp_path_factory.mktemp("reader")
+    (folder / "logs" / "runs" / "demo").mkdir(parents=True)
+    shutil.copy(ROOT / "logs" / "sample.mcap", folder / "logs")
+    run("roadperc-replay logs/sample.mcap logs/runs/demo/sample.mcap --quiet", folder)
+    return folder
+
+
+def environment():
+    return {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+
+
+def run(command, folder):
+    ended = subprocess.run(
+        ["bash", "-c", command], cwd=folder, env=environment(), capture_output=True, text=True, timeout=300, check=False
+    )
+    assert ended.returncode == 0, f"{command}\n{ended.stdout[-2000:]}\n{ended.stderr[-2000:]}"
+    return ended.stdout
+
+
+def serve(command, folder):
+    """Run a command that serves until it is stopped: it must say where, and end when it is told to."""
+    served = subprocess.Popen(
+        ["bash", "-c", f"exec {command} --port 0"], cwd=folder, env=environment(), text=True, stderr=subprocess.PIPE
+    )
+    try:
+        said = served.stderr.readline()
+        while said and "ws://" not in said:
+            said = served.stderr.readline()
+        assert "ws://127.0.0.1:" in said, command
+    finally:
+        served.send_signal(signal.SIGINT)
+        served.communicate(timeout=60)
+
+
+def test_every_command_runs_in_order(folder):
+    for block in blocks():
+        if block.language == "python":
+            (folder / "block.py").write_text(block.text, encoding="utf-8")
+            run(f"{sys.executable} block.py", folder)
+            continue
+        for line in block.lines():
+            if SERVES.search(line):
+                serve(line, folder)
+            elif OPENS_VIEWER.match(line):
+                run(f"{line} --save viewed.rrd", folder)
+            else:
+                run(line, folder)
+    assert (folder / "out.metrics.parquet").exists()
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_every_example_runs(path, tmp_path):
+    (tmp_path / "logs").mkdir()
+    shutil.copy(ROOT / "logs" / "sample.mcap", tmp_path / "logs")
+    assert run(f"{sys.executable} {path}", tmp_path).strip()
+
+
+def test_the_report_in_the_docs_is_the_one_that_is_printed(folder):
+    printed = run("roadperc-report logs/runs/demo/sample.mcap", folder).partition("Worst frames")[0]
+    page = (ROOT / "docs" / "evaluation.md").read_text(encoding="utf-8")
+    shown = re.search(r"<!-- report -->\n```text\n(.*?)```", page, re.DOTALL).group(1)
+    head, cut = "Latency", re.compile(r"configuration \w+, version \S+")
+    shown, printed = (cut.sub("", text.partition(head)[0]) for text in (shown, printed))
+    assert words(shown) == words(printed)
+    assert numbers(shown) == pytest.approx(numbers(printed), rel=0.02, abs=0.002)
+
+
+def test_the_readme_shows_lines_of_the_report(folder):
+    printed = run("roadperc-report logs/runs/demo/sample.mcap", folder).splitlines()
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = [line for line in re.search(r"```text\n(.*?)```", readme, re.DOTALL).group(1).splitlines() if line]
+    assert len(shown) >= 8
+    for line in shown:
+        match = next((other for other in printed if words(other) == words(line)), None)
+        assert match is not None, line
+        assert numbers(line) == pytest.approx(numbers(match), rel=0.02, abs=0.002), line
+        printed = printed[printed.index(match) + 1 :]
+
+
+def words(text):
+    """Everything but numbers and the lengths of rules."""
+    return re.sub(r"-?\d+(\.\d+)?|─+", "", text).split()
+
+
+def numbers(text):
+    return [float(n) for n in re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?![\w.])", text)]
+
+
+def test_every_command_option_and_file_the_pages_name_exists():
+    scripts = set(re.findall(r"^(roadperc-[a-z]+) = ", (ROOT / "pyproject.toml").read_text(), re.MULTILINE))
+    named = {
+        command for page in TEXTS for command in re.findall(r"\broadperc-[a-z]+", page.read_text(encoding="utf-8"))
+    }
+    assert named <= scripts
+    assert scripts <= named
+    helps = "".join(run(f"{script} --help", ROOT) for script in sorted(scripts))
+    options = {
+        o for page in TEXTS for o in re.findall(r"(?<![\w-])--[a-z][a-z_-]*[a-z]", page.read_text(encoding="utf-8"))
+    }
+    assert {option for option in options - OTHERS if option not in helps} == set()
+
+
+def test_every_make_target_the_pages_name_exists():
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    named = {
+        t for page in TEXTS for t in re.findall(r"(?:^    |`)make ([a-z-]+)", page.read_text("utf-8"), re.MULTILINE)
+    }
+    assert named <= targets
+
+
+def test_every_link_leads_somewhere():
+    for page in TEXTS:
+        for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 130
