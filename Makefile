@@ -7,7 +7,7 @@ DEMO := logs/runs/demo
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test test-hostile mutants accuracy bench bench-report lint pages proto sample settings-page clean
+.PHONY: demo test test-hostile mutants accuracy bench bench-report lint pages proto sample docs clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -58,13 +58,14 @@ proto: $(VENV)/.installed
 
 pages: $(VENV)/.installed  # the tables of docs/ that are made from the code
 	$(BIN)/python -m roadperc_stream.eval.metrics_page docs/metrics.md
+	$(BIN)/python -m roadperc_stream.cli.settings > docs/settings.md
 
 sample: $(VENV)/.installed
 	$(BIN)/roadperc-render $(SAMPLE_DUMP) $(SAMPLE_OPTIONS) --force
 	$(BIN)/roadperc-convert $(SAMPLE_DUMP) logs/sample.mcap --force
 
-settings-page: $(VENV)/.installed
-	$(BIN)/python -m roadperc_stream.cli.settings > docs/settings.md
+docs: $(VENV)/.installed  # build/site, with the API reference; a dead link is an error
+	$(BIN)/python -m mkdocs build --strict --quiet
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info

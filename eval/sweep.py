@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import cut_of
+from roadperc_stream.cli.arguments import time_range_of
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.folders import not_a_log
 from roadperc_stream.errors import LogError
@@ -48,9 +48,9 @@ def _require_files(logs: Sequence[Path]) -> None:
 
 
 def _jobs(arguments: argparse.Namespace, folder: Path, made: tuple[Combination, ...]) -> list[Job]:
-    overrides, cut = parse_topic_options(arguments.topic), cut_of(arguments)
+    overrides, time_range = parse_topic_options(arguments.topic), time_range_of(arguments)
     named = zip(arguments.logs, table_names(arguments.logs), strict=True)
-    return [Job(path, name, folder, made, overrides, cut) for path, name in named]
+    return [Job(path, name, folder, made, overrides, time_range) for path, name in named]
 
 
 def _print(folder: Path, made: Sequence[Combination], reference: Combination) -> None:

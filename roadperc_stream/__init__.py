@@ -5,7 +5,7 @@
     rp.replay("in.mcap", "out.mcap")                        # a log in, the log with results and its tables out
     for frame in rp.frames("in.mcap"): ...                  # the frames of a log with their results
     rp.Chain(camera).step(stamp_ns, depth_m=..., tags=...)  # arrays of your own
-    rp.metrics("out.mcap")                                  # a row per frame, as a polars frame
+    rp.read_metrics("out.mcap")                                  # a row per frame, as a polars frame
 
 Each name is imported when it is first used.
 """
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from roadperc_stream.api import Chain as Chain
     from roadperc_stream.api import LogFrame as LogFrame
     from roadperc_stream.api import frames as frames
-    from roadperc_stream.api import metrics as metrics
+    from roadperc_stream.api import read_metrics as read_metrics
     from roadperc_stream.api import replay as replay
     from roadperc_stream.core.config import ReplayConfig as ReplayConfig
     from roadperc_stream.core.config import load_config as load_config
@@ -33,7 +33,7 @@ _HOMES = {
     "Chain": "api",
     "LogFrame": "api",
     "frames": "api",
-    "metrics": "api",
+    "read_metrics": "api",
     "replay": "api",
     "ReplayConfig": "core.config",
     "load_config": "core.config",

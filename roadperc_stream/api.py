@@ -33,9 +33,10 @@ from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.input import open_input
+from roadperc_stream.loop import ReplaySummary
+from roadperc_stream.loop import replay as _replay
 from roadperc_stream.metrics import frame_metrics
-from roadperc_stream.replay import ReplaySummary
-from roadperc_stream.replay import replay as _replay
+from roadperc_stream.output.results import drop_beyond_ros_time
 from roadperc_stream.schemas.columns import FrameMetrics
 
 if TYPE_CHECKING:
@@ -119,7 +120,8 @@ def frames(
     previous: Sample | None = None
     for sample in log_in.samples():
         with one_thread():  # the same bits as in a replay, whatever the caller's own settings
-            state, result = step(cfg, state, sample.frame)
+            state, made = step(cfg, state, sample.frame)
+            result, _ = drop_beyond_ros_time(made)
             row = frame_metrics(cfg, log_in.log_id, sample, result, previous)
         yield LogFrame(sample.frame, sample.truth, result, row)
         previous = sample
@@ -227,7 +229,7 @@ class Chain:
         return TagImage(self._camera.frame_id, self._table, lambda: pixels)
 
 
-def metrics(run: str | Path) -> "pl.DataFrame":
+def read_metrics(run: str | Path) -> "pl.DataFrame":
     """The metrics of a run, a row per frame, as a polars frame.
 
     Args:

@@ -25,10 +25,11 @@ MAY_IMPORT = {
     "metrics": BELOW | {"schemas", "chain"},
     "input": INPUT,
     "output": INPUT,
-    "replay": INPUT | {"input", "chain", "metrics", "output"},
+    "loop": INPUT | {"input", "chain", "metrics", "output"},
+    "api": INPUT | {"input", "chain", "metrics", "output", "loop"},
     "info": INPUT | {"input", "output"},
     "view": INPUT | {"input", "output"},
-    "cli": INPUT | {"input", "chain", "metrics", "output", "replay", "info", "view"},
+    "cli": INPUT | {"input", "chain", "metrics", "output", "loop", "info", "view"},
 }
 """What each folder, and each module at the root, imports at most; nothing of the package imports tools or eval."""
 MOST_ROOT_MODULES = 6

@@ -5,7 +5,7 @@ import plotly.graph_objects as go
 import roadperc_stream as rp
 
 rp.replay("logs/sample.mcap", "plot.mcap", force=True)
-frames = rp.metrics("plot.mcap")
+frames = rp.read_metrics("plot.mcap")
 seconds = (frames["stamp_ns"] - frames["stamp_ns"][0]) / 1e9
 figure = go.Figure(layout={"xaxis_title": "s", "yaxis_title": "m to the left", "title": "Ego lane"})
 for side in ("left", "right"):

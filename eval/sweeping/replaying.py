@@ -31,7 +31,7 @@ class Job:
     folder: Path
     combinations: tuple[Combination, ...]
     overrides: Mapping[str, str]
-    cut: TimeRange
+    time_range: TimeRange
 
 
 @dataclass
@@ -66,7 +66,7 @@ def sweep_log(job: Job, progress: Progress) -> tuple[str, ...]:
 
 def _one_pass(job: Job, some: Sequence[Combination], progress: Progress) -> tuple[str, ...]:
     """Take the combinations, which all decode alike, through the log together."""
-    log_in = open_input(job.source, some[0].cfg, job.overrides, job.cut)
+    log_in = open_input(job.source, some[0].cfg, job.overrides, job.time_range)
     progress(0, log_in.expected_frames)
     candidates = [Candidate(item.cfg, _table(job, item)) for item in some]
     previous: Sample | None = None

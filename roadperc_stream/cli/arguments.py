@@ -35,7 +35,7 @@ def add_topic_argument(parser: argparse.ArgumentParser) -> None:
     completed_by(action, topics)
 
 
-def cut_of(arguments: argparse.Namespace) -> "TimeRange":
+def time_range_of(arguments: argparse.Namespace) -> "TimeRange":
     """The part of the log that the options name.
 
     Raises:

@@ -5,12 +5,12 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roadperc_stream.cli.arguments import config_of, cut_of
+from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.core.process import optional_output
+from roadperc_stream.loop import ReplaySummary, replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.output.writing import unwatched
-from roadperc_stream.replay import ReplaySummary, replay
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.schemas.topics import Request
 
@@ -28,7 +28,7 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
     Raises:
         RoadpercError: the log cannot be replayed.
     """
-    cut = cut_of(arguments)
+    time_range = time_range_of(arguments)
     with live or nullcontext():
         with frame_progress("replaying", not arguments.quiet) as progress:
             summary = replay(
@@ -36,7 +36,7 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
                 arguments.target,
                 config_of(arguments),
                 overrides=parse_topic_options(arguments.topic),
-                cut=cut,
+                time_range=time_range,
                 results_only=arguments.results_only,
                 on_request=_requests(arguments),
                 force=arguments.force,

@@ -8,7 +8,7 @@ import pytest
 
 from roadperc_stream.cli.view import main
 from roadperc_stream.core.config import load_config
-from roadperc_stream.replay import replay
+from roadperc_stream.loop import replay
 from roadperc_stream.view import modes
 from roadperc_stream.view.rerun import viewer
 from tests import logs

@@ -13,8 +13,8 @@ from roadperc_stream.core.config.fields import Section
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.input import open_input
+from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.replay import replay
 from tests import logs
 from tests.chain.test_chain import same
 

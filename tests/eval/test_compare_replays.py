@@ -8,8 +8,8 @@ from roadperc_stream import log
 from roadperc_stream.cli.compare import main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.log import LogWriter
+from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.replay import replay
 from roadperc_stream.schemas.roles import ROLES
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"

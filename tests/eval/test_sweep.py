@@ -18,8 +18,8 @@ from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.input import open_input, replay_input
+from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.replay import replay
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests import logs
 
@@ -60,7 +60,9 @@ def test_rows_are_those_of_replays_with_the_same_settings(tmp_path):
     for inlier_m in (0.01, 0.05):
         for tolerance_s in (0.0, 0.01):
             settings = (f"surface.inlier_m={inlier_m}", f"sync.tolerance_s={tolerance_s}", "seed=3")
-            replay(SAMPLE, tmp_path / "one.mcap", load_config(None, settings), cut=TimeRange(frames=5), force=True)
+            replay(
+                SAMPLE, tmp_path / "one.mcap", load_config(None, settings), time_range=TimeRange(frames=5), force=True
+            )
             mine = swept.filter(pl.col("surface.inlier_m") == inlier_m, pl.col("sync.tolerance_s") == tolerance_s)
             whole = pl.read_parquet(sidecar_path(tmp_path / "one.mcap", "metrics"))
             assert mine.height == 5

@@ -14,7 +14,7 @@ from roadperc_stream import log
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.replay import replay
+from roadperc_stream.loop import replay
 from roadperc_stream.schemas import roadperc_pb2
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.schemas.roles import ROLES

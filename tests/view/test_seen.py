@@ -12,9 +12,9 @@ from roadperc_stream.core.datatypes import Absent, Boundary, Lanes
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.loop import replay
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics
-from roadperc_stream.replay import replay
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.registry import schema

@@ -1,6 +1,6 @@
 """One frozen model per stage, nested in ``ReplayConfig``; TOML in, TOML out. Every key has a default."""
 
-from roadperc_stream.core.config.loading import load_config
+from roadperc_stream.core.config.loading import load_config, validated
 from roadperc_stream.core.config.replay import ReplayConfig
 from roadperc_stream.core.config.stages import (
     LanesConfig,
@@ -26,4 +26,5 @@ __all__ = [
     "SyncConfig",
     "load_config",
     "switched_off",
+    "validated",
 ]

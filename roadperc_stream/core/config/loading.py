@@ -2,6 +2,7 @@
 
 import difflib
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,25 @@ def load_config(path: Path | None = None, settings: tuple[str, ...] = ()) -> Rep
         if not separator:
             raise ConfigError(f"--set {setting}: expected KEY=VALUE, such as lanes.hold_s=0.8")
         _assign(tree, key.strip().split("."), _toml_value(value.strip()), setting)
+    return validated(tree, str(path or "setting"))
+
+
+def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
+    """Configuration of nested mappings, any part of the keys.
+
+    Args:
+        tree: such as ``{"lanes": {"hold_s": 0.8}}``.
+        source: what the message of an error begins with.
+
+    Raises:
+        ConfigError: a key or value does not fit; the message names it.
+    """
     try:
         return ReplayConfig.model_validate(tree)
     except RecursionError as error:
-        raise ConfigError(f"{path or 'setting'}: nested too deeply") from error
+        raise ConfigError(f"{source}: nested too deeply") from error
     except ValidationError as error:
-        raise ConfigError(f"{path or 'setting'}: {_complaint(error)}") from error
+        raise ConfigError(f"{source}: {_complaint(error)}") from error
 
 
 def _complaint(error: ValidationError) -> str:

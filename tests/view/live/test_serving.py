@@ -17,8 +17,8 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.replay import replay
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.topics import RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live.options import PlaybackOptions

@@ -16,8 +16,8 @@ from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
+from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.replay import replay
 from roadperc_stream.schemas.topics import RESULTS
 from tests import logs
 from tests.analytic import STEP_NS
@@ -137,13 +137,13 @@ def test_the_log_carries_its_configuration(source):
 
 
 def test_cuts_cut_the_copy_too(source):
-    target, summary = run(source, cut=TimeRange(start_s=0.1, frames=2))
+    target, summary = run(source, time_range=TimeRange(start_s=0.1, frames=2))
     assert summary.frames == 2
     topics = by_topic(target)
     for topic in ("/camera/front/image", "/camera/front/depth", "/perception/metrics"):
         assert [m.log_time_ns - logs.START_NS for m in topics[topic]] == [2 * STEP_NS, 3 * STEP_NS]
     assert metrics(target)["lane_left_status"].to_list() == ["measured", "measured"]
-    target, summary = run(source, "end", cut=TimeRange(end_s=0.1))
+    target, summary = run(source, "end", time_range=TimeRange(end_s=0.1))
     assert summary.frames == 2
 
 
@@ -151,7 +151,7 @@ def test_cuts_cut_the_copy_too(source):
     "cut", [TimeRange(start_s=0.1), TimeRange(start_s=0.1, frames=2), TimeRange(end_s=0.2), TimeRange(0.1, 0.2)]
 )
 def test_a_cut_carries_what_held_before_it_and_replays_to_itself(source, cut):
-    target, _ = run(source, cut=cut)
+    target, _ = run(source, time_range=cut)
     again, _ = run(target, "again")
     assert again.read_bytes() == target.read_bytes()
     assert set(metrics(target)["camera_height_m"].round(2)) == {1.4}
@@ -162,7 +162,7 @@ def test_only_the_last_calibration_before_a_cut_is_carried(tmp_path):
     repeated = [logs.Item("calibration", logs.START_NS + k * STEP_NS, items[0].data) for k in range(1, 4)]
     ordered = sorted([*items, *repeated], key=lambda item: item.stamp_ns)
     source = logs.write(tmp_path / "in.mcap", ordered)
-    target, _ = run(source, cut=TimeRange(start_s=0.12))
+    target, _ = run(source, time_range=TimeRange(start_s=0.12))
     carried = by_topic(target)["/camera/front/calibration"]
     assert [m.log_time_ns - logs.START_NS for m in carried] == [2 * STEP_NS, 3 * STEP_NS]
     assert run(target, "again")[0].read_bytes() == target.read_bytes()
@@ -179,7 +179,7 @@ def test_a_late_sensor_is_not_cut_off_its_frame(tmp_path, cut):
     with log.LogWriter(source) as writer:
         for time, k, item in late(logs.items(12), "depth", 200_000_000):
             writer.write(Message(logs.channel(item.role), time, time, k, item.data))
-    target, summary = run(source, cut=cut)
+    target, summary = run(source, time_range=cut)
     assert summary.frames == 3
     assert metrics(target)["missing"].to_list() == [[]] * 3
     assert run(target, "again")[0].read_bytes() == target.read_bytes()
@@ -191,7 +191,7 @@ def test_a_calibration_from_behind_the_cut_is_not_used(tmp_path):
     source = logs.write(tmp_path / "in.mcap", ordered)
     assert run(source)[1].frames == 6
     with pytest.raises(ChannelError, match="no calibration"):
-        run(source, "cut", cut=TimeRange(frames=3))
+        run(source, "cut", time_range=TimeRange(frames=3))
 
 
 def test_what_was_wrong_with_a_calibration_is_said(tmp_path):
@@ -394,7 +394,7 @@ def test_the_input_is_never_the_output(source):
 
 def test_an_empty_part_is_refused(source):
     with pytest.raises(LogError, match=r"in the part asked for; the log lasts \d\.\d{3} s$"):
-        run(source, cut=TimeRange(start_s=100))
+        run(source, time_range=TimeRange(start_s=100))
 
 
 def test_a_topic_that_is_not_there_is_named(source):

@@ -46,7 +46,7 @@ def replay(
     cfg: ReplayConfig,
     *,
     overrides: Mapping[str, str] | None = None,
-    cut: TimeRange = WHOLE,
+    time_range: TimeRange = WHOLE,
     results_only: bool = False,
     on_request: Collection[Request] = (),
     force: bool = False,
@@ -60,7 +60,7 @@ def replay(
         target: the log to write; ``target.metrics.parquet`` and ``target.objects.parquet`` come beside it.
         cfg: the chain's configuration.
         overrides: topic of each role that is not on the contract's topic.
-        cut: part of the log to replay; the copy of the input is cut with it.
+        time_range: part of the log to replay; the copy of the input is cut with it.
         results_only: leave the input's messages out of ``target``.
         on_request: pictures to write beside the results; drawing them counts as encoding.
         force: replace an existing ``target``.
@@ -73,7 +73,7 @@ def replay(
     """
     started = perf_counter()
     _require_free(source, target, force)
-    log_in, facts = open_input(source, cfg, overrides, cut), table_facts(source, target, cfg)
+    log_in, facts = open_input(source, cfg, overrides, time_range), table_facts(source, target, cfg)
     frames = TableWriter(sidecar_path(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(sidecar_path(target, "objects"), ObjectMetrics, facts)
     log_out, pictures = LogWriter(target, log_in.summary.profile), PictureMaker(on_request)
