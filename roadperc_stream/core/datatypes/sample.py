@@ -28,7 +28,7 @@ class Truth:
 
 
 EGO, ODOM = "ego", "odom"
-"""The results' frames: the car's, and that of its way."""
+"""The results' frames: the car's, and that of its trajectory."""
 OWN_ODOM: Final = "perception_odom"
 """Odom where the log has a frame of that name, or says itself where the car is."""
 
