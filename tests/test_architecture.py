@@ -128,6 +128,27 @@ def test_only_the_table_and_the_evaluation_know_parquet():
     assert users == {"tables.py"}
 
 
+def test_results_are_encoded_and_drawn_without_the_chain():
+    for path in sources("roadperc_stream/output"):
+        assert not any(n.startswith("roadperc_stream.chain") for n in imports(path)), path
+
+
+def test_core_imports_nothing_of_the_package_but_core():
+    allowed = ("roadperc_stream.core", "roadperc_stream.errors")
+    for path in sources("roadperc_stream/core"):
+        foreign = [n for n in imports(path) if n.startswith("roadperc_stream") and not n.startswith(allowed)]
+        assert not foreign, f"{path}: {foreign}"
+
+
+def test_functions_of_chain_and_core_have_at_most_eight_parameters():
+    for path in sources("roadperc_stream/chain", "roadperc_stream/core"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                given = node.args
+                count = len(given.posonlyargs) + len(given.args) + len(given.kwonlyargs)
+                assert count <= 8, f"{path}: {node.name} has {count} parameters"
+
+
 def test_chain_and_stages_never_see_the_truth():
     for path in sources("roadperc_stream/chain"):
         names = {node.id for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Name)}

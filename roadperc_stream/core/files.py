@@ -10,7 +10,7 @@ from roadperc_stream.errors import TargetError
 
 
 def require_free(target: Path, *, force: bool, suffix: str, source: Path | None = None) -> None:
-    """See that a file may be written.
+    """Check that a file may be written.
 
     Args:
         target: the file.
@@ -30,7 +30,7 @@ def require_free(target: Path, *, force: bool, suffix: str, source: Path | None 
 
 
 def require_plain(target: Path) -> None:
-    """See that a name is, or can become, that of a file: links and devices would be replaced, not written to.
+    """Check that a name is, or can become, that of a file: links and devices would be replaced, not written to.
 
     Raises:
         TargetError: it is anything else, or no text, which not every library takes for a name.
@@ -46,7 +46,7 @@ def require_plain(target: Path) -> None:
 
 
 def require_suffix(target: Path, *suffixes: str) -> None:
-    """See that a file's name says what will be in it: a file of another kind might be a log or a table.
+    """Check that a file's name says what will be in it: a file of another kind might be a log or a table.
 
     Raises:
         TargetError: it ends in none of ``suffixes``.
@@ -73,7 +73,7 @@ def partial_of(target: Path, suffix: str = "") -> Path:
 
     Args:
         target: the file or folder.
-        suffix: how the name is to end, for libraries that go by it; by default as no file that is looked for does.
+        suffix: how the name is to end, for libraries that go by it; by default as no file that is searched for does.
     """
     return target.with_name(f".{target.name}.{os.getpid()}.partial{suffix}")
 

@@ -27,7 +27,7 @@ _FARTHEST_CENTRE: Final = 10.0
 
 @dataclass(frozen=True)
 class Lens:
-    """How an image that is not rectified yet was taken: a pinhole of its own, distorted, and turned.
+    """The optics of an image that is not rectified yet: a pinhole of its own, distorted, and turned.
 
     ``R`` is the (3, 3) rotation, row by row, from this lens's frame to the rectified camera's; ``model`` names the
     meaning of the camera's ``distortion``, as foxglove.CameraCalibration does.
@@ -92,7 +92,7 @@ def pinhole_fault(width: int, height: int, fx: float, fy: float, cx: float, cy: 
             return f"{name} {found:g}: expected {shortest:g} to {longest:g} pixels for an image {width} pixels wide"
     for name, found, side in (("cx", cx, width), ("cy", cy, height)):
         if not abs(found) <= _FARTHEST_CENTRE * side:
-            return f"{name} {found:g}: expected at most {_FARTHEST_CENTRE * side:g} pixels from 0, {side} are seen"
+            return f"{name} {found:g}: expected at most {_FARTHEST_CENTRE * side:g} pixels from 0 in an image of {side}"
     return None
 
 
@@ -261,7 +261,7 @@ def transform_plane(a_T_b: Float, plane_b: Plane) -> Plane:
     return Plane.of(normal, plane_b.offset_m - float(normal @ a_T_b[:3, 3]))
 
 
-def fit_plane(points: NDArray[np.floating[Any]], taken: NDArray[np.bool_] | None = None) -> Plane:
+def fit_plane(points: NDArray[np.floating[Any]], chosen: NDArray[np.bool_] | None = None) -> Plane:
     """Total least squares plane of (N, 3) points: the direction of least scatter about the centroid.
 
     The sign is free; see ``facing`` to choose it. Source: the eigenvector of the smallest eigenvalue of the scatter
@@ -269,12 +269,12 @@ def fit_plane(points: NDArray[np.floating[Any]], taken: NDArray[np.bool_] | None
 
     Args:
         points: metres.
-        taken: (N,) the points that count; None for all.
+        chosen: (N,) the points that count; None for all.
 
     Raises:
         ValueError: fewer than three points count.
     """
-    weights = np.ones(len(points), points.dtype) if taken is None else taken.astype(points.dtype)
+    weights = np.ones(len(points), points.dtype) if chosen is None else chosen.astype(points.dtype)
     count = float(weights.sum())
     if count < 3:
         raise ValueError(f"a plane needs three points, got {count:.0f}")

@@ -16,7 +16,7 @@ from roadperc_stream.core.geometry import Camera, Float, Float32, intersect_plan
 REACH_M: Final = 200.0
 """Depth to which a ray is followed to the height field; what is straight beyond the grid ends somewhere."""
 _TRIED_M: Final = np.geomspace(0.5, REACH_M, 25)
-"""Depths at which it is first looked whether a ray has dipped below the road."""
+"""Depths at which a ray is first tested for being below the road."""
 _PARTS: Final = np.linspace(0.0, 1.0, 5)
 _REFINEMENTS: Final = 2
 """Parts into which the stretch where it dipped is cut, twice: the last is 2 % long, straight enough to interpolate."""
@@ -63,7 +63,7 @@ def ego_points(camera: Camera, ego_T_camera: Float, depth_m: Float32) -> tuple[F
 def height_above(surface: Surface, x: Float32, y: Float32, z: Float32) -> Float32:
     """(H, W) metres by which ego points stand above the road, measured vertically; NaN where they are unknown.
 
-    For whole images: a height field is looked up to 1/32 of its step, 2 mm on a slope of 10 %, and is unknown far
+    For whole images: a height field is sampled to 1/32 of its step, 2 mm on a slope of 10 %, and is unknown far
     away from the car.
     """
     if surface.height_grid is None:

@@ -1,4 +1,4 @@
-"""What the stages see of one frame: its pixels, decoded, its depth from whichever source, and its detections."""
+"""One frame as the stages take it: its pixels, decoded, its depth from whichever source, and its detections."""
 
 from dataclasses import dataclass
 from functools import cached_property

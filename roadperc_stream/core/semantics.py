@@ -2,7 +2,7 @@
 
 Sources: CARLA's documentation of the semantic segmentation camera and ``CityScapesPalette.h`` of the versions
 0.8.2 to 0.9.15. The order changed with 0.9.14, where CARLA took over the numbers of Cityscapes; the two orders cannot
-be told apart by the numbers, so the table travels with the log (channel metadata ``tag_table``).
+be distinguished by the numbers, so the table travels with the log (channel metadata ``tag_table``).
 """
 
 import re

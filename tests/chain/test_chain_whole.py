@@ -32,10 +32,10 @@ def with_lidar(frame):
     """The frame with a lidar beside its cameras, whose points lie at few of the depth camera's pixels."""
     depth_m = frame.depth.depth_m[::6, ::2]
     v, u = 6 * np.indices(depth_m.shape)[0], 2 * np.indices(depth_m.shape)[1]
-    seen = depth_m < 60
-    pixels = np.stack((u, v), axis=-1)[seen].astype(float)
+    near = depth_m < 60
+    pixels = np.stack((u, v), axis=-1)[near].astype(float)
     lidar_T_camera = g.inverse(EGO_T_LIDAR) @ frame.ego_T_camera
-    points_m = g.transform(lidar_T_camera, g.unproject(frame.camera, pixels, depth_m[seen])).astype(np.float32)
+    points_m = g.transform(lidar_T_camera, g.unproject(frame.camera, pixels, depth_m[near])).astype(np.float32)
     return replace(frame, points=PointCloud("lidar", lambda: points_m), ego_T_lidar=EGO_T_LIDAR)
 
 

@@ -54,7 +54,7 @@ def test_fit_plane_through_a_tilted_square():
     assert plane.distance(square) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_fit_plane_counts_only_what_is_taken():
+def test_fit_plane_counts_only_what_is_chosen():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 9]], float)
     plane = g.fit_plane(points, np.array([True, True, True, False]))
     assert abs(plane.n[2]) == pytest.approx(1.0)

@@ -90,9 +90,9 @@ def test_every_pixel_of_a_part_of_the_image_has_its_point(top, step):
     depth = np.random.default_rng(0).uniform(1, 50, (240, 320)).astype(np.float32)
     rows, columns = np.indices(depth.shape, dtype=float)
     expected = g.transform(turned, g.unproject(HILL.camera, np.stack((columns, rows), axis=-1), depth))
-    seen = ground.part(HILL.camera, top, step, step)
-    assert seen.size == depth[top::step, ::step].shape
-    found = np.stack(ground.ego_points(seen, turned, depth[top::step, ::step]), axis=-1)
+    visible = ground.part(HILL.camera, top, step, step)
+    assert visible.size == depth[top::step, ::step].shape
+    found = np.stack(ground.ego_points(visible, turned, depth[top::step, ::step]), axis=-1)
     np.testing.assert_allclose(found, expected[top::step, ::step], atol=1e-4)
 
 

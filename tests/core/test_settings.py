@@ -132,11 +132,11 @@ OCCUPANCY = {
 }
 ELSEWHERE = {
     "tag_table": "below",
-    "sync.tolerance_s": "test_sync.py",
-    "sync.max_wait_s": "test_sync.py",
+    "sync.tolerance_s": "input/test_sync.py",
+    "sync.max_wait_s": "input/test_sync.py",
     "surface.assumed_height_m": "below",
-    "lanes.hold_s": "stages/lanes/test_votes.py",
-    "objects.restart_s": "stages/objects/test_follow.py",
+    "lanes.hold_s": "chain/stages/lanes/test_class_history.py",
+    "objects.restart_s": "chain/stages/objects/test_tracker.py",
 }
 """Settings whose effect the sample does not show, and where it is tested."""
 

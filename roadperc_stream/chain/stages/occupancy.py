@@ -1,8 +1,8 @@
 """What is free and what is occupied around the car: a bird's-eye grid in the ego frame from depth and tags.
 
 Occupied are cells with points that stand above the road, or belong to an obstacle. Free are cells with drivable points,
-and cells whose middle, looked up in the image, is drivable and as far away as the cell: far ahead neighbouring rows of
-the image are metres apart, and this inverse mapping leaves no gaps between them. Everything else is unknown, so also
+and cells whose middle, projected into the image, is drivable and as far away as the cell: far ahead neighbouring rows
+of the image are metres apart, and this inverse mapping leaves no gaps between them. Everything else is unknown, so also
 what lies behind an obstacle. Occupied wins over free.
 
 Of a lidar's few points every one counts, and a cell whose middle is visible as drivable is free without one. Heights

@@ -1,4 +1,4 @@
-"""What the chain may see at one instant. Images are decoded when somebody asks for their pixels."""
+"""The input of the chain at one instant. Images are decoded when their pixels are first used."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from roadperc_stream.core.semantics import TagTable
 
 @dataclass(frozen=True)
 class CameraImage:
-    """An image that is decoded when somebody asks for its pixels."""
+    """An image that is decoded when its pixels are first used."""
 
     frame_id: str
     decode_bgr: Callable[[], Image]
@@ -56,7 +56,7 @@ class CameraImage:
 
 @dataclass(frozen=True)
 class DepthImage:
-    """Depth along the camera's z axis, decoded when asked for."""
+    """Depth along the camera's z axis, decoded when first used."""
 
     frame_id: str
     decode_depth: Callable[[], tuple[Float32, float]]
@@ -94,7 +94,7 @@ class DepthImage:
 
 @dataclass(frozen=True)
 class PointCloud:
-    """A lidar's points, decoded when asked for."""
+    """A lidar's points, decoded when first used."""
 
     frame_id: str
     decode_points: Callable[[], Float32]
@@ -125,7 +125,7 @@ class PointCloud:
 
 @dataclass(frozen=True)
 class TagImage:
-    """A segmentation, decoded when asked for."""
+    """A segmentation, decoded when first used."""
 
     frame_id: str
     table: TagTable
@@ -174,7 +174,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Detection:
-    """What a detector said."""
+    """One box of a detector."""
 
     label: str
     box_px: Box
@@ -184,12 +184,12 @@ class Detection:
 
 @dataclass(frozen=True)
 class Frame:
-    """Everything the chain may see at one instant.
+    """The whole input of the chain at one instant.
 
     ``camera`` is the camera of image, segmentation and detections; the depth may come from another one. The left camera
     of a stereo pair is the front camera where ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting
     (``mounted`` False) the transforms are those of a level camera at the assumed height. ``ego_T_lidar`` is None where
-    no transform says where the points are.
+    no transform connects it with ego.
     """
 
     stamp_ns: int

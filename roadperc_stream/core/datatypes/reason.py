@@ -241,7 +241,7 @@ def _formats(code: ReasonCode) -> dict[str, tuple[str, str]]:
 
 
 def _value(code: ReasonCode, name: str, text: str) -> Value:
-    """A field's value as far as its text tells it."""
+    """A field's value, as exactly as its text has it."""
     spec, conversion = _formats(code)[name]
     if spec == "d":
         return int(text)

@@ -67,7 +67,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class StereoDepth:
-    """Depth from a rectified pair, as the left camera sees it: (H, W) metres along z, NaN unknown."""
+    """Depth from a rectified pair in the left camera's image: (H, W) metres along z, NaN unknown."""
 
     frame_id: str
     depth_m: Float32
@@ -78,7 +78,7 @@ class StereoDepth:
 
 @dataclass(frozen=True)
 class Matches:
-    """Features of the odometry's keyframe that a frame shows again: (N, 2) pixels there and here, in whole images.
+    """Features of the odometry's keyframe matched in a frame: (N, 2) pixels there and here, in whole images.
 
     ``inliers`` (N,) are those that agree on the motion.
     """
@@ -162,7 +162,7 @@ class Boundary:
 class Lanes:
     """The ego lane's two boundaries, and the lines they were chosen from as (N, 4) x1, y1, x2, y2 in pixels.
 
-    ``edges`` are the (H, W) edge pixels along which the lines were proposed, None where none were looked for.
+    ``edges`` are the (H, W) edge pixels along which the lines were proposed, None where none were computed.
     """
 
     boundaries: tuple[Boundary, ...]

@@ -20,7 +20,7 @@ _REACH_STEP_M = 6.0
 _SHORTEST_M = 0.25
 """Length on the road from which a line has a direction: the nearest 100 rows of 960 show less than half a metre."""
 _SEARCH_M = 0.6
-"""Half width of the strip around a Hough line in which edges are looked for."""
+"""Half width of the strip around a Hough line in which edges are searched."""
 _BIN_M = 0.04
 _PEAK_SHARE = 0.4
 """Support of the innermost edge, as a share of the best supported one, from which it counts as the boundary."""

@@ -180,7 +180,7 @@ def _estimated(
 def _guesses(
     cfg: OdometryConfig, odom_T_last: Float, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
 ) -> Iterator[tuple[Float32, Float32, float]]:
-    """(N, 2) pixels where to look for features, (N, 2) near which they must be found, and the share that must agree.
+    """(N, 2) pixels where features are searched, (N, 2) near which they must be found, and the share that must agree.
 
     First where they are if the car moved on as it did, and only near there: a road's texture repeats itself, and its
     next repetition is a consistent motion too. Then, if need be, around where they were found last; NaN: anywhere.

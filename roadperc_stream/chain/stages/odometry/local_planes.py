@@ -1,7 +1,7 @@
 """Small planes around features: depth and slope of the surface that a feature lies on.
 
 On a plane 1 / depth is linear in the image. Fitting it to the pixels around a feature averages the depth's noise, and
-its slope determines how the surroundings are stretched when the camera moves. On a road seen at a grazing angle windows
+its slope determines how the surroundings are stretched when the camera moves. On a road at a grazing angle, windows
 compared without that stretch are matched with a bias: steps came out 1 to 2 % short.
 """
 

@@ -102,7 +102,7 @@ def refined(
         this_T_key: the start.
 
     Returns:
-        this_T_key, (N,) who agrees, and the (6, 6) covariance of ``Motion``, None where the points do not tell it.
+        this_T_key, (N,) inliers, and the (6, 6) covariance of ``Motion``, None where the points do not determine it.
     """
     std_px = scaled(PIXEL_STD_PX, camera.height)
     gate = cfg.inlier_px / PIXEL_STD_PX

@@ -75,7 +75,7 @@ def _matched(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float3
     wide = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
     sixteenths: NDArray[np.int16] = np.asarray(matcher.compute(*wide), np.int16)[:, count:]
     found = sixteenths * np.float32(1 / _PARTS)
-    # OpenCV marks the unknown with -1; 0 is what it finds where nothing tells one disparity from another.
+    # OpenCV marks the unknown with -1; 0 is what it finds where no disparity fits better than another.
     found[sixteenths <= 0] = np.nan
     return found
 

@@ -30,7 +30,7 @@ _LOWER_IMAGE = 0.6
 """Rows below this share of the image show the road in front of the car, where there is no segmentation."""
 
 _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
-"""Ego x and y at which a height field's highest row in the image is looked for: as far as heights are looked up."""
+"""Ego x and y at which a height field's highest row in the image is searched: as far as heights are sampled."""
 
 
 def find_surface(

@@ -56,14 +56,14 @@ def test_the_lanes_classes_do_not_flicker():
     tags = road.tags()
     covered, y = tags.copy(), road.ground()[1][..., 1]
     covered[(y > 2.0) & (y < 4) & (tags == ROAD)] = VEHICLE
-    state, seen = LanesState(), []
+    state, outside = LanesState(), []
     for k in range(24):
         state, lanes = look(road, covered if k % 3 == 2 or k >= 12 else tags, state, k)
         state = pickle.loads(pickle.dumps(state))
-        seen.append(lanes.side("left").outside)
-    assert set(seen[:12]) == {"road"}
-    assert seen[-1] == "vehicle"
-    assert sum(a != b for a, b in pairwise(seen)) == 1
+        outside.append(lanes.side("left").outside)
+    assert set(outside[:12]) == {"road"}
+    assert outside[-1] == "vehicle"
+    assert sum(a != b for a, b in pairwise(outside)) == 1
 
 
 def test_a_held_boundary_keeps_what_was_voted():

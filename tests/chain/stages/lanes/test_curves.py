@@ -27,7 +27,7 @@ def test_exact_points_give_the_curve_back():
 
 
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
-def test_of_a_double_line_the_inner_edge_is_taken(side, sign):
+def test_of_a_double_line_the_inner_edge_is_chosen(side, sign):
     """The second line's edge faces the ego lane too, 25 cm farther out, and is as well supported."""
     inner, outer = points((sign * 1.6, 0.0, 0.004)), points((sign * 1.85, 0.0, 0.004))
     rows = np.tile(np.arange(len(inner), dtype=float), 2)

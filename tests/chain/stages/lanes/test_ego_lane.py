@@ -43,7 +43,7 @@ def test_any_lane_is_found_where_it_is(left_m, right_m, heading, curvature):
         assert y_at(boundary, 10.0) == pytest.approx(road.lateral(offset_m, 10.0), abs=0.03)
 
 
-def test_bend_is_followed_to_30_metres():
+def test_bend_is_tracked_to_30_metres():
     road = Road(curvature_per_m=1 / 150, width=1280, height=960)
     _, lanes = look(road)
     assert y_at(lanes.side("left"), 30.0) == pytest.approx(road.lateral(1.8, 30.0), abs=0.25)
@@ -117,7 +117,7 @@ def test_a_frame_without_tags_holds_and_without_memory_says_why():
     assert absent == Absent(Reason("lanes", "no_segmentation"))
 
 
-def test_a_jump_outside_the_gate_is_rejected_and_the_dashes_prediction_is_followed():
+def test_a_jump_outside_the_gate_is_rejected_and_the_dashes_prediction_is_used():
     """The line vanishes for a frame and the next one out is closest: the boundary stays where it was."""
     road, farther = Road(left_m=1.8), Road(left_m=4.0)
     state, _ = look(road)

@@ -35,7 +35,7 @@ def test_constant_measurements_stay():
     np.testing.assert_allclose(states, np.tile([1.7, 0, 0], (50, 1)), atol=1e-9)
 
 
-def test_jitter_shrinks_and_a_drift_is_followed_without_lag():
+def test_jitter_shrinks_and_a_drift_is_tracked_without_lag():
     rng = np.random.default_rng(0)
     true = 1.7 + 0.01 * np.arange(200)
     measured = true + rng.normal(0, 0.03, 200)
@@ -81,7 +81,7 @@ def test_a_step_ahead_in_a_bend_moves_the_boundary_against_the_car():
     np.testing.assert_allclose(after.state, [1.7 + 0.04 + 0.02, 0.04, 0.01], atol=1e-12)
 
 
-def test_a_step_aside_and_a_turn_are_taken_off():
+def test_a_step_aside_and_a_turn_are_subtracted():
     track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
     after = tracking.predict(CFG, track, DT_NS, moved(0.5, 0.1, 0.03))
     np.testing.assert_allclose(after.state, [1.6, -0.03, 0.0], atol=1e-3)

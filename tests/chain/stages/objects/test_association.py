@@ -84,7 +84,7 @@ def test_the_gate_is_the_least_overlap():
     assert similarity(CFG, track_at(20.0), item_at(5.0), quarter) == 0.0
 
 
-def test_the_best_of_all_pairings_is_taken_not_the_best_pair_first():
+def test_the_best_of_all_pairings_is_chosen_not_the_best_pair_first():
     """The first detection fits both tracks, the second one only the track that the first fits better."""
     tracks = [track_at(None), tracking.start(CFG, 2, item_at(None), Box(0, 6, 10, 16), 0)]
     boxes = [Box(0, 2.5, 10, 12.5), Box(0, -6, 10, 4)]
@@ -117,12 +117,12 @@ def test_all_pairs_at_once_are_the_pairs_one_by_one_bit_for_bit():
         surer = [replace(item, distance_std_m=abs(float(rng.normal()))) for item in known[::2]]
         return [*made[: count // 4], *known[count // 4 :], *surer]
 
-    seen, before = items(200), items(170)
+    detected, before = items(200), items(170)
     tracks = [tracking.start(CFG, k, item, item.detection.box_px, 0) for k, item in enumerate(before)]
     tracks = [tracking.predict(CFG, track, 50_000_000) for track in tracks]
-    boxes = [item.detection.box_px for item in seen]
-    expected = [[plain_similarity(CFG, t, item, b) for item, b in zip(seen, boxes, strict=True)] for t in tracks]
-    found = similarities(CFG, tracks, seen, boxes)
+    boxes = [item.detection.box_px for item in detected]
+    expected = [[plain_similarity(CFG, t, item, b) for item, b in zip(detected, boxes, strict=True)] for t in tracks]
+    found = similarities(CFG, tracks, detected, boxes)
     np.testing.assert_array_equal(found, expected)
     assert 0.2 < np.mean(found > 0) < 0.8
 

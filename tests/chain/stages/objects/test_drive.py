@@ -35,7 +35,7 @@ class Figures:
         coasted = [f for f in drive.found if f.item.status == "tracked"]
         self.coasted, self.coasted_right = len(coasted), sum(f.truth is not None for f in coasted)
         truths = sum(len(truths) for truths in drive.truths)
-        self.detected, self.followed = (
+        self.detected, self.tracked = (
             len({(f.frame, f.truth["id"]) for f in drive.found if f.truth and f.item.status in statuses}) / truths
             for statuses in (("measured",), ("measured", "tracked"))
         )
@@ -54,7 +54,7 @@ class Figures:
             f"{np.quantile(deviation, 0.95):.2f}\n  time to impact: median {np.median(impact):.1%} p90 "
             f"{np.quantile(impact, 0.9):.1%}, coverage {self.impact_coverage:.0%}\n  tracked by template: "
             f"{self.coasted_right} of {self.coasted} right; found of what is visible {self.detected:.1%} detected, "
-            f"{self.followed:.1%} with those tracked by template"
+            f"{self.tracked:.1%} with those tracked by template"
         )
 
 
@@ -63,7 +63,7 @@ def test_short_closing_speed_of_near_objects(tmp_path):
     assert np.median(np.abs(figures.errors)) < 0.25
     assert figures.coverage > 0.85
     assert np.median(np.abs(figures.impact_errors)) < 0.03
-    assert figures.followed > figures.detected
+    assert figures.tracked > figures.detected
     assert figures.coasted_right > 0.7 * figures.coasted
 
 
@@ -79,4 +79,4 @@ def test_closing_speed_of_near_objects(tmp_path, options, limit_mps, seed):
     print(f"\n{' '.join(options)} --seed {seed}\n  {figures}")
     assert np.median(np.abs(figures.errors)) < limit_mps
     assert figures.coverage > 0.85
-    assert figures.followed >= figures.detected
+    assert figures.tracked >= figures.detected

@@ -96,7 +96,7 @@ def test_without_depth_objects_have_ids_but_no_motion():
     assert (item.track_id, item.distance_m, item.closing_speed_mps, item.time_to_impact_s) == ("1", None, None, None)
 
 
-def test_a_jump_to_something_in_front_is_not_taken():
+def test_a_jump_to_something_in_front_is_rejected():
     follower = Follower()
     for k in range(20):
         follower.frame(CAR, depth_m=20.0 - 0.25 * k)
@@ -126,7 +126,7 @@ def test_a_jump_that_lasts_is_believed():
 
 @pytest.mark.parametrize(("restart_s", "frames"), [(0.05, 1), (0.2, 4), (0.4, 8)])
 def test_a_jump_is_believed_when_it_has_lasted_for_restart_s(restart_s, frames):
-    """Frames of 50 ms after the jump's first one until the distance that is followed jumps, too."""
+    """Frames of 50 ms after the jump's first one until the filtered distance jumps, too."""
     follower = Follower(CFG.model_copy(update={"restart_s": restart_s}))
     for _ in range(20):
         follower.frame(CAR, depth_m=20.0)
@@ -137,8 +137,8 @@ def test_a_jump_is_believed_when_it_has_lasted_for_restart_s(restart_s, frames):
     assert believed == [False] * frames + [True] * 2
 
 
-@pytest.mark.parametrize(("gate", "taken"), [(CFG.gate, False), (1e4, True)])
-def test_a_jump_beyond_the_gate_is_not_taken(gate, taken):
+@pytest.mark.parametrize(("gate", "accepted"), [(CFG.gate, False), (1e4, True)])
+def test_a_jump_beyond_the_gate_is_rejected(gate, accepted):
     """It is 14 standard deviations of the distance as it is measured and predicted."""
     follower = Follower(CFG.model_copy(update={"gate": gate}))
     for _ in range(20):
@@ -147,10 +147,10 @@ def test_a_jump_beyond_the_gate_is_not_taken(gate, taken):
     follower.frame(CAR, depth_m=18.0)
     after = follower.state.tracks[0].distance_m
     predicted = before.predict(CFG.process_noise, STEP_NS / 1e9)
-    expected = predicted.update(18.0, CFG.min_distance_std_m) if taken else predicted
+    expected = predicted.update(18.0, CFG.min_distance_std_m) if accepted else predicted
     assert CFG.gate < predicted.surprise(18.0, CFG.min_distance_std_m) < 1e4
     assert astuple(after) == pytest.approx(astuple(expected))
-    assert (follower.state.tracks[0].rival_m is None) == taken
+    assert (follower.state.tracks[0].rival_m is None) == accepted
 
 
 @pytest.mark.parametrize(("min_overlap", "name"), [(0.33, "1"), (0.34, "2")])
@@ -162,7 +162,7 @@ def test_a_box_that_overlaps_less_is_a_new_object(min_overlap, name):
 
 
 def test_distances_that_jump_to_and_fro_start_nothing_new():
-    """Two cars share a box and take turns: the one that was followed is followed on."""
+    """Two cars share a box and take turns: the one that was tracked is tracked on."""
     follower = Follower()
     for _ in range(10):
         follower.frame(CAR, depth_m=20.0)
@@ -191,13 +191,13 @@ def test_a_pedestrian_does_not_take_a_cars_name_but_a_van_does():
     assert names == ["1", "2", "1", "1"]
 
 
-def test_labels_no_table_knows_are_followed_by_their_own_name():
+def test_labels_no_table_knows_are_tracked_by_their_own_name():
     follower = Follower()
     names = [follower.frame(replace(CAR, label=label))[0].track_id for label in ("Unicorn", "Dragon", "Unicorn")]
     assert names == ["1", "2", "1"]
 
 
-def test_dropped_detections_stay_as_they_are_and_are_not_followed():
+def test_dropped_detections_stay_as_they_are_and_are_not_tracked():
     follower, stray = Follower(), box("Car", 10, 10, 40, 40)
     for _ in range(4):
         kept, dropped = follower.frame(CAR, stray, depth_m=20.0, tags=tags_of(CAR))
@@ -334,8 +334,8 @@ def test_resumes_equal_from_a_pickled_state():
         follower, outputs = Follower(), []
         for k in range(12):
             car, depth = shifted(CAR, 2 * k), 20.0 - 0.2 * k
-            seen = () if k in (5, 6, 9) else (car,)
-            outputs.append(follower.frame(*seen, grey=moved(image, 2 * k, 0), depth_m=depth))
+            detections = () if k in (5, 6, 9) else (car,)
+            outputs.append(follower.frame(*detections, grey=moved(image, 2 * k, 0), depth_m=depth))
             if interrupted:
                 follower.state = pickle.loads(pickle.dumps(follower.state))
         return outputs
@@ -369,7 +369,7 @@ def test_settings_of_the_motion_have_an_effect(setting, value):
     assert usual.only != changed.only
 
 
-def test_an_object_that_partly_lies_beyond_the_depths_range_is_followed():
+def test_an_object_that_partly_lies_beyond_the_depths_range_is_tracked():
     """Its distance has no deviation of its own."""
     follower, depth = Follower(), np.full(CAMERA.size, LIMIT_M, np.float32)
     depth[80, 100:130] = FAR_M

@@ -107,7 +107,7 @@ def test_a_missing_frame_is_lost_and_its_motion_is_not():
     assert states[3] is states[2]
 
 
-def test_another_place_is_lost_and_then_followed():
+def test_another_place_is_lost_and_then_tracked():
     elsewhere = [Shot(s.grey[::-1].copy(), s.depth_m) for s in (photograph(pose(20.0, yaw=1.0)),)]
     there = [photograph(pose(20.0, 1.0) @ p) for p in drive(4)]
     _, results = run([*SHOTS[:4], *elsewhere, *there])
