@@ -2,16 +2,18 @@
 
 import pickle
 from dataclasses import fields, is_dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain import ChainState, step
+from roadperc_stream.chain import ChainState, _trusted, step
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.datatypes import Absent, CameraImage, DepthImage, TagImage
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.stages.surface import assumed_surface
 from tests.analytic import ROAD, Road, box
 from tests.logs import SMALL, shifted
 
@@ -183,3 +185,13 @@ def test_a_front_camera_that_is_not_rectified_is_said_to_be_taken_as_it_is():
     )
     said = "image: its camera is not rectified, and only stereo undoes the distortion"
     assert (said in plain.problems, said in through_lens.problems) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("source", "mounted", "trusted"),
+    [("depth", False, True), ("depth", True, True), ("assumed", False, False), ("assumed", True, True)],
+)
+def test_a_road_gives_scale_where_its_height_is_measured_or_mounted(source, mounted, trusted):
+    road = replace(assumed_surface(SMALL.camera, SMALL.ego_T_camera), source=source)
+    assert _trusted(road, SimpleNamespace(mounted=mounted)) is (road if trusted else None)
+    assert _trusted(Absent("no road"), SimpleNamespace(mounted=mounted)) is None

@@ -435,3 +435,6 @@ def test_halving_an_odd_image_counts_its_last_row_and_column_twice():
     image = np.array([[0, 4, 10], [8, 12, 20], [30, 50, 90]], np.uint8)
     np.testing.assert_array_equal(matching._halved(image), [[6, 15], [40, 90]])
     np.testing.assert_array_equal(matching._halved(image[:2, :2]), [[6]])
+    row = np.array([[0, 2, 4, 6, 9]], np.uint8)
+    np.testing.assert_array_equal(matching._halved(row), [[1, 5, 9]])
+    np.testing.assert_array_equal(matching._halved(row.T), [[1], [5], [9]])

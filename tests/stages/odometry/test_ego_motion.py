@@ -9,7 +9,9 @@ import pytest
 
 from roadperc_stream.config import OdometryConfig
 from roadperc_stream.datatypes import Absent
-from roadperc_stream.geometry import inverse
+from roadperc_stream.geometry import inverse, project, transform
+from roadperc_stream.stages.odometry.ego_motion import _guesses
+from roadperc_stream.stages.odometry.views import make_view
 from roadperc_stream.stages.surface import assumed_surface
 from tests.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, STEP_NS, Shot, drive, photograph, pose, run
 from tests.stages.odometry.trajectories import angle_deg, distances_m, relative_errors
@@ -209,3 +211,24 @@ def test_the_state_is_bounded():
     states, _ = run(SHOTS)
     sizes = [len(pickle.dumps(state)) for state in states]
     assert max(sizes) < 1.5 * min(sizes)
+
+
+@pytest.mark.parametrize("missed", [0, 1])
+def test_features_are_sought_first_where_a_steady_motion_takes_them(missed):
+    """The drive's motion is steady, so that its next pose, and the one after that, are known."""
+    states, _ = run(SHOTS[:4])
+    state, frame = states[-1], 4 + missed
+    stamp_ns = 1_000_000_000 + frame * STEP_NS
+    view = make_view(CFG, CAMERA, EGO_T_CAMERA, SHOTS[frame].grey, SHOTS[frame].depth_m, None, None, stamp_ns)
+    (first, near, share), (second, anywhere, twice) = _guesses(CFG, state.odom_T_ego, state.keyframe, state.fix, view)
+    camera_T_key = inverse(POSES[frame] @ EGO_T_CAMERA) @ state.keyframe.odom_T_camera
+    expected = project(view.camera, transform(camera_T_key, state.keyframe.places.points_m))
+    known = np.isfinite(near).all(axis=1)
+    assert known.sum() > 50
+    assert np.median(np.linalg.norm(near[known] - expected[known], axis=1)) < 1.0
+    np.testing.assert_array_equal(first[known], near[known])
+    np.testing.assert_array_equal(second, state.fix.found_px)
+    assert np.isnan(anywhere).all()
+    np.testing.assert_allclose(state.fix.velocity[[0, 1, 2]], [0.4 / 0.05, 0.0, 0.0], atol=0.2)
+    np.testing.assert_allclose(state.fix.velocity[[3, 4, 5]], [0.0, 0.0, 0.01 / 0.05], atol=0.02)
+    assert (share, twice) == (CFG.min_inlier_ratio, 2 * CFG.min_inlier_ratio)
