@@ -3,10 +3,11 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO := logs/runs/demo
+PICTURES := logs/runs/pictures
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test accuracy bench bench-report lint proto sample clean
+.PHONY: demo test accuracy bench bench-report lint proto sample pictures clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -49,6 +50,13 @@ proto: $(VENV)/.installed
 sample: $(VENV)/.installed
 	$(BIN)/roadperc-render $(SAMPLE_DUMP) $(SAMPLE_OPTIONS) --force
 	$(BIN)/roadperc-convert $(SAMPLE_DUMP) logs/sample.mcap --force
+
+pictures: $(VENV)/.installed  # docs/overlay.jpg and docs/report.png of a sharp drive; chromium shows the report
+	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --seconds 3 --force
+	$(BIN)/roadperc-convert $(PICTURES)/drive $(PICTURES)/town.mcap --force --quiet
+	$(BIN)/roadperc-replay $(PICTURES)/town.mcap $(PICTURES)/result.mcap --overlay --force
+	$(BIN)/roadperc-report $(PICTURES)/result.metrics.parquet --html $(PICTURES)/report.html
+	$(BIN)/python docs/make_pictures.py $(PICTURES)/result.mcap $(PICTURES)/report.html
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info
