@@ -52,7 +52,7 @@ sample: $(VENV)/.installed
 	$(BIN)/roadperc-convert $(SAMPLE_DUMP) logs/sample.mcap --force
 
 pictures: $(VENV)/.installed  # docs/overlay.jpg and docs/report.png of a sharp drive; chromium shows the report
-	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --seconds 3 --force
+	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --seconds 2.2 --force
 	$(BIN)/roadperc-convert $(PICTURES)/drive $(PICTURES)/town.mcap --force --quiet
 	$(BIN)/roadperc-replay $(PICTURES)/town.mcap $(PICTURES)/result.mcap --overlay --force
 	$(BIN)/roadperc-report $(PICTURES)/result.metrics.parquet --html $(PICTURES)/report.html

@@ -15,14 +15,16 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.reader import make_reader
 from numpy.typing import NDArray
+from PIL import Image as PillowImage
 
 _DOCS: Final = Path(__file__).parent
 _SHOWN_FRAME: Final = 30
-_PANEL_SIZE: Final = (1050, 1220)
+_PANEL_SIZE: Final = (1110, 1240)
 """Columns and rows of the browser's window."""
-_PANEL_SCALE: Final = 0.62
+_PANEL_SCALE: Final = 0.58
 _PANELS: Final = (".tables", "section:has(.charts)", ".worst")
 """What each of the panels shows, as CSS selectors of the page's parts."""
+_COLOURS: Final = 128
 _QUIET: Final = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=8000")
 
 
@@ -45,7 +47,7 @@ def page_picture(page: Path, chromium: str) -> NDArray[np.uint8]:
 
 def _panel(html: str, part: str, chromium: str, folder: Path) -> NDArray[np.uint8]:
     """A screenshot of one part of the page: the others are hidden."""
-    style = f"<style>body > *:not({part}):not(script) {{ display: none }}</style></head>"
+    style = f"<style>body > :is(header, .tables, section):not({part}) {{ display: none }}</style></head>"
     page, target = folder / "page.html", folder / "panel.png"
     page.write_text(html.replace("</head>", style, 1), encoding="utf-8")
     window = f"--window-size={_PANEL_SIZE[0]},{_PANEL_SIZE[1]}"
@@ -63,7 +65,8 @@ def main(arguments: list[str]) -> int:
     if chromium is None:
         print("no chromium on this machine: docs/report.png stays as it is", file=sys.stderr)
         return 1
-    cv2.imwrite(str(_DOCS / "report.png"), page_picture(page, chromium))
+    picture = PillowImage.fromarray(page_picture(page, chromium)[..., ::-1])
+    picture.quantize(_COLOURS, dither=PillowImage.Dither.NONE).save(_DOCS / "report.png", optimize=True)
     return 0
 
 
