@@ -12,6 +12,7 @@ import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
 from roadperc_stream import geometry as g
+from roadperc_stream.cli import render
 from roadperc_stream.config import StereoConfig
 from roadperc_stream.datatypes import Absent, Box
 from roadperc_stream.decoding import camera_from_calibration
@@ -20,7 +21,6 @@ from roadperc_stream.metrics.stereo_errors import stereo_errors
 from roadperc_stream.stages import stereo
 from roadperc_stream.stages.stereo import matching
 from roadperc_stream.template import find_patch
-from roadperc_stream.tools import render_scene
 from tests import pair
 
 HEIGHT, WIDTH = 120, 240
@@ -385,7 +385,7 @@ def test_the_courses_nearest_depth_by_the_defaults(course, cfg):
 
 def rendered(folder, *options):
     """Camera, baseline, mounting height and (left, right, true depth) of a rendered drive's frames."""
-    assert render_scene.main([str(folder), *options]) == 0
+    assert render.main([str(folder), *options]) == 0
     calibration = json.loads((folder / "calibration.json").read_text())
     K = np.array(calibration["K"])
     size = calibration["width"], calibration["height"]

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
+from roadperc_stream.cli import render
 from roadperc_stream.config import OdometryConfig
 from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, inverse, level_mounting, rigid
 from roadperc_stream.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.stages import odometry
 from roadperc_stream.stages.odometry import OdometryState
 from roadperc_stream.stages.surface import assumed_surface
-from roadperc_stream.tools import render_scene
 from roadperc_stream.tools.carla_dump.depth_files import carla_metres
 from tests.stages.odometry.trajectories import angle_deg, distances_m
 
@@ -125,7 +125,7 @@ def test_course_odometry_without_any_scale_goes_ahead(course_steps):
 
 
 def rendered(folder, *options):
-    assert render_scene.main([str(folder), *options]) == 0
+    assert render.main([str(folder), *options]) == 0
     camera, mounting = calibrated(folder)
     return camera, rigid(EGO_R_OPTICAL, np.array([mounting["rgb"][axis] for axis in "xyz"]))
 
