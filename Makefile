@@ -4,10 +4,11 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PARALLEL := -n auto --maxprocesses 4 --dist loadfile
 DEMO := logs/runs/demo
+PICTURES := logs/runs/pictures
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test test-hostile mutants accuracy bench bench-report lint pages proto sample docs clean
+.PHONY: demo test test-hostile mutants accuracy bench bench-report lint pages proto sample pictures docs clean
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -66,6 +67,13 @@ sample: $(VENV)/.installed
 
 docs: $(VENV)/.installed  # build/site, with the API reference; a dead link is an error
 	$(BIN)/python -m mkdocs build --strict --quiet
+
+pictures: $(VENV)/.installed  # docs/overlay.jpg and docs/report.png of a sharp drive; chromium shows the report
+	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --seconds 2.2 --force
+	$(BIN)/roadperc-convert $(PICTURES)/drive $(PICTURES)/town.mcap --force --quiet
+	$(BIN)/roadperc-replay $(PICTURES)/town.mcap $(PICTURES)/result.mcap --overlay --force
+	$(BIN)/roadperc-report $(PICTURES)/result.metrics.parquet --html $(PICTURES)/report.html
+	$(BIN)/python docs/make_pictures.py $(PICTURES)/result.mcap $(PICTURES)/report.html
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info

@@ -2,11 +2,13 @@
 
 import pickle
 from dataclasses import fields, is_dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.stages.surface import assumed_surface
+from roadperc_stream.chain.step import ChainState, _metric_road, step
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import ReplayConfig, load_config
 from roadperc_stream.core.datatypes import Absent, CameraImage, DepthImage, Reason, TagImage
@@ -189,3 +191,13 @@ def test_a_front_camera_that_is_not_rectified_is_reported_as_used_as_it_is():
     )
     not_rectified = Reason("image", "not_rectified")
     assert (not_rectified in plain.problems, not_rectified in through_lens.problems) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("source", "mounted", "trusted"),
+    [("depth", False, True), ("depth", True, True), ("assumed", False, False), ("assumed", True, True)],
+)
+def test_a_road_gives_scale_where_its_height_is_measured_or_mounted(source, mounted, trusted):
+    road = replace(assumed_surface(SMALL.camera, SMALL.ego_T_camera), source=source)
+    assert _metric_road(SimpleNamespace(mounted=mounted), road) is (road if trusted else None)
+    assert _metric_road(SimpleNamespace(mounted=mounted), Absent(Reason("surface", "no_depth"))) is None

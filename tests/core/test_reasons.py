@@ -87,6 +87,11 @@ def test_of_many_a_few_are_reported():
     notes = throughout(found(*(f"lidar: {letter}" for letter in "abcdef")), 1, FILLED)
     assert [note.partition(": ")[2] for note in notes[:4]] == [f"lidar: {letter}" for letter in "abcd"]
     assert notes[4:] == ("in the only frame: 2 more reasons, which roadperc-report lists",)
+    assert throughout(found(*(f"lidar: {letter}" for letter in "abcd")), 1, FILLED) == notes[:4]
+    assert throughout(found(*(f"lidar: {letter}" for letter in "abcde")), 1, FILLED) == (
+        *notes[:4],
+        "in the only frame: 1 more reason, which roadperc-report lists",
+    )
 
 
 def test_the_command_prints_them(tmp_path, capsys):

@@ -11,16 +11,18 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+import pytest
+
 from tests.mutants import forks, reach
 from tests.mutants.faults import Fault, faults_in
 from tests.mutants.reach import Reach
-from tests.mutants.trial import NOTICED_BY, Trial, planned, survives
+from tests.mutants.trial import NOTICED_BY, UNNOTICED, Trial, planned, survives
 
 SOURCES = ("roadperc_stream", "tools", "eval")
 GENERATED = "_pb2.py"
 KEPT = Path(".mutants")
 WANTED_SHARE = 0.85
-NO_TESTS, FAILED = 5, {1, 2}  # pytest's exit codes; 2 where a test file cannot even be imported
+FAILED = {pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED}  # the latter where a test cannot be imported
 MEASURING_PATIENCE_S = 900.0
 
 DESCRIPTION = """Draws small faults from all code (a comparison, a sign, an arithmetic operator, a constant, and/or,
@@ -39,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--count", type=int, default=200, metavar="N", help="how many faults (default: 200)")
     made.add_argument("--seed", type=int, default=1, metavar="N", help="what is drawn follows from it (default: 1)")
     made.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N", help="processes (default: the cores)")
-    made.add_argument("--seconds", type=float, default=30, help="of tests a fault may cost (default: 30)")
+    made.add_argument("--seconds", type=float, default=45, help="of tests a fault may cost (default: 45)")
     made.add_argument("--again", action="store_true", help="only what survived the last run of this count and seed")
     made.add_argument("--verbose", action="store_true", help="also print each noticed fault and the test that did")
     return made
@@ -118,7 +120,7 @@ def tried(trials: list[Trial], jobs: int, verbose: bool) -> Iterator[Fault]:
     """Tries each fault, prints what survives as it does, and yields it."""
     for ended in forks.run(trials, survives, lambda trial: trial.patience_s, jobs):
         fault = ended.job.fault
-        if ended.code in {0, NO_TESTS} and not ended.hung:
+        if ended.code in UNNOTICED and not ended.hung:
             print(f"{fault}   ({len(ended.job.tests)} tests)", flush=True)
             yield fault
         elif ended.code not in FAILED and ended.code > 0:

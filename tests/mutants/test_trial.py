@@ -3,7 +3,7 @@ import pytest
 from tests.mutants import reach
 from tests.mutants.faults import Fault
 from tests.mutants.reach import Reach, TimedTest
-from tests.mutants.trial import planned
+from tests.mutants.trial import in_parts, planned
 
 QUICK, SLOW = TimedTest("tests/test_other.py::quick", 0.1, True), TimedTest("tests/test_other.py::slow", 5.0, True)
 NEAR, FAILING = TimedTest("tests/test_calc.py::near", 1.0, True), TimedTest("tests/test_calc.py::failing", 0.1, False)
@@ -39,6 +39,16 @@ def test_the_first_cases_of_each_test_come_before_many_of_one():
     many = tuple(TimedTest(f"tests/test_other.py::many[{k}]", 0.1 + k / 100, True) for k in range(6))
     known = Reach((*many, SLOW), {"p/calc.py": {3: tuple(range(7))}}, ("p/calc.py",), {})
     assert planned(fault(), [known], 60.0).tests == (*many[:3], SLOW, *many[3:])
+
+
+def test_the_first_files_are_run_before_the_others_are_imported():
+    tests = tuple(TimedTest(f"tests/test_{name}.py::{k}", 0.1, True) for k, name in enumerate("abacbd"))
+    assert [[test.nodeid[-4:] for test in part] for part in in_parts(tests)] == [
+        ["y::0", "y::1", "y::2", "y::4"],
+        ["y::3", "y::5"],
+    ]
+    assert in_parts(tests[:3]) == [tests[:3]]
+    assert in_parts(()) == []
 
 
 def test_a_test_hangs_when_it_takes_much_longer_than_the_slowest():

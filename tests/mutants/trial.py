@@ -18,7 +18,8 @@ from tests.mutants.reach import Reach, TimedTest, quietly
 HOOK = Path(__file__).parent / "hook"
 PATIENCE_S = 60.0
 PATIENCE_FACTOR = 8.0
-FIRST_CASES = 3
+FIRST_CASES, FIRST_FILES = 3, 2
+UNNOTICED = {pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED}
 NOTICED_BY = "noticed_by"
 
 
@@ -76,6 +77,13 @@ def _within(tests: list[TimedTest], budget_s: float) -> list[TimedTest]:
     return chosen
 
 
+def in_parts(tests: tuple[TimedTest, ...]) -> list[tuple[TimedTest, ...]]:
+    """The tests of the first few files, then those of all others: most faults are noticed before those are imported."""
+    first = list(dict.fromkeys(test.file for test in tests))[:FIRST_FILES]
+    parts = [tuple(test for test in tests if (test.file in first) == near) for near in (True, False)]
+    return [part for part in parts if part]
+
+
 @dataclass(eq=False)  # pytest hashes its plugins
 class Chosen:
     """A pytest plugin: runs the given tests alone, in their order, and says which one failed."""
@@ -110,8 +118,13 @@ def survives(trial: Trial, folder: Path) -> int:
     _hook().install(told)
     hypothesis.settings.register_profile("mutants", derandomize=True, database=None)
     hypothesis.settings.load_profile("mutants")
-    files = list(dict.fromkeys(test.file for test in trial.tests))
-    return int(pytest.main([*files, "-x", *quietly(folder)], plugins=[Chosen(trial.tests, folder)]))
+    code = int(pytest.ExitCode.NO_TESTS_COLLECTED)
+    for tests in in_parts(trial.tests):
+        files = list(dict.fromkeys(test.file for test in tests))
+        code = int(pytest.main([*files, "-x", *quietly(folder)], plugins=[Chosen(tests, folder)]))
+        if code not in UNNOTICED:
+            break
+    return code
 
 
 def _hook():

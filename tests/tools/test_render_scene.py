@@ -10,7 +10,8 @@ import pytest
 
 from roadperc_stream.cli.render import main
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
-from roadperc_stream.tools.scene.world import SCENES, make_world
+from roadperc_stream.tools.scene.options import SCENES
+from roadperc_stream.tools.scene.world import make_world
 
 TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
 CAMERA_X, CAMERA_Z = 1.5, 1.4

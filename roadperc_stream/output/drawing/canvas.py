@@ -18,7 +18,7 @@ Point = tuple[float, float]
 DARK: Final[Colour] = (25, 25, 25)
 """Behind text, and at both sides of lines, which thereby stand out on any background."""
 _LEAST_TEXT_PX: Final = 11
-_TEXT_ROWS: Final = 42
+_TEXT_ROWS: Final = 45
 """A line of text takes this part of the image's rows, and ``_LEAST_TEXT_PX`` at least."""
 _TEXT_WEIGHT: Final = 500
 """Medium. OpenCV's glyph cache ignores the weight: with two of them, a text's pixels would depend on earlier texts."""

@@ -1,7 +1,7 @@
 """Which objects are named in a picture, and where: text that lies over other text can be read by nobody."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 from roadperc_stream.core.datatypes import Box, Object
@@ -37,11 +37,26 @@ def caption_places(
     Returns:
         For each object the room its caption takes, inside the picture; None where none is free.
     """
+
+    def free_place(index: int, taken: Sequence[Box]) -> Box | None:
+        wanted = _wanted(image_size, boxes[index], text_sizes[index])
+        return next((place for place in wanted if not any(map(place.overlap, taken))), None)
+
+    return nearest_first(objects, free_place)
+
+
+def nearest_first(
+    objects: Sequence[Object], free_place: Callable[[int, Sequence[Box]], Box | None]
+) -> tuple[Box | None, ...]:
+    """Each object's place, None where there is none; the nearest have the first choice.
+
+    Args:
+        objects: in any order.
+        free_place: from an object's index and the places of those before it, its own.
+    """
     places: list[Box | None] = [None] * len(objects)
     for index in by_nearness(objects):
-        taken = [place for place in places if place is not None]
-        wanted = _wanted(image_size, boxes[index], text_sizes[index])
-        places[index] = next((place for place in wanted if not any(map(place.overlap, taken))), None)
+        places[index] = free_place(index, [place for place in places if place is not None])
     return tuple(places)
 
 

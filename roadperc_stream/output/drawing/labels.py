@@ -5,7 +5,7 @@ from itertools import chain
 from typing import Final
 
 from roadperc_stream.core.datatypes import Box, Object
-from roadperc_stream.output.drawing.captions import Size, by_nearness
+from roadperc_stream.output.drawing.captions import Size, nearest_first
 
 _MOST_LIFTS: Final = 2
 """A label finds its place this many lines of text above its object at most."""
@@ -34,22 +34,17 @@ def label_places(
     Returns:
         For each object the place of its label, inside the picture; None where there is none.
     """
-    places: list[Box | None] = [None] * len(objects)
-    for index in by_nearness(objects):
+    kept = [(k, box) for k, (box, item) in enumerate(zip(boxes, objects, strict=True)) if item.kept]
+    rows = top_px, image_size[1]
+
+    def free_place(index: int, taken: Sequence[Box]) -> Box | None:
         box = boxes[index]
-        covered = [place for place in places if place is not None]
-        covered += [
-            other
-            for k, (other, item) in enumerate(zip(boxes, objects, strict=True))
-            if k != index and item.kept and not _surrounds_middle(other, box)
-        ]
+        covered = [*taken, *(other for k, other in kept if k != index and not _surrounds_middle(other, box))]
         wanted = _wanted(box, text_sizes[index], kept=objects[index].kept)
         inside = (_moved_inside(place, image_size) for place in wanted)
-        places[index] = next(
-            (place for place in inside if _is_free(place, (top_px, image_size[1]), covered)),
-            None,
-        )
-    return tuple(places)
+        return next((place for place in inside if _is_free(place, rows, covered)), None)
+
+    return nearest_first(objects, free_place)
 
 
 def _surrounds_middle(outer: Box, box: Box) -> bool:
@@ -80,4 +75,8 @@ def _moved_inside(place: Box, image_size: Size) -> Box:
 def _is_free(place: Box, rows: tuple[float, float], covered: Sequence[Box]) -> bool:
     gap = _GAP * (place.y_max - place.y_min)
     apart = Box(place.x_min - gap, place.y_min, place.x_max + gap, place.y_max)
-    return rows[0] <= place.y_min and place.y_max <= rows[1] and not any(map(apart.overlap, covered))
+    return rows[0] <= place.y_min and place.y_max <= rows[1] and not any(_meet(apart, box) for box in covered)
+
+
+def _meet(a: Box, b: Box) -> bool:
+    return a.y_min < b.y_max and b.y_min < a.y_max and a.x_min < b.x_max and b.x_min < a.x_max

@@ -163,6 +163,6 @@ def _invitation(host: str, port: int) -> str:
     return (
         f"serving ws://{address}:{port} (Ctrl-C ends)\n"
         "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open\n"
-        "layout: roadperc-view LOG --foxglove --foxglove-layout FILE.json (no LOG: of a running replay), "
-        "then Layouts > Import from file"
+        "layout: roadperc-view LOG --foxglove --foxglove-layout FILE.json, of a running replay roadperc-view "
+        "--foxglove-layout FILE.json; then Layouts > Import from file"
     )

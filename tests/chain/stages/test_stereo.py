@@ -14,13 +14,13 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from roadperc_stream.chain.stages import stereo
 from roadperc_stream.chain.stages.objects.template_matching import correlate
 from roadperc_stream.chain.stages.stereo import matching
+from roadperc_stream.cli import render
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import StereoConfig
 from roadperc_stream.core.datatypes import Absent, Box
 from roadperc_stream.input.decoding import camera_from_calibration
 from roadperc_stream.metrics.stereo_errors import stereo_errors
 from roadperc_stream.output.encoding import encode_calibration
-from roadperc_stream.tools import render_scene
 from tests import pair
 
 HEIGHT, WIDTH = 120, 240
@@ -386,7 +386,7 @@ def test_the_courses_nearest_depth_by_the_defaults(course, cfg):
 
 def rendered(folder, *options):
     """Camera, baseline, mounting height and (left, right, true depth) of a rendered drive's frames."""
-    assert render_scene.main([str(folder), *options]) == 0
+    assert render.main([str(folder), *options]) == 0
     calibration = json.loads((folder / "calibration.json").read_text())
     K = np.array(calibration["K"])
     size = calibration["width"], calibration["height"]
@@ -436,3 +436,6 @@ def test_halving_an_odd_image_counts_its_last_row_and_column_twice():
     image = np.array([[0, 4, 10], [8, 12, 20], [30, 50, 90]], np.uint8)
     np.testing.assert_array_equal(matching._halved(image), [[6, 15], [40, 90]])
     np.testing.assert_array_equal(matching._halved(image[:2, :2]), [[6]])
+    row = np.array([[0, 2, 4, 6, 9]], np.uint8)
+    np.testing.assert_array_equal(matching._halved(row), [[1, 5, 9]])
+    np.testing.assert_array_equal(matching._halved(row.T), [[1], [5], [9]])

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.tools.scene.world import SCENES, make_world
+from roadperc_stream.tools.scene.options import SCENES
+from roadperc_stream.tools.scene.world import make_world
 
 
 @pytest.mark.parametrize("scene", SCENES)

@@ -82,3 +82,11 @@ def test_line_on_ground_of_a_straight_line():
     cloud = np.concatenate((points((1.7, 0.1, 0.0)), np.zeros((320, 1))), axis=1)
     np.testing.assert_allclose(curves.line_on_ground(cloud), (1.7, 0.1, 0.0), atol=1e-9)
     assert curves.line_on_ground(cloud[:1]) is None
+
+
+def test_where_the_edges_tell_no_curvature_it_is_that_of_a_plausible_road():
+    """Within 4 m to 9 m the eye sees none; a road bends by 0.01 per metre at one deviation."""
+    near, far = points((1.7, 0.0, 0.0), reach_m=7.0), points((1.7, 0.0, 0.0), reach_m=60.0)
+    unknown, known = (np.sqrt(fit(cloud, (1.7, 0.0, 0.0)).covariance[2, 2]) for cloud in (near, far))
+    assert 0.008 < unknown < 0.01
+    assert known < 0.001

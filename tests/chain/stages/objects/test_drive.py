@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from roadperc_stream.cli import render
 from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.tools import render_scene
 from tests.chain.stages.objects.drive import camera_of, through, well_visible
 
 CFG = ObjectsConfig()
@@ -14,7 +14,7 @@ IMPACT_MPS = 2.0
 
 
 def rendered(folder, *options):
-    assert render_scene.main([str(folder / "dump"), "--size", "640x480", *options]) == 0
+    assert render.main([str(folder / "dump"), "--size", "640x480", *options]) == 0
     return folder / "dump"
 
 

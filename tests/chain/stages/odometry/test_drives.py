@@ -9,10 +9,10 @@ import pytest
 from roadperc_stream.chain.stages import odometry
 from roadperc_stream.chain.stages.odometry import OdometryState
 from roadperc_stream.chain.stages.surface import assumed_surface
+from roadperc_stream.cli import render
 from roadperc_stream.core.config import OdometryConfig
 from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, inverse, level_mounting, rigid
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
-from roadperc_stream.tools import render_scene
 from roadperc_stream.tools.carla_dump.depth_files import carla_metres
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m
 from tests.scenes import scene_of
@@ -118,7 +118,7 @@ def test_course_odometry_without_any_scale_turns_little(course_steps):
 
 
 def rendered(folder, *options):
-    assert render_scene.main([str(folder), *options]) == 0
+    assert render.main([str(folder), *options]) == 0
     camera, mounting = calibrated(folder)
     return camera, rigid(EGO_R_OPTICAL, np.array([mounting["rgb"][axis] for axis in "xyz"]))
 

@@ -7,12 +7,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from roadperc_stream.chain.stages.odometry.ego_motion import _guesses
+from roadperc_stream.chain.stages.odometry.tracking_frame import tracking_frame
 from roadperc_stream.chain.stages.surface import assumed_surface
 from roadperc_stream.core.config import OdometryConfig
 from roadperc_stream.core.datatypes import Absent, Reason
-from roadperc_stream.core.geometry import inverse
+from roadperc_stream.core.geometry import inverse, project, transform
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, STEP_NS, Shot, drive, photograph, pose, run
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m, relative_errors
+from tests.scenes import scene_of
 
 POSES = drive(12)
 SHOTS = [photograph(p) for p in POSES]
@@ -209,3 +212,25 @@ def test_the_state_is_bounded():
     states, _ = run(SHOTS)
     sizes = [len(pickle.dumps(state)) for state in states]
     assert max(sizes) < 1.5 * min(sizes)
+
+
+@pytest.mark.parametrize("missed", [0, 1])
+def test_features_are_sought_first_where_a_steady_motion_takes_them(missed):
+    """The drive's motion is steady, so that its next pose, and the one after that, are known."""
+    states, _ = run(SHOTS[:4])
+    state, frame = states[-1], 4 + missed
+    stamp_ns = 1_000_000_000 + frame * STEP_NS
+    scene = scene_of(CAMERA, EGO_T_CAMERA, depth_m=SHOTS[frame].depth_m, stamp_ns=stamp_ns)
+    view = tracking_frame(CFG, scene, SHOTS[frame].grey, None)
+    (first, near, share), (second, anywhere, twice) = _guesses(CFG, state.odom_T_ego, state.keyframe, state.last, view)
+    camera_T_key = inverse(POSES[frame] @ EGO_T_CAMERA) @ state.keyframe.odom_T_camera
+    expected = project(view.camera, transform(camera_T_key, state.keyframe.landmarks.points_m))
+    known = np.isfinite(near).all(axis=1)
+    assert known.sum() > 50
+    assert np.median(np.linalg.norm(near[known] - expected[known], axis=1)) < 1.0
+    np.testing.assert_array_equal(first[known], near[known])
+    np.testing.assert_array_equal(second, state.last.found_px)
+    assert np.isnan(anywhere).all()
+    np.testing.assert_allclose(state.last.velocity[[0, 1, 2]], [0.4 / 0.05, 0.0, 0.0], atol=0.2)
+    np.testing.assert_allclose(state.last.velocity[[3, 4, 5]], [0.0, 0.0, 0.01 / 0.05], atol=0.02)
+    assert (share, twice) == (CFG.min_inlier_ratio, 2 * CFG.min_inlier_ratio)
