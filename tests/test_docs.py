@@ -65,13 +65,18 @@ def run(command, folder):
 def serve(command, folder):
     """Run a command that serves until it is stopped: it must say where, and end when it is told to."""
     served = subprocess.Popen(
-        ["bash", "-c", f"exec {command} --port 0"], cwd=folder, env=environment(), text=True, stderr=subprocess.PIPE
+        ["bash", "-c", f"exec {command} --port 0"],
+        cwd=folder,
+        env=environment(),
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
     )
     try:
-        said = served.stderr.readline()
-        while said and "ws://" not in said:
-            said = served.stderr.readline()
-        assert "ws://127.0.0.1:" in said, command
+        printed = served.stdout.readline()
+        while printed and "ws://" not in printed:
+            printed = served.stdout.readline()
+        assert "ws://127.0.0.1:" in printed, command
     finally:
         served.send_signal(signal.SIGINT)
         served.communicate(timeout=60)
