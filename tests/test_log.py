@@ -121,7 +121,7 @@ def read_whole(path):
         ("text", "not an MCAP log"),
         ("half", "cut off"),
         ("flipped", "damaged"),
-        ("folder", "directory"),
+        ("folder", "is a folder, expected a log"),
     ],
 )
 def test_what_is_no_log_is_said_in_one_line(tmp_path, kind, words):

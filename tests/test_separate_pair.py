@@ -12,7 +12,7 @@ from roadperc_stream import log
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.datatypes.results import Surface
+from roadperc_stream.schemas.roadperc_pb2 import Surface
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.ros import unpack_image

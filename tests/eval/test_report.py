@@ -321,7 +321,7 @@ def test_reasons_of_some_runs_are_told_log_by_log(tmp_path, capsys):
     paths = [write(tmp_path / f"{n}.metrics.parquet", rows) for n, rows in (("seen", seen), ("blind", blind))]
     _, text, _ = report(capsys, *paths)
     assert line_of(text, both)[-2:] == ["8", "100.0"]
-    assert line_of(text, "image: 0x9 pixels (numbers vary)")[-2:] == ["2", "25.0"]
+    assert line_of(text, "image: 0x9 pixels, its calibration says 64x48 (numbers vary)")[-2:] == ["2", "25.0"]
     by_log = text.partition("Missing outputs by run")[2].split("\n\n")[0].splitlines()[2:]
     assert [line.split() for line in by_log] == [
         ["image:", "0x9", "pixels,", "its", "calibration", "says", "64x48", "(numbers", "vary)"],

@@ -91,7 +91,7 @@ def test_a_step_aside_and_a_turn_are_subtracted():
 def exactly_known(state, rate=0.0):
     """A track without any uncertainty: what a prediction adds is the motion's own."""
     mean = np.insert(np.array(state, np.float64), 1, rate)
-    return tracking.Track(mean, np.zeros((4, 4)), 0, 0)
+    return tracking.BoundaryTrack(mean, np.zeros((4, 4)), 0, 0)
 
 
 def test_without_odometry_the_noise_is_a_random_sideways_acceleration():
@@ -120,7 +120,7 @@ def test_with_odometry_what_was_uncertain_is_seen_from_further_on():
     for column, seen in ((2, [0.02, 0.01, 0.0]), (3, [0.02, 0.02, 0.01])):
         uncertain = np.zeros((4, 4))
         uncertain[column, column] = 0.01**2
-        track = tracking.Track(known.mean, uncertain, 0, 0)
+        track = tracking.BoundaryTrack(known.mean, uncertain, 0, 0)
         added = (
             tracking.predict(CFG, track, DT_NS, moved(2.0)).state_covariance
             - tracking.predict(CFG, known, DT_NS, moved(2.0)).state_covariance
