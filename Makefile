@@ -66,7 +66,7 @@ sample: $(VENV)/.installed
 	$(BIN)/roadperc-convert $(SAMPLE_DUMP) logs/sample.mcap --force
 
 docs: $(VENV)/.installed  # build/site, with the API reference; a dead link is an error
-	$(BIN)/python -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 pictures: $(VENV)/.installed  # docs/overlay.jpg and docs/report.png of a sharp drive; chromium shows the report
 	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --seconds 2.2 --force

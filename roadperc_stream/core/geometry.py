@@ -48,7 +48,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Camera:
-    """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0][3] = -fx b).
+    """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0, 3] = -fx b).
 
     With a ``lens`` its images are not rectified yet, and the lens says how to; with ``distortion`` but no lens nobody
     knows how.
