@@ -12,9 +12,9 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli import convert, render
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.schemas.roadperc_pb2 import Lanes
 from roadperc_stream.eval.scores import correlations, lag_frames
 from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.roadperc_pb2 import Lanes
 
 BEND = ("--scene", "bend", "--weave", "0.5")
 NOISE = ("--tag-noise", "0.02", "--depth-noise", "0.01")

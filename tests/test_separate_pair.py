@@ -12,7 +12,6 @@ from roadperc_stream import log
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.schemas.roadperc_pb2 import Surface
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.ros import unpack_image
@@ -20,6 +19,7 @@ from roadperc_stream.loop import replay
 from roadperc_stream.metrics import intersection_over_union
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.roadperc_pb2 import Surface
 from tests import logs, pair
 from tests.analytic import LINE, ROAD, STEP_NS, VEHICLE, Road, box
 

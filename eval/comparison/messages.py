@@ -140,7 +140,8 @@ def _decoded(message: Message) -> Fields:
     decoded: Any = MESSAGE_TYPES[schema].FromString(data)
     fields = dict(_flat(decoded, ""))
     if schema == IMAGE_SCHEMA:
-        fields["data"] = _digest(images.decode_indices(decoded.data))
+        pixels = images.decode_bgr if decoded.format == "jpeg" else images.decode_indices
+        fields["data"] = _digest(pixels(decoded.data))
     return fields
 
 

@@ -38,7 +38,7 @@ def _reading(path: Path) -> Iterator[IO[bytes]]:
 def summarise(path: Path) -> LogSummary:
     """Channels, counts, attachments and metadata of a log, from its index where it has one.
 
-    The CRCs over the whole file are checked on the way.
+    The CRCs over the whole file are checked as it is read.
 
     Raises:
         LogError: the file cannot be read, is no MCAP, is cut or damaged.

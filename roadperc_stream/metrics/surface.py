@@ -73,7 +73,7 @@ def surface_height_error_m(surface: Surface, truth: Surface) -> float | None:
 def _true_drivable(cfg: ReplayConfig, truth: Truth, sample: Sample) -> Mask | None:
     """Drivable pixels by the clean tags, depth and plane; None where the log does not carry them.
 
-    The tags are never those the chain saw. Where only these were spoilt there is no clean depth beside the log's own,
+    The tags are never those the chain saw. Where only these are noisy there is no clean depth beside the log's own,
     which is then true as it stands.
     """
     depth = truth.depth or sample.frame.depth

@@ -1,15 +1,6 @@
-"""ROS 2 messages that this project writes, packed by hand: a depth frame costs 0.2 ms, with a generic writer 6.
+"""ROS 2 messages that this project writes: depth images and occupancy grids."""
 
-Layout after the 4-byte encapsulation header (OMG CDR, little endian, each number aligned to its size from there):
-
-- sensor_msgs/msg/Image: stamp (int32, uint32), frame_id, height, width, encoding, is_bigendian, step, data.
-- nav_msgs/msg/OccupancyGrid: stamp, frame_id, map_load_time, resolution (float32), width, height, origin (a pose: seven
-  float64), data.
-
-Strings and the data carry their length (strings with a closing zero byte) as uint32.
-"""
-
-import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -76,7 +67,6 @@ float64 w
 DEFINITIONS: Final = {IMAGE: IMAGE_DEFINITION, OCCUPANCY_GRID: OCCUPANCY_GRID_DEFINITION}
 LAST_STAMP_NS: Final = 2**31 * NS_PER_S - 1
 """The seconds of builtin_interfaces/Time, an int32, end on 2038-01-19."""
-_LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
 
 
 @dataclass(frozen=True)
@@ -107,12 +97,15 @@ def pack_occupancy_grid(grid: RosGrid) -> bytes:
     Raises:
         LogError: its stamp has no place in a ROS 2 message.
     """
+    types = cdr.types_of_message(OCCUPANCY_GRID, OCCUPANCY_GRID_DEFINITION)
     rows, columns = grid.cells.shape
-    stamp = _pack_stamp(grid.stamp_ns)
-    body = _aligned(stamp + _pack_string(grid.frame_id), 4) + stamp
-    body += struct.pack("<fII", grid.resolution_m, columns, rows)
-    origin = struct.pack("<7d", grid.x_m, grid.y_m, 0.0, 0.0, 0.0, 0.0, 1.0)
-    return _LITTLE_ENDIAN + _aligned(body, 8) + origin + struct.pack("<I", grid.cells.size) + grid.cells.tobytes()
+    header = _header(types, grid.stamp_ns, grid.frame_id)
+    position = types["geometry_msgs/msg/Point"](grid.x_m, grid.y_m, 0.0)
+    origin = types["geometry_msgs/msg/Pose"](position, types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
+    info = types["nav_msgs/msg/MapMetaData"](header.stamp, grid.resolution_m, columns, rows, origin)
+    return cdr.write(
+        types[OCCUPANCY_GRID](header, info, grid.cells.reshape(-1)), OCCUPANCY_GRID, OCCUPANCY_GRID_DEFINITION
+    )
 
 
 def pack_image(image: RosImage) -> bytes:
@@ -121,11 +114,18 @@ def pack_image(image: RosImage) -> bytes:
     Raises:
         LogError: its stamp has no place in a ROS 2 message.
     """
+    types = cdr.types_of_message(IMAGE, IMAGE_DEFINITION)
     height, width = image.pixels.shape
-    body = _pack_stamp(image.stamp_ns) + _pack_string(image.frame_id)
-    body = _aligned(body, 4) + struct.pack("<II", height, width) + _pack_string(image.encoding)
-    body = _aligned(body + b"\x00", 4) + struct.pack("<I", image.pixels.itemsize * width)
-    return _LITTLE_ENDIAN + body + struct.pack("<I", image.pixels.nbytes) + image.pixels.tobytes()
+    message = types[IMAGE](
+        _header(types, image.stamp_ns, image.frame_id),
+        height,
+        width,
+        image.encoding,
+        0,
+        image.pixels.itemsize * width,
+        np.ascontiguousarray(image.pixels).reshape(-1).view(np.uint8),
+    )
+    return cdr.write(message, IMAGE, IMAGE_DEFINITION)
 
 
 def unpack_header(data: bytes, name: str) -> tuple[int, str]:
@@ -139,16 +139,8 @@ def unpack_header(data: bytes, name: str) -> tuple[int, str]:
     return cdr.stamp_ns(header.stamp), header.frame_id
 
 
-def _aligned(body: bytes, size: int) -> bytes:
-    return body + b"\x00" * (-len(body) % size)
-
-
-def _pack_stamp(stamp_ns: int) -> bytes:
+def _header(types: Mapping[str, Any], stamp_ns: int, frame_id: str) -> Any:
     if stamp_ns > LAST_STAMP_NS:
         raise LogError(f"stamp {stamp_ns} ns: expected at most {LAST_STAMP_NS} ns, the last one ROS 2 messages hold")
-    return struct.pack("<iI", *divmod(stamp_ns, NS_PER_S))
-
-
-def _pack_string(text: str) -> bytes:
-    encoded = text.encode() + b"\x00"
-    return struct.pack("<I", len(encoded)) + encoded
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, NS_PER_S))
+    return types["std_msgs/msg/Header"](stamp, frame_id)

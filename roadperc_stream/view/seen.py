@@ -106,7 +106,7 @@ def content_of(content: Callable[[], Content], topic: str, time_ns: int, problem
 
 
 def _image_topic(summary: LogSummary) -> str:
-    """The topic of the results' camera, as the replay chose it or was told to; empty where the log has it no more."""
+    """The topic of the results' camera, as the replay or its user chose it; empty where the log no longer has it."""
     try:
         topics = assignment_of_log(summary, {}).topics
     except ChannelError:  # an input, of which nobody has said yet what is what

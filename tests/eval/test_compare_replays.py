@@ -7,6 +7,7 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli.compare import main
 from roadperc_stream.core.config import load_config
+from roadperc_stream.core.time import TimeRange
 from roadperc_stream.log import LogWriter
 from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
@@ -103,3 +104,13 @@ def test_message_fields_are_tolerated_and_ignored_like_columns(runs, capsys):
     assert code == 0
     assert "within tolerance: surface.normal.x (in 40 frames, by up to 0.0" in text
     assert text.endswith("verdict: within tolerance\n")
+
+
+def test_pictures_on_request_are_compared_by_their_pixels(tmp_path, capsys):
+    logs = [tmp_path / f"{name}.mcap" for name in ("one", "same", "other")]
+    for path, inlier_m in zip(logs, (0.05, 0.05, 0.5), strict=True):
+        cfg = load_config(None, (f"surface.inlier_m={inlier_m}",))
+        replay(SAMPLE, path, cfg, time_range=TimeRange(frames=2), on_request=("overlay", "debug"))
+    assert compare(capsys, *logs[:2], "--exact")[0] == 0
+    code, text, errors = compare(capsys, logs[0], logs[2], "--exact")
+    assert (code, "/perception/overlay" in text or "overlay.data" in text) == (1, True), text + errors

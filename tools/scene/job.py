@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from . import dump, spoil
+from . import dump, noise
 from .detector import detect
 from .drive import CameraPair, Drive, SceneMoment, make_rig
 from .options import SENSORS, RenderOptions
@@ -93,20 +93,20 @@ def _write_frame(
 def _picture(
     options: RenderOptions, frame: int, sensor: str, moment: SceneMoment, rig: CameraPair, left: RenderedView
 ) -> NDArray[np.uint8]:
-    """What a sensor's file shows, spoiled as asked for."""
+    """What a sensor's file shows, with the noise asked for."""
     if sensor == "depth":
-        noise = options.depth_noise
-        depth = spoil.noisy_depth(left.depth_m, noise, _rng(options, frame, "depth")) if noise else left.depth_m
+        share = options.depth_noise
+        depth = noise.noisy_depth(left.depth_m, share, _rng(options, frame, "depth")) if share else left.depth_m
         return dump.depth_picture(depth)
     if sensor == "segmentation":
-        noise = options.tag_noise
+        share = options.tag_noise
         return dump.tags_picture(
-            spoil.noisy_tags(left.tags, noise, _rng(options, frame, "tags")) if noise else left.tags
+            noise.noisy_tags(left.tags, share, _rng(options, frame, "tags")) if share else left.tags
         )
     rgb = left.rgb
     if sensor == "right":
         rgb = photograph(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_right)
-    return spoil.noisy_rgb(rgb, options.rgb_noise, _rng(options, frame, sensor)) if options.rgb_noise else rgb
+    return noise.noisy_rgb(rgb, options.rgb_noise, _rng(options, frame, sensor)) if options.rgb_noise else rgb
 
 
 def _record(

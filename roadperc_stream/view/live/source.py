@@ -47,7 +47,7 @@ class FinishedLog:
 
     @classmethod
     def opened(cls, path: Path) -> "FinishedLog":
-        """Look what a log holds; its CRCs are checked on the way.
+        """Look what a log holds; its CRCs are checked as it is read.
 
         Raises:
             LogError: it cannot be read, or holds no message.

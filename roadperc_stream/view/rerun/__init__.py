@@ -8,7 +8,7 @@ no frame numbers, and its memory grows with the log: for one of 248 MB 468 MB (`
 
 import os
 
-# What goes wrong is told by this project, in one line; the SDK would add its own, coloured and with times.
+# What goes wrong is reported by this project, in one line; the SDK would add its own, coloured and with times.
 os.environ.setdefault("RUST_LOG", "off")
 
 from roadperc_stream.view.rerun.recording import Exported, open_viewer, save_recording

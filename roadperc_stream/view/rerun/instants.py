@@ -45,6 +45,6 @@ def instants(messages: Iterable[Message], reference: str | None) -> Iterator[Ins
 def _frame(group: tuple[Message, ...], reference: str | None, last: int) -> int:
     """The number that the metrics of these messages say, else the next one where a frame is among them."""
     for message in (m for m in group if is_result_of(m.channel, METRICS_TOPIC)):
-        with suppress(ProtobufError):  # a damaged one is told of where it would be drawn
+        with suppress(ProtobufError):  # a damaged one is reported where it would be drawn
             return int(FrameMetrics.FromString(message.data).frame)
     return last + any(message.channel.topic == reference for message in group)

@@ -20,12 +20,12 @@ from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.roadperc_pb2 import StageTimes
 from roadperc_stream.schemas.topics import RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live.options import PlaybackOptions
 from roadperc_stream.view.live.server import ServeError
 from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, serves_times, with_times
 from roadperc_stream.view.live.source import FinishedLog
-from roadperc_stream.schemas.roadperc_pb2 import StageTimes
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.view.live.client import PATIENCE_S, Viewer

@@ -1,4 +1,4 @@
-"""Spoiling clean pictures the way sensors and networks do."""
+"""Noise in clean pictures, as sensors and networks have it."""
 
 from typing import Final
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.tools.scene.spoil import _wobbled, noisy_depth, noisy_rgb, noisy_tags
+from roadperc_stream.tools.scene.noise import _wobbled, noisy_depth, noisy_rgb, noisy_tags
 
 
 def stripes():
