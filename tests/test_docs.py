@@ -22,8 +22,8 @@ TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SERVES = re.compile(r"--(foxglove|live)$")
 OPENS_VIEWER = re.compile(r"^roadperc-view \S+$")
-OTHERS = {"--delta_unit"}
-"""Options of evo, which the pages name beside ours."""
+OTHERS = {"--delta_unit", "--all_pairs", "--shell"}
+"""Options of evo and argcomplete, which the pages name as well."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def test_every_command_runs_in_order(folder):
             if SERVES.search(line):
                 serve(line, folder)
             elif OPENS_VIEWER.match(line):
-                run(f"{line} --save viewed.rrd", folder)
+                run(f"{line} --save viewed.rrd --force", folder)
             else:
                 run(line, folder)
     assert (folder / "out.metrics.parquet").exists()
