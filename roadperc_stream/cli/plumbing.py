@@ -15,6 +15,7 @@ from typing import Any
 from roadperc_stream.core.process import EXIT_DONE, EXIT_ERROR, discard_output, ending_signals, optional_output
 from roadperc_stream.errors import RoadpercError
 
+_AGAIN_AFTER_S = 0.05
 _MOST_CHARACTERS = 255
 """To either side of the one that a text must not have: a file's name is no longer."""
 _COMPLETING = "_ARGCOMPLETE"
@@ -107,10 +108,16 @@ def _unencodable(error: UnicodeEncodeError) -> str:
 
 @contextmanager
 def _signals_unwind() -> Iterator[None]:
-    before = {number: signal.signal(number, _interrupt) for number in ending_signals()} if _in_main_thread() else {}
+    if not _in_main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, _interrupt) for number in (*ending_signals(), signal.SIGALRM)}
+    hook, sys.unraisablehook = sys.unraisablehook, _interrupt_again
     try:
         yield
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
 
@@ -121,6 +128,14 @@ def _in_main_thread() -> bool:
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
+
+
+def _interrupt_again(ignored: "sys.UnraisableHookArgs") -> None:
+    """A signal that comes while Python deletes an object is dropped there, so it is sent once more."""
+    if ignored.exc_type is KeyboardInterrupt:
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_AFTER_S)
+    else:
+        sys.__unraisablehook__(ignored)
 
 
 def whole_number(text: str) -> int:

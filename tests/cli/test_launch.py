@@ -148,7 +148,10 @@ def test_a_live_replay_goes_on_where_nobody_reads_its_address(tmp_path):
             time.sleep(0.01)
         assert started.poll() is None  # it serves what it wrote
         started.send_signal(signal.SIGTERM)
-        _, said = started.communicate(timeout=60)
+        try:
+            _, said = started.communicate(timeout=60)
+        finally:
+            started.kill()
     assert said in ("", "error: interrupted\n")  # the signal may come before it has said that it serves
     assert {path.name for path in tmp_path.iterdir()} == {"out.mcap", "out.metrics.parquet", "out.objects.parquet"}
 

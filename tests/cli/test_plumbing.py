@@ -2,6 +2,8 @@
 
 import errno
 import os
+import signal
+import time
 from contextlib import redirect_stdout
 
 import pytest
@@ -37,6 +39,35 @@ def test_of_a_long_text_what_is_around_the_character_is_shown(capsys):
     said = capsys.readouterr().err
     assert r"here\udcff" in said
     assert len(said) < 700
+
+
+class Deleted:
+    """Python ignores what is raised while it deletes this."""
+
+    def __init__(self, happens):
+        self.happens = happens
+
+    def __del__(self):
+        self.happens()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_an_object_is_deleted_still_ends_the_command(number, capsys):
+    def command():
+        Deleted(lambda: os.kill(os.getpid(), number))
+        time.sleep(10)
+        pytest.fail("the signal was lost")
+
+    assert run(command) == 1
+    assert capsys.readouterr().err == "error: interrupted\n"
+
+
+def test_other_errors_while_an_object_is_deleted_are_reported_and_end_nothing(capsys):
+    def command():
+        Deleted(lambda: 1 // 0)
+
+    assert run(command) == 0
+    assert "ZeroDivisionError" in capsys.readouterr().err
 
 
 def run_unread(command):
