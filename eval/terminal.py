@@ -22,7 +22,7 @@ def print_one(console: Console, summary: Summary) -> None:
 
 def print_empty(console: Console, runs: Iterable[Run]) -> None:
     """Name the tables that hold no frames and are left out."""
-    print_lines(console, *(f"{run.path}: no frames in this table" for run in runs))
+    print_lines(console, *(f"{run.path}: no frames in this table" for run in runs), unbroken=True)
 
 
 def print_several(
