@@ -22,9 +22,17 @@ _COMPLETING = "_ARGCOMPLETE"
 """Set by a shell that asks what could stand at the cursor."""
 
 
+class _Parser(argparse.ArgumentParser):
+    """What it prints may go unread; in some versions of Python argparse itself ends with an error then."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        with optional_output(file or sys.stderr):
+            super()._print_message(message, file)
+
+
 def command_parser(name: str, description: str, example: str, usage: str | None = None) -> argparse.ArgumentParser:
     """A parser whose texts keep their lines, with ``--version``."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=f"roadperc-{name}",
         usage=usage,
         description=description,
