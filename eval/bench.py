@@ -55,7 +55,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def group_by(folder: str) -> pl.DataFrame:
-    """Mean and quantiles of the report's columns for each log, the plain way."""
+    """Mean and quantiles of the report's columns for each log, plainly."""
     columns = [quantity.column for quantity in STORED]
     quantiles = [
         pl.col(columns).quantile(share, "linear").name.suffix(f"_{share}") for share in (0.05, 0.5, 0.95, 0.99)

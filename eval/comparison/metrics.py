@@ -64,7 +64,7 @@ STATES: Final = (
 )
 COVERAGE: Final = (
     _coverage("surface_source"),
-    *(_coverage(q.column) for q in (*SEEN, *OFFSETS, *TRUTH) if _COLUMNS[q.column].judges_coverage),
+    *(_coverage(q.column) for q in (*SEEN, *OFFSETS, *TRUTH) if _COLUMNS[q.column].compares_coverage),
 )
 TIMES: Final = tuple(_of_quantity(quantity, timed=True) for quantity in STAGES)
 METRICS: Final = (*ACCURACY, *STATES, *COVERAGE, *TIMES)

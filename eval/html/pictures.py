@@ -13,7 +13,7 @@ from roadperc_stream.errors import RoadpercError
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.output.drawing.frame import draw_results
 from roadperc_stream.schemas.columns import UNITLESS
-from roadperc_stream.view.seen import read_frame
+from roadperc_stream.view.result_frames import read_frame
 
 from ..grid import rounded
 from ..quantities import Quantity

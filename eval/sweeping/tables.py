@@ -93,6 +93,6 @@ def _changes(item: Combination, reference: Combination) -> str:
 
 
 def _short(keys: Sequence[str]) -> Sequence[str]:
-    """Settings without their sections, where they are told apart without."""
+    """Settings without their sections, where they are unambiguous without."""
     names = [key.rpartition(".")[2] for key in keys]
     return names if len(set(names)) == len(names) else keys

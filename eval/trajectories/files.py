@@ -60,7 +60,7 @@ def _numbers(row: Iterable[float]) -> str:
 
 
 def _targets(folder: Path, run: RunPoses, suffix: str) -> list[tuple[Path, Float]]:
-    """A run that is told from others by its folder gets that folder here, too."""
+    """A run that only its folder distinguishes from others gets that folder here, too."""
     name = run.name.lstrip("/")
     kinds = {"est": run.estimated} if run.true is None else {"est": run.estimated, "true": run.true}
     return [(folder / f"{name}.{kind}.{suffix}", poses) for kind, poses in kinds.items()]

@@ -105,8 +105,8 @@ def _rendered(table: TextTable, width: int) -> Table:
     # One column at most may fold: of two, rich narrows both alike, below what the labels must have.
     words = table.last_is_text
     numbers = range(len(table.headers) - words)
-    room = max(width - sum(_GAP + _column_width(table, column) for column in numbers), _least_label(table))
-    least = table.label_columns if words else min(table.label_columns, room)
+    label_columns = max(width - sum(_GAP + _column_width(table, column) for column in numbers), _least_label(table))
+    least = table.label_columns if words else min(table.label_columns, label_columns)
     rendered.add_column(table.title, min_width=least, no_wrap=words, overflow="fold", header_style="bold cyan")
     for column in numbers:
         header = table.headers[column]

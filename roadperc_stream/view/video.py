@@ -29,7 +29,7 @@ from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.output.drawing.frame import draw_frame
 from roadperc_stream.schemas.topics import METRICS_TOPIC, OVERLAY_TOPIC
-from roadperc_stream.view.seen import content_of, read_frames, read_rows, row_of
+from roadperc_stream.view.result_frames import content_of, read_frames, read_rows, row_of
 
 _CODEC: Final = "vp09"
 _MOST_COLUMNS: Final = 1280
@@ -135,11 +135,11 @@ def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
         yield from _overlays(source, problems)
         return
     first_ns: int | None = None
-    for row, seen in read_frames(source, problems):
+    for row, frame in read_frames(source, problems):
         first_ns = row.stamp_ns if first_ns is None else first_ns
         since_start_s = ns_to_seconds(row.stamp_ns - first_ns)
-        width_px = 0 if seen is None else min(seen.image_bgr.shape[1], _MOST_COLUMNS)
-        yield None if seen is None else draw_frame(seen, row, since_start_s, width_px)
+        width_px = 0 if frame is None else min(frame.image_bgr.shape[1], _MOST_COLUMNS)
+        yield None if frame is None else draw_frame(frame, row, since_start_s, width_px)
 
 
 def _overlays(source: Path, problems: Problems) -> Iterator[Image | None]:
@@ -191,7 +191,7 @@ class _VideoWriter:
         if self._writer is not None:
             self._writer.release()
         if kind is None and _pictures_in(self._temporary) != self.pictures:
-            raise TargetError(f"{self._target}: the video could not be written whole; is there room for it?")
+            raise TargetError(f"{self._target}: the video could not be written whole; is the disk full?")
 
     def _fitted(self, picture: Image) -> Image:
         """Of the video's size, which is even: the coder halves the resolution of colours."""

@@ -21,7 +21,7 @@ from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.registry import schema
-from roadperc_stream.view.seen import read_frame
+from roadperc_stream.view.result_frames import read_frame
 from tests.analytic import box
 
 STAMP = 1_600_000_000_000_000_000

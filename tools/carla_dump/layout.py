@@ -165,7 +165,7 @@ def _numbered(role: str, source: str, files: list[Path], notes: list[str], *, al
 
 
 def _flat_sensors(files: Iterable[Path], notes: list[str]) -> Iterator[Sensor]:
-    """Sensors of files that lie in the dump itself, told by their names: ``left.png``, ``depth_0001.png``."""
+    """Sensors of files that lie in the dump itself, recognised by their names: ``left.png``, ``depth_0001.png``."""
     groups: dict[str, list[Path]] = {}
     for path in files:
         role = _flat_role(path.stem)

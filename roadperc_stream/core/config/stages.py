@@ -261,11 +261,11 @@ class OccupancyConfig(Section):
     half_width_m: Annotated[float, Field(gt=0.0, le=65.0)] = 15.0
     """The grid reaches so far to either side."""
     min_height_m: Positive = 0.3
-    """Points of any class stand in the way from this height above the road on; a kerb is lower."""
+    """Points of any class are obstacles from this height above the road on; a kerb is lower."""
     max_height_m: Positive = 2.5
-    """What hangs higher above the road does not stand in the way."""
+    """Points higher above the road than this are no obstacles."""
     obstacle_classes: Classes = ("vehicle", "pedestrian")
-    """Classes whose points stand in the way however low they are."""
+    """Classes whose points are obstacles however low they are."""
     pixel_step: Annotated[Count, unit("px")] = 2
     """Every so many rows and columns of the image give a point."""
     min_points: Annotated[Count, unit("points")] = 3

@@ -63,7 +63,7 @@ def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
 def object_annotations(stamp_ns: int, camera: Camera, objects: Objects) -> bytes:
     """Boxes of kept detections with their distance, of dropped ones with their share of class pixels.
 
-    The nearest come last: what is drawn last lies on top. A caption that finds no room is left out.
+    The nearest come last: what is drawn last lies on top. A caption that does not fit is left out.
     """
     message = ImageAnnotations()
     set_stamp(message, stamp_ns)
@@ -196,8 +196,8 @@ def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) 
 def _room_for_text(camera: Camera, pixels: Float) -> Mask:
     """Which of (N, 2) pixels are in the image with room to their right."""
     x, y = pixels.T
-    room: Mask = (x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)
-    return room
+    fits: Mask = (x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)
+    return fits
 
 
 def _box_style(item: Object) -> tuple[Colour, float]:
@@ -218,7 +218,7 @@ def caption(item: Object) -> str:
 
 
 def captioned(camera: Camera, objects: Sequence[Object]) -> tuple[bool, ...]:
-    """Of each object whether its caption finds room in the camera's image; the nearest have the first choice."""
+    """Of each object whether its caption fits into the camera's image; the nearest have the first choice."""
     return tuple(place is not None for place in _places(camera, objects))
 
 

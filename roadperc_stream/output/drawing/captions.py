@@ -26,7 +26,7 @@ def by_nearness(objects: Sequence[Object]) -> list[int]:
 def caption_places(
     image_size: Size, objects: Sequence[Object], boxes: Sequence[Box], text_sizes: Sequence[Size]
 ) -> tuple[Box | None, ...]:
-    """Where each object's caption finds room that no nearer one has taken: above its box, in it at the top, or below.
+    """Where each object's caption fits beside those of nearer ones: above its box, in it at the top, or below.
 
     Args:
         image_size: columns and rows of the picture.
@@ -35,7 +35,7 @@ def caption_places(
         text_sizes: columns and rows their captions take there.
 
     Returns:
-        For each object the room its caption takes, inside the picture; None where none is free.
+        For each object the box its caption takes, inside the picture; None where no place is free.
     """
 
     def free_place(index: int, taken: Sequence[Box]) -> Box | None:

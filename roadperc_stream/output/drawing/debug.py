@@ -54,7 +54,7 @@ def lanes_picture(image_bgr: Image, lanes: Lanes) -> Image:
 
 
 def matches_picture(image_bgr: Image, matches: Matches) -> Image:
-    """Each feature's way from its place in the keyframe to a dot at its place here; inliers green, outliers red.
+    """Each feature's displacement from the keyframe to a dot at its place here; inliers green, outliers red.
 
     Args:
         image_bgr: (H, W, 3) the camera image.

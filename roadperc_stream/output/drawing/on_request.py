@@ -20,7 +20,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing.debug import disparity_picture, lanes_picture, matches_picture, template_picture
-from roadperc_stream.output.drawing.frame import SeenFrame, draw_frame
+from roadperc_stream.output.drawing.frame import PerceivedFrame, draw_frame
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.topics import (
     DEBUG_DISPARITY_TOPIC,
@@ -75,9 +75,9 @@ class PictureMaker:
         self.without_image += image is None
         self.misfits += image is not None and not fits
         if image is not None and "overlay" in self.requests:
-            seen = SeenFrame(image, result.lanes, result.objects, result.drivable, fits)
+            frame = PerceivedFrame(image, result.lanes, result.objects, result.drivable, fits)
             since_start_s = ns_to_seconds(result.stamp_ns - self._first_ns)
-            yield OVERLAY_TOPIC, result.frame_id, draw_frame(seen, metrics, since_start_s, image.shape[1])
+            yield OVERLAY_TOPIC, result.frame_id, draw_frame(frame, metrics, since_start_s, image.shape[1])
         if "debug" in self.requests:
             yield from _debug(sample.frame, image if fits else None, result)
 

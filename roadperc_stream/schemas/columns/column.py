@@ -17,7 +17,7 @@ class Column:
     """A column of a table. It annotates the field of the row that holds its value.
 
     ``meaning`` and ``null`` are the definition: the formula, and when there is no value. ``label``, with ``unit`` and
-    ``decimals`` behind the point, is how reports name a number; empty for what they do not list. ``judges_coverage``
+    ``decimals`` behind the point, is how reports name a number; empty for what they do not list. ``compares_coverage``
     says that a frame without a value is a loss which no neighbouring column shows as well.
     """
 
@@ -27,7 +27,7 @@ class Column:
     label: str = ""
     decimals: int = 0
     better: Better = ""
-    judges_coverage: bool = True
+    compares_coverage: bool = True
 
 
 def columns_of(row_type: type) -> Mapping[str, Column]:

@@ -42,7 +42,7 @@ class SurfaceColumns:
             _NO_PLANE,
             label="camera pitch",
             decimals=3,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     camera_roll_deg: Annotated[
@@ -53,7 +53,7 @@ class SurfaceColumns:
             _NO_PLANE,
             label="camera roll",
             decimals=3,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     drivable_ratio: Annotated[
@@ -108,7 +108,7 @@ class LaneColumns:
             "a boundary is lost",
             label="lane width",
             decimals=3,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     lane_heading_deg: Annotated[
@@ -119,7 +119,7 @@ class LaneColumns:
             "both boundaries are lost",
             label="lane heading",
             decimals=3,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     lane_proposals: Annotated[
@@ -130,7 +130,7 @@ class LaneColumns:
             "the stage did not run",
             label="lane lines proposed",
             decimals=1,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     lane_merged: Annotated[
@@ -141,7 +141,7 @@ class LaneColumns:
             "the stage did not run",
             label="lane lines merged",
             decimals=1,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
 
@@ -162,7 +162,7 @@ class ObjectColumns:
             _NO_OBJECTS,
             label="detections kept",
             decimals=1,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     detections_unjudged: Annotated[
@@ -173,7 +173,7 @@ class ObjectColumns:
             _NO_OBJECTS,
             label="detections not judged",
             decimals=1,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     objects_carried: Annotated[
@@ -184,7 +184,7 @@ class ObjectColumns:
             _NO_OBJECTS,
             label="objects tracked on",
             decimals=1,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     nearest_object_m: Annotated[
@@ -195,7 +195,7 @@ class ObjectColumns:
             "no kept object has a distance",
             label="nearest object",
             decimals=2,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     nearest_object_class: Annotated[str | None, Column("label of that object", null="the same")] = None
@@ -207,7 +207,7 @@ class ObjectColumns:
             "none comes nearer",
             label="time to impact",
             decimals=2,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")] = None
@@ -250,7 +250,7 @@ class OdometryColumns:
             "as the status",
             label="odometry inliers",
             decimals=1,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     step_m: Annotated[
@@ -265,7 +265,7 @@ class OdometryColumns:
             "no step",
             label="turn",
             decimals=3,
-            judges_coverage=False,
+            compares_coverage=False,
         ),
     ] = None
     odom_x_m: Annotated[float | None, _pose_of("position of the ego frame in odom, x", "as the status")] = None

@@ -19,7 +19,7 @@ from roadperc_stream.log import Channel
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.roles import ROLES, Kind
 from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULTS, TIMES_TOPIC
-from roadperc_stream.view.seen import read_rows
+from roadperc_stream.view.result_frames import read_rows
 from roadperc_stream.view.shown import require_shown
 
 _DEPTH_ROLES: Final = ("depth", "truth_depth")

@@ -115,7 +115,7 @@ def serving(
         host: the address to listen on.
         port: 0 for a free one.
         span_ns: first and last log time of the log, once it is complete.
-        channels: those told to viewers at once.
+        channels: those announced to viewers at once.
         inbox: where viewers' wishes go.
 
     Yields:

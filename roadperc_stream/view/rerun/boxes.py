@@ -26,7 +26,7 @@ def detections(entity: str, _role: str, payload: Sequence[Detection], world: Sce
 
 
 def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iterator[Entry]:
-    """Boxes told apart by what became of them; the kept ones of known distance in the camera's frame."""
+    """Boxes distinguished by what became of them; the kept ones of known distance in the camera's frame."""
     true = role.startswith("truth")
     judged = [(item, BoxClass.TRUE if true else BoxClass[item.verdict.upper()]) for item in payload.objects]
     frame, camera = world.image_frame(world.reference, ""), world.front
@@ -50,7 +50,7 @@ def _caption_places(kept: Sequence[tuple[Object, BoxClass]], camera: Camera) -> 
 
 
 def _captions(kept: Sequence[tuple[Object, BoxClass]], places: Sequence[Box | None]) -> rr.Points2D:
-    """Those that find room, below their points; where one points at a box its caption is told as well."""
+    """Captions that fit, below their points; hovering over a box shows its caption as well."""
     shown = [(caption(item), box, place) for (item, box), place in zip(kept, places, strict=True) if place]
     return rr.Points2D(
         np.array([((place.x_min + place.x_max) / 2, place.y_min) for _, _, place in shown]).reshape(-1, 2),
@@ -68,7 +68,7 @@ def _judged(objects: Sequence[tuple[Object, BoxClass]]) -> rr.Boxes2D:
 
 
 def _boxes(boxes_px: Sequence[Box], classes: Sequence[BoxClass], texts: Sequence[str], *, shown: bool) -> rr.Boxes2D:
-    """Half-open boxes, counted from the image's corner as they stand; their texts shown, or told where one points."""
+    """Half-open boxes, counted from the image's corner as they stand; their texts shown, or shown on hovering only."""
     corners = np.array([(b.x_min, b.y_min, b.x_max, b.y_max) for b in boxes_px], float).reshape(-1, 4)
     return rr.Boxes2D(
         array=corners,

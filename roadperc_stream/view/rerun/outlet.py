@@ -1,4 +1,4 @@
-"""The way from Rerun's SDK to a file: through a pipe, so that the SDK never meets a full disk.
+"""From Rerun's SDK to a file through a pipe, so that the SDK never meets a full disk.
 
 Where a write fails, the thread of ``rerun-sdk`` that does it ends, and another one may wait for its answer without end:
 with 0.41 every fourth recording onto a full disk never came back. A pipe takes all it is given, and why the file does

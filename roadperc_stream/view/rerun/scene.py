@@ -1,4 +1,4 @@
-"""The road, the map around the car and its way, in space."""
+"""The road, the map around the car and its trajectory, in space."""
 
 from collections.abc import Iterator
 from itertools import chain
@@ -16,7 +16,7 @@ from roadperc_stream.view.rerun.entry import Entry, SceneState
 from roadperc_stream.view.rerun.tree import edge_entry, known_as, new_edges, of_odometry
 
 _ROAD: Final = (*colours.DRIVABLE, 70)
-_WAY: Final = (255, 170, 0)
+_TRAJECTORY: Final = (255, 170, 0)
 _BELOW_THE_ROAD_M: Final = -0.05
 """The map lies a little lower than the road's plane: in one plane they would flicker."""
 
@@ -33,7 +33,7 @@ def transforms(entity: str, role: str, payload: tuple[Transform, ...], world: Sc
 def pose(entity: str, role: str, payload: Transform, world: SceneState) -> Iterator[Entry]:
     """Where the car is and looks to: an arrow of 2 m."""
     matrix = payload.parent_T_child
-    arrow = rr.Arrows3D(origins=[matrix[:3, 3]], vectors=[2.0 * matrix[:3, 0]], colors=[_WAY], radii=[0.1])
+    arrow = rr.Arrows3D(origins=[matrix[:3, 3]], vectors=[2.0 * matrix[:3, 0]], colors=[_TRAJECTORY], radii=[0.1])
     in_the_tree = role != "result" and world.knows(payload.parent)
     yield Entry(entity, arrow, known_as(payload.parent) if in_the_tree else payload.parent)
 
@@ -88,7 +88,7 @@ def occupancy(entity: str, message: Any) -> Iterator[Entry]:
 
 
 def trajectory(entity: str, message: Any) -> Iterator[Entry]:
-    """The way of a foxglove.PosesInFrame."""
-    way = [(pose.position.x, pose.position.y, pose.position.z) for pose in message.poses]
-    require_finite("way", *chain.from_iterable(way))
-    yield Entry(entity, rr.LineStrips3D([way], colors=[_WAY], radii=0.08), message.frame_id)
+    """The trajectory in a foxglove.PosesInFrame."""
+    trajectory_m = [(pose.position.x, pose.position.y, pose.position.z) for pose in message.poses]
+    require_finite("trajectory", *chain.from_iterable(trajectory_m))
+    yield Entry(entity, rr.LineStrips3D([trajectory_m], colors=[_TRAJECTORY], radii=0.08), message.frame_id)

@@ -18,7 +18,7 @@ from roadperc_stream.output.results import encode_metrics
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.registry import schema
-from roadperc_stream.view.seen import read_frame, read_frames, read_rows
+from roadperc_stream.view.result_frames import read_frame, read_frames, read_rows
 from roadperc_stream.view.video import write_video
 from tests import logs
 

@@ -15,7 +15,7 @@ from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.log import Channel, LogSummary, Message
-from roadperc_stream.output.drawing.frame import SeenFrame
+from roadperc_stream.output.drawing.frame import PerceivedFrame
 from roadperc_stream.output.results import decode_metrics
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.roles import Kind
@@ -30,7 +30,7 @@ _MOST_WAITING: Final = 64
 """Instants that wait for their metrics at a time: of a sensor that is no frame's they never come."""
 
 
-def read_frame(path: Path, stamp_ns: int, problems: Problems) -> SeenFrame | None:
+def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame | None:
     """The frame of a stamp, None where the log holds no camera image of it. Reads no more of the log than its part.
 
     The image is that of the camera the results are of. What cannot be read is not there.
@@ -51,7 +51,7 @@ def read_frame(path: Path, stamp_ns: int, problems: Problems) -> SeenFrame | Non
     return None
 
 
-def read_frames(path: Path, problems: Problems) -> Iterator[tuple[FrameMetrics, SeenFrame | None]]:
+def read_frames(path: Path, problems: Problems) -> Iterator[tuple[FrameMetrics, PerceivedFrame | None]]:
     """Every frame's row and what is there of it, None without a camera image; in order, a few in memory at a time.
 
     Frames whose row cannot be read are left out, and of the others what cannot be.
@@ -116,7 +116,7 @@ def _image_topic(summary: LogSummary) -> str:
 
 def _seen(
     found: Mapping[str, Decoded], image_topic: str, reasons: Iterable[str], stamp_ns: int, problems: Problems
-) -> SeenFrame | None:
+) -> PerceivedFrame | None:
     image = _payload(found, image_topic)
     if not isinstance(image, CameraImage):
         return None
@@ -127,7 +127,7 @@ def _seen(
     drivable = _NOTHING["drivable"] if mask is None else mask
     # A mask of another size belongs to another camera than this image, and so do lanes and objects.
     fits = _image_fits(reasons) and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
-    return SeenFrame(image_bgr, _lanes(found), _objects(found), drivable, fits)
+    return PerceivedFrame(image_bgr, _lanes(found), _objects(found), drivable, fits)
 
 
 def _image_fits(reasons: Iterable[str]) -> bool:
