@@ -1,0 +1,66 @@
+"""Every result channel of the sample, the pictures on request among them, stays as it was recorded.
+
+After a change that is meant, ``pytest tests/output/test_recorded.py --force-regen`` records anew.
+"""
+
+from collections import defaultdict
+
+import pytest
+from google.protobuf.json_format import MessageToDict
+from google.protobuf.message import Message
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
+from mcap_ros2.decoder import DecoderFactory as RosDecoders
+
+from roadperc_stream.cli import replay
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.output.drawing.frame import draw_frame
+from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULT_PREFIX
+from roadperc_stream.view.result_frames import read_frames
+from tests import summaries
+from tests.test_sample import SAMPLE
+
+VARYING = {"total_ms", "stage_ms", "timestamp", "stamp", "header"}
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """Some frames of the sample, with all that can be asked for."""
+    path = tmp_path_factory.mktemp("recorded") / "out.mcap"
+    assert replay.main([str(SAMPLE), str(path), "--start", "1", "--frames", "3", "--overlay", "--debug"]) == 0
+    return path
+
+
+def test_channels_hold_what_was_recorded(result, ndarrays_regression):
+    documents, found = defaultdict(list), {}
+    with result.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[ProtobufDecoders(), RosDecoders()])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            if not channel.topic.startswith(RESULT_PREFIX) or channel.topic == METRICS_TOPIC:
+                continue
+            if hasattr(message, "format"):
+                found[channel.topic] = summaries.of_picture(summaries.decoded_picture(message.data))
+            else:
+                documents[channel.topic].append(fields_of(message))
+    found |= {topic: summaries.of_document(messages) for topic, messages in documents.items()}
+    summaries.check(ndarrays_regression, {topic.strip("/").replace("/", " "): value for topic, value in found.items()})
+
+
+@pytest.mark.parametrize("width_px", [200, 640, 1280])
+def test_a_frame_of_any_size_is_drawn_as_recorded(result, width_px, ndarrays_regression):
+    *_, (row, frame) = read_frames(result, Problems())
+    summaries.check(ndarrays_regression, {"frame": summaries.of_picture(draw_frame(frame, row, 1.25, width_px))})
+
+
+def fields_of(message):
+    """A message's fields by name; of many bytes their sum."""
+    if isinstance(message, Message):
+        fields = MessageToDict(message, preserving_proto_field_name=True)
+        return {name: value for name, value in fields.items() if name not in VARYING}
+    if isinstance(message, list | tuple):
+        return [fields_of(value) for value in message]
+    if isinstance(message, bytes | bytearray | memoryview):
+        return float(sum(bytes(message)))
+    if hasattr(message, "__slots__"):
+        return {name: fields_of(getattr(message, name)) for name in message.__slots__ if name not in VARYING}
+    return message
