@@ -25,7 +25,8 @@ def of_document(document):
 
 def of_picture(pixels):
     """Colours of an (H, W, C) picture, and of its blocks, where a pixel at an edge may differ between machines."""
-    colours, cells = pixels.reshape(-1, pixels.shape[2]), blocks(pixels.mean(axis=2), max(pixels.shape[1] // MOST_BLOCKS, BLOCK_PX))
+    side_px = max(pixels.shape[1] // MOST_BLOCKS, BLOCK_PX)
+    colours, cells = pixels.reshape(-1, pixels.shape[2]), blocks(pixels.mean(axis=2), side_px)
     return {
         "": (np.append(colours.mean(axis=0), colours.std(axis=0)), {"atol": 0.05}),
         "blocks": (np.append(cells.mean(axis=2), cells.std(axis=2)), {"atol": 2.0}),

@@ -51,7 +51,14 @@ class Deleted:
         self.happens()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.fixture(params=[signal.SIGINT, signal.SIGTERM])
+def number(request):
+    """A signal that is not ignored, as a shell has it for what runs in the background."""
+    before = signal.signal(request.param, signal.SIG_DFL)
+    yield request.param
+    signal.signal(request.param, before)
+
+
 def test_a_signal_while_an_object_is_deleted_still_ends_the_command(number, capsys):
     def command():
         Deleted(lambda: os.kill(os.getpid(), number))
