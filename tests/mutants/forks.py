@@ -83,6 +83,7 @@ def _start(job: Job, folder: Path, work: Callable[[Job, Path], int]) -> int:
     try:
         os.setsid()
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # which shells ignore for what runs in the background
         _divert_output(folder / OUTPUT)
         code = work(job, folder)
     except BaseException:

@@ -5,6 +5,7 @@ import json
 import os
 from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -142,7 +143,8 @@ def _gathered(test_file: str, recorder: Recorder, folder: Path) -> Reach:
 def _measured_lines(folder: Path) -> Iterator[tuple[str, int, list[str]]]:
     for file in sorted(folder.glob("coverage.*")):
         data = coverage.CoverageData(str(file))
-        data.read()
+        with suppress(coverage.exceptions.DataError):  # of a process that was killed
+            data.read()
         for path in data.measured_files():
             for line, contexts in data.contexts_by_lineno(path).items():
                 yield os.path.relpath(path), line, [name.split("|")[-1] for name in contexts]
