@@ -54,3 +54,10 @@ def test_labels_of_detectors():
     assert s.classes_of_label("Car") == ("vehicle",)
     assert s.classes_of_label("Traffic Light") == ("traffic_light", "traffic_sign")
     assert s.classes_of_label("Unicorn") is None
+
+
+def test_a_tag_beyond_the_table_is_unlabeled():
+    table = s.CARLA_FROM_0_9_14
+    last = len(table.names) - 1
+    found = [table.name_of(tag) for tag in (0, last, last + 1, 255)]
+    assert found == ["unlabeled", table.names[last], "unlabeled", "unlabeled"]
