@@ -41,6 +41,13 @@ def test_the_first_cases_of_each_test_come_before_many_of_one():
     assert planned(fault(), [known], 60.0).tests == (*many[:3], SLOW, *many[3:])
 
 
+def test_a_recording_of_a_package_is_near_to_all_below_it():
+    recorded = TimedTest("tests/chain/test_recorded.py::all", 3.0, True)
+    known = Reach((QUICK, recorded), {"p/chain/stages/calc.py": {3: (0, 1)}, "p/view/calc.py": {3: (0, 1)}}, (), {})
+    assert planned(fault("p/chain/stages/calc.py"), [known], 60.0).tests == (recorded, QUICK)
+    assert planned(fault("p/view/calc.py"), [known], 60.0).tests == (QUICK, recorded)
+
+
 def test_the_first_files_are_run_before_the_others_are_imported():
     tests = tuple(TimedTest(f"tests/test_{name}.py::{k}", 0.1, True) for k, name in enumerate("abacbd"))
     assert [[test.nodeid[-4:] for test in part] for part in in_parts(tests)] == [

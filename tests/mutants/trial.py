@@ -21,6 +21,7 @@ PATIENCE_FACTOR = 8.0
 FIRST_CASES, FIRST_FILES = 3, 2
 UNNOTICED = {pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED}
 NOTICED_BY = "noticed_by"
+RECORDED = "recorded"
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,10 @@ def _nearest_first(tests: list[TimedTest], path: str) -> list[TimedTest]:
 
 
 def _mirrors(test_file: str, path: str) -> bool:
-    """Whether a test file is named after a module, or after the package it stands in."""
+    """Whether a test file is named after a module or its package, or holds a package above it to a recording."""
     name = PurePath(test_file).stem.removeprefix("test_")
+    if name == RECORDED:
+        return PurePath(test_file).parent.name in PurePath(path).parts
     return name in {PurePath(path).stem, PurePath(path).parent.name}
 
 

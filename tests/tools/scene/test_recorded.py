@@ -1,6 +1,6 @@
 """What is rendered stays as it was recorded: every figure of an accuracy rests on it, so none of it changes unnoticed.
 
-After a change that is meant, ``pytest tests/tools/scene/test_scene.py --force-regen`` records anew.
+After a change that is meant, ``pytest tests/tools/scene/test_recorded.py --force-regen`` records anew.
 """
 
 import json
