@@ -1,0 +1,71 @@
+"""The report and the page of a table with known numbers stay as they were recorded.
+
+After a change that is meant, ``pytest tests/eval/test_recorded.py --force-regen`` records anew.
+"""
+
+import re
+
+import numpy as np
+import pytest
+
+from roadperc_stream.cli.report import main
+from tests import summaries
+from tests.eval.tables import row, write
+from tests.eval.test_html_page import Page
+
+FRAMES = 120
+
+
+def drive(path, seed):
+    """A table in which every kind of column has values, some of them missing."""
+    random = np.random.default_rng(seed)
+    rows, times = [], []
+    for k in range(FRAMES):
+        offsets_m = 1.7 + 0.1 * np.sin(k / 20) + random.normal(0, 0.02, 3)
+        columns = {
+            "surface_source": "depth" if k % 7 else "assumed",
+            "surface_inlier_ratio": 0.9 + random.normal(0, 0.02),
+            "camera_height_error_m": random.normal(0.01, 0.02),
+            "lane_left_status": ("measured", "held", "lost")[min(k % 20 // 9, 2)],
+            "lane_left_offset_m": offsets_m[0],
+            "lane_left_raw_offset_m": offsets_m[1],
+            "lane_left_true_offset_m": 1.7 + 0.1 * np.sin(k / 20),
+            "lane_left_error_m": offsets_m[2] - 1.7,
+            "nearest_object_m": 5.0 + k / 10 if k % 11 else None,
+            "object_distance_error_m": abs(random.normal(0, 0.5)),
+            "detections": 5,
+            "detections_kept": int(random.integers(3, 6)),
+            "odometry_status": "tracked" if k else "first",
+            "step_m": 0.5 + random.normal(0, 0.01),
+            "step_error_m": abs(random.normal(0, 0.01)),
+            "odom_x_m": 0.5 * k,
+            "odom_y_m": random.normal(0, 0.1),
+            "true_x_m": 0.5 * k,
+            "true_y_m": 0.0,
+            "missing": ["depth"] if not k % 7 else [],
+            "reasons": ["surface: no depth"] if not k % 7 else [],
+        }
+        rows.append(row(k, **columns))
+        times.append({"total_ms": 40.0 + random.exponential(5.0), "lanes_ms": 8.0 + random.exponential(1.0)})
+    return write(path, rows, times)
+
+
+@pytest.fixture
+def runs(tmp_path):
+    return [str(drive(tmp_path / f"{name}.metrics.parquet", seed)) for seed, name in enumerate(("one", "other"))]
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_the_report_is_the_recorded_one(number, runs, tmp_path, monkeypatch, capsys, file_regression):
+    monkeypatch.chdir(tmp_path)
+    assert main([path.rpartition("/")[2] for path in runs[:number]]) == 0
+    file_regression.check(re.sub(r" +$", "", capsys.readouterr().out, flags=re.MULTILINE))
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_the_page_is_the_recorded_one(number, runs, tmp_path, ndarrays_regression):
+    assert main([*runs[:number], "--html", str(tmp_path / "page.html")]) == 0
+    page = Page((tmp_path / "page.html").read_text())
+    words = np.array([line.strip() for line in page.text.splitlines() if line.strip()])
+    found = {"words": {"": (words, summaries.EXACT)}, "charts": summaries.of_document(page.specs)}
+    summaries.check(ndarrays_regression, found)
