@@ -13,7 +13,7 @@ from roadperc_stream.chain.stages.odometry.features import FRONTENDS, spread
 from roadperc_stream.chain.stages.odometry.keyframes import make_keyframe
 from roadperc_stream.chain.stages.odometry.landmarks import find_landmarks
 from roadperc_stream.chain.stages.odometry.local_planes import local_planes_from_depth, slope_of_plane, stretch
-from roadperc_stream.chain.stages.odometry.motion import motion_from_points, moved
+from roadperc_stream.chain.stages.odometry.motion import _projection_derivative, motion_from_points, moved
 from roadperc_stream.chain.stages.odometry.patch_alignment import aligned
 from roadperc_stream.chain.stages.odometry.tracking_frame import tracking_frame
 from roadperc_stream.core import geometry as g
@@ -245,3 +245,24 @@ def test_images_too_small_for_a_feature_have_none(features, shape):
     found, strength = FRONTENDS[features].detect(cfg, grey, np.ones_like(grey))
     assert (found.px.shape, strength.shape) == ((0, 2), (0,))
     assert FRONTENDS[features].match(cfg, grey, found, found.px, grey).shape == (0, 2)
+
+
+def test_the_derivative_of_the_projection_is_how_it_changes():
+    X, step_m = cloud(50), 1e-5
+    derivative = _projection_derivative(CAMERA, X)
+    for axis in range(3):
+        along = np.eye(3)[axis] * step_m
+        change = (g.project(CAMERA, X + along) - g.project(CAMERA, X - along)) / (2 * step_m)
+        np.testing.assert_allclose(derivative[:, :, axis], change, rtol=1e-5, atol=1e-5)
+
+
+def test_a_point_of_which_one_coordinate_is_unknown_is_not_used():
+    """A pixel that has a column alone would pull the motion to NaN."""
+    X = cloud()
+    key_T_this = g.rigid(np.eye(3), np.array([0.0, 0.0, 0.5]))
+    px = g.project(CAMERA, g.transform(g.inverse(key_T_this), X)).astype(np.float32)
+    px[::7, 1] = np.nan
+    found = motion_from_points(FULL, CAMERA, X, px)
+    assert found is not None
+    assert not found.inliers[::7].any()
+    assert found.inliers[px[:, 1] == px[:, 1]].mean() > 0.95
