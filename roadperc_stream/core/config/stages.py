@@ -59,6 +59,11 @@ class StereoConfig(Section):
             raise ValueError(f"p2 must exceed p1: p1 {self.p1}, p2 {self.p2}")
         return self
 
+    @property
+    def enabled(self) -> bool:
+        """Whether the stage runs."""
+        return self.method != "off"
+
 
 class SurfaceConfig(Section):
     """The drivable surface, by RANSAC on road points."""
