@@ -11,7 +11,6 @@ from roadperc_stream.view.layout.panels import Script
 
 ROWS: Final = "rows"
 """The field that lists a table's rows."""
-OBJECTS: Final = "/perception/objects"
 _UNKNOWN: Final = "-"
 
 _OBJECTS_SOURCE: Final = """\
