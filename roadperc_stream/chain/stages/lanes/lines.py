@@ -9,12 +9,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.core.config import LanesConfig, scaled
 from roadperc_stream.core.datatypes import Image, Line, Mask
 from roadperc_stream.core.geometry import Float
 
-REFERENCE_ROWS = 960
-"""Pixel settings are given for this image height."""
 _ON_ROAD = 0.5
 _ROAD_MARGIN_PX = 2.0
 _MIN_VERTICAL = 1e-6
@@ -36,7 +34,7 @@ class LineGroup:
 
 def without_salt(cfg: LanesConfig, separators: Image) -> Image:
     """The separators' mask behind a median filter that removes salt noise and slivers."""
-    size = round(cfg.median_px * separators.shape[0] / REFERENCE_ROWS)
+    size = round(scaled(cfg.median_px, separators.shape[0]))
     if size < 2:
         return separators
     return np.asarray(cv2.medianBlur(separators, size | 1), np.uint8)
@@ -55,7 +53,7 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
         cfg: thresholds, for 960 rows.
         edges: (H, W) uint8, 255 at edges.
     """
-    scale = edges.shape[0] / REFERENCE_ROWS
+    scale = scaled(1.0, edges.shape[0])
     found = cv2.HoughLinesP(
         edges,
         cfg.hough_rho_px * scale,
@@ -73,13 +71,13 @@ def on_road(cfg: LanesConfig, proposals: Float, road: Mask) -> Float:
     The surface is widened by a pixel or two, for a curb's edge lies just outside it.
     """
     steep = proposals[_steep(cfg, proposals)]
-    widened = _widened(road, road.shape[0] / REFERENCE_ROWS)
+    widened = _widened(road)
     return np.array([line for line in steep if _share_on(line, widened) > _ON_ROAD]).reshape(-1, 4)
 
 
 def merge(cfg: LanesConfig, proposals: Float, rows: int) -> tuple[LineGroup, ...]:
     """Proposals joined greedily: each goes to the first group whose first line has nearly its slope and intercept."""
-    reach = cfg.merge_intercept_px * rows / REFERENCE_ROWS
+    reach = scaled(cfg.merge_intercept_px, rows)
     groups: list[list[tuple[float, float, float, float]]] = []
     for x1, y1, x2, y2 in proposals.tolist():
         slope = (y2 - y1) / _nonzero(x2 - x1)
@@ -124,8 +122,8 @@ def _steep(cfg: LanesConfig, lines: Float) -> Mask:
     return steep
 
 
-def _widened(road: Mask, scale: float) -> Image:
-    radius = max(round(_ROAD_MARGIN_PX * scale), 1)
+def _widened(road: Mask) -> Image:
+    radius = max(round(scaled(_ROAD_MARGIN_PX, road.shape[0])), 1)
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     return np.asarray(cv2.dilate(road.view(np.uint8), kernel), np.uint8)
 
