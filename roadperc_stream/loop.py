@@ -8,7 +8,7 @@ from time import perf_counter
 from roadperc_stream.chain.step import ChainState, Timer, step, untimed
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import FrameResult, Sample
-from roadperc_stream.core.files import all_or_none, require_free
+from roadperc_stream.core.files import TABLE_SUFFIX, all_or_none, require_free
 from roadperc_stream.core.progress import Progress, no_progress
 from roadperc_stream.core.reasons import throughout
 from roadperc_stream.core.stage_timer import StageTimer
@@ -131,4 +131,4 @@ def _to_copy(log_in: ReplayInput, results_only: bool) -> tuple[Iterable[Channel]
 def _require_free(source: Path, target: Path, force: bool) -> None:
     require_free(target, force=force, source=source, suffix=".mcap")
     for table in (sidecar_path(target, "metrics"), sidecar_path(target, "objects")):
-        require_free(table, force=force, suffix=".parquet")
+        require_free(table, force=force, suffix=TABLE_SUFFIX)

@@ -123,6 +123,6 @@ def _table(path: Path, digest: str, config_digest: str | None) -> SidecarTable:
         return SidecarTable(str(path), None, str(error).removeprefix(f"{path}: "))
     if footer.log_id not in (None, log_id_of(digest)):
         return SidecarTable(str(path), footer.rows, f"is of log {footer.log_id}")
-    if footer.facts.get("roadperc.config_digest") != config_digest:
+    if footer.facts.get("config_digest") != config_digest:
         return SidecarTable(str(path), footer.rows, "is of another configuration")
     return SidecarTable(str(path), footer.rows)
