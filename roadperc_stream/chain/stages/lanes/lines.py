@@ -65,13 +65,13 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
     return np.empty((0, 4)) if found is None else found.reshape(-1, 4).astype(float)
 
 
-def on_road(cfg: LanesConfig, proposals: Float, road: Mask) -> Float:
+def on_road(cfg: LanesConfig, proposals: Float, drivable: Mask) -> Float:
     """The (M, 4) proposals that are steep enough and lie on the (H, W) drivable surface for over half of their length.
 
     The surface is widened by a pixel or two, for a curb's edge lies just outside it.
     """
     steep = proposals[_steep(cfg, proposals)]
-    widened = _widened(road)
+    widened = _widened(drivable)
     return np.array([line for line in steep if _share_on(line, widened) > _ON_ROAD]).reshape(-1, 4)
 
 
@@ -97,12 +97,12 @@ def drawn(group: LineGroup, bottom: float, far: float) -> Line:
     return group.x(bottom), bottom, group.x(far), far
 
 
-def road_far_end(road: Mask, columns_share: float = 0.01) -> int | None:
+def road_far_end(drivable: Mask, columns_share: float = 0.01) -> int | None:
     """Topmost row in which at least a hundredth of the columns is road; None without any road.
 
     One row less exact than the first pixel, but a speck of noise in the sky does not move it.
     """
-    rows = np.flatnonzero(np.count_nonzero(road, axis=1) >= max(columns_share * road.shape[1], 1))
+    rows = np.flatnonzero(np.count_nonzero(drivable, axis=1) >= max(columns_share * drivable.shape[1], 1))
     return int(rows[0]) if len(rows) else None
 
 
@@ -122,15 +122,15 @@ def _steep(cfg: LanesConfig, lines: Float) -> Mask:
     return steep
 
 
-def _widened(road: Mask) -> Image:
-    radius = max(round(scaled(_ROAD_MARGIN_PX, road.shape[0])), 1)
+def _widened(drivable: Mask) -> Image:
+    radius = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-    return np.asarray(cv2.dilate(road.view(np.uint8), kernel), np.uint8)
+    return np.asarray(cv2.dilate(drivable.view(np.uint8), kernel), np.uint8)
 
 
-def _share_on(line: Float, road: Image) -> float:
+def _share_on(line: Float, drivable: Image) -> float:
     x1, y1, x2, y2 = line
     count = int(max(abs(x2 - x1), abs(y2 - y1))) + 1
     columns = np.rint(np.linspace(x1, x2, count)).astype(int)
     rows = np.rint(np.linspace(y1, y2, count)).astype(int)
-    return float(road[rows, columns].mean())
+    return float(drivable[rows, columns].mean())
