@@ -179,10 +179,10 @@ class ObjectColumns:
     objects_carried: Annotated[
         int | None,
         Column(
-            "objects the detector missed in this frame, tracked on by their image patch",
+            "objects the detector missed in this frame, carried by their image patch",
             COUNT,
             _NO_OBJECTS,
-            label="objects tracked on",
+            label="objects carried",
             decimals=1,
             compares_coverage=False,
         ),
