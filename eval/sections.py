@@ -18,7 +18,7 @@ from .summary import Summary, WorstFrame
 
 REASONS_SHOWN: Final = 10
 LISTED: Final = 12
-"""Subjects that a row of several has room for; of more, those with the worst p95 are listed."""
+"""Subjects that fit a row of several; of more, those with the worst p95 are listed."""
 Summaries = Sequence[Summary]
 """What a table is about: one run or several pooled ones, or several of these side by side."""
 _STATUSES: Final = ("measured", "held", "lost")

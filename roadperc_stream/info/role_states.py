@@ -22,13 +22,13 @@ from roadperc_stream.schemas.roles import ROLES, Role
 
 _COSTS: Final = {
     "calibration": "a replay stops: the camera is not known",
-    "segmentation": "no lanes, no detection is judged, the lower image stands in for the road",
+    "segmentation": "no lanes, no detection is verified, the lower image stands in for the road",
     "detections": "no objects",
     "tf": "the camera is taken as level, at the height of the setting surface.assumed_height_m",
 }
 _SPARED_BY: Final = {"tf": "tf_static"}
 """Roles that nobody misses where another one is assigned."""
-_UNTOLD_TRUTH: Final = (
+_UNNAMED_TRUTH: Final = (
     "steps and turns are compared with no truth; a pose or an odometry is an estimate, and the truth only if you say so"
 )
 
@@ -110,7 +110,7 @@ def _state(
     state, fault = channel_state(role, _on(named, inputs))
     if role.name in overrides and state == "missing":
         fault = "no such topic"
-    cost = _UNTOLD_TRUTH if role.truth and could else _cost(role.name, roles)
+    cost = _UNNAMED_TRUTH if role.truth and could else _cost(role.name, roles)
     if state == "filled":  # it fits, but the log as a whole is refused before this role has its turn
         state = "missing"
     return RoleState(role.name, state, named if fault else None, fault, could, cost)

@@ -17,7 +17,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "assumed", "truth"]
 BoundaryStatus = Literal["measured", "held", "lost"]
 ObjectStatus = Literal["measured", "tracked", "lost"]
-Verdict = Literal["kept", "unjudged", "dropped"]
+Verdict = Literal["kept", "unverified", "dropped"]
 OdometryStatus = Literal["first", "tracked", "lost"]
 Line = tuple[float, float, float, float]
 """x1, y1, x2, y2 in pixels: from the image's bottom edge (y1 = height) to the road's far end."""
@@ -200,10 +200,10 @@ class Object:
 
     @property
     def verdict(self) -> Verdict:
-        """What became of it: ``unjudged`` ones are kept because no segmentation could confirm or refute them."""
+        """What became of it: ``unverified`` ones are kept because no segmentation could confirm or refute them."""
         if not self.kept:
             return "dropped"
-        return "unjudged" if self.class_ratio is None else "kept"
+        return "unverified" if self.class_ratio is None else "kept"
 
 
 @dataclass(frozen=True)

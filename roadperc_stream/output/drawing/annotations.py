@@ -54,7 +54,7 @@ def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
             colour = colours.BOUNDARY[boundary.status]
             _points(message, stamp_ns, PointsAnnotation.LINE_STRIP, boundary.line_px, colour, 4.0)
             text = f"{boundary.offset_m:+.2f} m {boundary.outside}".strip()
-            visible = boundary.line_px[_room_for_text(camera, boundary.line_px)]
+            visible = boundary.line_px[_space_for_text(camera, boundary.line_px)]
             if len(visible):
                 _text(message, stamp_ns, camera, visible[0], text, colour)
     return message.SerializeToString()
@@ -193,8 +193,8 @@ def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) 
     return np.asarray(points[near], float)
 
 
-def _room_for_text(camera: Camera, pixels: Float) -> Mask:
-    """Which of (N, 2) pixels are in the image with room to their right."""
+def _space_for_text(camera: Camera, pixels: Float) -> Mask:
+    """Which of (N, 2) pixels are in the image with space to their right."""
     x, y = pixels.T
     fits: Mask = (x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)
     return fits
