@@ -27,7 +27,11 @@ from roadperc_stream.schemas.topics import Request
 
 @dataclass(frozen=True)
 class ReplaySummary:
-    """What a replay did, for the person who started it."""
+    """What a replay did, for the person who started it.
+
+    ``dropped`` are the messages of each role that belong to no frame, ``problems`` those of each topic that could not
+    be decoded.
+    """
 
     log_id: str
     frames: int
