@@ -19,7 +19,7 @@ from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import StereoConfig
 from roadperc_stream.core.datatypes import Absent, Box
 from roadperc_stream.input.decoding import camera_from_calibration
-from roadperc_stream.metrics.stereo_errors import stereo_errors
+from roadperc_stream.metrics.stereo import stereo_errors
 from roadperc_stream.output.encoding import encode_calibration
 from tests import pair
 
