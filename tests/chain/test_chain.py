@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.surface import assumed_surface
+from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.chain.step import ChainState, _metric_road, step
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import STAGES, ReplayConfig, load_config, switched_off
