@@ -20,15 +20,18 @@ from rich.console import Console
 from rich.table import Table
 
 from roadperc_stream.cli.plumbing import run, whole_number
+from roadperc_stream.core.files import METRICS_SUFFIX
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.tables import ROW_GROUP_ROWS, arrow_schema
+from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, arrow_schema
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
 from .quantities import STORED
-from .runs import SUFFIX
 
-_FACTS: Final = {"roadperc.config_digest": "0" * 64, "roadperc.version": "bench", "roadperc.log": "none.mcap"}
+_FACTS: Final = {
+    f"{FACT_PREFIX}{key}": value
+    for key, value in {"config_digest": "0" * 64, "version": "bench", "log": "none.mcap"}.items()
+}
 _STATES: Final = np.array(["measured", "held", "lost"])
 _REPORT: Final = "import sys; from roadperc_stream.cli.report import main; sys.exit(main(sys.argv[1:]))"
 _GROUP_BY: Final = "import sys; from roadperc_stream.eval.bench import group_by; print(group_by(sys.argv[1]).shape)"
@@ -60,7 +63,7 @@ def group_by(folder: str) -> pl.DataFrame:
     quantiles = [
         pl.col(columns).quantile(share, "linear").name.suffix(f"_{share}") for share in (0.05, 0.5, 0.95, 0.99)
     ]
-    tables = pl.scan_parquet(f"{folder}/*{SUFFIX}")
+    tables = pl.scan_parquet(f"{folder}/*{METRICS_SUFFIX}")
     return tables.group_by("log_id").agg(pl.col(columns).mean(), *quantiles).collect(engine="streaming")
 
 
@@ -69,7 +72,7 @@ def write_tables(folder: Path, files: int, rows: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with frame_progress("tables", enabled=True) as progress:
         for index in range(files):
-            path = folder / f"log{index:05}{SUFFIX}"
+            path = folder / f"log{index:05}{METRICS_SUFFIX}"
             if not path.exists():
                 _write(path, index, rows)
             progress(index + 1, files)

@@ -8,11 +8,12 @@ from typing import Any, Final
 
 from roadperc_stream import log
 from roadperc_stream.core.config.settings import as_typed, settings_in
+from roadperc_stream.core.files import METRICS_SUFFIX
 from roadperc_stream.errors import ConfigError, LogError
 from roadperc_stream.output.text_table import TextRow, TextTable
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 
-from .runs import SUFFIX, Run
+from .runs import Run
 
 Settings = Mapping[str, Any]
 """Values by keys such as ``lanes.hold_s``."""
@@ -125,11 +126,11 @@ def _value(settings: Settings, key: str) -> str:
 def _stored(run: Run) -> Iterator[bytes]:
     """The configurations that stand in and next to a table, the nearest first."""
     if run.config:
-        yield run.config.encode()
+        yield run.config.encode("utf-8", "surrogateescape")
     written = run.path.with_name(CONFIG_ATTACHMENT)
     if written.is_file():
         yield written.read_bytes()
-    recorded = run.path.with_name(run.path.name.removesuffix(SUFFIX) + ".mcap")
+    recorded = run.path.with_name(run.path.name.removesuffix(METRICS_SUFFIX) + ".mcap")
     if recorded.is_file():
         try:
             yield from (item.data for item in log.summarise(recorded).attachments if item.name == CONFIG_ATTACHMENT)

@@ -3,7 +3,7 @@
 from typing import Final, Literal
 
 Alignment = Literal["se3", "sim3", "origin", "none"]
-"""How an estimated path is laid over the true one."""
+"""How an estimated path is aligned to the true one."""
 DeltaUnit = Literal["frames", "metres"]
 LanePairing = Literal["stamp", "order"]
 """How a true lane frame finds its own."""

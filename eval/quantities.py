@@ -69,7 +69,7 @@ TRUTH: Final = _quantities(
 TOTAL: Final = Quantity("total_ms", "total", "ms", 2)
 REST: Final = Quantity("rest_ms", "copy, metrics", "ms", 2)
 """The frame's time less its stages': derived, not a column of the table."""
-STAGES: Final = (
+STAGE_TIMES: Final = (
     *(Quantity(name, name.removesuffix("_ms"), "ms", 2) for name in TIME_COLUMNS if name != TOTAL.column),
     REST,
     TOTAL,
@@ -91,7 +91,7 @@ CATEGORIES: Final = (
 LOST: Final = Quantity("lanes_lost", "lane boundaries lost", COUNT, 0)
 """How many of the two boundaries a frame goes without, where any: derived, not a column of the table."""
 DERIVED: Final = (REST, LOST, *JITTERS)
-STORED: Final = tuple(q for q in (*SEEN, *TRUTH, *STAGES, SKEW, *OFFSETS) if q != REST)
+STORED: Final = tuple(q for q in (*SEEN, *TRUTH, *STAGE_TIMES, SKEW, *OFFSETS) if q != REST)
 NUMBERS: Final = (*STORED, *DERIVED)
 SUSPECT: Final = (LOST, SEEN[0], TOTAL)
 """Signs of trouble that need no truth."""

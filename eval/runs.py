@@ -9,11 +9,10 @@ from typing import Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.output.tables import facts_in, sidecar_path
 
-SUFFIX: Final = ".metrics.parquet"
-OBJECTS_SUFFIX: Final = ".objects.parquet"
 REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
 """What makes a metrics table. Others may be absent, as in tables of older versions: they count as null."""
 
@@ -23,7 +22,8 @@ class Run:
     """One metrics table: the frames of one log under one configuration.
 
     ``name`` tells it from the others of the same report; ``frames`` is its number of rows. ``config_digest``,
-    ``version`` and ``config``, the whole configuration as TOML, say what made it and are empty where the file does not.
+    ``version`` and ``config``, the whole configuration as TOML, say what made it, ``source`` and ``log`` where the
+    input and the result were; each is empty where the file does not say it.
     """
 
     name: str
@@ -33,6 +33,8 @@ class Run:
     config_digest: str
     version: str
     config: str = ""
+    source: str = ""
+    log: str = ""
 
 
 def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
@@ -61,16 +63,14 @@ def open_run(path: Path, name: str) -> Run:
     columns = frozenset(footer.schema.to_arrow_schema().names)
     _require_columns(path, columns)
     _require_values(path, footer)
-    facts = {
-        key.decode(errors="replace"): value.decode(errors="replace") for key, value in (footer.metadata or {}).items()
-    }
-    made_by = (facts.get(f"roadperc.{key}", "") for key in ("config_digest", "version", "config"))
+    facts = facts_in(footer.metadata)
+    made_by = (facts.get(key, "") for key in ("config_digest", "version", "config", "source", "log"))
     return Run(name, path, footer.num_rows, columns, *made_by)
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
     """Names without folder and suffix; where two would be the same, with as many folders as tell them apart."""
-    full = [path.resolve().with_name(path.name.removesuffix(SUFFIX)).parts for path in paths]
+    full = [path.resolve().with_name(path.name.removesuffix(METRICS_SUFFIX)).parts for path in paths]
     depths = [1] * len(full)
     while True:
         names = ["/".join(parts[-depth:]) for parts, depth in zip(full, depths, strict=True)]
@@ -97,9 +97,9 @@ def _tables(argument: str) -> list[Path]:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    paths = sorted(folder.rglob(f"*{SUFFIX}"))
+    paths = sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
     if not paths:
-        raise TableError(f"{folder}: no *{SUFFIX} in this folder or below; roadperc-replay writes them")
+        raise TableError(f"{folder}: no *{METRICS_SUFFIX} in this folder or below; roadperc-replay writes them")
     return paths
 
 
@@ -115,8 +115,8 @@ def _in_glob(pattern: str) -> list[Path]:
     """The metrics tables among a glob's matches; logs and tables of detections match ``runs/*`` too and are left."""
     path = Path(pattern)
     matches = sorted(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
-    files = [path for path in matches if path.suffix == ".parquet" and not path.name.endswith(OBJECTS_SUFFIX)]
-    below = [path for folder in matches if folder.is_dir() for path in sorted(folder.rglob(f"*{SUFFIX}"))]
+    files = [path for path in matches if path.suffix == TABLE_SUFFIX and not path.name.endswith(OBJECTS_SUFFIX)]
+    below = [path for folder in matches if folder.is_dir() for path in sorted(folder.rglob(f"*{METRICS_SUFFIX}"))]
     if not files and not below:
         raise TableError(f"{pattern}: matches no metrics table ({_count(matches)} of other kinds)")
     return [*files, *below]
@@ -132,7 +132,7 @@ def _require_columns(path: Path, columns: Iterable[str]) -> None:
         return
     hint = ""
     if path.name.endswith(OBJECTS_SUFFIX):
-        hint = f"; a row per frame is in {path.name.removesuffix(OBJECTS_SUFFIX)}{SUFFIX}"
+        hint = f"; a row per frame is in {path.name.removesuffix(OBJECTS_SUFFIX)}{METRICS_SUFFIX}"
     raise TableError(f"{path}: is not a metrics table: it has no column {', '.join(missing)}{hint}")
 
 

@@ -6,7 +6,7 @@ from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import RATIO
 
-from .quantities import CATEGORIES, LOST, REST, SIDES, STAGES, STORED, TOTAL, Quantity
+from .quantities import CATEGORIES, LOST, REST, SIDES, STAGE_TIMES, STORED, TOTAL, Quantity
 from .runs import Run
 from .scores import COUNTS, TRACED, correlations
 
@@ -25,7 +25,7 @@ def scan(run: Run) -> pl.LazyFrame:
         *(_number(run, name) for name in dict.fromkeys(numbers)),
         *(_text(run, name) for name in CATEGORIES),
     )
-    stages = [quantity.column for quantity in STAGES if quantity not in {TOTAL, REST}]
+    stages = [quantity.column for quantity in STAGE_TIMES if quantity not in {TOTAL, REST}]
     return stored.with_columns(
         ((pl.col("stamp_ns") - pl.col("stamp_ns").min()) / NS_PER_S).alias("since_start_s"),
         (pl.col(TOTAL.column) - pl.sum_horizontal(stages)).alias(REST.column),

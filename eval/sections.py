@@ -11,14 +11,14 @@ from roadperc_stream.core.reasons import merged, ranked
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .grid import percent, rounded
-from .quantities import CATEGORIES, SEEN, SIDES, STAGES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
+from .quantities import CATEGORIES, SEEN, SIDES, STAGE_TIMES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
 from .scores import Score
 from .statistics import Statistics
 from .summary import Summary, WorstFrame
 
 REASONS_SHOWN: Final = 10
 LISTED: Final = 12
-"""Subjects that a row of several has room for; of more, those with the worst p95 are listed."""
+"""Subjects that fit a row of several; of more, those with the worst p95 are listed."""
 Summaries = Sequence[Summary]
 """What a table is about: one run or several pooled ones, or several of these side by side."""
 _STATUSES: Final = ("measured", "held", "lost")
@@ -90,7 +90,7 @@ def detection_counts(summaries: Summaries) -> TextTable:
 
 def latency(summaries: Summaries) -> TextTable:
     """Time per stage, and how that compares with the log's own time."""
-    rows = list(_quantities(summaries, STAGES, _times))
+    rows = list(_quantities(summaries, STAGE_TIMES, _times))
     headers = ("median ms", "p95 ms", "p99 ms", "share %")
     return _table("Latency", headers, rows, summaries, tuple(_remarks(summaries, _speed)))
 
@@ -114,7 +114,7 @@ def ranked_by(summaries: Summaries) -> list[Quantity]:
 
 def no_values(summaries: Summaries) -> str:
     """The columns that are null in every frame, those apart that need truth or say times."""
-    apart = {quantity.column for quantity in (*STAGES, *TRUTH)}
+    apart = {quantity.column for quantity in (*STAGE_TIMES, *TRUTH)}
     names = [*(q.column for q in STORED if q.column not in apart), *CATEGORIES]
     present = {name for name in names for s in summaries if name in s.statistics or s.categories.get(name)}
     return ", ".join(_collapsed([name for name in names if name not in present], present))
@@ -164,7 +164,7 @@ def _quantities(
         found = [(summary, summary.statistics.get(quantity.column)) for summary in summaries]
         if any(statistics for _, statistics in found):
             row_cells = tuple(cells(summary, quantity, s) if s else () for summary, s in found)
-            label = quantity.name if quantity in STAGES else quantity.label
+            label = quantity.name if quantity in STAGE_TIMES else quantity.label
             yield TextRow(label, row_cells, direction(quantity), listed(summaries, quantity))
 
 

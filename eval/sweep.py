@@ -15,8 +15,8 @@ from roadperc_stream.schemas.roles import parse_topic_options
 from .sweeping.dataset import dataset, describe, table_names, tables
 from .sweeping.processes import sweep_logs
 from .sweeping.ranking import METRICS, scores
-from .sweeping.replaying import Job
 from .sweeping.settings import Combination, combinations, reference_of
+from .sweeping.sweep_log import Job
 from .sweeping.tables import LEGEND, best_settings, effects, values_taken, without_effect
 
 

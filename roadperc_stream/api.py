@@ -33,10 +33,8 @@ from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.input import open_input
-from roadperc_stream.loop import ReplaySummary
+from roadperc_stream.loop import ReplaySummary, run_frame
 from roadperc_stream.loop import replay as _replay
-from roadperc_stream.metrics import frame_metrics
-from roadperc_stream.output.results import drop_beyond_ros_time
 from roadperc_stream.schemas.columns import FrameMetrics
 
 if TYPE_CHECKING:
@@ -120,9 +118,7 @@ def frames(
     previous: Sample | None = None
     for sample in log_in.samples():
         with one_thread():  # the same bits as in a replay, whatever the caller's own settings
-            state, made = step(cfg, state, sample.frame)
-            result, _ = drop_beyond_ros_time(made)
-            row = frame_metrics(cfg, log_in.log_id, sample, result, previous)
+            state, result, _, row = run_frame(cfg, state, log_in.log_id, sample, previous)
         yield LogFrame(sample.frame, sample.truth, result, row)
         previous = sample
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.step import ChainState, Timer, step, untimed
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Sample
-from roadperc_stream.core.files import all_or_none, require_free
+from roadperc_stream.core.datatypes import FrameResult, Sample
+from roadperc_stream.core.files import TABLE_SUFFIX, all_or_none, require_free
 from roadperc_stream.core.progress import Progress, no_progress
 from roadperc_stream.core.reasons import throughout
 from roadperc_stream.core.stage_timer import StageTimer
@@ -27,7 +27,11 @@ from roadperc_stream.schemas.topics import Request
 
 @dataclass(frozen=True)
 class ReplaySummary:
-    """What a replay did, for the person who started it."""
+    """What a replay did, for the person who started it.
+
+    ``dropped`` are the messages of each role that belong to no frame, ``problems`` those of each topic that could not
+    be decoded.
+    """
 
     log_id: str
     frames: int
@@ -38,6 +42,19 @@ class ReplaySummary:
     problems: dict[str, int]
     throughout: tuple[str, ...]
     """The reasons that held in all frames, in words."""
+
+
+def run_frame(
+    cfg: ReplayConfig, state: ChainState, log_id: str, sample: Sample, previous: Sample | None, timer: Timer = untimed
+) -> tuple[ChainState, FrameResult, FrameResult, FrameMetrics]:
+    """Run the chain on a sample of a log and measure it, the sample before at hand.
+
+    Returns:
+        The chain's next state, the frame's result, what of it a log can carry, and its row.
+    """
+    state, made = step(cfg, state, sample.frame, timer)
+    result, written = drop_beyond_ros_time(made)
+    return state, result, written, frame_metrics(cfg, log_id, sample, result, previous)
 
 
 def replay(
@@ -86,9 +103,7 @@ def replay(
         for sample in log_in.samples():
             timer = StageTimer()
             with timer("total"):
-                state, made = step(cfg, state, sample.frame, timer)
-                result, written = drop_beyond_ros_time(made)
-                row = frame_metrics(cfg, log_in.log_id, sample, result, previous)
+                state, result, written, row = run_frame(cfg, state, log_in.log_id, sample, previous, timer)
                 copy.through(sample.log_time_ns)
                 results.write(sample, result, written, row, timer)
             timed(row, timer.columns())
@@ -120,4 +135,4 @@ def _to_copy(log_in: ReplayInput, results_only: bool) -> tuple[Iterable[Channel]
 def _require_free(source: Path, target: Path, force: bool) -> None:
     require_free(target, force=force, source=source, suffix=".mcap")
     for table in (sidecar_path(target, "metrics"), sidecar_path(target, "objects")):
-        require_free(table, force=force, suffix=".parquet")
+        require_free(table, force=force, suffix=TABLE_SUFFIX)

@@ -105,6 +105,12 @@ def test_every_example_runs(path, tmp_path):
     assert run(f"{sys.executable} {path}", tmp_path).strip()
 
 
+def test_the_python_page_shows_every_example():
+    fences = [text for _, text in FENCE.findall((ROOT / "docs" / "python.md").read_text(encoding="utf-8"))]
+    markers = {text.strip() for text in fences if "examples/" in text}
+    assert markers == {f'--8<-- "examples/{path.name}"' for path in EXAMPLES}
+
+
 def test_the_report_in_the_docs_is_the_one_that_is_printed(folder):
     printed = run("roadperc-report logs/runs/demo/sample.mcap", folder).partition("Worst frames")[0]
     page = (ROOT / "docs" / "evaluation.md").read_text(encoding="utf-8")

@@ -343,7 +343,7 @@ def renamed(role, items):
         (logs.items(roles=("calibration", "detections")), "nothing to replay"),
         (
             [logs.Item("calibration", 5, logs.items()[0].data, "/camera/front/image")],
-            "expects foxglove.CompressedImage",
+            "expected foxglove.CompressedImage",
         ),
         (logs.items(roles=("calibration",)), "nothing to replay"),
     ],

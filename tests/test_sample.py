@@ -11,7 +11,7 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli import convert, render
 from roadperc_stream.core.datatypes import CameraImage, DepthImage, TagImage
-from roadperc_stream.input.decoding import context_of, decode
+from roadperc_stream.input.decoding import context_of_channel, decode
 from roadperc_stream.schemas.roles import ROLES
 
 ROOT = Path(__file__).parents[1]
@@ -23,7 +23,7 @@ TOPICS = {role.topic: role for role in ROLES.values()}
 
 def decoded(message):
     channel = message.channel
-    context = context_of(dict(channel.metadata), "auto")
+    context = context_of_channel(channel, "auto")
     role = TOPICS[channel.topic]
     args = (channel.schema_name, channel.message_encoding, message.data, message.log_time_ns, context)
     return decode(role.kind, *args).payload

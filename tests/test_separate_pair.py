@@ -9,6 +9,7 @@ import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from roadperc_stream import log
+from roadperc_stream.cli.sweep import main as sweep
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.datatypes import Transform
@@ -16,7 +17,7 @@ from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.loop import replay
-from roadperc_stream.metrics import intersection_over_union
+from roadperc_stream.metrics.surface import intersection_over_union
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.roadperc_pb2 import Surface
@@ -191,3 +192,6 @@ def test_what_ros_2_cannot_carry_from_2038_on_is_left_out_and_said(tmp_path, mon
     for reasons in table["reasons"].to_list():
         assert [r.split(",")[0] for r in reasons] == ["stereo: not written", "occupancy: not written"]
         assert "beyond 2147483647999999999 ns (2038-01-19)" in reasons[0]
+    assert sweep([str(tmp_path / "late" / "in.mcap"), "--out", str(tmp_path / "swept"), "--vary", "seed=0"]) == 0
+    swept = pl.read_parquet(tmp_path / "swept" / "**" / "*.parquet")
+    assert swept["reasons"].to_list() == table["reasons"].to_list()

@@ -12,7 +12,7 @@ import polars as pl
 
 from roadperc_stream.schemas.columns import FrameMetrics, columns_of
 
-from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGES, TRUTH, Quantity
+from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
 
 _COLUMNS: Final = columns_of(FrameMetrics)
 
@@ -66,7 +66,7 @@ COVERAGE: Final = (
     _coverage("surface_source"),
     *(_coverage(q.column) for q in (*SEEN, *OFFSETS, *TRUTH) if _COLUMNS[q.column].compares_coverage),
 )
-TIMES: Final = tuple(_of_quantity(quantity, timed=True) for quantity in STAGES)
+TIMES: Final = tuple(_of_quantity(quantity, timed=True) for quantity in STAGE_TIMES)
 METRICS: Final = (*ACCURACY, *STATES, *COVERAGE, *TIMES)
 
 FRAMES: Final = _share("frames.coverage", pl.lit(value=True))

@@ -8,9 +8,10 @@ from typing import Final
 
 import polars as pl
 
+from roadperc_stream.core.files import METRICS_SUFFIX
 from roadperc_stream.errors import TableError
 
-from ..runs import SUFFIX, Run, find_runs
+from ..runs import Run, find_runs
 from ..scan import collect
 
 STAMP: Final = "stamp_ns"
@@ -102,7 +103,7 @@ def _log_id(run: Run) -> str:
 
 def _relative(run: Run, argument: Path) -> str:
     """Name below the folder that was named; of a table or a glob's match the shortest that tells it from others."""
-    return run.path.relative_to(argument).as_posix().removesuffix(SUFFIX) if argument.is_dir() else run.name
+    return run.path.relative_to(argument).as_posix().removesuffix(METRICS_SUFFIX) if argument.is_dir() else run.name
 
 
 def _by_log(reference: Iterable[LoggedRun], candidate: Iterable[LoggedRun]) -> dict[str, LoggedRun]:

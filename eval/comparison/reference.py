@@ -5,10 +5,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from roadperc_stream.core.files import completing
+from roadperc_stream.core.files import METRICS_SUFFIX, TABLE_SUFFIX, completing
 from roadperc_stream.errors import TableError
 
-from ..runs import SUFFIX
 from .pairing import LoggedRun, Pairing, RunPair
 from .tables import same_but_for_times
 
@@ -37,7 +36,7 @@ def require_updatable(reference: str) -> None:
 def is_new(reference: str) -> bool:
     """Whether there is no reference yet: nothing of that name, or a folder without tables."""
     path = Path(reference)
-    return not path.exists() or (path.is_dir() and not any(path.rglob(f"*{SUFFIX}")))
+    return not path.exists() or (path.is_dir() and not any(path.rglob(f"*{METRICS_SUFFIX}")))
 
 
 def first_copies(reference: str, candidate: Iterable[LoggedRun]) -> tuple[Copy, ...]:
@@ -47,7 +46,7 @@ def first_copies(reference: str, candidate: Iterable[LoggedRun]) -> tuple[Copy, 
         TableError: several tables are to become one file.
     """
     runs, path = list(candidate), Path(reference)
-    if path.suffix != ".parquet":
+    if path.suffix != TABLE_SUFFIX:
         return tuple(Copy(item.run.path, _in_folder(path, item)) for item in runs)
     if len(runs) > 1:
         raise TableError(f"{reference}: is to hold {len(runs)} tables, expected the name of a folder")
@@ -79,4 +78,4 @@ def _replacement(pair: RunPair) -> Copy:
 
 
 def _in_folder(folder: Path, item: LoggedRun) -> Path:
-    return folder / f"{item.relative}{SUFFIX}"
+    return folder / f"{item.relative}{METRICS_SUFFIX}"

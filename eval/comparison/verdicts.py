@@ -1,6 +1,6 @@
 """The paired difference of every metric over all pairs of runs, and what to call it."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -143,8 +143,3 @@ def _judgeable(metric: Metric, values: Paired, rules: Rules) -> bool:
     if rules.ignores(metric.name) or not values.frames:
         return False
     return not metric.share or values.reference_sum > 0 or values.candidate_sum > 0
-
-
-def marked(found: Iterable[Verdict], mark: Mark) -> Iterator[Verdict]:
-    """The judged ones with this mark."""
-    return (verdict for verdict in found if verdict.judged and verdict.mark == mark)

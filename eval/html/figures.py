@@ -10,7 +10,7 @@ import numpy as np
 from roadperc_stream.core.geometry import Float
 
 COLOURS: Final = ("#2563eb", "#d97706", "#059669", "#c026d3", "#dc2626", "#0891b2", "#65a30d", "#57534e")
-"""Told apart on white, on paper and by most who see fewer colours."""
+"""Distinct on white, on paper and for most who see fewer colours."""
 TRUTH_COLOUR: Final = "#111827"
 _GRID: Final = "#e5e7eb"
 _DIGITS: Final = 6

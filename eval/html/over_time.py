@@ -8,7 +8,7 @@ import numpy as np
 
 from roadperc_stream.core.geometry import Float
 
-from ..quantities import REST, SIDES, STAGES, TOTAL
+from ..quantities import REST, SIDES, STAGE_TIMES, TOTAL
 from ..summary import Summary
 from .figures import TRUTH_COLOUR, Figure, Trace, axis, colour_of, escaped, layout, line
 from .series import Series, thinned
@@ -69,9 +69,9 @@ CHARTS: Final = (
     ),
     TimeChart("Odometry inliers", "count", (Kind("odometry_inliers", "inliers"),), "Points the motion agrees with."),
 )
-STAGE_COLUMNS: Final = tuple(stage.column for stage in STAGES if stage != REST)
+STAGE_COLUMNS: Final = tuple(stage.column for stage in STAGE_TIMES if stage != REST)
 _STAGE_COLOURS: Final = {
-    **{stage.name: colour_of(place) for place, stage in enumerate(s for s in STAGES if s not in {REST, TOTAL})},
+    **{stage.name: colour_of(place) for place, stage in enumerate(s for s in STAGE_TIMES if s not in {REST, TOTAL})},
     REST.name: "#9ca3af",
 }
 COLUMNS: Final = (*(kind.column for chart in CHARTS for kind in chart.kinds), *STAGE_COLUMNS)
@@ -154,7 +154,7 @@ def _stacked(run: Series) -> Iterator[Figure]:
 
 def _stages(run: Series) -> dict[str, Float]:
     """Milliseconds of each stage that ran, 0 where it did not, and the rest of the frame's time."""
-    names = {stage.column: stage.name for stage in STAGES if stage not in {REST, TOTAL}}
+    names = {stage.column: stage.name for stage in STAGE_TIMES if stage not in {REST, TOTAL}}
     stages = {names[column]: np.nan_to_num(run.values[column]) for column in names if column in run.values}
     rest = run.values[TOTAL.column] - sum(stages.values(), np.zeros(len(run.since_start_s)))
     return {**stages, REST.name: np.maximum(rest, 0.0)}
@@ -164,7 +164,7 @@ def _means(summaries: Sequence[Summary]) -> Figure:
     """A bar per run of each stage's mean over all frames."""
     traces: list[Trace] = []
     names = [escaped(summary.name) for summary in summaries]
-    for stage in (stage for stage in STAGES if stage != TOTAL):
+    for stage in (stage for stage in STAGE_TIMES if stage != TOTAL):
         found = [summary.statistics.get(stage.column) for summary in summaries]
         means_ms = [round(s.total / run.frames, 3) if s else 0.0 for s, run in zip(found, summaries, strict=True)]
         if any(means_ms):

@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 
-import pyarrow.parquet as pq
-
 from roadperc_stream import log
+from roadperc_stream.core.files import METRICS_SUFFIX
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 
-from ..runs import SUFFIX, Run
+from ..runs import Run
 
 
 @dataclass(frozen=True)
@@ -40,12 +39,7 @@ def sources_of(run: Run) -> Sources:
 
     A run's files are often moved together, from the machine that replayed to the one that reports.
     """
-    facts = pq.read_metadata(run.path).metadata or {}
-    source, named = (_path(facts.get(key, b"")) for key in (b"roadperc.source", b"roadperc.log"))
-    neighbour = run.path.with_name(run.path.name.removesuffix(SUFFIX) + ".mcap")
+    source, named = (Path(path) if path else None for path in (run.source, run.log))
+    neighbour = run.path.with_name(run.path.name.removesuffix(METRICS_SUFFIX) + ".mcap")
     moved = (named is None or not named.is_file()) and neighbour.is_file()
     return Sources(source, neighbour if moved else named, run.config_digest)
-
-
-def _path(stored: bytes) -> Path | None:
-    return Path(stored.decode("utf-8", "surrogateescape")) if stored else None

@@ -17,13 +17,14 @@ from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.metrics.lanes import ROW_STEP_PX, columns_at, in_view
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas import roadperc_pb2 as pb
-from roadperc_stream.schemas.topics import LANES_TOPIC
+from roadperc_stream.schemas.names import CALIBRATION_SCHEMA
+from roadperc_stream.schemas.topics import LANES_TOPIC, RESULTS
 
 from ..runs import open_run
 from ..scan import collect
 from .tusimple import LaneFrame, rounded
 
-_SCHEMAS: Final = {"lanes": "roadperc.Lanes", "calibration": "foxglove.CameraCalibration"}
+_SCHEMAS: Final = {"lanes": RESULTS[LANES_TOPIC], "calibration": CALIBRATION_SCHEMA}
 _TOP: Final = 160 / 720
 """Where TuSimple's rows begin, as a part of the image's height."""
 

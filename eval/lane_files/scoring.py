@@ -9,7 +9,6 @@ import numpy as np
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.metrics import lane_scores
 from roadperc_stream.metrics.lane_scores import Counts, TuSimpleScore
-from roadperc_stream.metrics.lanes import CULANE_COLUMNS, TUSIMPLE_COLUMNS
 from roadperc_stream.metrics.lanes import CULANE_THRESHOLDS as THRESHOLDS
 
 from ..options import LanePairing
@@ -92,8 +91,8 @@ def score_frame(found: LaneFrame, truth: LaneFrame, size: tuple[int, int]) -> Fr
         size: columns and rows of the image.
     """
     columns, rows = size
-    threshold_px = lane_scores.TUSIMPLE_PX * columns / TUSIMPLE_COLUMNS
-    width_px = lane_scores.CULANE_WIDTH_PX * columns / CULANE_COLUMNS
+    threshold_px = lane_scores.tusimple_px(columns)
+    width_px = lane_scores.culane_width_px(columns)
     overlaps = lane_scores.line_overlaps(_polylines(found), _polylines(truth), (rows, columns), width_px)
     return FrameScore(
         lane_scores.tusimple(found.lanes, truth.lanes, truth.rows, threshold_px),

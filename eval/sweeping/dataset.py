@@ -9,11 +9,11 @@ from typing import Final
 import tomli_w
 
 from roadperc_stream import __version__
-from roadperc_stream.core.files import partial_of, target_errors
+from roadperc_stream.core.files import METRICS_SUFFIX, partial_of, target_errors
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 
-from ..runs import SUFFIX, distinct_names
+from ..runs import distinct_names
 from .settings import Combination
 
 MARK: Final = "sweep.toml"
@@ -60,12 +60,15 @@ def describe(folder: Path, made: Sequence[Combination], logs: Sequence[Path]) ->
 
 def table_names(logs: Sequence[Path]) -> list[str]:
     """A file name for each log's tables: after the log, where two share one with the folders that tell them apart."""
-    return [f"{name.lstrip('/')}{SUFFIX}" for name in distinct_names([log.with_suffix(SUFFIX) for log in logs])]
+    return [
+        f"{name.lstrip('/')}{METRICS_SUFFIX}"
+        for name in distinct_names([log.with_suffix(METRICS_SUFFIX) for log in logs])
+    ]
 
 
 def tables(folder: Path) -> list[Path]:
     """All tables of a dataset, in the order of the combinations."""
-    return sorted(folder.rglob(f"*{SUFFIX}"))
+    return sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
 
 
 def _require_free(target: Path, force: bool) -> None:

@@ -13,7 +13,7 @@ from typing import Final
 
 from roadperc_stream.errors import RoadpercError
 
-from .replaying import Job, sweep_log
+from .sweep_log import Job, sweep_log
 
 # A forked process inherits the locks of polars' and OpenCV's threads, but not the threads that would open them.
 _CONTEXT: Final = multiprocessing.get_context("spawn")

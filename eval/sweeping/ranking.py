@@ -16,7 +16,7 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import Scalar
 from roadperc_stream.schemas.columns import RATIO
 
-from ..quantities import TOTAL, TRUTH, Quantity
+from ..quantities import SIDES, TOTAL, TRUTH, Quantity
 from .settings import Combination
 
 COVERAGE_SLACK: Final = 0.01
@@ -94,9 +94,9 @@ METRICS: Final = (
     *(_typical(quantity) for quantity in TRUTH),
     _share("camera_height_m", "surface coverage"),
     _share("drivable_ratio", "drivable coverage"),
-    *(_share(f"lane_{side}_raw_offset_m", f"lane {side} measured") for side in ("left", "right")),
-    *(_share(f"lane_{side}_offset_m", f"lane {side} coverage") for side in ("left", "right")),
-    *(_jitter(side) for side in ("left", "right")),
+    *(_share(f"lane_{side}_raw_offset_m", f"lane {side} measured") for side in SIDES),
+    *(_share(f"lane_{side}_offset_m", f"lane {side} coverage") for side in SIDES),
+    *(_jitter(side) for side in SIDES),
     _share("step_m", "odometry tracked"),
     replace(_typical(replace(TOTAL, name="time a frame", decimals=0)), noise=TIME_NOISE),
 )

@@ -73,7 +73,7 @@ def setting_of(cfg: ReplayConfig, key: str) -> Scalar:
 
 
 def _decoding(cfg: ReplayConfig) -> Hashable:
-    """All that samples depend on besides the log: see ``survey.samples`` and ``assemble.sample_of``."""
+    """All that samples depend on besides the log: see ``ReplayInput.samples`` and ``assemble.sample_of``."""
     return (cfg.sync, cfg.tag_table, cfg.surface.assumed_height_m)
 
 

@@ -29,7 +29,7 @@ def coverage(evaluation: Evaluation) -> str:
 
 
 def alignment(evaluation: Evaluation) -> str:
-    """How the estimate was laid over the truth."""
+    """How the estimate was aligned to the truth."""
     scale = f", the estimate scaled by {evaluation.scale:.6g}" if evaluation.alignment == "sim3" else ""
     return f"{_ALIGNED[evaluation.alignment]}{scale}"
 

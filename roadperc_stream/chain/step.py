@@ -30,7 +30,7 @@ from roadperc_stream.core.geometry import Float, inverse, transform_plane
 from roadperc_stream.core.scene import DepthMap, Scene
 
 Timer = Callable[[str], AbstractContextManager[object]]
-"""Called with a stage's name: what it returns is entered while the stage works."""
+"""Called with the name of a stage that runs: what it returns is entered while the stage works."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,10 @@ def untimed(_: str) -> AbstractContextManager[object]:
     return nullcontext()
 
 
+def _if_enabled(cfg: ReplayConfig, timer: Timer) -> Timer:
+    return lambda stage: timer(stage) if getattr(cfg, stage).enabled else nullcontext()
+
+
 def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = untimed) -> tuple[ChainState, FrameResult]:
     """Run every stage on one frame, in the order of what needs what.
 
@@ -60,18 +64,19 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         tags = pixels.tags_of(frame, problems)
         sensor = pixels.sensor_depth(frame, problems)
         grey = pixels.grey_of("image", frame.image, frame.camera, problems) if _needs_grey(cfg, state, frame) else None
-    with timer("stereo"):
+    timed = _if_enabled(cfg, timer)
+    with timed("stereo"):
         matched = _stereo(cfg, frame, grey, problems)
-    with timer("surface"):
+    with timed("surface"):
         scene = _scene(frame, tags, grey, _best_depth(frame, sensor, matched, problems))
         road, front_road, drivable = _road(cfg, scene, rng, problems)
-    with timer("odometry"):
+    with timed("odometry"):
         odometry_state, motion = _odometry(cfg, state, scene, front_road, rng)
-    with timer("lanes"):
+    with timed("lanes"):
         lanes_state, ego_lane = _lanes(cfg, state, scene, front_road, drivable, motion)
-    with timer("objects"):
+    with timed("objects"):
         objects_state, tracked = _objects(cfg, state, scene)
-    with timer("occupancy"):
+    with timed("occupancy"):
         grid = _occupancy(cfg, scene, front_road, drivable)
     problems += _missing_inputs(scene, tracked)
     result = FrameResult(
@@ -202,7 +207,7 @@ def _metric_step(motion: Odometry | Absent, since_ns: int | None) -> Float | Non
 
 def _needs_grey(cfg: ReplayConfig, state: ChainState, frame: Frame) -> bool:
     """Whether any stage needs the front camera's pixels."""
-    matches = cfg.stereo.method != "off" and frame.right is not None and _left_is_front(frame)
+    matches = cfg.stereo.enabled and frame.right is not None and _left_is_front(frame)
     searches = cfg.objects.enabled and cfg.objects.template_search and bool(frame.detections or state.objects.tracks)
     return cfg.odometry.enabled or matches or searches
 
@@ -214,7 +219,7 @@ def _left_is_front(frame: Frame) -> bool:
 
 def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[Reason]) -> StereoDepth | Absent:
     """Depth of the pair whose left camera is the front camera, or one of its own."""
-    if cfg.stereo.method == "off":
+    if not cfg.stereo.enabled:
         return _off("stereo")
     if frame.right is None:
         return Absent(Reason("stereo", "no_right_image"))

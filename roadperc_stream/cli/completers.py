@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from roadperc_stream.core.files import METRICS_SUFFIX
+
 if TYPE_CHECKING:
     from roadperc_stream.core.config.catalogue import Setting
 
 Completer = Callable[..., Iterable[str]]
 LOGS: Final = (".mcap",)
-RUNS: Final = (".mcap", ".metrics.parquet")
+RUNS: Final = (".mcap", METRICS_SUFFIX)
 """How the files end that a finished run is known by."""
 
 

@@ -38,7 +38,7 @@ def main(argv: list[str] | None = None) -> int:
 
         return run(lambda: print_settings(arguments))
     _require_sense(parser, arguments)
-    from roadperc_stream.cli.replaying import replay_log
+    from roadperc_stream.cli.replay_log import replay_log
 
     live = None
     if arguments.live:

@@ -54,7 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--align",
         choices=get_args(options.Alignment),
-        help="how the estimate is laid over the truth: turned and shifted, scaled too, first pose on first pose, or "
+        help="how the estimate is aligned to the truth: turned and shifted, scaled too, first pose on first pose, or "
         "not at all (default se3; sim3 where the run has no scale)",
     )
     add("--delta", metavar="N", type=_positive, default=1.0, help="how far apart the poses of a pair are (default 1)")

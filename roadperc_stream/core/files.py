@@ -4,9 +4,13 @@ import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from roadperc_stream.errors import TargetError
+
+TABLE_SUFFIX: Final = ".parquet"
+METRICS_SUFFIX: Final = ".metrics.parquet"
+OBJECTS_SUFFIX: Final = ".objects.parquet"
 
 
 def require_free(target: Path, *, force: bool, suffix: str, source: Path | None = None) -> None:

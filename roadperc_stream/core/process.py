@@ -1,4 +1,4 @@
-"""What a process is told from outside: signals that end it, output that nobody reads. Imports no library."""
+"""What reaches a process from outside: signals that end it, output that nobody reads. Imports no library."""
 
 import os
 import signal

@@ -13,7 +13,7 @@ from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.roles import CAMERA_OF
 from roadperc_stream.log import Channel, Salvage
-from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY
+from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY, log_id_of
 
 
 def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
@@ -36,7 +36,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
     return LogFacts(
         log=str(path),
         kind="result" if result else "input",
-        log_id=None if digest is None else digest[:16],
+        log_id=None if digest is None else log_id_of(digest),
         file=_file_facts(salvage),
         messages=salvage.counts.total(),
         first_ns=first_ns,

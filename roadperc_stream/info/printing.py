@@ -13,6 +13,7 @@ from roadperc_stream.info.replay_printing import print_replay
 from roadperc_stream.info.text import listed, number, plain, rounded, size
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.schemas.record import log_id_of
 
 _DAMAGES_SHOWN: Final = 5
 _ODD_JITTER, _ODD_GAP = 0.2, 1.5
@@ -165,11 +166,11 @@ def _provenance_lines(provenance: Provenance) -> Iterator[str]:
 
 
 def _digest_line(provenance: Provenance) -> str:
-    digest = plain(provenance.digest)[:16] or "unknown"
+    digest = log_id_of(plain(provenance.digest)) or "unknown"
     if provenance.digest_found is None:
         return f"input {digest}: not in the file (--results-only), or not all of it can be read"
     if provenance.changed:
-        return f"input {digest}: CHANGED since, its messages now give {provenance.digest_found[:16]}"
+        return f"input {digest}: CHANGED since, its messages now give {log_id_of(provenance.digest_found)}"
     return f"input {digest}: its messages are those that were replayed"
 
 

@@ -9,9 +9,18 @@ from typing import Any
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
+from roadperc_stream.input.earlier_replay import replay_record
 from roadperc_stream.log import Attachment, Metadata
 from roadperc_stream.output.tables import read_footer, sidecar_path
-from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, DROPPED_KEY, METADATA_RECORD
+from roadperc_stream.schemas.record import (
+    CONFIG_ATTACHMENT,
+    DIGEST_KEY,
+    DROPPED_KEY,
+    FRAMES_KEY,
+    SEED_KEY,
+    VERSION_KEY,
+    log_id_of,
+)
 
 
 @dataclass(frozen=True)
@@ -61,17 +70,17 @@ def provenance_of(
     path: Path, metadata: Iterable[Metadata], attachments: Iterable[Attachment], digest_found: str | None
 ) -> Provenance:
     """What the log's metadata record and its configuration say, and whether the tables beside it belong to it."""
-    facts = next((dict(record.values) for record in metadata if record.name == METADATA_RECORD), {})
+    facts = replay_record(metadata)
     toml = next((item.data for item in attachments if item.name == CONFIG_ATTACHMENT), None)
     config_digest = None if toml is None else hashlib.sha256(toml).hexdigest()
     settings, fault = _settings(toml)
-    digest = facts.get("digest", "")
+    digest = facts.get(DIGEST_KEY, "")
     return Provenance(
-        version=facts.get("version", ""),
-        seed=facts.get("seed", ""),
+        version=facts.get(VERSION_KEY, ""),
+        seed=facts.get(SEED_KEY, ""),
         digest=digest,
         digest_found=digest_found,
-        frames=_number(facts.get("frames", "")),
+        frames=_number(facts.get(FRAMES_KEY, "")),
         dropped={
             name.removeprefix(DROPPED_KEY): _number(value) or 0
             for name, value in facts.items()
@@ -112,8 +121,8 @@ def _table(path: Path, digest: str, config_digest: str | None) -> SidecarTable:
         footer = read_footer(path)
     except TableError as error:
         return SidecarTable(str(path), None, str(error).removeprefix(f"{path}: "))
-    if footer.log_id not in (None, digest[:16]):
+    if footer.log_id not in (None, log_id_of(digest)):
         return SidecarTable(str(path), footer.rows, f"is of log {footer.log_id}")
-    if footer.facts.get("roadperc.config_digest") != config_digest:
+    if footer.facts.get("config_digest") != config_digest:
         return SidecarTable(str(path), footer.rows, "is of another configuration")
     return SidecarTable(str(path), footer.rows)

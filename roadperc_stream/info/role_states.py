@@ -2,33 +2,33 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 from roadperc_stream.errors import ChannelError
-from roadperc_stream.input.decoding import schemas_of_kind
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.roles import (
     NOTHING_TO_REPLAY,
     ContentProbe,
     RoleAssignment,
+    RoleFilling,
     assign_roles,
     candidates,
+    channel_state,
     distinct,
     fits,
 )
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.roles import ROLES, SHARED_KINDS, Role
+from roadperc_stream.schemas.roles import ROLES, Role
 
-State = Literal["filled", "missing", "wrong schema", "several channels"]
 _COSTS: Final = {
     "calibration": "a replay stops: the camera is not known",
-    "segmentation": "no lanes, no detection is judged, the lower image stands in for the road",
+    "segmentation": "no lanes, no detection is verified, the lower image stands in for the road",
     "detections": "no objects",
     "tf": "the camera is taken as level, at the height of the setting surface.assumed_height_m",
 }
 _SPARED_BY: Final = {"tf": "tf_static"}
 """Roles that nobody misses where another one is assigned."""
-_UNTOLD_TRUTH: Final = (
+_UNNAMED_TRUTH: Final = (
     "steps and turns are compared with no truth; a pose or an odometry is an estimate, and the truth only if you say so"
 )
 
@@ -38,7 +38,7 @@ class RoleState:
     """A role, and the channel that is assigned to it or why none is."""
 
     role: str
-    state: State
+    state: RoleFilling
     topic: str | None = None
     """The topic that is assigned to it, or the one whose channel does not fit."""
     why: str = ""
@@ -89,26 +89,15 @@ def _poses(inputs: Sequence[Channel], assigned: Mapping[str, str]) -> tuple[str,
 def _named(inputs: Sequence[Channel], overrides: Mapping[str, str]) -> dict[str, str]:
     """The roles whose own topic is there and fits: what is sure where a replay would refuse the log."""
     topics = {role.name: overrides.get(role.name, role.topic) for role in ROLES.values()}
-    return {name: topic for name, topic in topics.items() if _fault(ROLES[name], _on(topic, inputs)) == ("filled", "")}
+    return {
+        name: topic
+        for name, topic in topics.items()
+        if channel_state(ROLES[name], _on(topic, inputs)) == ("filled", "")
+    }
 
 
 def _on(topic: str, channels: Sequence[Channel]) -> list[Channel]:
     return [channel for channel in channels if channel.topic == topic]
-
-
-def _fault(role: Role, named: Sequence[Channel]) -> tuple[State, str]:
-    """What is wrong with the channels on a role's topic."""
-    if not named:
-        return "missing", ""
-    fitting = schemas_of_kind(role.kind)
-    for channel in named:
-        if (channel.schema_name, channel.message_encoding) not in fitting:
-            expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in fitting)
-            found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding or 'no encoding'})"
-            return "wrong schema", f"found {found}, expected {expected}"
-    if len(named) > 1 and role.kind not in SHARED_KINDS:
-        return "several channels", f"{len(named)} channels carry this topic, expected one"
-    return "filled", ""
 
 
 def _state(
@@ -118,10 +107,10 @@ def _state(
     if topic is not None:
         return RoleState(role.name, "filled", topic, _choice(role, topic, roles.assignment, overrides))
     named = overrides.get(role.name, role.topic)
-    state, fault = _fault(role, _on(named, inputs))
+    state, fault = channel_state(role, _on(named, inputs))
     if role.name in overrides and state == "missing":
         fault = "no such topic"
-    cost = _UNTOLD_TRUTH if role.truth and could else _cost(role.name, roles)
+    cost = _UNNAMED_TRUTH if role.truth and could else _cost(role.name, roles)
     if state == "filled":  # it fits, but the log as a whole is refused before this role has its turn
         state = "missing"
     return RoleState(role.name, state, named if fault else None, fault, could, cost)
@@ -132,7 +121,7 @@ def _choice(role: Role, topic: str, assignment: RoleAssignment, overrides: Mappi
         return "--topic"
     if topic == role.topic:
         return "contract"
-    return "guessed" if any(note.startswith(f"role {role.name}: {topic},") for note in assignment.notes) else "known"
+    return "guessed" if role.name in assignment.guessed else "known"
 
 
 def _cost(role: str, roles: Roles) -> str:

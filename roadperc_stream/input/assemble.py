@@ -29,7 +29,7 @@ from roadperc_stream.input.latched import LatchedState
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import SyncedMessages
 from roadperc_stream.input.transforms import TransformTree
-from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 EGO_FRAMES: Final = (EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
 """What recorders call the vehicle's own frame, the one on the road before the one above it (REP 105 and 120, CARLA)."""
@@ -88,7 +88,7 @@ def sample_of(
 
 
 def _expected(role: str) -> bool:
-    return not ROLES[role].truth and ROLES[role].kind not in ("calibration", "tf")
+    return not ROLES[role].truth and ROLES[role].kind not in LATCHED_KINDS
 
 
 def _payload(parts: Mapping[str, Stamped], role: str, kind: type[T]) -> T | None:

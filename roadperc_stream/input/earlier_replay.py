@@ -25,7 +25,7 @@ def is_result_of(channel: Channel, topic: str) -> bool:
 
 def recorded_topics(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> dict[str, str]:
     """Topics by role that the user of an earlier replay named, as its result records them; those that are there."""
-    record = _record(metadata)
+    record = replay_record(metadata)
     named = {key.removeprefix(TOPIC_KEY): topic for key, topic in record.items() if key.startswith(TOPIC_KEY)}
     there = {channel.topic for channel in channels if not is_result(channel)}
     return {role: topic for role, topic in named.items() if role in ROLES and topic in there}
@@ -33,10 +33,10 @@ def recorded_topics(metadata: Iterable[Metadata], channels: Iterable[Channel]) -
 
 def recorded_tag_table(metadata: Iterable[Metadata]) -> str:
     """The tag table that the user of an earlier replay named, as its result records it; empty where none is known."""
-    name = _record(metadata).get(TAG_TABLE_KEY, "")
+    name = replay_record(metadata).get(TAG_TABLE_KEY, "")
     return name if name in TABLES else ""
 
 
-def _record(metadata: Iterable[Metadata]) -> dict[str, str]:
+def replay_record(metadata: Iterable[Metadata]) -> dict[str, str]:
     """What a result says of how it came about; empty of other logs."""
     return next((dict(record.values) for record in metadata if record.name == METADATA_RECORD), {})

@@ -17,7 +17,7 @@ from roadperc_stream.input.roles import tag_table_to_record
 from roadperc_stream.input.stream import decoded_messages
 from roadperc_stream.input.sync import SyncedMessages, Synchroniser
 from roadperc_stream.log import Channel, LogSummary, Message
-from roadperc_stream.schemas.record import DROPPED_KEY, TAG_TABLE_KEY, TOPIC_KEY
+from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, TAG_TABLE_KEY, TOPIC_KEY, log_id_of
 
 
 def open_input(
@@ -57,8 +57,8 @@ class ReplayInput:
 
     @property
     def log_id(self) -> str:
-        """The first digits of the digest of all input messages: names the log in every table."""
-        return self.plan.digest[:16]
+        """What names the log in every table."""
+        return log_id_of(self.plan.digest)
 
     @property
     def topics(self) -> Mapping[str, str]:
@@ -135,9 +135,9 @@ class ReplayInput:
         roles = self.plan.roles
         tag_table = tag_table_to_record(self.summary.channels, roles, self._cfg.tag_table)
         return {
-            "digest": self.plan.digest,
+            DIGEST_KEY: self.plan.digest,
             "input_messages": str(self.plan.messages),
-            "frames": str(self.frames),
+            FRAMES_KEY: str(self.frames),
             **{f"{TOPIC_KEY}{role}": topic for role, topic in sorted(roles.chosen.items())},
             **({TAG_TABLE_KEY: tag_table} if tag_table else {}),
             **{f"{DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},

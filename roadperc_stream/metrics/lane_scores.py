@@ -22,6 +22,9 @@ _NOWHERE_PX: Final = -100.0
 """Column of a point that is not there, as in TuSimple's script: near to none that is, and right where both are not."""
 CULANE_WIDTH_PX: Final = 30
 """Width a lane is drawn with in a 1640 px wide image."""
+_TUSIMPLE_COLUMNS: Final = 1280
+_CULANE_COLUMNS: Final = 1640
+"""Widths of the benchmarks' images: their thresholds in px scale with the image, so that resolution does not matter."""
 _SUBPIXEL_BITS: Final = 4
 
 
@@ -39,6 +42,16 @@ class Counts(NamedTuple):
     tp: int
     fp: int
     fn: int
+
+
+def tusimple_px(columns: int) -> float:
+    """``TUSIMPLE_PX`` in an image of so many columns."""
+    return TUSIMPLE_PX * columns / _TUSIMPLE_COLUMNS
+
+
+def culane_width_px(columns: int) -> float:
+    """``CULANE_WIDTH_PX`` in an image of so many columns."""
+    return CULANE_WIDTH_PX * columns / _CULANE_COLUMNS
 
 
 def tusimple(

@@ -14,9 +14,6 @@ from roadperc_stream.schemas.columns.estimates import LaneColumns
 LANE_ERROR_AT_M: Final = 10.0
 ROW_STEP_PX: Final = 10
 """TuSimple's rows are the multiples of this."""
-TUSIMPLE_COLUMNS: Final = 1280
-CULANE_COLUMNS: Final = 1640
-"""Widths of the benchmarks' images: their thresholds in px scale with the image, so that resolution does not matter."""
 CULANE_THRESHOLDS: Final = (0.5, 0.3)
 """Intersection over union from which a line is found."""
 
@@ -109,13 +106,12 @@ def _tusimple(found_px: Sequence[Float], true_px: Sequence[Float], camera: Camer
         [columns_at(line, rows, camera) for line in found_px],
         [columns_at(line, rows, camera) for line in true_px],
         rows,
-        lane_scores.TUSIMPLE_PX * camera.width / TUSIMPLE_COLUMNS,
+        lane_scores.tusimple_px(camera.width),
     )
 
 
 def _culane_overlaps(found_px: Sequence[Float], true_px: Sequence[Float], camera: Camera) -> Float:
-    width_px = lane_scores.CULANE_WIDTH_PX * camera.width / CULANE_COLUMNS
-    return lane_scores.line_overlaps(found_px, true_px, camera.size, width_px)
+    return lane_scores.line_overlaps(found_px, true_px, camera.size, lane_scores.culane_width_px(camera.width))
 
 
 def columns_at(line_px: Float, rows: Float, camera: Camera) -> Float:

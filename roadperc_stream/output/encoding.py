@@ -14,6 +14,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
 from roadperc_stream.core.datatypes import (
+    EGO,
     Boundary,
     Detection,
     Lanes,
@@ -166,7 +167,7 @@ def encode_occupancy(stamp_ns: int, occupancy: Occupancy) -> bytes:
     """nav_msgs/msg/OccupancyGrid in the ego frame."""
     grid = RosGrid(
         stamp_ns,
-        "ego",
+        EGO,
         occupancy.resolution_m,
         occupancy.x_min_m,
         occupancy.y_min_m,

@@ -15,10 +15,12 @@ import pyarrow.parquet as pq
 
 from roadperc_stream import __version__
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.files import partial_of, target_errors
+from roadperc_stream.core.files import TABLE_SUFFIX, partial_of, target_errors
 from roadperc_stream.errors import TableError
 
 ROW_GROUP_ROWS: Final = 1000
+FACT_PREFIX: Final = "roadperc."
+"""How the names of this project's facts begin in a table's footer."""
 _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
     str: pa.string(),
     float: pa.float64(),
@@ -31,7 +33,7 @@ Scalar = bool | int | float | str
 
 def sidecar_path(target: Path, table: str) -> Path:
     """out.mcap gives out.metrics.parquet and out.objects.parquet."""
-    return target.with_name(f"{target.stem}.{table}.parquet")
+    return target.with_name(f"{target.stem}.{table}{TABLE_SUFFIX}")
 
 
 def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:
@@ -47,7 +49,17 @@ def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]
         "log": str(target.absolute()),
         "source": str(source.absolute()),
     }
-    return {f"roadperc.{key}": value for key, value in facts.items()}
+    return {f"{FACT_PREFIX}{key}": value for key, value in facts.items()}
+
+
+def facts_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
+    """The facts that stand in a footer, by their names without the prefix."""
+    named = {key.decode(errors="replace"): value for key, value in (metadata or {}).items()}
+    return {
+        key.removeprefix(FACT_PREFIX): value.decode("utf-8", "surrogateescape")
+        for key, value in named.items()
+        if key.startswith(FACT_PREFIX)
+    }
 
 
 def arrow_schema(
@@ -90,10 +102,7 @@ def read_footer(path: Path) -> TableFooter:
     with _opened(path) as table:
         footer = table.metadata
         log_ids = table.read_row_group(0, ["log_id"])["log_id"] if footer.num_rows else []
-    facts = {
-        key.decode(errors="replace"): value.decode(errors="replace") for key, value in (footer.metadata or {}).items()
-    }
-    return TableFooter(footer.num_rows, facts, log_ids[0].as_py() if len(log_ids) else None)
+    return TableFooter(footer.num_rows, facts_in(footer.metadata), log_ids[0].as_py() if len(log_ids) else None)
 
 
 def read_rows_around(path: Path, frame: int, columns: Iterable[str]) -> list[dict[str, Any]]:

@@ -26,7 +26,7 @@ class TextTable:
     """A title, which is the heading of the labels, headers of columns of numbers, rows, and notes on how to read them.
 
     ``subjects`` are the runs or configurations that a row has cells of; a table about one thing names none.
-    ``last_is_text`` says that the last column holds words. Labels get ``label_columns`` characters where there is room.
+    ``last_is_text`` says that the last column holds words. Labels get ``label_columns`` characters where they fit.
     """
 
     title: str

@@ -14,7 +14,7 @@ from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Mess
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.results import result_messages
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, PRODUCER
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, PRODUCER, SEED_KEY, VERSION_KEY
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import result_schemas
 
@@ -81,5 +81,5 @@ def write_origin(writer: LogWriter, source: LogSummary, cfg: ReplayConfig, recor
     for metadata in source.metadata:
         if metadata.name != METADATA_RECORD:
             writer.describe(metadata)
-    facts = {"version": __version__, "seed": str(cfg.seed), **record}
+    facts = {VERSION_KEY: __version__, SEED_KEY: str(cfg.seed), **record}
     writer.describe(Metadata(METADATA_RECORD, tuple(facts.items())))

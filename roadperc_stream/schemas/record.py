@@ -9,9 +9,19 @@ TAG_TABLE_KEY: Final = "tag_table"
 of how it came about."""
 METADATA_RECORD: Final = "roadperc"
 """Metadata record of a result: how it came about."""
+VERSION_KEY: Final = "version"
+SEED_KEY: Final = "seed"
+DIGEST_KEY: Final = "digest"
+"""Of the input's messages that were replayed."""
+FRAMES_KEY: Final = "frames"
 TOPIC_KEY: Final = "topic."
 """Keys of that record which begin so name a role, and the topic that was chosen for it."""
 DROPPED_KEY: Final = "dropped."
 """Keys of that record which begin so name a role, and how many of its messages belonged to no frame."""
 CONFIG_ATTACHMENT: Final = "roadperc.toml"
 """Attachment of a result: the whole configuration."""
+
+
+def log_id_of(digest: str) -> str:
+    """The first digits of the digest of all input messages: name the log in every table."""
+    return digest[:16]

@@ -7,12 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.surface import assumed_surface
+from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.chain.step import ChainState, _metric_road, step
 from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.core.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.core.datatypes import Absent, CameraImage, DepthImage, Reason, TagImage
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.errors import DecodeError
 from tests.analytic import ROAD, Road, box
 from tests.logs import SMALL, shifted
@@ -51,6 +52,17 @@ def same(a, b):
 
 def test_replaying_twice_is_equal():
     assert same(tuple(run(drive())[1]), tuple(run(drive())[1]))
+
+
+def test_the_time_of_a_stage_that_is_off_is_unknown():
+    timer = StageTimer()
+    step(
+        load_config(settings=[switched_off(stage) for stage in STAGES if stage != "surface"]),
+        ChainState(),
+        *drive(1),
+        timer,
+    )
+    assert set(timer.columns()) == {"decode_ms", "surface_ms"}
 
 
 def test_results_do_not_depend_on_later_frames():

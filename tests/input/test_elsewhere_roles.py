@@ -194,7 +194,7 @@ def test_a_needed_role_must_be_chosen():
 
 def test_a_topic_of_the_wrong_schema_is_named():
     with pytest.raises(
-        ChannelError, match=r"/points: role image expects .*, found sensor_msgs/msg/PointCloud2 \(cdr\)"
+        ChannelError, match=r"/points: role image: found sensor_msgs/msg/PointCloud2 \(cdr\), expected .*Image"
     ):
         assign_roles(ros(points=CLOUD), {"image": "/points"})
 

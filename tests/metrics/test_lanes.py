@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream import metrics as m
 from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Reason
 from roadperc_stream.core.geometry import inverse, project, transform
-from roadperc_stream.metrics.lanes import columns_at, lane_benchmarks, true_lane_columns
+from roadperc_stream.metrics.lanes import columns_at, lane_benchmarks, lane_error_m, true_lane_columns
 from roadperc_stream.schemas.columns.errors import LaneScoreColumns, TrueLaneColumns
 from tests.analytic import Road
 from tests.metrics.frames import boundary
@@ -18,14 +17,14 @@ COUNTS = [f"lane_culane_{name}_{percent}" for percent in (50, 30) for name in ("
 
 
 def test_lane_error_is_taken_ten_metres_ahead():
-    assert m.lane_error_m(boundary(1.8, 0.01), boundary(1.8)) == pytest.approx(0.1)
-    assert m.lane_error_m(boundary(1.55), boundary(1.8)) == pytest.approx(-0.25)
-    assert m.lane_error_m(boundary(1.8), boundary(1.8)) == 0.0
+    assert lane_error_m(boundary(1.8, 0.01), boundary(1.8)) == pytest.approx(0.1)
+    assert lane_error_m(boundary(1.55), boundary(1.8)) == pytest.approx(-0.25)
+    assert lane_error_m(boundary(1.8), boundary(1.8)) == 0.0
 
 
 def test_lane_error_needs_both():
-    assert m.lane_error_m(Boundary("left", "lost"), boundary(1.8)) is None
-    assert m.lane_error_m(boundary(1.8), Boundary("left", "measured")) is None
+    assert lane_error_m(Boundary("left", "lost"), boundary(1.8)) is None
+    assert lane_error_m(boundary(1.8), Boundary("left", "measured")) is None
 
 
 def seen(true, right_px=0.0):

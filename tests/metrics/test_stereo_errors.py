@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.core.geometry import Camera
-from roadperc_stream.metrics.stereo_errors import both_see, stereo_errors
+from roadperc_stream.metrics.stereo import both_see, stereo_errors
 
 STEREO = Camera("left", 80, 10, 100.0, 100.0, 39.5, 4.5)
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream import metrics as m
 from roadperc_stream.core.datatypes import HeightGrid
+from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.metrics.surface import intersection_over_union, surface_height_error_m
 from tests.hills import Hill
 from tests.metrics.frames import CFG, sample_and_result
 
@@ -14,9 +15,9 @@ from tests.metrics.frames import CFG, sample_and_result
 def test_intersection_over_union():
     a, b = np.zeros((2, 4), bool), np.zeros((2, 4), bool)
     a[0], b[0, 2:], b[1, :2] = True, True, True
-    assert m.intersection_over_union(a, b) == pytest.approx(2 / 6)
-    assert m.intersection_over_union(a, a) == 1.0
-    assert m.intersection_over_union(a & False, b & False) is None
+    assert intersection_over_union(a, b) == pytest.approx(2 / 6)
+    assert intersection_over_union(a, a) == 1.0
+    assert intersection_over_union(a & False, b & False) is None
 
 
 def test_a_surface_turned_by_a_degree():
@@ -26,27 +27,27 @@ def test_a_surface_turned_by_a_degree():
     )
     level = replace(result.surface, ego_plane=type(result.surface.ego_plane)((0.0, 0.0, 1.0), 0.0))
     sample, _ = sample_and_result(surface=replace(turned, camera_height_m=1.5))
-    row = m.frame_metrics(CFG, "id", sample, replace(result, surface=replace(level, camera_height_m=1.4)))
+    row = frame_metrics(CFG, "id", sample, replace(result, surface=replace(level, camera_height_m=1.4)))
     assert row.surface_angle_error_deg == pytest.approx(1.0)
     assert row.camera_height_error_m == pytest.approx(-0.1)
 
 
 def test_heights_are_judged_between_five_and_forty_metres():
     hill = Hill().surface()
-    assert m.surface_height_error_m(hill, hill) == pytest.approx(0.0, abs=1e-6)
+    assert surface_height_error_m(hill, hill) == pytest.approx(0.0, abs=1e-6)
     z = hill.height_grid.z_m.copy()
     z[:, :5] += 9  # nearer than 5 m
     z[:, 41:] += 9  # farther than 40 m
     z[np.abs(np.arange(-8, 9)) >= 4] += 9
     z[5:12, 5:41] += 0.25
     raised = replace(hill, height_grid=HeightGrid(0.0, -8.0, 1.0, z))
-    assert m.surface_height_error_m(raised, hill) == pytest.approx(0.25, abs=1e-6)
+    assert surface_height_error_m(raised, hill) == pytest.approx(0.25, abs=1e-6)
 
 
 def test_heights_of_a_plane_and_without_truth():
     level = replace(Hill(grade=0.0).surface(), height_grid=None)
     raised = replace(level, ego_plane=type(level.ego_plane)((0.0, 0.0, 1.0), -0.1))
-    assert m.surface_height_error_m(raised, Hill(grade=0.0).surface()) == pytest.approx(0.1)
-    assert m.surface_height_error_m(level, level) is None
+    assert surface_height_error_m(raised, Hill(grade=0.0).surface()) == pytest.approx(0.1)
+    assert surface_height_error_m(level, level) is None
     far = replace(level, height_grid=HeightGrid(50.0, 0.0, 1.0, np.zeros((2, 2), np.float32)))
-    assert m.surface_height_error_m(level, far) is None
+    assert surface_height_error_m(level, far) is None

@@ -9,7 +9,7 @@ from roadperc_stream import log
 from roadperc_stream.cli.convert import main
 from roadperc_stream.core.datatypes import Box
 from roadperc_stream.core.geometry import Camera
-from roadperc_stream.input.decoding import context_of, decode
+from roadperc_stream.input.decoding import context_of_channel, decode
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS
 from tests.tools.dump_writer import (
@@ -49,7 +49,7 @@ def payloads(path: Path) -> dict[str, list]:
     found: dict[str, list] = {}
     for message in log.read(path, validate_crcs=True):
         role = ROLE_OF_TOPIC[message.channel.topic]
-        context = context_of(dict(message.channel.metadata), "auto")
+        context = context_of_channel(message.channel, "auto")
         schema, encoding = message.channel.schema_name, message.channel.message_encoding
         decoded = decode(role.kind, schema, encoding, message.data, message.log_time_ns, context)
         assert decoded.stamp_ns == message.log_time_ns == message.publish_time_ns

@@ -223,7 +223,7 @@ def nodes(layout):
             waiting += [node["first"], node["second"]]
 
 
-def test_the_objects_table_says_status_and_verdict_in_words():
+def test_the_objects_table_says_status_and_filter_in_words():
     (script,) = laid_out(EVERYTHING)["userNodes"].values()
     source = script["sourceCode"]
     known = json.loads(re.search(r"statuses: .* = (\{.*\});", source)[1])

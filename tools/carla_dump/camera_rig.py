@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.core.datatypes import Transform
+from roadperc_stream.core.datatypes import EGO, Transform
 from roadperc_stream.core.geometry import Camera, Float, level_mounting, rigid
 from roadperc_stream.errors import DumpError
 
@@ -28,7 +28,6 @@ DEPTH: Final = "camera_depth"
 LEFT: Final = "camera_left"
 RIGHT: Final = "camera_right"
 LIDAR: Final = "lidar"
-EGO: Final = "ego"
 CAMERA_ROLES: Final = ("image", "segmentation", "depth", "left", "right")
 """Sensors with a camera; the first one present is the front camera."""
 _SAME_M: Final = 1e-6

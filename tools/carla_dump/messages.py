@@ -6,6 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
+from roadperc_stream.core.datatypes import EGO
 from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.output import encoding
@@ -14,7 +15,7 @@ from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.roles import ROLES
 
-from .camera_rig import EGO, FRONT
+from .camera_rig import FRONT
 from .depth_files import depth_metres
 from .image_files import UnreadableFrameError, read_bytes, require_whole
 from .pixel_files import Pixels, load_pixels

@@ -29,13 +29,14 @@ GRAIN_STD: Final = 40.0
 """Grey levels of the sharp grain's deviation; contrast is a matter of who uses it."""
 FALL: Final = 0.75
 """How the road's grain falls with frequency: somewhat more of the fine than of the coarse, as asphalt has it."""
-BANKS: Final = 2
-"""Asphalt and paving."""
 
 
 @dataclass(frozen=True)
 class Grain:
-    """(BANKS * LEVELS * (ROWS + 2 GUARD), COLUMNS + 2 GUARD) grey about 128; rows run along the road."""
+    """(2 * LEVELS * (ROWS + 2 GUARD), COLUMNS + 2 GUARD) grey about 128: asphalt, then paving.
+
+    Rows run along the road.
+    """
 
     texels: NDArray[np.uint8]
     focal_px: float

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.config import OccupancyConfig
+from roadperc_stream.core.config import OccupancyConfig, scaled
 from roadperc_stream.core.datatypes import Absent, Mask, Occupancy, Reason, Surface
 from roadperc_stream.core.geometry import Camera, Float32, inverse, project, transform
 from roadperc_stream.core.ground import ego_points, height_above, height_at, part
@@ -62,8 +62,7 @@ def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivabl
 
 
 def _pixel_step(cfg: OccupancyConfig, camera: Camera) -> int:
-    """``pixel_step`` is given for 960 rows."""
-    return max(round(cfg.pixel_step * camera.height / 960), 1)
+    return max(round(scaled(cfg.pixel_step, camera.height)), 1)
 
 
 def _shape(cfg: OccupancyConfig) -> tuple[int, int]:

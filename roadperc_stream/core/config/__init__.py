@@ -2,6 +2,7 @@
 
 from roadperc_stream.core.config.loading import load_config, validated
 from roadperc_stream.core.config.replay import ReplayConfig
+from roadperc_stream.core.config.scaling import scaled
 from roadperc_stream.core.config.stages import (
     LanesConfig,
     ObjectsConfig,
@@ -25,6 +26,7 @@ __all__ = [
     "SurfaceConfig",
     "SyncConfig",
     "load_config",
+    "scaled",
     "switched_off",
     "validated",
 ]

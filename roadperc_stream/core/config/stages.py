@@ -59,6 +59,11 @@ class StereoConfig(Section):
             raise ValueError(f"p2 must exceed p1: p1 {self.p1}, p2 {self.p2}")
         return self
 
+    @property
+    def enabled(self) -> bool:
+        """Whether the stage runs."""
+        return self.method != "off"
+
 
 class SurfaceConfig(Section):
     """The drivable surface, by RANSAC on road points."""
@@ -164,10 +169,10 @@ class LanesConfig(Section):
 
 
 class ObjectsConfig(Section):
-    """Detections filtered by segmentation, with their distance, and followed over time."""
+    """Detections filtered by segmentation, with their distance, and tracked over time."""
 
     enabled: bool = True
-    """Whether detections are filtered and followed."""
+    """Whether detections are filtered and tracked."""
     min_class_ratio: Ratio = 0.3
     """A detection is kept when more than this share of its box carries its class."""
     distance_quantile: Ratio = 0.02
@@ -175,7 +180,7 @@ class ObjectsConfig(Section):
     distance_pixels: Literal["class", "box"] = "class"
     """Pixels of the box that count for the distance: those of its class, or all."""
     hold_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.5
-    """How long an object without a detection is followed, and searched for in the image."""
+    """How long an object without a detection is carried, and searched for in the image."""
     template_search: bool = True
     """Whether an object without a detection is searched for by its last image patch; this needs the decoded image."""
     carry_after_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.1

@@ -174,7 +174,10 @@ class Box:
 
 @dataclass(frozen=True)
 class Detection:
-    """One box of a detector."""
+    """One box of a detector, which gives ``label`` and ``score``: usually 0 to 1, any finite number is taken.
+
+    ``id`` names the object from frame to frame, as the detector's own tracker does; empty where it has none.
+    """
 
     label: str
     box_px: Box

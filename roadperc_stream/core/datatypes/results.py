@@ -17,7 +17,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "assumed", "truth"]
 BoundaryStatus = Literal["measured", "held", "lost"]
 ObjectStatus = Literal["measured", "tracked", "lost"]
-Verdict = Literal["kept", "unjudged", "dropped"]
+Verdict = Literal["kept", "unverified", "dropped"]
 OdometryStatus = Literal["first", "tracked", "lost"]
 Line = tuple[float, float, float, float]
 """x1, y1, x2, y2 in pixels: from the image's bottom edge (y1 = height) to the road's far end."""
@@ -45,7 +45,11 @@ class HeightGrid:
 
 @dataclass(frozen=True)
 class Surface:
-    """The road's plane in the frame of the camera its depth belongs to, and the same in the ego frame."""
+    """The road's plane in the frame ``frame_id`` of the camera its depth belongs to, and the same in the ego frame.
+
+    ``pitch`` (nose down positive) and ``roll`` (right side down positive) are the camera's against the plane, radians;
+    ``inlier_ratio`` is the share of the road's points that lie on the plane, None where none was fitted to points.
+    """
 
     source: SurfaceSource
     frame_id: str
@@ -60,7 +64,7 @@ class Surface:
 
     @property
     def abd(self) -> tuple[float, float, float]:
-        """The lecture's parameters of a x + b y + z = d in the ego frame."""
+        """The plane as a x + b y + z = d in the ego frame: a and b without unit, d in metres."""
         nx, ny, nz = self.ego_plane.normal
         return nx / nz, ny / nz, -self.ego_plane.offset_m / nz
 
@@ -137,7 +141,11 @@ class Occupancy:
 
 @dataclass(frozen=True)
 class Boundary:
-    """One side of the ego lane. The state (offset, heading, curvature) is in the ego frame at x = 0."""
+    """One side of the ego lane. The state (offset, heading in radians, curvature) is in the ego frame at x = 0.
+
+    ``covariance`` is the state's, 3x3 row by row. ``inside`` and ``outside`` are the classes to either side, such as
+    ``road`` and ``sidewalk``, empty where unknown. ``line_ego_m`` and ``line_px`` are points of the smoothed boundary.
+    """
 
     side: Side
     status: BoundaryStatus
@@ -200,10 +208,10 @@ class Object:
 
     @property
     def verdict(self) -> Verdict:
-        """What became of it: ``unjudged`` ones are kept because no segmentation could confirm or refute them."""
+        """What became of it: ``unverified`` ones are kept because no segmentation could confirm or refute them."""
         if not self.kept:
             return "dropped"
-        return "unjudged" if self.class_ratio is None else "kept"
+        return "unverified" if self.class_ratio is None else "kept"
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,6 @@ __all__ = [
     "Decoded",
     "Payload",
     "camera_from_calibration",
-    "context_of",
     "context_of_channel",
     "decode",
     "detection_from_proto",
@@ -72,22 +71,16 @@ def schemas_of_kind(kind: Kind) -> tuple[tuple[str, str], ...]:
     return tuple((schema, encoding) for known, schema, encoding in DECODERS if known == kind)
 
 
-def context_of(metadata: Mapping[str, str], configured: str, otherwise: str = "") -> Context:
-    """Decoding context of a channel.
+def context_of_channel(channel: Channel, configured: str, otherwise: str = "") -> Context:
+    """Decoding context of a channel whose messages are laid out as its own schema says.
 
     Args:
-        metadata: of the channel, which may name its tag table.
+        channel: may name its tag table.
         configured: the tag table that wins over the channel's own, or ``auto``.
         otherwise: that of a channel that names none.
     """
-    name = metadata.get(TAG_TABLE_KEY, otherwise) if configured == "auto" else configured
-    return Context(TABLES.get(name))
-
-
-def context_of_channel(channel: Channel, configured: str, otherwise: str = "") -> Context:
-    """Decoding context of a channel whose messages are laid out as its own schema says; as ``context_of``."""
-    context = context_of(dict(channel.metadata), configured, otherwise)
-    context = replace(context, carla_bridge=channel.topic.startswith(CARLA_BRIDGE))
+    name = dict(channel.metadata).get(TAG_TABLE_KEY, otherwise) if configured == "auto" else configured
+    context = Context(TABLES.get(name), carla_bridge=channel.topic.startswith(CARLA_BRIDGE))
     if not channel.schema_data:
         return context
     return replace(context, definition=channel.schema_data, definition_encoding=channel.schema_encoding)

@@ -12,7 +12,7 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudPro
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from roadperc_stream.core.datatypes import PointCloud, Transform
+from roadperc_stream.core.datatypes import EGO, PointCloud, Transform
 from roadperc_stream.core.geometry import Float32
 from roadperc_stream.formats import points
 from roadperc_stream.formats.raster import Raster
@@ -84,7 +84,7 @@ def _edge(message: Any) -> Transform:
 def _pose(message: Any, _: Context) -> Decoded:
     """A pose of the ego frame."""
     matrix = pose_matrix(message.pose.position, message.pose.orientation)
-    return Decoded(stamp_ns(message.timestamp), Transform(message.frame_id, "ego", matrix))
+    return Decoded(stamp_ns(message.timestamp), Transform(message.frame_id, EGO, matrix))
 
 
 DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {

@@ -9,7 +9,7 @@ import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 
-from roadperc_stream.core.datatypes import Box, Detection, PointCloud, Transform
+from roadperc_stream.core.datatypes import EGO, Box, Detection, PointCloud, Transform
 from roadperc_stream.core.geometry import Float32
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import points
@@ -166,11 +166,11 @@ def _transforms(message: Any, _: Context) -> Decoded:
 
 def _odometry(message: Any, _: Context) -> Decoded:
     """The pose of the frame that the message names in the odometry's; that of the vehicle where it names none."""
-    return _pose_of(message, message.pose.pose, str(message.child_frame_id) or "ego")
+    return _pose_of(message, message.pose.pose, str(message.child_frame_id) or EGO)
 
 
 def _pose_stamped(message: Any, _: Context) -> Decoded:
-    return _pose_of(message, message.pose, "ego")
+    return _pose_of(message, message.pose, EGO)
 
 
 def _pose_of(message: Any, pose: Any, child: str) -> Decoded:

@@ -3,9 +3,11 @@
 from roadperc_stream.input.roles.assignment import (
     NOTHING_TO_REPLAY,
     RoleAssignment,
+    RoleFilling,
     assign_roles,
     assignment_of_log,
     candidates,
+    channel_state,
     tag_table_to_record,
 )
 from roadperc_stream.input.roles.probe import ContentProbe, no_probe, probe_first_message
@@ -16,9 +18,11 @@ __all__ = [
     "NOTHING_TO_REPLAY",
     "ContentProbe",
     "RoleAssignment",
+    "RoleFilling",
     "assign_roles",
     "assignment_of_log",
     "candidates",
+    "channel_state",
     "distinct",
     "fits",
     "no_probe",

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final
+from typing import Final, Literal
 
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.decoding import schemas_of_kind
@@ -21,6 +21,8 @@ _UNNAMED_ROLES: Final = ("depth", "segmentation")
 _MOST_CANDIDATES_NAMED: Final = 3
 """Candidates of a role, in notes."""
 
+RoleFilling = Literal["filled", "missing", "wrong schema", "several channels"]
+
 
 @dataclass(frozen=True)
 class RoleAssignment:
@@ -31,6 +33,8 @@ class RoleAssignment:
     """What was guessed and what is left unassigned, to be reported to the user."""
     unassigned: tuple[str, ...] = ()
     """Of these the roles that some topic of the log could serve, with the topics."""
+    guessed: frozenset[str] = frozenset()
+    """Roles whose topic is only the one that fits."""
     chosen: Mapping[str, str] = field(default_factory=dict)
     """Topics that were chosen because the user named them, in this replay or in the one that made the log."""
     tag_table: str = ""
@@ -110,19 +114,37 @@ def assign_roles(
             there = ", ".join(sorted({channel.topic for channel in inputs})) or "none"
             raise ChannelError(f"--topic {role.name}={topic}: no such topic; topics in the log: {there}")
         if named:
-            _require_one_fitting(role, named)
+            state, fault = channel_state(role, named)
+            if state != "filled":
+                raise ChannelError(f"{topic}: role {role.name}: {fault}")
             topics[role.name] = topic
     for role in ROLES.values():
         elsewhere = known_elsewhere(role, unassigned(inputs, topics))
         if role.name not in topics and (known := choice(role, elsewhere, topics)):
             topics[role.name] = known
-    notes = []
+    guessed = []
     for role in ROLES.values():
-        if role.name not in topics and (guessed := guess(role, inputs, topics)):
-            topics[role.name] = guessed
-            notes.append(f"role {role.name}: {guessed}, the only topic that fits")
+        if role.name not in topics and (only := guess(role, inputs, topics)):
+            topics[role.name] = only
+            guessed.append(role.name)
+    notes = (f"role {name}: {topics[name]}, the only topic that fits" for name in guessed)
     left = _unassigned_in_words(candidates(inputs, topics, probe), inputs)
-    return RoleAssignment({name: topics[name] for name in ROLES if name in topics}, (*notes, *left), left)
+    in_order = {name: topics[name] for name in ROLES if name in topics}
+    return RoleAssignment(in_order, (*notes, *left), left, frozenset(guessed))
+
+
+def channel_state(role: Role, named: Sequence[Channel]) -> tuple[RoleFilling, str]:
+    """Whether the channels on a topic can serve a role, and what is wrong with them."""
+    if not named:
+        return "missing", ""
+    for channel in named:
+        if not fits(role, channel):
+            expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in schemas_of_kind(role.kind))
+            found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding or 'no encoding'})"
+            return "wrong schema", f"found {found}, expected {expected}"
+    if len(named) > 1 and role.kind not in SHARED_KINDS:
+        return "several channels", f"{len(named)} channels carry this topic, expected one"
+    return "filled", ""
 
 
 def candidates(
@@ -155,13 +177,3 @@ def _unassigned_in_words(found: Mapping[str, tuple[str, ...]], channels: Iterabl
         more = ", ..." if len(topics) > _MOST_CANDIDATES_NAMED else ""
         lines.append(f"role {name}: not assigned; candidates: {some}{more}: --topic {name}={topics[0]}")
     return tuple(lines)
-
-
-def _require_one_fitting(role: Role, channels: list[Channel]) -> None:
-    for channel in channels:
-        if not fits(role, channel):
-            expected = " or ".join(f"{schema} ({encoding})" for schema, encoding in schemas_of_kind(role.kind))
-            found = f"{channel.schema_name or 'no schema'} ({channel.message_encoding})"
-            raise ChannelError(f"{channel.topic}: role {role.name} expects {expected}, found {found}")
-    if len(channels) > 1 and role.kind not in SHARED_KINDS:
-        raise ChannelError(f"{role.topic}: {len(channels)} channels carry this topic, role {role.name} takes one")

@@ -19,7 +19,7 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from numpy.typing import NDArray
 
-from roadperc_stream.core.datatypes import Box, Lanes, Mask, Object, Objects, Surface
+from roadperc_stream.core.datatypes import EGO, Box, Lanes, Mask, Object, Objects, Surface
 from roadperc_stream.core.geometry import Camera, Float, quaternion, rays, transform
 from roadperc_stream.core.ground import ground_points, height_at
 from roadperc_stream.core.semantics import Colour
@@ -54,7 +54,7 @@ def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
             colour = colours.BOUNDARY[boundary.status]
             _points(message, stamp_ns, PointsAnnotation.LINE_STRIP, boundary.line_px, colour, 4.0)
             text = f"{boundary.offset_m:+.2f} m {boundary.outside}".strip()
-            visible = boundary.line_px[_room_for_text(camera, boundary.line_px)]
+            visible = boundary.line_px[_space_for_text(camera, boundary.line_px)]
             if len(visible):
                 _text(message, stamp_ns, camera, visible[0], text, colour)
     return message.SerializeToString()
@@ -88,7 +88,7 @@ def drivable_scene(stamp_ns: int, surface: Surface, camera: Camera, ego_T_camera
         mask: (H, W) drivable pixels.
     """
     message = SceneUpdate()
-    entity = message.entities.add(frame_id="ego", id="drivable")
+    entity = message.entities.add(frame_id=EGO, id="drivable")
     set_stamp(entity, stamp_ns)
     patch = road_patch(surface)
     triangles = entity.triangles.add(color=_color(colours.DRIVABLE, 0.25), indices=patch_triangles(patch).ravel())
@@ -106,7 +106,7 @@ def lanes_scene(stamp_ns: int, lanes: Lanes) -> bytes:
     """The boundaries on the road, in the ego frame."""
     message = SceneUpdate()
     for boundary in lanes.boundaries:
-        entity = message.entities.add(frame_id="ego", id=f"lane_{boundary.side}")
+        entity = message.entities.add(frame_id=EGO, id=f"lane_{boundary.side}")
         set_stamp(entity, stamp_ns)
         if len(boundary.line_ego_m):
             colour = _color(colours.BOUNDARY[boundary.status])
@@ -121,7 +121,7 @@ def objects_scene(stamp_ns: int, camera: Camera, ego_T_camera: Float, objects: O
     Those captioned in the image are captioned here. All are one entity, so that those of the frame before are gone.
     """
     message = SceneUpdate()
-    entity = message.entities.add(frame_id="ego", id="objects")
+    entity = message.entities.add(frame_id=EGO, id="objects")
     set_stamp(entity, stamp_ns)
     for item, named in zip(objects.objects, captioned(camera, objects.objects), strict=True):
         if item.kept and item.distance_m is not None:
@@ -193,8 +193,8 @@ def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) 
     return np.asarray(points[near], float)
 
 
-def _room_for_text(camera: Camera, pixels: Float) -> Mask:
-    """Which of (N, 2) pixels are in the image with room to their right."""
+def _space_for_text(camera: Camera, pixels: Float) -> Mask:
+    """Which of (N, 2) pixels are in the image with space to their right."""
     x, y = pixels.T
     fits: Mask = (x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)
     return fits

@@ -75,7 +75,7 @@ class Pen:
 
     @property
     def edge_px(self) -> int:
-        """Width of the dark edge at either side of a line; a small image has no room for one."""
+        """Width of the dark edge at either side of a line; a small image has no space for one."""
         return self.line_px // 2
 
 

@@ -16,7 +16,7 @@ BOUNDARY: Final[Mapping[str, Colour]] = {"measured": GREEN, "held": ORANGE, "los
 """By the boundary's status."""
 RAW_LINE: Final = YELLOW
 PROPOSED_LINE: Final = CYAN
-OBJECT: Final[Mapping[Verdict, Colour]] = {"kept": GREEN, "unjudged": YELLOW, "dropped": GREY}
+OBJECT: Final[Mapping[Verdict, Colour]] = {"kept": GREEN, "unverified": YELLOW, "dropped": GREY}
 DRIVABLE: Final[Colour] = (30, 130, 220)
 """Blue, for lanes and boxes are drawn over it in green."""
 

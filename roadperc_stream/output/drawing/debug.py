@@ -64,7 +64,7 @@ def matches_picture(image_bgr: Image, matches: Matches) -> Image:
     pen = Pen.of(canvas)
     groups = ((~matches.inliers, _OUTLIER, "outliers"), (matches.inliers, _INLIER, "inliers"))
     for chosen, colour, _ in groups:
-        _draw_ways(canvas, matches, chosen, colour, pen)
+        _draw_flow(canvas, matches, chosen, colour, pen)
     legend = [(f"{np.count_nonzero(chosen)} {name}", colour) for chosen, colour, name in reversed(groups)]
     _draw_legend(canvas, legend, pen)
     return canvas
@@ -133,7 +133,7 @@ def _draw_lines(canvas: Image, lines: Float, colour: Colour, width_px: int, pen:
         polyline(canvas, line.reshape(2, 2), colour, width_px, pen)
 
 
-def _draw_ways(canvas: Image, matches: Matches, chosen: Mask, colour: Colour, pen: Pen) -> None:
+def _draw_flow(canvas: Image, matches: Matches, chosen: Mask, colour: Colour, pen: Pen) -> None:
     for start, end in zip(matches.key_px[chosen], matches.px[chosen], strict=True):
         polyline(canvas, np.array((start, end), float), colour, max(pen.line_px // 2, 1), pen)
         cv2.circle(canvas, (round(float(end[0])), round(float(end[1]))), pen.line_px, colour, cv2.FILLED, cv2.LINE_AA)

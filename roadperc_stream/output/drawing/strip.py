@@ -47,7 +47,7 @@ LEGEND: Final = (
     LegendEntry("held", bgr(colours.BOUNDARY["held"]), "line"),
     LegendEntry("raw", bgr(colours.RAW_LINE), "dashed line"),
     LegendEntry("kept", bgr(colours.OBJECT["kept"]), "box"),
-    LegendEntry("not judged", bgr(colours.OBJECT["unjudged"]), "box"),
+    LegendEntry("unverified", bgr(colours.OBJECT["unverified"]), "box"),
     LegendEntry("dropped", bgr(colours.OBJECT["dropped"]), "dashed box"),
 )
 Item = Phrase | LegendEntry

@@ -168,10 +168,10 @@ class ObjectColumns:
     detections_unjudged: Annotated[
         int | None,
         Column(
-            "of these, kept because nothing could judge them: no segmentation, or a label without classes",
+            "of these, kept because nothing could verify them: no segmentation, or a label without classes",
             COUNT,
             _NO_OBJECTS,
-            label="detections not judged",
+            label="detections unverified",
             decimals=1,
             compares_coverage=False,
         ),
@@ -179,10 +179,10 @@ class ObjectColumns:
     objects_carried: Annotated[
         int | None,
         Column(
-            "objects the detector missed in this frame, tracked on by their image patch",
+            "objects the detector missed in this frame, carried by their image patch",
             COUNT,
             _NO_OBJECTS,
-            label="objects tracked on",
+            label="objects carried",
             decimals=1,
             compares_coverage=False,
         ),

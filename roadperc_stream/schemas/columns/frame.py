@@ -6,8 +6,8 @@ from typing import Annotated, Final
 from roadperc_stream.schemas.columns import errors, estimates
 from roadperc_stream.schemas.columns.column import Column
 
-STAGES: Final = ("decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy", "encode", "total")
-TIME_COLUMNS: Final = tuple(f"{stage}_ms" for stage in STAGES)
+TIMED_STAGES: Final = ("decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy", "encode", "total")
+TIME_COLUMNS: Final = tuple(f"{stage}_ms" for stage in TIMED_STAGES)
 """Wall-clock milliseconds of each stage; null where it did not run. They stand in Parquet alone, behind the row."""
 
 

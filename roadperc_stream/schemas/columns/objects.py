@@ -1,4 +1,4 @@
-"""The row of a detection, or of an object that is tracked on without one."""
+"""The row of a detection, or of an object that is carried without one."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -12,7 +12,7 @@ _NO_TRUTH = "no true object"
 
 @dataclass(frozen=True)
 class ObjectMetrics(FrameKey):
-    """A detection as the chain filtered and followed it, and the true object it stands for."""
+    """A detection as the chain filtered and tracked it, and the true object it stands for."""
 
     track_id: Annotated[str | None, Column("the object's track through the log", null="not tracked")]
     label: Annotated[str, Column("class by the detector")]
@@ -44,7 +44,7 @@ class ObjectMetrics(FrameKey):
     ]
     time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")]
     status: Annotated[
-        str, Column("`measured` (detected), `tracked` (followed by its image patch without a detection) or `lost`")
+        str, Column("`measured` (detected), `tracked` (carried by its image patch without a detection) or `lost`")
     ]
     beyond_range: Annotated[bool, Column("the depth saturates there")]
     is_true: Annotated[bool | None, Column("stands for a true object", null="the log has no true objects")]

@@ -5,7 +5,26 @@ from typing import Final
 
 from roadperc_stream.core.datatypes import EGO
 from roadperc_stream.schemas.roles import ROLES
-from roadperc_stream.schemas.topics import ON_REQUEST, TIMES_TOPIC
+from roadperc_stream.schemas.topics import (
+    DRIVABLE_SCENE_TOPIC,
+    DRIVABLE_TOPIC,
+    LANES_ANNOTATIONS_TOPIC,
+    LANES_SCENE_TOPIC,
+    LANES_TOPIC,
+    LOG_TOPIC,
+    OBJECTS_ANNOTATIONS_TOPIC,
+    OBJECTS_SCENE_TOPIC,
+    OBJECTS_TOPIC,
+    OCCUPANCY_TOPIC,
+    ODOMETRY_TOPIC,
+    ON_REQUEST,
+    RESULT_PREFIX,
+    STEREO_DEPTH_TOPIC,
+    SURFACE_TOPIC,
+    TF_TOPIC,
+    TIMES_TOPIC,
+    TRAJECTORY_TOPIC,
+)
 from roadperc_stream.view.layout import curves, scripts
 from roadperc_stream.view.layout.contents import LogContents
 from roadperc_stream.view.layout.panels import (
@@ -26,13 +45,12 @@ from roadperc_stream.view.layout.panels import (
     words,
 )
 
-_DRIVABLE: Final = "/perception/drivable"
-_IN_THE_IMAGE: Final = ("/perception/lanes/annotations", "/perception/objects/annotations")
+_IN_THE_IMAGE: Final = (LANES_ANNOTATIONS_TOPIC, OBJECTS_ANNOTATIONS_TOPIC)
 _IN_SPACE: Final[Mapping[str, Config]] = {
-    "/perception/drivable/scene": {},
-    "/perception/lanes/scene": {},
-    "/perception/objects/scene": {},
-    "/perception/occupancy": {
+    DRIVABLE_SCENE_TOPIC: {},
+    LANES_SCENE_TOPIC: {},
+    OBJECTS_SCENE_TOPIC: {},
+    OCCUPANCY_TOPIC: {
         "frameLocked": True,
         "colorMode": "custom",
         "minColor": "#1e82dc50",
@@ -41,9 +59,9 @@ _IN_SPACE: Final[Mapping[str, Config]] = {
         "invalidColor": "#00000000",
         "alpha": 0.6,
     },
-    "/perception/trajectory": {"type": "line", "lineWidth": 0.25, "gradient": ["#f0c419ff", "#f0c419ff"]},
-    "/perception/odometry": {"type": "axis", "axisScale": 1},
-    "/perception/tf": {},
+    TRAJECTORY_TOPIC: {"type": "line", "lineWidth": 0.25, "gradient": ["#f0c419ff", "#f0c419ff"]},
+    ODOMETRY_TOPIC: {"type": "axis", "axisScale": 1},
+    TF_TOPIC: {},
 }
 """Results in the scene, and how they are drawn."""
 _ROLES_IN_SPACE: Final[Mapping[str, Config]] = {
@@ -67,12 +85,12 @@ _CAMERA: Final[Config] = {
 """From behind and above the car."""
 _ALWAYS_TIMED: Final = ("decode_ms", "encode_ms", "total_ms")
 _OUTPUT_OF: Final = {
-    "surface_ms": "/perception/surface",
-    "lanes_ms": "/perception/lanes",
-    "objects_ms": "/perception/objects",
-    "stereo_ms": "/perception/stereo/depth",
-    "odometry_ms": "/perception/odometry",
-    "occupancy_ms": "/perception/occupancy",
+    "surface_ms": SURFACE_TOPIC,
+    "lanes_ms": LANES_TOPIC,
+    "objects_ms": OBJECTS_TOPIC,
+    "stereo_ms": STEREO_DEPTH_TOPIC,
+    "odometry_ms": ODOMETRY_TOPIC,
+    "occupancy_ms": OCCUPANCY_TOPIC,
 }
 """By the columns of times what tells whether the stage ran."""
 
@@ -88,7 +106,7 @@ def _camera(has: LogContents) -> Node | None:
     """The camera the results are of with what was found drawn over it, the pictures of the stages, other cameras."""
     front = _front(has)
     drawn = [has.result(topic) for topic in _IN_THE_IMAGE]
-    camera = "Drivable" if front == _DRIVABLE else "Front camera"
+    camera = "Drivable" if front == DRIVABLE_TOPIC else "Front camera"
     shown = picture("front", f"{camera}: lanes and objects" if any(drawn) else camera, front, drawn)
     made = {topic.rpartition("/")[2].capitalize(): has.result(topic) for topic in ON_REQUEST}
     others = {side.capitalize(): has.roles.get(side) for side in ("left", "right") if has.roles.get(side) != front}
@@ -99,15 +117,15 @@ def _camera(has: LogContents) -> Node | None:
 
 def _front(has: LogContents) -> str | None:
     """What lanes and objects are drawn over: the results of a log without its images are drawn over the road."""
-    return has.roles.get("image") or has.roles.get("left") or has.result(_DRIVABLE)
+    return has.roles.get("image") or has.roles.get("left") or has.result(DRIVABLE_TOPIC)
 
 
 def _other_pictures(has: LogContents) -> Node | None:
     """Tags and depth, what was made of them, and what is true of them."""
     roles = has.roles
     tags = picture("tags", "Tags", roles.get("segmentation"))
-    drivable = None if _front(has) == _DRIVABLE else picture("drivable", "Drivable", has.result(_DRIVABLE))
-    stereo = depth_picture("stereo", "Stereo depth", has.result("/perception/stereo/depth"))
+    drivable = None if _front(has) == DRIVABLE_TOPIC else picture("drivable", "Drivable", has.result(DRIVABLE_TOPIC))
+    stereo = depth_picture("stereo", "Stereo depth", has.result(STEREO_DEPTH_TOPIC))
     true_tags = picture("true_tags", "True tags", roles.get("truth_segmentation"))
     return tabs(
         "pictures",
@@ -173,7 +191,7 @@ def _numbers(has: LogContents) -> Node | None:
                 curves.states("lane_states", "Boundaries", curves.BOUNDARY_STATES, shown),
             ),
             "Times": _times(has),
-            "Log": words("log", "Log: what was missing", has.result("/perception/log")),
+            "Log": words("log", "Log: what was missing", has.result(LOG_TOPIC)),
             "Messages": _messages(has),
         },
     )
@@ -197,8 +215,8 @@ def _objects(has: LogContents) -> Panel | None:
 
 
 def _tables(has: LogContents) -> Iterable[tuple[str, Script]]:
-    if scripts.OBJECTS in has.results:
-        yield "Objects", scripts.objects_table(scripts.OBJECTS)
+    if OBJECTS_TOPIC in has.results:
+        yield "Objects", scripts.objects_table(OBJECTS_TOPIC)
     elif "detections" in has.roles:
         yield "Detections", scripts.detections_table(has.roles["detections"])
 
@@ -218,7 +236,7 @@ def _times(has: LogContents) -> Panel | None:
 def _messages(has: LogContents) -> Node | None:
     """Results as they are written; without results the truths of an input log."""
     results = [
-        raw_messages(name.replace("/", "_"), name.capitalize(), has.result(f"/perception/{name}"))
+        raw_messages(name.replace("/", "_"), name.capitalize(), has.result(f"{RESULT_PREFIX}{name}"))
         for name in ("surface", "lanes", "odometry/state", "metrics")
     ]
     truths = [raw_messages(name, ROLES[name].topic, has.roles.get(name)) for name in ("truth_surface", "truth_lanes")]

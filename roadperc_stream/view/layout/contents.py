@@ -18,7 +18,16 @@ from roadperc_stream.input.roles.assignment import assignment_of_log
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.roles import ROLES, Kind
-from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULTS, TIMES_TOPIC
+from roadperc_stream.schemas.topics import (
+    DRIVABLE_SCENE_TOPIC,
+    LANES_SCENE_TOPIC,
+    METRICS_TOPIC,
+    OBJECTS_SCENE_TOPIC,
+    OCCUPANCY_TOPIC,
+    RESULTS,
+    TF_TOPIC,
+    TIMES_TOPIC,
+)
 from roadperc_stream.view.result_frames import read_rows
 from roadperc_stream.view.shown import require_shown
 
@@ -27,11 +36,11 @@ _TF_ROLES: Final = ("tf", "tf_static")
 _COLUMNS: Final = frozenset(field.name for field in fields(FrameMetrics))
 IN_THE_EGO_FRAME: Final = frozenset(
     {
-        "/perception/drivable/scene",
-        "/perception/lanes/scene",
-        "/perception/objects/scene",
-        "/perception/occupancy",
-        "/perception/tf",
+        DRIVABLE_SCENE_TOPIC,
+        LANES_SCENE_TOPIC,
+        OBJECTS_SCENE_TOPIC,
+        OCCUPANCY_TOPIC,
+        TF_TOPIC,
     }
 )
 """Results that name the ego frame."""

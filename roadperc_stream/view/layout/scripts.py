@@ -11,7 +11,6 @@ from roadperc_stream.view.layout.panels import Script
 
 ROWS: Final = "rows"
 """The field that lists a table's rows."""
-OBJECTS: Final = "/perception/objects"
 _UNKNOWN: Final = "-"
 
 _OBJECTS_SOURCE: Final = """\
@@ -31,7 +30,7 @@ type Detected = {
 type Row = {
   class: string;
   status: string;
-  verdict: string;
+  filter: string;
   distance: string;
   closing: string;
   impact: string;
@@ -57,8 +56,8 @@ function distance(seen: Detected): string {
   return seen.distance_m.toFixed(1) + deviation + " m";
 }
 
-function verdict(seen: Detected): string {
-  return !seen.kept ? "dropped" : seen.class_ratio == undefined ? "not judged" : "kept";
+function filter(seen: Detected): string {
+  return !seen.kept ? "dropped" : seen.class_ratio == undefined ? "unverified" : "kept";
 }
 
 export default function script(event: { message: { objects: Detected[] } }): Table {
@@ -66,7 +65,7 @@ export default function script(event: { message: { objects: Detected[] } }): Tab
     rows: event.message.objects.map((seen) => ({
       class: seen.detection?.label ?? UNKNOWN,
       status: statuses[seen.status] ?? UNKNOWN,
-      verdict: verdict(seen),
+      filter: filter(seen),
       distance: distance(seen),
       closing: text(seen.closing_speed_mps, " m/s", 1),
       impact: text(seen.time_to_impact_s, " s", 1),
@@ -109,7 +108,7 @@ export default function script(event: { message: { detections: Detection[] } }):
 
 
 def objects_table(topic: str) -> Script:
-    """Rows of a topic of ``roadperc.Objects``: class, status and verdict in words, numbers with their units."""
+    """Rows of a topic of ``roadperc.Objects``: class, status and filter in words, numbers with units."""
     statuses = {number: name.lower() for name, number in pb.Object.Status.items() if number}
     return _script("objects_table", topic, _OBJECTS_SOURCE.replace("STATUSES", json.dumps(statuses)))
 

@@ -129,7 +129,7 @@ class Player:
         self._follow_from(start_ns + 1)  # what holds at the start is shown to the first who watch
 
     def run(self) -> None:
-        """Play until told to stop.
+        """Play until asked to stop.
 
         Raises:
             LogError: the log can no longer be read.

@@ -42,7 +42,7 @@ def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iter
 
 
 def _caption_places(kept: Sequence[tuple[Object, BoxClass]], camera: Camera) -> tuple[Box | None, ...]:
-    """Room for the captions, which are larger here than elsewhere by the margin around them."""
+    """Space for the captions, which are larger here than elsewhere by the margin around them."""
     items = [item for item, _ in kept]
     sizes = [viewer_text_size(camera, caption(item)) for item in items]
     wider = [(_CAPTION_MARGIN[0] * width, _CAPTION_MARGIN[1] * height) for width, height in sizes]

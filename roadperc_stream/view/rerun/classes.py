@@ -16,7 +16,7 @@ class BoxClass(IntEnum):
     """What became of a detection; ``DETECTED`` and ``TRUE`` are not for the chain to judge."""
 
     KEPT = 0
-    UNJUDGED = 1
+    UNVERIFIED = 1
     DROPPED = 2
     DETECTED = 3
     TRUE = 4
@@ -33,7 +33,7 @@ class LineClass(IntEnum):
     TRUE = 5
 
 
-_BOX_COLOURS: Final = (*(colours.OBJECT[verdict] for verdict in ("kept", "unjudged", "dropped")), colours.CYAN, _TRUE)
+_BOX_COLOURS: Final = (*(colours.OBJECT[verdict] for verdict in ("kept", "unverified", "dropped")), colours.CYAN, _TRUE)
 _LINE_COLOURS: Final = (
     *(colours.BOUNDARY[status] for status in ("measured", "held", "lost")),
     colours.RAW_LINE,

@@ -14,12 +14,13 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from roadperc_stream.chain.stages import stereo
 from roadperc_stream.chain.stages.objects.template_matching import correlate
 from roadperc_stream.chain.stages.stereo import matching
+from roadperc_stream.chain.stages.stereo.pair import disparities_needed
 from roadperc_stream.cli import render
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import StereoConfig
 from roadperc_stream.core.datatypes import Absent, Box
 from roadperc_stream.input.decoding import camera_from_calibration
-from roadperc_stream.metrics.stereo_errors import stereo_errors
+from roadperc_stream.metrics.stereo import stereo_errors
 from roadperc_stream.output.encoding import encode_calibration
 from tests import pair
 
@@ -144,14 +145,6 @@ def test_a_disparity_too_small_is_unknown():
     assert np.isfinite(matched(StereoConfig(method="full", min_disparity_px=4.0), *pair)).mean() < 0.01
 
 
-def test_colours_count_by_their_luminance():
-    colours = np.stack([view(texture(seed), 0.0) for seed in range(3)], axis=-1)
-    shifted = np.stack([view(texture(seed), 10.0) for seed in range(3)], axis=-1)
-    depth = matched(FULL, colours, shifted)
-    grey = [cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in (colours, shifted)]
-    np.testing.assert_array_equal(depth, matched(FULL, *grey))
-
-
 @BOTH
 def test_odd_sizes(cfg):
     left, right = (image[:-1, :-1] for image in (view(texture(), 0.0), view(texture(), 10.0)))
@@ -172,16 +165,16 @@ def test_threads_do_not_change_a_bit():
 
 def test_disparities_reach_the_nearest_road():
     """The bottom row sees the road at 1.4 * 640 / 479.5 m: 640 * 0.5 / 1.8686 = 171.3, and a tenth more."""
-    assert stereo.disparities_needed(RENDERED, 0.5, g.level_mounting(1.4)) == 192
-    assert stereo.disparities_needed(RENDERED, 0.5, g.level_mounting(2.8)) == 96
-    assert stereo.disparities_needed(RENDERED, 0.25, g.level_mounting(1.4)) == 96
-    assert stereo.disparities_needed(RENDERED, 50.0, g.level_mounting(1.4)) == 1280
-    assert stereo.disparities_needed(RENDERED, 0.5, g.level_mounting(0.0)) is None
+    assert disparities_needed(RENDERED, 0.5, g.level_mounting(1.4)) == 192
+    assert disparities_needed(RENDERED, 0.5, g.level_mounting(2.8)) == 96
+    assert disparities_needed(RENDERED, 0.25, g.level_mounting(1.4)) == 96
+    assert disparities_needed(RENDERED, 50.0, g.level_mounting(1.4)) == 1280
+    assert disparities_needed(RENDERED, 0.5, g.level_mounting(0.0)) is None
 
 
 def test_a_camera_that_looks_down_needs_more():
     down = g.rigid(g.rotation_from_rpy(0, 0.2, 0) @ g.EGO_R_OPTICAL, np.array([0, 0, 1.4]))
-    assert stereo.disparities_needed(RENDERED, 0.5, down) > 192
+    assert disparities_needed(RENDERED, 0.5, down) > 192
 
 
 def with_lens(distortion=(), **changes):
@@ -200,7 +193,6 @@ def test_every_lens_of_opencv_is_undone(count):
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"cfg": StereoConfig(method="off")}, "switched off"),
         ({"left_image": None}, "no left image"),
         ({"right_image": None}, "no right image"),
         ({"left_image": None, "right_image": None}, "no left image, no right image"),
@@ -310,7 +302,7 @@ def test_the_disparities_tried_are_those_of_the_rectified_camera(monkeypatch):
     left = replace(LEFT, lens=g.Lens(200, 200, 119.5, 59.5, tuple(up.ravel())))
     for camera, ego_T_left in ((LEFT, MOUNTING), (left, MOUNTING @ g.rigid(up, np.zeros(3)))):
         stereo.match(FULL, camera, RIGHT, ego_T_left, image, image)
-    assert tried[0] == tried[1] == stereo.disparities_needed(LEFT, RIGHT.baseline_m, MOUNTING)
+    assert tried[0] == tried[1] == disparities_needed(LEFT, RIGHT.baseline_m, MOUNTING)
 
 
 def test_what_lies_outside_an_image_before_rectification_is_unknown():
@@ -363,11 +355,11 @@ def test_the_courses_nearest_depth_by_its_public_settings(course):
         refine_px=0,
     )
     left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in pair)
-    disparity = stereo.disparity(cfg, cfg.disparities, left, right).astype(float)
+    disparity = matching.disparity(cfg, cfg.disparities, left, right).astype(float)
     disparity[np.isnan(disparity)] = public["replace_disparity_0_and_minus1_by"]
     depth = 640.0 * 0.5 / disparity
     x0, y0, x1, y1 = calibration["obstacle_template_px"]
-    box, score = correlate(left, left[y0:y1, x0:x1], None).match(0.9)
+    box, score = correlate(left, left[y0:y1, x0:x1], Box(0, 0, 1280, 960)).match(0.9)
     assert [box.x_min, box.y_min] == expected["template_top_left_px"] == [547, 479]
     assert score == pytest.approx(1.0)
     assert depth[y0:y1, x0:x1].min() == pytest.approx(expected["nearest_depth_m"], abs=1e-9)
@@ -393,7 +385,8 @@ def rendered(folder, *options):
     camera = g.Camera("left", *size, K[0, 0], K[1, 1], K[0, 2] - 0.5, K[1, 2] - 0.5)
     frames = []
     for path in sorted((folder / "rgb").iterdir()):
-        left, right, code = (cv2.imread(str(folder / name / path.name)) for name in ("rgb", "right", "depth"))
+        left, right = (cv2.imread(str(folder / n / path.name), cv2.IMREAD_GRAYSCALE) for n in ("rgb", "right"))
+        code = cv2.imread(str(folder / "depth" / path.name))
         metres = code.astype(float) @ [65536, 256, 1] * (1000 / (2**24 - 1))
         frames.append((left, right, metres.astype(np.float32)))
     return camera, calibration["baseline_m"], g.level_mounting(calibration["mounting"]["rgb"]["z"]), frames

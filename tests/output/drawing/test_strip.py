@@ -93,7 +93,7 @@ def test_the_legend_has_every_colour_that_an_overlay_draws():
     drawn = [*colours.OBJECT.values(), colours.RAW_LINE, colours.DRIVABLE]
     drawn += [colours.BOUNDARY[status] for status in ("measured", "held")]
     assert {bgr(colour) for colour in drawn} == {entry.colour for entry in LEGEND}
-    assert {entry.text: entry.colour for entry in LEGEND}["not judged"] == bgr(colours.OBJECT["unjudged"])
+    assert {entry.text: entry.colour for entry in LEGEND}["unverified"] == bgr(colours.OBJECT["unverified"])
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(270, 360), (960, 1280)])

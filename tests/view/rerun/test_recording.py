@@ -149,7 +149,7 @@ def test_class_names_and_colours_stand_in_annotation_contexts(saved):
     r, g, b = CARLA_FROM_0_9_14.colours[1]
     assert infos[1]["color"] == (r << 24) | (g << 16) | (b << 8) | 255
     boxes = saved["/perception/objects"].static[0]["AnnotationContext:context"][0]
-    assert [entry["class_description"]["info"]["label"] for entry in boxes][:3] == ["kept", "unjudged", "dropped"]
+    assert [entry["class_description"]["info"]["label"] for entry in boxes][:3] == ["kept", "unverified", "dropped"]
 
 
 def test_depth_is_metric_and_saturated_depth_is_unknown(saved):

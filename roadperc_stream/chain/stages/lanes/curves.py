@@ -53,17 +53,17 @@ def lateral(state: Float, x: Float) -> Float:
     return result
 
 
-def facing_edges(separators: Image, road: Mask, side: Side, top: int) -> Float:
+def facing_edges(separators: Image, drivable: Mask, side: Side, top: int) -> Float:
     """(N, 2) pixels on the edge between a separator and the road beside it, towards the ego lane.
 
     Args:
         separators: (H - top, W) uint8 from row ``top`` down, not 0 at separators.
-        road: (H, W) drivable surface.
+        drivable: (H, W) drivable surface.
         side: the boundary's side: a left one faces right.
         top: the first row evaluated.
     """
     marked = separators.view(bool)
-    inner = road[top:] & ~marked
+    inner = drivable[top:] & ~marked
     step = marked[:, :-1] & inner[:, 1:] if side == "left" else inner[:, :-1] & marked[:, 1:]
     rows, columns = np.divmod(np.flatnonzero(step), step.shape[1])
     return np.stack((columns + 0.5, rows + float(top)), axis=-1)

@@ -47,7 +47,7 @@ def step(
     state: LanesState,
     scene: Scene,
     surface: Surface | Absent,
-    road: Mask | Absent,
+    drivable: Mask | Absent,
     last_T_this: Float | None,
 ) -> tuple[LanesState, Lanes | Absent]:
     """Measure the ego lane in one frame and filter it over time.
@@ -57,13 +57,13 @@ def step(
         state: what the last frame left.
         scene: the frame; without tags what is known is held.
         surface: the road in the front camera's frame.
-        road: (H, W) drivable surface.
+        drivable: (H, W) drivable surface.
         last_T_this: (4, 4) motion of the ego frame since the last frame; None where it is not known.
 
     Returns:
         The new state, and the lanes: absent where nothing could be observed and nothing is held.
     """
-    found = _observed(cfg, scene, surface, road)
+    found = _observed(cfg, scene, surface, drivable)
     observation = None if isinstance(found, Absent) else found
     left, right = (_tracked(cfg, side, state.side(side), observation, last_T_this, scene.stamp_ns) for side in SIDES)
     after = LanesState(left, right)
@@ -78,15 +78,17 @@ def step(
     return after, Lanes(boundaries, observation.proposals, merged_px, observation.edge_pixels)
 
 
-def _observed(cfg: LanesConfig, scene: Scene, surface: Surface | Absent, road: Mask | Absent) -> Observation | Absent:
+def _observed(
+    cfg: LanesConfig, scene: Scene, surface: Surface | Absent, drivable: Mask | Absent
+) -> Observation | Absent:
     if scene.tags is None or scene.table is None:
         return Absent(Reason("lanes", "no_segmentation"))
     if isinstance(surface, Absent):
         return Absent(Reason("lanes", "no_surface", cause=surface.reason))
-    if isinstance(road, Absent):
-        return Absent(Reason("lanes", "no_drivable_surface", cause=road.reason))
+    if isinstance(drivable, Absent):
+        return Absent(Reason("lanes", "no_drivable_surface", cause=drivable.reason))
     projection = RoadProjection(scene.camera, scene.ego_T_camera, surface)
-    return observe(cfg, projection, scene.tags, scene.table, road)
+    return observe(cfg, projection, scene.tags, scene.table, drivable)
 
 
 def _tracked(

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.core.config import LanesConfig, scaled
 from roadperc_stream.core.datatypes import Image, Line, Mask
 from roadperc_stream.core.geometry import Float
 
-REFERENCE_ROWS = 960
-"""Pixel settings are given for this image height."""
 _ON_ROAD = 0.5
 _ROAD_MARGIN_PX = 2.0
 _MIN_VERTICAL = 1e-6
@@ -36,7 +34,7 @@ class LineGroup:
 
 def without_salt(cfg: LanesConfig, separators: Image) -> Image:
     """The separators' mask behind a median filter that removes salt noise and slivers."""
-    size = round(cfg.median_px * separators.shape[0] / REFERENCE_ROWS)
+    size = round(scaled(cfg.median_px, separators.shape[0]))
     if size < 2:
         return separators
     return np.asarray(cv2.medianBlur(separators, size | 1), np.uint8)
@@ -55,7 +53,7 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
         cfg: thresholds, for 960 rows.
         edges: (H, W) uint8, 255 at edges.
     """
-    scale = edges.shape[0] / REFERENCE_ROWS
+    scale = scaled(1.0, edges.shape[0])
     found = cv2.HoughLinesP(
         edges,
         cfg.hough_rho_px * scale,
@@ -67,19 +65,19 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
     return np.empty((0, 4)) if found is None else found.reshape(-1, 4).astype(float)
 
 
-def on_road(cfg: LanesConfig, proposals: Float, road: Mask) -> Float:
+def on_road(cfg: LanesConfig, proposals: Float, drivable: Mask) -> Float:
     """The (M, 4) proposals that are steep enough and lie on the (H, W) drivable surface for over half of their length.
 
     The surface is widened by a pixel or two, for a curb's edge lies just outside it.
     """
     steep = proposals[_steep(cfg, proposals)]
-    widened = _widened(road, road.shape[0] / REFERENCE_ROWS)
+    widened = _widened(drivable)
     return np.array([line for line in steep if _share_on(line, widened) > _ON_ROAD]).reshape(-1, 4)
 
 
 def merge(cfg: LanesConfig, proposals: Float, rows: int) -> tuple[LineGroup, ...]:
     """Proposals joined greedily: each goes to the first group whose first line has nearly its slope and intercept."""
-    reach = cfg.merge_intercept_px * rows / REFERENCE_ROWS
+    reach = scaled(cfg.merge_intercept_px, rows)
     groups: list[list[tuple[float, float, float, float]]] = []
     for x1, y1, x2, y2 in proposals.tolist():
         slope = (y2 - y1) / _nonzero(x2 - x1)
@@ -99,12 +97,12 @@ def drawn(group: LineGroup, bottom: float, far: float) -> Line:
     return group.x(bottom), bottom, group.x(far), far
 
 
-def road_far_end(road: Mask, columns_share: float = 0.01) -> int | None:
+def road_far_end(drivable: Mask, columns_share: float = 0.01) -> int | None:
     """Topmost row in which at least a hundredth of the columns is road; None without any road.
 
     One row less exact than the first pixel, but a speck of noise in the sky does not move it.
     """
-    rows = np.flatnonzero(np.count_nonzero(road, axis=1) >= max(columns_share * road.shape[1], 1))
+    rows = np.flatnonzero(np.count_nonzero(drivable, axis=1) >= max(columns_share * drivable.shape[1], 1))
     return int(rows[0]) if len(rows) else None
 
 
@@ -124,15 +122,15 @@ def _steep(cfg: LanesConfig, lines: Float) -> Mask:
     return steep
 
 
-def _widened(road: Mask, scale: float) -> Image:
-    radius = max(round(_ROAD_MARGIN_PX * scale), 1)
+def _widened(drivable: Mask) -> Image:
+    radius = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-    return np.asarray(cv2.dilate(road.view(np.uint8), kernel), np.uint8)
+    return np.asarray(cv2.dilate(drivable.view(np.uint8), kernel), np.uint8)
 
 
-def _share_on(line: Float, road: Image) -> float:
+def _share_on(line: Float, drivable: Image) -> float:
     x1, y1, x2, y2 = line
     count = int(max(abs(x2 - x1), abs(y2 - y1))) + 1
     columns = np.rint(np.linspace(x1, x2, count)).astype(int)
     rows = np.rint(np.linspace(y1, y2, count)).astype(int)
-    return float(road[rows, columns].mean())
+    return float(drivable[rows, columns].mean())

@@ -108,7 +108,7 @@ class Observation:
         return self.table.name_of(int(counts.argmax())) if counts.any() else ""
 
 
-def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: TagTable, road: Mask) -> Observation:
+def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: TagTable, drivable: Mask) -> Observation:
     """Find the ego lane's boundaries in one frame.
 
     Args:
@@ -116,26 +116,26 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
         projection: camera and road.
         tags: (H, W) tags of ``table``.
         table: the tags' table.
-        road: (H, W) drivable surface.
+        drivable: (H, W) drivable surface.
     """
-    far = lines.road_far_end(road)
+    far = lines.road_far_end(drivable)
     if far is None:
         return Observation(projection, tags, table, float(projection.camera.cy))
     separators = np.asarray(cv2.LUT(tags, table.lookup(cfg.separators)), np.uint8)
     edge_pixels = lines.edges_of(cfg, separators * np.uint8(255))
     proposals = lines.propose(cfg, edge_pixels)
-    groups = lines.merge(cfg, lines.on_road(cfg, proposals, road), projection.camera.height)
+    groups = lines.merge(cfg, lines.on_road(cfg, proposals, drivable), projection.camera.height)
     edges = {}
     if cfg.model == "curve":
-        edges = {side: _edges(projection, separators[far:], road, side, far) for side in SIDES}
+        edges = {side: _edges(projection, separators[far:], drivable, side, far) for side in SIDES}
     found = Observation(projection, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
     chosen = _ego_lane(cfg, projection, groups)
     curves = {side: _curve(cfg, found, side, group) for side, group in chosen.items()}
     return replace(found, boundaries={side: ObservedBoundary(group, curves[side]) for side, group in chosen.items()})
 
 
-def _edges(projection: RoadProjection, separators: Image, road: Mask, side: Side, top: int) -> Edges:
-    pixels = facing_edges(separators, road, side, top)
+def _edges(projection: RoadProjection, separators: Image, drivable: Mask, side: Side, top: int) -> Edges:
+    pixels = facing_edges(separators, drivable, side, top)
     points = projection.ground(pixels)[:, :2]
     known = np.isfinite(points).all(axis=1)
     return Edges(points[known], pixels[known, 1])

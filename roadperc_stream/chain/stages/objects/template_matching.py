@@ -13,19 +13,18 @@ _FLAT = 0.5
 """Standard deviation in grey levels up to which pixels have no texture: what is left of rounding."""
 
 
-def correlate(image: Image, template: Image, around: Box | None) -> Correlation | None:
+def correlate(image: Image, template: Image, around: Box) -> Correlation | None:
     """How well the template fits everywhere in a box.
 
     Args:
         image: (H, W) grey.
         template: (h, w) grey, what is searched for.
-        around: where it may lie, wholly, clipped to the image; None is the whole image.
+        around: where it may lie, wholly, clipped to the image.
 
     Returns:
         None where the template is empty or flat, or does not fit into the box.
     """
-    height, width = image.shape
-    x0, y0, x1, y1 = (0, 0, width, height) if around is None else around.rounded(width, height)
+    x0, y0, x1, y1 = around.rounded(image.shape[1], image.shape[0])
     rows, columns = template.shape
     if not template.size or float(template.std()) <= _FLAT or columns > x1 - x0 or rows > y1 - y0:
         return None

@@ -156,7 +156,7 @@ def _searched(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack, kept: _Kept)
     if isinstance(filtered, Absent) or not filtered.objects[0].kept:
         return lost
     item = replace(filtered.objects[0], status="tracked")
-    after = tracking.coasted(cfg, track, item)
+    after = tracking.carried(cfg, track, item)
     detected = similarities(cfg, [after], kept.items, kept.boxes).any()
     return lost if detected else _Searched(after, item, correlation)
 

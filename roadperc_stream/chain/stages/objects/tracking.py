@@ -111,7 +111,7 @@ def detected(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box) 
     return replace(updated, detection=item.detection, detected_ns=track.stamp_ns)
 
 
-def coasted(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> ObjectTrack:
+def carried(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> ObjectTrack:
     """The predicted track after its template was found in the image, which does not count as a detection."""
     return _updated(cfg, track, item, item.detection.box_px)
 

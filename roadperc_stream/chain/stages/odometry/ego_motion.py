@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
-from roadperc_stream.chain.stages.odometry.features import FRONTENDS, scaled
+from roadperc_stream.chain.stages.odometry.features import FRONTENDS
 from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, carry, is_due, make_keyframe
 from roadperc_stream.chain.stages.odometry.motion import Motion, motion_from_points, moved
 from roadperc_stream.chain.stages.odometry.patch_alignment import aligned, predicted_px
 from roadperc_stream.chain.stages.odometry.tracking_frame import TrackingFrame, tracking_frame
-from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Absent, Matches, Odometry, Reason, Surface, read_only
 from roadperc_stream.core.geometry import Float, Float32, inverse, project, transform
 from roadperc_stream.core.scene import Scene

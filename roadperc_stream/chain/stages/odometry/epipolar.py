@@ -11,9 +11,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.chain.stages.odometry.features import scaled
 from roadperc_stream.chain.stages.odometry.motion import PIXEL_STD_PX, Motion
-from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Mask
 from roadperc_stream.core.geometry import Camera, Float, Float32, project, rays, rigid
 

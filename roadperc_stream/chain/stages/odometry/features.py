@@ -14,11 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Image, read_only
 from roadperc_stream.core.geometry import Float32
 
-_CONFIG_ROWS = 960.0
 _PYRAMID_LEVELS = 4
 _REFINING_LEVELS = 0
 _FLOW_STOP: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
@@ -66,11 +65,6 @@ class Frontend:
 
     detect: Callable[[OdometryConfig, Image, Image], tuple[Features, Float32]]
     match: Callable[[OdometryConfig, Image, Features, Float32, Image], Float32]
-
-
-def scaled(length_px: float, rows: int) -> float:
-    """A length of the configuration, given at 960 image rows, in an image of so many rows."""
-    return length_px * rows / _CONFIG_ROWS
 
 
 def window_side(cfg: OdometryConfig, rows: int) -> int:

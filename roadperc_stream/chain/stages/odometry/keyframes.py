@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roadperc_stream.chain.stages.odometry.features import scaled
 from roadperc_stream.chain.stages.odometry.landmarks import Landmarks, find_landmarks
 from roadperc_stream.chain.stages.odometry.motion import Motion
 from roadperc_stream.chain.stages.odometry.tracking_frame import TrackingFrame
-from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Image, Mask, read_only
 from roadperc_stream.core.geometry import Camera, Float, Float32, transform
 

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.chain.stages.odometry.features import scaled
-from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Mask
 from roadperc_stream.core.geometry import Camera, Float, Float32, project, rigid, transform
 

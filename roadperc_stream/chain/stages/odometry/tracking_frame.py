@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.stages.odometry.features import scaled
-from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Image, Mask, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32
 from roadperc_stream.core.scene import Scene

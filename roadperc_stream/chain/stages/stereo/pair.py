@@ -2,7 +2,6 @@
 
 from typing import Final
 
-import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.stereo.matching import disparity, rounded_up
@@ -28,19 +27,17 @@ def match(
     """Depth of a stereo pair in the left camera's image: with its rectified intrinsics, but turned as it is mounted.
 
     Args:
-        cfg: method and thresholds.
+        cfg: method, not ``off``, and thresholds.
         left: camera of ``left_image``.
         right: camera of ``right_image``, its ``baseline_m`` to the right of the left one along the rectified rows.
         ego_T_left: mounting of the left camera: how near the nearest road pixel is decides which disparities are tried.
-        left_image: (H, W, 3) blue, green, red or (H, W) grey.
+        left_image: (H, W) grey; None where it could not be decoded.
         right_image: the same of the right camera.
 
     Returns:
         (H, W) float32 metres along z, NaN where the pair does not show it: hidden from the right camera, outside its
         image, ambiguous, or so far away that the disparity is mostly error. Or why there is none.
     """
-    if cfg.method == "off":
-        return Absent(Reason("stereo", "switched_off"))
     if left_image is None or right_image is None:
         return Absent(_without_images(left_image, right_image))
     baseline_m = _baseline_m(right)
@@ -53,7 +50,7 @@ def match(
     count = disparities_needed(left, baseline_m, ego_T_rectified) if cfg.disparities == "auto" else cfg.disparities
     if count is None:
         return Absent(Reason("stereo", "camera_below_road"))
-    disparity_px = _rectified_disparity(cfg, count, left, right, _grey(left_image), _grey(right_image))
+    disparity_px = _rectified_disparity(cfg, count, left, right, left_image, right_image)
     return StereoDepth(left.frame_id, depth_of(cfg, left, baseline_m, turned_back(left, disparity_px)))
 
 
@@ -98,18 +95,13 @@ def _without_images(left_image: Image | None, right_image: Image | None) -> Reas
     return Reason("stereo", "no_left_image" if left_image is None else "no_right_image")
 
 
-def _grey(image: Image) -> Image:
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-
-
 def _fault(left: Camera, right: Camera, left_image: Image, right_image: Image) -> Reason | None:
     """Why the two images are no pair that can be matched."""
     if left.size != right.size:
         return Reason("stereo", "pair_of_two_sizes", (left.width, left.height, right.width, right.height))
     for side, camera, image in (("left", left, left_image), ("right", right, right_image)):
-        height, width = image.shape[:2]
-        if (height, width) != camera.size:
-            return Reason("stereo", "pair_of_wrong_size", (side, width, height, camera.width, camera.height))
+        if image.shape != camera.size:
+            return Reason("stereo", "pair_of_wrong_size", (side, *image.shape[::-1], camera.width, camera.height))
         fault = lens_fault(side, camera)
         if fault is not None:
             return fault

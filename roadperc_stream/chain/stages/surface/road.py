@@ -46,32 +46,34 @@ def find_surface(
     if scene.depth is None:
         return assumed_surface(scene.camera, scene.ego_T_camera), ()
     labels = scene.labels(cfg.classes)
-    road = None
+    drivable = None
     if labels is not None:
-        road = scene.depth.labels_from(scene.camera, scene.ego_T_camera, labels).view(bool)
-    surface = fit_surface(cfg, scene.depth, road, rng)
+        drivable = scene.depth.labels_from(scene.camera, scene.ego_T_camera, labels).view(bool)
+    surface = fit_surface(cfg, scene.depth, drivable, rng)
     if isinstance(surface, Absent) and not scene.depth.dense:
         why = Reason("surface", "plane_assumed", (scene.plane_source,), surface.reason)
         return assumed_surface(scene.camera, scene.ego_T_camera), (why,)
     return surface, ()
 
 
-def fit_surface(cfg: SurfaceConfig, depth: DepthMap, road: Mask | None, rng: np.random.Generator) -> Surface | Absent:
+def fit_surface(
+    cfg: SurfaceConfig, depth: DepthMap, drivable: Mask | None, rng: np.random.Generator
+) -> Surface | Absent:
     """The road from a depth image: its plane, and with the model ``spline`` its height field too.
 
     Args:
         cfg: thresholds.
         depth: its camera's mounting says roughly where up is.
-        road: (H, W) pixels of a drivable class in the depth's image; None where there is no segmentation,
+        drivable: (H, W) pixels of a drivable class in the depth's image; None where there is no segmentation,
             then the lower image stands in and the surface is marked ``lower_image``.
         rng: source of the hypotheses.
 
     Returns:
         The surface, or why there is none. Where too few points support a height field the plane stays.
     """
-    source = depth.source if road is not None else "lower_image"
+    source = depth.source if drivable is not None else "lower_image"
     camera, ego_T_camera, depth_m = depth.camera, depth.ego_T_camera, depth.depth_m
-    usable = _usable(cfg, camera, depth_m, road)
+    usable = _usable(cfg, camera, depth_m, drivable)
     found = road_plane(cfg, _points(camera, depth_m, usable), inverse(ego_T_camera)[:3, :3] @ _UP_EGO, rng)
     if isinstance(found, Absent):
         return found
@@ -99,32 +101,32 @@ def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -
         scene: the frame.
         surface: the road, its plane in the frame of the front camera.
     """
-    road, depth_m, camera = scene.labels(cfg.classes), scene.dense_depth_m, scene.camera
-    if depth_m is None and road is not None:
-        return road.view(bool)
+    drivable, depth_m, camera = scene.labels(cfg.classes), scene.dense_depth_m, scene.camera
+    if depth_m is None and drivable is not None:
+        return drivable.view(bool)
     if depth_m is None:
         return Absent(Reason("drivable", "no_segmentation_sparse_depth" if scene.depth else "no_depth_no_segmentation"))
     if isinstance(surface, Absent):
         return Absent(Reason("drivable", "no_surface", cause=surface.reason))
     if surface.height_grid is None:
-        return _near(cfg, plane_distance(camera, depth_m, surface.plane), road)
-    top = max(_horizon_row(surface, camera, scene.ego_T_camera), 0 if road is None else _first_row(road))
+        return _near(cfg, plane_distance(camera, depth_m, surface.plane), drivable)
+    top = max(_horizon_row(surface, camera, scene.ego_T_camera), 0 if drivable is None else _first_row(drivable))
     mask = np.zeros(camera.size, bool)
     lower = ego_points(part(camera, top, 1, 1), scene.ego_T_camera, depth_m[top:])
-    mask[top:] = _near(cfg, height_above(surface, *lower), None if road is None else road[top:])
+    mask[top:] = _near(cfg, height_above(surface, *lower), None if drivable is None else drivable[top:])
     return mask
 
 
-def _near(cfg: SurfaceConfig, distance_m: Float32, road: Image | None) -> Mask:
+def _near(cfg: SurfaceConfig, distance_m: Float32, drivable: Image | None) -> Mask:
     # A comparison with NaN is False in OpenCV as in numpy: unknown depth is never drivable.
     near = np.asarray(cv2.inRange(distance_m, -cfg.drivable_m, cfg.drivable_m), np.uint8)
-    return (near if road is None else near * road).astype(bool)
+    return (near if drivable is None else near * drivable).astype(bool)
 
 
-def _first_row(road: Image) -> int:
+def _first_row(drivable: Image) -> int:
     """The first row that shows a drivable class; the last one where none does."""
-    rows = np.flatnonzero(road.view(bool).any(axis=1))
-    return int(rows[0]) if len(rows) else len(road) - 1
+    rows = np.flatnonzero(drivable.view(bool).any(axis=1))
+    return int(rows[0]) if len(rows) else len(drivable) - 1
 
 
 def _horizon_row(surface: Surface, camera: Camera, ego_T_camera: Float) -> int:
@@ -135,12 +137,12 @@ def _horizon_row(surface: Surface, camera: Camera, ego_T_camera: Float) -> int:
     return int(np.clip(np.floor(np.nanmin(rows, initial=camera.height)), 0, camera.height - 1))
 
 
-def _usable(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, road: Mask | None) -> Mask:
+def _usable(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, drivable: Mask | None) -> Mask:
     """Pixels that may belong to the road and whose depth is known (a comparison with NaN is False)."""
     with np.errstate(invalid="ignore"):
         usable: Mask = depth_m < np.float32(cfg.max_depth_m)
-    if road is not None:
-        return usable & road
+    if drivable is not None:
+        return usable & drivable
     usable[: int(camera.height * _LOWER_IMAGE)] = False
     return usable
 

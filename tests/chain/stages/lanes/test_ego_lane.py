@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream.chain.stages.lanes import LanesState, step
-from roadperc_stream.chain.stages.surface import assumed_surface
+from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import Absent, Reason
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE

@@ -8,10 +8,11 @@ from roadperc_stream.core.datatypes import Box
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (80, 120), dtype=np.uint8)
 TEMPLATE = IMAGE[30:42, 50:70]
+WHOLE = Box(0, 0, 120, 80)
 
 
 def test_the_template_where_it_was_cut_out():
-    box, score = correlate(IMAGE, TEMPLATE, None).match(0.9)
+    box, score = correlate(IMAGE, TEMPLATE, WHOLE).match(0.9)
     assert box == Box(50, 30, 70, 42)
     assert score == pytest.approx(1.0)
 
@@ -28,15 +29,15 @@ def test_a_box_beyond_the_image_is_clipped():
 
 def test_brightness_and_contrast_do_not_matter():
     dimmer = (TEMPLATE * 0.4 + 30).astype(np.uint8)
-    box, score = correlate(IMAGE, dimmer, None).match(0.9)
+    box, score = correlate(IMAGE, dimmer, WHOLE).match(0.9)
     assert (box, score > 0.99) == (Box(50, 30, 70, 42), True)
 
 
 def test_the_least_score_decides():
     other = np.random.default_rng(1).integers(0, 256, TEMPLATE.shape, dtype=np.uint8)
-    _, score = correlate(IMAGE, other, None).match(-1.0)
+    _, score = correlate(IMAGE, other, WHOLE).match(-1.0)
     assert -1 < score < 0.6
-    assert correlate(IMAGE, other, None).match(0.6) is None
+    assert correlate(IMAGE, other, WHOLE).match(0.6) is None
 
 
 @pytest.mark.parametrize("around", [Box(50, 30, 69, 42), Box(50, 30, 70, 41), Box(200, 30, 300, 60), Box(9, 9, 9, 9)])
@@ -46,11 +47,11 @@ def test_a_window_too_small(around):
 
 @pytest.mark.parametrize("template", [np.full((9, 9), 7, np.uint8), np.empty((0, 5), np.uint8), np.uint8([[3]])])
 def test_a_template_without_texture(template):
-    assert correlate(IMAGE, template, None) is None
+    assert correlate(IMAGE, template, WHOLE) is None
 
 
 def test_a_flat_image_matches_nothing():
     flat = np.full((80, 120), 200, np.uint8)
-    assert correlate(flat, TEMPLATE, None).match(-1.0) is None
+    assert correlate(flat, TEMPLATE, WHOLE).match(-1.0) is None
     flat[30:42, 50:70] = TEMPLATE
-    assert correlate(flat, TEMPLATE, None).match(0.9)[0] == Box(50, 30, 70, 42)
+    assert correlate(flat, TEMPLATE, WHOLE).match(0.9)[0] == Box(50, 30, 70, 42)

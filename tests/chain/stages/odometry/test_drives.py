@@ -8,7 +8,7 @@ import pytest
 
 from roadperc_stream.chain.stages import odometry
 from roadperc_stream.chain.stages.odometry import OdometryState
-from roadperc_stream.chain.stages.surface import assumed_surface
+from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.cli import render
 from roadperc_stream.core.config import OdometryConfig
 from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, inverse, level_mounting, rigid

@@ -9,7 +9,7 @@ import pytest
 
 from roadperc_stream.chain.stages.odometry.ego_motion import _guesses
 from roadperc_stream.chain.stages.odometry.tracking_frame import tracking_frame
-from roadperc_stream.chain.stages.surface import assumed_surface
+from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.core.config import OdometryConfig
 from roadperc_stream.core.datatypes import Absent, Reason
 from roadperc_stream.core.geometry import inverse, project, transform

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.stages.surface import assumed_surface, drivable_mask, fit_surface
+from roadperc_stream.chain.stages.surface.road import assumed_surface, drivable_mask, fit_surface
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.datatypes import Absent, Reason

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 
 from roadperc_stream.chain.stages import lanes
 from roadperc_stream.chain.stages.lanes import LanesState
-from roadperc_stream.chain.stages.surface import assumed_surface, drivable_mask, fit_surface, spline
+from roadperc_stream.chain.stages.surface import spline
+from roadperc_stream.chain.stages.surface.road import assumed_surface, drivable_mask, fit_surface
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import LanesConfig, SurfaceConfig
 from roadperc_stream.core.ground import height_at
 from roadperc_stream.core.scene import DepthMap
-from roadperc_stream.metrics import surface_height_error_m
+from roadperc_stream.metrics.surface import surface_height_error_m
 from tests.analytic import LINE, ROAD
 from tests.hills import Hill
 from tests.scenes import scene_of

@@ -5,14 +5,14 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.step import ChainState
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.input import open_input
-from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.loop import run_frame
 from roadperc_stream.output.tables import TableWriter, table_facts
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
@@ -46,8 +46,7 @@ class Candidate:
         """Run the chain on a sample and add its row, the one a replay under this configuration gives."""
         timer = StageTimer()
         with timer("total"):
-            self.state, result = step(self.cfg, self.state, sample.frame, timer)
-            row = frame_metrics(self.cfg, log_id, sample, result, previous)
+            self.state, _, _, row = run_frame(self.cfg, self.state, log_id, sample, previous, timer)
         self.table.append(row, **timer.columns())
 
 
