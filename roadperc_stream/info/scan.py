@@ -11,12 +11,14 @@ from typing import Final
 from roadperc_stream import log
 from roadperc_stream.core.config import SyncConfig
 from roadperc_stream.core.datatypes import CameraImage, DepthImage
+from roadperc_stream.core.time import seconds_to_ns
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.info.role_states import Roles, roles_of
 from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.latched import LatchedState, without_loops
+from roadperc_stream.input.order import OrderConfig, in_stamp_order
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import probe_first_message
 from roadperc_stream.input.stream import Stamped, decoded_messages
@@ -92,13 +94,20 @@ class Scan:
             for _ in items:
                 pass
             return
-        synchroniser = Synchroniser(SyncConfig(), roles.reference, roles.topics, LatchedState())
+        cfg, drop = SyncConfig(), self._drop
+        wait_ns = seconds_to_ns(cfg.max_wait_s)
+        order = OrderConfig(roles.reference, wait_ns, lateness_ns=wait_ns)
+        tolerance_ns = seconds_to_ns(cfg.tolerance_s)
+        synchroniser = Synchroniser(tolerance_ns, roles.reference, roles.topics, LatchedState(), drop)
         paired = [role for role in roles.topics if ROLES[role].kind not in LATCHED_KINDS]
-        for synced in synchroniser.synced(in_log_time_order(items, _MOST_SORTED)):
+        for synced in synchroniser.synced(in_stamp_order(in_log_time_order(items, _MOST_SORTED), order, drop)):
             self.alone.update(role for role in paired if role not in synced.parts)
             if synced.skew_ns is not None:
                 self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)
-        self.frames, self.dropped = synchroniser.frames, synchroniser.dropped
+        self.frames = synchroniser.frames
+
+    def _drop(self, item: Stamped) -> None:
+        self.dropped[item.role] += 1
 
     def _counted(self, messages: Iterable[Message]) -> Iterator[Message]:
         """The messages as they come, each counted."""

@@ -84,7 +84,8 @@ def sample_of(
     )
     missing = tuple(role for role in topics if _expected(role) and role not in parts)
     truth, anchor = _truth(parts, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)
-    return Sample(index, synced.reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor)
+    reference = synced.reference
+    return Sample(index, reference.log_time_ns, frame, truth, missing, synced.skew_ns, anchor, reference.segment)
 
 
 def _expected(role: str) -> bool:

@@ -12,9 +12,10 @@ from roadperc_stream.core.time import TimeRange, ns_to_seconds, seconds_to_ns
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.latched import LatchedState, without_loops
+from roadperc_stream.input.order import OrderConfig, lateness_ns
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import NOTHING_TO_REPLAY, RoleAssignment, assignment_of_log
-from roadperc_stream.input.stream import decoded_messages
+from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
@@ -41,8 +42,8 @@ class InputPlan:
     """
 
     roles: RoleAssignment
-    reference: str
-    """The role whose messages make the frames."""
+    order: OrderConfig
+    """Which role's messages make the frames, and how late messages are."""
     window: Window
     latched: LatchedState
     latched_messages: tuple[Message, ...]
@@ -67,16 +68,24 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, s
     topic, problems = roles.topics[roles.reference], Problems()
     window = _window(summary, cfg, part, roles, roles.reference)
     latched, latched_messages = _latched_at_start(summary, cfg, roles, window, problems)
-    plan = InputPlan(roles, roles.reference, window, latched, latched_messages, problems)
+    order = OrderConfig(roles.reference, seconds_to_ns(cfg.sync.max_wait_s))
+    plan = InputPlan(roles, order, window, latched, latched_messages, problems)
     digest, counts = MessageDigest(), Counter[str]()
     messages = _counted(input_messages(summary, cfg, plan, validate_crcs=not summary.sealed), digest, counts)
-    parent_of = _parents(messages, roles, cfg)
+    parent_of: dict[str, str] = {}
+    items = _with_parents(decoded_messages(messages, roles, cfg.tag_table, Problems()), parent_of)
+    late_ns = lateness_ns(items, plan.order)
     if not counts[topic]:
         length_s = ns_to_seconds((summary.last_ns or 0) - (summary.first_ns or 0))
         lasts = f"the log lasts {length_s:.3f} s"
         raise LogError(f"{summary.path}: no message on {topic} in the part asked for; {lasts}")
     return replace(
-        plan, parent_of=parent_of, digest=digest.hexdigest(), messages=counts.total(), expected_frames=counts[topic]
+        plan,
+        parent_of=parent_of,
+        digest=digest.hexdigest(),
+        messages=counts.total(),
+        expected_frames=counts[topic],
+        order=replace(plan.order, lateness_ns=late_ns),
     )
 
 
@@ -122,12 +131,11 @@ def _counted(messages: Iterable[Message], digest: MessageDigest, counts: Counter
         yield message
 
 
-def _parents(messages: Iterable[Message], roles: RoleAssignment, cfg: ReplayConfig) -> dict[str, str]:
-    """The last parent of every frame that transforms among the messages place; all messages are gone through."""
-    topics = {topic for role, topic in roles.topics.items() if ROLES[role].kind == "tf"}
-    transforms = (message for message in messages if message.channel.topic in topics)
-    items = decoded_messages(transforms, roles, cfg.tag_table, Problems())
-    return {edge.child: edge.parent for item in items for edge in item.edges}
+def _with_parents(items: Iterable[Stamped], parent_of: dict[str, str]) -> Iterator[Stamped]:
+    """The items; the last parent of every frame that a transform among them places is kept."""
+    for item in items:
+        parent_of |= {edge.child: edge.parent for edge in item.edges}
+        yield item
 
 
 def _belongs_before(message: Message, roles: RoleAssignment, cfg: ReplayConfig, end_stamp_ns: int) -> bool:

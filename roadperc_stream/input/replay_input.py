@@ -1,20 +1,23 @@
 """A log as the input of a replay: what every loop over frames opens."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
-from roadperc_stream.core.time import WHOLE, TimeRange
+from roadperc_stream.core.time import WHOLE, TimeRange, seconds_to_ns
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.latched import without_loops
+from roadperc_stream.input.order import in_stamp_order
 from roadperc_stream.input.plan import InputPlan, input_messages, plan_input, span_ns
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import tag_table_to_record
-from roadperc_stream.input.stream import decoded_messages
+from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages, Synchroniser
 from roadperc_stream.log import Channel, LogSummary, Message
 from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, TAG_TABLE_KEY, TOPIC_KEY, log_id_of
@@ -53,7 +56,10 @@ class ReplayInput:
     def _begin(self) -> None:
         plan = self.plan
         self._problems = Problems()
-        self._synchroniser = Synchroniser(self._cfg.sync, plan.reference, plan.roles.topics, plan.latched)
+        self._dropped = Counter[str]()
+        tolerance_ns = seconds_to_ns(self._cfg.sync.tolerance_s)
+        roles = plan.roles.topics
+        self._synchroniser = Synchroniser(tolerance_ns, plan.order.reference, roles, plan.latched, self._drop)
 
     @property
     def log_id(self) -> str:
@@ -86,8 +92,18 @@ class ReplayInput:
         messages = input_messages(self.summary, self._cfg, plan, topics=set(topics.values()))
         decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems)
         items = without_loops(decoded, plan.latched, topics, self._problems)
-        for index, synced in enumerate(self._synchroniser.synced(items)):
-            yield self._sample(synced, index)
+        ordered = in_stamp_order(items, plan.order, self._drop)
+        log_time_ns = 0
+        for index, synced in enumerate(self._synchroniser.synced(ordered)):
+            sample = self._sample(synced, index)
+            log_time_ns = max(log_time_ns, sample.log_time_ns)  # results do not go back in the log
+            yield replace(sample, log_time_ns=log_time_ns)
+
+    def _drop(self, item: Stamped) -> None:
+        self._dropped[item.role] += 1
+        if item.role == self.plan.order.reference:
+            topic, stamp = self.topics[item.role], f"stamp {item.stamp_ns} ns at log time {item.log_time_ns} ns"
+            self._problems.report(topic, f"{topic}: message with {stamp}: too late for its place, left out")
 
     def _sample(self, synced: SyncedMessages, index: int) -> Sample:
         try:
@@ -118,7 +134,7 @@ class ReplayInput:
     @property
     def dropped(self) -> dict[str, int]:
         """Messages per role that belong to no frame."""
-        return dict(self._synchroniser.dropped)
+        return dict(self._dropped)
 
     @property
     def unreadable(self) -> dict[str, int]:

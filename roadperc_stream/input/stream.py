@@ -9,16 +9,23 @@ from roadperc_stream.input.decoding import Context, Payload, context_of_channel,
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import RoleAssignment
 from roadperc_stream.log import Channel, Message
+from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 
 @dataclass(frozen=True, eq=False)
 class Stamped:
-    """One decoded message of a role."""
+    """One decoded message of a role; ``segment`` counts how often the stamps before it began anew."""
 
     role: str
     log_time_ns: int
     stamp_ns: int
     payload: Payload
+    segment: int = 0
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether it holds until it is replaced."""
+        return ROLES[self.role].kind in LATCHED_KINDS
 
     @property
     def edges(self) -> tuple[Transform, ...]:

@@ -38,6 +38,7 @@ def frame_metrics(
 
 def _input_columns(sample: Sample, result: FrameResult) -> InputColumns:
     return InputColumns(
+        segment=sample.segment,
         sync_skew_ms=None if sample.skew_ns is None else sample.skew_ns / 1e6,
         missing=sample.missing,
         reasons=tuple(str(reason) for reason in frame_reasons(sample, result)),

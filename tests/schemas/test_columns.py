@@ -60,7 +60,7 @@ def test_the_table_has_every_column_in_its_order():
     assert not schema.field("stamp_ns").nullable
     assert schema.field("lane_width_m").nullable
     assert schema.names[:4] == ["log_id", "frame", "stamp_ns", "surface_inlier_ratio"]
-    assert schema.names[-len(TIME_COLUMNS) - 3 :][:3] == ["sync_skew_ms", "missing", "reasons"]
+    assert schema.names[-len(TIME_COLUMNS) - 4 :][:4] == ["segment", "sync_skew_ms", "missing", "reasons"]
 
 
 def test_reports_know_labels_for_columns_that_exist_and_no_label_twice():

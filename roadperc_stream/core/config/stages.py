@@ -19,7 +19,7 @@ class SyncConfig(Section):
     tolerance_s: Seconds = 0.01
     """Largest difference of stamps within one frame."""
     max_wait_s: Seconds = 1.0
-    """How far the log is read past a frame for a sensor whose messages arrive late."""
+    """How far behind the reference sensor's latest stamp a message may come and still find its place."""
 
 
 class StereoConfig(Section):

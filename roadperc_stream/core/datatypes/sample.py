@@ -56,3 +56,5 @@ class Sample:
     missing: tuple[str, ...] = ()
     skew_ns: int | None = None
     anchor: FrameAnchor = field(default_factory=FrameAnchor)
+    segment: int = 0
+    """How often the stamps before it began anew."""

@@ -24,6 +24,9 @@ class FrameKey:
 class InputColumns:
     """What of the input was at hand."""
 
+    segment: Annotated[
+        int, Column("how often the stamps before the frame began anew: another recording, or one played in a loop")
+    ] = 0
     sync_skew_ms: Annotated[
         float | None,
         Column(

@@ -1,0 +1,107 @@
+"""Whole replays of the sample with its messages delayed, its images late, and played twice."""
+
+import random
+from dataclasses import replace
+
+import polars as pl
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.cli.replay import main
+from roadperc_stream.core.config import load_config
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.input import open_input
+from roadperc_stream.log import LogWriter
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.topics import RESULTS
+from tests.test_sample import SAMPLE
+
+FRAMES = 12
+S, MS = 1_000_000_000, 1_000_000
+
+
+@pytest.fixture(scope="module")
+def messages():
+    """The input of the sample's first frames."""
+    return list(open_input(SAMPLE, load_config(None), time_range=TimeRange(frames=FRAMES)).messages())
+
+
+@pytest.fixture(scope="module")
+def tidy(messages, tmp_path_factory):
+    return replayed(tmp_path_factory.mktemp("tidy"), messages)
+
+
+def replayed(folder, messages, *options):
+    """The output of a log in which messages stand in the order of their log times."""
+    with LogWriter(folder / "in.mcap") as writer:
+        for message in sorted(messages, key=lambda m: m.log_time_ns):
+            writer.write(message)
+    assert main([str(folder / "in.mcap"), str(folder / "out.mcap"), *options]) == 0
+    return folder / "out.mcap"
+
+
+def rows(output, table="metrics"):
+    found = pl.read_parquet(sidecar_path(output, table))
+    return found.drop("log_id", *TIME_COLUMNS, strict=False)
+
+
+def results(output):
+    """The results' bytes by topic, in the order of the log; the metrics name the input and are in the table."""
+    found = {topic: [] for topic in RESULTS}
+    for message in log.read(output):
+        if message.channel.topic in found:
+            found[message.channel.topic].append(message.data)
+    return {topic: data for topic, data in found.items() if topic != "/perception/metrics"}
+
+
+def delayed(messages, by_ns):
+    return [replace(m, log_time_ns=m.log_time_ns + by_ns(m)) for m in messages]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_delays_up_to_the_wait_give_the_same_results(seed, messages, tidy, tmp_path):
+    random_numbers = random.Random(seed)
+    output = replayed(tmp_path, delayed(messages, lambda _: random_numbers.randrange(S)))
+    assert rows(output).equals(rows(tidy))
+    assert rows(output, "objects").equals(rows(tidy, "objects"))
+    assert results(output) == results(tidy)
+
+
+def test_one_late_image_comes_in_its_place(messages, tidy, tmp_path):
+    stamp_ns = rows(tidy)["stamp_ns"][5]
+    late = delayed(messages, lambda m: 60 * MS * is_image(m, stamp_ns))
+    output = replayed(tmp_path, late)
+    assert rows(output).equals(rows(tidy))
+    times = [m.log_time_ns for m in log.read(output)]
+    assert times == sorted(times)
+
+
+def test_an_image_beyond_the_wait_is_left_out_and_reported(messages, tidy, tmp_path, capsys):
+    stamps = rows(tidy)["stamp_ns"].to_list()
+    late = delayed(messages, lambda m: 250 * MS * is_image(m, stamps[5]))
+    output = replayed(tmp_path, late, "--set", "sync.max_wait_s=0.1")
+    assert rows(output)["stamp_ns"].to_list() == [*stamps[:5], *stamps[6:]]
+    assert rows(output)["odometry_status"].to_list()[1:] == ["tracked"] * (FRAMES - 2)
+    said = capsys.readouterr().out
+    assert "1 messages of role image belong to no frame" in said
+    assert f"/camera/front/image: message with stamp {stamps[5]} ns at log time" in said
+    assert sum(is_image(m, stamps[5]) for m in log.read(output)) == 1  # it is copied all the same
+
+
+def test_a_log_played_twice_has_two_segments_each_from_the_beginning(messages, tidy, tmp_path):
+    again = delayed(messages, lambda _: 60 * S)
+    output = replayed(tmp_path, [*messages, *again], "--set", "sync.max_wait_s=0.2")
+    found = rows(output)
+    assert found["segment"].to_list() == [0] * FRAMES + [1] * FRAMES
+    assert found["frame"].to_list() == list(range(2 * FRAMES))
+    changing = ["frame", "segment", "reasons"]
+    assert found[FRAMES:].drop(changing).equals(rows(tidy).drop(changing))
+    first, *rest = found[FRAMES:]["reasons"].to_list()
+    assert [reason.partition(" from")[0] for reason in first] == ["time: went back"]
+    assert rest == rows(tidy)["reasons"].to_list()[1:]
+
+
+def is_image(message, stamp_ns):
+    """Whether a message is the image of a frame; the sample's log times are its stamps."""
+    return message.channel.topic == "/camera/front/image" and message.publish_time_ns == stamp_ns

@@ -1,0 +1,143 @@
+"""Messages in the order of their stamps: late ones, stragglers, recordings that begin anew."""
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream.input.order import OrderConfig, in_stamp_order, lateness_ns
+from tests.input.test_sync import CAMERA, MS, item
+
+WAIT_MS = 200
+CFG = OrderConfig("image", WAIT_MS * MS)
+
+
+def ordered(items, cfg=None):
+    """Segment, role and stamp in milliseconds of what is given out, and what is left out."""
+    arrived = sorted(items, key=lambda i: i.log_time_ns)
+    left_out = []
+    cfg = cfg or replace(CFG, lateness_ns=lateness_ns(arrived, CFG))
+    given = list(in_stamp_order(arrived, cfg, left_out.append))
+    return [(i.segment, i.role, i.stamp_ns // MS) for i in given], [(i.role, i.stamp_ns // MS) for i in left_out]
+
+
+def images(*stamps, log_ms=None, segment=0):
+    return [(segment, "image", stamp) for stamp in stamps]
+
+
+def arriving(*stamps, role="image"):
+    """Messages that arrive in this order, 10 ms apart."""
+    return [item(role, stamp, 10 * number) for number, stamp in enumerate(stamps)]
+
+
+def test_where_nothing_is_late_a_message_waits_for_the_next_image_alone():
+    items = iter([item("image", t) for t in range(0, 500, 50)])
+    assert next(in_stamp_order(items, CFG, None)).stamp_ns == 0
+    assert next(items).stamp_ns == 100 * MS
+
+
+def test_a_late_image_comes_in_its_place():
+    items = [item("image", 0), item("image", 100), item("image", 50, 110), item("image", 150)]
+    assert ordered(items) == (images(0, 50, 100, 150), [])
+
+
+@pytest.mark.parametrize(("late_ms", "comes"), [(WAIT_MS, True), (WAIT_MS + 1, False)])
+def test_how_late_a_message_may_be(late_ms, comes):
+    items = [item("image", 1000), item("image", 1000 - late_ms, 1010), item("image", 1050)]
+    expected = images(1000 - late_ms, 1000, 1050) if comes else images(1000, 1050)
+    assert ordered(items) == (expected, [] if comes else [("image", 1000 - late_ms)])
+
+
+@given(st.lists(st.integers(0, WAIT_MS), min_size=120, max_size=120))
+def test_any_delay_up_to_the_wait_changes_nothing(delays_ms):
+    tidy = [item(role, t) for t in range(0, 2000, 50) for role in ("image", "depth", "segmentation")]
+    late = [item(i.role, i.stamp_ns // MS, i.stamp_ns // MS + delay) for i, delay in zip(tidy, delays_ms, strict=True)]
+    given, left_out = ordered(late)
+    assert left_out == []
+    assert Counter(given) == Counter(ordered(tidy)[0])
+    assert [stamp for _, _, stamp in given] == sorted(stamp for _, _, stamp in given)
+
+
+def test_of_equal_stamps_what_is_latched_comes_first():
+    items = [item("image", 0), item("image", 50), item("calibration", 50, 51, CAMERA), item("image", 100)]
+    assert ordered(items)[0] == [*images(0), (0, "calibration", 50), *images(50, 100)]
+
+
+def test_a_calibration_that_is_too_late_holds_for_what_is_not_given_out_yet():
+    items = [*(item("image", t) for t in (0, 500, 1000)), item("calibration", 10, 1001, CAMERA), item("image", 1500)]
+    assert ordered(items) == ([*images(0, 500), (0, "calibration", 10), *images(1000, 1500)], [])
+
+
+@pytest.mark.parametrize("stragglers", [(100,), (100, 150), (150, 100), (300, 200, 100)])
+def test_stragglers_disturb_nothing(stragglers):
+    """Three in a row that do not ascend are none of another recording."""
+    given, left_out = ordered(arriving(1000, 1050, *stragglers, 1100, 1150))
+    assert given == images(1000, 1050, 1100, 1150)
+    assert left_out == [("image", stamp) for stamp in stragglers]
+
+
+def test_three_images_in_a_row_begin_a_segment_the_first_of_them_included():
+    given, left_out = ordered(arriving(1000, 1050, 0, 50, 100, 150))
+    assert given == images(1000, 1050) + images(0, 50, 100, 150, segment=1)
+    assert left_out == []
+
+
+def test_a_straggler_before_another_recording_is_none_of_it():
+    given, left_out = ordered(arriving(1000, 1050, 500, 0, 50, 100))
+    assert given == images(1000, 1050) + images(0, 50, 100, segment=1)
+    assert left_out == [("image", 500)]
+
+
+def test_what_comes_before_its_first_image_belongs_to_the_new_segment_and_late_messages_to_the_old_one():
+    items = [
+        *arriving(1000, 1050),
+        item("depth", 0, 20),
+        item("image", 0, 21),
+        item("depth", 1050, 22),
+        item("image", 50, 23),
+        item("depth", 50, 24),
+        item("image", 100, 25),
+    ]
+    given, left_out = ordered(items)
+    assert given[:3] == [*images(1000, 1050), (0, "depth", 1050)]
+    assert sorted(given[3:]) == sorted([(1, "depth", 0), (1, "depth", 50), *images(0, 50, 100, segment=1)])
+    assert left_out == []
+
+
+def test_a_recording_played_three_times_has_three_segments():
+    given, left_out = ordered(arriving(*list(range(0, 1000, 50)) * 3))
+    assert given == [row for segment in range(3) for row in images(*range(0, 1000, 50), segment=segment)]
+    assert left_out == []
+
+
+def test_a_sensor_without_images_is_given_out_in_time():
+    items = (item("depth", t) for t in range(0, 100_000, 50))
+    stream = in_stamp_order(items, CFG, None)
+    assert next(stream).stamp_ns == 0
+    assert next(items).stamp_ns <= 3 * WAIT_MS * MS
+
+
+def test_equal_log_times_without_images_do_not_pile_up():
+    items = (item("depth", t, 0) for t in range(10_000))
+    next(in_stamp_order(items, CFG, None))
+    assert next(items).stamp_ns < 1100 * MS
+
+
+def test_a_sensor_that_is_always_too_late_is_left_out_alone():
+    items = [item("image", t) for t in range(0, 3000, 50)]
+    items += [item("depth", t, t + 3 * WAIT_MS) for t in range(0, 2000, 50)]
+    given, left_out = ordered(items)
+    assert given == images(*range(0, 3000, 50))
+    assert len(left_out) == 40
+
+
+@pytest.mark.parametrize("late_ms", [0, 30, WAIT_MS])
+def test_how_late_a_log_is_is_measured(late_ms):
+    items = [item("image", t) for t in range(0, 1000, 50)] + [
+        item("depth", t, t + late_ms + 1) for t in range(0, 700, 50)
+    ]
+    items += [item("image", 0, 999)]  # a straggler
+    arrived = sorted(items, key=lambda i: i.log_time_ns)
+    assert lateness_ns(arrived, CFG) // MS in range(late_ms // 50 * 50, late_ms + 51)
