@@ -254,8 +254,8 @@ def _config(config: Config) -> ReplayConfig:
     if isinstance(config, ReplayConfig):
         return config
     if isinstance(config, Mapping):
-        return validated(config, "config")
-    return load_config(None if config is None else Path(config))
+        return validated(config, "config: ")
+    return load_config(config)
 
 
 def _pose(ego_T_camera: ArrayLike | None, cfg: ReplayConfig) -> Float:

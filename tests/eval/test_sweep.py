@@ -197,8 +197,8 @@ def test_a_log_given_twice_is_wrong_usage(source, capsys):
     ("option", "said"),
     [
         ("lanes.process_nose=1,2", "did you mean lanes.process_noise?"),
-        ("lanes.process_noise=0.1,x", "lanes.process_noise: Input should be a valid number"),
-        ("lanes.process_noise=0.1,-3", "got -3"),
+        ("lanes.process_noise=0.1,x", "lanes.process_noise: expected a number 0.001 to 100 (m/s^2), found"),
+        ("lanes.process_noise=0.1,-3", "found -3"),
         ("lanes=1,2", "lanes"),
     ],
 )
