@@ -1,5 +1,7 @@
 """The package from Python: what a notebook calls gives what the commands give."""
 
+import copy
+import pickle
 import pydoc
 import subprocess
 import sys
@@ -109,6 +111,25 @@ def test_what_is_missing_is_said():
     result = rp.Chain(CAMERA).step(0, image=np.zeros((240, 320, 3), np.uint8))
     assert isinstance(result.lanes, rp.Absent)
     assert any("segmentation" in str(reason) for reason in result.reasons())
+
+
+def test_an_absent_output_is_false_and_says_why():
+    lanes = rp.Chain(CAMERA).step(0).lanes
+    assert not lanes
+    assert str(lanes) == "lanes: no segmentation"
+    with pytest.raises(AttributeError, match=r"^no 'side' in this frame: lanes: no segmentation$"):
+        lanes.side("left")
+    assert not hasattr(lanes, "boundaries")
+    assert copy.deepcopy(lanes) == pickle.loads(pickle.dumps(lanes)) == lanes
+
+
+def test_a_frame_fits_on_a_screen():
+    _, frame = rp.frames(SAMPLE, max_frames=2)
+    assert frame.result.odometry.matches is not None
+    assert len(repr(frame.result.odometry)) < 1000
+    assert len(repr(frame.result.lanes)) < 2000
+    assert "array" not in repr(frame.input.image)
+    assert len(repr(frame)) < 20_000
 
 
 def test_a_pose_makes_the_camera_mounted():
