@@ -251,8 +251,12 @@ def read_metrics(run: str | Path) -> pl.DataFrame:
 
     path = Path(run)
     table = sidecar_path(path, "metrics") if path.suffix == ".mcap" else path
+    if table.is_dir():
+        raise TableError(f"{table}: expected a metrics table, found a folder")
     try:
         return pl.read_parquet(table)
+    except FileNotFoundError as error:
+        raise TableError(f"{table}: no such metrics table") from error
     except (OSError, pl.exceptions.PolarsError) as error:
         raise TableError(f"{table}: is not a metrics table that can be read: {error}") from error
 

@@ -43,8 +43,10 @@ def test_metrics_are_the_table_beside_the_log(run):
 
 
 def test_metrics_of_nothing_name_the_table(tmp_path):
-    with pytest.raises(rp.RoadpercError, match=r"none\.metrics\.parquet: is not a metrics table"):
+    with pytest.raises(rp.RoadpercError, match=r"none\.metrics\.parquet: no such metrics table$"):
         rp.read_metrics(tmp_path / "none.mcap")
+    with pytest.raises(rp.RoadpercError, match=r"expected a metrics table, found a folder$"):
+        rp.read_metrics(tmp_path)
     (tmp_path / "bad.parquet").write_bytes(b"no table")
     with pytest.raises(rp.RoadpercError, match=r"bad\.parquet: is not a metrics table"):
         rp.read_metrics(tmp_path / "bad.parquet")
