@@ -279,7 +279,8 @@ def test_lag_stands_beside_the_jitter(tmp_path, capsys):
     ]
     _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
     assert line_of(text, "left")[-1] == "2"
-    assert "lag: frames by which the smoothed offset lies behind the true one" in text
+    assert line_of(text, "right")[-1] == "\N{EN DASH}"
+    assert "lag: frames the smoothed offset lies behind the true one, \N{EN DASH} where not known" in text
 
 
 def test_reasons_are_counted_and_names_are_taken_as_they_are(tmp_path, capsys):
