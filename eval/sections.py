@@ -251,7 +251,7 @@ def _speed(summary: Summary) -> str:
         return ""
     rate_hz = 1000 * total.values / total.total
     against = f", {rate_hz / summary.rate_hz:.1f} times real time" if summary.rate_hz else ""
-    return f"{rate_hz:.1f} frames a second{against}"
+    return f"{rate_hz:.1f} frames/s{against}"
 
 
 def _remarks(summaries: Summaries, remark: Callable[[Summary], str]) -> Iterator[str]:
