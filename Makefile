@@ -11,6 +11,7 @@ SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --dep
 .PHONY: demo test test-hostile mutants accuracy bench bench-report lint pages proto sample pictures docs clean
 
 $(VENV)/.installed: pyproject.toml
+	@echo "installing into $(VENV): about a minute"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
@@ -18,7 +19,7 @@ $(VENV)/.installed: pyproject.toml
 demo: $(VENV)/.installed
 	@mkdir -p $(DEMO)
 	$(BIN)/roadperc-replay logs/sample.mcap $(DEMO)/sample.mcap --force
-	$(BIN)/roadperc-report $(DEMO)/sample.metrics.parquet
+	$(BIN)/roadperc-report $(DEMO)/sample.metrics.parquet --worst 1
 	@echo
 	@echo "log with results   $(DEMO)/sample.mcap             (see it: $(BIN)/roadperc-view $(DEMO)/sample.mcap)"
 	@echo "a row per frame    $(DEMO)/sample.metrics.parquet"

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from roadperc_stream.core.process import optional_output
-from roadperc_stream.errors import RoadpercError
+from roadperc_stream.errors import RegressionError
 from roadperc_stream.output.terminal import console_for
 
 from .comparison.comparing import Comparison, compare_runs
@@ -13,10 +13,6 @@ from .comparison.display import print_comparison
 from .comparison.pairing import logged_runs, pair_runs
 from .comparison.reference import Copy, carry_out, first_copies, is_new, require_updatable, update_copies
 from .comparison.rules import Rules
-
-
-class RegressionError(RoadpercError):
-    """The candidate is worse than allowed, or differs where it must not."""
 
 
 def compare(arguments: argparse.Namespace) -> None:
@@ -36,7 +32,7 @@ def compare(arguments: argparse.Namespace) -> None:
     rules = Rules(tuple(arguments.ignore), tuple(arguments.tolerance), tuple(arguments.allow))
     found = compare_runs(pairing, _logs(arguments), rules)
     with optional_output():
-        print_comparison(console_for(sys.stdout), found)
+        print_comparison(console_for(sys.stdout), found, all_fields=arguments.exact)
     if arguments.update_reference:
         _update(update_copies(arguments.reference, pairing))
     else:

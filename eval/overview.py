@@ -34,7 +34,7 @@ def extent(summary: Summary) -> str:
     if summary.rate_hz is None:
         return frames
     return (
-        f"{frames} over {summary.span_s:.2f} s, {summary.rate_hz:.1f} a second, "
+        f"{frames} over {summary.span_s:.2f} s, {summary.rate_hz:.1f} frames/s, "
         f"longest gap {summary.longest_gap_s:.2f} s"
     )
 

@@ -18,7 +18,8 @@ COUNTS: Final = tuple(column for columns in _COUNTED.values() for column in colu
 """Columns whose sums over a run are the counts of its scores."""
 TRACED: Final = {side: (f"lane_{side}_offset_m", f"lane_{side}_true_offset_m") for side in SIDES}
 """What is smoothed and might lag, and the truth it follows."""
-_SHIFTS: Final = tuple(sorted(range(-6, 7), key=abs))
+_FARTHEST: Final = 6
+_SHIFTS: Final = tuple(sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs))
 """Frames by which an estimate may lie behind its truth, the likeliest first: that decides between equals."""
 _FOLLOWS: Final = 0.5
 """A correlation below says that estimate and truth do not move together, as on a road that does not bend."""
@@ -79,7 +80,8 @@ def _correlation(a: pl.Expr, b: pl.Expr) -> pl.Expr:
 def lag_frames(coefficients: Sequence[float | None]) -> int | None:
     """Frames by which an estimate lies behind its truth: the shift with the largest of ``correlations``.
 
-    None where no shift stands out: the two do not move together, or so evenly that shifts of two frames and more
+    None where the largest is at the end of the shifts, for beyond it may lie a larger one, and where no shift stands
+    out: the two do not move together, or so evenly that shifts of two frames and more
     leave hardly more of the one unexplained by the other (on a straight line any shift does).
     """
     pairs = zip(coefficients, _SHIFTS, strict=False)
@@ -88,7 +90,7 @@ def lag_frames(coefficients: Sequence[float | None]) -> int | None:
     unexplained = {k: 1 - value * abs(value) for k, value in known.items()}
     others = min((share for k, share in unexplained.items() if abs(k - shift) > 1), default=math.inf)
     stands_out = known.get(shift, 0.0) >= _FOLLOWS and others > _DISTINCT * unexplained[shift] + _ROUNDING
-    return shift if stands_out else None
+    return shift if stands_out and abs(shift) < _FARTHEST else None
 
 
 def averaged(parts: Iterable[tuple[int, Sequence[float | None]]]) -> tuple[float | None, ...]:

@@ -23,7 +23,7 @@ Summaries = Sequence[Summary]
 """What a table is about: one run or several pooled ones, or several of these side by side."""
 _STATUSES: Final = ("measured", "held", "lost")
 _JITTER: Final = "jitter: standard deviation of the offset's second difference, smoothed and raw"
-_LAG: Final = "lag: frames by which the smoothed offset lies behind the true one"
+_LAG: Final = "lag: frames the smoothed offset lies behind the true one, \N{EN DASH} where not known"
 _ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the median error"
 _COVERAGE: Final = "frames %: those with a value; p5: where high is good; worst is then the least"
 _NO_TRUTH: Final = "No frame has a truth for what was replayed."
@@ -56,8 +56,7 @@ def lane_boundaries(summaries: Summaries) -> TextTable:
     """Per side: how often measured, held or lost, where it lies, and its jitter, smoothed and raw."""
     present = any(summary.categories[f"lane_{side}_status"] for summary in summaries for side in SIDES)
     rows = [TextRow(side, tuple(_boundary(summary, side) for summary in summaries)) for side in SIDES if present]
-    has_lag = any(summary.lag_frames(side) is not None for summary in summaries for side in SIDES)
-    notes = (_JITTER, *([_LAG] if has_lag else []), *_remarks(summaries, _beyond_lanes)) if present else ()
+    notes = (_JITTER, _LAG, *_remarks(summaries, _beyond_lanes)) if present else ()
     headers = (*(f"{status} %" for status in _STATUSES), "offset m", "jitter cm", "raw cm", "lag")
     return _table("Lane boundary", headers, rows, summaries, notes, label_columns=13)
 
@@ -213,7 +212,7 @@ def _boundary(summary: Summary, side: str) -> tuple[str, ...]:
         *(percent(summary.share(f"lane_{side}_status", status)) for status in _STATUSES),
         f"{offset.median:z.2f}" if offset else "",
         *(f"{100 * jitter.std:.2f}" if jitter else "" for jitter in jitters),
-        "" if lag is None else str(lag),
+        "\N{EN DASH}" if lag is None else str(lag),
     )
 
 
@@ -252,7 +251,7 @@ def _speed(summary: Summary) -> str:
         return ""
     rate_hz = 1000 * total.values / total.total
     against = f", {rate_hz / summary.rate_hz:.1f} times real time" if summary.rate_hz else ""
-    return f"{rate_hz:.1f} frames a second{against}"
+    return f"{rate_hz:.1f} frames/s{against}"
 
 
 def _remarks(summaries: Summaries, remark: Callable[[Summary], str]) -> Iterator[str]:

@@ -13,6 +13,7 @@ from roadperc_stream.output.terminal import console_for, frame_progress, print_l
 from roadperc_stream.schemas.roles import parse_topic_options
 
 from .sweeping.dataset import dataset, describe, table_names, tables
+from .sweeping.influence import without_influence
 from .sweeping.processes import sweep_logs
 from .sweeping.ranking import METRICS, scores
 from .sweeping.settings import Combination, combinations, reference_of
@@ -60,4 +61,5 @@ def _print(folder: Path, made: Sequence[Combination], reference: Combination) ->
     print_lines(console, heading, *values_taken(made), unbroken=True)
     for table in (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings)):
         print_table(console, table)
-    print_lines(console, "", without_effect(found), *LEGEND)
+    idle = (f"{key} changed nothing" for key in without_influence(files, made))
+    print_lines(console, "", *idle, without_effect(found), *LEGEND)

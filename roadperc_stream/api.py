@@ -5,34 +5,34 @@ matrix that maps coordinates in frame b to frame a: ego is x forward, y left, z 
 z forward.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from __future__ import annotations  # help shows ArrayLike by its name and not all that it stands for
+
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike
+from numpy.typing import ArrayLike
 
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import ReplayConfig, load_config, validated
-from roadperc_stream.core.datatypes import (
-    CameraImage,
-    DepthImage,
-    Detection,
-    Frame,
-    FrameResult,
-    Image,
-    Sample,
-    TagImage,
-    Truth,
-)
-from roadperc_stream.core.geometry import Camera, Float, level_mounting
+from roadperc_stream.core.datatypes import DepthImage, Detection, Frame, FrameResult, Sample, TagImage, Truth
+from roadperc_stream.core.geometry import Camera, level_mounting
 from roadperc_stream.core.semantics import TagTable, table_for_version
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.input import open_input
+from roadperc_stream.input.arrays import (
+    camera_image,
+    checked_camera,
+    checked_detections,
+    checked_stamp_ns,
+    depth_pixels,
+    mounting,
+    tag_pixels,
+)
 from roadperc_stream.loop import ReplaySummary, run_frame
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.schemas.columns import FrameMetrics
@@ -149,12 +149,17 @@ class Chain:
                 configuration's ``tag_table``.
 
         Raises:
+            TypeError: a camera is no Camera.
+            ValueError: a camera or the mounting has impossible numbers.
             ConfigError: the configuration does not fit, or the tag table is not known.
         """
         self._cfg = _config(config)
-        self._camera, self._right_camera = camera, right_camera
+        self._camera = checked_camera("camera", camera)
+        self._right_camera = None if right_camera is None else checked_camera("right_camera", right_camera)
         self._mounted = ego_T_camera is not None
-        self._ego_T_camera = _pose(ego_T_camera, self._cfg)
+        self._ego_T_camera = (
+            level_mounting(self._cfg.surface.assumed_height_m) if ego_T_camera is None else mounting(ego_T_camera)
+        )
         self._table = _tag_table(tag_table or self._cfg.tag_table)
         self._state = ChainState()
 
@@ -175,23 +180,25 @@ class Chain:
         """Run the chain on one frame; any input may be missing.
 
         Args:
-            stamp_ns: the frame's time; one that does not lie after the last one's clears the memory.
+            stamp_ns: the frame's time, of any integer type; one not after the last frame's clears the memory.
             image: (H, W, 3) uint8 in OpenCV's order blue, green, red, or (H, W) grey.
-            depth_m: (H, W) metres along the camera's z axis, NaN unknown.
-            tags: (H, W) uint8 class of each pixel, by ``tag_table``.
-            detections: of a detector, boxes in pixels.
+            depth_m: (H, W) floating-point metres along the camera's z axis, NaN unknown.
+            tags: (H, W) class of each pixel, by ``tag_table``: any integer type, 0 to 255.
+            detections: of a detector, such as ``Detection("car", Box(150, 100, 180, 140), score=0.9)``, in pixels.
             right_image: as ``image``, of the right camera.
 
         Returns:
             What each stage made; ``Absent`` with a reason where it could make nothing.
 
         Raises:
-            ValueError: an array is of another shape or type.
+            TypeError: the stamp or a detection is of another type.
+            ValueError: an array is of another shape or type, or a detection's box is impossible.
             ConfigError: tags were given, and nobody said of which table.
         """
         camera, ego_T_camera = self._camera, self._ego_T_camera
+        right_camera = self._right_camera or camera
         frame = Frame(
-            stamp_ns=stamp_ns,
+            stamp_ns=checked_stamp_ns(stamp_ns),
             camera=camera,
             ego_T_camera=ego_T_camera,
             depth_camera=camera,
@@ -199,12 +206,12 @@ class Chain:
             left_camera=camera,
             ego_T_left=ego_T_camera,
             mounted=self._mounted,
-            image=_camera_image("image", image, camera),
-            right=_camera_image("right_image", right_image, self._right_camera or camera),
+            image=None if image is None else camera_image("image", image, camera),
+            right=None if right_image is None else camera_image("right_image", right_image, right_camera),
             right_camera=self._right_camera,
             depth=self._depth(depth_m),
             segmentation=self._tags(tags),
-            detections=None if detections is None else tuple(detections),
+            detections=None if detections is None else checked_detections(detections),
         )
         with one_thread():
             self._state, result = step(self._cfg, self._state, frame)
@@ -213,7 +220,7 @@ class Chain:
     def _depth(self, depth_m: ArrayLike | None) -> DepthImage | None:
         if depth_m is None:
             return None
-        pixels = _pixels("depth_m", depth_m, np.float32, self._camera)
+        pixels = depth_pixels(depth_m, self._camera)
         return DepthImage(self._camera.frame_id, lambda: (pixels, np.inf))
 
     def _tags(self, tags: ArrayLike | None) -> TagImage | None:
@@ -221,11 +228,11 @@ class Chain:
             return None
         if self._table is None:
             raise ConfigError("tags: of which table? Expected Chain(camera, tag_table='0.9.15') or another version")
-        pixels = _pixels("tags", tags, np.uint8, self._camera)
+        pixels = tag_pixels(tags, self._camera)
         return TagImage(self._camera.frame_id, self._table, lambda: pixels)
 
 
-def read_metrics(run: str | Path) -> "pl.DataFrame":
+def read_metrics(run: str | Path) -> pl.DataFrame:
     """The metrics of a run, a row per frame, as a polars frame.
 
     Args:
@@ -240,8 +247,12 @@ def read_metrics(run: str | Path) -> "pl.DataFrame":
 
     path = Path(run)
     table = sidecar_path(path, "metrics") if path.suffix == ".mcap" else path
+    if table.is_dir():
+        raise TableError(f"{table}: expected a metrics table, found a folder")
     try:
         return pl.read_parquet(table)
+    except FileNotFoundError as error:
+        raise TableError(f"{table}: no such metrics table") from error
     except (OSError, pl.exceptions.PolarsError) as error:
         raise TableError(f"{table}: is not a metrics table that can be read: {error}") from error
 
@@ -250,49 +261,9 @@ def _config(config: Config) -> ReplayConfig:
     if isinstance(config, ReplayConfig):
         return config
     if isinstance(config, Mapping):
-        return validated(config, "config")
-    return load_config(None if config is None else Path(config))
-
-
-def _pose(ego_T_camera: ArrayLike | None, cfg: ReplayConfig) -> Float:
-    if ego_T_camera is None:
-        return level_mounting(cfg.surface.assumed_height_m)
-    pose = np.array(ego_T_camera, np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        raise ValueError(f"ego_T_camera: expected (4, 4) finite numbers, found {pose.shape}")
-    return pose
+        return validated(config, "config: ")
+    return load_config(config)
 
 
 def _tag_table(version: str) -> TagTable | None:
     return None if version == "auto" else table_for_version(version)
-
-
-def _camera_image(name: str, pixels: ArrayLike | None, camera: Camera) -> CameraImage | None:
-    if pixels is None:
-        return None
-    image = _pixels(name, pixels, np.uint8, camera, colours=True)
-    return CameraImage(
-        camera.frame_id, _converted(image, cv2.COLOR_GRAY2BGR, 2), _converted(image, cv2.COLOR_BGR2GRAY, 3)
-    )
-
-
-def _converted(image: Image, conversion: int, dimensions: int) -> Callable[[], Image]:
-    """The image as it is, or converted where it has that many dimensions."""
-    if image.ndim != dimensions:
-        return lambda: image
-    return lambda: np.asarray(cv2.cvtColor(image, conversion), np.uint8)
-
-
-def _pixels(name: str, pixels: ArrayLike, dtype: DTypeLike, camera: Camera, *, colours: bool = False) -> Any:
-    """A copy of the caller's pixels, which may change afterwards.
-
-    Raises:
-        ValueError: their type or size is another.
-    """
-    found = np.asarray(pixels)
-    if not np.can_cast(found.dtype, dtype, "same_kind"):
-        raise ValueError(f"{name}: expected {np.dtype(dtype)}, found {found.dtype}")
-    shapes = [camera.size, (*camera.size, 3)] if colours else [camera.size]
-    if found.shape not in shapes:
-        raise ValueError(f"{name}: expected {' or '.join(map(str, shapes))} of the camera, found {found.shape}")
-    return np.array(found, dtype, order="C")

@@ -29,5 +29,9 @@ class TableError(RoadpercError):
     """A metrics table that cannot be read or reported."""
 
 
+class RegressionError(RoadpercError):
+    """A run that is worse than its reference: an answer, with an exit code of its own, and no failure."""
+
+
 class TargetError(RoadpercError):
     """A file that may not be written under the name asked for."""

@@ -1,5 +1,8 @@
 """The package from Python: what a notebook calls gives what the commands give."""
 
+import copy
+import pickle
+import pydoc
 import subprocess
 import sys
 from pathlib import Path
@@ -40,8 +43,10 @@ def test_metrics_are_the_table_beside_the_log(run):
 
 
 def test_metrics_of_nothing_name_the_table(tmp_path):
-    with pytest.raises(rp.RoadpercError, match=r"none\.metrics\.parquet: is not a metrics table"):
+    with pytest.raises(rp.RoadpercError, match=r"none\.metrics\.parquet: no such metrics table$"):
         rp.read_metrics(tmp_path / "none.mcap")
+    with pytest.raises(rp.RoadpercError, match=r"expected a metrics table, found a folder$"):
+        rp.read_metrics(tmp_path)
     (tmp_path / "bad.parquet").write_bytes(b"no table")
     with pytest.raises(rp.RoadpercError, match=r"bad\.parquet: is not a metrics table"):
         rp.read_metrics(tmp_path / "bad.parquet")
@@ -110,6 +115,25 @@ def test_what_is_missing_is_said():
     assert any("segmentation" in str(reason) for reason in result.reasons())
 
 
+def test_an_absent_output_is_false_and_says_why():
+    lanes = rp.Chain(CAMERA).step(0).lanes
+    assert not lanes
+    assert str(lanes) == "lanes: no segmentation"
+    with pytest.raises(AttributeError, match=r"^no 'side' in this frame: lanes: no segmentation$"):
+        lanes.side("left")
+    assert not hasattr(lanes, "boundaries")
+    assert copy.deepcopy(lanes) == pickle.loads(pickle.dumps(lanes)) == lanes
+
+
+def test_a_frame_fits_on_a_screen():
+    _, frame = rp.frames(SAMPLE, max_frames=2)
+    assert frame.result.odometry.matches is not None
+    assert len(repr(frame.result.odometry)) < 1000
+    assert len(repr(frame.result.lanes)) < 2000
+    assert "array" not in repr(frame.input.image)
+    assert len(repr(frame)) < 20_000
+
+
 def test_a_pose_makes_the_camera_mounted():
     pose = np.array([[0, 0, 1, 1.5], [-1, 0, 0, 0], [0, -1, 0, 2.0], [0, 0, 0, 1]], float)
     result = rp.Chain(CAMERA, ego_T_camera=pose).step(0)
@@ -146,6 +170,20 @@ def test_reset_forgets():
         ({"tags": np.zeros((240, 320), np.float32)}, "tags: expected uint8, found float32"),
         ({"image": np.zeros((240, 320, 4), np.uint8)}, r"image: expected \(240, 320\) or \(240, 320, 3\)"),
         ({"image": np.zeros((240, 320, 3))}, "image: expected uint8, found float64"),
+        ({"image": np.full((240, 320), 300, np.uint16)}, "image: expected 0 to 255, found 300 to 300"),
+        ({"tags": np.full((240, 320), -1)}, "tags: expected 0 to 255, found -1 to -1"),
+        (
+            {"depth_m": np.full((240, 320), 12_000, np.uint16)},
+            "depth_m: expected metres as float32, found uint16: divide millimetres by 1000",
+        ),
+        (
+            {"detections": [rp.Detection("car", rp.Box(50, 50, 10, 10), 0.9)]},
+            r"detections\[0\]: expected x_min <= x_max .*, found Box\(x_min=50",
+        ),
+        (
+            {"detections": [rp.Detection("car", rp.Box(0, 0, 10, float("nan")), 0.9)]},
+            r"detections\[0\]: expected .*y_min <= y_max",
+        ),
     ],
 )
 def test_arrays_of_another_shape_or_type_are_refused(inputs, message):
@@ -158,6 +196,50 @@ def test_tags_without_a_table_and_a_pose_that_is_none_are_refused():
         rp.Chain(CAMERA).step(0, tags=np.zeros((240, 320), np.uint8))
     with pytest.raises(ValueError, match=r"ego_T_camera: expected \(4, 4\) finite numbers, found \(3, 3\)"):
         rp.Chain(CAMERA, ego_T_camera=np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "detections", "message"),
+    [
+        (0.05, None, "stamp_ns: expected whole nanoseconds, found 0.05"),
+        ("1", None, "stamp_ns: expected whole nanoseconds, found '1'"),
+        (0, [("car", 0.9, (1, 2, 3, 4))], r"detections\[0\]: expected a Detection, found \('car'"),
+        (0, [rp.Detection("car", (1, 2, 3, 4), 0.9)], r"detections\[0\]: expected box_px to be a Box, found \(1, 2"),
+    ],
+)
+def test_a_stamp_or_detection_of_another_type_is_refused(stamp_ns, detections, message):
+    with pytest.raises(TypeError, match=message):
+        rp.Chain(CAMERA).step(stamp_ns, detections=detections)
+
+
+@pytest.mark.parametrize("camera", ["cam", np.eye(3)])
+def test_a_camera_of_another_type_is_refused(camera):
+    with pytest.raises(TypeError, match=r"^camera: expected a Camera, found (str|ndarray)"):
+        rp.Chain(camera)
+    with pytest.raises(TypeError, match=r"right_camera: expected a Camera, found (str|ndarray)"):
+        rp.Chain(CAMERA, right_camera=camera)
+
+
+def test_a_camera_that_is_no_pinhole_is_refused():
+    with pytest.raises(ValueError, match=r"camera: fx 0: expected 0\.32 to 320000 pixels"):
+        rp.Chain(rp.Camera("camera", 320, 240, 0, 200, 159.5, 119.5))
+    with pytest.raises(ValueError, match="camera: expected an image of one pixel or more, found 0x240"):
+        rp.Chain(rp.Camera("camera", 0, 240, 200, 200, 159.5, 119.5))
+
+
+def test_stamps_and_tags_may_be_of_any_integer_type():
+    depth_m, tags = road()
+    expected = rp.Chain(CAMERA, tag_table="0.9.15").step(7, depth_m=depth_m, tags=tags)
+    for kind in (np.int64, np.uint16):
+        found = rp.Chain(CAMERA, tag_table="0.9.15").step(np.int64(7), depth_m=depth_m, tags=tags.astype(kind))
+        assert type(found.stamp_ns) is int
+        assert found.lanes.side("left").offset_m == expected.lanes.side("left").offset_m
+
+
+def test_help_names_the_type_of_arrays():
+    text = pydoc.render_doc(rp.Chain)
+    assert "ArrayLike | None" in text
+    assert "_SupportsArray" not in text
 
 
 def test_importing_the_package_imports_nothing_else():

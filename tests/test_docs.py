@@ -95,7 +95,11 @@ def test_every_command_runs_in_order(folder):
                 run(f"{line} --save viewed.rrd --force", folder)
             else:
                 run(line, folder)
-    assert (folder / "out.metrics.parquet").exists()
+    compared = run("roadperc-compare out.mcap other.mcap || true", folder).splitlines()
+    page = (ROOT / "docs" / "evaluation.md").read_text(encoding="utf-8")
+    for line in re.search(r"```text\n((?:worse|better): .*?)```", page, re.DOTALL).group(1).splitlines():
+        match = next((other for other in compared if words(other) == words(line)), "")
+        assert numbers(line) == pytest.approx(numbers(match), rel=0.02), line
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

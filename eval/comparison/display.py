@@ -19,14 +19,16 @@ from .verdicts import Mark, Verdict
 
 TEXT_SHOWN = 48
 """Characters of a text value that are shown."""
+FIELDS_SHOWN = 10
+"""Fields that differ, unless all are asked for."""
 
 
-def print_comparison(console: Console, found: Comparison) -> None:
-    """Which runs, where their fields part, their metrics and times, and the verdict."""
-    print_lines(console, *_heading(found), *_fields(found), unbroken=True)
+def print_comparison(console: Console, found: Comparison, *, all_fields: bool) -> None:
+    """Which runs, their metrics and times, the verdict, and where their fields part: the first ones, or all."""
+    print_lines(console, *_heading(found), unbroken=True)
     for table in (_metrics(found), _times(found)):
         print_table(console, table)
-    print_lines(console, "", *_verdict(found), unbroken=True)
+    print_lines(console, "", *_verdict(found), *_fields(found, all_fields=all_fields), unbroken=True)
 
 
 def _heading(found: Comparison) -> Iterator[str]:
@@ -72,14 +74,17 @@ def _identity(side: str, item: LoggedRun) -> str:
     return f"{side} {item.run.path}: log {item.log_id}, configuration {config}, version {version}"
 
 
-def _fields(found: Comparison) -> Iterator[str]:
-    """Each field that is not identical with its first difference, under the frame where that is, the earliest first."""
-    differing = [agreement for agreement in found.fields.values() if agreement.first]
-    for place, group in groupby(sorted(differing, key=_place), key=_place):
+def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:
+    """Fields that are not identical with their first difference, under the frame where that is, the earliest first."""
+    differing = sorted((agreement for agreement in found.fields.values() if agreement.first), key=_place)
+    shown = differing if all_fields else differing[:FIELDS_SHOWN]
+    for place, group in groupby(shown, key=_place):
         run, stamp_ns, frame = place
         several = f"{run}: " if len(found.pairing.pairs) > 1 else ""
         yield from ("", f"{several}frame {frame}, stamp {stamp_ns}")
         yield from (f"  {_difference(agreement)}" for agreement in group)
+    if len(shown) < len(differing):
+        yield from ("", f"{len(differing) - len(shown)} more fields differ: --exact lists all")
     within = [f"{n} ({_largest(a)})" for n, a in found.fields.items() if a.state == "within tolerance"]
     if within:
         yield from ("", f"within tolerance: {', '.join(within)}")

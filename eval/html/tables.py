@@ -18,7 +18,7 @@ def identity(summaries: Sequence[Summary], sources: Sequence[Sources]) -> TextTa
 
 
 def _facts(summary: Summary, files: Sources) -> dict[str, str]:
-    rate = f", {summary.rate_hz:.1f} a second" if summary.rate_hz else ""
+    rate = f", {summary.rate_hz:.1f} frames/s" if summary.rate_hz else ""
     missing = ", ".join(f"{role} {percent(n / summary.frames)} %" for role, n in summary.missing.most_common())
     return {
         "log": ", ".join(summary.log_ids),

@@ -13,7 +13,7 @@ class Varied:
 
 
 def varied(text: str) -> Varied:
-    """An argument such as ``lanes.process_noise=0.1,0.3,1``.
+    """An argument such as ``lanes.fit_strip_m=0.2,0.3,0.5``.
 
     Raises:
         ArgumentTypeError: not of this form, or a value twice.
@@ -21,7 +21,7 @@ def varied(text: str) -> Varied:
     key, _, values = text.partition("=")
     texts = tuple(value.strip() for value in values.split(","))
     if not key.strip() or not all(texts):
-        raise argparse.ArgumentTypeError(f"{text}: expected KEY=VALUE,VALUE,... such as lanes.process_noise=0.1,0.3,1")
+        raise argparse.ArgumentTypeError(f"{text}: expected KEY=VALUE,VALUE,... such as lanes.fit_strip_m=0.2,0.3,0.5")
     if len({_number_or_text(value) for value in texts}) < len(texts):
         raise argparse.ArgumentTypeError(f"{text}: a value stands there twice")
     return Varied(key.strip(), texts)

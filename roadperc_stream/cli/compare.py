@@ -33,15 +33,17 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "compare",
-        "Compare a run B with a reference A: the first difference of every field with both values, then\n"
-        "for every metric the paired difference with its interval, marked better, worse or unchanged.",
+        "Compare a run B with a reference A: for every metric the paired difference with its interval, marked\n"
+        "better, worse or unchanged, and the verdict; then the fields that differ, each at its first frame.",
         _EXAMPLE,
     )
     inputs = "a metrics table (OUT.metrics.parquet), an OUT.mcap with its table next to it, or a folder of tables"
     reference = parser.add_argument("reference", metavar="A", help=f"the reference: {inputs}")
     candidate = parser.add_argument("candidate", metavar="B", help="the candidate: the same")
     _add_rules(parser)
-    parser.add_argument("--exact", action="store_true", help="a field that differs beyond its tolerance is exit code 1")
+    parser.add_argument(
+        "--exact", action="store_true", help="list every field that differs; one beyond its tolerance is exit code 1"
+    )
     parser.add_argument("--other-log", action="store_true", help="compare runs of two different logs by their stamps")
     parser.add_argument(
         "--update-reference",

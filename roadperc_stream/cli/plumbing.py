@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any
 
 from roadperc_stream.core.process import EXIT_DONE, EXIT_ERROR, discard_output, ending_signals, optional_output
-from roadperc_stream.errors import RoadpercError
+from roadperc_stream.errors import RegressionError, RoadpercError
 
 _AGAIN_AFTER_S = 0.05
 _MOST_CHARACTERS = 255
@@ -89,7 +89,7 @@ def run(command: Callable[[], None]) -> int:
             command()
             sys.stdout.flush()
     except RoadpercError as error:
-        return _fail(str(error))
+        return _fail(str(error), "" if isinstance(error, RegressionError) else "error: ")
     except KeyboardInterrupt:
         return _fail("interrupted")
     except BrokenPipeError:  # the reader has seen enough, as with | head
@@ -102,9 +102,9 @@ def run(command: Callable[[], None]) -> int:
     return EXIT_DONE
 
 
-def _fail(text: str) -> int:
+def _fail(text: str, prefix: str = "error: ") -> int:
     with optional_output(sys.stderr):
-        print("error:", " ".join(text.split("\n")), file=sys.stderr)
+        print(f"{prefix}{' '.join(text.splitlines())}", file=sys.stderr)
     return EXIT_ERROR
 
 

@@ -64,7 +64,7 @@ def _print_summary(target: Path, summary: ReplaySummary) -> None:
     for role, number in summary.dropped.items():
         print(f"note: {number} messages of role {role} belong to no frame")
     rate = summary.frames / summary.seconds
-    print(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.0f} a second), log {summary.log_id}")
+    print(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} frames/s), log {summary.log_id}")
     print(
         f"wrote {target} ({summary.messages_out} messages), {sidecar_path(target, 'metrics').name}, "
         f"{sidecar_path(target, 'objects').name}"

@@ -20,14 +20,15 @@ from roadperc_stream.core.config.catalogue import Setting, Value, catalogue, sec
 
 _NARROWEST, _WIDEST = 50, 100
 _CLASSES: Final = "names of classes"
-_PAGE_HEAD: Final = """\
+_SCALING: Final = "Lengths in pixels are given at 960 image rows and scale with the image, those of `stereo` excepted."
+_PAGE_HEAD: Final = f"""\
 # Settings
 
 Every setting of a replay, with its default. Give single ones as `--set KEY=VALUE`, any number of them as a TOML file
 with `--config FILE`; `--set` wins. `roadperc-replay --print-config > mine.toml` writes a file to start from, and
 `roadperc-replay --list-settings` prints this page's facts on the terminal, with `--json` for programs.
 
-Lengths in pixels are given at 960 image rows and scale with the image, those of `stereo` excepted.
+{_SCALING}
 """
 
 
@@ -47,7 +48,7 @@ def print_settings(arguments: argparse.Namespace) -> None:
 
 def as_text(width: int) -> str:
     """All settings by stage, no line longer than ``width`` unless a single word is."""
-    lines = [f"{len(catalogue())} settings: KEY = DEFAULT [UNIT] (RANGE), for --set and --config"]
+    lines = [f"{len(catalogue())} settings: KEY = DEFAULT [UNIT] (RANGE), for --set and --config", _plain(_SCALING)]
     for section, settings in _by_section():
         lines += ["", _heading(section)]
         for setting in settings:
@@ -69,6 +70,7 @@ def as_toml(cfg: ReplayConfig) -> str:
     """A configuration as TOML that ``load_config`` reads back, every key with its meaning, range and default."""
     values = cfg.model_dump(mode="json")
     lines = ["# Settings of roadperc-replay, for --config. What is left out has its default."]
+    lines += [f"# {_plain(_SCALING)}"]
     for section, settings in _by_section():
         lines += ["", *([f"# {sections()[section]}", f"[{section}]"] if section else [])]
         for setting in settings:
@@ -118,6 +120,11 @@ def _comment(setting: Setting) -> Iterator[str]:
 def _row(setting: Setting) -> str:
     values = _CLASSES if _takes_classes(setting) else setting.range
     return f"| `{setting.key}` | {_value(setting.default)} | {values} | {setting.unit} | {setting.meaning} |"
+
+
+def _plain(text: str) -> str:
+    """A sentence of the page without its marks."""
+    return text.replace("`", "")
 
 
 def _takes_classes(setting: Setting) -> bool:

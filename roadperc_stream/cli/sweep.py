@@ -10,7 +10,7 @@ from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole
 
 _EXAMPLE = """\
 example:
-  roadperc-sweep logs/sample.mcap --vary lanes.process_noise=0.1,0.3,1 --vary surface.inlier_m=0.03,0.05
+  roadperc-sweep logs/sample.mcap --vary lanes.fit_strip_m=0.2,0.3,0.5 --vary surface.inlier_m=0.03,0.05
 
 replays the sample under all six combinations, writes sweep/ with a metrics table for each, the settings as columns
 (pl.scan_parquet("sweep/**/*.parquet")), and prints the best setting for each metric. roadperc-report reads sweep/ too.

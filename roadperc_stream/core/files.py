@@ -30,7 +30,7 @@ def require_free(target: Path, *, force: bool, suffix: str, source: Path | None 
     if source is not None and target.exists() and source.exists() and target.samefile(source):
         raise TargetError(f"{target}: is the input itself; name another output")
     if target.exists() and not force:
-        raise TargetError(f"{target}: exists already; --force replaces it")
+        raise TargetError(f"{target}: exists already; --force (force=True) replaces it")
 
 
 def require_plain(target: Path) -> None:
@@ -100,7 +100,7 @@ def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
             target.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             if target.exists() and not force:
-                raise TargetError(f"{target}: exists now, written by another program; --force replaces it")
+                raise TargetError(f"{target}: exists now, written by another program; --force (force=True) replaces it")
             temporary.replace(target)
     finally:
         with suppress(OSError):

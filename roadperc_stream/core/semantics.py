@@ -7,7 +7,7 @@ be distinguished by the numbers, so the table travels with the log (channel meta
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Final
 
@@ -25,9 +25,9 @@ class TagTable:
     """The classes of one range of CARLA versions: the tag is the position in ``names``."""
 
     name: str
-    names: tuple[str, ...]
-    colours: tuple[Colour, ...]
-    other_colours: tuple[tuple[Colour, int], ...] = ()
+    names: tuple[str, ...] = field(repr=False)
+    colours: tuple[Colour, ...] = field(repr=False)
+    other_colours: tuple[tuple[Colour, int], ...] = field(default=(), repr=False)
     """Colours that some versions in the range use for a tag, beside the one in ``colours``."""
 
     def tags_of(self, classes: Iterable[str]) -> tuple[int, ...]:

@@ -42,7 +42,7 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
         fault = _fault(found)
         faults += [fault] if fault else []
     if faults:
-        raise LogError(listed(faults, 3))
+        raise LogError(listed(faults, len(faults)))
 
 
 def _fault(found: LogFacts | LogError) -> str:
@@ -70,9 +70,8 @@ def _finite(value: Any) -> Any:
 
 
 def _show_text(_: Path, found: LogFacts | LogError) -> None:
-    console = console_for(sys.stdout)
+    """The facts; what cannot be opened is said once, by the error at the end."""
     if isinstance(found, LogFacts):
+        console = console_for(sys.stdout)
         print_log(console, found)
-    else:
-        print_lines(console, str(found), unbroken=True)
-    print_lines(console, "")
+        print_lines(console, "")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from roadperc_stream.cli.replay import main
-from roadperc_stream.cli.settings import as_page, as_text
+from roadperc_stream.cli.settings import as_page, as_text, as_toml
 from roadperc_stream.core.config import ReplayConfig, load_config
 from roadperc_stream.core.config.catalogue import Setting, catalogue, sections
 from roadperc_stream.core.stage_names import STAGES
@@ -115,6 +115,13 @@ def test_the_text_on_a_pipe_is_eighty_columns_wide():
     said = subprocess.run(words, check=True, capture_output=True, text=True, timeout=60, env=plain).stdout
     assert said == as_text(80)
     assert "lanes.hold_s = 0.5  [s]  (0 to 3600)\n    How long an unseen boundary is held" in said
+
+
+def test_every_form_says_at_what_size_pixels_are_given():
+    sentence = "Lengths in pixels are given at 960 image rows and scale with the image, those of stereo excepted."
+    assert f"\n{sentence}\n" in as_text(100)
+    assert f"\n# {sentence}\n" in as_toml(ReplayConfig())
+    assert sentence in as_page().replace("`", "")
 
 
 def test_json_has_the_same_facts(capsys):

@@ -13,6 +13,12 @@ def test_settings_win_over_the_file(tmp_path):
     assert (cfg.seed, cfg.lanes.hold_s, cfg.surface.classes, cfg.lanes.model) == (3, 0.8, ("road",), "line")
 
 
+def test_a_file_by_its_name_and_a_single_setting(tmp_path):
+    (tmp_path / "c.toml").write_text("seed = 3\n")
+    cfg = load_config(str(tmp_path / "c.toml"), "lanes.hold_s=1")
+    assert (cfg.seed, cfg.lanes.hold_s) == (3, 1.0)
+
+
 def test_toml_comes_back_as_it_was(tmp_path):
     cfg = load_config(None, ("surface.inlier_m=0.07", "tag_table=0.9.15"))
     path = tmp_path / "c.toml"
@@ -42,10 +48,15 @@ def test_defaults_need_no_file():
         ("lanes.hough_rho_px=inf", "lanes.hough_rho_px"),
         ("sync.max_wait_s=1e300", "sync.max_wait_s"),
         ("lanes.fit_max_m=nan", "lanes.fit_max_m"),
-        ("lanes.holds_s=1", r"did you mean lanes\.hold_s\?"),
+        ("lanes.holds_s=1", r"^no setting lanes\.holds_s; did you mean lanes\.hold_s\?"),
         ("lane.hold_s=1", r"did you mean lanes\?"),
         ("surface.zzz=1", "known: enabled, model"),
         ("hold_s=1", r"no setting hold_s; did you mean lanes\.hold_s or objects\.hold_s\?"),
+        ("lanes.hold_s=0.8 s", r"^lanes\.hold_s: expected a number 0 to 3600 \(s\), found '0\.8 s'$"),
+        ("seed=1.5", r"^seed: expected a whole number 0 to .*, found 1\.5$"),
+        ("lanes.enabled=maybe", "^lanes.enabled: expected true, false, found 'maybe'$"),
+        ("stereo.disparities=x", r"^stereo\.disparities: expected a whole number 16 to 1024, .*; or auto \(px\), "),
+        ("l", "^setting l: expected KEY=VALUE"),
         ("stereo.inlier=1", r"no setting stereo\.inlier; did you mean surface\.inlier_m\?"),
     ],
 )

@@ -35,7 +35,7 @@ def test_an_existing_file_is_replaced_when_told_so_only(tmp_path):
     target = tmp_path / "out.mp4"
     target.write_bytes(b"old")
     require_free(target, force=True, suffix=".mp4")
-    with pytest.raises(TargetError, match="exists already; --force replaces it"):
+    with pytest.raises(TargetError, match=r"exists already; --force \(force=True\) replaces it"):
         require_free(target, force=False, suffix=".mp4")
 
 

@@ -73,7 +73,20 @@ def test_values_that_differ_late_are_shown_with_all_their_digits(reference, caps
 
 def test_exact_makes_any_difference_an_error(reference, capsys):
     code, _, error = compare(capsys, reference, other(reference, lane_merged=pl.lit(3)), "--exact")
-    assert (code, error) == (1, "error: differs from the reference: lane_merged\n")
+    assert (code, error) == (1, "differs from the reference: lane_merged\n")
+
+
+def test_the_verdict_stands_before_the_first_fields_that_differ(reference, capsys):
+    columns = [f"lane_{side}_{name}" for side in ("left", "right") for name in ("heading", "offset_m", "raw_offset_m")]
+    columns += ["step_m", "odom_x_m", "odom_y_m", "odom_z_m", "turn_deg", "camera_height_m"]
+    candidate = other(reference, **{name: pl.lit(0.125) for name in columns})
+    _, text, _ = compare(capsys, reference, candidate)
+    _, fields = text.split("\nverdict: ")
+    assert fields.count(" → 0.125, in 40 frames") == 10
+    assert fields.endswith("\n\n2 more fields differ: --exact lists all\n")
+    _, listed, _ = compare(capsys, reference, candidate, "--exact")
+    assert listed.count(" → 0.125, in 40 frames") == 12
+    assert "more fields" not in listed
 
 
 @pytest.mark.parametrize("options", [["--tolerance", "lane_*=0.011"], ["--ignore", "lane_left_error*"]])
@@ -96,9 +109,9 @@ def test_a_constant_shift_is_worse_by_exactly_that(reference, capsys):
     code, text, error = compare(
         capsys, reference, other(reference, lane_left_error_m=pl.col("lane_left_error_m") + 0.01)
     )
-    assert (code, error) == (1, "error: worse than the reference: lane_left_error_m\n")
+    assert (code, error) == (1, "worse than the reference: lane_left_error_m\n")
     assert "worse: lane_left_error_m 0.1008 → 0.1108 (+0.01 [+0.01, +0.01])" in text
-    assert text.endswith("verdict: worse in lane_left_error_m\n")
+    assert "\nverdict: worse in lane_left_error_m\n" in text
 
 
 def test_better_is_no_regression(reference, capsys):
@@ -117,7 +130,7 @@ def test_it_is_the_absolute_error_that_counts(reference, capsys, error_m, mark):
 def test_where_low_is_bad(reference, capsys):
     base = other(reference, "c", drivable_iou=pl.lit(0.9))
     code, _, error = compare(capsys, base, other(base, "d", drivable_iou=pl.lit(0.8)))
-    assert (code, error) == (1, "error: worse than the reference: drivable_iou\n")
+    assert (code, error) == (1, "worse than the reference: drivable_iou\n")
 
 
 @pytest.mark.parametrize(
@@ -140,7 +153,7 @@ def test_noise_around_zero_is_unchanged(reference, capsys):
 def test_lost_coverage_is_a_regression_even_where_the_error_is_the_same(reference, capsys):
     lost = pl.when(~frames(10, 14)).then(pl.col("lane_left_error_m"))
     code, text, error = compare(capsys, reference, other(reference, lane_left_error_m=lost))
-    assert (code, error) == (1, "error: worse than the reference: lane_left_error_m.coverage\n")
+    assert (code, error) == (1, "worse than the reference: lane_left_error_m.coverage\n")
     assert "worse: lane_left_error_m.coverage 1 → 0.875 (-0.125" in text
     assert "worse: lane_left_error_m 0" not in text
     allowed = ("--allow", "*.coverage=0.13")
@@ -152,14 +165,14 @@ def test_states_are_metrics(reference, capsys):
     lost = pl.when(frames(3, 5)).then(pl.lit("lost")).otherwise(pl.lit("tracked"))
     candidate = other(base, "d", odometry_status=lost, surface_source=pl.lit("lower_image"))
     _, _, error = compare(capsys, base, candidate)
-    assert error == "error: worse than the reference: surface_source.depth, odometry_status.tracked\n"
+    assert error == "worse than the reference: surface_source.depth, odometry_status.tracked\n"
 
 
 def test_times_are_judged_on_request_only(reference, capsys):
     slower = other(reference, total_ms=pl.col("total_ms") * 1.2)
     assert compare(capsys, reference, slower, "--allow", "10%")[0] == 0
     code, text, error = compare(capsys, reference, slower, "--allow", "total_ms=10%")
-    assert (code, error) == (1, "error: worse than the reference: total_ms\n")
+    assert (code, error) == (1, "worse than the reference: total_ms\n")
     assert "worse: total_ms 10 → 12 (+2 [+2, +2])" in text
     assert compare(capsys, reference, slower, "--allow", "total_ms=21%")[0] == 0
 
@@ -169,7 +182,7 @@ def test_frames_that_only_one_run_has(reference, tmp_path, capsys):
     code, text, error = compare(capsys, reference, shorter)
     assert "a: 10 frames only in the reference, 0 only in the candidate" in text
     assert "30 frames compared" in text
-    assert (code, error) == (1, "error: worse than the reference: frames.coverage\n")
+    assert (code, error) == (1, "worse than the reference: frames.coverage\n")
     assert compare(capsys, shorter, reference)[0] == 0
     assert compare(capsys, shorter, reference, "--exact")[0] == 1
 
@@ -226,7 +239,7 @@ def test_runs_that_only_one_folder_has(tmp_path, capsys):
     assert code == 0
     assert f"only in the candidate: part1/log3 (log {3:016x})" in text
     code, _, error = compare(capsys, theirs, ours)
-    assert (code, error) == (1, "error: worse than the reference: no run of part1/log3\n")
+    assert (code, error) == (1, "worse than the reference: no run of part1/log3\n")
 
 
 def test_several_runs_of_one_log_pair_by_name(tmp_path, capsys):

@@ -69,7 +69,7 @@ def test_times_and_share_of_the_total(drive, capsys):
     _, text, _ = report(capsys, drive)
     assert line_of(text, "surface  ") == ["surface", "2.00", "2.00", "2.00", "50.0"]
     assert line_of(text, "copy, metrics")[2:] == ["1.00", "1.00", "1.00", "25.0"]
-    assert "250.0 frames a second, 12.5 times real time" in text
+    assert "250.0 frames/s, 12.5 times real time" in text
 
 
 def test_worst_frames_with_their_times(drive, capsys):
@@ -78,7 +78,7 @@ def test_worst_frames_with_their_times(drive, capsys):
     at = next(k for k, line in enumerate(lines) if line.startswith("lane left at 10 m, m") and "15778" in line)
     assert lines[at].split()[-4:] == ["0.300", "2", "0.100", "1577836800100000000"]
     assert lines[at + 1].split() == ["-0.020", "1", "0.050", "1577836800050000000"]
-    assert lines[at + 2].startswith("objects' mean distance")
+    assert lines[at + 2].startswith("object distance error (mean), m")
 
 
 def test_columns_without_values_are_one_line(drive, capsys):
@@ -279,7 +279,8 @@ def test_lag_stands_beside_the_jitter(tmp_path, capsys):
     ]
     _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
     assert line_of(text, "left")[-1] == "2"
-    assert "lag: frames by which the smoothed offset lies behind the true one" in text
+    assert line_of(text, "right")[-1] == "\N{EN DASH}"
+    assert "lag: frames the smoothed offset lies behind the true one, \N{EN DASH} where not known" in text
 
 
 def test_reasons_are_counted_and_names_are_taken_as_they_are(tmp_path, capsys):

@@ -37,9 +37,14 @@ def test_scores_need_all_their_counts():
     assert scores({"filter_tp": 6, "filter_fp": 2}) == []
 
 
-@given(st.integers(-6, 6))
+@given(st.integers(-5, 5))
 def test_lag_is_the_shift(shift):
     assert lag(wave(120, shift), wave(120)) == shift
+
+
+@pytest.mark.parametrize("shift", [-7, -6, 6, 7])
+def test_no_lag_at_the_end_of_the_shifts(shift):
+    assert lag(wave(120, shift), wave(120)) is None
 
 
 def test_lag_does_not_mind_an_offset_a_scale_or_frames_without_a_value():

@@ -156,6 +156,12 @@ def test_two_processes_make_what_one_makes(source, tmp_path, capsys):
     assert printed.count("4 tables") == 2
 
 
+def test_a_setting_that_changes_nothing_is_named(tmp_path, capsys):
+    sweep(SAMPLE, tmp_path / "out", *LANES, *SURFACE, "--vary", "seed=0", "--frames", "3")
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.endswith("changed nothing")] == ["lanes.process_noise changed nothing"]
+
+
 def test_best_settings_are_printed_beside_the_reference(tmp_path, capsys):
     sweep(SAMPLE, tmp_path / "out", "--vary", "surface.inlier_m=0.01,0.05", "--frames", "6")
     lines = capsys.readouterr().out.splitlines()
@@ -197,8 +203,8 @@ def test_a_log_given_twice_is_wrong_usage(source, capsys):
     ("option", "said"),
     [
         ("lanes.process_nose=1,2", "did you mean lanes.process_noise?"),
-        ("lanes.process_noise=0.1,x", "lanes.process_noise: Input should be a valid number"),
-        ("lanes.process_noise=0.1,-3", "got -3"),
+        ("lanes.process_noise=0.1,x", "lanes.process_noise: expected a number 0.001 to 100 (m/s^2), found"),
+        ("lanes.process_noise=0.1,-3", "found -3"),
         ("lanes=1,2", "lanes"),
     ],
 )

@@ -309,8 +309,16 @@ def test_several_logs_one_of_them_none(drive, tmp_path, capsys):
     (tmp_path / "text.mcap").write_text("no log at all")
     code, out, said = info(capsys, tmp_path / "text.mcap", drive, tmp_path / "gone.mcap")
     assert code == 1
-    assert out.index("not an MCAP log") < out.index("in.mcap: whole") < out.index("No such file")
+    assert "in.mcap: whole" in out
+    assert "not an MCAP log" not in out
+    assert said.index("not an MCAP log") < said.index("gone.mcap: No such file")
     assert said.count("\n") == 1
+
+
+def test_what_cannot_be_opened_is_said_once(tmp_path, capsys):
+    for path, fault in ((tmp_path / "gone.mcap", "No such file"), (tmp_path, "roadperc-convert")):
+        code, out, said = info(capsys, path)
+        assert (code, out, said.count(fault), said.count("\n")) == (1, "", 1, 1)
 
 
 def test_json_is_a_line_a_log_with_the_fields_as_keys(drive, tmp_path, capsys):

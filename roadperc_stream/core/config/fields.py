@@ -24,7 +24,7 @@ def _known_table(version: str) -> str:
 
 def _odd(count: int) -> int:
     if count % 2 == 0:
-        raise ValueError("must be odd")
+        raise ValueError(f"must be odd, found {count}")
     return count
 
 

@@ -2,34 +2,38 @@
 
 import difflib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import BaseModel, ValidationError
 
+from roadperc_stream.core.config.catalogue import Setting, catalogue
 from roadperc_stream.core.config.replay import ReplayConfig
 from roadperc_stream.errors import ConfigError
 
+_KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
+"""Types of settings that their ranges do not say."""
 
-def load_config(path: Path | None = None, settings: tuple[str, ...] = ()) -> ReplayConfig:
+
+def load_config(path: str | Path | None = None, settings: str | Sequence[str] = ()) -> ReplayConfig:
     """Configuration of a TOML file and ``KEY=VALUE`` settings, the settings winning.
 
     Args:
         path: TOML file with any part of the keys; None for the defaults.
-        settings: such as ``lanes.hold_s=0.8``; the value is TOML, a bare word is a string.
+        settings: one or several such as ``lanes.hold_s=0.8``; the value is TOML, a bare word is a string.
 
     Raises:
         ConfigError: the file cannot be read, or a key or value does not fit; the message names it.
 
     """
-    tree = _read_toml(path) if path else {}
-    for setting in settings:
+    tree = _read_toml(Path(path)) if path else {}
+    for setting in [settings] if isinstance(settings, str) else settings:
         key, separator, value = setting.partition("=")
         if not separator:
-            raise ConfigError(f"--set {setting}: expected KEY=VALUE, such as lanes.hold_s=0.8")
+            raise ConfigError(f"setting {setting}: expected KEY=VALUE, such as lanes.hold_s=0.8")
         _assign(tree, key.strip().split("."), _toml_value(value.strip()), setting)
-    return validated(tree, str(path or "setting"))
+    return validated(tree, f"{path}: " if path else "")
 
 
 def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
@@ -37,7 +41,7 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
 
     Args:
         tree: such as ``{"lanes": {"hold_s": 0.8}}``.
-        source: what the message of an error begins with.
+        source: what the message of an error begins with, such as ``a.toml: ``.
 
     Raises:
         ConfigError: a key or value does not fit; the message names it.
@@ -45,21 +49,35 @@ def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
     try:
         return ReplayConfig.model_validate(tree)
     except RecursionError as error:
-        raise ConfigError(f"{source}: nested too deeply") from error
+        raise ConfigError(f"{source}nested too deeply") from error
     except ValidationError as error:
-        raise ConfigError(f"{source}: {_complaint(error)}") from error
+        raise ConfigError(f"{source}{_complaint(error)}") from error
 
 
 def _complaint(error: ValidationError) -> str:
     first = error.errors()[0]
-    *sections, name = (str(part) for part in first["loc"])
-    key = ".".join((*sections, name))
-    if first["type"] != "extra_forbidden":
-        return f"{key}: {first['msg']}, got {first['input']!r}"
+    keys = [str(part) for part in first["loc"][:2]]  # what follows are kinds of values, or places in a list
+    key = ".".join(keys)
+    if first["type"] == "extra_forbidden":
+        return _unknown(keys)
+    if first["type"] == "value_error":
+        return f"{key}: {first['ctx']['error']}"
+    setting = next((setting for setting in catalogue() if setting.key == key), None)
+    expected = f"expected {_expected(setting)}" if setting else first["msg"]
+    return f"{key}: {expected}, found {first['input']!r}"
+
+
+def _expected(setting: Setting) -> str:
+    """The values of a setting in words, such as ``a number 0 to 3600 (s)``."""
+    return f"{_KINDS.get(setting.type, '')}{setting.range}{f' ({setting.unit})' if setting.unit else ''}"
+
+
+def _unknown(keys: list[str]) -> str:
+    *sections, name = keys
     model: type[BaseModel] = ReplayConfig
     for section in sections:
         model = type(model.model_fields[section].default)
-    return f"no setting {key}; {_known(sections, name, tuple(model.model_fields))}"
+    return f"no setting {'.'.join(keys)}; {_known(sections, name, tuple(model.model_fields))}"
 
 
 def _known(sections: list[str], name: str, names: tuple[str, ...]) -> str:
@@ -98,5 +116,5 @@ def _assign(tree: dict[str, Any], keys: list[str], value: Any, setting: str) -> 
     for key in keys[:-1]:
         tree = tree.setdefault(key, {})
         if not isinstance(tree, dict):
-            raise ConfigError(f"--set {setting}: {key} is a value, not a table")
+            raise ConfigError(f"setting {setting}: {key} is a value, not a table")
     tree[keys[-1]] = value

@@ -1,7 +1,7 @@
 """The input of the chain at one instant. Images are decoded when their pixels are first used."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -16,9 +16,9 @@ class CameraImage:
     """An image that is decoded when its pixels are first used."""
 
     frame_id: str
-    decode_bgr: Callable[[], Image]
-    decode_grey: Callable[[], Image]
-    read_size: Callable[[], tuple[int, int]] | None = None
+    decode_bgr: Callable[[], Image] = field(repr=False)
+    decode_grey: Callable[[], Image] = field(repr=False)
+    read_size: Callable[[], tuple[int, int]] | None = field(default=None, repr=False)
     """Columns and rows, where they can be known without decoding."""
 
     @property
@@ -59,7 +59,7 @@ class DepthImage:
     """Depth along the camera's z axis, decoded when first used."""
 
     frame_id: str
-    decode_depth: Callable[[], tuple[Float32, float]]
+    decode_depth: Callable[[], tuple[Float32, float]] = field(repr=False)
 
     @cached_property
     def _decoded(self) -> tuple[Float32, float]:
@@ -97,7 +97,7 @@ class PointCloud:
     """A lidar's points, decoded when first used."""
 
     frame_id: str
-    decode_points: Callable[[], Float32]
+    decode_points: Callable[[], Float32] = field(repr=False)
     """Gives every point, also those that are not finite."""
 
     @cached_property
@@ -129,7 +129,7 @@ class TagImage:
 
     frame_id: str
     table: TagTable
-    decode_tags: Callable[[], Image]
+    decode_tags: Callable[[], Image] = field(repr=False)
 
     @cached_property
     def tags(self) -> Image:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,21 @@ Line = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Absent:
-    """A stage's output that could not be made, and why."""
+    """A stage's output that could not be made, and why: false, and as text its reason."""
 
     reason: Reason
+
+    def __bool__(self) -> bool:
+        return False
+
+    def __str__(self) -> str:
+        return str(self.reason)
+
+    if not TYPE_CHECKING:  # to mypy an absent output has nothing but its reason
+
+        def __getattr__(self, name: str) -> object:
+            """What an output would have, and this one has not."""
+            raise AttributeError(f"no {name!r} in this frame: {self.__dict__.get('reason')}", name=name, obj=self)
 
 
 @dataclass(frozen=True)
@@ -37,7 +49,7 @@ class HeightGrid:
     x_min_m: float
     y_min_m: float
     step_m: float
-    z_m: Float32
+    z_m: Float32 = field(repr=False)
 
     def __post_init__(self) -> None:
         read_only(self.z_m, np.float32, (None, None), "z_m")
@@ -74,7 +86,7 @@ class StereoDepth:
     """Depth from a rectified pair in the left camera's image: (H, W) metres along z, NaN unknown."""
 
     frame_id: str
-    depth_m: Float32
+    depth_m: Float32 = field(repr=False)
 
     def __post_init__(self) -> None:
         read_only(self.depth_m, np.float32, (None, None), "depth_m")
@@ -87,9 +99,9 @@ class Matches:
     ``inliers`` (N,) are those that agree on the motion.
     """
 
-    key_px: Float32
-    px: Float32
-    inliers: Mask
+    key_px: Float32 = field(repr=False)
+    px: Float32 = field(repr=False)
+    inliers: Mask = field(repr=False)
 
     def __post_init__(self) -> None:
         read_only(self.key_px, np.float32, (None, 2), "key_px")
@@ -112,10 +124,10 @@ class Odometry:
     step: Float | None = None
     inliers: int = 0
     up_to_scale: bool = False
-    covariance: tuple[float, ...] = ()
+    covariance: tuple[float, ...] = field(default=(), repr=False)
     since_ns: int | None = None
     reason: Reason | None = None
-    matches: Matches | None = None
+    matches: Matches | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
@@ -133,7 +145,7 @@ class Occupancy:
     x_min_m: float
     y_min_m: float
     resolution_m: float
-    cells: NDArray[np.int8]
+    cells: NDArray[np.int8] = field(repr=False)
 
     def __post_init__(self) -> None:
         read_only(self.cells, np.int8, (None, None), "cells")
@@ -155,11 +167,11 @@ class Boundary:
     heading: float | None = None
     curvature_per_m: float | None = None
     raw_offset_m: float | None = None
-    covariance: tuple[float, ...] = ()
+    covariance: tuple[float, ...] = field(default=(), repr=False)
     inside: str = ""
     outside: str = ""
-    line_ego_m: Float = field(default_factory=lambda: np.empty((0, 3)))
-    line_px: Float = field(default_factory=lambda: np.empty((0, 2)))
+    line_ego_m: Float = field(default_factory=lambda: np.empty((0, 3)), repr=False)
+    line_px: Float = field(default_factory=lambda: np.empty((0, 2)), repr=False)
 
     def __post_init__(self) -> None:
         read_only(self.line_ego_m, np.float64, (None, 3), "line_ego_m")
@@ -174,9 +186,9 @@ class Lanes:
     """
 
     boundaries: tuple[Boundary, ...]
-    proposals_px: Float = field(default_factory=lambda: np.empty((0, 4)))
-    merged_px: Float = field(default_factory=lambda: np.empty((0, 4)))
-    edges: Mask | None = None
+    proposals_px: Float = field(default_factory=lambda: np.empty((0, 4)), repr=False)
+    merged_px: Float = field(default_factory=lambda: np.empty((0, 4)), repr=False)
+    edges: Mask | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.edges is not None:
@@ -225,7 +237,7 @@ class Correlation:
     x_px: int
     y_px: int
     template_px: tuple[int, int]
-    scores: Float32
+    scores: Float32 = field(repr=False)
 
     def __post_init__(self) -> None:
         read_only(self.scores, np.float32, (None, None), "scores")
@@ -252,7 +264,7 @@ class Objects:
     """
 
     objects: tuple[Object, ...]
-    searches: tuple[Correlation, ...] = ()
+    searches: tuple[Correlation, ...] = field(default=(), repr=False)
 
     @property
     def nearest(self) -> Object | None:

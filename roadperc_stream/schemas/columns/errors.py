@@ -143,7 +143,7 @@ class ObjectErrorColumns:
             "mean of abs(d - d*) over kept detections with both distances",
             "m",
             "there is none",
-            label="objects' mean distance",
+            label="object distance error (mean)",
             decimals=3,
             better="low",
         ),

@@ -1,5 +1,6 @@
 """Serving a finished log until Ctrl-C, and the output of a replay while it is computed."""
 
+import shlex
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -40,7 +41,9 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
     """
     log = FinishedLog.opened(path)
     start_ns, span_ns = _start(log, options.start_s), (log.first_ns, log.last_ns)
-    with suppress(KeyboardInterrupt), playing(with_times(log), path.name, span_ns, options, start_ns, quiet) as player:
+    layout = f"{_quoted(path)} --foxglove --foxglove-layout {_quoted(path.with_suffix('.layout.json'))}"
+    served = playing(with_times(log), path.name, span_ns, options, start_ns, layout, quiet=quiet)
+    with suppress(KeyboardInterrupt), served as player:
         player.run()
 
 
@@ -92,7 +95,8 @@ class LiveReplay:
         times = ReplayTimes()
         source = TimedSource(RunningReplay(writer.while_written(), span_ns[0]), times)
         start_ns = source.reach().first_ns
-        served = playing(source, writer.path.name, span_ns, self._options, start_ns, self._quiet)
+        layout = "--foxglove-layout layout.json"  # one for all topics: the log's own are not known yet
+        served = playing(source, writer.path.name, span_ns, self._options, start_ns, layout, quiet=self._quiet)
         player = self._until_exit.enter_context(served)
         self._thread = Thread(target=self._run, args=(player,), name="player", daemon=True)
         self._thread.start()
@@ -130,7 +134,14 @@ class LiveReplay:
 
 @contextmanager
 def playing(
-    source: Source, name: str, span_ns: tuple[int, int], options: PlaybackOptions, start_ns: int, quiet: bool
+    source: Source,
+    name: str,
+    span_ns: tuple[int, int],
+    options: PlaybackOptions,
+    start_ns: int,
+    layout: str,
+    *,
+    quiet: bool,
 ) -> Iterator[Player]:
     """A player that is served under an address; the caller runs it.
 
@@ -140,13 +151,14 @@ def playing(
         span_ns: first and last log time there will be.
         options: speed, loop and address.
         start_ns: log time to start at.
+        layout: arguments with which roadperc-view writes a layout for it.
         quiet: do not print where to connect.
     """
     inbox = Inbox()
     with serving(name, options.host, options.port, span_ns, source.channels, inbox) as (audience, port):
         if not quiet:
             with optional_output():
-                print(_invitation(options.host, port))
+                print(_invitation(options.host, port, layout))
         yield Player(source, audience, inbox, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
 
 
@@ -158,11 +170,15 @@ def _start(source: FinishedLog, start_s: float) -> int:
     return start_ns
 
 
-def _invitation(host: str, port: int) -> str:
+def _quoted(path: Path) -> str:
+    """A file's name as a shell takes it."""
+    return shlex.quote(str(path))
+
+
+def _invitation(host: str, port: int, layout: str) -> str:
     address = f"[{host}]" if ":" in host else host
     return (
         f"serving ws://{address}:{port} (Ctrl-C ends)\n"
         "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open\n"
-        "layout: roadperc-view LOG --foxglove --foxglove-layout FILE.json, of a running replay roadperc-view "
-        "--foxglove-layout FILE.json; then Layouts > Import from file"
+        f"layout, for Layouts > Import from file: roadperc-view {layout}"
     )

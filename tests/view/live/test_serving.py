@@ -64,7 +64,7 @@ def served(path, start_s=0.0, **options):
     source = FinishedLog.opened(path)
     span_ns, start_ns = (source.first_ns, source.last_ns), source.first_ns + round(start_s * S)
     with playing(
-        with_times(source), "log", span_ns, PlaybackOptions(port=port, **options), start_ns, quiet=True
+        with_times(source), "log", span_ns, PlaybackOptions(port=port, **options), start_ns, "", quiet=True
     ) as player:
         thread = Thread(target=player.run)
         thread.start()
@@ -382,6 +382,10 @@ def test_ctrl_c_ends_it_well(source, tmp_path, command, number):
     code, arguments = (SERVE, [source]) if command == "serve" else (REPLAY, [source, target, "--live", "--port", "0"])
     started = subprocess.Popen([sys.executable, "-c", code, *map(str, arguments)], stdout=-1, stderr=-1, text=True)
     port = int(re.search(r"ws://127\.0\.0\.1:(\d+) ", started.stdout.readline())[1])
+    started.stdout.readline()
+    layout = started.stdout.readline().partition("Import from file: roadperc-view ")[2].split()
+    own = [str(source), "--foxglove", "--foxglove-layout", str(source.with_suffix(".layout.json"))]
+    assert layout == (own if command == "serve" else ["--foxglove-layout", "layout.json"])
     with Viewer(port) as viewer:
         viewer.subscribe("/camera/front/image")
         viewer.until(viewer.shown)

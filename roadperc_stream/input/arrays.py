@@ -1,0 +1,130 @@
+"""Arrays, poses and detections of a caller's own, checked, and as a frame takes them."""
+
+import operator
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadperc_stream.core.datatypes import Box, CameraImage, Detection, Image
+from roadperc_stream.core.geometry import Camera, Float, Float32, pinhole_fault
+
+
+def checked_stamp_ns(stamp_ns: Any) -> int:
+    """A stamp of any integer type, such as numpy's.
+
+    Raises:
+        TypeError: it is no whole number.
+    """
+    try:
+        return operator.index(stamp_ns)
+    except TypeError:
+        raise TypeError(f"stamp_ns: expected whole nanoseconds, found {stamp_ns!r}") from None
+
+
+def checked_camera(name: str, camera: Any) -> Camera:
+    """A camera as it is.
+
+    Raises:
+        TypeError: it is no Camera.
+        ValueError: its size, focal lengths or principal point are impossible.
+    """
+    if not isinstance(camera, Camera):
+        raise TypeError(f"{name}: expected a Camera, found {type(camera).__name__}")
+    if camera.width < 1 or camera.height < 1:
+        raise ValueError(f"{name}: expected an image of one pixel or more, found {camera.width}x{camera.height}")
+    fault = pinhole_fault(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    if fault:
+        raise ValueError(f"{name}: {fault}")
+    return camera
+
+
+def mounting(ego_T_camera: ArrayLike) -> Float:
+    """A copy of a (4, 4) pose.
+
+    Raises:
+        ValueError: it is of another shape, or not finite.
+    """
+    pose = np.array(ego_T_camera, np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise ValueError(f"ego_T_camera: expected (4, 4) finite numbers, found {pose.shape}")
+    return pose
+
+
+def camera_image(name: str, pixels: ArrayLike, camera: Camera) -> CameraImage:
+    """An image of (H, W, 3) blue, green, red, or (H, W) grey, 0 to 255.
+
+    Raises:
+        ValueError: the pixels are of another size or type.
+    """
+    image = _bytes(name, _of_size(name, pixels, [camera.size, (*camera.size, 3)]))
+    return CameraImage(
+        camera.frame_id, _converted(image, cv2.COLOR_GRAY2BGR, 2), _converted(image, cv2.COLOR_BGR2GRAY, 3)
+    )
+
+
+def tag_pixels(pixels: ArrayLike, camera: Camera) -> Image:
+    """A copy of (H, W) tags, 0 to 255.
+
+    Raises:
+        ValueError: they are of another size or type.
+    """
+    return _bytes("tags", _of_size("tags", pixels, [camera.size]))
+
+
+def depth_pixels(pixels: ArrayLike, camera: Camera) -> Float32:
+    """A copy of (H, W) metres.
+
+    Raises:
+        ValueError: they are of another size, or whole numbers, as millimetres are.
+    """
+    found = _of_size("depth_m", pixels, [camera.size])
+    if not np.issubdtype(found.dtype, np.floating):
+        raise ValueError(f"depth_m: expected metres as float32, found {found.dtype}: divide millimetres by 1000")
+    return np.array(found, np.float32, order="C")
+
+
+def checked_detections(detections: Iterable[Any]) -> tuple[Detection, ...]:
+    """Detections as they are.
+
+    Raises:
+        TypeError: one is no Detection with a Box.
+        ValueError: a box ends before it begins, or is not finite.
+    """
+    return tuple(_checked_detection(f"detections[{number}]", found) for number, found in enumerate(detections))
+
+
+def _checked_detection(name: str, detection: Any) -> Detection:
+    if not isinstance(detection, Detection):
+        raise TypeError(f"{name}: expected a Detection, found {detection!r}")
+    box = detection.box_px
+    if not isinstance(box, Box):
+        raise TypeError(f"{name}: expected box_px to be a Box, found {box!r}")
+    if not (-np.inf < box.x_min <= box.x_max < np.inf and -np.inf < box.y_min <= box.y_max < np.inf):
+        raise ValueError(f"{name}: expected x_min <= x_max and y_min <= y_max, found {box}")
+    return detection
+
+
+def _of_size(name: str, pixels: ArrayLike, shapes: list[tuple[int, ...]]) -> NDArray[Any]:
+    found = np.asarray(pixels)
+    if found.shape not in shapes:
+        raise ValueError(f"{name}: expected {' or '.join(map(str, shapes))} of the camera, found {found.shape}")
+    return found
+
+
+def _bytes(name: str, found: NDArray[Any]) -> Image:
+    """A copy of the caller's pixels, which may change afterwards: whole numbers of any type that a byte holds."""
+    if not np.issubdtype(found.dtype, np.integer):
+        raise ValueError(f"{name}: expected uint8, found {found.dtype}")
+    if found.dtype != np.uint8 and not (found.min() >= 0 and found.max() <= 255):
+        raise ValueError(f"{name}: expected 0 to 255, found {found.min()} to {found.max()}")
+    return np.array(found, np.uint8, order="C")
+
+
+def _converted(image: Image, conversion: int, dimensions: int) -> Callable[[], Image]:
+    """The image as it is, or converted where it has that many dimensions."""
+    if image.ndim != dimensions:
+        return lambda: image
+    return lambda: np.asarray(cv2.cvtColor(image, conversion), np.uint8)
