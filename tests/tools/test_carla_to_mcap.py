@@ -3,9 +3,11 @@ import math
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from roadperc_stream import log
+from roadperc_stream.cli import replay
 from roadperc_stream.cli.convert import main
 from roadperc_stream.core.datatypes import Box
 from roadperc_stream.core.geometry import Camera
@@ -149,6 +151,43 @@ def test_rates_and_stamp_files(dump):
     (dump / "timestamps.txt").write_text("000000 1.5\n000001 1.6\n000002 1.8\n")
     found = payloads(convert(dump, "--force"))
     assert [t for t, _, _ in found["image"]] == [1_500_000_000, 1_600_000_000, 1_800_000_000]
+
+
+TUM = ("1305031102.933", "1305031102.983", "1305031103.033", "1305031103.083")
+
+
+def tum_dump(folder):
+    """Images, and depth 4 ms behind each of them, as TUM names its files."""
+    for seed, name in enumerate(TUM):
+        write_png(folder / "rgb" / f"{name}.png", camera_pixels(seed))
+        write_png(folder / "depth" / f"{float(name) + 0.004:.3f}.png", carla_codes(depth_m()))
+    document(folder / "calibration.json", CALIBRATION)
+    return folder
+
+
+def test_names_that_are_stamps_are_read_as_stamps(tmp_path, capsys):
+    out = tmp_path / "dump.mcap"
+    assert main([str(tum_dump(tmp_path / "dump")), str(out)]) == 0
+    assert "stamps in the names of the files, " in capsys.readouterr().out
+    found = payloads(out)
+    stamps_ns = [round(float(name) * 1000) * 1_000_000 for name in TUM]
+    assert [t + EPOCH_NS for t, _, _ in found["image"]] == stamps_ns
+    assert [t + EPOCH_NS for t, _, _ in found["depth"]] == [stamp_ns + 4_000_000 for stamp_ns in stamps_ns]
+    assert replay.main([str(out), str(tmp_path / "result.mcap"), "--quiet"]) == 0
+    rows = pl.read_parquet(tmp_path / "result.metrics.parquet")
+    assert rows["stamp_ns"].to_list() == stamps_ns
+    assert rows["sync_skew_ms"].to_list() == [4.0] * 4
+
+
+def test_a_rate_where_names_are_stamps_is_refused(tmp_path, capsys):
+    assert main([str(tum_dump(tmp_path / "dump")), str(tmp_path / "out.mcap"), "--rate", "10"]) == 1
+    assert "--rate 10: the names of the files are stamps" in capsys.readouterr().err
+
+
+def test_a_document_that_is_not_read_is_named(dump, capsys):
+    document(dump / "metadata.json", {"timestamps": [1.0, 2.0, 3.0]})
+    assert main([str(dump), str(dump.parent / "out.mcap")]) == 0
+    assert "metadata.json is not used: documents are called calibration.json, " in capsys.readouterr().out
 
 
 def test_kitti_raw_keeps_its_own_dates(tmp_path):

@@ -35,6 +35,18 @@ def stamps_of_rate(frames: Sequence[int], rate_hz: float) -> dict[int, int]:
     return stamps
 
 
+def stamps_of_names(frames: Sequence[int]) -> dict[int, int] | None:
+    """Stamp in nanoseconds of each frame number where all of them are Unix time in one unit, from 2001 to 2038.
+
+    None where they are not: then they count frames.
+    """
+    for unit_ns in (1, 1000, 1_000_000):
+        first, beyond = _UNIX_TIME_FROM_S * NS_PER_S // unit_ns, _LIMIT_S * NS_PER_S // unit_ns
+        if frames and first <= frames[0] and frames[-1] < beyond:
+            return {number: number * unit_ns for number in frames}
+    return None
+
+
 def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
     """Stamp in nanoseconds of each frame number from lines ``frame seconds`` or, one value a line, in frame order.
 

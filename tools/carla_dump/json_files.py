@@ -8,12 +8,14 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import DumpError
 
 T = TypeVar("T")
 Numbers3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Numbers4 = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 _SHOWN_CHARACTERS = 80
+_UNIX_SECONDS = re.compile(r"(?<![0-9.])([12][0-9]{9})\.([0-9]{1,9})(?![0-9])")
 
 
 class Document(BaseModel):
@@ -55,7 +57,12 @@ def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:
 
 
 def frame_number(name: str) -> int | None:
-    """Frame number in a name: its last group of digits (``frame_00001`` is 1); None where there is none."""
+    """Frame number in a name: its last group of digits (``frame_00001`` is 1); None where there is none.
+
+    Unix time with a fraction (``1305031102.933``, as TUM names its images) is one number, in nanoseconds.
+    """
+    if stamp := _UNIX_SECONDS.search(name):
+        return int(stamp[1]) * NS_PER_S + int(stamp[2].ljust(9, "0"))
     groups = re.findall(r"[0-9]+", name)
     return int(groups[-1]) if groups else None
 

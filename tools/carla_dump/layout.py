@@ -24,7 +24,9 @@ _DOCUMENTS: Final = {
     "timestamps": ("timestamps.txt", "timestamps.csv", "times.txt"),
     "truth": ("truth.json",),
 }
+_DOCUMENT_SUFFIXES: Final = frozenset({".json", ".txt", ".yaml", ".yml"})
 _DOCUMENT_NAMES: Final = frozenset(name for names in _DOCUMENTS.values() for name in names)
+_KNOWN_DOCUMENTS: Final = "documents are called " + ", ".join(names[0] for names in _DOCUMENTS.values())
 _TRUTH_FOLDER: Final = "truth"
 
 
@@ -95,6 +97,7 @@ def _entries(folder: Path) -> list[Path]:
 
 def _candidates(entries: Sequence[Path], notes: list[str]) -> Iterator[Sensor]:
     yield from _flat_sensors([entry for entry in entries if _may_be_frame(entry)], notes)
+    notes += [f"{entry.name} is not used: {_KNOWN_DOCUMENTS}" for entry in entries if _is_unknown_document(entry)]
     for folder in (entry for entry in entries if entry.is_dir()):
         if folder.name == _TRUTH_FOLDER:
             yield from _truth_sensors(folder, notes)
@@ -132,6 +135,10 @@ def _frame_files(path: Path, role: str | None = None) -> list[Path]:
 
 def _may_be_frame(path: Path) -> bool:
     return path.is_file() and path.suffix.lower() in _FRAME_SUFFIXES and path.name not in _DOCUMENT_NAMES
+
+
+def _is_unknown_document(path: Path) -> bool:
+    return path.is_file() and path.suffix.lower() in _DOCUMENT_SUFFIXES and path.name not in _DOCUMENT_NAMES
 
 
 def _label_files(folder: Path) -> list[Path]:

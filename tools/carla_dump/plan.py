@@ -10,6 +10,7 @@ from roadperc_stream.core.datatypes import Detection
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.errors import DumpError
 from roadperc_stream.schemas.roles import ROLES
 
 from .calibration_file import CalibrationFile, load_calibration
@@ -17,7 +18,7 @@ from .camera_rig import CAMERA_ROLES, LIDAR, Rig, build_rig
 from .carla_poses import load_poses
 from .depth_files import LOSSY_DEPTH, DepthEncoding, depth_encoding
 from .detection_files import load_detections, load_kitti_labels
-from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_rate
+from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_names, stamps_of_rate
 from .layout import DumpLayout, find_layout
 from .survey import SensorSurvey, front_sensors, points_fault, require_size, survey
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
@@ -87,7 +88,7 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     calibration, calibration_path = _calibration(layout, options)
     surveys = _surveys(layout, options, notes)
     rig = _rig(layout, calibration, calibration_path, surveys, notes)
-    stamps_ns, timing = _stamps(layout, options.rate_hz or calibration.rate_hz, notes)
+    stamps_ns, timing = _stamps(layout, options, calibration.rate_hz, notes)
     if LIDAR in surveys:
         _of_frames(LIDAR, surveys[LIDAR].sensor.files, stamps_ns, notes)
     depth_encodings: dict[str, DepthEncoding] = {
@@ -158,12 +159,19 @@ def _frames(layout: DumpLayout) -> list[int]:
     return sorted({number for role, s in layout.sensors.items() if role in CAMERA_ROLES for number in s.files})
 
 
-def _stamps(layout: DumpLayout, rate_hz: float | None, notes: list[str]) -> tuple[dict[int, int], str]:
+def _stamps(
+    layout: DumpLayout, options: ConvertOptions, calibrated_hz: float | None, notes: list[str]
+) -> tuple[dict[int, int], str]:
     frames = _frames(layout)
     path = layout.documents.get("timestamps") or _stamps_beside(layout)
     if path is not None:
         stamps = stamps_of_file(path, frames)
         return stamps, f"stamps of {path.name}{_mean_rate(stamps)}"
+    if (stamps_in_names := stamps_of_names(frames)) is not None:
+        if options.rate_hz:
+            raise DumpError(f"--rate {options.rate_hz:g}: the names of the files are stamps, which say the rate")
+        return stamps_in_names, f"stamps in the names of the files{_mean_rate(stamps_in_names)}"
+    rate_hz = options.rate_hz or calibrated_hz
     rate = rate_hz or DEFAULT_RATE_HZ
     stride = gcd(*(later - frames[0] for later in frames))
     if stride > 1:

@@ -5,7 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS, stamps_of_file, stamps_of_rate
+from roadperc_stream.tools.carla_dump.frame_stamps import (
+    EPOCH_NS,
+    stamps_of_file,
+    stamps_of_names,
+    stamps_of_rate,
+)
 
 
 def test_rate_counts_frame_numbers_from_the_first():
@@ -38,6 +43,28 @@ def test_files_of_seconds(tmp_path, text, seconds):
     path.write_text(text)
     stamps = stamps_of_file(path, [3, 7, 9])
     assert [stamps[n] - EPOCH_NS for n in (3, 7, 9)] == [round(s * 1e9) for s in seconds]
+
+
+@pytest.mark.parametrize(
+    ("names", "unit_ns"),
+    [
+        ([1_305_031_102_933_000_000, 1_305_031_102_983_000_000], 1),
+        ([1_305_031_102_933_000, 1_305_031_102_983_000], 1000),
+        ([1_305_031_102_933, 1_305_031_102_983], 1_000_000),
+    ],
+    ids=["ns", "us", "ms"],
+)
+def test_numbers_that_are_unix_time_are_stamps(names, unit_ns):
+    assert stamps_of_names(names) == {name: name * unit_ns for name in names}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [[], [0, 1], [142_916], [20_240_101], [5, 1_305_031_102_933_000_000], [1_305_031_102_933, 1_305_031_102_933_000]],
+    ids=["none", "counted", "simulation", "date", "mixed with a count", "two units"],
+)
+def test_other_numbers_count_frames(names):
+    assert stamps_of_names(names) is None
 
 
 @pytest.mark.parametrize("text", ["2011-09-26 13:02:25.964389445", "5, 2011-09-26T13:02:25.964389445Z"])

@@ -39,7 +39,18 @@ def test_any_document_is_read_or_stated(tmp_path, load, content):
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    [("frame_00001", 1), ("142916", 142916), ("000084", 84), ("a1_b2_c", 2), ("left", None), ("", None)],
+    [
+        ("frame_00001", 1),
+        ("142916", 142916),
+        ("000084", 84),
+        ("a1_b2_c", 2),
+        ("left", None),
+        ("", None),
+        ("1305031102.933", 1_305_031_102_933_000_000),
+        ("rgb_1305031102.000000001", 1_305_031_102_000_000_001),
+        ("v1.2_1305031102", 1_305_031_102),
+        ("130503110.933", 933),
+    ],
 )
 def test_the_last_group_of_digits_is_the_frame(name, number):
     assert frame_number(name) == number
