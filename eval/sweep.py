@@ -61,5 +61,5 @@ def _print(folder: Path, made: Sequence[Combination], reference: Combination) ->
     print_lines(console, heading, *values_taken(made), unbroken=True)
     for table in (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings)):
         print_table(console, table)
-    idle = (f"{key} changed nothing" for key in without_influence(files, made))
+    idle = (f"{key} changed nothing" for key in without_influence(folder, files, made))
     print_lines(console, "", *idle, without_effect(found), *LEGEND)

@@ -11,16 +11,17 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS
 from .settings import Combination
 
 
-def without_influence(tables: Sequence[Path], made: Sequence[Combination]) -> Iterator[str]:
+def without_influence(folder: Path, tables: Sequence[Path], made: Sequence[Combination]) -> Iterator[str]:
     """The settings whose values leave every column of every table the same, times excepted, whatever the others are.
 
     Args:
-        tables: of all combinations, each in its combination's folder.
+        folder: the dataset.
+        tables: of all combinations, each in its combination's folder or, where logs share a name, deeper.
         made: the combinations.
     """
     results: dict[str, list[bytes]] = {}
     for path in tables:
-        results.setdefault(path.parent.name, []).append(_digest(path, made[0].settings))
+        results.setdefault(path.relative_to(folder).parts[0], []).append(_digest(path, made[0].settings))
     for key in made[0].settings:
         others = {_others(item, key) for item in made}
         found = {(_others(item, key), *results[item.folder]) for item in made}
