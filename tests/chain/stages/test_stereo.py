@@ -367,7 +367,8 @@ def test_the_courses_nearest_depth_by_its_public_settings(course):
 
 @BOTH
 def test_the_courses_nearest_depth_by_the_defaults(course, cfg):
-    calibration, expected, left, right = course
+    calibration, expected, *pair = course
+    left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in pair)
     camera = g.Camera("left", 1280, 960, 640.0, 480.0, 639.5, 479.5)
     depth = matched(cfg, left, right, camera, replace(camera, baseline_m=0.5))
     x0, y0, x1, y1 = Box(*calibration["obstacle_template_px"]).rounded(1280, 960)
