@@ -128,18 +128,6 @@ def test_only_the_table_and_the_evaluation_know_parquet():
     assert users == {"tables.py"}
 
 
-def test_results_are_encoded_and_drawn_without_the_chain():
-    for path in sources("roadperc_stream/output"):
-        assert not any(n.startswith("roadperc_stream.chain") for n in imports(path)), path
-
-
-def test_core_imports_nothing_of_the_package_but_core():
-    allowed = ("roadperc_stream.core", "roadperc_stream.errors")
-    for path in sources("roadperc_stream/core"):
-        foreign = [n for n in imports(path) if n.startswith("roadperc_stream") and not n.startswith(allowed)]
-        assert not foreign, f"{path}: {foreign}"
-
-
 def test_functions_have_at_most_eight_parameters():
     """But for the two that take all options of a replay, by keyword."""
     many = set()
