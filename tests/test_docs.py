@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -22,6 +23,7 @@ TEXTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SERVES = re.compile(r"--(foxglove|live)$")
 OPENS_VIEWER = re.compile(r"^roadperc-view \S+$")
+PYTHON = shlex.quote(sys.executable)
 OTHERS = {"--delta_unit", "--all_pairs", "--shell"}
 """Options of evo and argcomplete, which the pages name as well."""
 
@@ -86,7 +88,7 @@ def test_every_command_runs_in_order(folder):
     for block in blocks():
         if block.language == "python":
             (folder / "block.py").write_text(block.text, encoding="utf-8")
-            run(f"{sys.executable} block.py", folder)
+            run(f"{PYTHON} block.py", folder)
             continue
         for line in block.lines():
             if SERVES.search(line):
@@ -106,7 +108,7 @@ def test_every_command_runs_in_order(folder):
 def test_every_example_runs(path, tmp_path):
     (tmp_path / "logs").mkdir()
     shutil.copy(ROOT / "logs" / "sample.mcap", tmp_path / "logs")
-    assert run(f"{sys.executable} {path}", tmp_path).strip()
+    assert run(f"{PYTHON} {shlex.quote(str(path))}", tmp_path).strip()
 
 
 def test_the_python_page_shows_every_example():
