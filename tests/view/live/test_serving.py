@@ -1,6 +1,7 @@
 """The real server, driven as a viewer does over a WebSocket: a finished log, and a replay that is running."""
 
 import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -383,7 +384,7 @@ def test_ctrl_c_ends_it_well(source, tmp_path, command, number):
     started = subprocess.Popen([sys.executable, "-c", code, *map(str, arguments)], stdout=-1, stderr=-1, text=True)
     port = int(re.search(r"ws://127\.0\.0\.1:(\d+) ", started.stdout.readline())[1])
     started.stdout.readline()
-    layout = started.stdout.readline().partition("Import from file: roadperc-view ")[2].split()
+    layout = shlex.split(started.stdout.readline().partition("Import from file: roadperc-view ")[2])
     own = [str(source), "--foxglove", "--foxglove-layout", str(source.with_suffix(".layout.json"))]
     assert layout == (own if command == "serve" else ["--foxglove-layout", "layout.json"])
     with Viewer(port) as viewer:
