@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from roadperc_stream.cli.completers import completed_by, files, settings, topics
 from roadperc_stream.cli.plumbing import seconds, whole_number
 from roadperc_stream.core.stage_names import STAGES, switched_off
-from roadperc_stream.errors import ConfigError
 
 if TYPE_CHECKING:
     from roadperc_stream.core.config import ReplayConfig
@@ -43,8 +42,6 @@ def time_range_of(arguments: argparse.Namespace) -> "TimeRange":
     """
     from roadperc_stream.core.time import TimeRange
 
-    if arguments.start is not None and arguments.end is not None and arguments.end <= arguments.start:
-        raise ConfigError(f"--end {arguments.end}: expected more than --start {arguments.start}")
     return TimeRange(arguments.start, arguments.end, arguments.frames)
 
 

@@ -1,7 +1,10 @@
 """Times: logs count integer nanoseconds, people and configurations seconds."""
 
+import math
 from dataclasses import dataclass
 from typing import Final
+
+from roadperc_stream.errors import ConfigError
 
 NS_PER_S: Final = 1_000_000_000
 END_OF_TIME_NS: Final = 2**63
@@ -25,6 +28,20 @@ class TimeRange:
     start_s: float | None = None
     end_s: float | None = None
     frames: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check the limits.
+
+        Raises:
+            ConfigError: one is no time or number, or the range ends before it starts.
+        """
+        for name, limit_s in (("start", self.start_s), ("end", self.end_s)):
+            if limit_s is not None and not math.isfinite(limit_s):
+                raise ConfigError(f"{name}: expected seconds, found {limit_s}")
+        if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:
+            raise ConfigError(f"end {self.end_s:g} s: expected more than the start, {self.start_s:g} s")
+        if self.frames is not None and self.frames < 1:
+            raise ConfigError(f"frames: expected 1 or more, found {self.frames}")
 
 
 WHOLE: Final = TimeRange()

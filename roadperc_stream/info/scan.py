@@ -98,7 +98,7 @@ class Scan:
         wait_ns = seconds_to_ns(cfg.max_wait_s)
         order = OrderConfig(roles.reference, wait_ns, lateness_ns=wait_ns)
         tolerance_ns = seconds_to_ns(cfg.tolerance_s)
-        synchroniser = Synchroniser(tolerance_ns, roles.reference, roles.topics, LatchedState(), drop)
+        synchroniser = Synchroniser(tolerance_ns, order, roles.topics, LatchedState(), drop)
         paired = [role for role in roles.topics if ROLES[role].kind not in LATCHED_KINDS]
         for synced in synchroniser.synced(in_stamp_order(in_log_time_order(items, _MOST_SORTED), order, drop)):
             self.alone.update(role for role in paired if role not in synced.parts)

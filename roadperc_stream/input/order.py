@@ -15,7 +15,7 @@ from roadperc_stream.input.stream import Stamped
 
 _ROW: Final = 3
 """Reference messages in a row that begin a new segment: fewer are stragglers."""
-_MOST_HELD: Final = 1000
+_MOST_HELD: Final = 10_000
 """Messages that wait at most, where the reference sensor is silent and log times say nothing."""
 Drop = Callable[[Stamped], None]
 """Takes a message that is left out."""
@@ -50,7 +50,8 @@ def lateness_ns(items: Iterable[Stamped], cfg: OrderConfig) -> int:
 def in_stamp_order(items: Iterable[Stamped], cfg: OrderConfig, drop: Drop) -> Iterator[Stamped]:
     """The messages segment by segment, each in the order of its stamps; of equal stamps what is latched comes first.
 
-    A calibration or transform that comes too late for its place holds from then on; another message is left out.
+    A reference message that comes too late for its place is left out; any other comes at once. Where the reference
+    sensor is silent for long, the others' messages come without waiting for it.
 
     Args:
         items: in the order of the log.
@@ -62,13 +63,11 @@ def in_stamp_order(items: Iterable[Stamped], cfg: OrderConfig, drop: Drop) -> It
         if item.segment != buffer.segment:
             yield from buffer.rest()
             buffer = _Buffer(cfg, item.segment)
-        if not buffer.is_too_late(item):
+        if buffer.is_too_late(item):
+            drop(item)
+        else:
             buffer.add(item)
             yield from buffer.due(item.log_time_ns)
-        elif item.is_latched:
-            yield item
-        else:
-            drop(item)
     yield from buffer.rest()
 
 
@@ -147,8 +146,9 @@ class _Buffer:
         self._given_ns: int | None = None
 
     def is_too_late(self, item: Stamped) -> bool:
-        """Whether a message with a later stamp was given out already."""
-        return self._given_ns is not None and item.stamp_ns < self._given_ns
+        """Whether the frame of a later stamp was given out already."""
+        late = self._given_ns is not None and item.stamp_ns < self._given_ns
+        return late and item.role == self._cfg.reference
 
     def add(self, item: Stamped) -> None:
         """Take one more message."""
@@ -175,6 +175,6 @@ class _Buffer:
 
     def _next(self) -> Stamped:
         item = heappop(self._waiting)[-1]
-        if not item.is_latched:
+        if item.role == self._cfg.reference:  # another sensor's clock may be ahead
             self._given_ns = item.stamp_ns
         return item

@@ -53,6 +53,8 @@ class InputPlan:
     digest: str = ""
     messages: int = 0
     expected_frames: int = 0
+    most_frames: int | None = None
+    """How many frames are asked for at most: of those that arrive in the part, the first ones by their stamps."""
 
 
 def plan_input(summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], part: TimeRange) -> InputPlan:
@@ -84,7 +86,8 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, s
         parent_of=parent_of,
         digest=digest.hexdigest(),
         messages=counts.total(),
-        expected_frames=counts[topic],
+        expected_frames=counts[topic] if part.frames is None else min(counts[topic], part.frames),
+        most_frames=part.frames,
         order=replace(plan.order, lateness_ns=late_ns),
     )
 

@@ -3,13 +3,14 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.core.time import WHOLE, TimeRange, seconds_to_ns
-from roadperc_stream.errors import ChannelError
+from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.latched import without_loops
@@ -59,7 +60,7 @@ class ReplayInput:
         self._dropped = Counter[str]()
         tolerance_ns = seconds_to_ns(self._cfg.sync.tolerance_s)
         roles = plan.roles.topics
-        self._synchroniser = Synchroniser(tolerance_ns, plan.order.reference, roles, plan.latched, self._drop)
+        self._synchroniser = Synchroniser(tolerance_ns, plan.order, roles, plan.latched, self._drop)
 
     @property
     def log_id(self) -> str:
@@ -86,6 +87,7 @@ class ReplayInput:
 
         Raises:
             ChannelError: a camera without calibration; the message names it.
+            LogError: no message makes a frame.
         """
         self._begin()
         plan, topics = self.plan, self.topics
@@ -94,10 +96,13 @@ class ReplayInput:
         items = without_loops(decoded, plan.latched, topics, self._problems)
         ordered = in_stamp_order(items, plan.order, self._drop)
         log_time_ns = 0
-        for index, synced in enumerate(self._synchroniser.synced(ordered)):
+        for index, synced in enumerate(islice(self._synchroniser.synced(ordered), plan.most_frames)):
             sample = self._sample(synced, index)
             log_time_ns = max(log_time_ns, sample.log_time_ns)  # results do not go back in the log
             yield replace(sample, log_time_ns=log_time_ns)
+        if not self.frames:
+            topic = self.topics[plan.order.reference]
+            raise LogError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
 
     def _drop(self, item: Stamped) -> None:
         self._dropped[item.role] += 1

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from roadperc_stream.input.latched import LatchedState
-from roadperc_stream.input.order import Drop
+from roadperc_stream.input.order import Drop, OrderConfig
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
@@ -28,19 +28,20 @@ class Synchroniser:
     """Groups messages into frames, in the order of the reference messages; made for one pass over a log."""
 
     def __init__(
-        self, tolerance_ns: int, reference: str, roles: Iterable[str], latched: LatchedState, drop: Drop
+        self, tolerance_ns: int, order: OrderConfig, roles: Iterable[str], latched: LatchedState, drop: Drop
     ) -> None:
         """Prepare for a pass.
 
         Args:
             tolerance_ns: largest distance of a message's stamp from its frame's.
-            reference: role whose messages make the frames.
+            order: the role whose messages make the frames, and how long the others' messages are kept for one.
             roles: all roles that the log has.
             latched: calibrations and transforms known before the first message.
             drop: called with each message that belongs to no frame.
         """
-        self._tolerance_ns, self._reference, self._latched, self._drop = tolerance_ns, reference, latched, drop
-        others = (role for role in roles if role != reference and ROLES[role].kind not in LATCHED_KINDS)
+        self._tolerance_ns, self._reference, self._latched, self._drop = tolerance_ns, order.reference, latched, drop
+        self._forget_after_ns = 4 * order.max_wait_ns
+        others = (role for role in roles if role != order.reference and ROLES[role].kind not in LATCHED_KINDS)
         self._streams = {role: deque[Stamped]() for role in others}
         self._waiting = deque[tuple[Stamped, LatchedState]]()
         self.frames = 0
@@ -66,7 +67,15 @@ class Synchroniser:
             self._waiting.append((item, self._latched))
         elif item.role in self._streams:
             self._streams[item.role].append(item)
-        self._drop_before((self._waiting[0][0] if self._waiting else item).stamp_ns - self._tolerance_ns)
+        if self._waiting:
+            self._drop_before(self._waiting[0][0].stamp_ns - self._tolerance_ns)
+        self._forget(item.log_time_ns)
+
+    def _forget(self, now_ns: int) -> None:
+        """Drop what is old, so that a log whose images stop does not fill the memory."""
+        for stream in self._streams.values():
+            while stream and stream[0].log_time_ns < now_ns - self._forget_after_ns:
+                self._drop(stream.popleft())
 
     def _rest(self) -> Iterator[SyncedMessages]:
         """The frames of all that is there; nothing remains for a later segment."""

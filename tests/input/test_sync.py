@@ -32,7 +32,7 @@ class Pass:
         cfg = OrderConfig("image", round(max_wait_s * 1000) * MS)
         cfg = replace(cfg, lateness_ns=lateness_ns(ordered, cfg))
         drop = self.left_out.append
-        synchroniser = Synchroniser(round(tolerance_s * 1000) * MS, "image", roles, LatchedState(), drop)
+        synchroniser = Synchroniser(round(tolerance_s * 1000) * MS, cfg, roles, LatchedState(), drop)
         self.frames = list(synchroniser.synced(in_stamp_order(ordered, cfg, drop)))
         assert synchroniser.frames == len(self.frames)
 
@@ -67,8 +67,9 @@ def test_a_late_sensor_is_waited_for():
 def test_a_sensor_that_never_comes_is_not_waited_for():
     items = (item("image", t) for t in range(0, 3000, 50))
     drop = [].append
-    synchroniser = Synchroniser(10 * MS, "image", ("image", "depth"), LatchedState(), drop)
-    stream = synchroniser.synced(in_stamp_order(items, OrderConfig("image", 1000 * MS), drop))
+    cfg = OrderConfig("image", 1000 * MS)
+    synchroniser = Synchroniser(10 * MS, cfg, ("image", "depth"), LatchedState(), drop)
+    stream = synchroniser.synced(in_stamp_order(items, cfg, drop))
     next(stream)
     assert next(items).stamp_ns == 150 * MS  # the images of the two frames behind it show that nothing can come
     assert len(list(stream)) == 58
