@@ -89,6 +89,12 @@ def test_a_lane_has_the_colour_of_its_status():
     assert colours["lane right -1.86 m"] == (0, 128, 255)
 
 
+@pytest.mark.parametrize(("status", "stands_out"), [("lost", True), ("first", False), ("tracked", False)])
+def test_lost_odometry_stands_out(status, stands_out):
+    ((_, colour),) = list(frame_phrases(replace(ROW, odometry_status=status), NOTHING, 0.0))[2:]
+    assert (colour == bgr(colours.ORANGE)) == stands_out
+
+
 def test_the_legend_has_every_colour_that_an_overlay_draws():
     drawn = [*colours.OBJECT.values(), colours.RAW_LINE, colours.DRIVABLE]
     drawn += [colours.BOUNDARY[status] for status in ("measured", "held")]
