@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+import tomllib
 from collections import Counter
 from functools import cache
 from graphlib import TopologicalSorter
@@ -163,3 +164,11 @@ def test_the_generated_messages_are_those_of_the_definition(tmp_path):
 def descriptor(module):
     """The serialised definition: the rest of the file names the generator's version."""
     return next(line for line in module.splitlines() if "AddSerializedFile" in line)
+
+
+def test_every_package_of_the_code_is_installed():
+    """An editable installation finds also what the list lacks; a wheel does not."""
+    installed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    folders = {path.parent.relative_to(ROOT) for path in sources("roadperc_stream", "eval", "tools")}
+    inside = {folder if folder.parts[0] == PACKAGE.name else PACKAGE.name / folder for folder in folders}
+    assert sorted(installed) == sorted(".".join(folder.parts) for folder in inside)
