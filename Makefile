@@ -25,8 +25,9 @@ demo: $(VENV)/.installed
 	@echo "a row per frame    $(DEMO)/sample.metrics.parquet"
 	@echo "a row per object   $(DEMO)/sample.objects.parquet"
 
-test: $(VENV)/.installed
-	$(BIN)/python -m pytest $(PARALLEL)
+TESTS ?=
+test: $(VENV)/.installed  # all, or those that pytest takes with TESTS, such as TESTS=tests/cli
+	$(BIN)/python -m pytest $(PARALLEL) $(TESTS)
 
 test-hostile: $(VENV)/.installed  # the tests that run commands, on a machine unlike a developer's
 	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy' \
