@@ -93,8 +93,9 @@ def replay(
     """
     started = perf_counter()
     sources = [source] if isinstance(source, Path) else list(source)
-    _require_free(sources, target, force)
+    _require_free(sources, target, force=True)
     _require_no_recording(target, several=len(sources) > 1)
+    _require_free(sources, target, force)
     log_in, facts = open_input(sources, cfg, overrides, time_range), table_facts(sources, target, cfg)
     frames = TableWriter(sidecar_path(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(sidecar_path(target, "objects"), ObjectMetrics, facts)

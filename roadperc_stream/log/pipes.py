@@ -40,9 +40,11 @@ def received(paths: Sequence[Path]) -> tuple[Path, ...]:
         paths: of logs; ``-`` is standard input.
 
     Raises:
-        LogError: a log is given twice, or standard input is a terminal.
+        LogError: there is none, one is given twice, or standard input is a terminal.
         TargetError: there is no space for what a pipe brings.
     """
+    if not paths:
+        raise LogError("no log is given, expected one or the parts of one")
     for number, path in enumerate(paths):
         if any(_is_same(path, other) for other in paths[:number]):
             raise LogError(f"{path}: is given twice")
