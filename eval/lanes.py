@@ -62,10 +62,10 @@ def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame]
     rows = default_rows(size[1])
     frames = detected = 0
     for frames, frame in enumerate(source.frames(), 1):  # noqa: B007
-        found = lane_frame(frame, source.camera, size, f"{source.path.stem}/{frame.stamp_ns}", rows)
+        found = lane_frame(frame, source.camera, size, f"{source.summary.path.stem}/{frame.stamp_ns}", rows)
         detected += bool(found.lanes)
         write(found)
-    return f"{source.path.stem}: {frames} frames, lanes in {detected}"
+    return f"{source.summary.path.stem}: {frames} frames, lanes in {detected}"
 
 
 def _score(
@@ -85,7 +85,7 @@ def _score(
         missing.pop(truth.raw_file, None)
     scores += [unanswered(truth, size) for truth in missing.values()]
     result = summed(scores)
-    return [_coverage(source.path.stem, result), *_missing(list(missing)), _points(result), _lines(result)]
+    return [_coverage(source.summary.path.stem, result), *_missing(list(missing)), _points(result), _lines(result)]
 
 
 def _coverage(name: str, scores: LaneScores) -> str:

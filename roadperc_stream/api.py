@@ -42,10 +42,12 @@ if TYPE_CHECKING:
 
 Config = ReplayConfig | Mapping[str, Any] | str | Path | None
 """A configuration, a nested mapping such as ``{"lanes": {"hold_s": 0.8}}``, a TOML file, or None for the defaults."""
+Source = str | Path | Sequence[str | Path]
+"""A log, or the files of a log in parts."""
 
 
 def replay(
-    src: str | Path,
+    src: Source,
     dst: str | Path,
     *,
     config: Config = None,
@@ -59,7 +61,7 @@ def replay(
     """Replay a log through the chain, as ``roadperc-replay`` does.
 
     Args:
-        src: the log to read.
+        src: the log to read, or the files of a log in parts.
         dst: the log to write; ``dst`` with ``.metrics.parquet`` and ``.objects.parquet`` comes beside it.
         config: the chain's configuration.
         topics: topic by role, where the log's topics are not this project's, such as ``{"image": "/front/rgb"}``.
@@ -67,7 +69,7 @@ def replay(
         end_s: seconds after the log's first message up to which to replay.
         max_frames: replay at most so many frames.
         results_only: leave the input's messages out of ``dst``.
-        force: replace an existing ``dst``.
+        force: replace an existing ``dst``, but no recording.
 
     Returns:
         Frames, dropped messages, notes, and the reasons that held in all frames.
@@ -76,7 +78,7 @@ def replay(
         RoadpercError: the input cannot be read or replayed, or the output cannot be written; nothing is left behind.
     """
     return _replay(
-        Path(src),
+        _paths(src),
         Path(dst),
         _config(config),
         overrides=dict(topics or {}),
@@ -97,7 +99,7 @@ class LogFrame:
 
 
 def frames(
-    log: str | Path,
+    log: Source,
     *,
     config: Config = None,
     topics: Mapping[str, str] | None = None,
@@ -113,7 +115,7 @@ def frames(
         RoadpercError: the log cannot be read or replayed.
     """
     cfg = _config(config)
-    log_in = open_input(Path(log), cfg, topics, TimeRange(start_s, end_s, max_frames))
+    log_in = open_input(_paths(log), cfg, topics, TimeRange(start_s, end_s, max_frames))
     state = ChainState()
     previous: Sample | None = None
     for sample in log_in.samples():
@@ -255,6 +257,10 @@ def read_metrics(run: str | Path) -> pl.DataFrame:
         raise TableError(f"{table}: no such metrics table") from error
     except (OSError, pl.exceptions.PolarsError) as error:
         raise TableError(f"{table}: is not a metrics table that can be read: {error}") from error
+
+
+def _paths(source: Source) -> list[Path]:
+    return [Path(source)] if isinstance(source, str | Path) else [Path(part) for part in source]
 
 
 def _config(config: Config) -> ReplayConfig:

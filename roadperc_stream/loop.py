@@ -1,10 +1,11 @@
 """The one loop: a log in, the log with results and the metrics tables out."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
+from roadperc_stream import log
 from roadperc_stream.chain.step import ChainState, Timer, step, untimed
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import FrameResult, Sample
@@ -14,7 +15,9 @@ from roadperc_stream.core.reasons import throughout
 from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import WHOLE, TimeRange
+from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input import ReplayInput, open_input
+from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
 from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.output.drawing.on_request import PictureMaker
@@ -58,7 +61,7 @@ def run_frame(
 
 
 def replay(
-    source: Path,
+    source: Path | Sequence[Path],
     target: Path,
     cfg: ReplayConfig,
     *,
@@ -73,14 +76,14 @@ def replay(
     """Replay a log through the chain.
 
     Args:
-        source: the log to read.
+        source: the log to read, or the parts of one; a path ``-`` is standard input.
         target: the log to write; ``target.metrics.parquet`` and ``target.objects.parquet`` come beside it.
         cfg: the chain's configuration.
         overrides: topic of each role that is not on the contract's topic.
         time_range: part of the log to replay; the copy of the input is cut with it.
         results_only: leave the input's messages out of ``target``.
         on_request: pictures to write beside the results; drawing them counts as encoding.
-        force: replace an existing ``target``.
+        force: replace an existing ``target``, but no recording.
         progress: called with frames done and frames expected.
         opened: called once before the first message with the output and its first and last log time in nanoseconds;
             gives who takes each frame's times, which are not in the output.
@@ -89,8 +92,11 @@ def replay(
         RoadpercError: the input cannot be read or replayed, or the output cannot be written; nothing is left behind.
     """
     started = perf_counter()
-    _require_free(source, target, force)
-    log_in, facts = open_input(source, cfg, overrides, time_range), table_facts(source, target, cfg)
+    sources = [source] if isinstance(source, Path) else list(source)
+    _require_free(sources, target, force=True)
+    _require_no_recording(target, several=len(sources) > 1)
+    _require_free(sources, target, force)
+    log_in, facts = open_input(sources, cfg, overrides, time_range), table_facts(sources, target, cfg)
     frames = TableWriter(sidecar_path(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(sidecar_path(target, "objects"), ObjectMetrics, facts)
     log_out, pictures = LogWriter(target, log_in.summary.profile), PictureMaker(on_request)
@@ -114,7 +120,7 @@ def replay(
             progress(log_in.frames, log_in.expected_frames)
         copy.rest()
         write_origin(log_out, log_in.summary, cfg, log_in.record())
-        _require_free(source, target, force)  # another program may have written them meanwhile
+        _require_free(sources, target, force)  # another program may have written them meanwhile
     return ReplaySummary(
         log_in.log_id,
         log_in.frames,
@@ -132,7 +138,26 @@ def _to_copy(log_in: ReplayInput, results_only: bool) -> tuple[Iterable[Channel]
     return ((), iter(())) if results_only else (log_in.channels, log_in.messages())
 
 
-def _require_free(source: Path, target: Path, force: bool) -> None:
-    require_free(target, force=force, source=source, suffix=".mcap")
+def _require_free(sources: Iterable[Path], target: Path, force: bool) -> None:
+    for source in sources:
+        require_free(target, force=force, source=source, suffix=".mcap")
     for table in (sidecar_path(target, "metrics"), sidecar_path(target, "objects")):
         require_free(table, force=force, suffix=TABLE_SUFFIX)
+
+
+def _require_no_recording(target: Path, *, several: bool) -> None:
+    """Check that what may be replaced is no recording: the last part of a log, where the output was forgotten.
+
+    Raises:
+        TargetError: it is one, or with several inputs anything but a result.
+    """
+    if not target.exists():
+        return
+    try:
+        found = log.summarise(target)
+    except LogError:
+        replaceable = not several
+    else:
+        replaceable = is_result_log(found.metadata, found.channels)
+    if not replaceable:
+        raise TargetError(f"{target}: is no result of this program, so nothing replaces it; was OUT.mcap forgotten?")

@@ -47,7 +47,7 @@ def drive(folder, *options, settings=()):
     arguments = [part for setting in settings for part in ("--set", setting)]
     assert replay_main([str(folder / "in.mcap"), str(folder / "out.mcap"), "--quiet", *arguments]) == 0
     offsets = {"left": [], "right": []}
-    for message in log.read(folder / "in.mcap", topics=["/truth/lanes"]):
+    for message in log.read(log.summarise(folder / "in.mcap"), topics=["/truth/lanes"]):
         for boundary in Lanes.FromString(message.data).boundaries:
             offsets["left" if boundary.side == 1 else "right"].append(boundary.offset_m)
     metrics = pl.read_parquet(sidecar_path(folder / "out.mcap", "metrics"))

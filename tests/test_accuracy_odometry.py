@@ -72,7 +72,7 @@ def without(source, target, roles):
     """The log as a recorder without those sensors would have written it."""
     topics = {ROLES[role].topic for role in roles}
     with LogWriter(target) as writer:
-        for message in log.read(source):
+        for message in log.read(log.summarise(source)):
             if message.channel.topic not in topics:
                 writer.write(message)
     return target
@@ -82,7 +82,7 @@ def poses(path, topic):
     """(N, 4, 4) against the first, and the (N,) stamps."""
     decoded = [
         decode("pose", m.channel.schema_name, m.channel.message_encoding, m.data, m.log_time_ns, Context())
-        for m in log.read(path, topics=[topic])
+        for m in log.read(log.summarise(path), topics=[topic])
     ]
     matrices = np.array([d.payload.parent_T_child for d in decoded])
     return inverse(matrices[0]) @ matrices, [d.stamp_ns for d in decoded]

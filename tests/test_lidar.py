@@ -272,7 +272,9 @@ def test_a_frame_the_tree_does_not_know_is_named(tmp_path):
 def test_a_lidar_slower_than_the_camera_is_missing_in_between(tmp_path):
     source = log_of(tmp_path / "in.mcap", np.eye(4), "ego", roles=ROLES)
     kept = [
-        m for m in log.read(source) if m.channel.topic != "/lidar/points" or m.log_time_ns % (2 * logs.STEP_NS) == 0
+        m
+        for m in log.read(log.summarise(source))
+        if m.channel.topic != "/lidar/points" or m.log_time_ns % (2 * logs.STEP_NS) == 0
     ]
     with log.LogWriter(tmp_path / "half.mcap") as writer:
         for message in kept:
@@ -300,7 +302,7 @@ def test_a_loop_of_transforms_is_left_out_and_told_with_its_topic_and_stamp(tmp_
         items = [log.Message(logs.channel("tf"), stamp, stamp, 0, loop)]
         looped = tmp_path / f"loop{k}.mcap"
         with log.LogWriter(looped) as writer:
-            for message in sorted([*log.read(source), *items], key=lambda message: message.log_time_ns):
+            for message in sorted([*log.read(log.summarise(source)), *items], key=lambda message: message.log_time_ns):
                 writer.write(message)
         summary = replay(looped, tmp_path / f"out{k}.mcap", ReplayConfig())
         parent, child = edges[0]
@@ -313,7 +315,7 @@ def test_a_loop_of_transforms_is_left_out_and_told_with_its_topic_and_stamp(tmp_
 def renamed(source, name, topics):
     """The log with its lidar's messages on other topics."""
     with log.LogWriter(source.parent / name) as writer:
-        for message in log.read(source):
+        for message in log.read(log.summarise(source)):
             theirs = topics if message.channel.topic == "/lidar/points" else (message.channel.topic,)
             for topic in theirs:
                 writer.write(replace(message, channel=replace(message.channel, topic=topic)))

@@ -42,7 +42,7 @@ def metrics(target):
 
 def by_topic(path):
     topics = {}
-    for message in log.read(path, validate_crcs=True):
+    for message in log.read(log.summarise(path), validate_crcs=True):
         topics.setdefault(message.channel.topic, []).append(message)
     return topics
 
@@ -70,7 +70,7 @@ def test_every_result_topic_is_written_in_log_time_order(source):
     topics = by_topic(target)
     for topic in set(RESULTS) - {"/perception/log", "/perception/stereo/depth"}:
         assert [m.log_time_ns for m in topics[topic]] == [logs.START_NS + k * STEP_NS for k in range(6)], topic
-    times = [m.log_time_ns for m in log.read(target)]
+    times = [m.log_time_ns for m in log.read(log.summarise(target))]
     assert times == sorted(times)
 
 
@@ -90,8 +90,8 @@ def test_every_input_message_is_kept_byte_for_byte(tmp_path):
     extra = [Message(foreign, logs.START_NS + k, logs.START_NS - k, 7 + k, bytes([k])) for k in range(3)]
     source = logs.write(tmp_path / "in.mcap", logs.items(), extra)
     target, _ = run(source)
-    kept = [plain(m) for m in log.read(target) if not m.channel.topic.startswith("/perception")]
-    assert kept == [plain(m) for m in log.read(source)]
+    kept = [plain(m) for m in log.read(log.summarise(target)) if not m.channel.topic.startswith("/perception")]
+    assert kept == [plain(m) for m in log.read(log.summarise(source))]
 
 
 def test_attachments_metadata_and_silent_channels_are_kept(tmp_path):
@@ -256,7 +256,7 @@ def test_a_signal_leaves_no_file(tmp_path, number):
 
 def test_results_only(source):
     target, _ = run(source, results_only=True)
-    assert {m.channel.topic for m in log.read(target)} <= set(RESULTS)
+    assert {m.channel.topic for m in log.read(log.summarise(target))} <= set(RESULTS)
 
 
 def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
@@ -311,7 +311,7 @@ def test_a_broken_message_is_counted_copied_and_named(tmp_path):
     target, summary = run(source)
     assert summary.problems == {"/camera/front/detections": 1}
     assert any("/camera/front/detections" in note and str(items[at].stamp_ns) in note for note in summary.notes)
-    assert b"\xff\xff\xff" in [m.data for m in log.read(target)]
+    assert b"\xff\xff\xff" in [m.data for m in log.read(log.summarise(target))]
     assert metrics(target)["missing"].to_list()[0] == ["detections"]
 
 

@@ -79,7 +79,7 @@ def replayed(folder, messages):
     """The metrics' table, and the last message of each result topic."""
     target = folder / "out.mcap"
     replay(logs.write(folder / "in.mcap", messages), target, load_config())
-    last = {message.channel.topic: message.data for message in log.read(target)}
+    last = {message.channel.topic: message.data for message in log.read(log.summarise(target))}
     return pl.read_parquet(sidecar_path(target, "metrics")), last
 
 

@@ -51,8 +51,9 @@ def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules)
 
 def _frames(path: Path) -> Iterator[tuple[int, Group]]:
     """Log time and results of each frame, but for its metrics: their fields are the table's columns."""
-    topics = {channel.topic for channel in log.summarise(path).channels if is_result(channel)} - {METRICS_TOPIC}
-    results = (message for message in log.read(path, topics=topics) if is_result(message.channel))
+    summary = log.summarise(path)
+    topics = {channel.topic for channel in summary.channels if is_result(channel)} - {METRICS_TOPIC}
+    results = (message for message in log.read(summary, topics=topics) if is_result(message.channel))
     for log_time_ns, messages in groupby(results, lambda message: message.log_time_ns):
         group: Group = {}
         counts: dict[str, int] = defaultdict(int)

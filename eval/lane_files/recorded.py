@@ -14,6 +14,7 @@ from roadperc_stream.core.datatypes import Lanes
 from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.log import LogSummary
 from roadperc_stream.metrics.lanes import ROW_STEP_PX, columns_at, in_view
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas import roadperc_pb2 as pb
@@ -42,7 +43,7 @@ class RunFrame:
 class RunLanes:
     """A log whose lanes can be read, and their camera."""
 
-    path: Path
+    summary: LogSummary
     camera: Camera
     times_ms: Mapping[int, float]
     """Each frame's whole time by its stamp, in order; empty where no metrics table lies next to the log."""
@@ -55,7 +56,7 @@ class RunLanes:
             DecodeError: a message is not a roadperc.Lanes.
         """
         waiting = deque(self.times_ms)
-        for message in log.read(self.path, topics=[LANES_TOPIC]):
+        for message in log.read(self.summary, topics=[LANES_TOPIC]):
             stamp_ns, lines_px = _lines(message)
             while waiting and waiting[0] < stamp_ns:
                 yield self._frame(waiting.popleft())
@@ -75,14 +76,15 @@ def open_lanes(path: Path) -> RunLanes:
         LogError: the log cannot be read, or has no lanes or no calibration of their camera.
         TableError: the table next to it cannot be read.
     """
-    channels = log.summarise(path).channels
+    summary = log.summarise(path)
+    channels = summary.channels
     if not any(c.topic == LANES_TOPIC and c.schema_name == _SCHEMAS["lanes"] for c in channels):
         raise LogError(
             f"{path}: no {LANES_TOPIC} of {_SCHEMAS['lanes']}; expected an OUT.mcap of roadperc-replay with lanes"
         )
-    frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(path, topics=[LANES_TOPIC])), None)
+    frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(summary, topics=[LANES_TOPIC])), None)
     topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
-    return RunLanes(path, _camera(path, topics, frame_id), _times_ms(path))
+    return RunLanes(summary, _camera(summary, topics, frame_id), _times_ms(path))
 
 
 def default_rows(height: int) -> Float:
@@ -117,15 +119,17 @@ def _lines(message: log.Message) -> tuple[int, tuple[Float, ...]]:
     return content.stamp_ns, tuple(b.line_px for b in boundaries if len(b.line_px))
 
 
-def _camera(path: Path, topics: list[str], frame_id: str | None) -> Camera:
-    for message in log.read(path, topics=topics) if topics else ():
+def _camera(summary: LogSummary, topics: list[str], frame_id: str | None) -> Camera:
+    for message in log.read(summary, topics=topics) if topics else ():
         channel = message.channel
         content = decode(
             "calibration", channel.schema_name, channel.message_encoding, message.data, message.log_time_ns, Context()
         )
         if isinstance(content.payload, Camera) and content.payload.frame_id == frame_id:
             return content.payload
-    raise LogError(f"{path}: no calibration of {frame_id!r}, the camera of {LANES_TOPIC}; expected one on any topic")
+    raise LogError(
+        f"{summary.path}: no calibration of {frame_id!r}, the camera of {LANES_TOPIC}; expected one on any topic"
+    )
 
 
 def _times_ms(path: Path) -> dict[int, float]:

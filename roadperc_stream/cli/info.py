@@ -11,6 +11,7 @@ _EXAMPLE = """\
 example:
   roadperc-info logs/sample.mcap
   roadperc-info bag.mcap --topic image=/front/rgb      as roadperc-replay would take it
+  roadperc-info part_*.mcap                            also how they join as the parts of one log
   roadperc-info --json logs/*.mcap                     a JSON object and line per log, for scripts; times in ns
 
 The keys of --json are the fields in roadperc_stream/info/facts.py; a log that cannot be opened gives "log" and "error".
@@ -34,7 +35,11 @@ def _parser() -> argparse.ArgumentParser:
         _EXAMPLE,
     )
     logs = parser.add_argument(
-        "logs", metavar="LOG", type=Path, nargs="+", help="a log, input or result, also a damaged one"
+        "logs",
+        metavar="LOG",
+        type=Path,
+        nargs="+",
+        help="a log, input or result, also a damaged one; - is standard input",
     )
     add_topic_argument(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a log, on a line of its own")

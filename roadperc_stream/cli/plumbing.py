@@ -61,13 +61,21 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def parse(parser: argparse.ArgumentParser, argv: Sequence[str] | None) -> argparse.Namespace:
-    """The arguments of a command; a shell that completes its line gets what could come next instead, and the end."""
+def parse(
+    parser: argparse.ArgumentParser, argv: Sequence[str] | None, *, intermixed: bool = False
+) -> argparse.Namespace:
+    """The arguments of a command; a shell that completes its line gets what could come next instead, and the end.
+
+    Args:
+        parser: of the command.
+        argv: what is parsed; None for the command line.
+        intermixed: options may stand among files.
+    """
     if _COMPLETING in os.environ:
         from roadperc_stream.cli.completion import complete
 
         complete(parser)
-    return parser.parse_args(argv)
+    return parser.parse_intermixed_args(argv) if intermixed else parser.parse_args(argv)
 
 
 def part(module: str) -> Any:

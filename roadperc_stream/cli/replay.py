@@ -12,7 +12,7 @@ from roadperc_stream.core.folders import not_a_log
 from roadperc_stream.core.stage_names import NEEDS, STAGES
 
 _USAGE: Final = """\
-%(prog)s [options] IN.mcap OUT.mcap
+%(prog)s [options] IN.mcap [IN.mcap ...] OUT.mcap
        %(prog)s --list-settings [--json]
        %(prog)s --print-config [--config FILE] [--set KEY=VALUE] [--only STAGES]"""
 _EXAMPLE: Final = """\
@@ -20,6 +20,8 @@ example:
   roadperc-replay logs/sample.mcap out.mcap --set lanes.hold_s=0.8 --set surface.inlier_m=0.03
   roadperc-report out.metrics.parquet
   roadperc-replay logs/sample.mcap pictures.mcap --overlay --debug
+  roadperc-replay part_*.mcap out.mcap                 files of a drive in parts are one log
+  curl https://example.org/in.mcap | roadperc-replay - out.mcap
   roadperc-replay --print-config > mine.toml
 
 A log with topics of its own names them by role, such as --topic image=/front/rgb --topic depth=/front/depth.
@@ -31,7 +33,7 @@ _WITH_LIST_SETTINGS: Final = frozenset({"list_settings", "json"})
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-replay``: the main job."""
     parser = _parser()
-    arguments = parse(parser, argv)
+    arguments = parse(parser, argv, intermixed=True)
     if arguments.list_settings or arguments.print_config:
         _require_alone(parser, arguments)
         from roadperc_stream.cli.settings import print_settings
@@ -57,10 +59,14 @@ def _parser() -> argparse.ArgumentParser:
         _USAGE,
     )
     add = parser.add_argument
-    logs = [
-        add("source", metavar="IN.mcap", type=Path, nargs="?"),
-        add("target", metavar="OUT.mcap", type=Path, nargs="?"),
-    ]
+    logs = add(
+        "logs",
+        metavar="IN.mcap ... OUT.mcap",
+        type=Path,
+        nargs="*",
+        default=[],
+        help="a log, or the parts of one, - for standard input; and last the log to write",
+    )
     add_input_arguments(parser)
     only = add(
         "--only",
@@ -73,13 +79,12 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--debug", action="store_true", help="write /perception/debug/...: proposed lines, matches, template, disparity"
     )
-    add("--force", action="store_true", help="replace an existing OUT.mcap")
+    add("--force", action="store_true", help="replace an existing OUT.mcap, but no recording")
     add("--quiet", action="store_true", help="print errors only")
     add("--live", action="store_true", help="serve the results to Foxglove while they are computed")
     add_serving_arguments(parser)
     _add_settings_arguments(parser)
-    for action in logs:
-        completed_by(action, files(*LOGS))
+    completed_by(logs, files(*LOGS))
     completed_by(only, words(STAGES))
     return parser
 
@@ -97,9 +102,9 @@ def _add_settings_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """End with a line on the usage, where a log is missing or an option has nothing to say."""
-    if arguments.source is not None and arguments.target is None and arguments.source.is_dir():
-        parser.error(not_a_log(arguments.source))
-    missing = [name for name, path in (("IN.mcap", arguments.source), ("OUT.mcap", arguments.target)) if path is None]
+    if len(arguments.logs) == 1 and arguments.logs[0].is_dir():
+        parser.error(not_a_log(arguments.logs[0]))
+    missing = ("IN.mcap", "OUT.mcap")[len(arguments.logs) :]
     if missing:
         parser.error(f"the following arguments are required: {', '.join(missing)}")
     if arguments.json:
@@ -115,7 +120,7 @@ def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespac
         asked, known = "--print-config", _WITH_PRINT_CONFIG
     given = [name for name, value in vars(arguments).items() if name not in known and value != parser.get_default(name)]
     if given:
-        option = {"source": "IN.mcap", "target": "OUT.mcap"}.get(given[0], f"--{given[0].replace('_', '-')}")
+        option = "IN.mcap" if given[0] == "logs" else f"--{given[0].replace('_', '-')}"
         parser.error(f"{option}: not together with {asked}")
 
 

@@ -28,12 +28,12 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
     Raises:
         RoadpercError: the log cannot be replayed.
     """
-    time_range = time_range_of(arguments)
+    time_range, (*sources, target) = time_range_of(arguments), arguments.logs
     with live or nullcontext():
         with frame_progress("replaying", not arguments.quiet) as progress:
             summary = replay(
-                arguments.source,
-                arguments.target,
+                sources,
+                target,
                 config_of(arguments),
                 overrides=parse_topic_options(arguments.topic),
                 time_range=time_range,
@@ -45,7 +45,7 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
             )
         if not arguments.quiet:
             with optional_output():
-                _print_summary(arguments.target, summary)
+                _print_summary(target, summary)
         if live:
             live.wait()
 

@@ -36,7 +36,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("view", "Look at a log: in the Rerun viewer unless an option says where else.", _EXAMPLE)
-    log = parser.add_argument("log", metavar="OUT.mcap", type=Path, nargs="?")
+    log = parser.add_argument("log", metavar="OUT.mcap", type=Path, nargs="?", help="a log; - for standard input")
     add = parser.add_mutually_exclusive_group().add_argument
     save = add("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording and open nothing")
     add("--foxglove", action="store_true", help="serve the log live to Foxglove")

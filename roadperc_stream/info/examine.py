@@ -10,10 +10,10 @@ from roadperc_stream.info.provenance import provenance_of
 from roadperc_stream.info.scan import Scan
 from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.assemble import ego_T_camera_of
-from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.input.roles import CAMERA_OF
 from roadperc_stream.log import Channel, Salvage
-from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY, log_id_of
+from roadperc_stream.schemas.record import PRODUCER, TAG_TABLE_KEY, log_id_of
 
 
 def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
@@ -30,8 +30,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
     salvage, tallies = scan.salvage, scan.tallies.values()
     first_ns = min((tally.first_ns for tally in tallies if tally.first_ns is not None), default=None)
     last_ns = max((tally.last_ns for tally in tallies), default=None)
-    result = any(record.name == METADATA_RECORD for record in salvage.metadata)
-    result = result or any(is_result(channel) for channel in salvage.channels.values())
+    result = is_result_log(salvage.metadata, salvage.channels.values())
     digest = scan.digest()
     return LogFacts(
         log=str(path),

@@ -8,9 +8,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.info.examine import examine
 from roadperc_stream.info.facts import LogFacts
+from roadperc_stream.info.parts import print_parts
 from roadperc_stream.info.printing import print_log
 from roadperc_stream.info.text import listed
 from roadperc_stream.output.terminal import console_for, print_lines
@@ -18,10 +20,10 @@ from roadperc_stream.schemas.roles import parse_topic_options
 
 
 def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) -> None:
-    """Print what is known of each log.
+    """Print what is known of each log, and of several how they join as the parts of one.
 
     Args:
-        paths: the logs.
+        paths: the logs; ``-`` is standard input.
         topics: ``ROLE=/NAME``, as a replay takes them.
         as_json: an object and line per log instead of text.
 
@@ -31,16 +33,20 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
     """
     overrides = parse_topic_options(topics)
     show = _show_json if as_json else _show_text
-    faults = []
+    faults, parts = [], list[LogFacts]()
     for path in paths:
         found: LogFacts | LogError
         try:
-            found = examine(path, overrides)
+            (file,) = log.received([path])
+            found = examine(file, overrides)
         except LogError as error:
             found = error
         show(path, found)
+        parts += [found] if isinstance(found, LogFacts) else []
         fault = _fault(found)
         faults += [fault] if fault else []
+    if len(parts) > 1 and not as_json:
+        print_parts(console_for(sys.stdout), parts)
     if faults:
         raise LogError(listed(faults, len(faults)))
 

@@ -20,10 +20,10 @@ from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, 
 from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.order import OrderConfig, in_stamp_order
 from roadperc_stream.input.problems import Problems
-from roadperc_stream.input.roles import probe_first_message
+from roadperc_stream.input.roles import no_probe, probe_first_message
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import Synchroniser
-from roadperc_stream.log import Channel, Message, MessageDigest, Metadata, Salvage
+from roadperc_stream.log import Channel, LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 _MOST_SORTED: Final = 100_000
@@ -36,6 +36,8 @@ class Scan:
 
     salvage: Salvage
     roles: Roles
+    summary: LogSummary | None
+    """None of a file that is not whole."""
     tallies: dict[int, Tally] = field(default_factory=dict)
     """By ``Channel.source_id``."""
     problems: Problems = field(default_factory=Problems)
@@ -63,11 +65,12 @@ class Scan:
         """
         salvage = Salvage(path)
         channels = _used_channels(salvage)
-        metadata = _metadata(path)
+        summary = _summary(path)
+        metadata = () if summary is None else summary.metadata
         named = {**recorded_topics(metadata, channels), **overrides}
-        roles = roles_of(channels, named, cache(partial(probe_first_message, path)))
+        roles = roles_of(channels, named, no_probe if summary is None else cache(partial(probe_first_message, summary)))
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
-        scan = cls(salvage, replace(roles, assignment=assignment))
+        scan = cls(salvage, replace(roles, assignment=assignment), summary)
         scan._run()
         return scan
 
@@ -76,12 +79,12 @@ class Scan:
 
         Where the file has them in another order they are read once more.
         """
-        if not self.salvage.whole or not self.inputs:
+        if self.summary is None or not self.salvage.whole or not self.inputs:
             return None
         if not self.inputs_back:
             return self._digest.hexdigest()
         digest = MessageDigest()
-        for message in log.read(self.salvage.path):
+        for message in log.read(self.summary):
             if not is_result(message.channel):
                 digest.update(message)
         return digest.hexdigest()
@@ -159,12 +162,12 @@ def in_log_time_order(items: Iterable[Stamped], most: int) -> Iterator[Stamped]:
         yield heapq.heappop(waiting)[2]
 
 
-def _metadata(path: Path) -> tuple[Metadata, ...]:
-    """What a result says of how it was made; nothing of a damaged file, whose metadata come too late."""
+def _summary(path: Path) -> LogSummary | None:
+    """What a log says of itself; None of a damaged file, where some of it comes too late."""
     try:
-        return log.summarise(path).metadata
+        return log.summarise(path)
     except LogError:
-        return ()
+        return None
 
 
 def _used_channels(salvage: Salvage) -> tuple[Channel, ...]:

@@ -18,6 +18,11 @@ def is_result(channel: Channel) -> bool:
     return PRODUCER in channel.metadata
 
 
+def is_result_log(metadata: Iterable[Metadata], channels: Iterable[Channel]) -> bool:
+    """Whether a replay wrote a log, by what is in it."""
+    return any(record.name == METADATA_RECORD for record in metadata) or any(map(is_result, channels))
+
+
 def is_result_of(channel: Channel, topic: str) -> bool:
     """Whether a replay wrote this channel: other programs may use the topic as well, for messages of their own."""
     return channel.topic == topic and is_result(channel) and channel.schema_name == _SCHEMAS.get(topic)

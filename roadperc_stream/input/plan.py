@@ -110,7 +110,7 @@ def input_messages(
         validate_crcs: check every chunk.
     """
     window = plan.window
-    read = partial(log.read, summary.path, topics=topics, validate_crcs=validate_crcs)
+    read = partial(log.read, summary, topics=topics, validate_crcs=validate_crcs)
     yield from (m for m in plan.latched_messages if topics is None or m.channel.topic in topics)
     yield from (m for m in read(start_ns=window.start_ns, end_ns=window.end_ns) if not is_result(m.channel))
     if window.end_ns is not None and window.end_stamp_ns is not None:
@@ -152,12 +152,12 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
     start_ns = None if part.start_s is None else first_ns + seconds_to_ns(part.start_s)
     end_ns = None if part.end_s is None else first_ns + seconds_to_ns(part.end_s)
     if part.frames is not None:
-        inside = log.read(summary.path, topics=[topic], start_ns=start_ns, end_ns=end_ns)
+        inside = log.read(summary, topics=[topic], start_ns=start_ns, end_ns=end_ns)
         beyond = next(islice(inside, part.frames, None), None)
         end_ns = beyond.log_time_ns if beyond else end_ns
     if end_ns is None:
         return Window(start_ns)
-    after = decoded_messages(log.read(summary.path, topics=[topic], start_ns=end_ns), roles, cfg.tag_table, Problems())
+    after = decoded_messages(log.read(summary, topics=[topic], start_ns=end_ns), roles, cfg.tag_table, Problems())
     first_after = next((item for item in after if item.role == reference), None)
     return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None)
 
@@ -172,7 +172,7 @@ def _latched_at_start(
     waiting = {role for role in roles.topics if ROLES[role].kind in LATCHED_KINDS}
     topics = {roles.topics[role] for role in waiting}
     latched, sources = LatchedState(), dict[tuple[str, str], Message]()
-    for message in log.read(summary.path, topics=topics, end_ns=window.end_ns) if topics else ():
+    for message in log.read(summary, topics=topics, end_ns=window.end_ns) if topics else ():
         before = window.start_ns is not None and message.log_time_ns < window.start_ns
         if not (before or waiting):
             break

@@ -1,7 +1,7 @@
 """A log as the input of a replay: what every loop over frames opens."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -15,6 +15,7 @@ from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.latched import without_loops
 from roadperc_stream.input.order import in_stamp_order
+from roadperc_stream.input.parts import part_notes
 from roadperc_stream.input.plan import InputPlan, input_messages, plan_input, span_ns
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import tag_table_to_record
@@ -25,12 +26,15 @@ from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, 
 
 
 def open_input(
-    source: Path, cfg: ReplayConfig, overrides: Mapping[str, str] | None = None, time_range: TimeRange = WHOLE
+    source: Path | Sequence[Path],
+    cfg: ReplayConfig,
+    overrides: Mapping[str, str] | None = None,
+    time_range: TimeRange = WHOLE,
 ) -> "ReplayInput":
     """Check a log, assign its channels to roles, and find the part to replay.
 
     Args:
-        source: the log.
+        source: the log, or its parts; a path ``-`` is standard input.
         cfg: how messages are decoded, paired and placed.
         overrides: topic of each role that is not on the contract's topic.
         time_range: the part to replay; the copy of the input is cut with it.
@@ -38,8 +42,9 @@ def open_input(
     Raises:
         ChannelError: the channels do not fit the roles.
         LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
+        TargetError: there is no space for temporary files, where the log needs some.
     """
-    summary = log.summarise(source)
+    summary = log.summarise(log.received([source] if isinstance(source, Path) else source))
     return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides or {}, time_range))
 
 
@@ -148,8 +153,9 @@ class ReplayInput:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know: roles that were guessed or have no channel, the first problem of each topic."""
-        return (*self.plan.roles.notes, *(self.plan.problems.first | self._problems.first).values())
+        """What the user should know: how parts join, roles guessed or missing, the first problem of each topic."""
+        parts = part_notes(self.summary, self.topics[self.plan.order.reference])
+        return (*parts, *self.plan.roles.notes, *(self.plan.problems.first | self._problems.first).values())
 
     def record(self) -> dict[str, str]:
         """What a result has to record of its input, so that it can be replayed from itself."""

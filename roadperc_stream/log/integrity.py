@@ -24,8 +24,9 @@ _BLOCK_BYTES: Final = 4 * 1024 * 1024
 
 
 def damaged(path: Path, what: str) -> LogError:
-    """The error of a log that is not whole; it names the command that says where, and what can still be read."""
-    return LogError(f"{path}: {what}; roadperc-info {shlex.quote(str(path))} tells what is whole")
+    """The error of a log that is not whole; of a file it names the command that says what can still be read."""
+    hint = f"; roadperc-info {shlex.quote(str(path))} tells what is whole" if path.is_file() else ""
+    return LogError(f"{path}: {what}{hint}")
 
 
 def unopened(path: Path, error: OSError) -> LogError:

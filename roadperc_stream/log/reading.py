@@ -1,23 +1,81 @@
-"""Logs in: messages in log-time order, and what a log holds beside them."""
+"""Logs in: messages in log-time order, and what a log holds besides them."""
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import IO, TypeVar
 
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, NonSeekingReader, make_reader
-from mcap.records import Channel as McapChannel
-from mcap.records import Schema as McapSchema
-from mcap.summary import Summary
 from zstandard import ZstdError
 
+from roadperc_stream.log.file_order import FileOrder
+from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, usable_index
 from roadperc_stream.log.integrity import check_sections, damaged, require_whole, unopened
+from roadperc_stream.log.parts import Part, united
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
+from roadperc_stream.log.sorting import SortedMessages
 
 T = TypeVar("T")
+
+
+def summarise(source: Path | Sequence[Path]) -> LogSummary:
+    """Channels, counts, attachments and metadata of a log, from its index where it has one.
+
+    The CRCs over the whole file are checked as it is read. A log that its index does not give in order of log time with
+    little memory is put in order on disk when it is first read.
+
+    Args:
+        source: the log, or the files that are one log.
+
+    Raises:
+        LogError: a file cannot be read, is no MCAP, is cut or damaged.
+    """
+    parts = [_inspected(path) for path in ([source] if isinstance(source, Path) else source)]
+    if len(parts) > 1:
+        return united(parts)
+    summary, held = parts[0].summary, parts[0].held_bytes
+    if held is not None and held <= MOST_HELD_BYTES:
+        return summary
+    return replace(summary, source=SortedMessages(str(summary.path), partial(in_file_order, summary.path)))
+
+
+def read(
+    summary: LogSummary,
+    *,
+    topics: Collection[str] | None = None,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+    validate_crcs: bool = False,
+) -> Iterator[Message]:
+    """Messages in the order of their log time; those of equal time in the order of the file.
+
+    Args:
+        summary: of the log.
+        topics: only these; None for all.
+        start_ns: first log time read.
+        end_ns: first log time no longer read.
+        validate_crcs: check every chunk; a pass over the whole file needs it once.
+
+    Raises:
+        LogError: the file cannot be read, is no MCAP, is cut or damaged.
+        TargetError: there is no space to put it in order.
+    """
+    return summary.source.messages(topics, start_ns, end_ns, validate_crcs=validate_crcs)
+
+
+def in_file_order(path: Path) -> Iterator[Message]:
+    """Messages as they stand in the file, one in memory at a time; every chunk is checked.
+
+    Raises:
+        LogError: as ``read``.
+    """
+    with _reading(path) as stream:
+        yield from FileOrder().messages(stream)
 
 
 @contextmanager
@@ -35,13 +93,31 @@ def _reading(path: Path) -> Iterator[IO[bytes]]:
         raise damaged(path, f"damaged MCAP: {type(error).__name__}: {error}") from error
 
 
-def summarise(path: Path) -> LogSummary:
-    """Channels, counts, attachments and metadata of a log, from its index where it has one.
+@dataclass(frozen=True)
+class IndexedFile:
+    """A log that is read by its index."""
 
-    The CRCs over the whole file are checked as it is read.
+    path: Path
+
+    def messages(
+        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool
+    ) -> Iterator[Message]:
+        """As ``read``."""
+        known: dict[int, Channel] = {}
+        with _reading(self.path) as stream:
+            reader = make_reader(stream, validate_crcs=validate_crcs)
+            wanted = None if topics is None else list(topics)
+            for schema, channel, message in reader.iter_messages(wanted, starting_at=start_ns, ending_before=end_ns):
+                if channel.id not in known:
+                    known[channel.id] = channel_of(channel, schema)
+                yield Message(known[channel.id], message.log_time, message.publish_time, message.sequence, message.data)
+
+
+def _inspected(path: Path) -> Part:
+    """What one file holds.
 
     Raises:
-        LogError: the file cannot be read, is no MCAP, is cut or damaged.
+        LogError: as ``summarise``.
     """
     with _reading(path) as stream:
         sealed = check_sections(path, stream)
@@ -51,79 +127,31 @@ def summarise(path: Path) -> LogSummary:
         index = usable_index(reader)
         attachments = tuple(
             Attachment(a.name, a.media_type, a.data, a.log_time, a.create_time)
-            for a in _beside_messages(stream, lambda reader: reader.iter_attachments())
+            for a in _besides_messages(stream, lambda reader: reader.iter_attachments())
         )
         metadata = tuple(
             Metadata(m.name, tuple(sorted(m.metadata.items())))
-            for m in _beside_messages(stream, lambda reader: reader.iter_metadata())
+            for m in _besides_messages(stream, lambda reader: reader.iter_metadata())
         )
-    if index is None:
-        return _scan(path, profile, attachments, metadata, sealed)
+        summary = LogSummary(path, IndexedFile(path), profile, (), {}, attachments, metadata, sealed=sealed)
+        if index is None:
+            return Part(_scanned(summary, stream), None, in_file_order)
     channels = tuple(
         channel_of(index.channels[i], index.schemas.get(index.channels[i].schema_id)) for i in sorted(index.channels)
     )
     statistics = index.statistics
     assert statistics is not None
-    return LogSummary(
-        path,
-        profile,
-        channels,
-        dict(statistics.channel_message_counts),
-        attachments,
-        metadata,
-        statistics.message_start_time,
-        statistics.message_end_time,
-        sealed,
+    indexed = replace(
+        summary,
+        channels=channels,
+        counts=dict(statistics.channel_message_counts),
+        first_ns=statistics.message_start_time,
+        last_ns=statistics.message_end_time,
     )
+    return Part(indexed, held_bytes(index), in_file_order)
 
 
-def read(
-    path: Path,
-    *,
-    topics: Collection[str] | None = None,
-    start_ns: int | None = None,
-    end_ns: int | None = None,
-    validate_crcs: bool = False,
-) -> Iterator[Message]:
-    """Messages in the order of their log time; those of equal time in the order of the file.
-
-    A log without an index is held in memory to be put in order.
-
-    Args:
-        path: the log.
-        topics: only these; None for all.
-        start_ns: first log time read.
-        end_ns: first log time no longer read.
-        validate_crcs: check every chunk; a pass over the whole file needs it once.
-
-    Raises:
-        LogError: the file cannot be read, is no MCAP, is cut or damaged.
-    """
-    known: dict[int, Channel] = {}
-    with _reading(path) as stream:
-        reader: McapReader = make_reader(stream, validate_crcs=validate_crcs)
-        if usable_index(reader) is None:
-            stream.seek(0)
-            reader = NonSeekingReader(stream, validate_crcs=validate_crcs)
-        wanted = None if topics is None else list(topics)
-        for schema, channel, message in reader.iter_messages(wanted, starting_at=start_ns, ending_before=end_ns):
-            if channel.id not in known:
-                known[channel.id] = channel_of(channel, schema)
-            yield Message(known[channel.id], message.log_time, message.publish_time, message.sequence, message.data)
-
-
-def usable_index(reader: McapReader) -> Summary | None:
-    """The log's index, where it names every chunk, channel and schema its messages use."""
-    index = reader.get_summary()
-    if index is None or index.statistics is None or not index.chunk_indexes:
-        return None
-    used = [index.channels.get(i) for i in index.statistics.channel_message_counts]
-    known = all(channel is not None and channel.schema_id in {0, *index.schemas} for channel in used)
-    whole = index.statistics.chunk_count == len(index.chunk_indexes)
-    return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
-
-
-def _beside_messages(stream: IO[bytes], records: Callable[[McapReader], Iterator[T]]) -> list[T]:
+def _besides_messages(stream: IO[bytes], records: Callable[[McapReader], Iterator[T]]) -> list[T]:
     """Attachments or metadata: all of them stand in the file, its index may name none."""
     stream.seek(0)
     index = make_reader(stream).get_summary()
@@ -136,31 +164,14 @@ def _beside_messages(stream: IO[bytes], records: Callable[[McapReader], Iterator
     return list(records(NonSeekingReader(stream)))
 
 
-def _scan(
-    path: Path, profile: str, attachments: tuple[Attachment, ...], metadata: tuple[Metadata, ...], sealed: bool
-) -> LogSummary:
+def _scanned(summary: LogSummary, stream: IO[bytes]) -> LogSummary:
     """The summary of a log without an index, by reading it."""
-    channels: dict[int, Channel] = {}
-    counts: Counter[int] = Counter()
-    first = last = None
-    for message in read(path):
-        source = message.channel.source_id
-        channels.setdefault(source, message.channel)
-        counts[source] += 1
-        first = message.log_time_ns if first is None else first
-        last = message.log_time_ns
-    ordered = tuple(channels[source] for source in sorted(channels))
-    return LogSummary(path, profile, ordered, counts, attachments, metadata, first, last, sealed)
-
-
-def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
-    """A channel with its schema, free of the library."""
-    return Channel(
-        channel.topic,
-        channel.message_encoding,
-        schema.name if schema else "",
-        schema.encoding if schema else "",
-        schema.data if schema else b"",
-        tuple(sorted(channel.metadata.items())),
-        channel.id,
-    )
+    order, counts = FileOrder(), Counter[int]()
+    first_ns: int | None = None
+    last_ns: int | None = None
+    for message in order.messages(stream):
+        counts[message.channel.source_id] += 1
+        first_ns = message.log_time_ns if first_ns is None else min(first_ns, message.log_time_ns)
+        last_ns = message.log_time_ns if last_ns is None else max(last_ns, message.log_time_ns)
+    channels = tuple(order.channels[i] for i in sorted(order.channels))
+    return replace(summary, channels=channels, counts=dict(counts), first_ns=first_ns, last_ns=last_ns)

@@ -1,9 +1,10 @@
 """What a log is made of, free of the library that reads and writes it."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,23 @@ class Metadata:
     values: tuple[tuple[str, str], ...]
 
 
+class MessageSource(Protocol):
+    """Where the messages of a log are read from, in the order of their log time."""
+
+    def messages(
+        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool
+    ) -> Iterator[Message]:
+        """The messages, those of equal time in the order of the file."""
+        ...
+
+
 @dataclass(frozen=True)
 class LogSummary:
-    """What a log holds, without its messages."""
+    """What a log holds; its messages are read from ``source``."""
 
     path: Path
+    """What the log is called in messages."""
+    source: MessageSource
     profile: str
     channels: tuple[Channel, ...]
     counts: Mapping[int, int]
@@ -69,6 +82,8 @@ class LogSummary:
     last_ns: int | None = None
     sealed: bool = False
     """Whether a CRC over the whole data section was found right: then no chunk needs another look."""
+    parts: tuple["LogSummary", ...] = ()
+    """The files of a log of several, in the order of their times; empty of one."""
 
 
 class MessageDigest:

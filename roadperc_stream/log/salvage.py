@@ -4,6 +4,7 @@ A file that is cut is read up to the cut. A chunk that is damaged is left out, a
 sense reading goes on at the next chunk the index names.
 """
 
+import os
 import struct
 from collections import Counter
 from collections.abc import Iterator
@@ -23,8 +24,8 @@ from zstandard import ZstdError
 
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.framing import Damage, Framing, Record
+from roadperc_stream.log.index import channel_of, usable_index
 from roadperc_stream.log.integrity import require_log, unopened
-from roadperc_stream.log.reading import channel_of, usable_index
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
 
 _MESSAGE_HEAD_BYTES: Final = 22
@@ -76,8 +77,8 @@ class Salvage:
 
     def __post_init__(self) -> None:
         try:
-            self.size_bytes = self.path.stat().st_size
             with self.path.open("rb") as stream:
+                self.size_bytes = stream.seek(0, os.SEEK_END)
                 require_log(self.path, stream)
                 self._index = _index_of(stream)
         except OSError as error:

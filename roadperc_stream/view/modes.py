@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from importlib import import_module
 from shlex import quote
 
+from roadperc_stream import log
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.view.layout.writing import write_layout
@@ -22,6 +23,7 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
     Raises:
         RoadpercError: the log cannot be shown.
     """
+    _receive(arguments)
     if arguments.foxglove_layout:
         _lay_out(arguments)
     if arguments.foxglove:
@@ -34,6 +36,12 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
         _save(arguments)
     else:
         _open(arguments)
+
+
+def _receive(arguments: argparse.Namespace) -> None:
+    """Store what comes through a pipe: a log is read more than once."""
+    if arguments.log is not None:
+        (arguments.log,) = log.received([arguments.log])
 
 
 def _lay_out(arguments: argparse.Namespace) -> None:

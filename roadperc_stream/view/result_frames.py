@@ -43,29 +43,30 @@ def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame 
     Raises:
         LogError: the log cannot be read.
     """
-    image_topic = _image_topic(log.summarise(path))
+    summary = log.summarise(path)
+    image_topic = _image_topic(summary)
     for lateness_ns in LATENESS_NS:
-        found, reasons = _messages(path, image_topic, stamp_ns, lateness_ns, problems)
+        found, reasons = _messages(summary, image_topic, stamp_ns, lateness_ns, problems)
         if seen := _seen(found, image_topic, reasons, stamp_ns, problems):
             return seen
     return None
 
 
-def read_frames(path: Path, problems: Problems) -> Iterator[tuple[FrameMetrics, PerceivedFrame | None]]:
+def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[FrameMetrics, PerceivedFrame | None]]:
     """Every frame's row and what is there of it, None without a camera image; in order, a few in memory at a time.
 
     Frames whose row cannot be read are left out, and of the others what cannot be.
 
     Args:
-        path: the log.
+        summary: the log.
         problems: filled in.
 
     Raises:
         LogError: the log cannot be read.
     """
-    image_topic = _image_topic(log.summarise(path))
+    image_topic = _image_topic(summary)
     waiting: dict[int, dict[str, Decoded]] = {}
-    for message in log.read(path, topics={image_topic, METRICS_TOPIC, *_KINDS}):
+    for message in log.read(summary, topics={image_topic, METRICS_TOPIC, *_KINDS}):
         if row := row_of(message, problems):
             yield row, _seen(waiting.pop(row.stamp_ns, {}), image_topic, row.reasons, row.stamp_ns, problems)
             waiting = {stamp_ns: found for stamp_ns, found in waiting.items() if stamp_ns > row.stamp_ns}
@@ -75,17 +76,17 @@ def read_frames(path: Path, problems: Problems) -> Iterator[tuple[FrameMetrics, 
                 waiting.pop(next(iter(waiting)))
 
 
-def read_rows(path: Path, problems: Problems) -> Iterator[FrameMetrics]:
+def read_rows(summary: LogSummary, problems: Problems) -> Iterator[FrameMetrics]:
     """Every frame's row that can be read, in order; none of a log without results.
 
     Args:
-        path: the log.
+        summary: the log.
         problems: filled in.
 
     Raises:
         LogError: the log cannot be read.
     """
-    rows = (row_of(message, problems) for message in log.read(path, topics=(METRICS_TOPIC,)))
+    rows = (row_of(message, problems) for message in log.read(summary, topics=(METRICS_TOPIC,)))
     return (row for row in rows if row is not None)
 
 
@@ -137,12 +138,12 @@ def _image_fits(reasons: Iterable[str]) -> bool:
 
 
 def _messages(
-    path: Path, image_topic: str, stamp_ns: int, lateness_ns: int, problems: Problems
+    summary: LogSummary, image_topic: str, stamp_ns: int, lateness_ns: int, problems: Problems
 ) -> tuple[dict[str, Decoded], tuple[str, ...]]:
     """Images and results of one stamp by topic, and its row's reasons."""
     found: dict[str, Decoded] = {}
     reasons: tuple[str, ...] = ()
-    for message in log.read(path, start_ns=max(stamp_ns - lateness_ns, 0), end_ns=stamp_ns + lateness_ns + 1):
+    for message in log.read(summary, start_ns=max(stamp_ns - lateness_ns, 0), end_ns=stamp_ns + lateness_ns + 1):
         if row := row_of(message, problems):
             reasons = row.reasons if row.stamp_ns == stamp_ns else reasons
         elif (content := _decoded(message, image_topic, problems)) and content.stamp_ns == stamp_ns:

@@ -27,6 +27,7 @@ from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.formats import images
 from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.input.problems import Problems
+from roadperc_stream.log import LogSummary
 from roadperc_stream.output.drawing.frame import draw_frame
 from roadperc_stream.schemas.topics import METRICS_TOPIC, OVERLAY_TOPIC
 from roadperc_stream.view.result_frames import content_of, read_frames, read_rows, row_of
@@ -72,7 +73,8 @@ def write_video(
         TargetError: the video exists and ``force`` is not set, or it cannot be written whole; nothing is left behind.
     """
     require_free(target, force=force, source=source, suffix=".mp4")
-    stamps, problems = _frame_stamps(source), Problems()
+    summary, problems = log.summarise(source), Problems()
+    stamps = _frame_stamps(summary)
     rate_hz = frame_rate_hz(stamps)
     shown = pictures_shown(stamps, rate_hz)
     frames = without_image = 0
@@ -81,7 +83,7 @@ def write_video(
         _quiet_opencv(),
         _VideoWriter(target, temporary, rate_hz) as video,
     ):
-        for picture, times in zip(_shots(source, problems), shown, strict=True):
+        for picture, times in zip(_shots(summary, problems), shown, strict=True):
             without_image += picture is None
             video.show(picture, times)
             frames += 1
@@ -93,9 +95,9 @@ def write_video(
     return Video(video.pictures, rate_hz, frames, without_image, sum(still), problems)
 
 
-def _frame_stamps(source: Path) -> list[int]:
-    problems = Problems()
-    stamps = [row.stamp_ns for row in read_rows(source, problems)]
+def _frame_stamps(summary: LogSummary) -> list[int]:
+    source, problems = summary.path, Problems()
+    stamps = [row.stamp_ns for row in read_rows(summary, problems)]
     if problems.first and not stamps:
         raise LogError(f"{source}: no results to make a video of; {problems.first[METRICS_TOPIC]}")
     if not stamps:
@@ -127,25 +129,24 @@ def pictures_shown(stamps_ns: Sequence[int], rate_hz: float) -> list[int]:
     return [later - earlier for earlier, later in pairwise([*ticks, ticks[-1] + 1])]
 
 
-def _shots(source: Path, problems: Problems) -> Iterator[Image | None]:
+def _shots(summary: LogSummary, problems: Problems) -> Iterator[Image | None]:
     """Every frame's picture in order, None where there is no image."""
-    summary = log.summarise(source)
     written = [channel for channel in summary.channels if is_result_of(channel, OVERLAY_TOPIC)]
     if any(summary.counts.get(channel.source_id) for channel in written):
-        yield from _overlays(source, problems)
+        yield from _overlays(summary, problems)
         return
     first_ns: int | None = None
-    for row, frame in read_frames(source, problems):
+    for row, frame in read_frames(summary, problems):
         first_ns = row.stamp_ns if first_ns is None else first_ns
         since_start_s = ns_to_seconds(row.stamp_ns - first_ns)
         width_px = 0 if frame is None else min(frame.image_bgr.shape[1], _MOST_COLUMNS)
         yield None if frame is None else draw_frame(frame, row, since_start_s, width_px)
 
 
-def _overlays(source: Path, problems: Problems) -> Iterator[Image | None]:
+def _overlays(summary: LogSummary, problems: Problems) -> Iterator[Image | None]:
     """The overlays of a log: each stands behind the metrics of its frame."""
     frames, picture = 0, None
-    for message in log.read(source, topics=(OVERLAY_TOPIC, METRICS_TOPIC)):
+    for message in log.read(summary, topics=(OVERLAY_TOPIC, METRICS_TOPIC)):
         if is_result_of(message.channel, OVERLAY_TOPIC):
             picture = content_of(partial(_decoded, message.data), OVERLAY_TOPIC, message.log_time_ns, problems)
         elif row_of(message, problems):

@@ -41,7 +41,7 @@ def runs(tmp_path_factory):
 def without_tags(source, target):
     with LogWriter(target) as writer:
         seen = 0
-        for message in log.read(source):
+        for message in log.read(log.summarise(source)):
             tags = message.channel.topic == SEGMENTATION
             if not tags or seen not in DROPPED:
                 writer.write(message)

@@ -64,17 +64,19 @@ def write(path, **messages):
     ],
 )
 def test_what_the_first_image_is(tmp_path, message, kinds):
-    path = write(tmp_path / "a.mcap", thing=message)
+    summary = log.summarise(write(tmp_path / "a.mcap", thing=message))
     assert {
-        kind for kind in ("depth", "tags") if probe_first_message(path, kind, channel("/robot/thing", message))
+        kind for kind in ("depth", "tags") if probe_first_message(summary, kind, channel("/robot/thing", message))
     } == kinds
 
 
-def test_a_channel_without_a_message_and_a_file_that_is_none_hold_nothing(tmp_path):
+def test_a_channel_without_a_message_and_a_file_that_is_gone_hold_nothing(tmp_path):
     depth = raw("32FC1", GREY.astype(np.float32))
     path = write(tmp_path / "a.mcap", thing=depth)
-    assert not probe_first_message(path, "depth", channel("/robot/other", depth))
-    assert not probe_first_message(tmp_path / "none.mcap", "depth", channel("/robot/thing", depth))
+    summary = log.summarise(path)
+    assert not probe_first_message(summary, "depth", channel("/robot/other", depth))
+    path.unlink()
+    assert not probe_first_message(summary, "depth", channel("/robot/thing", depth))
 
 
 def unassigned(path):

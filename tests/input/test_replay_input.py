@@ -22,7 +22,7 @@ def test_samples_messages_and_counts(source):
     assert (log_in.expected_frames, log_in.frames) == (4, 0)
     assert [sample.index for sample in log_in.samples()] == [0, 1, 2, 3]
     assert (log_in.frames, log_in.dropped, log_in.unreadable, log_in.notes) == (4, {}, {}, ())
-    assert list(log_in.messages()) == list(log.read(source))
+    assert list(log_in.messages()) == list(log.read(log.summarise(source)))
     assert log_in.span_ns == (log_in.summary.first_ns, log_in.summary.last_ns)
     assert set(log_in.topics) == set(logs.ALL)
 

@@ -86,7 +86,7 @@ def replayed(folder, tree):
 
 
 def edges_of(path, *, results):
-    for message in log.read(path, topics=["/tf", "/perception/tf"]):
+    for message in log.read(log.summarise(path), topics=["/tf", "/perception/tf"]):
         if is_result(message.channel) == results:
             yield decode(
                 "tf", "foxglove.FrameTransforms", "protobuf", message.data, message.log_time_ns, Context()
@@ -116,7 +116,7 @@ def test_camera_and_car_are_where_the_chain_has_them(name, tmp_path):
         tree = tree.updated(edges)
     mounted = level_mounting(CFG.surface.assumed_height_m) if tree_is_silent(name) else MOUNTED
     assert tree.lookup("ego", "camera") == pytest.approx(mounted, abs=1e-9)
-    (*_, last) = log.read(target, topics=["/perception/odometry"])
+    (*_, last) = log.read(log.summarise(target), topics=["/perception/odometry"])
     pose = decode("pose", "foxglove.PoseInFrame", "protobuf", last.data, last.log_time_ns, Context()).payload
     assert pose.parent == TREES[name][2]
     assert tree.lookup(pose.parent, "ego") == pytest.approx(pose.parent_T_child, abs=1e-9)

@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoders
 from mcap_ros2.decoder import DecoderFactory as RosDecoders
 
+from roadperc_stream import log
 from roadperc_stream.cli import replay
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.output.drawing.frame import draw_frame
@@ -48,7 +49,7 @@ def test_channels_hold_what_was_recorded(result, ndarrays_regression):
 
 @pytest.mark.parametrize("width_px", [200, 640, 1280])
 def test_a_frame_of_any_size_is_drawn_as_recorded(result, width_px, ndarrays_regression):
-    *_, (row, frame) = read_frames(result, Problems())
+    *_, (row, frame) = read_frames(log.summarise(result), Problems())
     summaries.check(ndarrays_regression, {"frame": summaries.of_picture(draw_frame(frame, row, 1.25, width_px))})
 
 

@@ -49,7 +49,7 @@ def failure(capsys, *arguments: object) -> str:
 def payloads(path: Path) -> dict[str, list]:
     """Decoded messages by role, with their stamps in nanoseconds since the epoch of dumps."""
     found: dict[str, list] = {}
-    for message in log.read(path, validate_crcs=True):
+    for message in log.read(log.summarise(path), validate_crcs=True):
         role = ROLE_OF_TOPIC[message.channel.topic]
         context = context_of_channel(message.channel, "auto")
         schema, encoding = message.channel.schema_name, message.channel.message_encoding
@@ -84,7 +84,7 @@ def test_images_pass_through_byte_for_byte(tmp_path):
     first = jpeg(dump / "rgb" / "1.png", camera_pixels(1))
     second = write_png(dump / "rgb" / "2.jpg", camera_pixels(2))
     out = convert(dump, "--fov", "90")
-    data = [m.data for m in log.read(out, topics=["/camera/front/image"])]
+    data = [m.data for m in log.read(log.summarise(out), topics=["/camera/front/image"])]
     assert first.read_bytes() in data[0]
     assert b"jpeg" in data[0]
     assert second.read_bytes() in data[1]
@@ -103,11 +103,11 @@ def test_calibration_comes_before_everything_and_channels_follow_the_table(dump)
     document(dump / "calibration.json", {**CALIBRATION, "rgb_height_m": 1.7, "depth_height_m": 1.5})
     document(dump / "detections.json", {"0": [{"label": "Car", "box_px": [1, 2, 3, 4], "score": 0.5}]})
     out = convert(dump)
-    topics = [m.channel.topic for m in log.read(out)]
+    topics = [m.channel.topic for m in log.read(log.summarise(out))]
     assert topics[:2] == ["/camera/front/calibration", "/tf"]
     order = [role.topic for role in ROLES.values()]
     assert topics[2:6] == sorted(set(topics) - set(topics[:2]), key=order.index)
-    by_id = sorted({m.channel.source_id: m.channel.topic for m in log.read(out)}.items())
+    by_id = sorted({m.channel.source_id: m.channel.topic for m in log.read(log.summarise(out))}.items())
     assert [topic for _, topic in by_id] == sorted((topic for _, topic in by_id), key=order.index)
     edges = {e.child: e.parent_T_child[:3, 3].tolist() for e in payloads(out)["tf"][0][2]}
     assert edges == {"camera_front": [0, 0, 1.7], "camera_depth": [0, 0, 1.5]}

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from roadperc_stream import log
 from roadperc_stream.cli.view import main
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Absent, Boundary, Lanes
@@ -65,7 +66,7 @@ def write_log(path, bad=None, foreign="", status="held"):
 
 def frames(path):
     problems = Problems()
-    return list(read_frames(path, problems)), problems
+    return list(read_frames(log.summarise(path), problems)), problems
 
 
 def test_a_part_that_cannot_be_read_is_not_there_and_is_counted(tmp_path):
@@ -98,7 +99,7 @@ def test_a_row_with_an_unknown_status_is_left_out(tmp_path, status):
     path = write_log(tmp_path / "out.mcap", status=status)
     found, problems = frames(path)
     assert [row.frame for row, _ in found] == [0, 2]
-    assert [row.frame for row in read_rows(path, Problems())] == [0, 2]
+    assert [row.frame for row in read_rows(log.summarise(path), Problems())] == [0, 2]
     assert f"lane_left_status {status!r}: expected one of measured, held, lost" in problems.first[METRICS]
 
 
@@ -112,7 +113,7 @@ def test_a_row_with_a_number_that_is_none_is_left_out(tmp_path):
 def test_results_of_a_foreign_schema_are_no_results(tmp_path):
     found, problems = frames(write_log(tmp_path / "lanes.mcap", foreign="/perception/lanes"))
     assert [isinstance(seen.lanes, Absent) for _, seen in found] == [True] * 3
-    assert not list(read_rows(write_log(tmp_path / "rows.mcap", foreign=METRICS), problems))
+    assert not list(read_rows(log.summarise(write_log(tmp_path / "rows.mcap", foreign=METRICS)), problems))
     assert not problems.counts
 
 
@@ -170,7 +171,7 @@ def test_the_image_is_that_of_the_camera_the_replay_was_told_to_take(tmp_path):
             items.append(item)
     logs.write(source, items)
     replay(source, target, ReplayConfig(), overrides={"image": "/b"})
-    seen = [frame for _, frame in read_frames(target, Problems())]
+    seen = [frame for _, frame in read_frames(log.summarise(target), Problems())]
     assert [frame.image_bgr.max() > 0 for frame in seen] == [True, True]
     stamp_ns = next(item.stamp_ns for item in items if item.topic == "/b")
     assert read_frame(target, stamp_ns, Problems()).image_bgr.max() > 0

@@ -59,7 +59,7 @@ def assignment_of_log(summary: LogSummary, overrides: Mapping[str, str]) -> Role
     present = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
     named = {**recorded_topics(summary.metadata, present), **overrides}
     try:
-        roles = assign_roles(present, named, partial(probe_first_message, summary.path))
+        roles = assign_roles(present, named, partial(probe_first_message, summary))
     except ChannelError as error:
         raise ChannelError(f"{summary.path}: {error}") from error
     chosen = _choices(present, named) if named else {}

@@ -1,7 +1,6 @@
 """What the pixels of a log's images can be, where no name says so."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -11,7 +10,7 @@ from roadperc_stream.core.datatypes import DepthImage, TagImage
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding import context_of_channel, decode
-from roadperc_stream.log import Channel, Message
+from roadperc_stream.log import Channel, LogSummary, Message
 from roadperc_stream.schemas.roles import Kind
 
 ContentProbe = Callable[[Kind, Channel], bool]
@@ -25,18 +24,18 @@ def no_probe(_kind: Kind, _channel: Channel) -> bool:
     return False
 
 
-def probe_first_message(path: Path, kind: Kind, channel: Channel) -> bool:
+def probe_first_message(summary: LogSummary, kind: Kind, channel: Channel) -> bool:
     """Whether the first message of a channel is depth, or tags: by its encoding, and by pixels that are all some class.
 
     A log, or a message, that cannot be read says nothing.
 
     Args:
-        path: the log.
+        summary: the log.
         kind: ``depth`` or ``tags``.
         channel: of the log.
     """
     try:
-        message = next(log.read(path, topics=(channel.topic,)), None)
+        message = next(log.read(summary, topics=(channel.topic,)), None)
         return message is not None and _is_of_kind(kind, message)
     except (LogError, DecodeError):
         return False

@@ -15,7 +15,7 @@ from roadperc_stream.input.decoding import Payload, context_of_channel, decode, 
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles.assignment import assignment_of_log
-from roadperc_stream.log import Channel
+from roadperc_stream.log import Channel, LogSummary
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.roles import ROLES, Kind
 from roadperc_stream.schemas.topics import (
@@ -99,16 +99,16 @@ def contents_of(path: Path, overrides: Mapping[str, str]) -> LogContents:
     return LogContents(
         roles=roles.topics,
         results=results,
-        columns=_columns(path) if METRICS_TOPIC in results else frozenset(),
-        depth_in_metres=frozenset(_depth_in_metres(path, roles.topics)),
+        columns=_columns(summary) if METRICS_TOPIC in results else frozenset(),
+        depth_in_metres=frozenset(_depth_in_metres(summary, roles.topics)),
         more_images=_more_images(present, roles.topics.values()),
-        has_ego_frame=bool(results & IN_THE_EGO_FRAME) or EGO in _frames(path, roles.topics),
+        has_ego_frame=bool(results & IN_THE_EGO_FRAME) or EGO in _frames(summary, roles.topics),
     )
 
 
-def _columns(path: Path) -> frozenset[str]:
+def _columns(summary: LogSummary) -> frozenset[str]:
     """The metrics that some frame has."""
-    rows = read_rows(path, Problems())
+    rows = read_rows(summary, Problems())
     return frozenset(name for row in rows for name in _COLUMNS if getattr(row, name) not in (None, ()))
 
 
@@ -119,24 +119,24 @@ def _more_images(channels: Iterable[Channel], known: Iterable[str]) -> tuple[str
     return tuple(sorted({channel.topic for channel in images} - filled))
 
 
-def _depth_in_metres(path: Path, topics: Mapping[str, str]) -> Iterable[str]:
+def _depth_in_metres(summary: LogSummary, topics: Mapping[str, str]) -> Iterable[str]:
     """Topics of depth without an end to its numbers, as 32FC1 is, by the first message that can be read."""
     for role in _DEPTH_ROLES:
-        first = _first(path, "depth", topics[role]) if role in topics else None
+        first = _first(summary, "depth", topics[role]) if role in topics else None
         if isinstance(first, DepthImage) and math.isinf(first.limit_m):
             yield topics[role]
 
 
-def _frames(path: Path, topics: Mapping[str, str]) -> set[str]:
+def _frames(summary: LogSummary, topics: Mapping[str, str]) -> set[str]:
     """The coordinate frames that the first transforms of a log join."""
-    payloads = (_first(path, "tf", topics[role]) for role in _TF_ROLES if role in topics)
+    payloads = (_first(summary, "tf", topics[role]) for role in _TF_ROLES if role in topics)
     edges = [edge for payload in payloads if isinstance(payload, tuple) for edge in payload]
     return {name for edge in edges if isinstance(edge, Transform) for name in (edge.parent, edge.child)}
 
 
-def _first(path: Path, kind: Kind, topic: str) -> Payload | None:
+def _first(summary: LogSummary, kind: Kind, topic: str) -> Payload | None:
     """The first message of a topic that can be read."""
-    for message in log.read(path, topics=[topic]):
+    for message in log.read(summary, topics=[topic]):
         channel, time_ns = message.channel, message.log_time_ns
         context = context_of_channel(channel, "auto")
         with suppress(DecodeError):

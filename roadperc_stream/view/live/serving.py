@@ -53,7 +53,7 @@ def with_times(log: FinishedLog) -> Source:
     Raises:
         TableError: the table cannot be read.
     """
-    timed = TimedSource(log, TableTimes(sidecar_path(log.path, "metrics")))
+    timed = TimedSource(log, TableTimes(sidecar_path(log.summary.path, "metrics")))
     return timed if timed.has_times() else log
 
 
@@ -166,7 +166,9 @@ def _start(source: FinishedLog, start_s: float) -> int:
     start_ns = source.first_ns + seconds_to_ns(start_s)
     if source.reach().clamp(start_ns) != start_ns:
         length_s = ns_to_seconds(source.last_ns - source.first_ns)
-        raise LogError(f"{source.path}: --start {start_s:g}: expected 0 to {length_s:.3f}, the log's length in seconds")
+        raise LogError(
+            f"{source.summary.path}: --start {start_s:g}: expected 0 to {length_s:.3f}, the log's length in seconds"
+        )
     return start_ns
 
 

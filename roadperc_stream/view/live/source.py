@@ -8,7 +8,7 @@ from typing import Final, Protocol
 from roadperc_stream import log
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import LogError
-from roadperc_stream.log import Channel, GrowingLog, Message
+from roadperc_stream.log import Channel, GrowingLog, LogSummary, Message
 from roadperc_stream.view.live.playhead import Reach
 
 _LOOK_BACK_NS: Final = NS_PER_S
@@ -40,8 +40,7 @@ class Source(Protocol):
 class FinishedLog:
     """A log on disk."""
 
-    path: Path
-    channels: tuple[Channel, ...]
+    summary: LogSummary
     first_ns: int
     last_ns: int
 
@@ -55,7 +54,12 @@ class FinishedLog:
         summary = log.summarise(path)
         if summary.first_ns is None or summary.last_ns is None or not sum(summary.counts.values()):
             raise LogError(f"{path}: no message to play")
-        return cls(path, summary.channels, summary.first_ns, summary.last_ns)
+        return cls(summary, summary.first_ns, summary.last_ns)
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """All channels of the log."""
+        return self.summary.channels
 
     def reach(self) -> Reach:
         """All of it."""
@@ -63,11 +67,11 @@ class FinishedLog:
 
     def read(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
         """Messages of some topics, up to but not including ``end_ns``."""
-        return log.read(self.path, topics=topics, start_ns=start_ns, end_ns=end_ns)
+        return log.read(self.summary, topics=topics, start_ns=start_ns, end_ns=end_ns)
 
     def follow(self, start_ns: int) -> Iterator[Message | None]:
         """All messages from a log time on."""
-        return log.read(self.path, start_ns=start_ns)
+        return log.read(self.summary, start_ns=start_ns)
 
 
 @dataclass(frozen=True)

@@ -29,14 +29,14 @@ def source(tmp_path):
 
 def pictures(path):
     found = {}
-    for message in log.read(path):
+    for message in log.read(log.summarise(path)):
         if message.channel.topic in ON_REQUEST:
             found.setdefault(message.channel.topic, []).append(message)
     return found
 
 
 def plain(path):
-    return [m for m in log.read(path) if m.channel.topic not in ON_REQUEST]
+    return [m for m in log.read(log.summarise(path)) if m.channel.topic not in ON_REQUEST]
 
 
 def unnumbered(messages):
@@ -140,7 +140,9 @@ def test_an_image_of_another_size_is_shown_with_nothing_drawn_in(tmp_path):
     )
     summary = replay(source, tmp_path / "out.mcap", CFG, on_request=("overlay", "debug"))
     found = pictures(tmp_path / "out.mcap")
-    assert "/perception/drivable" in {message.channel.topic for message in log.read(tmp_path / "out.mcap")}
+    assert "/perception/drivable" in {
+        message.channel.topic for message in log.read(log.summarise(tmp_path / "out.mcap"))
+    }
     assert set(found) == {"/perception/overlay"}
     for message in found["/perception/overlay"]:
         picture = decode("image", message.channel.schema_name, "protobuf", message.data, 0, Context()).payload.bgr

@@ -95,7 +95,7 @@ def test_messages_come_with_their_log_times_and_bytes(path):
     with served(path, start_s=50.0) as port, Viewer(port) as viewer:
         viewer.control(play=False)  # all is subscribed before the first message is due
         viewer.subscribe()
-        logged = [(m.channel.topic, m.log_time_ns, m.data) for m in log.read(path)]
+        logged = [(m.channel.topic, m.log_time_ns, m.data) for m in log.read(log.summarise(path))]
         held, played = logged[:1], [item for item in logged if item[1] >= 1050 * S]
         viewer.until(lambda: len(viewer.shown()) == 2)
         assert sorted(map(tuple, viewer.shown())) == held + played[:1]
@@ -298,7 +298,7 @@ def test_a_running_replay_is_watched_and_sought(source, tmp_path):
         viewer.control(play=False)
         finish()
         viewer.control(play=True, rate=5.0, seek_ns=FIRST_NS)
-        written = [(m.channel.topic, m.log_time_ns, m.data) for m in log.read(target)]
+        written = [(m.channel.topic, m.log_time_ns, m.data) for m in log.read(log.summarise(target))]
         viewer.until(lambda: len(viewer.shown()) == len(written) + FRAMES)
         assert sorted(tuple(m) for m in viewer.shown() if m.topic != TIMES_TOPIC) == sorted(written)
         assert told_times(viewer) == table_times(target)

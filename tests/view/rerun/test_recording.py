@@ -56,7 +56,7 @@ OF_EVERY_FRAME = {
 
 
 def messages(path, topic):
-    return list(log.read(path, topics=[topic]))
+    return list(log.read(log.summarise(path), topics=[topic]))
 
 
 def decoded(path, kind, topic):
@@ -300,7 +300,7 @@ def test_a_damaged_message_of_any_topic_is_counted_and_the_rest_is_drawn(tmp_pat
     assert replay_main([str(source), str(output), "--quiet", "--overlay"]) == 0
     broken = tmp_path / "broken.mcap"
     with LogWriter(broken) as writer:
-        for message in log.read(output):
+        for message in log.read(log.summarise(output)):
             hit = message.channel.topic == topic
             writer.write(replace(message, data=b"\xff\xfe\x07garbage") if hit else message)
     exported = save_recording(broken, tmp_path / "out.rrd", {})
@@ -314,7 +314,7 @@ def test_somebody_elses_topics_of_our_names_are_left_alone(tmp_path):
     source, foreign = logs.write(tmp_path / "in.mcap", logs.items(frames=2)), tmp_path / "foreign.mcap"
     for channels in (theirs, ours):
         with LogWriter(foreign) as writer:
-            for message in log.read(source):
+            for message in log.read(log.summarise(source)):
                 writer.write(message)
                 for channel in channels:
                     writer.write(replace(message, channel=channel, data=b"\0\1\0\0\2\0\0\0x\0"))

@@ -1,0 +1,87 @@
+"""How files that are one log follow one another: gaps, overlaps, and what differs between them."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from roadperc_stream.core.time import ns_to_seconds
+from roadperc_stream.log import Attachment, LogSummary, Metadata
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD
+
+_GAP_INTERVALS: Final = 1.5
+"""Intervals of the reference sensor from which on a pause between two parts is a gap: a frame is missing there."""
+_MOST_NAMED: Final = 5
+_OF_EACH_RESULT: Final = {CONFIG_ATTACHMENT, METADATA_RECORD}
+"""What every result has of its own, and no other result takes over."""
+
+
+@dataclass(frozen=True)
+class PartSpan:
+    """When a part's messages begin and end, and how many of them make frames."""
+
+    name: str
+    first_ns: int
+    last_ns: int
+    frames: int
+
+
+def part_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
+    """What the user should know of how the parts of a log fit together; nothing of a log in one file.
+
+    Args:
+        summary: of the log.
+        topic: of the reference sensor.
+    """
+    spans = [
+        PartSpan(str(part.path), part.first_ns, part.last_ns, _messages_on(part, topic))
+        for part in summary.parts
+        if part.first_ns is not None and part.last_ns is not None and any(part.counts.values())
+    ]
+    joined = [text for text in joins(spans) if text]
+    more = (f"{len(joined) - _MOST_NAMED} more parts leave gaps or overlap",) if len(joined) > _MOST_NAMED else ()
+    differing = (*_differing("attachment", summary.attachments), *_differing("metadata", summary.metadata))
+    return (*joined[:_MOST_NAMED], *more, *(differing if summary.parts else ()))
+
+
+def joins(parts: Sequence[PartSpan]) -> list[str]:
+    """How each part follows those before it, in words; empty where it does so without a gap or an overlap.
+
+    Args:
+        parts: by their first log times.
+    """
+    least_gap_ns = _GAP_INTERVALS * _interval_ns(parts)
+    latest: PartSpan | None = None
+    texts = []
+    for part in parts:
+        texts.append("" if latest is None else _join(latest, part, least_gap_ns))
+        latest = part if latest is None or part.last_ns > latest.last_ns else latest
+    return texts
+
+
+def _join(before: PartSpan, part: PartSpan, least_gap_ns: float) -> str:
+    gap_ns = part.first_ns - before.last_ns
+    if gap_ns < 0:
+        return (
+            f"{part.name}: overlaps {before.name} by {ns_to_seconds(min(-gap_ns, part.last_ns - part.first_ns)):.3f} s"
+        )
+    if gap_ns > least_gap_ns:
+        return f"{part.name}: begins {ns_to_seconds(gap_ns):.3f} s after {before.name} ends"
+    return ""
+
+
+def _interval_ns(parts: Iterable[PartSpan]) -> float:
+    """Mean interval of the messages that make frames, within the parts."""
+    counted = [part for part in parts if part.frames > 1]
+    intervals = sum(part.frames - 1 for part in counted)
+    return sum(part.last_ns - part.first_ns for part in counted) / intervals if intervals else 0.0
+
+
+def _messages_on(part: LogSummary, topic: str) -> int:
+    return sum(part.counts.get(channel.source_id, 0) for channel in part.channels if channel.topic == topic)
+
+
+def _differing(kind: str, records: Iterable[Attachment | Metadata]) -> tuple[str, ...]:
+    """What has one name and several contents."""
+    counts: Counter[str] = Counter(record.name for record in records if record.name not in _OF_EACH_RESULT)
+    return tuple(f"{kind} {name}: {n} versions in the parts, all are kept" for name, n in counts.items() if n > 1)

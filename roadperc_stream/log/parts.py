@@ -1,0 +1,170 @@
+"""Several files as one log: their messages in the order of their log times, each file open only while it is read."""
+
+import heapq
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
+from roadperc_stream.log.records import Channel, LogSummary, Message
+from roadperc_stream.log.sorting import SortedMessages
+
+_LEAST_HELD_BYTES: Final = 1024 * 1024
+"""Counted of each open file, so that few are open at a time."""
+Translation = Mapping[Channel, Channel]
+"""From a file's channels to those of the log."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file: what it holds, and what it takes to read it.
+
+    ``held_bytes`` of messages are in memory where it is read in the order of log time; None where it has no index.
+    """
+
+    summary: LogSummary
+    held_bytes: int | None
+    in_file_order: Callable[[Path], Iterator[Message]]
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """First and last log time; None without messages."""
+        summary = self.summary
+        if summary.first_ns is None or summary.last_ns is None or not any(summary.counts.values()):
+            return None
+        return summary.first_ns, summary.last_ns
+
+
+@dataclass(frozen=True)
+class _OpenPart:
+    """A file of a log while it is read: orders by the log time of its next message, then by its place in the log."""
+
+    next: Message
+    number: int
+    rest: Iterator[Message]
+
+    def __lt__(self, other: "_OpenPart") -> bool:
+        return (self.next.log_time_ns, self.number) < (other.next.log_time_ns, other.number)
+
+
+@dataclass(frozen=True)
+class MergedParts:
+    """The messages of files that begin one after the other."""
+
+    parts: Sequence[tuple[LogSummary, Translation]]
+    """Those with messages, by their first log time."""
+
+    def messages(
+        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool
+    ) -> Iterator[Message]:
+        """As ``reading.read``; of equal log times those of the part that begins first come first."""
+
+        def opened(number: int) -> _OpenPart | None:
+            summary, translation = self.parts[number]
+            found = summary.source.messages(topics, start_ns, end_ns, validate_crcs=validate_crcs)
+            return _advanced(number, translated(found, translation))
+
+        waiting = [i for i, (summary, _) in enumerate(self.parts) if _may_hold(summary, topics, start_ns, end_ns)]
+        waiting.reverse()
+        heap: list[_OpenPart] = []
+        while waiting or heap:
+            if waiting and (not heap or self._first_ns(waiting[-1]) < heap[0].next.log_time_ns):
+                following = opened(waiting.pop())
+            else:
+                earliest = heapq.heappop(heap)
+                yield earliest.next
+                following = _advanced(earliest.number, earliest.rest)
+            if following is not None:
+                heapq.heappush(heap, following)
+
+    def _first_ns(self, number: int) -> int:
+        return self.parts[number][0].first_ns or 0
+
+
+def _advanced(number: int, rest: Iterator[Message]) -> _OpenPart | None:
+    following = next(rest, None)
+    return None if following is None else _OpenPart(following, number, rest)
+
+
+def _may_hold(summary: LogSummary, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> bool:
+    early = start_ns is not None and (summary.last_ns or 0) < start_ns
+    late = end_ns is not None and (summary.first_ns or 0) >= end_ns
+    wanted = topics is None or any(c.topic in topics and summary.counts.get(c.source_id) for c in summary.channels)
+    return wanted and not early and not late
+
+
+def translated(messages: Iterable[Message], translation: Translation) -> Iterator[Message]:
+    """The messages of a file on the channels of the log."""
+    for message in messages:
+        channel = translation[message.channel]
+        yield message if channel is message.channel else replace(message, channel=channel)
+
+
+def united(parts: Sequence[Part]) -> LogSummary:
+    """Files as one log: in the order of their times, equal channels of several files as one."""
+    ordered = sorted(parts, key=lambda part: part.span_ns or (0, 0))
+    translations = _translations([part.summary for part in ordered])
+    holding = [(p, t) for p, t in zip(ordered, translations, strict=True) if p.span_ns is not None]
+    spans = [part.span_ns for part, _ in holding if part.span_ns is not None]
+    summaries = [part.summary for part in ordered]
+    attachments = {(a.name, a.media_type, a.data): a for s in reversed(summaries) for a in reversed(s.attachments)}
+    metadata = dict.fromkeys(m for summary in summaries for m in summary.metadata)
+    name = Path(f"{summaries[0].path} and {len(parts) - 1} more")
+    source = (
+        MergedParts([(part.summary, translation) for part, translation in holding])
+        if _held_bytes([part for part, _ in holding]) <= MOST_HELD_BYTES
+        else SortedMessages(str(name), partial(_in_file_order, holding))
+    )
+    return LogSummary(
+        path=name,
+        source=source,
+        profile=next((summary.profile for summary in summaries if summary.profile), ""),
+        channels=tuple(dict.fromkeys(channel for translation in translations for channel in translation.values())),
+        counts=_counts(summaries, translations),
+        attachments=tuple(reversed(attachments.values())),
+        metadata=tuple(metadata),
+        first_ns=min((first for first, _ in spans), default=None),
+        last_ns=max((last for _, last in spans), default=None),
+        sealed=all(summary.sealed for summary in summaries),
+        parts=tuple(replace(summary, attachments=(), metadata=()) for summary in summaries),
+    )
+
+
+def _translations(summaries: Iterable[LogSummary]) -> list[Translation]:
+    """Each file's channels on those of the log: twins within a file stay apart, equal ones of several files do not."""
+    known: dict[tuple[Channel, int], Channel] = {}
+    made: list[Translation] = []
+    for summary in summaries:
+        twins, translation = Counter[Channel](), dict[Channel, Channel]()
+        for channel in summary.channels:
+            kind = replace(channel, source_id=0)
+            translation[channel] = known.setdefault((kind, twins[kind]), replace(kind, source_id=len(known) + 1))
+            twins[kind] += 1
+        made.append(translation)
+    return made
+
+
+def _counts(summaries: Iterable[LogSummary], translations: Iterable[Translation]) -> dict[int, int]:
+    counts = Counter[int]()
+    for summary, translation in zip(summaries, translations, strict=True):
+        for channel, common in translation.items():
+            counts[common.source_id] += summary.counts.get(channel.source_id, 0)
+    return dict(counts)
+
+
+def _held_bytes(parts: Iterable[Part]) -> float:
+    """The most in memory at a time where the parts are merged; no end to it where one of them has no index."""
+    spans = []
+    for part in parts:
+        if part.held_bytes is None or part.span_ns is None:
+            return float("inf")
+        spans.append((*part.span_ns, max(part.held_bytes, _LEAST_HELD_BYTES)))
+    return most_at_once(spans)
+
+
+def _in_file_order(parts: Iterable[tuple[Part, Translation]]) -> Iterator[Message]:
+    for part, translation in parts:
+        yield from translated(part.in_file_order(part.summary.path), translation)

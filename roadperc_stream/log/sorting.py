@@ -1,0 +1,97 @@
+"""Messages in the order of log time where neither file nor index has them so: sorted on disk, not in memory.
+
+The messages' bytes are stored as they come. What they are sorted by, with the places of their bytes, stands in a
+temporary database of SQLite, whose memory is bounded too.
+"""
+
+import sqlite3
+import weakref
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import closing
+from threading import Lock
+from typing import Final
+
+from roadperc_stream.errors import TargetError
+from roadperc_stream.log.records import Channel, Message
+from roadperc_stream.log.spool import Spool
+
+_SIGN: Final = 2**63
+"""SQLite's integers have a sign, log times have none."""
+_LATEST_NS: Final = 2**64 - 1
+_SETUP: Final = (
+    "PRAGMA journal_mode = OFF",
+    "PRAGMA cache_size = -8192",
+    "CREATE TABLE messages (log_time, number, publish_time, sequence, channel, start, length, "
+    "PRIMARY KEY (log_time, number)) WITHOUT ROWID",
+)
+_ADD: Final = "INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?, ?)"
+_FIND: Final = (
+    "SELECT log_time, publish_time, sequence, channel, start, length FROM messages "
+    "WHERE log_time BETWEEN ? AND ? AND {wanted} ORDER BY log_time, number"
+)
+
+
+class SortedMessages:
+    """Messages that are put in the order of their log time when they are first read; those of equal time as they came.
+
+    ``what`` holds them, for errors; ``unsorted`` gives them, where channels that differ have different ``source_id``.
+    """
+
+    def __init__(self, what: str, unsorted: Callable[[], Iterable[Message]]) -> None:
+        self._what, self._unsorted = what, unsorted
+        self._store: _Store | None = None
+        self._lock = Lock()
+
+    def messages(
+        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool
+    ) -> Iterator[Message]:
+        """As ``reading.read``; what is stored was checked before.
+
+        Raises:
+            TargetError: there is no space to store them.
+        """
+        del validate_crcs
+        with self._lock:
+            self._store = self._store or _Store(self._what, self._unsorted())
+        yield from self._store.messages(topics, start_ns, end_ns)
+
+
+class _Store:
+    """The bytes of messages and their order."""
+
+    def __init__(self, what: str, messages: Iterable[Message]) -> None:
+        self._spool = Spool(what)
+        self._channels: dict[int, Channel] = {}
+        self._keys = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+        weakref.finalize(self, self._keys.close)
+        try:
+            for statement in (*_SETUP, "BEGIN"):
+                self._keys.execute(statement)
+            self._keys.executemany(_ADD, self._stored(messages))
+            self._keys.execute("COMMIT")
+        except sqlite3.Error as error:
+            raise TargetError(f"{what}: cannot be sorted in the folder that TMPDIR names: {error}") from error
+        self._spool.finish()
+
+    def _stored(self, messages: Iterable[Message]) -> Iterator[tuple[int, ...]]:
+        """The messages' keys; their bytes are stored."""
+        for number, message in enumerate(messages):
+            channel_id = message.channel.source_id
+            self._channels[channel_id] = message.channel
+            log_time, publish_time = message.log_time_ns - _SIGN, message.publish_time_ns - _SIGN
+            start, length = self._spool.append(message.data), len(message.data)
+            yield log_time, number, publish_time, message.sequence, channel_id, start, length
+
+    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
+        """As ``reading.read``."""
+        ids = [i for i, channel in self._channels.items() if topics is None or channel.topic in topics]
+        wanted = "TRUE" if topics is None else f"channel IN ({', '.join(map(str, ids))})"
+        first = max(start_ns or 0, 0)
+        last = _LATEST_NS if end_ns is None else min(end_ns - 1, _LATEST_NS)
+        if first > last:
+            return
+        rows = self._keys.execute(_FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN))
+        with closing(rows):
+            for log_time, publish_time, sequence, channel_id, start, length in rows:
+                channel, data = self._channels[channel_id], self._spool.read(start, length)
+                yield Message(channel, log_time + _SIGN, publish_time + _SIGN, sequence, data)

@@ -1,0 +1,123 @@
+"""Bytes on disk without a name: they are gone with the process, even with one that is killed."""
+
+import io
+import os
+import tempfile
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Lock
+from typing import IO
+
+from roadperc_stream.errors import TargetError
+
+
+@contextmanager
+def storing(what: str) -> Iterator[None]:
+    """What the system refuses in writing to the folder of temporary files, as an error that names the folder.
+
+    Args:
+        what: is stored there, for the error.
+
+    Raises:
+        TargetError: the disk is full, or there is no such folder.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise TargetError(_refusal(what, error.strerror or str(error))) from error
+
+
+def _refusal(what: str, reason: str) -> str:
+    return f"{what}: cannot be stored in {_folder()}: {reason}; TMPDIR names a folder with more space"
+
+
+def _folder() -> str:
+    try:
+        return tempfile.gettempdir()
+    except OSError:
+        return "the folder of temporary files"
+
+
+class Spool:
+    """A temporary file that is written once, from its start to its end, and then read by any number of readers."""
+
+    def __init__(self, what: str, stored: IO[bytes] | None = None) -> None:
+        """Begin an empty one, or read one that is there.
+
+        Args:
+            what: it holds, for errors.
+            stored: a file that can be read from any place; the spool owns it.
+
+        Raises:
+            TargetError: there is no folder for temporary files.
+        """
+        self._what, self._lock = what, Lock()
+        with storing(what):
+            self._file = stored or tempfile.TemporaryFile()  # noqa: SIM115 - closed with this object
+            self.size_bytes = self._file.seek(0, os.SEEK_END)
+        weakref.finalize(self, self._file.close)
+
+    def append(self, data: bytes) -> int:
+        """Add bytes at the end.
+
+        Returns:
+            The byte they start at.
+
+        Raises:
+            TargetError: the disk is full.
+        """
+        with storing(self._what):
+            self._file.write(data)
+        start, self.size_bytes = self.size_bytes, self.size_bytes + len(data)
+        return start
+
+    def finish(self) -> None:
+        """Write what is still to be written.
+
+        Raises:
+            TargetError: the disk is full.
+        """
+        with storing(self._what):
+            self._file.flush()
+
+    def read(self, start: int, length: int) -> bytes:
+        """Some of the bytes, fewer at the end."""
+        with self._lock:
+            self._file.seek(start)
+            return self._file.read(length)
+
+    def open(self) -> IO[bytes]:
+        """A stream over all bytes, with a position of its own."""
+        return io.BufferedReader(_Reader(self), buffer_size=io.DEFAULT_BUFFER_SIZE * 8)
+
+
+class _Reader(io.RawIOBase):
+    """Reads a spool from a position of its own."""
+
+    def __init__(self, spool: Spool) -> None:
+        super().__init__()
+        self._spool, self._at = spool, 0
+
+    def readable(self) -> bool:
+        """It is."""
+        return True
+
+    def seekable(self) -> bool:
+        """It is."""
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a byte."""
+        origin = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._spool.size_bytes}[whence]
+        if origin + offset < 0:
+            raise OSError(f"no byte {origin + offset}")
+        self._at = origin + offset
+        return self._at
+
+    def readinto(self, buffer: "memoryview") -> int:  # type: ignore[override]  # a buffer of any kind is a memoryview
+        """Fill a buffer as far as there are bytes."""
+        data = self._spool.read(self._at, len(buffer))
+        buffer[: len(data)] = data
+        self._at += len(data)
+        return len(data)

@@ -1,0 +1,71 @@
+"""The messages of a log in files of other arrangements: without index, in one chunk, shuffled, in parts."""
+
+import random
+from itertools import pairwise
+
+from mcap.writer import CompressionType, IndexType, Writer
+
+from roadperc_stream import log
+
+ARRANGEMENTS = {
+    "small chunks": {"chunk_size": 50_000, "compression": CompressionType.LZ4},
+    "no index": {"index_types": IndexType.NONE},
+    "no chunks": {"use_chunking": False},
+    "no chunks, no summary": {"use_chunking": False, "use_statistics": False, "repeat_channels": False},
+    "one chunk": {"chunk_size": 2**40},
+    "one lz4 chunk": {"chunk_size": 2**40, "compression": CompressionType.LZ4},
+}
+"""How a writer may arrange messages that come in order."""
+
+
+def arranged(source, target, messages=None, *, metadata=(), **options):
+    """The log's channels, attachments and metadata, and these messages, or all of it, as another writer has them."""
+    summary = log.summarise(source)
+    with target.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start(profile=summary.profile)
+        ids = {channel.source_id: _register(writer, channel) for channel in summary.channels}
+        for m in log.read(summary) if messages is None else messages:
+            writer.add_message(ids[m.channel.source_id], m.log_time_ns, m.data, m.publish_time_ns, m.sequence)
+        for a in summary.attachments:
+            writer.add_attachment(a.create_time_ns, a.log_time_ns, a.name, a.media_type, a.data)
+        for record in (*summary.metadata, *metadata):
+            writer.add_metadata(record.name, dict(record.values))
+        writer.finish()
+    return target
+
+
+def _register(writer, channel):
+    schema = 0
+    if channel.schema_name:
+        schema = writer.register_schema(channel.schema_name, channel.schema_encoding, channel.schema_data)
+    return writer.register_channel(channel.topic, channel.message_encoding, schema, dict(channel.metadata))
+
+
+def shuffled(source, target, seed=1, **options):
+    """The messages in any order."""
+    messages = list(log.read(log.summarise(source)))
+    random.Random(seed).shuffle(messages)
+    return arranged(source, target, messages, **options)
+
+
+def by_topic(source, target):
+    """All messages of a topic, then those of the next: every chunk lasts as long as the log."""
+    messages = sorted(log.read(log.summarise(source)), key=lambda m: m.channel.topic)
+    return arranged(source, target, messages, chunk_size=200_000)
+
+
+def parts(source, folder, cuts, **options):
+    """The messages in files, cut before these indices."""
+    messages = list(log.read(log.summarise(source)))
+    pairs = pairwise([0, *cuts, len(messages)])
+    return [arranged(source, folder / f"part_{k}.mcap", messages[a:b], **options) for k, (a, b) in enumerate(pairs)]
+
+
+def dealt(source, folder, number, seed):
+    """The messages in files whose times overlap: each in any of them."""
+    chosen, messages = random.Random(seed), list(log.read(log.summarise(source)))
+    piles = [[] for _ in range(number)]
+    for message in messages:
+        chosen.choice(piles).append(message)
+    return [arranged(source, folder / f"pile_{k}.mcap", pile) for k, pile in enumerate(piles)]

@@ -1,0 +1,198 @@
+"""The same messages in files of any arrangement: equal results, little memory, damage found."""
+
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.exceptions import McapError
+from mcap.writer import CompressionType, IndexType, Writer
+
+from roadperc_stream import log
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.log import Channel, Message
+from roadperc_stream.log.file_order import FileOrder
+from roadperc_stream.log.index import most_at_once
+from roadperc_stream.log.reading import IndexedFile
+from roadperc_stream.log.sorting import SortedMessages
+from roadperc_stream.loop import replay
+from tests.arranged import ARRANGEMENTS, arranged, by_topic, shuffled
+from tests.test_sample import SAMPLE
+
+A = Channel("/a", "x", source_id=1)
+LATEST_NS = 2**64 - 1
+
+
+@pytest.fixture
+def nothing_held(monkeypatch):
+    """Logs whose chunks overlap at all are sorted on disk."""
+    monkeypatch.setattr("roadperc_stream.log.reading.MOST_HELD_BYTES", 1_000_000)
+    monkeypatch.setattr("roadperc_stream.log.parts.MOST_HELD_BYTES", 1_000_000)
+
+
+def plain(messages):
+    return [(m.channel, m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]
+
+
+def written(path, times, **options):
+    """A log of the library's writer; each message's data is its place in the file."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start()
+        channels = [writer.register_channel(topic, "x", 0) for topic in ("/a", "/b", "/unused")]
+        for number, time in enumerate(times):
+            writer.add_message(channels[number % 2], time, str(number).encode() * 20, time, number)
+        writer.finish()
+    return path
+
+
+@pytest.mark.usefixtures("nothing_held")
+@pytest.mark.parametrize("options", ARRANGEMENTS.values(), ids=ARRANGEMENTS)
+def test_the_sample_is_the_same_in_every_arrangement(tmp_path, options):
+    whole = log.summarise(SAMPLE)
+    found = log.summarise(arranged(SAMPLE, tmp_path / "other.mcap", **options))
+    assert isinstance(found.source, IndexedFile if options.get("chunk_size") == 50_000 else SortedMessages)
+    assert (found.channels, found.counts, found.metadata) == (whole.channels, whole.counts, whole.metadata)
+    assert (found.first_ns, found.last_ns) == (whole.first_ns, whole.last_ns)
+    assert plain(log.read(found)) == plain(log.read(whole))
+
+
+@pytest.mark.usefixtures("nothing_held")
+@pytest.mark.parametrize("rearranged", [shuffled, by_topic])
+def test_messages_in_any_order_come_in_the_order_of_their_times(tmp_path, rearranged):
+    found = log.summarise(rearranged(SAMPLE, tmp_path / "other.mcap"))
+    assert isinstance(found.source, SortedMessages)
+    in_order, messages = plain(log.read(log.summarise(SAMPLE))), plain(log.read(found))
+    assert [m[1] for m in messages] == [m[1] for m in in_order]
+    assert sorted(messages, key=repr) == sorted(in_order, key=repr)
+
+
+@pytest.mark.usefixtures("nothing_held")
+def test_results_are_those_of_the_tidy_log_byte_for_byte(tmp_path):
+    names = {"tidy": SAMPLE}
+    for name in ("no chunks", "one chunk"):
+        names[name] = arranged(SAMPLE, tmp_path / f"{name}.mcap", **ARRANGEMENTS[name])
+    for name, source in names.items():
+        replay(source, tmp_path / f"{name}.out.mcap", ReplayConfig(), time_range=TimeRange(frames=2))
+    results = {(tmp_path / f"{name}.out.mcap").read_bytes() for name in names}
+    assert len(results) == 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.one_of(st.integers(0, 20), st.integers(0, LATEST_NS)), max_size=40),
+    st.sampled_from([*ARRANGEMENTS.values(), {"chunk_size": 100}]),
+    st.tuples(st.integers(0, 21), st.integers(0, 21)).map(sorted),
+    st.sampled_from([None, ["/a"], ["/b", "/c"], []]),
+)
+def test_any_messages_any_arrangement_any_part(tmp_path_factory, times, options, part, topics):
+    path = written(tmp_path_factory.mktemp("log") / "a.mcap", times, **options)
+    numbered = sorted((time, number) for number, time in enumerate(times))
+    summary = log.summarise(path)
+    assert [(m.log_time_ns, m.sequence) for m in log.read(summary)] == numbered
+    wanted = [
+        (time, number)
+        for time, number in numbered
+        if part[0] <= time < part[1] and (topics is None or "/ab"[1 + number % 2] in "".join(topics))
+    ]
+    read = log.read(summary, topics=topics, start_ns=part[0], end_ns=part[1])
+    assert [(m.log_time_ns, m.sequence) for m in read] == wanted
+
+
+def test_readers_of_a_sorted_log_do_not_disturb_one_another(tmp_path):
+    summary = log.summarise(written(tmp_path / "a.mcap", [3, 1, 2, 0], use_chunking=False))
+    pairs = list(zip(log.read(summary), log.read(summary), strict=True))
+    assert [one.log_time_ns for one, _ in pairs] == [other.log_time_ns for _, other in pairs] == [0, 1, 2, 3]
+
+
+def test_a_sorted_log_leaves_no_file_and_is_stored_only_when_read(tmp_path, monkeypatch):
+    path = written(tmp_path / "a.mcap", [2, 1], use_chunking=False)
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    summary = log.summarise(path)
+    assert summary.source._store is None
+    messages = log.read(summary)
+    assert next(messages).log_time_ns == 1
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
+def test_a_folder_for_temporary_files_that_is_full_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
+    summary = log.summarise(written(tmp_path / "a.mcap", [2, 1], use_chunking=False))
+    with pytest.raises(TargetError, match=rf"a\.mcap: cannot be stored in {tmp_path}/none: .*TMPDIR") as caught:
+        next(log.read(summary))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+def test_damage_in_a_log_without_index_is_found(tmp_path, compression):
+    options = {"index_types": IndexType.NONE, "compression": compression}
+    whole = written(tmp_path / "a.mcap", range(40), **options).read_bytes()
+    start = whole.index(b"\x06", 60)  # the first chunk
+    for at in range(start + 60, start + 160, 9):
+        (tmp_path / "b.mcap").write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        with pytest.raises(LogError, match=r"b\.mcap: damaged MCAP"):
+            log.summarise(tmp_path / "b.mcap")
+
+
+def test_chunks_that_overlap_are_counted_together():
+    assert most_at_once([]) == 0
+    assert most_at_once([(0, 9, 5), (10, 19, 7), (20, 29, 6)]) == 7
+    assert most_at_once([(0, 10, 5), (10, 19, 7), (5, 9, 1)]) == 12
+    assert most_at_once([(k, 100, 1) for k in range(10)]) == 10
+
+
+READ = """
+import resource
+import sys
+from pathlib import Path
+from roadperc_stream import log
+summary = log.summarise(Path(sys.argv[1]))
+print(sum(len(m.data) for m in log.read(summary)), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def read_and_peak(path):
+    """Bytes of messages that a process of its own reads, and the most memory it has."""
+    ended = subprocess.run([sys.executable, "-c", READ, path], capture_output=True, text=True, check=True, timeout=60)
+    return [int(word) for word in ended.stdout.split()]
+
+
+def test_memory_is_that_of_the_indexed_log(tmp_path):
+    """300 MB of messages: any arrangement that held them would be far beyond."""
+    data = bytes(1_000_000)
+
+    def big(name, order, **options):
+        with (tmp_path / name).open("wb") as stream:
+            writer = Writer(stream, **options)
+            writer.start()
+            channel = writer.register_channel("/a", "x", 0)
+            for time in order:
+                writer.add_message(channel, time, data, time)
+            writer.finish()
+        return tmp_path / name
+
+    _, tidy = read_and_peak(big("tidy.mcap", range(300)))
+    others = {
+        "shuffled": big("shuffled.mcap", [7 * k % 300 for k in range(300)]),
+        "one chunk": big("one.mcap", range(150), chunk_size=2**40),
+        "no index": big("no.mcap", range(300), index_types=IndexType.NONE),
+    }
+    for name, path in others.items():
+        read, peak = read_and_peak(path)
+        assert read == len(data) * (150 if name == "one chunk" else 300)
+        assert peak < 1.5 * tidy, name
+
+
+def test_a_message_of_a_channel_that_nothing_describes_is_damage():
+    with pytest.raises(McapError, match="no channel record found with id 1"):
+        FileOrder()._message(b"\1\0" + bytes(30))
+
+
+def test_equal_log_times_stay_as_they_came():
+    messages = [Message(A, 5, 5, k, b"") for k in range(9)]
+    source = SortedMessages("a", lambda: messages)
+    assert list(source.messages(None, None, None, validate_crcs=False)) == messages

@@ -1,0 +1,213 @@
+"""Several files as one log: the results of the whole, whatever the cuts, and what the user is told of how they join."""
+
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import roadperc_stream as rp
+from roadperc_stream import log
+from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.input import open_input
+from roadperc_stream.input.parts import PartSpan, joins
+from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Metadata
+from roadperc_stream.log.parts import MergedParts
+from roadperc_stream.log.sorting import SortedMessages
+from roadperc_stream.loop import replay
+from tests import logs
+from tests.arranged import ARRANGEMENTS, dealt, parts
+from tests.logs import START_NS
+from tests.test_sample import SAMPLE
+
+CFG = ReplayConfig()
+WHOLE = log.summarise(SAMPLE)
+MESSAGES = sum(WHOLE.counts.values())
+A, B = Channel("/a", "x", "S", "s", b"d", (("k", "v"),)), Channel("/b", "x")
+S = 1_000_000_000
+
+
+def plain(messages):
+    return [(m.channel.topic, m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]
+
+
+def written(path, messages, **extra):
+    with LogWriter(path) as writer:
+        for channel, time in messages:
+            writer.write(Message(channel, time, time, 0, f"{channel.topic} {time}".encode()))
+        for attachment in extra.get("attachments", ()):
+            writer.attach(attachment)
+        for record in extra.get("metadata", ()):
+            writer.describe(record)
+    return path
+
+
+@pytest.mark.parametrize("arrangement", [{}, ARRANGEMENTS["no chunks"]], ids=["indexed", "no index"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_parts_of_the_sample_are_the_sample(tmp_path, seed, arrangement):
+    cuts = sorted(random.Random(seed).sample(range(1, MESSAGES), 4))
+    files = parts(SAMPLE, tmp_path, cuts, **arrangement)
+    random.Random(seed).shuffle(files)
+    log_in, whole = open_input(files, CFG), open_input(SAMPLE, CFG)
+    assert isinstance(log_in.summary.source, SortedMessages if arrangement else MergedParts)
+    assert plain(log_in.messages()) == plain(whole.messages())
+    assert (log_in.log_id, log_in.span_ns, log_in.topics) == (whole.log_id, whole.span_ns, whole.topics)
+
+
+def test_parts_whose_times_overlap_are_merged(tmp_path):
+    files = dealt(SAMPLE, tmp_path, 3, seed=1)
+    log_in, whole = open_input(files, CFG), open_input(SAMPLE, CFG)
+    times = [m.log_time_ns for m in log_in.messages()]
+    assert times == sorted(times)
+    assert sorted(plain(log_in.messages())) == sorted(plain(whole.messages()))
+    assert sum("overlaps" in note for note in log_in.notes) == 2
+
+
+def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
+    third = [m.log_time_ns for m in log.read(WHOLE, topics=["/camera/front/image"])][2]
+    cut = next(k for k, m in enumerate(log.read(WHOLE)) if m.log_time_ns == third) + 1
+    files, part = parts(SAMPLE, tmp_path, [cut]), TimeRange(start_s=0.05, frames=3)
+    replay(SAMPLE, tmp_path / "whole.mcap", CFG, time_range=part)
+    summary = replay(files, tmp_path / "out.mcap", CFG, time_range=part)
+    assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "whole.mcap").read_bytes()
+    tables = [rp.read_metrics(tmp_path / name).select(~rp_times()) for name in ("out.mcap", "whole.mcap")]
+    assert tables[0].equals(tables[1])
+    assert summary.frames == 3
+
+
+def rp_times():
+    import polars.selectors as cs
+
+    return cs.ends_with("_ms")
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.lists(st.tuples(st.sampled_from([A, B]), st.integers(0, 30)), max_size=12), min_size=2, max_size=5))
+def test_any_files_come_in_the_order_of_their_times(tmp_path_factory, files):
+    folder = tmp_path_factory.mktemp("parts")
+    summary = log.summarise([written(folder / f"{k}.mcap", messages) for k, messages in enumerate(files)])
+    wanted = sorted((time, channel.topic) for messages in files for channel, time in messages)
+    read = [(m.log_time_ns, m.channel.topic) for m in log.read(summary)]
+    assert [time for time, _ in read] == [time for time, _ in wanted]
+    assert sorted(read) == wanted
+    assert sum(summary.counts.values()) == len(wanted)
+    assert {(c.topic, c.metadata) for c in summary.channels} == {(c.topic, c.metadata) for f in files for c, _ in f}
+    assert len(summary.channels) == len({c.topic for f in files for c, _ in f})
+    late = [(m.log_time_ns, m.channel.topic) for m in log.read(summary, topics=["/a"], start_ns=10, end_ns=20)]
+    assert sorted(late) == [(time, topic) for time, topic in wanted if 10 <= time < 20 and topic == "/a"]
+
+
+def test_equal_channels_of_several_files_are_one_and_twins_within_a_file_stay_apart(tmp_path):
+    twins = Channel("/a", "x", source_id=1), Channel("/a", "x", source_id=2)
+    one = written(tmp_path / "1.mcap", [(twins[0], 1), (twins[1], 2)])
+    two = written(tmp_path / "2.mcap", [(twins[0], 3), (Channel("/a", "y"), 4), (twins[1], 5)])
+    summary = log.summarise([one, two])
+    assert [(c.topic, c.message_encoding) for c in summary.channels] == [("/a", "x"), ("/a", "x"), ("/a", "y")]
+    assert [summary.counts[c.source_id] for c in summary.channels] == [2, 2, 1]
+    assert {m.channel for m in log.read(summary)} == set(summary.channels)
+
+
+def test_only_the_files_that_are_read_are_open(tmp_path, monkeypatch):
+    files = [written(tmp_path / f"{k}.mcap", [(A, 10 * k + j) for j in range(9)]) for k in range(30)]
+    summary, now, most = log.summarise(files), [0], [0]
+    for part, _ in summary.source.parts:
+
+        def counted(*args, messages=part.source.messages, **options):
+            now[0] += 1
+            most[0] = max(most[0], now[0])
+            yield from messages(*args, **options)
+            now[0] -= 1
+
+        monkeypatch.setattr(type(part.source), "messages", part.source.messages.__func__)
+        object.__setattr__(part.source, "messages", counted)
+    assert len(list(log.read(summary))) == 270
+    assert most[0] <= 2
+
+
+def test_more_files_at_a_time_than_can_be_open_are_sorted_on_disk(tmp_path):
+    files = [written(tmp_path / f"{k}.mcap", [(A, k), (B, 100)]) for k in range(40)]
+    summary = log.summarise(files)
+    assert isinstance(summary.source, SortedMessages)
+    assert [m.log_time_ns for m in log.read(summary)] == [*range(40), *[100] * 40]
+
+
+def test_attachments_and_metadata_are_united(tmp_path):
+    same, mine, yours = Attachment("a", "t", b"1", 1), Attachment("b", "t", b"2"), Attachment("b", "t", b"3")
+    one = written(tmp_path / "1.mcap", [(A, 1)], attachments=[same, mine], metadata=[Metadata("m", (("k", "v"),))])
+    again = Attachment("a", "t", b"1", 9)
+    two = written(tmp_path / "2.mcap", [(A, 2)], attachments=[again, yours], metadata=[Metadata("m", (("k", "v"),))])
+    summary = log.summarise([one, two])
+    assert summary.attachments == (same, mine, yours)
+    assert summary.metadata == (Metadata("m", (("k", "v"),)),)
+
+
+def test_gaps_and_overlaps_are_told(tmp_path):
+    spans = [
+        PartSpan(name, a * S, b * S, 11) for name, a, b in [("a", 0, 10), ("b", 11, 20), ("c", 15, 18), ("d", 23, 33)]
+    ]
+    assert joins(spans) == ["", "", "c: overlaps b by 3.000 s", "d: begins 3.000 s after b ends"]
+    assert joins([PartSpan("a", 0, 1, 1), PartSpan("b", 1, 2, 0)]) == ["", ""]
+
+
+def test_what_a_replay_of_parts_says(tmp_path, capsys):
+    items = logs.items(8)
+    edge = logs.START_NS + 3 * logs.STEP_NS
+    early = logs.write(tmp_path / "1.mcap", [item for item in items if item.stamp_ns < edge])
+    late = logs.write(tmp_path / "2.mcap", [item for item in items if item.stamp_ns > edge + 2 * logs.STEP_NS])
+    out = tmp_path / "out.mcap"
+    assert replay_main([str(late), "--only", "surface", str(early), str(out)]) == 0
+    assert f"note: {late}: begins 0.200 s after {early} ends\n" in capsys.readouterr().out
+    assert [frame.input.stamp_ns for frame in rp.frames([early, late])] == [
+        START_NS + k * logs.STEP_NS for k in (0, 1, 2, 6, 7)
+    ]
+
+
+def test_calibration_and_transforms_of_the_first_part_hold_in_the_others(tmp_path):
+    once = parts(SAMPLE, tmp_path, [MESSAGES // 2])
+    assert not [m for m in log.read(log.summarise(once[1]), topics=["/tf", "/camera/front/calibration"])]
+    frames = open_input(once, CFG, time_range=TimeRange(start_s=1.5, frames=1)).samples()
+    assert next(iter(frames)).frame.mounted
+
+
+def test_a_file_given_twice_is_an_error(tmp_path):
+    (tmp_path / "link.mcap").symlink_to(SAMPLE.absolute())
+    for again in (SAMPLE, tmp_path / "link.mcap"):
+        with pytest.raises(LogError, match="is given twice"):
+            open_input([SAMPLE, again], CFG)
+    with pytest.raises(LogError, match="no log is given"):
+        rp.replay([], tmp_path / "out.mcap")
+
+
+@pytest.mark.parametrize("number", [2, 3])
+@pytest.mark.parametrize("force", [[], ["--force"]])
+def test_who_forgets_the_output_loses_no_recording(tmp_path, number, force, capsys):
+    files = [logs.write(tmp_path / f"part_{k}.mcap", logs.items(2)) for k in range(number)]
+    last = files[-1].read_bytes()
+    assert replay_main([*map(str, files), *force]) == 1
+    assert f"{files[-1]}: is no result of this program, so nothing replaces it" in capsys.readouterr().err
+    assert files[-1].read_bytes() == last
+
+
+def test_several_inputs_replace_a_result_and_nothing_else(tmp_path):
+    files = parts(SAMPLE, tmp_path, [MESSAGES // 2])
+    out, part = tmp_path / "out.mcap", TimeRange(frames=1)
+    replay(files, out, CFG, time_range=part)
+    with pytest.raises(TargetError, match="exists already"):
+        replay(files, out, CFG, time_range=part)
+    replay(files, out, CFG, time_range=part, force=True)
+    out.write_bytes(b"something of value")
+    with pytest.raises(TargetError, match="is no result"):
+        replay(files, out, CFG, time_range=part, force=True)
+    with pytest.raises(TargetError, match="is the input itself"):
+        replay(files, files[0], CFG, force=True)
+    assert out.read_bytes() == b"something of value"
+
+
+def test_a_damaged_part_is_named(tmp_path):
+    files = parts(SAMPLE, tmp_path, [100, 200])
+    files[1].write_bytes(files[1].read_bytes()[:-100])
+    with pytest.raises(LogError, match=r"part_1\.mcap: cut off"):
+        open_input(files, CFG)

@@ -1,0 +1,110 @@
+"""Logs through standard input and named pipes: stored once, then like any file."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.loop import replay
+from roadperc_stream.output.tables import sidecar_path
+from tests.arranged import ARRANGEMENTS, arranged
+from tests.commands import run, words
+from tests.test_sample import SAMPLE
+
+
+def fed(path, data):
+    """A named pipe that a thread writes to."""
+    os.mkfifo(path)
+    Thread(target=path.write_bytes, args=(data,), daemon=True).start()
+    return path
+
+
+def plain(messages):
+    return [(m.channel, m.log_time_ns, m.data) for m in messages]
+
+
+@pytest.mark.parametrize("options", [{}, ARRANGEMENTS["no chunks, no summary"]], ids=["indexed", "no index"])
+def test_a_named_pipe_is_read_like_a_file(tmp_path, options):
+    source = arranged(SAMPLE, tmp_path / "a.mcap", **options)
+    (piped,) = log.received([fed(tmp_path / "pipe", source.read_bytes())])
+    expected, summary = log.summarise(source), log.summarise(piped)
+    assert plain(log.read(summary)) == plain(log.read(expected))
+    assert plain(log.read(summary)) == plain(log.read(expected))
+    assert (summary.path, summary.metadata) == (tmp_path / "pipe", expected.metadata)
+    salvage = log.Salvage(piped)
+    assert plain(salvage.messages()) == plain(log.Salvage(source).messages())
+    assert salvage.whole
+    assert not sidecar_path(piped, "metrics").exists()
+    assert log.received([piped, source]) == (piped, source)
+
+
+def test_a_pipe_gives_the_results_of_the_file(tmp_path):
+    part = TimeRange(frames=1)
+    replay(SAMPLE, tmp_path / "out.mcap", ReplayConfig(), time_range=part)
+    pipe = fed(tmp_path / "pipe", SAMPLE.read_bytes())
+    replay(pipe, tmp_path / "piped.mcap", ReplayConfig(), time_range=part)
+    with SAMPLE.open("rb") as stream:
+        ended = run("roadperc-replay", "-", tmp_path / "input.mcap", "--frames", "1", stdin=stream)
+    assert ended.returncode == 0, ended.stderr
+    results = {(tmp_path / f"{name}.mcap").read_bytes() for name in ("out", "piped", "input")}
+    assert len(results) == 1
+
+
+def through(command, data, *arguments):
+    """A command that reads a pipe."""
+    return subprocess.run(words(command, "-", *arguments), input=data, capture_output=True, check=False, timeout=60)
+
+
+def test_info_and_view_read_standard_input(tmp_path):
+    data = SAMPLE.read_bytes()
+    assert through("roadperc-info", data).stdout.startswith(b"-: whole, an input")
+    layouts = [tmp_path / "piped.json", tmp_path / "file.json"]
+    assert through("roadperc-view", data, "--foxglove-layout", layouts[0]).returncode == 0
+    assert run("roadperc-view", SAMPLE, "--foxglove-layout", layouts[1]).returncode == 0
+    assert layouts[0].read_bytes() == layouts[1].read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("data", "fault"),
+    [
+        (SAMPLE.read_bytes()[:1_000_000], "-: cut off: the MCAP footer is missing after 1000000 bytes"),
+        (b"", "-: empty file, expected an MCAP log"),
+        (b"nothing of the kind, but long enough", "-: not an MCAP log"),
+    ],
+)
+def test_a_pipe_that_brings_no_whole_log_is_one_line(tmp_path, data, fault):
+    ended = through("roadperc-replay", data, tmp_path / "out.mcap")
+    assert ended.returncode == 1
+    assert ended.stderr.decode().startswith(f"error: {fault}")
+    assert b"roadperc-info" not in ended.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_terminal_is_no_log(tmp_path):
+    controller, terminal = os.openpty()
+    ended = run("roadperc-replay", "-", tmp_path / "out.mcap", stdin=terminal)
+    os.close(controller)
+    os.close(terminal)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("error: -: standard input is a terminal")
+
+
+def test_standard_input_that_is_closed_is_no_log(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(LogError, match="-: standard input is closed"):
+        log.received([Path("-")])
+    with pytest.raises(LogError, match="-: is given twice"):
+        log.received([Path("-"), Path("-")])
+
+
+def test_a_disk_too_small_for_a_pipe_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
+    with pytest.raises(TargetError, match=rf"pipe: cannot be stored in {tmp_path}/none: .*TMPDIR names a folder"):
+        log.received([fed(tmp_path / "pipe", b"x")])
