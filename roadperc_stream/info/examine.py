@@ -30,7 +30,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
     salvage, tallies = scan.salvage, scan.tallies.values()
     first_ns = min((tally.first_ns for tally in tallies if tally.first_ns is not None), default=None)
     last_ns = max((tally.last_ns for tally in tallies), default=None)
-    result = any(record.name == METADATA_RECORD for record in salvage.metadata)
+    result = any(record.name == METADATA_RECORD for record in salvage.described.metadata)
     result = result or any(is_result(channel) for channel in salvage.channels.values())
     digest = scan.digest()
     return LogFacts(
@@ -45,7 +45,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
         log_times_back=scan.log_times_back,
         channels=tuple(_channel_facts(salvage.channels[i], scan, first_ns) for i in sorted(salvage.channels)),
         replay=_replay_facts(scan),
-        provenance=provenance_of(path, salvage.metadata, salvage.attachments, digest) if result else None,
+        provenance=provenance_of(path, salvage.described.metadata, salvage.described.attachments, digest) if result else None,
     )
 
 
@@ -56,15 +56,15 @@ def _seconds(at_ns: int | None, from_ns: int | None) -> float | None:
 def _file_facts(salvage: Salvage) -> FileFacts:
     return FileFacts(
         size_bytes=salvage.size_bytes,
-        profile=salvage.profile,
-        library=salvage.library,
+        profile=salvage.described.profile,
+        library=salvage.described.library,
         chunks=dict(salvage.chunks),
         whole=salvage.whole,
         damages=tuple(salvage.damages),
         last_good_ns=salvage.last_good_ns,
         absent=salvage.absent,
-        attachments={item.name: len(item.data) for item in salvage.attachments},
-        metadata=tuple(record.name for record in salvage.metadata),
+        attachments={item.name: len(item.data) for item in salvage.described.attachments},
+        metadata=tuple(record.name for record in salvage.described.metadata),
     )
 
 

@@ -9,13 +9,12 @@ from typing import IO, TypeVar
 
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, NonSeekingReader, make_reader
-from mcap.records import Channel as McapChannel
-from mcap.records import Schema as McapSchema
-from mcap.summary import Summary
 from zstandard import ZstdError
 
-from roadperc_stream.log.integrity import check_sections, damaged, require_whole, unopened
+from roadperc_stream.log.index import channel_of, usable_index
+from roadperc_stream.log.integrity import claims_seal, damaged, require_whole, unopened
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
+from roadperc_stream.log.salvage import Salvage
 
 T = TypeVar("T")
 
@@ -44,7 +43,7 @@ def summarise(path: Path) -> LogSummary:
         LogError: the file cannot be read, is no MCAP, is cut or damaged.
     """
     with _reading(path) as stream:
-        sealed = check_sections(path, stream)
+        sealed = _require_undamaged(path, claims_seal(stream))
         stream.seek(0)
         reader = make_reader(stream)
         profile = reader.get_header().profile
@@ -75,6 +74,22 @@ def summarise(path: Path) -> LogSummary:
         statistics.message_end_time,
         sealed,
     )
+
+
+def _require_undamaged(path: Path, sealed: bool) -> bool:
+    """Check all CRCs, and that index and statistics say what stands in the file.
+
+    Raises:
+        LogError: they do not; it says what can be read all the same.
+    """
+    found = Salvage(path, inside=not sealed)
+    found.run()
+    if not (found.whole and found.conclusive):
+        found = Salvage(path)
+        found.run()
+    if not found.whole:
+        raise damaged(path, str(found.damages[0]))
+    return True
 
 
 def read(
@@ -112,17 +127,6 @@ def read(
             yield Message(known[channel.id], message.log_time, message.publish_time, message.sequence, message.data)
 
 
-def usable_index(reader: McapReader) -> Summary | None:
-    """The log's index, where it names every chunk, channel and schema its messages use."""
-    index = reader.get_summary()
-    if index is None or index.statistics is None or not index.chunk_indexes:
-        return None
-    used = [index.channels.get(i) for i in index.statistics.channel_message_counts]
-    known = all(channel is not None and channel.schema_id in {0, *index.schemas} for channel in used)
-    whole = index.statistics.chunk_count == len(index.chunk_indexes)
-    return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
-
-
 def _beside_messages(stream: IO[bytes], records: Callable[[McapReader], Iterator[T]]) -> list[T]:
     """Attachments or metadata: all of them stand in the file, its index may name none."""
     stream.seek(0)
@@ -151,16 +155,3 @@ def _scan(
         last = message.log_time_ns
     ordered = tuple(channels[source] for source in sorted(channels))
     return LogSummary(path, profile, ordered, counts, attachments, metadata, first, last, sealed)
-
-
-def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
-    """A channel with its schema, free of the library."""
-    return Channel(
-        channel.topic,
-        channel.message_encoding,
-        schema.name if schema else "",
-        schema.encoding if schema else "",
-        schema.data if schema else b"",
-        tuple(sorted(channel.metadata.items())),
-        channel.id,
-    )

@@ -101,7 +101,7 @@ def test_a_changed_summary_and_a_changed_attachment_are_found(tmp_path):
         writer.finish()
     salvage, messages = salvaged(path)
     assert (salvage.whole, messages) == (True, [])
-    assert [a.data for a in salvage.attachments] == [b"content"]
+    assert [a.data for a in salvage.described.attachments] == [b"content"]
     whole = path.read_bytes()
     path.write_bytes(whole.replace(b"content", b"contend"))
     assert "CRC of the attachment" in salvaged(path)[0].damages[0].words
