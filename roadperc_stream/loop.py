@@ -15,6 +15,7 @@ from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import WHOLE, TimeRange
 from roadperc_stream.input import ReplayInput, open_input
+from roadperc_stream.input.damage import require_sound
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
 from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.output.drawing.on_request import PictureMaker
@@ -42,6 +43,8 @@ class ReplaySummary:
     problems: dict[str, int]
     throughout: tuple[str, ...]
     """The reasons that held in all frames, in words."""
+    warnings: tuple[str, ...] = ()
+    """Of a damaged log: where, what was saved and what was lost."""
 
 
 def run_frame(
@@ -67,6 +70,8 @@ def replay(
     results_only: bool = False,
     on_request: Collection[Request] = (),
     force: bool = False,
+    recover: bool = False,
+    strict: bool = False,
     progress: Progress = no_progress,
     opened: Callable[[LogWriter, tuple[int, int]], Timed] = unwatched,
 ) -> ReplaySummary:
@@ -81,6 +86,8 @@ def replay(
         results_only: leave the input's messages out of ``target``.
         on_request: pictures to write beside the results; drawing them counts as encoding.
         force: replace an existing ``target``.
+        recover: replay what can be read of a damaged log; frames behind what was lost say so.
+        strict: the first message that cannot be used is an error, instead of costing that message alone.
         progress: called with frames done and frames expected.
         opened: called once before the first message with the output and its first and last log time in nanoseconds;
             gives who takes each frame's times, which are not in the output.
@@ -90,13 +97,14 @@ def replay(
     """
     started = perf_counter()
     _require_free(source, target, force)
-    log_in, facts = open_input(source, cfg, overrides, time_range), table_facts(source, target, cfg)
+    log_in = open_input(source, cfg, overrides, time_range, recover=recover, strict=strict)
+    facts = table_facts(source, target, cfg)
     frames = TableWriter(sidecar_path(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(sidecar_path(target, "objects"), ObjectMetrics, facts)
     log_out, pictures = LogWriter(target, log_in.summary.profile), PictureMaker(on_request)
     state = ChainState()
     previous: Sample | None = None
-    with one_thread(), all_or_none(frames, detections, log_out):
+    with log_in, one_thread(), all_or_none(frames, detections, log_out):
         copy = MessageCopy(log_out, *_to_copy(log_in, results_only))
         results = ResultWriter(log_out, pictures)
         timed = opened(log_out, log_in.span_ns)
@@ -104,6 +112,8 @@ def replay(
             timer = StageTimer()
             with timer("total"):
                 state, result, written, row = run_frame(cfg, state, log_in.log_id, sample, previous, timer)
+                if strict:
+                    require_sound(source, sample.frame.stamp_ns, result.reasons())
                 copy.through(sample.log_time_ns)
                 results.write(sample, result, written, row, timer)
             timed(row, timer.columns())
@@ -124,6 +134,7 @@ def replay(
         log_in.dropped,
         log_in.unreadable,
         throughout(results.reasons, log_in.frames, log_in.topics),
+        log_in.warnings,
     )
 
 

@@ -218,5 +218,5 @@ def test_a_changed_summary_is_found(tmp_path):
     whole = path.read_bytes()
     at = whole.rindex(b"/text")
     path.write_bytes(whole[:at] + b"/best" + whole[at + 5 :])
-    with pytest.raises(LogError, match="CRC of the summary"):
+    with pytest.raises(LogError, match="channel 1 is described twice, differently"):
         log.summarise(path)

@@ -30,7 +30,8 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
     salvage, tallies = scan.salvage, scan.tallies.values()
     first_ns = min((tally.first_ns for tally in tallies if tally.first_ns is not None), default=None)
     last_ns = max((tally.last_ns for tally in tallies), default=None)
-    result = any(record.name == METADATA_RECORD for record in salvage.described.metadata)
+    described = salvage.described
+    result = any(record.name == METADATA_RECORD for record in described.metadata)
     result = result or any(is_result(channel) for channel in salvage.channels.values())
     digest = scan.digest()
     return LogFacts(
@@ -45,7 +46,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
         log_times_back=scan.log_times_back,
         channels=tuple(_channel_facts(salvage.channels[i], scan, first_ns) for i in sorted(salvage.channels)),
         replay=_replay_facts(scan),
-        provenance=provenance_of(path, salvage.described.metadata, salvage.described.attachments, digest) if result else None,
+        provenance=provenance_of(path, described.metadata, described.attachments, digest) if result else None,
     )
 
 

@@ -2,9 +2,12 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
@@ -12,6 +15,7 @@ from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.core.time import WHOLE, TimeRange, seconds_to_ns
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.input.assemble import sample_of
+from roadperc_stream.input.damage import loss_reason, require_outside, shifted, warnings_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.latched import without_loops
 from roadperc_stream.input.order import in_stamp_order
@@ -20,12 +24,18 @@ from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import tag_table_to_record
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages, Synchroniser
-from roadperc_stream.log import Channel, LogSummary, Message
+from roadperc_stream.log import Channel, DamagedLogError, LogSummary, Message, Recovery
 from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, TAG_TABLE_KEY, TOPIC_KEY, log_id_of
 
 
 def open_input(
-    source: Path, cfg: ReplayConfig, overrides: Mapping[str, str] | None = None, time_range: TimeRange = WHOLE
+    source: Path,
+    cfg: ReplayConfig,
+    overrides: Mapping[str, str] | None = None,
+    time_range: TimeRange = WHOLE,
+    *,
+    recover: bool = False,
+    strict: bool = False,
 ) -> "ReplayInput":
     """Check a log, assign its channels to roles, and find the part to replay.
 
@@ -34,29 +44,67 @@ def open_input(
         cfg: how messages are decoded, paired and placed.
         overrides: topic of each role that is not on the contract's topic.
         time_range: the part to replay; the copy of the input is cut with it.
+        recover: replay what can be read of a damaged log.
+        strict: the first message that cannot be used is an error.
 
     Raises:
         ChannelError: the channels do not fit the roles.
-        LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
+        LogError: the log cannot be read, is damaged in the part asked for, or that part holds no frame.
     """
+    try:
+        return _opened(source, cfg, overrides or {}, time_range, strict=strict)
+    except DamagedLogError as damage:
+        if time_range == WHOLE and not recover:
+            raise
+        with ExitStack() as resources:
+            copy, salvage, recovery = resources.enter_context(log.repaired_copy(source))
+            part = shifted(time_range, salvage.first_ns, log.summarise(copy).first_ns)
+            log_in = _opened(copy, cfg, overrides or {}, part, strict=strict)
+            if not recover:
+                require_outside(damage, damage.damages, *log_in.reads_ns)
+            log_in.warnings = tuple(warnings_of(source, damage.damages, recovery, salvage.first_ns))
+            log_in.resources = resources.pop_all()
+        return log_in
+
+
+def _opened(
+    source: Path, cfg: ReplayConfig, overrides: Mapping[str, str], time_range: TimeRange, *, strict: bool
+) -> "ReplayInput":
     summary = log.summarise(source)
-    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides or {}, time_range))
+    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides, time_range, strict=strict))
 
 
 class ReplayInput:
     """The frames of a log, the messages they are made of, and what became of these.
 
-    ``frames``, ``dropped``, ``unreadable`` and ``notes`` are of the samples so far; ``samples`` begins anew.
+    ``frames``, ``dropped``, ``unreadable`` and ``notes`` are of the samples so far; ``samples`` begins anew. As a
+    context manager it gives back what a damaged log was saved to.
     """
+
+    warnings: tuple[str, ...] = ()
+    """What the user should know of a damaged log."""
 
     def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan) -> None:
         self.summary, self.plan = summary, plan
         self._cfg = cfg
+        self.resources = ExitStack()
+        recovery = Recovery.of_record(summary.metadata)
+        self._gaps = () if recovery is None else recovery.gaps
         self._begin()
+
+    def __enter__(self) -> Self:
+        """Nothing is left to be opened."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Remove what a damaged log was saved to."""
+        self.resources.__exit__(kind, error, trace)
 
     def _begin(self) -> None:
         plan = self.plan
-        self._problems = Problems()
+        self._problems = Problems(plan.problems.strict_in)
         self._dropped = Counter[str]()
         tolerance_ns = seconds_to_ns(self._cfg.sync.tolerance_s)
         roles = plan.roles.topics
@@ -82,6 +130,13 @@ class ReplayInput:
         """First and last log time of the part to replay."""
         return span_ns(self.summary, self.plan.window)
 
+    @property
+    def reads_ns(self) -> tuple[int | None, int | None]:
+        """First log time of the part to replay, and the first no longer read; None without a limit."""
+        window = self.plan.window
+        late_ns = seconds_to_ns(self._cfg.sync.max_wait_s)
+        return window.start_ns, None if window.end_ns is None else window.end_ns + late_ns
+
     def samples(self) -> Iterator[Sample]:
         """The frames in order, a few messages in memory at a time.
 
@@ -95,11 +150,13 @@ class ReplayInput:
         decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems)
         items = without_loops(decoded, plan.latched, topics, self._problems)
         ordered = in_stamp_order(items, plan.order, self._drop)
-        log_time_ns = 0
+        log_time_ns, before_ns = 0, None
         for index, synced in enumerate(islice(self._synchroniser.synced(ordered), plan.most_frames)):
             sample = self._sample(synced, index)
             log_time_ns = max(log_time_ns, sample.log_time_ns)  # results do not go back in the log
-            yield replace(sample, log_time_ns=log_time_ns)
+            lost = loss_reason(self._gaps, before_ns, log_time_ns)
+            yield replace(sample, log_time_ns=log_time_ns, lost=lost)
+            before_ns = log_time_ns
         if not self.frames:
             topic = self.topics[plan.order.reference]
             raise LogError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")

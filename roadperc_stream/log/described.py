@@ -21,13 +21,16 @@ class Described:
     attachments: list[Attachment] = field(default_factory=list)
     metadata: list[Metadata] = field(default_factory=list)
     _schemas: dict[int, records.Schema] = field(default_factory=dict)
-    _in_data: set[int] = field(default_factory=set)
+    _unsettled: set[int] = field(default_factory=set)
+    """Channels that only the index has described yet; so of schemas."""
+    _unsettled_schemas: set[int] = field(default_factory=set)
 
     def add_index(self, index: Summary) -> None:
         """Know what the index describes, for messages whose own description is lost."""
         self._schemas |= index.schemas
         for channel in index.channels.values():
             self.channels[channel.id] = channel_of(channel, self._schemas.get(channel.schema_id))
+        self._unsettled_schemas, self._unsettled = set(self._schemas), set(self.channels)
 
     def add(self, item: records.McapRecord, *, in_data: bool) -> None:
         """Take note of a record; of any other kind there is nothing to note.
@@ -39,7 +42,7 @@ class Described:
             case records.Header():
                 self.profile, self.library = item.profile, item.library
             case records.Schema():
-                self._add_schema(item)
+                self._add_schema(item, in_data=in_data)
             case records.Channel():
                 self._add_channel(item, in_data=in_data)
             case records.Attachment():
@@ -48,18 +51,19 @@ class Described:
             case records.Metadata():
                 self.metadata.append(Metadata(item.name, tuple(sorted(item.metadata.items()))))
 
-    def _add_schema(self, schema: records.Schema) -> None:
-        known = self._schemas.setdefault(schema.id, schema)
-        if known != schema:
+    def _add_schema(self, schema: records.Schema, *, in_data: bool) -> None:
+        if in_data and schema.id in self._unsettled_schemas:
+            self._unsettled_schemas.discard(schema.id)
+            self._schemas[schema.id] = schema
+        if self._schemas.setdefault(schema.id, schema) != schema:
             raise ValueError(f"schema {schema.id} is described twice, differently")
 
     def _add_channel(self, channel: records.Channel, *, in_data: bool) -> None:
         if channel.schema_id and channel.schema_id not in self._schemas:
             raise ValueError(f"channel {channel.id} has schema {channel.schema_id}, which nothing describes")
         found = channel_of(channel, self._schemas.get(channel.schema_id))
-        known = self.channels.setdefault(channel.id, found)
-        if in_data and channel.id not in self._in_data:
-            self._in_data.add(channel.id)
+        if in_data and channel.id in self._unsettled:
+            self._unsettled.discard(channel.id)
             self.channels[channel.id] = found
-        if known != found:
+        if self.channels.setdefault(channel.id, found) != found:
             raise ValueError(f"channel {channel.id} is described twice, differently")

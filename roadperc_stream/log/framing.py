@@ -13,6 +13,7 @@ from typing import IO, Final
 
 from mcap.opcode import Opcode
 
+from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.integrity import CRC_BYTES, MAGIC
 from roadperc_stream.log.resync import IsMessage, next_record
 
@@ -46,25 +47,6 @@ _OF_SUMMARY: Final[frozenset[int]] = frozenset(
 )
 _MOST_CUT_BYTES: Final = 256 * 1024 * 1024
 """What is read of a record that does not end: its chunk may be whole, and only its length wrong."""
-
-
-@dataclass(frozen=True)
-class Damage:
-    """Where a file is not what it should be, and how.
-
-    ``first_ns`` and ``last_ns`` are the log times of the messages that it may concern, None without a limit.
-    """
-
-    byte: int
-    words: str
-    first_ns: int | None = None
-    last_ns: int | None = None
-
-    def concerns(self, start_ns: int | None, end_ns: int | None) -> bool:
-        """Whether messages from ``start_ns`` up to ``end_ns`` may be among those, None without a limit."""
-        ends_before = self.last_ns is not None and start_ns is not None and self.last_ns < start_ns
-        starts_behind = self.first_ns is not None and end_ns is not None and self.first_ns >= end_ns
-        return not (ends_before or starts_behind)
 
 
 @dataclass(frozen=True)

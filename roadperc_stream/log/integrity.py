@@ -23,7 +23,12 @@ CRC_BYTES: Final = 4
 
 def damaged(path: Path, what: str) -> LogError:
     """The error of a log that is not whole; it names the command that says where, and what can still be read."""
-    return LogError(f"{path}: {what}; roadperc-info {shlex.quote(str(path))} tells what is whole")
+    return LogError(f"{path}: {what}; {says_more(path)}")
+
+
+def says_more(path: Path) -> str:
+    """The command that says where a log is damaged."""
+    return f"roadperc-info {shlex.quote(str(path))} tells what is whole"
 
 
 def unopened(path: Path, error: OSError) -> LogError:

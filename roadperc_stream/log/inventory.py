@@ -9,7 +9,8 @@ from typing import Final
 from mcap import records
 
 from roadperc_stream.log.chunks import ChunkHead
-from roadperc_stream.log.framing import Damage, Record
+from roadperc_stream.log.damage import Damage
+from roadperc_stream.log.framing import Record
 
 _INDEX_HEAD: Final = struct.Struct("<HI")
 _INDEX_ENTRY: Final = struct.Struct("<QQ")

@@ -11,10 +11,10 @@ from mcap.exceptions import McapError
 from mcap.reader import McapReader, NonSeekingReader, make_reader
 from zstandard import ZstdError
 
+from roadperc_stream.log.audit import require_undamaged
 from roadperc_stream.log.index import channel_of, usable_index
-from roadperc_stream.log.integrity import claims_seal, damaged, require_whole, unopened
+from roadperc_stream.log.integrity import damaged, require_whole, unopened
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
-from roadperc_stream.log.salvage import Salvage
 
 T = TypeVar("T")
 
@@ -37,14 +37,13 @@ def _reading(path: Path) -> Iterator[IO[bytes]]:
 def summarise(path: Path) -> LogSummary:
     """Channels, counts, attachments and metadata of a log, from its index where it has one.
 
-    The CRCs over the whole file are checked as it is read.
+    All CRCs are checked, and that index and statistics say what stands in the file.
 
     Raises:
         LogError: the file cannot be read, is no MCAP, is cut or damaged.
     """
+    require_undamaged(path)
     with _reading(path) as stream:
-        sealed = _require_undamaged(path, claims_seal(stream))
-        stream.seek(0)
         reader = make_reader(stream)
         profile = reader.get_header().profile
         index = usable_index(reader)
@@ -57,7 +56,7 @@ def summarise(path: Path) -> LogSummary:
             for m in _beside_messages(stream, lambda reader: reader.iter_metadata())
         )
     if index is None:
-        return _scan(path, profile, attachments, metadata, sealed)
+        return _scan(path, profile, attachments, metadata)
     channels = tuple(
         channel_of(index.channels[i], index.schemas.get(index.channels[i].schema_id)) for i in sorted(index.channels)
     )
@@ -72,24 +71,7 @@ def summarise(path: Path) -> LogSummary:
         metadata,
         statistics.message_start_time,
         statistics.message_end_time,
-        sealed,
     )
-
-
-def _require_undamaged(path: Path, sealed: bool) -> bool:
-    """Check all CRCs, and that index and statistics say what stands in the file.
-
-    Raises:
-        LogError: they do not; it says what can be read all the same.
-    """
-    found = Salvage(path, inside=not sealed)
-    found.run()
-    if not (found.whole and found.conclusive):
-        found = Salvage(path)
-        found.run()
-    if not found.whole:
-        raise damaged(path, str(found.damages[0]))
-    return True
 
 
 def read(
@@ -140,9 +122,7 @@ def _beside_messages(stream: IO[bytes], records: Callable[[McapReader], Iterator
     return list(records(NonSeekingReader(stream)))
 
 
-def _scan(
-    path: Path, profile: str, attachments: tuple[Attachment, ...], metadata: tuple[Metadata, ...], sealed: bool
-) -> LogSummary:
+def _scan(path: Path, profile: str, attachments: tuple[Attachment, ...], metadata: tuple[Metadata, ...]) -> LogSummary:
     """The summary of a log without an index, by reading it."""
     channels: dict[int, Channel] = {}
     counts: Counter[int] = Counter()
@@ -154,4 +134,4 @@ def _scan(
         first = message.log_time_ns if first is None else first
         last = message.log_time_ns
     ordered = tuple(channels[source] for source in sorted(channels))
-    return LogSummary(path, profile, ordered, counts, attachments, metadata, first, last, sealed)
+    return LogSummary(path, profile, ordered, counts, attachments, metadata, first, last)

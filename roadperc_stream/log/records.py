@@ -67,8 +67,6 @@ class LogSummary:
     metadata: tuple[Metadata, ...] = ()
     first_ns: int | None = None
     last_ns: int | None = None
-    sealed: bool = False
-    """Whether a CRC over the whole data section was found right: then no chunk needs another look."""
 
 
 class MessageDigest:

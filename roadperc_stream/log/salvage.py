@@ -27,8 +27,9 @@ from roadperc_stream.log.chunks import (
     contents_of,
     message_head,
 )
+from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.described import Described
-from roadperc_stream.log.framing import Damage, Framing, Record
+from roadperc_stream.log.framing import Framing, Record
 from roadperc_stream.log.index import UNREADABLE, end_of, index_of, places_of, span_ns_of
 from roadperc_stream.log.integrity import data_end_of, require_log, unopened
 from roadperc_stream.log.inventory import ChunkPlace, Inventory, Positions
@@ -132,8 +133,9 @@ class Salvage:
 
     @property
     def first_ns(self) -> int | None:
-        """Log time of the first message that was written, as far as the file says."""
-        return self._index.statistics.message_start_time if self._index and self._index.statistics else None
+        """Log time of the first message that was written, as far as the index says, else of the first one read."""
+        indexed = self._index.statistics if self._index else None
+        return self._inventory.first_ns if indexed is None else indexed.message_start_time
 
     @property
     def written(self) -> dict[int, int] | None:
@@ -278,7 +280,10 @@ class Salvage:
     def _note(self, opcode: int, body: bytes, start: int | None = None) -> None:
         """Keep what a record other than a message says; ``start`` is its first byte, None inside a chunk."""
         if opcode in _PARSED:
-            item = _PARSED[opcode].read(ReadDataStream(BytesIO(body)))
+            stream = _Bounded(BytesIO(body))
+            item = _PARSED[opcode].read(stream)
+            if start is None and stream.count < len(body):  # the library reads on at the wrong byte there
+                raise ValueError(f"a record of {len(body)} bytes whose fields have {stream.count}")
             if start is not None:
                 self._inventory.note(start, item)
             self.described.add(item, in_data=self._framing.summary_start is None)
@@ -299,6 +304,17 @@ class Salvage:
             f"CRCs of {self._chunks_without_crc} chunks": bool(self._chunks_without_crc),
         }
         self.absent = tuple(what for what, true in lacking.items() if true)
+
+
+class _Bounded(ReadDataStream):
+    """A record's bytes, and an error where its fields want more."""
+
+    def read(self, length: int) -> bytes:
+        """The next bytes, all of them."""
+        data = super().read(length)
+        if len(data) < length:
+            raise EndOfFile
+        return data
 
 
 def _in_words(error: BaseException) -> str:

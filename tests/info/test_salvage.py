@@ -59,8 +59,7 @@ def test_reading_goes_on_behind_a_record_whose_length_is_nonsense(tmp_path):
     path.write_bytes(whole)
     salvage, messages = salvaged(path)
     assert salvage.damages[0].byte == at
-    assert messages[-1].log_time_ns == TIMES[-1]
-    assert len(messages) < len(TIMES)
+    assert [m.log_time_ns for m in messages] == TIMES  # the chunk says itself how long it is
 
 
 @pytest.mark.parametrize("sealed", [True, False])

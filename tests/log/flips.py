@@ -54,21 +54,25 @@ def flipped(content, bit):
     return bytes(changed)
 
 
-def outcome(path, truth):
+def outcome(path, truth, *, counted=True):
     """What reading a log comes to: ``refused``, ``lost`` (silently), or ``read``.
 
     Args:
         path: the log.
         truth: messages by topic.
+        counted: whether the log says itself how many messages each channel has: else a message that a bit moves to
+            another channel is as little to be found as one whose content it changes.
     """
     try:
-        summary = log.summarise(path)
-        messages = list(log.read(path, validate_crcs=not summary.sealed))
+        log.summarise(path)
+        messages = list(log.read(path))
         parts = [part for limits in ranges() for part in [(limits, list(log.read(path, **limits)))]]
         topics = [list(log.read(path, topics=[topic])) for topic in truth]
     except LogError:
         return "refused"
     found = Counter(message.channel.topic for message in messages)
+    if len(messages) == sum(truth.values()) and not counted:
+        return "read"
     if any(found[topic] < number for topic, number in truth.items()):
         return "lost"
     inside = [sum(_is_inside(message, **limits) for message in messages) for limits, _ in parts]
