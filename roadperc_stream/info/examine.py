@@ -12,7 +12,7 @@ from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.roles import CAMERA_OF
-from roadperc_stream.log import Channel, Salvage
+from roadperc_stream.log import Channel, Recovery, Salvage
 from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY, log_id_of
 
 
@@ -63,6 +63,7 @@ def _file_facts(salvage: Salvage) -> FileFacts:
         whole=salvage.whole,
         damages=tuple(salvage.damages),
         last_good_ns=salvage.last_good_ns,
+        recovery=Recovery.of_record(salvage.described.metadata),
         absent=salvage.absent,
         attachments={item.name: len(item.data) for item in salvage.described.attachments},
         metadata=tuple(record.name for record in salvage.described.metadata),

@@ -61,7 +61,7 @@ def open_input(
             part = shifted(time_range, salvage.first_ns, log.summarise(copy).first_ns)
             log_in = _opened(copy, cfg, overrides or {}, part, strict=strict)
             if not recover:
-                require_outside(damage, damage.damages, *log_in.reads_ns)
+                require_outside(damage, damage.damages, log_in.plan.window.start_ns, log_in.plan.window.end_ns)
             log_in.warnings = tuple(warnings_of(source, damage.damages, recovery, salvage.first_ns))
             log_in.resources = resources.pop_all()
         return log_in
@@ -129,13 +129,6 @@ class ReplayInput:
     def span_ns(self) -> tuple[int, int]:
         """First and last log time of the part to replay."""
         return span_ns(self.summary, self.plan.window)
-
-    @property
-    def reads_ns(self) -> tuple[int | None, int | None]:
-        """First log time of the part to replay, and the first no longer read; None without a limit."""
-        window = self.plan.window
-        late_ns = seconds_to_ns(self._cfg.sync.max_wait_s)
-        return window.start_ns, None if window.end_ns is None else window.end_ns + late_ns
 
     def samples(self) -> Iterator[Sample]:
         """The frames in order, a few messages in memory at a time.

@@ -100,7 +100,13 @@ class Framing:
     summary_start: int | None = None
     """The first byte behind the data section; None before it was found."""
     _data_crc: int | None = None
+    _data_crc_damage: Damage | None = None
     _summary_crc: int | None = None
+
+    def forget_data_crc(self) -> None:
+        """What else was found in the data section says where it is wrong."""
+        if self._data_crc_damage in self.damages:
+            self.damages.remove(self._data_crc_damage)
 
     def damaged(self, byte: int, words: str, first_ns: int | None = None, last_ns: int | None = None) -> None:
         """Take note of a damage."""
@@ -182,7 +188,9 @@ class Framing:
         self.chunked |= record.opcode == Opcode.CHUNK
         if record.opcode == Opcode.DATA_END:
             self.summary_start = record.end
+            before = len(self.damages)
             self.sealed = self._compare("data section", record, self._data_crc)
+            self._data_crc_damage = self.damages[before] if len(self.damages) > before else None
             self._summary_crc = 0
         elif self._summary_crc is not None:
             without_last = CRC_BYTES if record.opcode == Opcode.FOOTER else 0

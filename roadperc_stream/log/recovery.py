@@ -95,8 +95,9 @@ class Recovery:
             first_ns: log time of the first message, from which seconds count.
         """
         lost = sum(self.lost.values())
-        number = f"{lost}" if self.exact else f"at least {lost}"
-        yield f"{self.saved} messages saved, {number} lost{_listed(self.lost)}"
+        number = f"{lost}" if self.exact else f"at least {lost}" if lost else "an unknown number of them"
+        listed = "" if len(self.gaps) == 1 and self.gaps[0].messages == self.lost else _listed(self.lost)
+        yield f"{self.saved} messages saved, {number} lost{listed}"
         for gap in self.gaps[:_GAPS_LISTED]:
             yield f"lost {_between(gap, first_ns)}{_listed(gap.messages)}"
         if len(self.gaps) > _GAPS_LISTED:

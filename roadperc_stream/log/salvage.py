@@ -95,6 +95,8 @@ class Salvage:
         self._inventory, self._losses = Inventory(), Losses()
         self._framing = Framing(self.size_bytes, resume_at, self._is_message)
         self._chunks_without_crc = self._breaks = 0
+        self._covered = True
+        """Whether every message that was read stands in a chunk with a CRC of its own."""
 
     @property
     def damages(self) -> list[Damage]:
@@ -178,6 +180,7 @@ class Salvage:
             return
         try:
             if record.opcode == Opcode.MESSAGE:
+                self._covered = False
                 yield self._counted(record.body)
             elif record.opcode == Opcode.MESSAGE_INDEX:
                 self._inventory.add_message_index(record)
@@ -196,6 +199,7 @@ class Salvage:
             return
         self.chunks[head.compression] += 1
         self._chunks_without_crc += not head.crc
+        self._covered &= bool(head.crc)
         if not self.inside and not record.fault:
             self._inventory.add_chunk(ChunkPlace.of(record, head, None))
             return
@@ -296,6 +300,8 @@ class Salvage:
         """What only the end shows: records that fell out without a trace, and what the writer left out."""
         self._note_breaks()
         self._note_damage(self._inventory.close_chunk())
+        if len(self.damages) > 1 and self._covered:
+            self._framing.forget_data_crc()
         if not self.damages and self.conclusive:
             self.damages.extend(self._inventory.discrepancies(self._framing.summary_start))
         lacking = {

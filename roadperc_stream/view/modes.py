@@ -5,6 +5,8 @@ from collections.abc import Iterable, Mapping
 from importlib import import_module
 from shlex import quote
 
+from roadperc_stream import log
+from roadperc_stream.input.damage import warnings_of
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.view.layout.writing import write_layout
@@ -22,6 +24,18 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
     Raises:
         RoadpercError: the log cannot be shown.
     """
+    if not arguments.recover or arguments.log is None or log.audited(arguments.log).whole:
+        _view(arguments, playback)
+        return
+    source = arguments.log
+    with log.repaired_copy(source) as (copy, salvage, recovery):
+        if not arguments.quiet:
+            for warning in warnings_of(source, salvage.damages, recovery, salvage.first_ns):
+                print(f"warning: {warning}")
+        _view(argparse.Namespace(**{**vars(arguments), "log": copy}), playback)
+
+
+def _view(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
     if arguments.foxglove_layout:
         _lay_out(arguments)
     if arguments.foxglove:
