@@ -57,6 +57,8 @@ def replay(
     max_frames: int | None = None,
     results_only: bool = False,
     force: bool = False,
+    recover: bool = False,
+    strict: bool = False,
 ) -> ReplaySummary:
     """Replay a log through the chain, as ``roadperc-replay`` does.
 
@@ -70,9 +72,11 @@ def replay(
         max_frames: replay at most so many frames.
         results_only: leave the input's messages out of ``dst``.
         force: replace an existing ``dst``, but no recording.
+        recover: replay what can be read of a damaged log; frames behind what was lost say so in their reasons.
+        strict: the first message that cannot be used is an error, instead of costing that message alone.
 
     Returns:
-        Frames, dropped messages, notes, and the reasons that held in all frames.
+        Frames, dropped messages, notes, warnings of damage, and the reasons that held in all frames.
 
     Raises:
         RoadpercError: the input cannot be read or replayed, or the output cannot be written; nothing is left behind.
@@ -85,6 +89,8 @@ def replay(
         time_range=TimeRange(start_s, end_s, max_frames),
         results_only=results_only,
         force=force,
+        recover=recover,
+        strict=strict,
     )
 
 
@@ -106,6 +112,7 @@ def frames(
     start_s: float | None = None,
     end_s: float | None = None,
     max_frames: int | None = None,
+    recover: bool = False,
 ) -> Iterator[LogFrame]:
     """Run the chain over a log and give its frames with their results, in order, one in memory at a time.
 
@@ -115,9 +122,9 @@ def frames(
         RoadpercError: the log cannot be read or replayed.
     """
     cfg = _config(config)
-    log_in = open_input(_paths(log), cfg, topics, TimeRange(start_s, end_s, max_frames))
     state = ChainState()
     previous: Sample | None = None
+    log_in = open_input(_paths(log), cfg, topics, TimeRange(start_s, end_s, max_frames), recover=recover)
     for sample in log_in.samples():
         with one_thread():  # the same bits as in a replay, whatever the caller's own settings
             state, result, _, row = run_frame(cfg, state, log_in.log_id, sample, previous)

@@ -17,6 +17,7 @@ from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import WHOLE, TimeRange
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input import ReplayInput, open_input
+from roadperc_stream.input.damage import require_sound
 from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
 from roadperc_stream.metrics import frame_metrics, object_metrics
@@ -45,6 +46,8 @@ class ReplaySummary:
     problems: dict[str, int]
     throughout: tuple[str, ...]
     """The reasons that held in all frames, in words."""
+    warnings: tuple[str, ...] = ()
+    """Of a damaged log: where, what was saved and what was lost."""
 
 
 def run_frame(
@@ -70,6 +73,8 @@ def replay(
     results_only: bool = False,
     on_request: Collection[Request] = (),
     force: bool = False,
+    recover: bool = False,
+    strict: bool = False,
     progress: Progress = no_progress,
     opened: Callable[[LogWriter, tuple[int, int]], Timed] = unwatched,
 ) -> ReplaySummary:
@@ -84,6 +89,8 @@ def replay(
         results_only: leave the input's messages out of ``target``.
         on_request: pictures to write beside the results; drawing them counts as encoding.
         force: replace an existing ``target``, but no recording.
+        recover: replay what can be read of a damaged log; frames behind what was lost say so.
+        strict: the first message that cannot be used is an error, instead of costing that message alone.
         progress: called with frames done and frames expected.
         opened: called once before the first message with the output and its first and last log time in nanoseconds;
             gives who takes each frame's times, which are not in the output.
@@ -96,7 +103,8 @@ def replay(
     _require_free(sources, target, force=True)
     _require_no_recording(target, several=len(sources) > 1)
     _require_free(sources, target, force)
-    log_in, facts = open_input(sources, cfg, overrides, time_range), table_facts(sources, target, cfg)
+    log_in = open_input(sources, cfg, overrides, time_range, recover=recover, strict=strict)
+    facts = table_facts(sources, target, cfg)
     frames = TableWriter(sidecar_path(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(sidecar_path(target, "objects"), ObjectMetrics, facts)
     log_out, pictures = LogWriter(target, log_in.summary.profile), PictureMaker(on_request)
@@ -110,6 +118,8 @@ def replay(
             timer = StageTimer()
             with timer("total"):
                 state, result, written, row = run_frame(cfg, state, log_in.log_id, sample, previous, timer)
+                if strict:
+                    require_sound(log_in.summary.path, sample.frame.stamp_ns, result.reasons())
                 copy.through(sample.log_time_ns)
                 results.write(sample, result, written, row, timer)
             timed(row, timer.columns())
@@ -130,6 +140,7 @@ def replay(
         log_in.dropped,
         log_in.unreadable,
         throughout(results.reasons, log_in.frames, log_in.topics),
+        log_in.warnings,
     )
 
 

@@ -42,7 +42,7 @@ def metrics(target):
 
 def by_topic(path):
     topics = {}
-    for message in log.read(log.summarise(path), validate_crcs=True):
+    for message in log.read(log.summarise(path)):
         topics.setdefault(message.channel.topic, []).append(message)
     return topics
 

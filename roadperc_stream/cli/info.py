@@ -13,15 +13,25 @@ example:
   roadperc-info bag.mcap --topic image=/front/rgb      as roadperc-replay would take it
   roadperc-info part_*.mcap                            also how they join as the parts of one log
   roadperc-info --json logs/*.mcap                     a JSON object and line per log, for scripts; times in ns
+  roadperc-info cut.mcap --recover whole.mcap          what can be read of a damaged log, as a whole one
 
 The keys of --json are the fields in roadperc_stream/info/facts.py; a log that cannot be opened gives "log" and "error".
 Exit code 0: every log is whole; 1: one is cut, damaged or no log at all (the others are printed all the same).
+With --recover 0: some of the log was saved; 1: nothing was.
 """
 
 
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-info``: print what is known of logs."""
-    arguments = parse(_parser(), argv)
+    parser = _parser()
+    arguments = parse(parser, argv)
+    if arguments.recover is not None:
+        _require_alone(parser, arguments)
+        from roadperc_stream.info.recovering import recover_log
+
+        return run(lambda: recover_log(arguments.logs[0], arguments.recover, force=arguments.force))
+    if arguments.force:
+        parser.error("--force: only with --recover")
     from roadperc_stream.info.listing import list_logs
 
     return run(lambda: list_logs(arguments.logs, arguments.topic, as_json=arguments.json))
@@ -43,5 +53,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     add_topic_argument(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object a log, on a line of its own")
+    recover = parser.add_argument(
+        "--recover", metavar="OUT.mcap", type=Path, help="write what can be read of a damaged LOG as a whole log"
+    )
+    parser.add_argument("--force", action="store_true", help="replace an existing OUT.mcap")
     completed_by(logs, files(*LOGS))
+    completed_by(recover, files(".mcap"))
     return parser
+
+
+def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """End with a line on the usage, where something stands beside ``--recover`` that it has no use for."""
+    if len(arguments.logs) > 1:
+        parser.error(f"--recover: expected one LOG, found {len(arguments.logs)}")
+    for option in ("json", "topic"):
+        if getattr(arguments, option):
+            parser.error(f"--{option}: not together with --recover")

@@ -79,6 +79,8 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--debug", action="store_true", help="write /perception/debug/...: proposed lines, matches, template, disparity"
     )
+    add("--recover", action="store_true", help="replay what can be read of a damaged log, and say what was lost")
+    add("--strict", action="store_true", help="stop at the first message that cannot be used")
     add("--force", action="store_true", help="replace an existing OUT.mcap, but no recording")
     add("--quiet", action="store_true", help="print errors only")
     add("--live", action="store_true", help="serve the results to Foxglove while they are computed")

@@ -40,6 +40,8 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
                 results_only=arguments.results_only,
                 on_request=_requests(arguments),
                 force=arguments.force,
+                recover=arguments.recover,
+                strict=arguments.strict,
                 progress=progress,
                 opened=live.start if live else unwatched,
             )
@@ -57,6 +59,8 @@ def _requests(arguments: argparse.Namespace) -> tuple[Request, ...]:
 
 
 def _print_summary(target: Path, summary: ReplaySummary) -> None:
+    for warning in summary.warnings:
+        print(f"warning: {warning}")
     for note in (*summary.notes, *summary.throughout):
         print(f"note: {note}")
     for topic, number in summary.problems.items():

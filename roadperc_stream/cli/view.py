@@ -48,6 +48,7 @@ def _parser() -> argparse.ArgumentParser:
         help="write Foxglove's layout for the log; with --foxglove for what is served, times of the stages included",
     )
     add_topic_argument(parser)
+    parser.add_argument("--recover", action="store_true", help="show what can be read of a damaged log")
     parser.add_argument("--force", action="store_true", help="replace an existing file")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     add_playback_arguments(parser)

@@ -13,8 +13,9 @@ _MOST_REPORTED: Final = 4
 
 
 def frame_reasons(sample: Sample, result: FrameResult) -> tuple[Reason, ...]:
-    """Why anything of a frame is missing: its messages, then what the stages report."""
-    return (*(Reason(role, "no_message") for role in sample.missing), *result.reasons())
+    """Why anything of a frame is missing: what was lost, its messages, then what the stages report."""
+    lost = () if sample.lost is None else (sample.lost,)
+    return (*lost, *(Reason(role, "no_message") for role in sample.missing), *result.reasons())
 
 
 @dataclass(frozen=True)

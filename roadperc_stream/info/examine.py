@@ -12,7 +12,7 @@ from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.input.roles import CAMERA_OF
-from roadperc_stream.log import Channel, Salvage
+from roadperc_stream.log import Channel, Recovery, Salvage
 from roadperc_stream.schemas.record import PRODUCER, TAG_TABLE_KEY, log_id_of
 
 
@@ -30,7 +30,8 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
     salvage, tallies = scan.salvage, scan.tallies.values()
     first_ns = min((tally.first_ns for tally in tallies if tally.first_ns is not None), default=None)
     last_ns = max((tally.last_ns for tally in tallies), default=None)
-    result = is_result_log(salvage.metadata, salvage.channels.values())
+    described = salvage.described
+    result = is_result_log(described.metadata, salvage.channels.values())
     digest = scan.digest()
     return LogFacts(
         log=str(path),
@@ -44,7 +45,7 @@ def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
         log_times_back=scan.log_times_back,
         channels=tuple(_channel_facts(salvage.channels[i], scan, first_ns) for i in sorted(salvage.channels)),
         replay=_replay_facts(scan),
-        provenance=provenance_of(path, salvage.metadata, salvage.attachments, digest) if result else None,
+        provenance=provenance_of(path, described.metadata, described.attachments, digest) if result else None,
     )
 
 
@@ -55,15 +56,16 @@ def _seconds(at_ns: int | None, from_ns: int | None) -> float | None:
 def _file_facts(salvage: Salvage) -> FileFacts:
     return FileFacts(
         size_bytes=salvage.size_bytes,
-        profile=salvage.profile,
-        library=salvage.library,
+        profile=salvage.described.profile,
+        library=salvage.described.library,
         chunks=dict(salvage.chunks),
         whole=salvage.whole,
         damages=tuple(salvage.damages),
         last_good_ns=salvage.last_good_ns,
+        recovery=Recovery.of_records(salvage.described.metadata),
         absent=salvage.absent,
-        attachments={item.name: len(item.data) for item in salvage.attachments},
-        metadata=tuple(record.name for record in salvage.metadata),
+        attachments={item.name: len(item.data) for item in salvage.described.attachments},
+        metadata=tuple(record.name for record in salvage.described.metadata),
     )
 
 

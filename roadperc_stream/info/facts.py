@@ -10,7 +10,7 @@ from typing import Literal
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.role_states import RoleState
-from roadperc_stream.log import Damage
+from roadperc_stream.log import Damage, Recovery
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,8 @@ class FileFacts:
     damages: tuple[Damage, ...]
     last_good_ns: int | None
     """Log time of the last message before the first damage."""
+    recovery: Recovery | None
+    """What an earlier repair saved and lost, as the repaired log records it."""
     absent: tuple[str, ...]
     """What a log may do without and this one does: index, CRCs."""
     attachments: Mapping[str, int]

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from shlex import quote
 from typing import Final
 
 from rich.console import Console
@@ -90,6 +91,11 @@ def _damage_lines(facts: LogFacts) -> Iterator[str]:
     if file.damages and file.last_good_ns is not None and facts.first_ns is not None:
         after_s = ns_to_seconds(file.last_good_ns - facts.first_ns)
         yield f"the last message before that is at {after_s:.3f} s ({file.last_good_ns} ns); below is what can be read"
+    if file.damages and facts.messages:
+        yield f"roadperc-info {quote(plain(facts.log))} --recover OUT.mcap writes that as a whole log"
+    if file.recovery is not None:
+        yield "repaired after damage:"
+        yield from (f"  {plain(line)}" for line in file.recovery.lines(facts.first_ns))
 
 
 def _channels(channels: Sequence[ChannelFacts], width: int) -> TextTable:

@@ -1,6 +1,5 @@
 """One pass over a log: every message is counted, and those of assigned roles are paired to frames as a replay would."""
 
-import heapq
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -103,7 +102,8 @@ class Scan:
         tolerance_ns = seconds_to_ns(cfg.tolerance_s)
         synchroniser = Synchroniser(tolerance_ns, order, roles.topics, LatchedState(), drop)
         paired = [role for role in roles.topics if ROLES[role].kind not in LATCHED_KINDS]
-        for synced in synchroniser.synced(in_stamp_order(in_log_time_order(items, _MOST_SORTED), order, drop)):
+        sorted_items = log.in_order_within(items, lambda item: item.log_time_ns, lambda _: 1, _MOST_SORTED)
+        for synced in synchroniser.synced(in_stamp_order(sorted_items, order, drop)):
             self.alone.update(role for role in paired if role not in synced.parts)
             if synced.skew_ns is not None:
                 self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)
@@ -149,17 +149,6 @@ class Scan:
             self.sizes[item.role] = item.payload.size
         except DecodeError:
             return
-
-
-def in_log_time_order(items: Iterable[Stamped], most: int) -> Iterator[Stamped]:
-    """Items by log time, those of equal time as they came, as far as holding ``most`` of them can tell."""
-    waiting: list[tuple[int, int, Stamped]] = []
-    for number, item in enumerate(items):
-        heapq.heappush(waiting, (item.log_time_ns, number, item))
-        if len(waiting) > most:
-            yield heapq.heappop(waiting)[2]
-    while waiting:
-        yield heapq.heappop(waiting)[2]
 
 
 def _summary(path: Path) -> LogSummary | None:

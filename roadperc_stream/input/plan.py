@@ -57,8 +57,17 @@ class InputPlan:
     """How many frames are asked for at most: of those that arrive in the part, the first ones by their stamps."""
 
 
-def plan_input(summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], part: TimeRange) -> InputPlan:
-    """Assign the roles, find the part to replay, and read it once: every CRC is checked before work starts.
+def plan_input(
+    summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], part: TimeRange, *, strict: bool = False
+) -> InputPlan:
+    """Assign the roles, find the part to replay, and read it once.
+
+    Args:
+        summary: the log.
+        cfg: how messages are decoded.
+        overrides: topic of each role that is not on the contract's topic.
+        part: what is asked for.
+        strict: the first message that cannot be read is an error.
 
     Raises:
         ChannelError: the channels do not fit the roles.
@@ -67,15 +76,15 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, s
     roles = assignment_of_log(summary, overrides)
     if roles.reference is None:
         raise ChannelError("; ".join((f"{summary.path}: {NOTHING_TO_REPLAY}", *roles.unassigned)))
-    topic, problems = roles.topics[roles.reference], Problems()
+    topic, problems = roles.topics[roles.reference], Problems(summary.path if strict else None)
     window = _window(summary, cfg, part, roles, roles.reference)
     latched, latched_messages = _latched_at_start(summary, cfg, roles, window, problems)
     order = OrderConfig(roles.reference, seconds_to_ns(cfg.sync.max_wait_s))
     plan = InputPlan(roles, order, window, latched, latched_messages, problems)
     digest, counts = MessageDigest(), Counter[str]()
-    messages = _counted(input_messages(summary, cfg, plan, validate_crcs=not summary.sealed), digest, counts)
+    messages = _counted(input_messages(summary, cfg, plan), digest, counts)
     parent_of: dict[str, str] = {}
-    items = _with_parents(decoded_messages(messages, roles, cfg.tag_table, Problems()), parent_of)
+    items = _with_parents(decoded_messages(messages, roles, cfg.tag_table, Problems(problems.strict_in)), parent_of)
     late_ns = lateness_ns(items, plan.order)
     if not counts[topic]:
         length_s = ns_to_seconds((summary.last_ns or 0) - (summary.first_ns or 0))
@@ -98,7 +107,6 @@ def input_messages(
     plan: InputPlan,
     *,
     topics: Collection[str] | None = None,
-    validate_crcs: bool = False,
 ) -> Iterator[Message]:
     """The messages to replay, in log-time order: what was latched before, the window, and what arrives late for it.
 
@@ -107,10 +115,9 @@ def input_messages(
         cfg: how long a frame waits for a late sensor.
         plan: the window and what was latched before it.
         topics: only these; None for all.
-        validate_crcs: check every chunk.
     """
     window = plan.window
-    read = partial(log.read, summary, topics=topics, validate_crcs=validate_crcs)
+    read = partial(log.read, summary, topics=topics)
     yield from (m for m in plan.latched_messages if topics is None or m.channel.topic in topics)
     yield from (m for m in read(start_ns=window.start_ns, end_ns=window.end_ns) if not is_result(m.channel))
     if window.end_ns is not None and window.end_stamp_ns is not None:

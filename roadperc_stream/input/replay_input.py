@@ -12,6 +12,7 @@ from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.core.time import WHOLE, TimeRange, seconds_to_ns
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.input.assemble import sample_of
+from roadperc_stream.input.damage import loss_reason, require_outside, shifted, warnings_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.latched import without_loops
 from roadperc_stream.input.order import in_stamp_order
@@ -21,7 +22,7 @@ from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import tag_table_to_record
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages, Synchroniser
-from roadperc_stream.log import Channel, LogSummary, Message
+from roadperc_stream.log import Channel, DamagedLogError, LogSummary, Message, Recovery
 from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, TAG_TABLE_KEY, TOPIC_KEY, log_id_of
 
 
@@ -30,6 +31,9 @@ def open_input(
     cfg: ReplayConfig,
     overrides: Mapping[str, str] | None = None,
     time_range: TimeRange = WHOLE,
+    *,
+    recover: bool = False,
+    strict: bool = False,
 ) -> "ReplayInput":
     """Check a log, assign its channels to roles, and find the part to replay.
 
@@ -38,14 +42,42 @@ def open_input(
         cfg: how messages are decoded, paired and placed.
         overrides: topic of each role that is not on the contract's topic.
         time_range: the part to replay; the copy of the input is cut with it.
+        recover: replay what can be read of a damaged log.
+        strict: the first message that cannot be used is an error.
 
     Raises:
         ChannelError: the channels do not fit the roles.
-        LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
+        LogError: the log cannot be read, is damaged in the part asked for, or that part holds no frame.
         TargetError: there is no space for temporary files, where the log needs some.
     """
-    summary = log.summarise(log.received([source] if isinstance(source, Path) else source))
-    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides or {}, time_range))
+    sources = log.received([source] if isinstance(source, Path) else source)
+    try:
+        return _planned(log.summarise(sources), cfg, overrides or {}, time_range, strict=strict)
+    except DamagedLogError as damage:
+        if time_range == WHOLE and not recover:
+            raise
+        found = [log.audited(path) for path in sources]
+        copies = [None if salvage.whole else log.repaired_copy(salvage.path) for salvage in found]
+        saved = log.summarise([copy.path if copy else path for copy, path in zip(copies, sources, strict=True)])
+        first_ns = min((salvage.first_ns for salvage in found if salvage.first_ns is not None), default=None)
+        log_in = _planned(saved, cfg, overrides or {}, shifted(time_range, first_ns, saved.first_ns), strict=strict)
+        damaged = [copy for copy in copies if copy is not None]
+        if not recover:
+            window = log_in.plan.window
+            for copy in damaged:
+                require_outside(damage, copy.salvage.damages, window.start_ns, window.end_ns)
+        log_in.warnings = tuple(
+            warning
+            for copy in damaged
+            for warning in warnings_of(copy.path, copy.salvage.damages, copy.recovery, first_ns)
+        )
+        return log_in
+
+
+def _planned(
+    summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], time_range: TimeRange, *, strict: bool
+) -> "ReplayInput":
+    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides, time_range, strict=strict))
 
 
 class ReplayInput:
@@ -54,14 +86,19 @@ class ReplayInput:
     ``frames``, ``dropped``, ``unreadable`` and ``notes`` are of the samples so far; ``samples`` begins anew.
     """
 
+    warnings: tuple[str, ...] = ()
+    """What the user should know of a damaged log."""
+
     def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan) -> None:
         self.summary, self.plan = summary, plan
         self._cfg = cfg
+        recovery = Recovery.of_records(summary.metadata)
+        self._gaps = () if recovery is None else recovery.gaps
         self._begin()
 
     def _begin(self) -> None:
         plan = self.plan
-        self._problems = Problems()
+        self._problems = Problems(plan.problems.strict_in)
         self._dropped = Counter[str]()
         tolerance_ns = seconds_to_ns(self._cfg.sync.tolerance_s)
         roles = plan.roles.topics
@@ -100,11 +137,13 @@ class ReplayInput:
         decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems)
         items = without_loops(decoded, plan.latched, topics, self._problems)
         ordered = in_stamp_order(items, plan.order, self._drop)
-        log_time_ns = 0
+        log_time_ns, before_ns = 0, None
         for index, synced in enumerate(islice(self._synchroniser.synced(ordered), plan.most_frames)):
             sample = self._sample(synced, index)
             log_time_ns = max(log_time_ns, sample.log_time_ns)  # results do not go back in the log
-            yield replace(sample, log_time_ns=log_time_ns)
+            lost = loss_reason(self._gaps, before_ns, log_time_ns)
+            yield replace(sample, log_time_ns=log_time_ns, lost=lost)
+            before_ns = log_time_ns
         if not self.frames:
             topic = self.topics[plan.order.reference]
             raise LogError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")

@@ -3,29 +3,41 @@
 Bytes in, bytes out; what they mean is the business of ``schemas`` and ``input``.
 """
 
+from roadperc_stream.log.audit import audited
 from roadperc_stream.log.copying import MessageCopy
-from roadperc_stream.log.framing import Damage
+from roadperc_stream.log.damage import Damage, DamagedLogError
 from roadperc_stream.log.growing import GrowingLog
-from roadperc_stream.log.pipes import STANDARD_INPUT, received
+from roadperc_stream.log.order import in_order_within
 from roadperc_stream.log.reading import read, summarise
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, MessageDigest, Metadata
+from roadperc_stream.log.recovery import RECOVERY_RECORD, LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
 from roadperc_stream.log.salvage import Salvage
+from roadperc_stream.log.stored import STANDARD_INPUT, received
 from roadperc_stream.log.writing import LogWriter
 
 __all__ = [
+    "RECOVERY_RECORD",
     "STANDARD_INPUT",
     "Attachment",
     "Channel",
     "Damage",
+    "DamagedLogError",
     "GrowingLog",
     "LogSummary",
     "LogWriter",
+    "LostSpan",
     "Message",
     "MessageCopy",
     "MessageDigest",
     "Metadata",
+    "Recovery",
+    "RepairedLog",
     "Salvage",
+    "audited",
+    "in_order_within",
     "read",
     "received",
+    "repaired_copy",
     "summarise",
+    "write_repaired",
 ]

@@ -13,20 +13,40 @@ from typing import IO, Final
 
 from mcap.opcode import Opcode
 
+from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.integrity import CRC_BYTES, MAGIC
+from roadperc_stream.log.resync import IsMessage, next_record
 
 _HEAD: Final = struct.Struct("<BQ")
 _OPCODES: Final = frozenset(int(opcode) for opcode in Opcode)
 _FIRST_PRIVATE: Final = 0x80
 """Opcodes from here on are an application's own."""
-
-
-@dataclass(frozen=True)
-class Damage:
-    """Where a file is not what it should be, and how."""
-
-    byte: int
-    words: str
+_OF_DATA: Final[frozenset[int]] = frozenset(
+    (
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.MESSAGE,
+        Opcode.CHUNK,
+        Opcode.MESSAGE_INDEX,
+        Opcode.ATTACHMENT,
+        Opcode.METADATA,
+        Opcode.DATA_END,
+    )
+)
+_OF_SUMMARY: Final[frozenset[int]] = frozenset(
+    (
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.STATISTICS,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+        Opcode.FOOTER,
+    )
+)
+_MOST_CUT_BYTES: Final = 256 * 1024 * 1024
+"""What is read of a record that does not end: its chunk may be whole, and only its length wrong."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +56,8 @@ class Record:
     start: int
     opcode: int
     body: bytes
+    fault: str = ""
+    """Why it is not all of it; empty where it is."""
 
     @property
     def name(self) -> str:
@@ -59,32 +81,49 @@ class Framing:
 
     Args:
         size_bytes: of the file.
-        chunk_starts: where the index says that chunks start, ascending: there reading goes on after a break.
+        resume_at: where the index says that records start, ascending: there reading goes on after a break.
+        is_message: tells messages from what only looks like one, where there is no index.
     """
 
     size_bytes: int
-    chunk_starts: Sequence[int] = ()
+    resume_at: Sequence[int] = ()
+    is_message: IsMessage = bool
     damages: list[Damage] = field(default_factory=list)
     ended: bool = False
     """Whether the file ends as a log does, with footer and magic."""
     sealed: bool = False
     """Whether there is a CRC over the whole data section."""
+    chunked: bool = False
+    """Whether a chunk was seen: then messages stand in chunks."""
+    breaks: list[int] = field(default_factory=list)
+    """Where reading broke off in the data section: messages may be lost there."""
+    summary_start: int | None = None
+    """The first byte behind the data section; None before it was found."""
     _data_crc: int | None = None
+    _data_crc_damage: Damage | None = None
     _summary_crc: int | None = None
 
-    def damaged(self, byte: int, words: str) -> None:
+    def forget_data_crc(self) -> None:
+        """What else was found in the data section says where it is wrong."""
+        if self._data_crc_damage in self.damages:
+            self.damages.remove(self._data_crc_damage)
+
+    def damaged(self, byte: int, words: str, first_ns: int | None = None, last_ns: int | None = None) -> None:
         """Take note of a damage."""
-        self.damages.append(Damage(byte, words))
+        self.damages.append(Damage(byte, words, first_ns, last_ns))
 
     def records(self, stream: IO[bytes]) -> Iterator[Record]:
-        """The file's records outside chunks, up to its end or to where nothing follows that makes sense."""
+        """The file's records outside chunks, up to its end or to where nothing follows that makes sense.
+
+        A record that the file's end cuts off, or whose length makes no sense, comes with what there is of it.
+        """
         self._data_crc = zlib.crc32(stream.read(len(MAGIC)))
         at: int | None = len(MAGIC)
         while at is not None:
             head = stream.read(_HEAD.size)
             fault = self._fault(at, head)
             if fault:
-                self.damaged(at, fault)
+                yield from self._broken(stream, at, head, fault)
                 at = self._resume(stream, at)
                 continue
             opcode, length = _HEAD.unpack(head)
@@ -93,7 +132,7 @@ class Framing:
             yield record
             at = record.end
             if opcode == Opcode.FOOTER:
-                self._close(at, stream.read())
+                self._close(at, stream.read(len(MAGIC) + 1))
                 return
 
     def _fault(self, at: int, head: bytes) -> str | None:
@@ -106,25 +145,52 @@ class Framing:
             return f"no record starts here: its type would be {opcode:#04x}"
         if length > left:
             return f"cut off or damaged: a record of {length} bytes starts here, {left} bytes are left"
+        if opcode < _FIRST_PRIVATE and opcode not in self._belonging(at):
+            return f"a {Record(at, opcode, b'').name} record does not belong here"
         return None
 
+    def _belonging(self, at: int) -> frozenset[int]:
+        """The types of record that may start here."""
+        if self.summary_start is not None:
+            return _OF_SUMMARY
+        return _OF_DATA if at > len(MAGIC) else frozenset((Opcode.HEADER,))
+
+    def _broken(self, stream: IO[bytes], at: int, head: bytes, fault: str) -> Iterator[Record]:
+        """Note a fault; a chunk that does not end in the file is given as far as it goes."""
+        opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (None, 0)
+        left = self.size_bytes - at - _HEAD.size
+        if opcode == Opcode.CHUNK and length > left and self.summary_start is None:
+            self.chunked = True
+            yield Record(at, opcode, stream.read(min(left, _MOST_CUT_BYTES)), fault)
+        else:
+            self.damaged(at, fault)
+
     def _resume(self, stream: IO[bytes], at: int) -> int | None:
-        """Go to the next chunk that the index names; None where there is none."""
-        following = bisect.bisect_right(self.chunk_starts, at)
-        if following == len(self.chunk_starts):
+        """Go to the next record that the index names, or else to the next one whose fields fit; None without any."""
+        self._data_crc = self._summary_crc = None
+        if self.summary_start is None:
+            self.breaks.append(at)
+        following = bisect.bisect_right(self.resume_at, at)
+        if following < len(self.resume_at):
+            return stream.seek(self.resume_at[following])
+        if self.resume_at or self.summary_start is not None:
             return None
-        self._data_crc = None
-        return stream.seek(self.chunk_starts[following])
+        found = next_record(stream, at + 1, self.size_bytes, chunked=self.chunked, is_message=self.is_message)
+        return None if found is None else stream.seek(found)
 
     def _close(self, at: int, rest: bytes) -> None:
         self.ended = rest == MAGIC
         if not self.ended:
-            self.damaged(at, f"the closing magic is missing: {len(rest)} bytes follow the footer")
+            self.damaged(at, f"the closing magic is missing: {self.size_bytes - at} bytes follow the footer")
 
     def _check(self, record: Record) -> None:
         """Go on with the CRC of the section a record stands in, and compare it where the section ends."""
+        self.chunked |= record.opcode == Opcode.CHUNK
         if record.opcode == Opcode.DATA_END:
+            self.summary_start = record.end
+            before = len(self.damages)
             self.sealed = self._compare("data section", record, self._data_crc)
+            self._data_crc_damage = self.damages[before] if len(self.damages) > before else None
             self._summary_crc = 0
         elif self._summary_crc is not None:
             without_last = CRC_BYTES if record.opcode == Opcode.FOOTER else 0

@@ -57,14 +57,12 @@ class MergedParts:
     parts: Sequence[tuple[LogSummary, Translation]]
     """Those with messages, by their first log time."""
 
-    def messages(
-        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool
-    ) -> Iterator[Message]:
+    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """As ``reading.read``; of equal log times those of the part that begins first come first."""
 
         def opened(number: int) -> _OpenPart | None:
             summary, translation = self.parts[number]
-            found = summary.source.messages(topics, start_ns, end_ns, validate_crcs=validate_crcs)
+            found = summary.source.messages(topics, start_ns, end_ns)
             return _advanced(number, translated(found, translation))
 
         waiting = [i for i, (summary, _) in enumerate(self.parts) if _may_hold(summary, topics, start_ns, end_ns)]
@@ -128,7 +126,6 @@ def united(parts: Sequence[Part]) -> LogSummary:
         metadata=tuple(metadata),
         first_ns=min((first for first, _ in spans), default=None),
         last_ns=max((last for _, last in spans), default=None),
-        sealed=all(summary.sealed for summary in summaries),
         parts=tuple(replace(summary, attachments=(), metadata=()) for summary in summaries),
     )
 

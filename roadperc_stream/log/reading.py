@@ -13,9 +13,10 @@ from mcap.exceptions import McapError
 from mcap.reader import McapReader, NonSeekingReader, make_reader
 from zstandard import ZstdError
 
+from roadperc_stream.log.audit import require_undamaged
 from roadperc_stream.log.file_order import FileOrder
 from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, usable_index
-from roadperc_stream.log.integrity import check_sections, damaged, require_whole, unopened
+from roadperc_stream.log.integrity import damaged, require_whole, unopened
 from roadperc_stream.log.parts import Part, united
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.sorting import SortedMessages
@@ -26,8 +27,8 @@ T = TypeVar("T")
 def summarise(source: Path | Sequence[Path]) -> LogSummary:
     """Channels, counts, attachments and metadata of a log, from its index where it has one.
 
-    The CRCs over the whole file are checked as it is read. A log that its index does not give in order of log time with
-    little memory is put in order on disk when it is first read.
+    All CRCs are checked, and that index and statistics say what stands in the file. A log that its index does not give
+    in order of log time with little memory is put in order on disk when it is first read.
 
     Args:
         source: the log, or the files that are one log.
@@ -50,7 +51,6 @@ def read(
     topics: Collection[str] | None = None,
     start_ns: int | None = None,
     end_ns: int | None = None,
-    validate_crcs: bool = False,
 ) -> Iterator[Message]:
     """Messages in the order of their log time; those of equal time in the order of the file.
 
@@ -59,13 +59,12 @@ def read(
         topics: only these; None for all.
         start_ns: first log time read.
         end_ns: first log time no longer read.
-        validate_crcs: check every chunk; a pass over the whole file needs it once.
 
     Raises:
         LogError: the file cannot be read, is no MCAP, is cut or damaged.
         TargetError: there is no space to put it in order.
     """
-    return summary.source.messages(topics, start_ns, end_ns, validate_crcs=validate_crcs)
+    return summary.source.messages(topics, start_ns, end_ns)
 
 
 def in_file_order(path: Path) -> Iterator[Message]:
@@ -99,13 +98,11 @@ class IndexedFile:
 
     path: Path
 
-    def messages(
-        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool
-    ) -> Iterator[Message]:
+    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """As ``read``."""
         known: dict[int, Channel] = {}
         with _reading(self.path) as stream:
-            reader = make_reader(stream, validate_crcs=validate_crcs)
+            reader = make_reader(stream)
             wanted = None if topics is None else list(topics)
             for schema, channel, message in reader.iter_messages(wanted, starting_at=start_ns, ending_before=end_ns):
                 if channel.id not in known:
@@ -119,9 +116,8 @@ def _inspected(path: Path) -> Part:
     Raises:
         LogError: as ``summarise``.
     """
+    require_undamaged(path)
     with _reading(path) as stream:
-        sealed = check_sections(path, stream)
-        stream.seek(0)
         reader = make_reader(stream)
         profile = reader.get_header().profile
         index = usable_index(reader)
@@ -133,7 +129,7 @@ def _inspected(path: Path) -> Part:
             Metadata(m.name, tuple(sorted(m.metadata.items())))
             for m in _besides_messages(stream, lambda reader: reader.iter_metadata())
         )
-        summary = LogSummary(path, IndexedFile(path), profile, (), {}, attachments, metadata, sealed=sealed)
+        summary = LogSummary(path, IndexedFile(path), profile, (), {}, attachments, metadata)
         if index is None:
             return Part(_scanned(summary, stream), None, in_file_order)
     channels = tuple(

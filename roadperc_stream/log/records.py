@@ -58,9 +58,7 @@ class Metadata:
 class MessageSource(Protocol):
     """Where the messages of a log are read from, in the order of their log time."""
 
-    def messages(
-        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool
-    ) -> Iterator[Message]:
+    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """The messages, those of equal time in the order of the file."""
         ...
 
@@ -80,8 +78,6 @@ class LogSummary:
     metadata: tuple[Metadata, ...] = ()
     first_ns: int | None = None
     last_ns: int | None = None
-    sealed: bool = False
-    """Whether a CRC over the whole data section was found right: then no chunk needs another look."""
     parts: tuple["LogSummary", ...] = ()
     """The files of a log of several, in the order of their times; empty of one."""
 

@@ -1,75 +1,81 @@
 """Reading all that can be read of a log, in the order of the file, whatever happened to it.
 
-A file that is cut is read up to the cut. A chunk that is damaged is left out, and where a record's length makes no
-sense reading goes on at the next chunk the index names.
+A file that is cut is read up to the cut, what is whole of its last chunk included. A chunk that is damaged gives what
+stands before the damage, and reading goes on at the next record: the one the index names, or else the next one whose
+fields fit together. What was read is compared with index and statistics.
 """
 
 import os
-import struct
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
-from mcap.stream_reader import breakup_chunk
-from mcap.summary import Summary
-from zstandard import ZstdError
 
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.framing import Damage, Framing, Record
-from roadperc_stream.log.index import channel_of, usable_index
-from roadperc_stream.log.integrity import require_log, unopened
-from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
-
-_MESSAGE_HEAD_BYTES: Final = 22
-_UNREADABLE: Final = (
-    McapError,
-    EOFError,
-    ValueError,
-    KeyError,
-    OverflowError,
-    RuntimeError,
-    MemoryError,
-    struct.error,
-    ZstdError,
+from roadperc_stream.log.chunks import (
+    MESSAGE_HEAD_BYTES,
+    ChunkHead,
+    Item,
+    MessageHead,
+    chunk_head,
+    contents_of,
+    message_head,
 )
-"""What the library and its decompressors throw at bytes that make no sense."""
-_NOTED: Final[dict[int, Any]] = {
+from roadperc_stream.log.damage import Damage
+from roadperc_stream.log.described import Described
+from roadperc_stream.log.framing import Framing, Record
+from roadperc_stream.log.index import UNREADABLE, end_of, index_of, places_of, span_ns_of
+from roadperc_stream.log.integrity import data_end_of, require_log, unopened
+from roadperc_stream.log.inventory import ChunkPlace, Inventory, Positions
+from roadperc_stream.log.losses import Gap, Losses, expected_messages, lost_in_chunk
+from roadperc_stream.log.records import Channel, Message
+
+_PARSED: Final[dict[int, Any]] = {
     Opcode.HEADER: records.Header,
     Opcode.SCHEMA: records.Schema,
     Opcode.CHANNEL: records.Channel,
     Opcode.ATTACHMENT: records.Attachment,
     Opcode.METADATA: records.Metadata,
     Opcode.STATISTICS: records.Statistics,
+    Opcode.CHUNK_INDEX: records.ChunkIndex,
+    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex,
+    Opcode.METADATA_INDEX: records.MetadataIndex,
+    Opcode.FOOTER: records.Footer,
 }
+_PRIVATE_BIT: Final = 0x80
+_FAR_NS: Final = 24 * 3600 * 1_000_000_000
+"""Messages of a log are closer together than this."""
+
+Found = tuple[MessageHead, bytes | memoryview]
+"""A message's fields, and its record."""
 
 
 @dataclass
 class Salvage:
-    """Reads a log once and keeps account of its state: complete when ``messages`` has come to its end.
+    """Reads a log once and keeps account of its state: complete when ``messages`` or ``run`` has come to its end.
+
+    Args:
+        path: the log.
+        inside: look inside chunks. Without that, only what stands around them is compared: enough for a log whose
+            bytes are covered by CRCs, where ``conclusive``.
 
     Raises:
         LogError: the file cannot be opened, is empty, or does not start as an MCAP log.
     """
 
     path: Path
+    inside: bool = True
     size_bytes: int = 0
-    profile: str = ""
-    library: str = ""
     chunks: Counter[str] = field(default_factory=Counter)
     """Chunks by their compression, empty for none."""
-    channels: dict[int, Channel] = field(default_factory=dict)
-    counts: Counter[int] = field(default_factory=Counter)
-    """Messages read, by ``Channel.source_id``."""
-    attachments: list[Attachment] = field(default_factory=list)
-    metadata: list[Metadata] = field(default_factory=list)
+    described: Described = field(default_factory=Described)
     absent: tuple[str, ...] = ()
     """What a log may do without, and this one does: its index, CRCs."""
     last_good_ns: int | None = None
@@ -80,19 +86,18 @@ class Salvage:
             with self.path.open("rb") as stream:
                 self.size_bytes = stream.seek(0, os.SEEK_END)
                 require_log(self.path, stream)
-                self._index = _index_of(stream)
+                self._index = index_of(stream)
+                resume_at = () if self._index is None else places_of(self._index, data_end_of(stream))
         except OSError as error:
             raise unopened(self.path, error) from error
-        self._schemas: dict[int, records.Schema] = {}
-        self._statistics: records.Statistics | None = None
-        self._chunks_without_crc = 0
-        chunk_starts: list[int] = []
+        self._entries = {entry.chunk_start_offset: entry for entry in self._index.chunk_indexes} if self._index else {}
         if self._index is not None:
-            chunk_starts = sorted(chunk.chunk_start_offset for chunk in self._index.chunk_indexes)
-            self._schemas |= self._index.schemas
-            for channel in self._index.channels.values():
-                self._know(channel)
-        self._framing = Framing(self.size_bytes, chunk_starts)
+            self.described.add_index(self._index)
+        self._inventory, self._losses = Inventory(), Losses()
+        self._framing = Framing(self.size_bytes, resume_at, self._is_message)
+        self._chunks_without_crc = self._breaks = 0
+        self._covered = True
+        """Whether every message that was read stands in a chunk with a CRC of its own."""
 
     @property
     def damages(self) -> list[Damage]:
@@ -105,86 +110,201 @@ class Salvage:
         return self._framing.ended and not self.damages
 
     @property
+    def conclusive(self) -> bool:
+        """Whether the messages of all chunks were counted: without a look inside, by their message indexes."""
+        return self._inventory.conclusive
+
+    @property
+    def counts(self) -> Counter[int]:
+        """Messages read, by ``Channel.source_id``."""
+        return self._inventory.counts
+
+    @property
+    def channels(self) -> dict[int, Channel]:
+        """Channels by ``Channel.source_id``, also those without messages."""
+        return self.described.channels
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """Where messages were lost, in the order of the file."""
+        return tuple(self._losses.gaps)
+
+    @property
+    def undescribed(self) -> dict[int, int]:
+        """Messages of channels that nothing describes, by channel; they are lost."""
+        return dict(self._losses.undescribed)
+
+    @property
+    def first_ns(self) -> int | None:
+        """Log time of the first message that was written, as far as the index says, else of the first one read."""
+        indexed = self._index.statistics if self._index else None
+        return self._inventory.first_ns if indexed is None else indexed.message_start_time
+
+    @property
+    def written(self) -> dict[int, int] | None:
+        """Messages that were written, by ``Channel.source_id``; None where no index says so."""
+        return dict(self._index.statistics.channel_message_counts) if self._index and self._index.statistics else None
+
+    @property
     def indexed_channels(self) -> tuple[Channel, ...] | None:
         """The channels that hold messages, by the index; None where there is no usable one."""
-        if self._index is None or self._index.statistics is None:
-            return None
-        counts = self._index.statistics.channel_message_counts
-        return tuple(self.channels[i] for i in sorted(self.channels) if counts.get(i))
+        counts = self.written
+        return None if counts is None else tuple(self.channels[i] for i in sorted(self.channels) if counts.get(i))
 
     def messages(self) -> Iterator[Message]:
         """Every message that can be read, in the order of the file."""
+        for head, body in self._found():
+            data = bytes(body[MESSAGE_HEAD_BYTES:])
+            yield Message(self.channels[head.channel_id], head.log_time_ns, head.publish_time_ns, head.sequence, data)
+
+    def run(self) -> None:
+        """Read everything for the account alone."""
+        for _ in self._found():
+            pass
+
+    def _found(self) -> Iterator[Found]:
         try:
             with self.path.open("rb") as stream:
                 for record in self._framing.records(stream):
+                    self._note_breaks()
                     yield from self._messages_of(record)
         except OSError as error:
             raise LogError(f"{self.path}: {error.strerror or error}") from error
         self._conclude()
 
-    def _messages_of(self, record: Record) -> Iterator[Message]:
+    def _messages_of(self, record: Record) -> Iterator[Found]:
         """The messages of a record: one, a chunk's, or none of any other, which is taken note of."""
-        try:
-            contents = self._contents(record)
-        except _UNREADABLE as error:
-            self._framing.damaged(record.start, f"{record.name}: {_in_words(error)}")
-            return
-        for item in contents:
-            if not isinstance(item, records.Message):
-                self._note(item)
-            elif item.channel_id in self.channels:
-                yield self._counted(item)
-            else:
-                words = f"{record.name}: message of channel {item.channel_id}, which nothing describes"
-                self._framing.damaged(record.start, words)
-
-    def _contents(self, record: Record) -> list[records.McapRecord]:
-        stream = ReadDataStream(BytesIO(record.body))
+        if record.opcode != Opcode.MESSAGE_INDEX:
+            self._note_damage(self._inventory.close_chunk())
         if record.opcode == Opcode.CHUNK:
-            chunk = records.Chunk.read(stream)
-            self.chunks[chunk.compression] += 1
-            self._chunks_without_crc += not chunk.uncompressed_crc
-            return breakup_chunk(chunk, validate_crc=True)
-        if record.opcode == Opcode.MESSAGE:
-            if len(record.body) < _MESSAGE_HEAD_BYTES:
-                raise EndOfFile
-            return [records.Message.read(stream, len(record.body))]
-        return [_NOTED[record.opcode].read(stream)] if record.opcode in _NOTED else []
+            yield from self._chunk(record)
+            return
+        try:
+            if record.opcode == Opcode.MESSAGE:
+                self._covered = False
+                yield self._counted(record.body)
+            elif record.opcode == Opcode.MESSAGE_INDEX:
+                self._inventory.add_message_index(record)
+            elif record.opcode >= _PRIVATE_BIT:
+                self._require_private(record)
+            else:
+                self._note(record.opcode, record.body, record.start)
+        except UNREADABLE as error:
+            self._framing.damaged(record.start, f"{record.name}: {_in_words(error)}")
 
-    def _counted(self, message: records.Message) -> Message:
-        self.counts[message.channel_id] += 1
+    def _chunk(self, record: Record) -> Iterator[Found]:
+        try:
+            head = chunk_head(record.body)
+        except ValueError as error:
+            self._lose(record, None, Positions(), record.fault or f"{record.name}: {error}")
+            return
+        self.chunks[head.compression] += 1
+        self._chunks_without_crc += not head.crc
+        self._covered &= bool(head.crc)
+        if not self.inside and not record.fault:
+            self._inventory.add_chunk(ChunkPlace.of(record, head, None))
+            return
+        contents, positions = contents_of(head), Positions()
+        faults = [record.fault, contents.fault and f"{record.name}: {contents.fault}"]
+        for item in contents.items:
+            try:
+                yield from self._item(item, head, positions)
+            except UNREADABLE as error:
+                faults.append(f"{record.name}: {_in_words(error)}")
+        if any(faults):
+            self._lose(record, head, positions, next(filter(None, faults)))
+        else:
+            self._inventory.add_chunk(ChunkPlace.of(record, head, positions))
+
+    def _item(self, item: Item, chunk: ChunkHead, positions: Positions) -> Iterator[Found]:
+        """A record inside a chunk; where a message of it stands is added to ``positions``."""
+        if item.opcode != Opcode.MESSAGE:
+            self._note(item.opcode, bytes(item.body))
+            return
+        head, body = self._counted(item.body)
+        positions.setdefault(head.channel_id, []).append((head.log_time_ns, item.offset))
+        yield head, body
+        if not chunk.first_ns <= head.log_time_ns <= chunk.last_ns:
+            span = f"{chunk.first_ns} to {chunk.last_ns} ns"
+            raise ValueError(f"message at {head.log_time_ns} ns, its chunk says {span}")
+
+    def _counted(self, body: bytes | memoryview) -> Found:
+        head = message_head(body)
+        if head.channel_id not in self.channels:
+            self._losses.undescribed[head.channel_id] += 1
+            raise ValueError(f"message of channel {head.channel_id}, which nothing describes")
+        if self._losses.settle(head.log_time_ns) and self.damages:
+            self.damages[-1] = replace(self.damages[-1], last_ns=head.log_time_ns)
+        self._inventory.add_message(head.channel_id, head.log_time_ns)
         if not self.damages:
-            self.last_good_ns = message.log_time
-        channel = self.channels[message.channel_id]
-        return Message(channel, message.log_time, message.publish_time, message.sequence, message.data)
+            self.last_good_ns = head.log_time_ns
+        return head, body
 
-    def _note(self, item: records.McapRecord) -> None:
-        """Keep what a record other than a message says."""
-        match item:
-            case records.Header():
-                self.profile, self.library = item.profile, item.library
-            case records.Schema():
-                self._schemas[item.id] = item
-            case records.Channel():
-                self._know(item)
-            case records.Attachment():
-                self.attachments.append(
-                    Attachment(item.name, item.media_type, item.data, item.log_time, item.create_time)
-                )
-            case records.Metadata():
-                self.metadata.append(Metadata(item.name, tuple(sorted(item.metadata.items()))))
-            case records.Statistics():
-                self._statistics = item
+    def _lose(self, record: Record, head: ChunkHead | None, saved: Positions, fault: str) -> None:
+        """Take note of a damaged chunk, and of which of its messages were lost."""
+        entry = self._entries.get(record.start)
+        self._inventory.lose_chunk()
+        span, end = span_ns_of(entry, head), end_of(record, entry, head)
+        gap = lost_in_chunk(expected_messages(self.path, end), saved, span, self._inventory.last_ns)
+        is_open = entry is None and bool(record.fault)
+        if gap is not None:
+            self._losses.add(gap, is_open=is_open)
+        first_ns, last_ns = span or (self._inventory.last_ns, None)
+        self._framing.damaged(record.start, fault, first_ns, None if is_open else last_ns)
+        self._breaks = len(self._framing.breaks)
 
-    def _know(self, channel: records.Channel) -> None:
-        self.channels[channel.id] = channel_of(channel, self._schemas.get(channel.schema_id))
+    def _note_breaks(self) -> None:
+        """Where no record could start, messages are lost up to the next one."""
+        if len(self._framing.breaks) > self._breaks:
+            self._breaks = len(self._framing.breaks)
+            before_ns = self._inventory.last_ns
+            self._losses.add(Gap(None if before_ns is None else before_ns + 1, None), is_open=True)
+
+    def _require_private(self, record: Record) -> None:
+        """An application's own record does not have the form of messages: then its type is not what was written."""
+        opcode = record.opcode & ~_PRIVATE_BIT
+        if opcode == Opcode.MESSAGE and self._is_message(record.body):
+            raise ValueError("is a message by its form")
+        if opcode == Opcode.CHUNK:
+            try:
+                head = chunk_head(record.body)
+            except ValueError:
+                return
+            if head.record_bytes == record.end - record.start:
+                raise ValueError("is a chunk by its form")
+
+    def _is_message(self, body: bytes) -> bool:
+        """Whether these are the first bytes of a message of this log, by its channel and its log time."""
+        try:
+            head = message_head(body)
+        except ValueError:
+            return False
+        near_ns = self._inventory.last_ns or head.log_time_ns
+        return head.channel_id in self.channels and abs(head.log_time_ns - near_ns) < _FAR_NS
+
+    def _note(self, opcode: int, body: bytes, start: int | None = None) -> None:
+        """Keep what a record other than a message says; ``start`` is its first byte, None inside a chunk."""
+        if opcode in _PARSED:
+            stream = _Bounded(BytesIO(body))
+            item = _PARSED[opcode].read(stream)
+            if start is None and stream.count < len(body):  # the library reads on at the wrong byte there
+                raise ValueError(f"a record of {len(body)} bytes whose fields have {stream.count}")
+            if start is not None:
+                self._inventory.note(start, item)
+            self.described.add(item, in_data=self._framing.summary_start is None)
+
+    def _note_damage(self, damage: Damage | None) -> None:
+        if damage is not None:
+            self.damages.append(damage)
 
     def _conclude(self) -> None:
         """What only the end shows: records that fell out without a trace, and what the writer left out."""
-        statistics, found = self._statistics, self.counts.total()
-        if statistics is not None and statistics.message_count != found and not self.damages:
-            words = f"{found} messages found, the statistics count {statistics.message_count}"
-            self._framing.damaged(self.size_bytes, words)
+        self._note_breaks()
+        self._note_damage(self._inventory.close_chunk())
+        if len(self.damages) > 1 and self._covered:
+            self._framing.forget_data_crc()
+        if not self.damages and self.conclusive:
+            self.damages.extend(self._inventory.discrepancies(self._framing.summary_start))
         lacking = {
             "index": self._index is None,
             "CRC of the data section": not self._framing.sealed,
@@ -193,13 +313,15 @@ class Salvage:
         self.absent = tuple(what for what, true in lacking.items() if true)
 
 
-def _index_of(stream: IO[bytes]) -> Summary | None:
-    """The index, where there is one that can be used; None where the file's end is missing or makes no sense."""
-    stream.seek(0)
-    try:
-        return usable_index(make_reader(stream))
-    except (OSError, *_UNREADABLE):  # a seek before the start is an OSError; one of the disk comes again in reading
-        return None
+class _Bounded(ReadDataStream):
+    """A record's bytes, and an error where its fields want more."""
+
+    def read(self, length: int) -> bytes:
+        """The next bytes, all of them."""
+        data = super().read(length)
+        if len(data) < length:
+            raise EndOfFile
+        return data
 
 
 def _in_words(error: BaseException) -> str:

@@ -42,15 +42,12 @@ class SortedMessages:
         self._store: _Store | None = None
         self._lock = Lock()
 
-    def messages(
-        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None, *, validate_crcs: bool
-    ) -> Iterator[Message]:
+    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """As ``reading.read``; what is stored was checked before.
 
         Raises:
             TargetError: there is no space to store them.
         """
-        del validate_crcs
         with self._lock:
             self._store = self._store or _Store(self._what, self._unsorted())
         yield from self._store.messages(topics, start_ns, end_ns)

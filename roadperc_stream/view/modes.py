@@ -3,9 +3,11 @@
 import argparse
 from collections.abc import Iterable, Mapping
 from importlib import import_module
+from pathlib import Path
 from shlex import quote
 
 from roadperc_stream import log
+from roadperc_stream.input.damage import warnings_of
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.view.layout.writing import write_layout
@@ -23,7 +25,7 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
     Raises:
         RoadpercError: the log cannot be shown.
     """
-    _receive(arguments)
+    arguments.log = arguments.log and _readable(arguments)
     if arguments.foxglove_layout:
         _lay_out(arguments)
     if arguments.foxglove:
@@ -38,10 +40,16 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
         _open(arguments)
 
 
-def _receive(arguments: argparse.Namespace) -> None:
-    """Store what comes through a pipe: a log is read more than once."""
-    if arguments.log is not None:
-        (arguments.log,) = log.received([arguments.log])
+def _readable(arguments: argparse.Namespace) -> Path:
+    """The log as it can be read more than once: stored where it comes through a pipe or has to be repaired."""
+    (path,) = log.received([arguments.log])
+    if not arguments.recover or log.audited(path).whole:
+        return path
+    copy = log.repaired_copy(path)
+    if not arguments.quiet:
+        for warning in warnings_of(path, copy.salvage.damages, copy.recovery, copy.salvage.first_ns):
+            print(f"warning: {warning}")
+    return copy.path
 
 
 def _lay_out(arguments: argparse.Namespace) -> None:

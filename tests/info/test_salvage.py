@@ -59,8 +59,7 @@ def test_reading_goes_on_behind_a_record_whose_length_is_nonsense(tmp_path):
     path.write_bytes(whole)
     salvage, messages = salvaged(path)
     assert salvage.damages[0].byte == at
-    assert messages[-1].log_time_ns == TIMES[-1]
-    assert len(messages) < len(TIMES)
+    assert [m.log_time_ns for m in messages] == TIMES  # the chunk says itself how long it is
 
 
 @pytest.mark.parametrize("sealed", [True, False])
@@ -101,7 +100,7 @@ def test_a_changed_summary_and_a_changed_attachment_are_found(tmp_path):
         writer.finish()
     salvage, messages = salvaged(path)
     assert (salvage.whole, messages) == (True, [])
-    assert [a.data for a in salvage.attachments] == [b"content"]
+    assert [a.data for a in salvage.described.attachments] == [b"content"]
     whole = path.read_bytes()
     path.write_bytes(whole.replace(b"content", b"contend"))
     assert "CRC of the attachment" in salvaged(path)[0].damages[0].words

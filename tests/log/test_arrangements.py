@@ -134,7 +134,7 @@ def test_damage_in_a_log_without_index_is_found(tmp_path, compression):
     start = whole.index(b"\x06", 60)  # the first chunk
     for at in range(start + 60, start + 160, 9):
         (tmp_path / "b.mcap").write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
-        with pytest.raises(LogError, match=r"b\.mcap: damaged MCAP"):
+        with pytest.raises(LogError, match=r"b\.mcap: damaged at byte"):
             log.summarise(tmp_path / "b.mcap")
 
 
@@ -146,12 +146,13 @@ def test_chunks_that_overlap_are_counted_together():
 
 
 READ = """
-import resource
 import sys
 from pathlib import Path
 from roadperc_stream import log
 summary = log.summarise(Path(sys.argv[1]))
-print(sum(len(m.data) for m in log.read(summary)), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+read = sum(len(m.data) for m in log.read(summary))
+status = dict(line.split(":") for line in Path("/proc/self/status").read_text().splitlines())
+print(read, status["VmHWM"].split()[0])  # ru_maxrss may be that of the process which started this one
 """
 
 
@@ -195,4 +196,4 @@ def test_a_message_of_a_channel_that_nothing_describes_is_damage():
 def test_equal_log_times_stay_as_they_came():
     messages = [Message(A, 5, 5, k, b"") for k in range(9)]
     source = SortedMessages("a", lambda: messages)
-    assert list(source.messages(None, None, None, validate_crcs=False)) == messages
+    assert list(source.messages(None, None, None)) == messages

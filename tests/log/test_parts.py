@@ -2,6 +2,7 @@
 
 import random
 
+import polars.selectors as cs
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -79,8 +80,6 @@ def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
 
 
 def rp_times():
-    import polars.selectors as cs
-
     return cs.ends_with("_ms")
 
 
@@ -167,7 +166,7 @@ def test_what_a_replay_of_parts_says(tmp_path, capsys):
 
 def test_calibration_and_transforms_of_the_first_part_hold_in_the_others(tmp_path):
     once = parts(SAMPLE, tmp_path, [MESSAGES // 2])
-    assert not [m for m in log.read(log.summarise(once[1]), topics=["/tf", "/camera/front/calibration"])]
+    assert not list(log.read(log.summarise(once[1]), topics=["/tf", "/camera/front/calibration"]))
     frames = open_input(once, CFG, time_range=TimeRange(start_s=1.5, frames=1)).samples()
     assert next(iter(frames)).frame.mounted
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from roadperc_stream.core.datatypes.arrays import read_only
 from roadperc_stream.core.datatypes.frame import DepthImage, Frame, TagImage
+from roadperc_stream.core.datatypes.reason import Reason
 from roadperc_stream.core.datatypes.results import Lanes, Objects, Surface
 from roadperc_stream.core.geometry import Float
 
@@ -58,3 +59,5 @@ class Sample:
     anchor: FrameAnchor = field(default_factory=FrameAnchor)
     segment: int = 0
     """How often the stamps before it began anew."""
+    lost: Reason | None = None
+    """That messages were lost to damage since the frame before."""

@@ -1,11 +1,11 @@
-"""Logs that come through standard input or a named pipe: read once to disk, and from there like any file."""
+"""Logs whose bytes do not stand under their name, piped ones and repaired ones: stored, and read like files."""
 
 import os
 import stat
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, Self
 
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.integrity import unopened
@@ -15,22 +15,29 @@ STANDARD_INPUT: Final = Path("-")
 _BLOCK_BYTES: Final = 1024 * 1024
 
 
-class PipedLog(type(Path())):  # type: ignore[misc]  # the class of paths of this system
-    """The name a log came by, and its bytes, which are no longer there; a path derived from it is like any other."""
+class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of this system
+    """The name a log came by, and its bytes, which do not stand there; a path derived from it is like any other."""
 
-    received: Spool | None = None
+    stored: Spool | None = None
+
+    @classmethod
+    def of(cls, path: Path, stored: Spool) -> Self:
+        """A name with its bytes."""
+        made = cls(path)
+        made.stored = stored
+        return made
 
     def open(self, *arguments: Any, **options: Any) -> IO[Any]:
         """A stream over the bytes."""
-        return self.received.open() if self.received else super().open(*arguments, **options)
+        return self.stored.open() if self.stored else super().open(*arguments, **options)
 
     def is_dir(self, **_: Any) -> bool:
         """It is none."""
-        return False if self.received else super().is_dir()
+        return False if self.stored else super().is_dir()
 
     def absolute(self) -> Path:
         """The name it came by, which lies in no folder."""
-        return self if self.received else super().absolute()
+        return self if self.stored else super().absolute()
 
 
 def received(paths: Sequence[Path]) -> tuple[Path, ...]:
@@ -59,15 +66,13 @@ def _is_same(one: Path, other: Path) -> bool:
 
 
 def _received(path: Path) -> Path:
-    if isinstance(path, PipedLog) or not (path == STANDARD_INPUT or path.is_fifo()):
+    if isinstance(path, StoredLog) or not (path == STANDARD_INPUT or path.is_fifo()):
         return path
-    piped = PipedLog(path)
     try:
         with _standard_input() if path == STANDARD_INPUT else path.open("rb") as stream:
-            piped.received = _stored(path, stream)
+            return StoredLog.of(path, _stored(path, stream))
     except OSError as error:
         raise unopened(path, error) from error
-    return piped
 
 
 def _standard_input() -> IO[bytes]:

@@ -1,0 +1,78 @@
+"""A damaged log as the input of a replay: what of it can be replayed, and what its frames say of what was lost."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from roadperc_stream.core.datatypes import Reason
+from roadperc_stream.core.time import TimeRange, ns_to_seconds
+from roadperc_stream.errors import LogError
+from roadperc_stream.log import Damage, LostSpan, Recovery
+
+SOURCE = "log"
+"""Whose reason it is that messages were lost."""
+_UNUSABLE = frozenset(("undecodable", "wrong_size", "pair_of_wrong_size", "pair_of_two_sizes"))
+
+
+def loss_reason(gaps: Iterable[LostSpan], since_ns: int | None, until_ns: int) -> Reason | None:
+    """That messages were lost since the frame before, or at this one; None where none were.
+
+    Args:
+        gaps: of the log.
+        since_ns: log time of the frame before; None of the first one, which speaks for all that was lost before it.
+        until_ns: log time of the frame.
+    """
+    found = [gap for gap in gaps if _lies_between(gap, since_ns, until_ns)]
+    if not found:
+        return None
+    firsts, lasts = [gap.first_ns for gap in found], [gap.last_ns for gap in found]
+    known_first, known_last = [ns for ns in firsts if ns is not None], [ns for ns in lasts if ns is not None]
+    if len(known_first) < len(firsts) and len(known_last) < len(lasts):
+        return Reason(SOURCE, "lost_to_damage_somewhere")
+    if len(known_first) < len(firsts):
+        return Reason(SOURCE, "lost_to_damage_before", (max(known_last),))
+    if len(known_last) < len(lasts):
+        return Reason(SOURCE, "lost_to_damage_after", (min(known_first),))
+    return Reason(SOURCE, "lost_to_damage", (min(known_first), max(known_last)))
+
+
+def _lies_between(gap: LostSpan, since_ns: int | None, until_ns: int) -> bool:
+    begun = gap.first_ns is None or gap.first_ns <= until_ns
+    over = since_ns is not None and gap.last_ns is not None and gap.last_ns <= since_ns
+    return begun and not over
+
+
+def shifted(part: TimeRange, first_ns: int | None, saved_ns: int | None) -> TimeRange:
+    """A part of a log, counted from the first message that was saved of it instead of the first one it had."""
+    if first_ns is None or saved_ns is None or saved_ns <= first_ns:
+        return part
+    by_s = ns_to_seconds(saved_ns - first_ns)
+    start_s = None if part.start_s is None else part.start_s - by_s
+    return TimeRange(start_s, None if part.end_s is None else part.end_s - by_s, part.frames)
+
+
+def require_outside(error: LogError, damages: Sequence[Damage], start_ns: int | None, end_ns: int | None) -> None:
+    """Check that damage concerns no message from ``start_ns`` up to ``end_ns``, None without a limit.
+
+    Raises:
+        LogError: it may; ``error`` says so.
+    """
+    if any(damage.concerns(start_ns, end_ns) for damage in damages):
+        raise error
+
+
+def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, first_ns: int | None) -> Iterator[str]:
+    """What the user should know of a log that was damaged: where, what was saved and what was lost."""
+    more = f" (the first of {len(damages)} damages)" if len(damages) > 1 else ""
+    yield f"{source}: damaged at byte {damages[0].byte}: {damages[0].words}{more}"
+    yield from recovery.lines(first_ns)
+
+
+def require_sound(source: Path, stamp_ns: int, reasons: Iterable[Reason]) -> None:
+    """Check that no message of a frame is unusable, as ``--strict`` asks for.
+
+    Raises:
+        LogError: one is.
+    """
+    for reason in reasons:
+        if reason.code in _UNUSABLE:
+            raise LogError(f"{source}: message with stamp {stamp_ns} ns: {reason}; --strict stops there")

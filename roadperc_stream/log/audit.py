@@ -1,0 +1,59 @@
+"""Whether a log is whole, checked in one pass before anything is made of it."""
+
+from pathlib import Path
+
+from roadperc_stream.core.time import ns_to_seconds
+from roadperc_stream.log.damage import DamagedLogError, nothing_saved
+from roadperc_stream.log.integrity import claims_seal, unopened
+from roadperc_stream.log.salvage import Salvage
+
+
+def require_undamaged(path: Path) -> None:
+    """Check all CRCs, and that index, message indexes and statistics say what stands in the file.
+
+    Raises:
+        DamagedLogError: they do not; it says what can be saved.
+        LogError: the file cannot be read, is no MCAP log, or nothing of it can be saved.
+    """
+    found = audited(path)
+    if found.whole:
+        return
+    if not found.counts.total():
+        raise nothing_saved(path, found.damages)
+    raise DamagedLogError(path, found.damages, _can_be_saved(found))
+
+
+def audited(path: Path) -> Salvage:
+    """The finished account of a log.
+
+    Chunks are not opened where CRCs cover every byte, and message indexes count what they hold.
+
+    Raises:
+        LogError: the file cannot be read, or is no MCAP log.
+    """
+    quick = Salvage(path, inside=False) if _claims_seal(path) else None
+    if quick is not None:
+        quick.run()
+        if quick.whole and quick.conclusive:
+            return quick
+    found = Salvage(path)
+    found.run()
+    return found
+
+
+def _claims_seal(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return claims_seal(stream)
+    except OSError as error:
+        raise unopened(path, error) from error
+
+
+def _can_be_saved(found: Salvage) -> str:
+    saved, written = found.counts.total(), found.written
+    of_all = "" if written is None else f" of {sum(written.values())}"
+    start_ns = found.first_ns
+    before = ""
+    if found.last_good_ns is not None and start_ns is not None:
+        before = f", all up to {ns_to_seconds(found.last_good_ns - start_ns):.3f} s"
+    return f"{saved}{of_all} messages can be saved{before}: roadperc-replay and roadperc-view do with --recover"

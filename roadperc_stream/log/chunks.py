@@ -1,0 +1,175 @@
+"""What a chunk holds: its records as far as they can be read, and why not all of them can.
+
+Decompression is streamed, so that of a chunk that is cut, or damaged in the middle, everything before is read, and
+never more than the chunk says that it holds. Layout: https://mcap.dev/spec.
+"""
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Final
+
+import lz4.frame
+from mcap.opcode import Opcode
+from zstandard import ZstdDecompressor, ZstdError
+
+_HEAD: Final = struct.Struct("<QQQII")
+_LENGTH: Final = struct.Struct("<Q")
+_RECORD: Final = struct.Struct("<BQ")
+_MESSAGE: Final = struct.Struct("<HIQQ")
+_INSIDE: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
+_PIECE_BYTES: Final = 1024 * 1024
+
+
+@dataclass(frozen=True)
+class ChunkHead:
+    """What a chunk says of itself, and its records as they stand in the file."""
+
+    first_ns: int
+    last_ns: int
+    size_bytes: int
+    crc: int
+    compression: str
+    stored_bytes: int
+    """Length of the records in the file as the chunk says it; ``stored`` is shorter where the file ends before."""
+    stored: memoryview
+
+    @property
+    def record_bytes(self) -> int:
+        """Length of the whole record, by these fields."""
+        return _RECORD.size + _HEAD.size + len(self.compression) + _LENGTH.size + self.stored_bytes
+
+
+@dataclass(frozen=True)
+class Item:
+    """A record in a chunk: ``offset`` counts from the chunk's first."""
+
+    offset: int
+    opcode: int
+    body: memoryview
+
+
+@dataclass(frozen=True)
+class Contents:
+    """A chunk's records up to the first fault, which is empty where there is none."""
+
+    items: tuple[Item, ...]
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class MessageHead:
+    """A message record without its content."""
+
+    channel_id: int
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+
+
+def chunk_head(body: bytes) -> ChunkHead:
+    """Read a chunk record's fields.
+
+    Raises:
+        ValueError: these are no fields of a chunk.
+    """
+    if len(body) < _HEAD.size:
+        raise ValueError("ends before its contents do")
+    first_ns, last_ns, size_bytes, crc, name_bytes = _HEAD.unpack_from(body)
+    start = _HEAD.size + name_bytes + _LENGTH.size
+    name = bytes(body[_HEAD.size : _HEAD.size + min(name_bytes, 8)]).decode("ascii", "replace")
+    if name not in _DECOMPRESSED or len(name) != name_bytes:
+        raise ValueError(f"compression {name!r}, expected none, lz4 or zstd")
+    if start > len(body):
+        raise ValueError("ends before its contents do")
+    (stored_bytes,) = _LENGTH.unpack_from(body, start - _LENGTH.size)
+    return ChunkHead(first_ns, last_ns, size_bytes, crc, name, stored_bytes, memoryview(body)[start:][:stored_bytes])
+
+
+def contents_of(head: ChunkHead) -> Contents:
+    """A chunk's records.
+
+    Where the bytes make no sense, or end, those before are given: they were read as they were written. Where they do
+    but their CRC is wrong, nobody knows which of them is, and none is given.
+    """
+    data, broken = _prefix(_DECOMPRESSED[head.compression](head), head.size_bytes)
+    items, fault = split(memoryview(data))
+    if head.stored_bytes > len(head.stored):
+        return Contents(items, "ends before its contents do")
+    if broken or fault:
+        return Contents(items, broken or fault)
+    if head.crc and zlib.crc32(data) != head.crc:
+        return Contents((), f"crc is {zlib.crc32(data):#010x}, expected {head.crc:#010x}")
+    if len(data) != head.size_bytes:
+        return Contents(items, f"holds {len(data)} bytes, expected {head.size_bytes}")
+    return Contents(items)
+
+
+def split(data: memoryview) -> tuple[tuple[Item, ...], str]:
+    """The records that stand in the decompressed data of a chunk, and why they end early."""
+    items: list[Item] = []
+    at = 0
+    while at < len(data):
+        if at + _RECORD.size > len(data):
+            return tuple(items), "ends before its contents do"
+        opcode, length = _RECORD.unpack_from(data, at)
+        if opcode not in _INSIDE:
+            return tuple(items), f"a record of type {opcode:#04x} at its byte {at}, expected schema, channel or message"
+        start, end = at + _RECORD.size, at + _RECORD.size + length
+        if end > len(data):
+            return tuple(items), f"a record of {length} bytes at its byte {at}, {len(data) - start} are left"
+        items.append(Item(at, opcode, data[start:end]))
+        at = end
+    return tuple(items), ""
+
+
+def message_head(body: bytes | memoryview) -> MessageHead:
+    """The fields of a message before its content, which begins behind ``MESSAGE_HEAD_BYTES``.
+
+    Raises:
+        ValueError: it ends before.
+    """
+    if len(body) < _MESSAGE.size:
+        raise ValueError("message ends before its contents do")
+    return MessageHead(*_MESSAGE.unpack_from(body))
+
+
+MESSAGE_HEAD_BYTES: Final = _MESSAGE.size
+
+
+def _prefix(pieces: Iterator[bytes], most: int) -> tuple[bytes, str]:
+    """The pieces up to an error, or until they are more than was promised."""
+    data = bytearray()
+    try:
+        for piece in pieces:
+            data += piece
+            if len(data) > most:
+                return bytes(data[:most]), f"holds more than the {most} bytes it promises"
+    except (ZstdError, RuntimeError, EOFError) as error:
+        return bytes(data), " ".join(str(error).split())
+    return bytes(data), ""
+
+
+def _stored(head: ChunkHead) -> Iterator[bytes]:
+    yield bytes(head.stored)
+
+
+def _zstd(head: ChunkHead) -> Iterator[bytes]:
+    with ZstdDecompressor().stream_reader(BytesIO(head.stored), read_across_frames=True) as reader:
+        while piece := reader.read(_PIECE_BYTES):
+            yield piece
+
+
+def _lz4(head: ChunkHead) -> Iterator[bytes]:
+    decompressor, given = lz4.frame.LZ4FrameDecompressor(), bytes(head.stored)
+    while not decompressor.eof:
+        piece = decompressor.decompress(given, max_length=_PIECE_BYTES)
+        given = b""
+        if not piece and decompressor.needs_input:
+            raise EOFError("ends before its contents do")
+        yield piece
+
+
+_DECOMPRESSED: Final[dict[str, Callable[[ChunkHead], Iterator[bytes]]]] = {"": _stored, "zstd": _zstd, "lz4": _lz4}

@@ -1,0 +1,45 @@
+"""Where a log is damaged, and the errors that say so."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from roadperc_stream.errors import LogError
+from roadperc_stream.log.integrity import damaged, says_more
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Where a file is not what it should be, and how.
+
+    ``first_ns`` and ``last_ns`` are the log times of the messages that it may concern, None without a limit.
+    """
+
+    byte: int
+    words: str
+    first_ns: int | None = None
+    last_ns: int | None = None
+
+    def concerns(self, start_ns: int | None, end_ns: int | None) -> bool:
+        """Whether messages from ``start_ns`` up to ``end_ns`` may be among those, None without a limit."""
+        ends_before = self.last_ns is not None and start_ns is not None and self.last_ns < start_ns
+        starts_behind = self.first_ns is not None and end_ns is not None and self.first_ns >= end_ns
+        return not (ends_before or starts_behind)
+
+
+class DamagedLogError(LogError):
+    """A log that is damaged, of which something can be read all the same: ``damages`` are where."""
+
+    def __init__(self, path: Path, damages: Sequence[Damage], can_be_saved: str) -> None:
+        super().__init__(f"{path}: {_first(damages)}; {can_be_saved}{says_more(path)}")
+        self.damages = tuple(damages)
+
+
+def nothing_saved(path: Path, damages: Sequence[Damage]) -> LogError:
+    """The error of a log of which not one message can be read."""
+    return damaged(path, f"{_first(damages)}; no message can be saved" if damages else "holds no message")
+
+
+def _first(damages: Sequence[Damage]) -> str:
+    more = f" (the first of {len(damages)} damages)" if len(damages) > 1 else ""
+    return f"damaged at byte {damages[0].byte}: {damages[0].words}{more}"

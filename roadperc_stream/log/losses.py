@@ -1,0 +1,96 @@
+"""Which messages a damaged log lost, as far as it says: by message indexes, spans of chunks, or what comes next."""
+
+import struct
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+from mcap.opcode import Opcode
+
+from roadperc_stream.log.inventory import Positions, read_message_index
+
+_RECORD: Final = struct.Struct("<BQ")
+_MOST_INDEX_BYTES: Final = 64 * 1024 * 1024
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Log times between which messages were lost, both included; None where nothing says so.
+
+    ``messages`` are those lost by channel, empty where nothing says so.
+    """
+
+    first_ns: int | None
+    last_ns: int | None
+    messages: Mapping[int, int] = field(default_factory=dict)
+
+
+def expected_messages(path: Path, at: int) -> Positions:
+    """What the message indexes say that start at a byte of a file; nothing where none do."""
+    expected = Positions()
+    with path.open("rb") as stream:
+        stream.seek(at)
+        while len(head := stream.read(_RECORD.size)) == _RECORD.size:
+            opcode, length = _RECORD.unpack(head)
+            if opcode != Opcode.MESSAGE_INDEX or length > _MOST_INDEX_BYTES:
+                break
+            try:
+                channel_id, positions = read_message_index(stream.read(length))
+            except ValueError:
+                break
+            expected[channel_id] = positions
+    return expected
+
+
+def lost_in_chunk(
+    expected: Positions, saved: Positions, span_ns: tuple[int, int] | None, before_ns: int | None
+) -> Gap | None:
+    """What a damaged chunk lost; None where it lost nothing.
+
+    Args:
+        expected: its messages, by the message indexes behind it; empty where there are none.
+        saved: those that were read.
+        span_ns: first and last log time, by the index or its own head; None where both make no sense.
+        before_ns: log time of the last message read.
+    """
+    if any(expected.values()):
+        lost = {number: set(places) - set(saved.get(number, ())) for number, places in expected.items()}
+        times = [time_ns for places in lost.values() for time_ns, _ in places]
+        counts = {number: len(places) for number, places in lost.items() if places}
+        return Gap(min(times), max(times), counts) if times else None
+    saved_ns = max((time_ns for places in saved.values() for time_ns, _ in places), default=None)
+    if saved_ns is not None:
+        return Gap(saved_ns + 1, None if span_ns is None else max(span_ns[1], saved_ns + 1))
+    return Gap(*span_ns) if span_ns is not None else Gap(None if before_ns is None else before_ns + 1, None)
+
+
+@dataclass
+class Losses:
+    """The gaps of a log while it is read; where no end is known, the next message shows it."""
+
+    gaps: list[Gap] = field(default_factory=list)
+    undescribed: Counter[int] = field(default_factory=Counter)
+    """Messages of channels that nothing describes, by channel."""
+    _is_open: bool = False
+
+    def add(self, gap: Gap, *, is_open: bool) -> None:
+        """Take note of a gap; an open one ends where the next message is."""
+        if self._is_open:  # reading broke off again before any message came
+            gap = replace(gap, first_ns=self.gaps.pop().first_ns)
+        self.gaps.append(replace(gap, last_ns=None) if is_open else gap)
+        self._is_open = is_open
+
+    def settle(self, log_time_ns: int) -> bool:
+        """A message was read: an open gap ends before it.
+
+        Returns:
+            Whether there was one.
+        """
+        was_open, self._is_open = self._is_open, False
+        if was_open:
+            first_ns = self.gaps[-1].first_ns
+            last_ns = max(log_time_ns - 1, 0 if first_ns is None else first_ns)
+            self.gaps[-1] = replace(self.gaps[-1], last_ns=last_ns)
+        return was_open

@@ -1,0 +1,221 @@
+"""What was saved of a damaged log and what was lost, and the repaired log that says so itself."""
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+from roadperc_stream.core.time import ns_to_seconds
+from roadperc_stream.log.damage import nothing_saved
+from roadperc_stream.log.order import in_order_within
+from roadperc_stream.log.records import Message, Metadata
+from roadperc_stream.log.salvage import Salvage
+from roadperc_stream.log.spool import Spool, storing
+from roadperc_stream.log.stored import StoredLog
+from roadperc_stream.log.writing import LogWriter
+
+RECOVERY_RECORD: Final = "roadperc.recovery"
+"""Metadata record of a repaired log: what was lost."""
+_VERSION: Final = "1"
+_MOST_HELD_BYTES: Final = 32 * 1024 * 1024
+_GAPS_LISTED: Final = 5
+_TOPICS_LISTED: Final = 8
+
+
+@dataclass(frozen=True)
+class LostSpan:
+    """Log times between which messages were lost, both included, None where nothing says so, and how many by topic."""
+
+    first_ns: int | None
+    last_ns: int | None
+    messages: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What was saved of a damaged log, and what was lost."""
+
+    saved: int
+    """Messages."""
+    lost: Mapping[str, int]
+    """Messages by topic, those that the log says it had."""
+    exact: bool
+    """Whether the log says how many it had: else more may be lost than those."""
+    gaps: tuple[LostSpan, ...]
+
+    @classmethod
+    def of_salvage(cls, salvage: Salvage) -> "Recovery":
+        """What a finished salvage found."""
+        topics = {number: channel.topic for number, channel in salvage.channels.items()}
+        gaps = tuple(LostSpan(gap.first_ns, gap.last_ns, _by_topic(gap.messages, topics)) for gap in salvage.gaps)
+        if salvage.written is not None:
+            lost = Counter(salvage.written) - salvage.counts
+        else:
+            lost = sum((Counter(gap.messages) for gap in salvage.gaps), Counter(salvage.undescribed))
+        return cls(salvage.counts.total(), _by_topic(lost, topics), salvage.written is not None, gaps)
+
+    @classmethod
+    def of_records(cls, metadata: Iterable[Metadata]) -> "Recovery | None":
+        """What a repaired log says of itself, or those of its parts that were; None of any other log."""
+        found = [cls._of_values(dict(record.values)) for record in metadata if record.name == RECOVERY_RECORD]
+        total: Recovery | None = None
+        for recovery in found:
+            if recovery is not None:
+                total = recovery.after(total, saved=recovery.saved + (total.saved if total else 0))
+        return total
+
+    @classmethod
+    def _of_values(cls, values: Mapping[str, str]) -> "Recovery | None":
+        if values.get("version") != _VERSION:
+            return None
+        try:
+            gaps = tuple(_span(item) for item in json.loads(values["gaps"]))
+            return cls(int(values["saved"]), _counts(json.loads(values["lost"])), values["exact"] == "true", gaps)
+        except (KeyError, TypeError, ValueError, RecursionError):
+            return None
+
+    def to_record(self) -> Metadata:
+        """As ``of_records`` reads it."""
+        values = {
+            "version": _VERSION,
+            "saved": str(self.saved),
+            "lost": json.dumps(self.lost),
+            "exact": json.dumps(self.exact),
+            "gaps": json.dumps([[gap.first_ns, gap.last_ns, dict(gap.messages)] for gap in self.gaps]),
+        }
+        return Metadata(RECOVERY_RECORD, tuple(values.items()))
+
+    def after(self, earlier: "Recovery | None", saved: int) -> "Recovery":
+        """With what an earlier repair of the same log, or that of its part before, had lost."""
+        if earlier is None:
+            return self
+        lost = dict(Counter(earlier.lost) + Counter(self.lost))
+        return Recovery(saved, lost, self.exact and earlier.exact, (*earlier.gaps, *self.gaps))
+
+    def lines(self, first_ns: int | None) -> Iterator[str]:
+        """In words: a line on all, a line on each of the first gaps.
+
+        Args:
+            first_ns: log time of the first message, from which seconds count.
+        """
+        lost = sum(self.lost.values())
+        number = f"{lost}" if self.exact else f"at least {lost}" if lost else "an unknown number of them"
+        listed = "" if len(self.gaps) == 1 and self.gaps[0].messages == self.lost else _listed(self.lost)
+        yield f"{self.saved} messages saved, {number} lost{listed}"
+        for gap in self.gaps[:_GAPS_LISTED]:
+            yield f"lost {_between(gap, first_ns)}{_listed(gap.messages)}"
+        if len(self.gaps) > _GAPS_LISTED:
+            yield f"and {len(self.gaps) - _GAPS_LISTED} gaps more"
+
+
+def saved_messages(salvage: Salvage) -> Iterator[Message]:
+    """The messages that can be read of a log, in log-time order as far as holding some of them can tell."""
+    return in_order_within(
+        salvage.messages(), lambda message: message.log_time_ns, lambda message: len(message.data), _MOST_HELD_BYTES
+    )
+
+
+def write_repaired(source: Path, target: Path) -> tuple[Salvage, Recovery]:
+    """Write what can be read of a log to a new one, with an index, CRCs, and a record of what was lost.
+
+    Args:
+        source: the damaged log; of a whole one the copy has no such record.
+        target: the log to write.
+
+    Returns:
+        The finished salvage of ``source``, and what the record says.
+
+    Raises:
+        LogError: not one message can be read.
+        TargetError: ``target`` cannot be written.
+    """
+    salvage = Salvage(source)
+    messages = saved_messages(salvage)
+    first = next(messages, None)
+    if first is None:
+        raise nothing_saved(source, salvage.damages)
+    described = salvage.described
+    with LogWriter(target, described.profile) as writer:
+        for message in chain((first,), messages):
+            writer.write(message)
+        for number in sorted(described.channels):
+            writer.register(described.channels[number])
+        for attachment in described.attachments:
+            writer.attach(attachment)
+        recovery = Recovery.of_salvage(salvage)
+        if not salvage.whole:
+            recovery = recovery.after(Recovery.of_records(described.metadata), recovery.saved)
+        for metadata in described.metadata:
+            if salvage.whole or metadata.name != RECOVERY_RECORD:
+                writer.describe(metadata)
+        if not salvage.whole:
+            writer.describe(recovery.to_record())
+    return salvage, recovery
+
+
+@dataclass(frozen=True)
+class RepairedLog:
+    """What can be read of a log, as a whole log under the same name, and how it was found."""
+
+    path: Path
+    salvage: Salvage
+    recovery: Recovery
+
+
+def repaired_copy(source: Path) -> RepairedLog:
+    """What can be read of a log, as a whole log that is stored in a temporary file.
+
+    Raises:
+        LogError: not one message can be read.
+        TargetError: there is no space for it.
+    """
+    with storing(str(source)), TemporaryDirectory(prefix="roadperc-") as folder:
+        file = Path(folder) / "repaired.mcap"
+        salvage, recovery = write_repaired(source, file)
+        stored = Spool(str(source), file.open("rb"))  # the bytes stay while it is open
+    return RepairedLog(StoredLog.of(source, stored), salvage, recovery)
+
+
+def _by_topic(counts: Mapping[int, int], topics: Mapping[int, str]) -> dict[str, int]:
+    found = Counter[str]()
+    for number in sorted(counts):
+        found[topics.get(number, f"channel {number}")] += counts[number]
+    return dict(+found)
+
+
+def _listed(messages: Mapping[str, int]) -> str:
+    named = [f"{topic} {number}" for topic, number in list(messages.items())[:_TOPICS_LISTED]]
+    more = ["..."] if len(messages) > _TOPICS_LISTED else []
+    return f": {', '.join((*named, *more))}" if messages else ""
+
+
+def _between(gap: LostSpan, first_ns: int | None) -> str:
+    if gap.first_ns is None and gap.last_ns is None:
+        return "at an unknown time"
+    parts = [
+        f"{word} {_at(time_ns, first_ns)}"
+        for word, time_ns in (("from", gap.first_ns), ("to", gap.last_ns))
+        if time_ns is not None
+    ]
+    return " ".join(parts)
+
+
+def _at(time_ns: int, first_ns: int | None) -> str:
+    return f"{time_ns} ns" if first_ns is None else f"{ns_to_seconds(time_ns - first_ns):.3f} s ({time_ns} ns)"
+
+
+def _span(item: Any) -> LostSpan:
+    first_ns, last_ns, messages = item
+    if not all(time_ns is None or type(time_ns) is int for time_ns in (first_ns, last_ns)):
+        raise ValueError("expected times")
+    return LostSpan(first_ns, last_ns, _counts(messages))
+
+
+def _counts(item: Any) -> dict[str, int]:
+    if not isinstance(item, dict) or not all(type(number) is int for number in item.values()):
+        raise ValueError("expected numbers by topic")
+    return item
