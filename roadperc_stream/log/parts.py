@@ -5,11 +5,12 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
-from roadperc_stream.log.records import Channel, LogSummary, Message
+from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message
 from roadperc_stream.log.sorting import SortedMessages
 
 _LEAST_HELD_BYTES: Final = 1024 * 1024
@@ -110,7 +111,9 @@ def united(parts: Sequence[Part]) -> LogSummary:
     holding = [(p, t) for p, t in zip(ordered, translations, strict=True) if p.span_ns is not None]
     spans = [part.span_ns for part, _ in holding if part.span_ns is not None]
     summaries = [part.summary for part in ordered]
-    attachments = {(a.name, a.media_type, a.data): a for s in reversed(summaries) for a in reversed(s.attachments)}
+    attachments = dict[tuple[str, str, bytes], Attachment]()
+    for attachment in chain.from_iterable(summary.attachments for summary in summaries):
+        attachments.setdefault((attachment.name, attachment.media_type, attachment.data), attachment)
     metadata = dict.fromkeys(m for summary in summaries for m in summary.metadata)
     name = Path(f"{summaries[0].path} and {len(parts) - 1} more")
     source = (
@@ -124,7 +127,7 @@ def united(parts: Sequence[Part]) -> LogSummary:
         profile=next((summary.profile for summary in summaries if summary.profile), ""),
         channels=tuple(dict.fromkeys(channel for translation in translations for channel in translation.values())),
         counts=_counts(summaries, translations),
-        attachments=tuple(reversed(attachments.values())),
+        attachments=tuple(attachments.values()),
         metadata=tuple(metadata),
         first_ns=min((first for first, _ in spans), default=None),
         last_ns=max((last for _, last in spans), default=None),

@@ -2,6 +2,7 @@
 
 import random
 
+import polars.selectors as cs
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -73,15 +74,9 @@ def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
     replay(SAMPLE, tmp_path / "whole.mcap", CFG, time_range=part)
     summary = replay(files, tmp_path / "out.mcap", CFG, time_range=part)
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "whole.mcap").read_bytes()
-    tables = [rp.read_metrics(tmp_path / name).select(~rp_times()) for name in ("out.mcap", "whole.mcap")]
+    tables = [rp.read_metrics(tmp_path / name).select(~cs.ends_with("_ms")) for name in ("out.mcap", "whole.mcap")]
     assert tables[0].equals(tables[1])
     assert summary.frames == 3
-
-
-def rp_times():
-    import polars.selectors as cs
-
-    return cs.ends_with("_ms")
 
 
 @settings(max_examples=50, deadline=None)
@@ -144,7 +139,7 @@ def test_attachments_and_metadata_are_united(tmp_path):
     assert summary.metadata == (Metadata("m", (("k", "v"),)),)
 
 
-def test_gaps_and_overlaps_are_told(tmp_path):
+def test_gaps_and_overlaps_are_reported():
     spans = [
         PartSpan(name, a * S, b * S, 11) for name, a, b in [("a", 0, 10), ("b", 11, 20), ("c", 15, 18), ("d", 23, 33)]
     ]
@@ -167,7 +162,7 @@ def test_what_a_replay_of_parts_says(tmp_path, capsys):
 
 def test_calibration_and_transforms_of_the_first_part_hold_in_the_others(tmp_path):
     once = parts(SAMPLE, tmp_path, [MESSAGES // 2])
-    assert not [m for m in log.read(log.summarise(once[1]), topics=["/tf", "/camera/front/calibration"])]
+    assert not list(log.read(log.summarise(once[1]), topics=["/tf", "/camera/front/calibration"]))
     frames = open_input(once, CFG, time_range=TimeRange(start_s=1.5, frames=1)).samples()
     assert next(iter(frames)).frame.mounted
 
