@@ -15,15 +15,15 @@ def test_info_says_how_parts_join(tmp_path, capsys):
     files = [part("c.mcap", 7, 11), part("a.mcap", 0, 4), part("b.mcap", 3, 5)]
     assert main(files) == 0
     text = capsys.readouterr().out.partition("As the parts of one log")[2]
-    lines = [" ".join(line.split()) for line in text.replace("\n" + str(tmp_path), str(tmp_path)).splitlines()]
+    lines = [" ".join(line.split()) for line in text.splitlines()]
     assert [line for line in lines if line.split(" ")[0] in ("a.mcap", "b.mcap", "c.mcap")] == [
         "a.mcap 0.000 0.200",
         "b.mcap 0.150 0.250",
         "c.mcap 0.350 0.550",
     ]
     told = " ".join(lines)
-    assert f"{files[2]}: overlaps {files[1]} by 0.050 s" in told
-    assert f"{files[0]}: begins 0.100 s after {files[2]} ends" in told
+    assert "b.mcap: overlaps a.mcap by 0.050 s" in told
+    assert "c.mcap: begins 0.100 s after b.mcap ends" in told
     assert "/camera/front/calibration: only in a.mcap" in told
     assert "together 54 messages on 6 topics over 0.55 s" in told
 

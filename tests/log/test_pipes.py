@@ -119,8 +119,8 @@ def test_a_disk_that_fills_up_while_a_pipe_is_stored_is_said(tmp_path):
 
     command = words("roadperc-replay", "-", tmp_path / "out.mcap")
     environment = os.environ | {"TMPDIR": str(tmp_path)}
-    options = {"capture_output": True, "check": False, "timeout": 60, "env": environment, "preexec_fn": limited}
-    ended = subprocess.run(command, input=SAMPLE.read_bytes(), **options)
+    options = {"capture_output": True, "timeout": 60, "env": environment, "preexec_fn": limited}
+    ended = subprocess.run(command, input=SAMPLE.read_bytes(), check=False, **options)
     assert ended.returncode == 1
     assert ended.stderr.decode().startswith(f"error: -: cannot be stored in {tmp_path}: File too large; TMPDIR names")
     assert ended.stderr.count(b"\n") == 1
