@@ -28,10 +28,6 @@ class PipedLog(type(Path())):  # type: ignore[misc]  # the class of paths of thi
         """It is none."""
         return False if self.received else super().is_dir()
 
-    def absolute(self) -> Path:
-        """The name it came by, which lies in no folder."""
-        return self if self.received else super().absolute()
-
 
 def received(paths: Sequence[Path]) -> tuple[Path, ...]:
     """Logs as files that can be read many times: what comes through a pipe is stored, all others stay what they are.

@@ -19,6 +19,7 @@ from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Metadat
 from roadperc_stream.log.parts import MergedParts
 from roadperc_stream.log.sorting import SortedMessages
 from roadperc_stream.loop import replay
+from roadperc_stream.output.tables import read_footer
 from tests import logs
 from tests.arranged import ARRANGEMENTS, dealt, parts
 from tests.logs import START_NS
@@ -76,6 +77,8 @@ def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "whole.mcap").read_bytes()
     tables = [rp.read_metrics(tmp_path / name).select(~cs.ends_with("_ms")) for name in ("out.mcap", "whole.mcap")]
     assert tables[0].equals(tables[1])
+    facts = read_footer(tmp_path / "out.metrics.parquet").facts
+    assert facts["source"] == f"{files[0]} and 1 more"
     assert summary.frames == 3
 
 
