@@ -21,11 +21,11 @@ def test_info_says_how_parts_join(tmp_path, capsys):
         "b.mcap 0.150 0.250",
         "c.mcap 0.350 0.550",
     ]
-    told = " ".join(lines)
-    assert "b.mcap: overlaps a.mcap by 0.050 s" in told
-    assert "c.mcap: begins 0.100 s after b.mcap ends" in told
-    assert "/camera/front/calibration: only in a.mcap" in told
-    assert "together 54 messages on 6 topics over 0.55 s" in told
+    joined = " ".join(lines)
+    assert "b.mcap: overlaps a.mcap by 0.050 s" in joined
+    assert "c.mcap: begins 0.100 s after b.mcap ends" in joined
+    assert "/camera/front/calibration: only in a.mcap" in joined
+    assert "together 54 messages on 6 topics over 0.55 s" in joined
 
 
 def test_json_and_a_single_log_say_nothing_of_parts(tmp_path, capsys):
