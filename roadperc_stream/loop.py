@@ -104,7 +104,7 @@ def replay(
     _require_no_recording(target, several=len(sources) > 1)
     _require_free(sources, target, force)
     log_in = open_input(sources, cfg, overrides, time_range, recover=recover, strict=strict)
-    facts = table_facts(sources, target, cfg)
+    facts = table_facts(log_in.summary.path, target, cfg)
     frames = TableWriter(sidecar_path(target, "metrics"), FrameMetrics, facts, TIME_COLUMNS)
     detections = TableWriter(sidecar_path(target, "objects"), ObjectMetrics, facts)
     log_out, pictures = LogWriter(target, log_in.summary.profile), PictureMaker(on_request)

@@ -25,7 +25,7 @@ def print_parts(console: Console, logs: Sequence[LogFacts]) -> None:
         return
     began_ns = spans[0].first_ns
     rows = tuple(
-        row(_name(span), *(f"{ns_to_seconds(at_ns - began_ns):.3f}" for at_ns in (span.first_ns, span.last_ns)))
+        row(plain(span.name), *(f"{ns_to_seconds(at_ns - began_ns):.3f}" for at_ns in (span.first_ns, span.last_ns)))
         for span in spans
     )
     print_table(console, TextTable("As the parts of one log", ("from s", "to s"), rows))
@@ -35,7 +35,7 @@ def print_parts(console: Console, logs: Sequence[LogFacts]) -> None:
 def _spans(logs: Iterable[LogFacts]) -> Iterator[PartSpan]:
     for facts in logs:
         if facts.first_ns is not None and facts.last_ns is not None:
-            yield PartSpan(facts.log, facts.first_ns, facts.last_ns, _frames(facts))
+            yield PartSpan(Path(facts.log).name, facts.first_ns, facts.last_ns, _frames(facts))
 
 
 def _frames(facts: LogFacts) -> int:
@@ -60,7 +60,3 @@ def _whole(logs: Sequence[LogFacts], spans: Sequence[PartSpan]) -> Iterator[str]
     messages, topics = sum(facts.messages for facts in logs), {c.topic for facts in logs for c in facts.channels}
     seconds = ns_to_seconds(max(span.last_ns for span in spans) - spans[0].first_ns)
     yield f"together {number(messages, 'message')} on {number(len(topics), 'topic')} over {seconds:.2f} s"
-
-
-def _name(span: PartSpan) -> str:
-    return plain(Path(span.name).name)

@@ -12,12 +12,11 @@ from roadperc_stream.log.reading import read, summarise
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, MessageDigest, Metadata
 from roadperc_stream.log.recovery import RECOVERY_RECORD, LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
 from roadperc_stream.log.salvage import Salvage
-from roadperc_stream.log.stored import STANDARD_INPUT, received
+from roadperc_stream.log.stored import received
 from roadperc_stream.log.writing import LogWriter
 
 __all__ = [
     "RECOVERY_RECORD",
-    "STANDARD_INPUT",
     "Attachment",
     "Channel",
     "Damage",

@@ -67,6 +67,39 @@ class _Section:
         return data
 
 
+def _records(stream: IO[bytes]) -> Iterator[tuple[int, _Section]]:
+    """The records outside chunks up to the footer, each to be read before the next is asked for, or not at all."""
+    left = stream.seek(0, os.SEEK_END) - stream.seek(len(MAGIC))
+    while left > 0:
+        opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
+        left -= _HEAD.size + length
+        if opcode == Opcode.FOOTER:
+            return
+        if left < 0:
+            raise McapError(f"a record of {length} bytes where {left + length} are left")
+        following = stream.tell() + length
+        yield opcode, _Section(stream, length)
+        stream.seek(following)
+
+
+def attachments_and_metadata(stream: IO[bytes]) -> tuple[list[records.Attachment], list[records.Metadata]]:
+    """What stands in a file besides its messages; nothing else is read.
+
+    Args:
+        stream: over the whole file.
+
+    Raises:
+        McapError: as ``FileOrder.messages``.
+    """
+    attachments, metadata = list[records.Attachment](), list[records.Metadata]()
+    for opcode, body in _records(stream):
+        if opcode == Opcode.ATTACHMENT:
+            attachments.append(records.Attachment.read(ReadDataStream(BytesIO(body.exactly(body.left)))))
+        elif opcode == Opcode.METADATA:
+            metadata.append(records.Metadata.read(ReadDataStream(BytesIO(body.exactly(body.left)))))
+    return attachments, metadata
+
+
 @dataclass
 class FileOrder:
     """Reads the messages of a log once, as they stand in the file. Every chunk's CRC is checked.
@@ -87,17 +120,8 @@ class FileOrder:
         Raises:
             McapError: the file is damaged; of bytes that make no sense others come as well, such as a ValueError.
         """
-        left = stream.seek(0, os.SEEK_END) - stream.seek(len(MAGIC))
-        while left > 0:
-            opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
-            left -= _HEAD.size + length
-            if opcode == Opcode.FOOTER:
-                return
-            if left < 0:
-                raise McapError(f"a record of {length} bytes where {left + length} are left")
-            following = stream.tell() + length
-            yield from self._messages_of(opcode, _Section(stream, length))
-            stream.seek(following)
+        for opcode, body in _records(stream):
+            yield from self._messages_of(opcode, body)
 
     def _messages_of(self, opcode: int, body: _Section) -> Iterator[Message]:
         if opcode == Opcode.CHUNK:

@@ -5,17 +5,19 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
-from roadperc_stream.log.records import Channel, LogSummary, Message
+from roadperc_stream.log.integrity import damaged
+from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message
 from roadperc_stream.log.sorting import SortedMessages
 
 _LEAST_HELD_BYTES: Final = 1024 * 1024
 """Counted of each open file, so that few are open at a time."""
-Translation = Mapping[Channel, Channel]
-"""From a file's channels to those of the log."""
+Translation = Mapping[int, Channel]
+"""The channels of the log by the ``source_id`` that they have in a file."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class MergedParts:
         def opened(number: int) -> _OpenPart | None:
             summary, translation = self.parts[number]
             found = summary.source.messages(topics, start_ns, end_ns)
-            return _advanced(number, translated(found, translation))
+            return _advanced(number, _translated(summary.path, found, translation))
 
         waiting = [i for i, (summary, _) in enumerate(self.parts) if _may_hold(summary, topics, start_ns, end_ns)]
         waiting.reverse()
@@ -94,22 +96,31 @@ def _may_hold(summary: LogSummary, topics: Collection[str] | None, start_ns: int
     return wanted and not early and not late
 
 
-def translated(messages: Iterable[Message], translation: Translation) -> Iterator[Message]:
-    """The messages of a file on the channels of the log."""
+def _translated(path: Path, messages: Iterable[Message], translation: Translation) -> Iterator[Message]:
+    """The messages of a file on the channels of the log.
+
+    Raises:
+        LogError: a message is of a channel that the file's summary does not name.
+    """
     for message in messages:
-        channel = translation[message.channel]
-        yield message if channel is message.channel else replace(message, channel=channel)
+        channel = translation.get(message.channel.source_id)
+        if channel is None:
+            raise damaged(path, f"damaged MCAP: its summary does not name channel {message.channel.source_id}")
+        yield replace(message, channel=channel)
 
 
 def united(parts: Sequence[Part]) -> LogSummary:
     """Files as one log: in the order of their times, equal channels of several files as one."""
     ordered = sorted(parts, key=lambda part: part.span_ns or (0, 0))
-    translations = _translations([part.summary for part in ordered])
+    attachments = dict[tuple[str, str, bytes], Attachment]()
+    for attachment in chain.from_iterable(part.summary.attachments for part in ordered):
+        attachments.setdefault((attachment.name, attachment.media_type, attachment.data), attachment)
+    metadata = dict.fromkeys(m for part in ordered for m in part.summary.metadata)
+    ordered = [replace(part, summary=replace(part.summary, attachments=(), metadata=())) for part in ordered]
+    summaries = [part.summary for part in ordered]
+    translations = _translations(summaries)
     holding = [(p, t) for p, t in zip(ordered, translations, strict=True) if p.span_ns is not None]
     spans = [part.span_ns for part, _ in holding if part.span_ns is not None]
-    summaries = [part.summary for part in ordered]
-    attachments = {(a.name, a.media_type, a.data): a for s in reversed(summaries) for a in reversed(s.attachments)}
-    metadata = dict.fromkeys(m for summary in summaries for m in summary.metadata)
     name = Path(f"{summaries[0].path} and {len(parts) - 1} more")
     source = (
         MergedParts([(part.summary, translation) for part, translation in holding])
@@ -122,11 +133,11 @@ def united(parts: Sequence[Part]) -> LogSummary:
         profile=next((summary.profile for summary in summaries if summary.profile), ""),
         channels=tuple(dict.fromkeys(channel for translation in translations for channel in translation.values())),
         counts=_counts(summaries, translations),
-        attachments=tuple(reversed(attachments.values())),
+        attachments=tuple(attachments.values()),
         metadata=tuple(metadata),
         first_ns=min((first for first, _ in spans), default=None),
         last_ns=max((last for _, last in spans), default=None),
-        parts=tuple(replace(summary, attachments=(), metadata=()) for summary in summaries),
+        parts=tuple(summaries),
     )
 
 
@@ -135,10 +146,12 @@ def _translations(summaries: Iterable[LogSummary]) -> list[Translation]:
     known: dict[tuple[Channel, int], Channel] = {}
     made: list[Translation] = []
     for summary in summaries:
-        twins, translation = Counter[Channel](), dict[Channel, Channel]()
+        twins, translation = Counter[Channel](), dict[int, Channel]()
         for channel in summary.channels:
             kind = replace(channel, source_id=0)
-            translation[channel] = known.setdefault((kind, twins[kind]), replace(kind, source_id=len(known) + 1))
+            translation[channel.source_id] = known.setdefault(
+                (kind, twins[kind]), replace(kind, source_id=len(known) + 1)
+            )
             twins[kind] += 1
         made.append(translation)
     return made
@@ -147,8 +160,8 @@ def _translations(summaries: Iterable[LogSummary]) -> list[Translation]:
 def _counts(summaries: Iterable[LogSummary], translations: Iterable[Translation]) -> dict[int, int]:
     counts = Counter[int]()
     for summary, translation in zip(summaries, translations, strict=True):
-        for channel, common in translation.items():
-            counts[common.source_id] += summary.counts.get(channel.source_id, 0)
+        for source_id, common in translation.items():
+            counts[common.source_id] += summary.counts.get(source_id, 0)
     return dict(counts)
 
 
@@ -164,4 +177,5 @@ def _held_bytes(parts: Iterable[Part]) -> float:
 
 def _in_file_order(parts: Iterable[tuple[Part, Translation]]) -> Iterator[Message]:
     for part, translation in parts:
-        yield from translated(part.in_file_order(part.summary.path), translation)
+        path = part.summary.path
+        yield from _translated(path, part.in_file_order(path), translation)

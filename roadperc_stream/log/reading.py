@@ -2,26 +2,24 @@
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import IO
 
 from mcap.exceptions import McapError
-from mcap.reader import McapReader, NonSeekingReader, make_reader
+from mcap.reader import McapReader, make_reader
 from zstandard import ZstdError
 
 from roadperc_stream.log.audit import require_undamaged
-from roadperc_stream.log.file_order import FileOrder
+from roadperc_stream.log.file_order import FileOrder, attachments_and_metadata
 from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, usable_index
 from roadperc_stream.log.integrity import damaged, require_whole, unopened
 from roadperc_stream.log.parts import Part, united
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.sorting import SortedMessages
-
-T = TypeVar("T")
 
 
 def summarise(source: Path | Sequence[Path]) -> LogSummary:
@@ -121,14 +119,7 @@ def _inspected(path: Path) -> Part:
         reader = make_reader(stream)
         profile = reader.get_header().profile
         index = usable_index(reader)
-        attachments = tuple(
-            Attachment(a.name, a.media_type, a.data, a.log_time, a.create_time)
-            for a in _besides_messages(stream, lambda reader: reader.iter_attachments())
-        )
-        metadata = tuple(
-            Metadata(m.name, tuple(sorted(m.metadata.items())))
-            for m in _besides_messages(stream, lambda reader: reader.iter_metadata())
-        )
+        attachments, metadata = _besides_messages(reader, stream)
         summary = LogSummary(path, IndexedFile(path), profile, (), {}, attachments, metadata)
         if index is None:
             return Part(_scanned(summary, stream), None, in_file_order)
@@ -147,17 +138,19 @@ def _inspected(path: Path) -> Part:
     return Part(indexed, held_bytes(index), in_file_order)
 
 
-def _besides_messages(stream: IO[bytes], records: Callable[[McapReader], Iterator[T]]) -> list[T]:
-    """Attachments or metadata: all of them stand in the file, its index may name none."""
-    stream.seek(0)
-    index = make_reader(stream).get_summary()
+def _besides_messages(reader: McapReader, stream: IO[bytes]) -> tuple[tuple[Attachment, ...], tuple[Metadata, ...]]:
+    """Attachments and metadata: all of them stand in the file, its index may name none."""
+    index = reader.get_summary()
     statistics = index.statistics if index else None
-    stream.seek(0)
-    if index is not None and statistics is not None:
-        indexed = len(index.attachment_indexes) + len(index.metadata_indexes)
-        if indexed == statistics.attachment_count + statistics.metadata_count:
-            return list(records(make_reader(stream, validate_crcs=True)))
-    return list(records(NonSeekingReader(stream)))
+    counted = statistics and statistics.attachment_count + statistics.metadata_count
+    if index is not None and len(index.attachment_indexes) + len(index.metadata_indexes) == counted:
+        attachments, metadata = list(reader.iter_attachments()), list(reader.iter_metadata())
+    else:
+        attachments, metadata = attachments_and_metadata(stream)
+    return (
+        tuple(Attachment(a.name, a.media_type, a.data, a.log_time, a.create_time) for a in attachments),
+        tuple(Metadata(m.name, tuple(sorted(m.metadata.items()))) for m in metadata),
+    )
 
 
 def _scanned(summary: LogSummary, stream: IO[bytes]) -> LogSummary:

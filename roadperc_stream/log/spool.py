@@ -6,7 +6,6 @@ import tempfile
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Lock
 from typing import IO
 
 from roadperc_stream.errors import TargetError
@@ -52,7 +51,7 @@ class Spool:
         Raises:
             TargetError: there is no folder for temporary files.
         """
-        self._what, self._lock = what, Lock()
+        self._what = what
         with storing(what):
             self._file = stored or tempfile.TemporaryFile()  # noqa: SIM115 - closed with this object
             self.size_bytes = self._file.seek(0, os.SEEK_END)
@@ -83,9 +82,11 @@ class Spool:
 
     def read(self, start: int, length: int) -> bytes:
         """Some of the bytes, fewer at the end."""
-        with self._lock:
-            self._file.seek(start)
-            return self._file.read(length)
+        found = data = os.pread(self._file.fileno(), length, start)
+        while data and len(found) < length:  # the system reads no more than 2 GiB at once
+            data = os.pread(self._file.fileno(), length - len(found), start + len(found))
+            found += data
+        return found
 
     def open(self) -> IO[bytes]:
         """A stream over all bytes, with a position of its own."""

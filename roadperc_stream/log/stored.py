@@ -35,10 +35,6 @@ class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of th
         """It is none."""
         return False if self.stored else super().is_dir()
 
-    def absolute(self) -> Path:
-        """The name it came by, which lies in no folder."""
-        return self if self.stored else super().absolute()
-
 
 def received(paths: Sequence[Path]) -> tuple[Path, ...]:
     """Logs as files that can be read many times: what comes through a pipe is stored, all others stay what they are.

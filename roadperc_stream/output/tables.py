@@ -3,7 +3,7 @@
 import hashlib
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -17,7 +17,6 @@ from roadperc_stream import __version__
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.files import TABLE_SUFFIX, partial_of, target_errors
 from roadperc_stream.errors import TableError
-from roadperc_stream.log import STANDARD_INPUT
 
 ROW_GROUP_ROWS: Final = 1000
 FACT_PREFIX: Final = "roadperc."
@@ -37,19 +36,18 @@ def sidecar_path(target: Path, table: str) -> Path:
     return target.with_name(f"{target.stem}.{table}{TABLE_SUFFIX}")
 
 
-def table_facts(source: Path | Sequence[Path], target: Path, cfg: ReplayConfig) -> dict[str, str]:
+def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:
     """What a table says of where it came from.
 
-    ``roadperc.log`` is the log it lies next to, ``roadperc.source`` the input or its parts, ``roadperc.config`` the
-    configuration.
+    ``roadperc.log`` is the log it lies next to, ``roadperc.source`` the input, ``roadperc.config`` the configuration.
     """
-    toml, sources = cfg.to_toml(), [source] if isinstance(source, Path) else source
+    toml = cfg.to_toml()
     facts = {
         "config": toml,
         "config_digest": hashlib.sha256(toml.encode()).hexdigest(),
         "version": __version__,
         "log": str(target.absolute()),
-        "source": ", ".join(str(path if path == STANDARD_INPUT else path.absolute()) for path in sources),
+        "source": str(source.absolute()),
     }
     return {f"{FACT_PREFIX}{key}": value for key, value in facts.items()}
 

@@ -19,6 +19,7 @@ from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Metadat
 from roadperc_stream.log.parts import MergedParts
 from roadperc_stream.log.sorting import SortedMessages
 from roadperc_stream.loop import replay
+from roadperc_stream.output.tables import read_footer
 from tests import logs
 from tests.arranged import ARRANGEMENTS, dealt, parts
 from tests.logs import START_NS
@@ -74,13 +75,11 @@ def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
     replay(SAMPLE, tmp_path / "whole.mcap", CFG, time_range=part)
     summary = replay(files, tmp_path / "out.mcap", CFG, time_range=part)
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "whole.mcap").read_bytes()
-    tables = [rp.read_metrics(tmp_path / name).select(~rp_times()) for name in ("out.mcap", "whole.mcap")]
+    tables = [rp.read_metrics(tmp_path / name).select(~cs.ends_with("_ms")) for name in ("out.mcap", "whole.mcap")]
     assert tables[0].equals(tables[1])
+    facts = read_footer(tmp_path / "out.metrics.parquet").facts
+    assert facts["source"] == f"{files[0]} and 1 more"
     assert summary.frames == 3
-
-
-def rp_times():
-    return cs.ends_with("_ms")
 
 
 @settings(max_examples=50, deadline=None)
@@ -143,7 +142,7 @@ def test_attachments_and_metadata_are_united(tmp_path):
     assert summary.metadata == (Metadata("m", (("k", "v"),)),)
 
 
-def test_gaps_and_overlaps_are_told(tmp_path):
+def test_gaps_and_overlaps_are_reported():
     spans = [
         PartSpan(name, a * S, b * S, 11) for name, a, b in [("a", 0, 10), ("b", 11, 20), ("c", 15, 18), ("d", 23, 33)]
     ]

@@ -1,6 +1,8 @@
 """Logs through standard input and named pipes: stored once, then like any file."""
 
 import os
+import resource
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -108,3 +110,18 @@ def test_a_disk_too_small_for_a_pipe_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
     with pytest.raises(TargetError, match=rf"pipe: cannot be stored in {tmp_path}/none: .*TMPDIR names a folder"):
         log.received([fed(tmp_path / "pipe", b"x")])
+
+
+def test_a_disk_that_fills_up_while_a_pipe_is_stored_is_said(tmp_path):
+    def limited():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
+
+    command = words("roadperc-replay", "-", tmp_path / "out.mcap")
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    options = {"capture_output": True, "timeout": 60, "env": environment, "preexec_fn": limited}
+    ended = subprocess.run(command, input=SAMPLE.read_bytes(), check=False, **options)
+    assert ended.returncode == 1
+    assert ended.stderr.decode().startswith(f"error: -: cannot be stored in {tmp_path}: File too large; TMPDIR names")
+    assert ended.stderr.count(b"\n") == 1
+    assert list(tmp_path.iterdir()) == []
