@@ -11,7 +11,7 @@ from roadperc_stream import log
 from roadperc_stream.core.config import SyncConfig
 from roadperc_stream.core.datatypes import CameraImage, DepthImage
 from roadperc_stream.core.time import seconds_to_ns
-from roadperc_stream.errors import DecodeError, LogError
+from roadperc_stream.errors import DecodeError
 from roadperc_stream.info.role_states import Roles, roles_of
 from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.info.tally import Tally
@@ -22,7 +22,7 @@ from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import probe_first_message
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import Synchroniser
-from roadperc_stream.log import Channel, Message, MessageDigest, Metadata, Salvage
+from roadperc_stream.log import Channel, Message, MessageDigest, Salvage
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 _MOST_SORTED: Final = 100_000
@@ -60,9 +60,9 @@ class Scan:
         Raises:
             LogError: the file cannot be opened, or is no log at all.
         """
-        salvage = Salvage(path)
-        channels = _used_channels(salvage)
-        metadata = _metadata(path)
+        first, salvage = log.audited(path), Salvage(path)
+        metadata = first.described.metadata
+        channels = tuple(first.channels[number] for number in sorted(first.channels) if first.counts[number])
         named = {**recorded_topics(metadata, channels), **overrides}
         roles = roles_of(channels, named, cache(partial(probe_first_message, path)))
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
@@ -146,22 +146,3 @@ class Scan:
             self.sizes[item.role] = item.payload.size
         except DecodeError:
             return
-
-
-def _metadata(path: Path) -> tuple[Metadata, ...]:
-    """What a result says of how it was made; nothing of a damaged file, whose metadata come too late."""
-    try:
-        return log.summarise(path).metadata
-    except LogError:
-        return ()
-
-
-def _used_channels(salvage: Salvage) -> tuple[Channel, ...]:
-    """The channels that hold messages, which a log without an index tells only when it has been read."""
-    indexed = salvage.indexed_channels
-    if indexed is not None:
-        return indexed
-    first = Salvage(salvage.path)
-    for _ in first.messages():
-        pass
-    return tuple(first.channels[number] for number in sorted(first.counts))

@@ -60,7 +60,7 @@ class InputPlan:
 def plan_input(
     summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], part: TimeRange, *, strict: bool = False
 ) -> InputPlan:
-    """Assign the roles, find the part to replay, and read it once.
+    """Assign the roles, find the part to replay, and read it once: every CRC is checked before work starts.
 
     Args:
         summary: the log.
@@ -82,7 +82,7 @@ def plan_input(
     order = OrderConfig(roles.reference, seconds_to_ns(cfg.sync.max_wait_s))
     plan = InputPlan(roles, order, window, latched, latched_messages, problems)
     digest, counts = MessageDigest(), Counter[str]()
-    messages = _counted(input_messages(summary, cfg, plan), digest, counts)
+    messages = _counted(input_messages(summary, cfg, plan, validate_crcs=not summary.sealed), digest, counts)
     parent_of: dict[str, str] = {}
     items = _with_parents(decoded_messages(messages, roles, cfg.tag_table, Problems(problems.strict_in)), parent_of)
     late_ns = lateness_ns(items, plan.order)
@@ -107,6 +107,7 @@ def input_messages(
     plan: InputPlan,
     *,
     topics: Collection[str] | None = None,
+    validate_crcs: bool = False,
 ) -> Iterator[Message]:
     """The messages to replay, in log-time order: what was latched before, the window, and what arrives late for it.
 
@@ -115,9 +116,10 @@ def input_messages(
         cfg: how long a frame waits for a late sensor.
         plan: the window and what was latched before it.
         topics: only these; None for all.
+        validate_crcs: check every chunk.
     """
     window = plan.window
-    read = partial(log.read, summary.path, topics=topics)
+    read = partial(log.read, summary.path, topics=topics, validate_crcs=validate_crcs)
     yield from (m for m in plan.latched_messages if topics is None or m.channel.topic in topics)
     yield from (m for m in read(start_ns=window.start_ns, end_ns=window.end_ns) if not is_result(m.channel))
     if window.end_ns is not None and window.end_stamp_ns is not None:

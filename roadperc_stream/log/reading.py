@@ -1,18 +1,15 @@
 """Logs in: messages in log-time order, and what a log holds beside them."""
 
-import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TypeVar
 
-from mcap.exceptions import McapError
 from mcap.reader import McapReader, NonSeekingReader, make_reader
-from zstandard import ZstdError
 
-from roadperc_stream.log.audit import require_undamaged
-from roadperc_stream.log.index import channel_of, usable_index
+from roadperc_stream.log.audit import damage_in, require_undamaged, salvaged
+from roadperc_stream.log.index import UNREADABLE, channel_of, usable_index
 from roadperc_stream.log.integrity import damaged, require_whole, unopened
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
 
@@ -28,10 +25,10 @@ def _reading(path: Path) -> Iterator[IO[bytes]]:
             yield stream
     except OSError as error:
         raise unopened(path, error) from error
-    except McapError as error:
-        raise damaged(path, f"damaged MCAP: {error}") from error
-    except (EOFError, ValueError, KeyError, OverflowError, RuntimeError, struct.error, ZstdError) as error:
-        raise damaged(path, f"damaged MCAP: {type(error).__name__}: {error}") from error
+    except UNREADABLE as error:
+        found = salvaged(path)
+        words = f"damaged MCAP: {type(error).__name__}: {error}"
+        raise (damaged(path, words) if found.whole else damage_in(found)) from error
 
 
 def summarise(path: Path) -> LogSummary:
@@ -42,7 +39,7 @@ def summarise(path: Path) -> LogSummary:
     Raises:
         LogError: the file cannot be read, is no MCAP, is cut or damaged.
     """
-    require_undamaged(path)
+    sealed = require_undamaged(path)
     with _reading(path) as stream:
         reader = make_reader(stream)
         profile = reader.get_header().profile
@@ -56,7 +53,7 @@ def summarise(path: Path) -> LogSummary:
             for m in _beside_messages(stream, lambda reader: reader.iter_metadata())
         )
     if index is None:
-        return _scan(path, profile, attachments, metadata)
+        return _scan(path, profile, attachments, metadata, sealed)
     channels = tuple(
         channel_of(index.channels[i], index.schemas.get(index.channels[i].schema_id)) for i in sorted(index.channels)
     )
@@ -71,6 +68,7 @@ def summarise(path: Path) -> LogSummary:
         metadata,
         statistics.message_start_time,
         statistics.message_end_time,
+        sealed,
     )
 
 
@@ -122,7 +120,9 @@ def _beside_messages(stream: IO[bytes], records: Callable[[McapReader], Iterator
     return list(records(NonSeekingReader(stream)))
 
 
-def _scan(path: Path, profile: str, attachments: tuple[Attachment, ...], metadata: tuple[Metadata, ...]) -> LogSummary:
+def _scan(
+    path: Path, profile: str, attachments: tuple[Attachment, ...], metadata: tuple[Metadata, ...], sealed: bool
+) -> LogSummary:
     """The summary of a log without an index, by reading it."""
     channels: dict[int, Channel] = {}
     counts: Counter[int] = Counter()
@@ -134,4 +134,4 @@ def _scan(path: Path, profile: str, attachments: tuple[Attachment, ...], metadat
         first = message.log_time_ns if first is None else first
         last = message.log_time_ns
     ordered = tuple(channels[source] for source in sorted(channels))
-    return LogSummary(path, profile, ordered, counts, attachments, metadata, first, last)
+    return LogSummary(path, profile, ordered, counts, attachments, metadata, first, last, sealed)

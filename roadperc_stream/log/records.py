@@ -67,6 +67,8 @@ class LogSummary:
     metadata: tuple[Metadata, ...] = ()
     first_ns: int | None = None
     last_ns: int | None = None
+    sealed: bool = False
+    """Whether every byte of the messages was checked, as far as the log lets anybody: no chunk needs another look."""
 
 
 class MessageDigest:

@@ -64,8 +64,8 @@ def outcome(path, truth, *, counted=True):
             another channel is as little to be found as one whose content it changes.
     """
     try:
-        log.summarise(path)
-        messages = list(log.read(path))
+        summary = log.summarise(path)
+        messages = list(log.read(path, validate_crcs=not summary.sealed))
         parts = [part for limits in ranges() for part in [(limits, list(log.read(path, **limits)))]]
         topics = [list(log.read(path, topics=[topic])) for topic in truth]
     except LogError:

@@ -118,7 +118,7 @@ def _export(
     sender = _Sender(recording, summary, roles, SceneState(role))
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == reference)
     frames = 0
-    messages = log.read(summary.path)
+    messages = log.read(summary.path, validate_crcs=not summary.sealed)
     for count, instant in enumerate(instants(messages, reference), 1):
         sender.send(instant)
         if count % _MOST_WAITING == 0:
