@@ -62,10 +62,10 @@ class Scan:
         Raises:
             LogError: the file cannot be opened, or is no log at all.
         """
-        salvage = Salvage(path)
-        channels = _used_channels(salvage)
-        summary = _summary(path)
-        metadata = () if summary is None else summary.metadata
+        first, salvage = log.audited(path), Salvage(path)
+        summary = _summary(path) if first.whole else None
+        metadata = first.described.metadata
+        channels = tuple(first.channels[number] for number in sorted(first.channels) if first.counts[number])
         named = {**recorded_topics(metadata, channels), **overrides}
         roles = roles_of(channels, named, no_probe if summary is None else cache(partial(probe_first_message, summary)))
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
@@ -152,19 +152,8 @@ class Scan:
 
 
 def _summary(path: Path) -> LogSummary | None:
-    """What a log says of itself; None of a damaged file, where some of it comes too late."""
+    """What a log says of itself; None of a damaged file."""
     try:
         return log.summarise(path)
     except LogError:
         return None
-
-
-def _used_channels(salvage: Salvage) -> tuple[Channel, ...]:
-    """The channels that hold messages, which a log without an index tells only when it has been read."""
-    indexed = salvage.indexed_channels
-    if indexed is not None:
-        return indexed
-    first = Salvage(salvage.path)
-    for _ in first.messages():
-        pass
-    return tuple(first.channels[number] for number in sorted(first.counts))

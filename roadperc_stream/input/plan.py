@@ -60,7 +60,7 @@ class InputPlan:
 def plan_input(
     summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], part: TimeRange, *, strict: bool = False
 ) -> InputPlan:
-    """Assign the roles, find the part to replay, and read it once.
+    """Assign the roles, find the part to replay, and read it once: every CRC is checked before work starts.
 
     Args:
         summary: the log.

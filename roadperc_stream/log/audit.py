@@ -3,50 +3,56 @@
 from pathlib import Path
 
 from roadperc_stream.core.time import ns_to_seconds
+from roadperc_stream.errors import LogError
 from roadperc_stream.log.damage import DamagedLogError, nothing_saved
-from roadperc_stream.log.integrity import claims_seal, unopened
 from roadperc_stream.log.salvage import Salvage
 
 
-def require_undamaged(path: Path) -> None:
+def require_undamaged(path: Path) -> bool:
     """Check all CRCs, and that index, message indexes and statistics say what stands in the file.
+
+    Returns:
+        Whether the CRCs inside chunks were checked, too: where each chunk has one, that is left to who reads it.
 
     Raises:
         DamagedLogError: they do not; it says what can be saved.
         LogError: the file cannot be read, is no MCAP log, or nothing of it can be saved.
     """
     found = audited(path)
-    if found.whole:
-        return
+    if not found.whole:
+        raise damage_in(found)
+    return found.sealed
+
+
+def damage_in(found: Salvage) -> LogError:
+    """The error of a log that is not whole."""
     if not found.counts.total():
-        raise nothing_saved(path, found.damages)
-    raise DamagedLogError(path, found.damages, _can_be_saved(found))
+        return nothing_saved(found.path, found.damages)
+    return DamagedLogError(found.path, found.damages, _can_be_saved(found))
 
 
 def audited(path: Path) -> Salvage:
     """The finished account of a log.
 
-    Chunks are not opened where CRCs cover every byte, and message indexes count what they hold.
+    Chunks are not opened where CRCs cover every message, and message indexes count what they hold.
 
     Raises:
         LogError: the file cannot be read, or is no MCAP log.
     """
-    quick = Salvage(path, inside=False) if _claims_seal(path) else None
-    if quick is not None:
-        quick.run()
-        if quick.whole and quick.conclusive:
-            return quick
+    quick = Salvage(path, inside=False)
+    quick.run()
+    return quick if quick.whole and quick.conclusive else salvaged(path)
+
+
+def salvaged(path: Path) -> Salvage:
+    """The finished account of a log, with a look inside every chunk.
+
+    Raises:
+        LogError: the file cannot be read, or is no MCAP log.
+    """
     found = Salvage(path)
     found.run()
     return found
-
-
-def _claims_seal(path: Path) -> bool:
-    try:
-        with path.open("rb") as stream:
-            return claims_seal(stream)
-    except OSError as error:
-        raise unopened(path, error) from error
 
 
 def _can_be_saved(found: Salvage) -> str:

@@ -6,9 +6,8 @@ never more than the chunk says that it holds. Layout: https://mcap.dev/spec.
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from io import BytesIO
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Final
 
 import lz4.frame
@@ -88,20 +87,33 @@ def chunk_head(body: bytes) -> ChunkHead:
     return ChunkHead(first_ns, last_ns, size_bytes, crc, name, stored_bytes, memoryview(body)[start:][:stored_bytes])
 
 
-def contents_of(head: ChunkHead) -> Contents:
-    """A chunk's records.
+@dataclass
+class Workspace:
+    """Memory that chunks are decompressed to, one after the other: new memory costs more than decompressing."""
+
+    memory: bytearray = field(default_factory=lambda: bytearray(_PIECE_BYTES))
+
+    def free(self, used: int) -> memoryview:
+        """What lies behind the bytes that are used; more memory where that is nothing."""
+        if used == len(self.memory):
+            self.memory = self.memory + bytes(used)
+        return memoryview(self.memory)[used:]
+
+
+def contents_of(head: ChunkHead, workspace: Workspace) -> Contents:
+    """A chunk's records, which hold until the workspace is used again.
 
     Where the bytes make no sense, or end, those before are given: they were read as they were written. Where they do
     but their CRC is wrong, nobody knows which of them is, and none is given.
     """
-    data, broken = _prefix(_DECOMPRESSED[head.compression](head), head.size_bytes)
-    items, fault = split(memoryview(data))
+    data, broken = _DECOMPRESSED[head.compression](head, workspace)
+    items, fault = split(data)
     if head.stored_bytes > len(head.stored):
         return Contents(items, "ends before its contents do")
     if broken or fault:
         return Contents(items, broken or fault)
-    if head.crc and zlib.crc32(data) != head.crc:
-        return Contents((), f"crc is {zlib.crc32(data):#010x}, expected {head.crc:#010x}")
+    if head.crc and (crc := zlib.crc32(data)) != head.crc:
+        return Contents((), f"crc is {crc:#010x}, expected {head.crc:#010x}")
     if len(data) != head.size_bytes:
         return Contents(items, f"holds {len(data)} bytes, expected {head.size_bytes}")
     return Contents(items)
@@ -139,37 +151,45 @@ def message_head(body: bytes | memoryview) -> MessageHead:
 MESSAGE_HEAD_BYTES: Final = _MESSAGE.size
 
 
-def _prefix(pieces: Iterator[bytes], most: int) -> tuple[bytes, str]:
-    """The pieces up to an error, or until they are more than was promised."""
-    data = bytearray()
+_Data = tuple[memoryview, str]
+"""What was decompressed, and why that is not all; empty where it is."""
+
+
+def _stored(head: ChunkHead, _: Workspace) -> _Data:
+    return head.stored, ""
+
+
+def _zstd(head: ChunkHead, workspace: Workspace) -> _Data:
+    used, fault = 0, ""
+    with ZstdDecompressor().stream_reader(head.stored, read_across_frames=True) as reader:
+        try:
+            while used <= head.size_bytes and (number := reader.readinto(workspace.free(used))):
+                used += number
+        except ZstdError as error:
+            fault = str(error)
+    return _as_promised(memoryview(workspace.memory)[:used], head, fault)
+
+
+def _lz4(head: ChunkHead, _: Workspace) -> _Data:
+    decompressor, given, data, fault = lz4.frame.LZ4FrameDecompressor(), bytes(head.stored), bytearray(), ""
     try:
-        for piece in pieces:
+        while not decompressor.eof and len(data) <= head.size_bytes:
+            piece = decompressor.decompress(given, max_length=_PIECE_BYTES)
+            given = b""
+            if not piece and decompressor.needs_input:
+                fault = "ends before its contents do"
+                break
             data += piece
-            if len(data) > most:
-                return bytes(data[:most]), f"holds more than the {most} bytes it promises"
-    except (ZstdError, RuntimeError, EOFError) as error:
-        return bytes(data), " ".join(str(error).split())
-    return bytes(data), ""
+    except RuntimeError as error:
+        fault = str(error)
+    return _as_promised(memoryview(data), head, fault)
 
 
-def _stored(head: ChunkHead) -> Iterator[bytes]:
-    yield bytes(head.stored)
+def _as_promised(data: memoryview, head: ChunkHead, fault: str) -> _Data:
+    """No more than the chunk says that it holds."""
+    if len(data) > head.size_bytes:
+        return data[: head.size_bytes], f"holds more than the {head.size_bytes} bytes it promises"
+    return data, " ".join(fault.split())
 
 
-def _zstd(head: ChunkHead) -> Iterator[bytes]:
-    with ZstdDecompressor().stream_reader(BytesIO(head.stored), read_across_frames=True) as reader:
-        while piece := reader.read(_PIECE_BYTES):
-            yield piece
-
-
-def _lz4(head: ChunkHead) -> Iterator[bytes]:
-    decompressor, given = lz4.frame.LZ4FrameDecompressor(), bytes(head.stored)
-    while not decompressor.eof:
-        piece = decompressor.decompress(given, max_length=_PIECE_BYTES)
-        given = b""
-        if not piece and decompressor.needs_input:
-            raise EOFError("ends before its contents do")
-        yield piece
-
-
-_DECOMPRESSED: Final[dict[str, Callable[[ChunkHead], Iterator[bytes]]]] = {"": _stored, "zstd": _zstd, "lz4": _lz4}
+_DECOMPRESSED: Final[dict[str, Callable[[ChunkHead, Workspace], _Data]]] = {"": _stored, "zstd": _zstd, "lz4": _lz4}

@@ -73,14 +73,6 @@ def data_end_of(stream: IO[bytes]) -> int | None:
     return data_end if is_data_end else None
 
 
-def claims_seal(stream: IO[bytes]) -> bool:
-    """Whether the writer gave CRCs of data section and summary: then nothing in a file changes without a trace."""
-    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
-    data_end = data_end_of(stream)
-    summary_crc = _unpack(stream, _FOOTER, footer_start)[4]
-    return data_end is not None and bool(summary_crc) and bool(_unpack(stream, _DATA_END, data_end)[2])
-
-
 def _unpack(stream: IO[bytes], record: struct.Struct, start: int) -> tuple[int, ...]:
     """The fields of a record; zeros where the file has none there."""
     stream.seek(max(start, 0))

@@ -1,6 +1,5 @@
 """Logs in: messages in log-time order, and what a log holds besides them."""
 
-import struct
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -9,13 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
-from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
-from zstandard import ZstdError
 
-from roadperc_stream.log.audit import require_undamaged
+from roadperc_stream.log.audit import damage_in, require_undamaged, salvaged
 from roadperc_stream.log.file_order import FileOrder, attachments_and_metadata
-from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, usable_index
+from roadperc_stream.log.index import MOST_HELD_BYTES, UNREADABLE, channel_of, held_bytes, usable_index
 from roadperc_stream.log.integrity import damaged, require_whole, unopened
 from roadperc_stream.log.parts import Part, united
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
@@ -84,10 +81,10 @@ def _reading(path: Path) -> Iterator[IO[bytes]]:
             yield stream
     except OSError as error:
         raise unopened(path, error) from error
-    except McapError as error:
-        raise damaged(path, f"damaged MCAP: {error}") from error
-    except (EOFError, ValueError, KeyError, OverflowError, RuntimeError, struct.error, ZstdError) as error:
-        raise damaged(path, f"damaged MCAP: {type(error).__name__}: {error}") from error
+    except UNREADABLE as error:
+        found = salvaged(path)
+        words = f"damaged MCAP: {type(error).__name__}: {error}"
+        raise (damaged(path, words) if found.whole else damage_in(found)) from error
 
 
 @dataclass(frozen=True)
@@ -95,12 +92,14 @@ class IndexedFile:
     """A log that is read by its index."""
 
     path: Path
+    check_chunks: bool
+    """Whether their CRCs have not been checked yet."""
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """As ``read``."""
         known: dict[int, Channel] = {}
         with _reading(self.path) as stream:
-            reader = make_reader(stream)
+            reader = make_reader(stream, validate_crcs=self.check_chunks)
             wanted = None if topics is None else list(topics)
             for schema, channel, message in reader.iter_messages(wanted, starting_at=start_ns, ending_before=end_ns):
                 if channel.id not in known:
@@ -114,13 +113,13 @@ def _inspected(path: Path) -> Part:
     Raises:
         LogError: as ``summarise``.
     """
-    require_undamaged(path)
+    sealed = require_undamaged(path)
     with _reading(path) as stream:
         reader = make_reader(stream)
         profile = reader.get_header().profile
         index = usable_index(reader)
         attachments, metadata = _besides_messages(reader, stream)
-        summary = LogSummary(path, IndexedFile(path), profile, (), {}, attachments, metadata)
+        summary = LogSummary(path, IndexedFile(path, check_chunks=not sealed), profile, (), {}, attachments, metadata)
         if index is None:
             return Part(_scanned(summary, stream), None, in_file_order)
     channels = tuple(

@@ -24,6 +24,7 @@ from roadperc_stream.log.chunks import (
     ChunkHead,
     Item,
     MessageHead,
+    Workspace,
     chunk_head,
     contents_of,
     message_head,
@@ -93,7 +94,7 @@ class Salvage:
         self._entries = {entry.chunk_start_offset: entry for entry in self._index.chunk_indexes} if self._index else {}
         if self._index is not None:
             self.described.add_index(self._index)
-        self._inventory, self._losses = Inventory(), Losses()
+        self._inventory, self._losses, self._workspace = Inventory(), Losses(), Workspace()
         self._framing = Framing(self.size_bytes, resume_at, self._is_message)
         self._chunks_without_crc = self._breaks = 0
         self._covered = True
@@ -111,8 +112,13 @@ class Salvage:
 
     @property
     def conclusive(self) -> bool:
-        """Whether the messages of all chunks were counted: without a look inside, by their message indexes."""
-        return self._inventory.conclusive
+        """Whether the messages of all chunks were counted, and are covered by CRCs, where nobody looked inside."""
+        return self.inside or (self._inventory.conclusive and (self._covered or self._framing.sealed))
+
+    @property
+    def sealed(self) -> bool:
+        """Whether the bytes of the messages were checked: not those of chunks that were not opened."""
+        return self.inside or self._framing.sealed
 
     @property
     def counts(self) -> Counter[int]:
@@ -204,7 +210,7 @@ class Salvage:
         if not self.inside and not record.fault:
             self._inventory.add_chunk(ChunkPlace.of(record, head, None))
             return
-        contents, positions = contents_of(head), Positions()
+        contents, positions = contents_of(head, self._workspace), Positions()
         faults = [record.fault, contents.fault and f"{record.name}: {contents.fault}"]
         for item in contents.items:
             try:

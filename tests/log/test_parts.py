@@ -207,5 +207,5 @@ def test_several_inputs_replace_a_result_and_nothing_else(tmp_path):
 def test_a_damaged_part_is_named(tmp_path):
     files = parts(SAMPLE, tmp_path, [100, 200])
     files[1].write_bytes(files[1].read_bytes()[:-100])
-    with pytest.raises(LogError, match=r"part_1\.mcap: cut off"):
+    with pytest.raises(LogError, match=r"part_1\.mcap: damaged at byte"):
         open_input(files, CFG)
