@@ -75,7 +75,7 @@ def plan_input(summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, s
     digest, counts = MessageDigest(), Counter[str]()
     messages = _counted(input_messages(summary, cfg, plan, validate_crcs=not summary.sealed), digest, counts)
     parent_of: dict[str, str] = {}
-    items = _with_parents(decoded_messages(messages, roles, cfg.tag_table, Problems()), parent_of)
+    items = _with_parents(decoded_messages(messages, roles, cfg.tag_table, Problems(), cfg.limits), parent_of)
     late_ns = lateness_ns(items, plan.order)
     if not counts[topic]:
         length_s = ns_to_seconds((summary.last_ns or 0) - (summary.first_ns or 0))
@@ -110,7 +110,7 @@ def input_messages(
         validate_crcs: check every chunk.
     """
     window = plan.window
-    read = partial(log.read, summary.path, topics=topics, validate_crcs=validate_crcs)
+    read = partial(log.read, summary.path, topics=topics, validate_crcs=validate_crcs, limits=cfg.limits)
     yield from (m for m in plan.latched_messages if topics is None or m.channel.topic in topics)
     yield from (m for m in read(start_ns=window.start_ns, end_ns=window.end_ns) if not is_result(m.channel))
     if window.end_ns is not None and window.end_stamp_ns is not None:
@@ -143,7 +143,7 @@ def _with_parents(items: Iterable[Stamped], parent_of: dict[str, str]) -> Iterat
 
 def _belongs_before(message: Message, roles: RoleAssignment, cfg: ReplayConfig, end_stamp_ns: int) -> bool:
     """Whether a message of a sensor is of an instant before a stamp."""
-    items = decoded_messages([message], roles, cfg.tag_table, Problems())
+    items = decoded_messages([message], roles, cfg.tag_table, Problems(), cfg.limits)
     return any(item.stamp_ns < end_stamp_ns for item in items if ROLES[item.role].kind not in LATCHED_KINDS)
 
 
@@ -152,12 +152,13 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
     start_ns = None if part.start_s is None else first_ns + seconds_to_ns(part.start_s)
     end_ns = None if part.end_s is None else first_ns + seconds_to_ns(part.end_s)
     if part.frames is not None:
-        inside = log.read(summary.path, topics=[topic], start_ns=start_ns, end_ns=end_ns)
+        inside = log.read(summary.path, topics=[topic], start_ns=start_ns, end_ns=end_ns, limits=cfg.limits)
         beyond = next(islice(inside, part.frames, None), None)
         end_ns = beyond.log_time_ns if beyond else end_ns
     if end_ns is None:
         return Window(start_ns)
-    after = decoded_messages(log.read(summary.path, topics=[topic], start_ns=end_ns), roles, cfg.tag_table, Problems())
+    beyond_end = log.read(summary.path, topics=[topic], start_ns=end_ns, limits=cfg.limits)
+    after = decoded_messages(beyond_end, roles, cfg.tag_table, Problems(), cfg.limits)
     first_after = next((item for item in after if item.role == reference), None)
     return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None)
 
@@ -172,11 +173,12 @@ def _latched_at_start(
     waiting = {role for role in roles.topics if ROLES[role].kind in LATCHED_KINDS}
     topics = {roles.topics[role] for role in waiting}
     latched, sources = LatchedState(), dict[tuple[str, str], Message]()
-    for message in log.read(summary.path, topics=topics, end_ns=window.end_ns) if topics else ():
+    before_end = log.read(summary.path, topics=topics, end_ns=window.end_ns, limits=cfg.limits)
+    for message in before_end if topics else ():
         before = window.start_ns is not None and message.log_time_ns < window.start_ns
         if not (before or waiting):
             break
-        decoded = decoded_messages([message], roles, cfg.tag_table, problems)
+        decoded = decoded_messages([message], roles, cfg.tag_table, problems, cfg.limits)
         for item in without_loops(decoded, latched, roles.topics, problems):
             if before or item.role in waiting:
                 latched = latched.updated(item)

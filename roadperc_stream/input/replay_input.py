@@ -39,7 +39,7 @@ def open_input(
         ChannelError: the channels do not fit the roles.
         LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
     """
-    summary = log.summarise(source)
+    summary = log.summarise(source, cfg.limits)
     return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides or {}, time_range))
 
 
@@ -92,7 +92,7 @@ class ReplayInput:
         self._begin()
         plan, topics = self.plan, self.topics
         messages = input_messages(self.summary, self._cfg, plan, topics=set(topics.values()))
-        decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems)
+        decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems, self._cfg.limits)
         items = without_loops(decoded, plan.latched, topics, self._problems)
         ordered = in_stamp_order(items, plan.order, self._drop)
         log_time_ns = 0

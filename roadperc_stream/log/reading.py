@@ -4,6 +4,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, TypeVar
 
@@ -14,36 +15,49 @@ from mcap.records import Schema as McapSchema
 from mcap.summary import Summary
 from zstandard import ZstdError
 
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.errors import LogError
 from roadperc_stream.log.integrity import check_sections, damaged, require_whole, unopened
+from roadperc_stream.log.limits import (
+    GuardedFile,
+    LimitError,
+    attachments_in,
+    check_chunk,
+    chunk_starts,
+    metadata_in,
+    require_affordable,
+)
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
 
 T = TypeVar("T")
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[IO[bytes]]:
+def _reading(path: Path, limits: LimitsConfig) -> Iterator[IO[bytes]]:
     """Open a log; everything the file or the library can throw becomes one LogError that names the file."""
     try:
-        with path.open("rb") as stream:
+        with GuardedFile(path, limits) as stream:
             require_whole(path, stream)
             yield stream
     except OSError as error:
         raise unopened(path, error) from error
+    except LimitError as error:
+        raise LogError(f"{path}: {error}") from error
     except McapError as error:
         raise damaged(path, f"damaged MCAP: {error}") from error
-    except (EOFError, ValueError, KeyError, OverflowError, RuntimeError, struct.error, ZstdError) as error:
+    except (EOFError, ValueError, KeyError, OverflowError, RuntimeError, MemoryError, struct.error, ZstdError) as error:
         raise damaged(path, f"damaged MCAP: {type(error).__name__}: {error}") from error
 
 
-def summarise(path: Path) -> LogSummary:
+def summarise(path: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> LogSummary:
     """Channels, counts, attachments and metadata of a log, from its index where it has one.
 
     The CRCs over the whole file are checked as it is read.
 
     Raises:
-        LogError: the file cannot be read, is no MCAP, is cut or damaged.
+        LogError: the file cannot be read, is no MCAP, is cut or damaged, or is beyond the limits.
     """
-    with _reading(path) as stream:
+    with _reading(path, limits) as stream:
         sealed = check_sections(path, stream)
         stream.seek(0)
         reader = make_reader(stream)
@@ -51,14 +65,14 @@ def summarise(path: Path) -> LogSummary:
         index = usable_index(reader)
         attachments = tuple(
             Attachment(a.name, a.media_type, a.data, a.log_time, a.create_time)
-            for a in _beside_messages(stream, lambda reader: reader.iter_attachments())
+            for a in _beside_messages(stream, lambda reader: reader.iter_attachments(), attachments_in)
         )
         metadata = tuple(
             Metadata(m.name, tuple(sorted(m.metadata.items())))
-            for m in _beside_messages(stream, lambda reader: reader.iter_metadata())
+            for m in _beside_messages(stream, lambda reader: reader.iter_metadata(), metadata_in)
         )
     if index is None:
-        return _scan(path, profile, attachments, metadata, sealed)
+        return _scan(path, limits, LogSummary(path, profile, (), {}, attachments, metadata, sealed=sealed))
     channels = tuple(
         channel_of(index.channels[i], index.schemas.get(index.channels[i].schema_id)) for i in sorted(index.channels)
     )
@@ -84,6 +98,7 @@ def read(
     start_ns: int | None = None,
     end_ns: int | None = None,
     validate_crcs: bool = False,
+    limits: LimitsConfig = DEFAULT_LIMITS,
 ) -> Iterator[Message]:
     """Messages in the order of their log time; those of equal time in the order of the file.
 
@@ -95,14 +110,21 @@ def read(
         start_ns: first log time read.
         end_ns: first log time no longer read.
         validate_crcs: check every chunk; a pass over the whole file needs it once.
+        limits: of its records and chunks.
 
     Raises:
-        LogError: the file cannot be read, is no MCAP, is cut or damaged.
+        LogError: the file cannot be read, is no MCAP, is cut or damaged, or is beyond the limits.
     """
     known: dict[int, Channel] = {}
-    with _reading(path) as stream:
+    with _reading(path, limits) as stream:
         reader: McapReader = make_reader(stream, validate_crcs=validate_crcs)
-        if usable_index(reader) is None:
+        index = usable_index(reader)
+        if index is not None:
+            require_affordable(stream, index.chunk_indexes, limits)
+        else:
+            for start in chunk_starts(stream):
+                stream.seek(start)
+                check_chunk(stream, limits)
             stream.seek(0)
             reader = NonSeekingReader(stream, validate_crcs=validate_crcs)
         wanted = None if topics is None else list(topics)
@@ -123,7 +145,9 @@ def usable_index(reader: McapReader) -> Summary | None:
     return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
 
 
-def _beside_messages(stream: IO[bytes], records: Callable[[McapReader], Iterator[T]]) -> list[T]:
+def _beside_messages(
+    stream: IO[bytes], records: Callable[[McapReader], Iterator[T]], unindexed: Callable[[IO[bytes]], list[T]]
+) -> list[T]:
     """Attachments or metadata: all of them stand in the file, its index may name none."""
     stream.seek(0)
     index = make_reader(stream).get_summary()
@@ -133,24 +157,22 @@ def _beside_messages(stream: IO[bytes], records: Callable[[McapReader], Iterator
         indexed = len(index.attachment_indexes) + len(index.metadata_indexes)
         if indexed == statistics.attachment_count + statistics.metadata_count:
             return list(records(make_reader(stream, validate_crcs=True)))
-    return list(records(NonSeekingReader(stream)))
+    return unindexed(stream)
 
 
-def _scan(
-    path: Path, profile: str, attachments: tuple[Attachment, ...], metadata: tuple[Metadata, ...], sealed: bool
-) -> LogSummary:
+def _scan(path: Path, limits: LimitsConfig, summary: LogSummary) -> LogSummary:
     """The summary of a log without an index, by reading it."""
     channels: dict[int, Channel] = {}
     counts: Counter[int] = Counter()
     first = last = None
-    for message in read(path):
+    for message in read(path, limits=limits):
         source = message.channel.source_id
         channels.setdefault(source, message.channel)
         counts[source] += 1
         first = message.log_time_ns if first is None else first
         last = message.log_time_ns
     ordered = tuple(channels[source] for source in sorted(channels))
-    return LogSummary(path, profile, ordered, counts, attachments, metadata, first, last, sealed)
+    return replace(summary, channels=ordered, counts=counts, first_ns=first, last_ns=last)
 
 
 def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:

@@ -24,6 +24,7 @@ from zstandard import ZstdError
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.framing import Damage, Framing, Record
 from roadperc_stream.log.integrity import require_log, unopened
+from roadperc_stream.log.limits import check_chunk
 from roadperc_stream.log.reading import channel_of, usable_index
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
 
@@ -140,6 +141,7 @@ class Salvage:
     def _contents(self, record: Record) -> list[records.McapRecord]:
         stream = ReadDataStream(BytesIO(record.body))
         if record.opcode == Opcode.CHUNK:
+            check_chunk(BytesIO(record.body))
             chunk = records.Chunk.read(stream)
             self.chunks[chunk.compression] += 1
             self._chunks_without_crc += not chunk.uncompressed_crc
