@@ -179,7 +179,7 @@ def _latched_at_start(
         if not (before or waiting):
             break
         decoded = decoded_messages([message], roles, cfg.tag_table, problems, cfg.limits)
-        for item in without_loops(decoded, latched, roles.topics, problems):
+        for item in without_loops(decoded, latched, roles.topics, problems, cfg.limits):
             if before or item.role in waiting:
                 latched = latched.updated(item)
                 waiting.discard(item.role)

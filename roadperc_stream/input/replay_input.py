@@ -93,7 +93,7 @@ class ReplayInput:
         plan, topics = self.plan, self.topics
         messages = input_messages(self.summary, self._cfg, plan, topics=set(topics.values()))
         decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems, self._cfg.limits)
-        items = without_loops(decoded, plan.latched, topics, self._problems)
+        items = without_loops(decoded, plan.latched, topics, self._problems, self._cfg.limits)
         ordered = in_stamp_order(items, plan.order, self._drop)
         log_time_ns = 0
         for index, synced in enumerate(islice(self._synchroniser.synced(ordered), plan.most_frames)):
