@@ -61,11 +61,11 @@ def _keep_stderr_from_libraries() -> None:
     if sys.stderr.fileno() != 2:
         return
     sys.stderr.flush()
-    own = open(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors="backslashreplace")  # noqa: SIM115
+    own = open(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors="backslashreplace")  # noqa: PTH123, SIM115
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, 2)
     os.close(null)
-    sys.stderr = sys.__stderr__ = own
+    sys.stderr = own
 
 
 def _print_any_name() -> None:

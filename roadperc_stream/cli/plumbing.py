@@ -95,8 +95,8 @@ def run(command: Callable[[], None]) -> int:
             sys.stdout.flush()
     except RoadpercError as error:
         return _fail(str(error), "" if isinstance(error, RegressionError) else "error: ")
-    except KeyboardInterrupt:
-        return _fail("interrupted")
+    except (KeyboardInterrupt, MemoryError) as error:
+        return _fail("not enough memory" if isinstance(error, MemoryError) else "interrupted")
     except BrokenPipeError:  # the reader has seen enough, as with | head
         discard_output(sys.stdout)
         return EXIT_DONE

@@ -1,7 +1,6 @@
 """A configuration from a TOML file and single settings."""
 
 import difflib
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -10,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from roadperc_stream.core.config.catalogue import Setting, catalogue
 from roadperc_stream.core.config.replay import ReplayConfig
+from roadperc_stream.core.config.settings import MOST_BYTES, in_brief, parsed_toml
 from roadperc_stream.errors import ConfigError
 
 _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
@@ -64,7 +64,7 @@ def _complaint(error: ValidationError) -> str:
         return f"{key}: {first['ctx']['error']}"
     setting = next((setting for setting in catalogue() if setting.key == key), None)
     expected = f"expected {_expected(setting)}" if setting else first["msg"]
-    return f"{key}: {expected}, found {first['input']!r}"
+    return f"{key}: {expected}, found {in_brief(first['input'])}"
 
 
 def _expected(setting: Setting) -> str:
@@ -98,17 +98,18 @@ def _elsewhere(name: str) -> list[str]:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as stream:
+            return parsed_toml(stream.read(MOST_BYTES + 1))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
 
 
 def _toml_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parsed_toml(f"value = {text}".encode())["value"]
+    except ConfigError:
         return text
 
 
