@@ -22,6 +22,7 @@ from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages, Synchroniser
 from roadperc_stream.log import Channel, LogSummary, Message
 from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, TAG_TABLE_KEY, TOPIC_KEY, log_id_of
+from roadperc_stream.schemas.roles import require_role
 
 
 def open_input(
@@ -36,9 +37,11 @@ def open_input(
         time_range: the part to replay; the copy of the input is cut with it.
 
     Raises:
-        ChannelError: the channels do not fit the roles.
+        ChannelError: a role does not exist, or the channels do not fit the roles.
         LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
     """
+    for role, topic in (overrides or {}).items():
+        require_role(role, f"topic {topic}")
     summary = log.summarise(source, cfg.limits)
     return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides or {}, time_range))
 
