@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from roadperc_stream.core.process import optional_output
+from roadperc_stream.core.text import print_line
 from roadperc_stream.errors import RegressionError
 from roadperc_stream.output.terminal import console_for
 
@@ -48,7 +49,7 @@ def _logs(arguments: argparse.Namespace) -> tuple[Path, Path] | None:
 def _update(copies: tuple[Copy, ...]) -> None:
     carry_out(copies)
     for copy in copies:
-        print(f"reference: {copy.target} is now {copy.source}")
+        print_line(f"reference: {copy.target} is now {copy.source}")
     if not copies:
         print("reference: nothing to replace, its results are the same")
 

@@ -13,6 +13,8 @@ from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUF
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import facts_in, sidecar_path
 
+from .column_types import require_columns_as_written
+
 REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
 """What makes a metrics table. Others may be absent, as in tables of older versions: they count as null."""
 
@@ -56,13 +58,14 @@ def open_run(path: Path, name: str) -> Run:
     """
     try:
         footer = pq.read_metadata(path)
-    except pa.ArrowInvalid as error:
+    except pa.ArrowException as error:
         raise TableError(f"{path}: is not a Parquet file, or was cut short ({_first_line(error)})") from error
     except OSError as error:
         raise TableError(f"{path}: {error.strerror or _first_line(error)}") from error
     columns = frozenset(footer.schema.to_arrow_schema().names)
     _require_columns(path, columns)
     _require_values(path, footer)
+    require_columns_as_written(path, footer)
     facts = facts_in(footer.metadata)
     made_by = (facts.get(key, "") for key in ("config_digest", "version", "config", "source", "log"))
     return Run(name, path, footer.num_rows, columns, *made_by)

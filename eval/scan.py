@@ -44,7 +44,7 @@ def collect(frame: pl.LazyFrame, source: str) -> pl.DataFrame:
     """
     try:
         return frame.collect(engine="in-memory")
-    except (pl.exceptions.PolarsError, OSError) as error:
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
         cause = (str(error).splitlines() or [type(error).__name__])[0]
         raise TableError(f"{source}: its data cannot be read: {cause}") from error
 

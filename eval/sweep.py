@@ -8,6 +8,7 @@ from pathlib import Path
 from roadperc_stream.cli.arguments import time_range_of
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.folders import not_a_log
+from roadperc_stream.core.text import print_line
 from roadperc_stream.errors import LogError
 from roadperc_stream.output.terminal import console_for, frame_progress, print_lines, print_table
 from roadperc_stream.schemas.roles import parse_topic_options
@@ -37,7 +38,7 @@ def sweep(arguments: argparse.Namespace) -> None:
         describe(folder, made, arguments.logs)
     for job, texts in zip(jobs, notes, strict=True):
         for note in texts:
-            print(f"note: {job.source.name}: {note}")
+            print_line(f"note: {job.source.name}: {note}")
     _print(arguments.out, made, reference)
 
 

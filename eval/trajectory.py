@@ -76,7 +76,7 @@ def _export(poses: RunPoses, options: TrajectoryOptions) -> bool:
 
 
 def _one(evaluation: Evaluation) -> list[str | TextTable]:
-    facts = (tables.coverage(evaluation), tables.alignment(evaluation), tables.without_scale(evaluation))
+    facts = (*tables.coverage(evaluation), tables.alignment(evaluation), tables.without_scale(evaluation))
     return [*filter(None, facts), tables.errors(evaluation), tables.stretches(evaluation)]
 
 

@@ -262,7 +262,7 @@ def read_metrics(run: str | Path) -> pl.DataFrame:
         return pl.read_parquet(table)
     except FileNotFoundError as error:
         raise TableError(f"{table}: no such metrics table") from error
-    except (OSError, pl.exceptions.PolarsError) as error:
+    except (OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise TableError(f"{table}: is not a metrics table that can be read: {error}") from error
 
 

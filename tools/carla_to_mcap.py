@@ -14,6 +14,7 @@ from rich.progress import Progress
 from roadperc_stream import __version__
 from roadperc_stream.core.files import require_free
 from roadperc_stream.core.process import optional_output
+from roadperc_stream.core.text import print_line
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata
 from roadperc_stream.output.terminal import PipeConsole, print_lines
@@ -79,7 +80,7 @@ def _convert(dump: Path, out: Path, options: ConvertOptions, *, force: bool, qui
 def _warn(texts: Iterable[str]) -> None:
     with optional_output(sys.stderr):
         for text in texts:
-            print(f"warning: {text}", file=sys.stderr)
+            print_line(f"warning: {text}", sys.stderr)
 
 
 def _write(plan: Plan, out: Path, *, force: bool, quiet: bool) -> _Progress:

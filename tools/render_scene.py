@@ -4,6 +4,7 @@ import time
 from itertools import count
 from pathlib import Path
 
+from roadperc_stream.core.text import print_line
 from roadperc_stream.output.terminal import frame_progress
 
 from .scene.job import render_dump
@@ -23,4 +24,4 @@ def render(dump: Path, options: RenderOptions, *, force: bool) -> None:
         render_dump(dump, options, force=force, on_frame=lambda: progress(next(done), options.frames))
     seconds = time.perf_counter() - started
     size, rate = f"{options.width}x{options.height}", options.frames / seconds
-    print(f"{options.frames} frames of {size} in {seconds:.1f} s ({rate:.1f} frames/s): {dump}")
+    print_line(f"{options.frames} frames of {size} in {seconds:.1f} s ({rate:.1f} frames/s): {dump}")

@@ -36,6 +36,9 @@ def bin_edges(values: Sequence[Float]) -> Float:
     joined = np.concatenate(values)
     known = joined[np.isfinite(joined)]
     bins = int(np.clip(2 * np.sqrt(len(known)), LEAST_BINS, MOST_BINS))
+    span = float(known.max() - known.min()) if known.size else 0.0
+    if known.size and 0 <= span < bins * np.spacing(np.abs(known).max()):  # no room for so many between neighbours
+        return np.linspace(known.min() - abs(known.min()) / 2, known.max() + abs(known.max()) / 2, bins + 1)
     edges: Float = np.histogram_bin_edges(known, bins)
     return edges
 

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from roadperc_stream.core.files import completing, require_suffix
+from roadperc_stream.core.text import shown
 from roadperc_stream.output.text_table import by_header
 
 from ..configurations import grouped, settings_table
@@ -84,7 +85,9 @@ def _numbered(charts: Mapping[str, Sequence[Figure]]) -> dict[str, list[tuple[st
 
 
 def _render(charts: Mapping[str, Sequence[tuple[str, Figure]]], **content: Any) -> str:
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, finalize=_text, trim_blocks=True, lstrip_blocks=True
+    )
     specs = {name: figure.spec for figures in charts.values() for name, figure in figures}
     return environment.from_string(_part("page.html")).render(
         charts=charts,
@@ -94,6 +97,12 @@ def _render(charts: Mapping[str, Sequence[tuple[str, Figure]]], **content: Any) 
         plotly=Markup(get_plotlyjs()),
         **content,
     )
+
+
+def _text(value: Any) -> Any:
+    """A value as the page shows it; a picture's bytes, which are printable, come whole."""
+    plain = not isinstance(value, str) or isinstance(value, Markup) or value.isprintable()
+    return value if plain else shown(value)
 
 
 def _json(content: object) -> Markup:

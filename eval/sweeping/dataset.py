@@ -1,6 +1,5 @@
 """The folder a sweep writes: there when complete, and a former one replaced only when asked."""
 
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Final
 import tomli_w
 
 from roadperc_stream import __version__
-from roadperc_stream.core.files import METRICS_SUFFIX, partial_of, target_errors
+from roadperc_stream.core.files import METRICS_SUFFIX, completing_folder, target_errors
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 
@@ -28,19 +27,8 @@ def dataset(target: Path, force: bool) -> Iterator[Path]:
         TableError: the name is taken: by a former sweep without ``force``, or by anything else.
     """
     _require_free(target, force)
-    hidden = partial_of(target.absolute())
-    former = hidden.with_suffix(".former")
-    try:
-        hidden.mkdir(parents=True)
+    with completing_folder(target) as hidden:
         yield hidden
-        if target.exists():
-            target.rename(former)
-        hidden.rename(target)
-    finally:
-        shutil.rmtree(hidden, ignore_errors=True)
-        if former.exists() and not target.exists():
-            former.rename(target)
-        shutil.rmtree(former, ignore_errors=True)
 
 
 def describe(folder: Path, made: Sequence[Combination], logs: Sequence[Path]) -> None:

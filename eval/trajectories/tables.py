@@ -18,13 +18,13 @@ _ALIGNED: Final[Mapping[Alignment, str]] = {
 }
 
 
-def coverage(evaluation: Evaluation) -> str:
-    """How much of the run the figures are over."""
+def coverage(evaluation: Evaluation) -> tuple[str, str]:
+    """How much of the run the figures are over, in two lines."""
     run = evaluation.run
     return (
-        f"{run.name}: {run.frames} frames, {evaluation.driven_m:.1f} m driven\n"
+        f"{run.name}: {run.frames} frames, {evaluation.driven_m:.1f} m driven",
         f"{percent(run.coverage)} % have both poses: "
-        f"estimated {run.estimated_frames}, true {run.true_frames}, lost {run.lost}"
+        f"estimated {run.estimated_frames}, true {run.true_frames}, lost {run.lost}",
     )
 
 

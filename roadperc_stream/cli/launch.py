@@ -14,6 +14,7 @@ from roadperc_stream.core.process import EXIT_ERROR, discard_output, ending_sign
 
 def _launch(command: str) -> int:
     _open_closed_streams()
+    _keep_stderr_from_libraries()
     _print_any_name()
     for number in ending_signals():
         signal.signal(number, _end)
@@ -39,7 +40,7 @@ def _flushed(code: int) -> int:
 
 def _refused(error: OSError) -> int:
     with suppress(OSError):
-        os.write(2, f"error: {error.strerror or error}\n".encode())
+        os.write(sys.stderr.fileno(), f"error: {error.strerror or error}\n".encode())
     return EXIT_ERROR
 
 
@@ -51,6 +52,22 @@ def _open_closed_streams() -> None:
             setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
 
 
+def _keep_stderr_from_libraries() -> None:
+    """What libpng, libjpeg and others write to file 2 by themselves goes nowhere; stderr goes on elsewhere.
+
+    They write of every image that is damaged, and no setting of theirs stops it. What is wrong, and with which
+    message, is said by the command. Threads do not disturb each other: nothing is switched to and fro.
+    """
+    if sys.stderr.fileno() != 2:
+        return
+    sys.stderr.flush()
+    own = open(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors="backslashreplace")  # noqa: PTH123, SIM115
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
+    os.close(null)
+    sys.stderr = own
+
+
 def _print_any_name() -> None:
     r"""A name that the terminal's encoding lacks is printed as ``\udcff``, on stdout as Python does on stderr."""
     if isinstance(sys.stdout, TextIOWrapper):
@@ -60,7 +77,7 @@ def _print_any_name() -> None:
 def _end(_number: int, _frame: FrameType | None) -> None:
     """End at once: outside ``plumbing.run`` nothing is half written, and what is being imported may swallow errors."""
     with suppress(OSError):
-        os.write(2, b"error: interrupted\n")
+        os.write(sys.stderr.fileno(), b"error: interrupted\n")
     os._exit(EXIT_ERROR)
 
 

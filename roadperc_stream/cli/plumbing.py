@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 from roadperc_stream.core.process import EXIT_DONE, EXIT_ERROR, discard_output, ending_signals, optional_output
+from roadperc_stream.core.text import print_line, shown
 from roadperc_stream.errors import RegressionError, RoadpercError
 
 _AGAIN_AFTER_S = 0.05
@@ -28,6 +29,10 @@ class _Parser(argparse.ArgumentParser):
     def _print_message(self, message: str, file: Any = None) -> None:
         with optional_output(file or sys.stderr):
             super()._print_message(message, file)
+
+    def error(self, message: str) -> NoReturn:
+        """End with exit code 2; a shell's pattern may have put any file's name into the message."""
+        super().error(shown(message))
 
 
 def command_parser(name: str, description: str, example: str, usage: str | None = None) -> argparse.ArgumentParser:
@@ -98,8 +103,8 @@ def run(command: Callable[[], None]) -> int:
             sys.stdout.flush()
     except RoadpercError as error:
         return _fail(str(error), "" if isinstance(error, RegressionError) else "error: ")
-    except KeyboardInterrupt:
-        return _fail("interrupted")
+    except (KeyboardInterrupt, MemoryError) as error:
+        return _fail("not enough memory" if isinstance(error, MemoryError) else "interrupted")
     except BrokenPipeError:  # the reader has seen enough, as with | head
         discard_output(sys.stdout)
         return EXIT_DONE
@@ -112,7 +117,7 @@ def run(command: Callable[[], None]) -> int:
 
 def _fail(text: str, prefix: str = "error: ") -> int:
     with optional_output(sys.stderr):
-        print(f"{prefix}{' '.join(text.splitlines())}", file=sys.stderr)
+        print_line(f"{prefix}{' '.join(text.splitlines())}", sys.stderr)
     return EXIT_ERROR
 
 

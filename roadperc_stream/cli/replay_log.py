@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.core.process import optional_output
+from roadperc_stream.core.text import print_line
 from roadperc_stream.loop import ReplaySummary, replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.output.terminal import frame_progress
@@ -62,14 +63,14 @@ def _print_summary(target: Path, summary: ReplaySummary) -> None:
     for warning in summary.warnings:
         print(f"warning: {warning}")
     for note in (*summary.notes, *summary.throughout):
-        print(f"note: {note}")
+        print_line(f"note: {note}")
     for topic, number in summary.problems.items():
-        print(f"warning: {number} messages on {topic} could not be read; they are copied, their frames go without")
+        print_line(f"warning: {number} messages on {topic} could not be read; they are copied, their frames go without")
     for role, number in summary.dropped.items():
-        print(f"note: {number} messages of role {role} belong to no frame")
+        print_line(f"note: {number} messages of role {role} belong to no frame")
     rate = summary.frames / summary.seconds
-    print(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} frames/s), log {summary.log_id}")
-    print(
+    print_line(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} frames/s), log {summary.log_id}")
+    print_line(
         f"wrote {target} ({summary.messages_out} messages), {sidecar_path(target, 'metrics').name}, "
         f"{sidecar_path(target, 'objects').name}"
     )

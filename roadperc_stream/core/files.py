@@ -1,7 +1,8 @@
 """Files that commands write: none is replaced unasked, and each appears under its name only when complete."""
 
 import os
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -105,6 +106,38 @@ def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def completing_folder(target: Path, keep: Callable[[Path], bool] = lambda _: False) -> Iterator[Path]:
+    """A hidden folder to fill, which takes the target's place where the block ends without an error.
+
+    Args:
+        target: the folder; what stands there goes.
+        keep: whether something that lies in it stays.
+
+    Raises:
+        TargetError: it cannot be made, or put there.
+    """
+    place = target.resolve()
+    hidden = partial_of(place)
+    former = hidden.with_suffix(".former")
+    try:
+        with target_errors(target):
+            hidden.mkdir(parents=True)
+            yield hidden
+            if place.exists():
+                place.rename(former)
+            hidden.rename(place)
+            for entry in [*former.iterdir()] if former.exists() else []:
+                if keep(entry):
+                    entry.rename(place / entry.name)
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
+        if former.exists() and not place.exists():
+            former.rename(place)
+        elif former.exists() and not any(map(keep, former.iterdir())):
+            shutil.rmtree(former, ignore_errors=True)
 
 
 class PartialFile(Protocol):

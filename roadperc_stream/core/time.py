@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Final
 
 from roadperc_stream.errors import ConfigError
@@ -36,10 +37,12 @@ class TimeRange:
             ConfigError: one is no time or number, or the range ends before it starts.
         """
         for name, limit_s in (("start", self.start_s), ("end", self.end_s)):
-            if limit_s is not None and not math.isfinite(limit_s):
-                raise ConfigError(f"{name}: expected seconds, found {limit_s}")
+            if limit_s is not None and not (isinstance(limit_s, Real) and math.isfinite(limit_s)):
+                raise ConfigError(f"{name}: expected seconds, found {limit_s!r}")
         if self.start_s is not None and self.end_s is not None and self.end_s <= self.start_s:
             raise ConfigError(f"end {self.end_s:g} s: expected more than the start, {self.start_s:g} s")
+        if self.frames is not None and (isinstance(self.frames, bool) or not isinstance(self.frames, Integral)):
+            raise ConfigError(f"frames: expected a whole number, found {self.frames!r}")
         if self.frames is not None and self.frames < 1:
             raise ConfigError(f"frames: expected 1 or more, found {self.frames}")
 

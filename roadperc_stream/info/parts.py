@@ -7,7 +7,7 @@ from rich.console import Console
 
 from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.info.facts import LogFacts
-from roadperc_stream.info.text import listed, number, plain
+from roadperc_stream.info.text import listed, number
 from roadperc_stream.input.parts import PartSpan, joins
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextTable, row
@@ -25,7 +25,7 @@ def print_parts(console: Console, logs: Sequence[LogFacts]) -> None:
         return
     began_ns = spans[0].first_ns
     rows = tuple(
-        row(plain(span.name), *(f"{ns_to_seconds(at_ns - began_ns):.3f}" for at_ns in (span.first_ns, span.last_ns)))
+        row(span.name, *(f"{ns_to_seconds(at_ns - began_ns):.3f}" for at_ns in (span.first_ns, span.last_ns)))
         for span in spans
     )
     print_table(console, TextTable("As the parts of one log", ("from s", "to s"), rows))
@@ -53,7 +53,7 @@ def _only_in_some(logs: Sequence[LogFacts]) -> Iterator[str]:
             holding.setdefault(topic, []).append(Path(facts.log).name)
     for topic, names in holding.items():
         if len(names) < len(logs):
-            yield f"{plain(topic)}: only in {plain(listed(names))}"
+            yield f"{topic}: only in {listed(names)}"
 
 
 def _whole(logs: Sequence[LogFacts], spans: Sequence[PartSpan]) -> Iterator[str]:

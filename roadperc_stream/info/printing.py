@@ -1,17 +1,19 @@
 """Prints a log's facts: the file, its channels and their times, a replay's view of it, where a result comes from."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from shlex import quote
 from typing import Final
 
 from rich.console import Console
 
+from roadperc_stream.core.text import shown
 from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.info.facts import ChannelFacts, LogFacts
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.replay_printing import print_replay
-from roadperc_stream.info.text import listed, number, plain, rounded, size
+from roadperc_stream.info.text import listed, number, rounded, size
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.record import log_id_of
@@ -49,13 +51,13 @@ def print_log(console: Console, facts: LogFacts) -> None:
 def _file_lines(facts: LogFacts) -> Iterator[str]:
     file = facts.file
     called = f", log {facts.log_id}" if facts.log_id else ""
-    yield f"{plain(facts.log)}: {'whole' if file.whole else 'DAMAGED'}, {_KINDS[facts.kind]}{called}"
-    written = f" written by {plain(file.library)}" if file.library else ""
-    profile = f", profile {plain(file.profile)}" if file.profile else ""
+    yield f"{facts.log}: {'whole' if file.whole else 'DAMAGED'}, {_KINDS[facts.kind]}{called}"
+    written = f" written by {file.library}" if file.library else ""
+    profile = f", profile {file.profile}" if file.profile else ""
     yield f"{size(file.size_bytes)}{written}{profile}, {_chunks(file.chunks)}"
     yield f"{number(facts.messages, 'message')} on {number(len(facts.channels), 'channel')}{_span(facts)}"
-    beside = [f"attachment {plain(name)} ({size(length)})" for name, length in file.attachments.items()]
-    beside += [f"metadata {plain(name)}" for name in file.metadata]
+    beside = [f"attachment {name} ({size(length)})" for name, length in file.attachments.items()]
+    beside += [f"metadata {name}" for name in file.metadata]
     if beside:
         yield listed(beside)
     yield from _damage_lines(facts)
@@ -69,7 +71,7 @@ _KINDS: Final = {"input": "an input", "result": "a result of roadperc-replay"}
 
 
 def _chunks(chunks: Mapping[str, int]) -> str:
-    counted = [f"{number(n, 'chunk')} ({plain(name) or 'not compressed'})" for name, n in chunks.items()]
+    counted = [f"{number(n, 'chunk')} ({name or 'not compressed'})" for name, n in chunks.items()]
     return ", ".join(counted) or "no chunks"
 
 
@@ -85,42 +87,42 @@ def _span(facts: LogFacts) -> str:
 def _damage_lines(facts: LogFacts) -> Iterator[str]:
     file = facts.file
     for damage in file.damages[:_DAMAGES_SHOWN]:
-        yield f"byte {damage.byte}: {plain(damage.words)}"
+        yield f"byte {damage.byte}: {damage.words}"
     if len(file.damages) > _DAMAGES_SHOWN:
         yield f"and {len(file.damages) - _DAMAGES_SHOWN} damages more"
     if file.damages and file.last_good_ns is not None and facts.first_ns is not None:
         after_s = ns_to_seconds(file.last_good_ns - facts.first_ns)
         yield f"the last message before that is at {after_s:.3f} s ({file.last_good_ns} ns); below is what can be read"
     if file.damages and facts.messages:
-        yield f"roadperc-info {quote(plain(facts.log))} --recover OUT.mcap writes that as a whole log"
+        yield f"roadperc-info {quote(facts.log)} --recover OUT.mcap writes that as a whole log"
     if file.recovery is not None:
         yield "repaired after damage:"
-        yield from (f"  {plain(line)}" for line in file.recovery.lines(facts.first_ns))
+        yield from (f"  {line}" for line in file.recovery.lines(facts.first_ns))
 
 
 def _channels(channels: Sequence[ChannelFacts], width: int) -> TextTable:
     """Schemas stand behind the numbers, or below the topics where the two are too long for one line."""
     ordered = sorted(channels, key=lambda channel: (channel.result, channel.topic))
-    topics, schemas = [plain(channel.topic) for channel in ordered], [_schema(channel) for channel in ordered]
+    topics, schemas = [shown(channel.topic) for channel in ordered], [shown(_schema(channel)) for channel in ordered]
     numbers = [(str(channel.messages), rounded(channel.rate_hz)) for channel in ordered]
     found = list(zip(topics, schemas, numbers, strict=True))
     if max(map(len, topics), default=0) + max(map(len, schemas), default=0) + _NUMBERS_WIDTH <= width:
         rows = tuple(row(topic, *cells, schema) for topic, schema, cells in found)
         return TextTable("Channel", ("messages", "Hz", "schema"), rows, last_is_text=True, label_columns=12)
-    rows = tuple(row(f"{topic}\n  {schema}", *cells) for topic, schema, cells in found)
+    rows = tuple(replace(row(topic, *cells), below=f"  {schema}") for topic, schema, cells in found)
     return TextTable("Channel, schema", ("messages", "Hz"), rows)
 
 
 def _schema(channel: ChannelFacts) -> str:
     """The schema's name, with the encoding where it is not the one that such names have."""
-    name = plain(channel.schema) or "no schema"
+    name = channel.schema or "no schema"
     natural = next((encoding for sign, encoding in _NATURAL.items() if sign in name), "")
-    return name if channel.message_encoding == natural else f"{name} ({plain(channel.message_encoding)})"
+    return name if channel.message_encoding == natural else f"{name} ({channel.message_encoding})"
 
 
 def _odd_intervals(channels: Iterable[ChannelFacts]) -> TextTable:
     inputs = (channel for channel in channels if not channel.result)  # results come as the frames have them
-    rows = tuple(row(plain(channel.topic), *cells) for channel in inputs if any(cells := _intervals(channel)))
+    rows = tuple(row(channel.topic, *cells) for channel in inputs if any(cells := _intervals(channel)))
     return TextTable("Odd intervals", ("jitter ms", "gap s", "from s"), rows, (_INTERVALS_NOTE,) if rows else ())
 
 
@@ -143,7 +145,7 @@ def _stamp_counts(channel: ChannelFacts) -> tuple[int, int, int, int]:
 
 def _stamps(channel: ChannelFacts) -> TextRow:
     back, *others = (str(count or "") for count in _stamp_counts(channel))
-    return row(plain(channel.topic), back, rounded(channel.stamps_back_at_s), *others)
+    return row(channel.topic, back, rounded(channel.stamps_back_at_s), *others)
 
 
 def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:
@@ -155,24 +157,24 @@ def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:
 
 def _provenance_lines(provenance: Provenance) -> Iterator[str]:
     config = (provenance.config_digest or "unknown")[:8]
-    version, seed = plain(provenance.version) or "unknown", plain(provenance.seed) or "unknown"
+    version, seed = provenance.version or "unknown", provenance.seed or "unknown"
     frames = "" if provenance.frames is None else f", {number(provenance.frames, 'frame')}"
     yield f"replayed by version {version}, configuration {config}, seed {seed}{frames}"
     yield _digest_line(provenance)
     if provenance.dropped:
-        dropped = ", ".join(f"{plain(role)} {count}" for role, count in provenance.dropped.items())
+        dropped = ", ".join(f"{role} {count}" for role, count in provenance.dropped.items())
         yield f"messages that belonged to no frame: {dropped}"
     for table in provenance.tables:
         rows = "" if table.rows is None else f" ({number(table.rows, 'row')})"
-        yield f"{plain(table.path)}{rows}: {plain(table.fault) or 'belongs to this log'}"
+        yield f"{table.path}{rows}: {table.fault or 'belongs to this log'}"
     if provenance.config_fault:
-        yield f"settings: {plain(provenance.config_fault)}"
+        yield f"settings: {provenance.config_fault}"
     elif not provenance.settings:
         yield "settings: all at their defaults"
 
 
 def _digest_line(provenance: Provenance) -> str:
-    digest = log_id_of(plain(provenance.digest)) or "unknown"
+    digest = log_id_of(provenance.digest) or "unknown"
     if provenance.digest_found is None:
         return f"input {digest}: not in the file (--results-only), or not all of it can be read"
     if provenance.changed:
@@ -182,7 +184,6 @@ def _digest_line(provenance: Provenance) -> str:
 
 def _settings(provenance: Provenance) -> TextTable:
     rows = tuple(
-        row(plain(setting.key), plain(setting.value), plain(setting.default or "no such setting"))
-        for setting in provenance.settings
+        row(setting.key, setting.value, setting.default or "no such setting") for setting in provenance.settings
     )
     return TextTable("Settings not at their defaults", ("value", "default"), rows)

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from roadperc_stream.info.facts import CameraFacts, LogFacts, ReplayFacts
 from roadperc_stream.info.role_states import RoleState
-from roadperc_stream.info.text import listed, number, plain, rounded
+from roadperc_stream.info.text import listed, number, rounded
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
@@ -46,11 +46,11 @@ def _worth_a_line(state: RoleState, filled: set[str]) -> bool:
 
 def _said(state: RoleState) -> str:
     if state.state == "filled":
-        return f"{plain(state.topic or '')}{_CHOICES[state.why]}"
-    where = f" {plain(state.topic)}:" if state.topic else ""
-    fault = f"{where} {plain(state.why)}" if state.why else ""
+        return f"{state.topic or ''}{_CHOICES[state.why]}"
+    where = f" {state.topic}:" if state.topic else ""
+    fault = f"{where} {state.why}" if state.why else ""
     cost = f": {state.cost}" if state.cost else ""
-    could = [f"--topic {state.role}={plain(topic)}" for topic in state.candidates]
+    could = [f"--topic {state.role}={topic}" for topic in state.candidates]
     return f"{state.state}{fault}{cost}" + (f"; could be {listed(could, 3)}" if could else "")
 
 
@@ -58,7 +58,7 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
     if not whole:
         yield "a replay refuses the file as it is; mcap recover (of the mcap command) writes one of what can be read"
     if replay.refusal is not None:
-        yield f"a replay stops: {plain(replay.refusal)}"
+        yield f"a replay stops: {replay.refusal}"
     if replay.reference is not None:
         skew = "" if replay.skew_s is None else f", stamps within a frame differ by up to {1000 * replay.skew_s:.1f} ms"
         yield f"{number(replay.frames, 'frame')}, one per message of role {replay.reference}{skew}"
@@ -68,9 +68,9 @@ def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
         yield f"messages that belong to no frame: {unused}"
     yield from _tag_lines(replay)
     for topic, count in replay.unreadable.items():
-        yield f"{plain(topic)}: {number(count, 'message')} cannot be decoded"
+        yield f"{topic}: {number(count, 'message')} cannot be decoded"
     for problem in replay.problems:
-        yield f"first of these: {plain(problem)}"
+        yield f"first of these: {problem}"
 
 
 def _alone_lines(replay: ReplayFacts) -> Iterator[str]:
@@ -86,7 +86,7 @@ def _alone_lines(replay: ReplayFacts) -> Iterator[str]:
 def _tag_lines(replay: ReplayFacts) -> Iterator[str]:
     if any(state.role == "segmentation" and state.state == "filled" for state in replay.roles):
         yield (
-            f"tag table {plain(replay.tag_table)}"
+            f"tag table {replay.tag_table}"
             if replay.tag_table
             else ("no tag table is named: a replay needs one, such as --set tag_table=0.9.15")
         )

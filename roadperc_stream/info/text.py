@@ -1,15 +1,10 @@
-"""How facts are put in words: names that cannot disturb a terminal, sizes, counts."""
+"""How facts are put in words: sizes, counts, lists."""
 
 from collections.abc import Sequence
 from typing import Final
 
 _MOST_LISTED: Final = 6
 _KILO: Final = 1000
-
-
-def plain(text: str) -> str:
-    """A name from a file as it is, but for what a terminal would take as a command."""
-    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in text)
 
 
 def size(length: int) -> str:

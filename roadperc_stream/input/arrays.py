@@ -2,7 +2,7 @@
 
 import operator
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from roadperc_stream.core.datatypes import Box, CameraImage, Detection, Image
 from roadperc_stream.core.geometry import Camera, Float, Float32, pinhole_fault
+
+_ROTATION_TOLERANCE: Final = 1e-3
+"""Of a rotation times its transpose: what is left of one that was written with four digits."""
 
 
 def checked_stamp_ns(stamp_ns: Any) -> int:
@@ -45,11 +48,16 @@ def mounting(ego_T_camera: ArrayLike) -> Float:
     """A copy of a (4, 4) pose.
 
     Raises:
-        ValueError: it is of another shape, or not finite.
+        ValueError: it is of another shape, not finite, or no rotation and shift.
     """
     pose = np.array(ego_T_camera, np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise ValueError(f"ego_T_camera: expected (4, 4) finite numbers, found {pose.shape}")
+    R, last = pose[:3, :3], pose[3].tolist()
+    if not np.allclose(R @ R.T, np.eye(3), atol=_ROTATION_TOLERANCE) or np.linalg.det(R) < 0:
+        raise ValueError(f"ego_T_camera: expected a rotation in its first three rows and columns, found {R.tolist()}")
+    if last != [0.0, 0.0, 0.0, 1.0]:
+        raise ValueError(f"ego_T_camera: expected 0, 0, 0, 1 in its last row, found {last}")
     return pose
 
 

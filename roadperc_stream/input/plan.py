@@ -84,7 +84,9 @@ def plan_input(
     digest, counts = MessageDigest(), Counter[str]()
     messages = _counted(input_messages(summary, cfg, plan), digest, counts)
     parent_of: dict[str, str] = {}
-    items = _with_parents(decoded_messages(messages, roles, cfg.tag_table, Problems(problems.strict_in)), parent_of)
+    items = _with_parents(
+        decoded_messages(messages, roles, cfg.tag_table, Problems(problems.strict_in), cfg.limits), parent_of
+    )
     late_ns = lateness_ns(items, plan.order)
     if not counts[topic]:
         length_s = ns_to_seconds((summary.last_ns or 0) - (summary.first_ns or 0))
@@ -150,7 +152,7 @@ def _with_parents(items: Iterable[Stamped], parent_of: dict[str, str]) -> Iterat
 
 def _belongs_before(message: Message, roles: RoleAssignment, cfg: ReplayConfig, end_stamp_ns: int) -> bool:
     """Whether a message of a sensor is of an instant before a stamp."""
-    items = decoded_messages([message], roles, cfg.tag_table, Problems())
+    items = decoded_messages([message], roles, cfg.tag_table, Problems(), cfg.limits)
     return any(item.stamp_ns < end_stamp_ns for item in items if ROLES[item.role].kind not in LATCHED_KINDS)
 
 
@@ -164,7 +166,8 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
         end_ns = beyond.log_time_ns if beyond else end_ns
     if end_ns is None:
         return Window(start_ns)
-    after = decoded_messages(log.read(summary, topics=[topic], start_ns=end_ns), roles, cfg.tag_table, Problems())
+    beyond_end = log.read(summary, topics=[topic], start_ns=end_ns)
+    after = decoded_messages(beyond_end, roles, cfg.tag_table, Problems(), cfg.limits)
     first_after = next((item for item in after if item.role == reference), None)
     return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None)
 
@@ -179,12 +182,13 @@ def _latched_at_start(
     waiting = {role for role in roles.topics if ROLES[role].kind in LATCHED_KINDS}
     topics = {roles.topics[role] for role in waiting}
     latched, sources = LatchedState(), dict[tuple[str, str], Message]()
-    for message in log.read(summary, topics=topics, end_ns=window.end_ns) if topics else ():
+    before_end = log.read(summary, topics=topics, end_ns=window.end_ns)
+    for message in before_end if topics else ():
         before = window.start_ns is not None and message.log_time_ns < window.start_ns
         if not (before or waiting):
             break
-        decoded = decoded_messages([message], roles, cfg.tag_table, problems)
-        for item in without_loops(decoded, latched, roles.topics, problems):
+        decoded = decoded_messages([message], roles, cfg.tag_table, problems, cfg.limits)
+        for item in without_loops(decoded, latched, roles.topics, problems, cfg.limits):
             if before or item.role in waiting:
                 latched = latched.updated(item)
                 waiting.discard(item.role)

@@ -24,6 +24,7 @@ from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages, Synchroniser
 from roadperc_stream.log import Channel, DamagedLogError, LogSummary, Message, Recovery
 from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, TAG_TABLE_KEY, TOPIC_KEY, log_id_of
+from roadperc_stream.schemas.roles import require_role
 
 
 def open_input(
@@ -46,19 +47,23 @@ def open_input(
         strict: the first message that cannot be used is an error.
 
     Raises:
-        ChannelError: the channels do not fit the roles.
+        ChannelError: a role does not exist, or the channels do not fit the roles.
         LogError: the log cannot be read, is damaged in the part asked for, or that part holds no frame.
         TargetError: there is no space for temporary files, where the log needs some.
     """
+    for role, topic in (overrides or {}).items():
+        require_role(role, f"topic {topic}")
     sources = log.received([source] if isinstance(source, Path) else source)
     try:
-        return _planned(log.summarise(sources), cfg, overrides or {}, time_range, strict=strict)
+        return _planned(log.summarise(sources, cfg.limits), cfg, overrides or {}, time_range, strict=strict)
     except DamagedLogError as damage:
         if time_range == WHOLE and not recover:
             raise
-        found = [log.audited(path) for path in sources]
-        copies = [None if salvage.whole else log.repaired_copy(salvage.path) for salvage in found]
-        saved = log.summarise([copy.path if copy else path for copy, path in zip(copies, sources, strict=True)])
+        found = [log.audited(path, cfg.limits) for path in sources]
+        copies = [None if salvage.whole else log.repaired_copy(salvage.path, cfg.limits) for salvage in found]
+        saved = log.summarise(
+            [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)], cfg.limits
+        )
         first_ns = min((salvage.first_ns for salvage in found if salvage.first_ns is not None), default=None)
         log_in = _planned(saved, cfg, overrides or {}, shifted(time_range, first_ns, saved.first_ns), strict=strict)
         damaged = [copy for copy in copies if copy is not None]
@@ -134,8 +139,8 @@ class ReplayInput:
         self._begin()
         plan, topics = self.plan, self.topics
         messages = input_messages(self.summary, self._cfg, plan, topics=set(topics.values()))
-        decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems)
-        items = without_loops(decoded, plan.latched, topics, self._problems)
+        decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems, self._cfg.limits)
+        items = without_loops(decoded, plan.latched, topics, self._problems, self._cfg.limits)
         ordered = in_stamp_order(items, plan.order, self._drop)
         log_time_ns, before_ns = 0, None
         for index, synced in enumerate(islice(self._synchroniser.synced(ordered), plan.most_frames)):

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, Payload, context_of_channel, decode
@@ -39,7 +40,11 @@ class Stamped:
 
 
 def decoded_messages(
-    messages: Iterable[Message], roles: RoleAssignment, tag_table: str, problems: Problems
+    messages: Iterable[Message],
+    roles: RoleAssignment,
+    tag_table: str,
+    problems: Problems,
+    limits: LimitsConfig = DEFAULT_LIMITS,
 ) -> Iterator[Stamped]:
     """Decode the messages of assigned roles; one that cannot be decoded is counted and left out.
 
@@ -48,13 +53,14 @@ def decoded_messages(
         roles: the topic of each role.
         tag_table: configured table, or ``auto``: the channel's, else the one that an earlier replay recorded.
         problems: takes the messages that cannot be decoded.
+        limits: of what a message asks for.
     """
     contexts: dict[Channel, Context] = {}
     roles_by_topic = {topic: roles.roles_of(topic) for topic in set(roles.topics.values())}
     for message in messages:
         channel = message.channel
         if channel not in contexts:
-            contexts[channel] = context_of_channel(channel, tag_table, roles.tag_table)
+            contexts[channel] = context_of_channel(channel, tag_table, roles.tag_table, limits)
         for role in roles_by_topic.get(channel.topic, ()):
             try:
                 decoded = decode(

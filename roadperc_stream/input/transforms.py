@@ -16,6 +16,8 @@ class TransformTree:
 
     edges: Mapping[str, Transform] = field(default_factory=dict)
     """By child."""
+    _paths: dict[str, dict[str, Float]] = field(default_factory=dict, compare=False, repr=False)
+    """Of the frames that were looked up: a frame's instant asks for the same ones again and again."""
 
     @property
     def parent_of(self) -> dict[str, str]:
@@ -45,6 +47,11 @@ class TransformTree:
 
     def _to_root(self, frame: str) -> dict[str, Float]:
         """ancestor_T_frame of a frame and all its ancestors, nearest first."""
+        if frame not in self._paths:
+            self._paths[frame] = self._path_to_root(frame)
+        return self._paths[frame]
+
+    def _path_to_root(self, frame: str) -> dict[str, Float]:
         path = {frame: np.eye(4)}
         at = frame
         while (edge := self.edges.get(at)) is not None:
@@ -74,22 +81,27 @@ class TransformTree:
             edges: of one message.
         """
         edges = tuple(edges)
-        parents, found, known = {edge.child: edge.parent for edge in edges}, set[str](), self.parent_of
-        while loops := _in_loops({**known, **parents}, parents):
+        parents, found = {edge.child: edge.parent for edge in edges}, set[str]()
+        while loops := _in_loops(parents, self.edges):
             found |= loops
             parents = {child: parent for child, parent in parents.items() if child not in loops}
         return tuple(dict.fromkeys(edge.child for edge in edges if edge.child in found))
 
 
-def _in_loops(parent_of: Mapping[str, str], starts: Iterable[str]) -> set[str]:
-    """The frames that are their own ancestors, of those on the paths to the root from ``starts``."""
+def _in_loops(parents: Mapping[str, str], placed: Mapping[str, Transform]) -> set[str]:
+    """The frames that are their own ancestors, of those on the paths to the root from the children of ``parents``.
+
+    Args:
+        parents: of some frames, where they win over those in the tree.
+        placed: the tree's edges; of a large tree only those above are looked at.
+    """
     found, done = set[str](), set[str]()
-    for start in starts:
+    for start in parents:
         path: dict[str, None] = {}
         at = start
-        while at in parent_of and at not in done and at not in path:
+        while (at in parents or at in placed) and at not in done and at not in path:
             path[at] = None
-            at = parent_of[at]
+            at = parents[at] if at in parents else placed[at].parent
         done |= path.keys()
         if at in path:
             frames = list(path)

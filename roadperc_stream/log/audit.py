@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.damage import DamagedLogError, nothing_saved
 from roadperc_stream.log.salvage import Salvage
 
 
-def require_undamaged(path: Path) -> bool:
+def require_undamaged(path: Path, limits: LimitsConfig) -> bool:
     """Check all CRCs, and that index, message indexes and statistics say what stands in the file.
 
     Returns:
@@ -18,7 +19,7 @@ def require_undamaged(path: Path) -> bool:
         DamagedLogError: they do not; it says what can be saved.
         LogError: the file cannot be read, is no MCAP log, or nothing of it can be saved.
     """
-    found = audited(path)
+    found = audited(path, limits)
     if not found.whole:
         raise damage_in(found)
     return found.sealed
@@ -31,7 +32,7 @@ def damage_in(found: Salvage) -> LogError:
     return DamagedLogError(found.path, found.damages, _can_be_saved(found))
 
 
-def audited(path: Path) -> Salvage:
+def audited(path: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> Salvage:
     """The finished account of a log.
 
     Chunks are not opened where CRCs cover every message, and message indexes count what they hold.
@@ -39,18 +40,18 @@ def audited(path: Path) -> Salvage:
     Raises:
         LogError: the file cannot be read, or is no MCAP log.
     """
-    quick = Salvage(path, inside=False)
+    quick = Salvage(path, inside=False, limits=limits)
     quick.run()
-    return quick if quick.whole and quick.conclusive else salvaged(path)
+    return quick if quick.whole and quick.conclusive else salvaged(path, limits)
 
 
-def salvaged(path: Path) -> Salvage:
+def salvaged(path: Path, limits: LimitsConfig) -> Salvage:
     """The finished account of a log, with a look inside every chunk.
 
     Raises:
         LogError: the file cannot be read, or is no MCAP log.
     """
-    found = Salvage(path)
+    found = Salvage(path, limits=limits)
     found.run()
     return found
 

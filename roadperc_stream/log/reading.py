@@ -10,16 +10,19 @@ from typing import IO
 
 from mcap.reader import McapReader, make_reader
 
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.errors import LogError
 from roadperc_stream.log.audit import damage_in, require_undamaged, salvaged
 from roadperc_stream.log.file_order import FileOrder, attachments_and_metadata
 from roadperc_stream.log.index import MOST_HELD_BYTES, UNREADABLE, channel_of, held_bytes, usable_index
 from roadperc_stream.log.integrity import damaged, require_whole, unopened
+from roadperc_stream.log.limits import LimitError, guarded
 from roadperc_stream.log.parts import Part, united
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.sorting import SortedMessages
 
 
-def summarise(source: Path | Sequence[Path]) -> LogSummary:
+def summarise(source: Path | Sequence[Path], limits: LimitsConfig = DEFAULT_LIMITS) -> LogSummary:
     """Channels, counts, attachments and metadata of a log, from its index where it has one.
 
     All CRCs are checked, and that index and statistics say what stands in the file. A log that its index does not give
@@ -27,17 +30,18 @@ def summarise(source: Path | Sequence[Path]) -> LogSummary:
 
     Args:
         source: the log, or the files that are one log.
+        limits: of their records and chunks.
 
     Raises:
-        LogError: a file cannot be read, is no MCAP, is cut or damaged.
+        LogError: a file cannot be read, is no MCAP, is cut or damaged, or is beyond the limits.
     """
-    parts = [_inspected(path) for path in ([source] if isinstance(source, Path) else source)]
+    parts = [_inspected(path, limits) for path in ([source] if isinstance(source, Path) else source)]
     if len(parts) > 1:
         return united(parts)
     summary, held = parts[0].summary, parts[0].held_bytes
     if held is not None and held <= MOST_HELD_BYTES:
         return summary
-    return replace(summary, source=SortedMessages(str(summary.path), partial(in_file_order, summary.path)))
+    return replace(summary, source=SortedMessages(str(summary.path), partial(parts[0].in_file_order, summary.path)))
 
 
 def read(
@@ -62,27 +66,29 @@ def read(
     return summary.source.messages(topics, start_ns, end_ns)
 
 
-def in_file_order(path: Path) -> Iterator[Message]:
+def in_file_order(path: Path, limits: LimitsConfig) -> Iterator[Message]:
     """Messages as they stand in the file, one in memory at a time; every chunk is checked.
 
     Raises:
         LogError: as ``read``.
     """
-    with _reading(path) as stream:
+    with _reading(path, limits) as stream:
         yield from FileOrder().messages(stream)
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[IO[bytes]]:
+def _reading(path: Path, limits: LimitsConfig) -> Iterator[IO[bytes]]:
     """Open a log; everything the file or the library can throw becomes one LogError that names the file."""
     try:
-        with path.open("rb") as stream:
+        with guarded(path, limits) as stream:
             require_whole(path, stream)
             yield stream
     except OSError as error:
         raise unopened(path, error) from error
+    except LimitError as error:
+        raise LogError(f"{path}: {error}") from error
     except UNREADABLE as error:
-        found = salvaged(path)
+        found = salvaged(path, limits)
         words = f"damaged MCAP: {type(error).__name__}: {error}"
         raise (damaged(path, words) if found.whole else damage_in(found)) from error
 
@@ -94,11 +100,12 @@ class IndexedFile:
     path: Path
     check_chunks: bool
     """Whether their CRCs have not been checked yet."""
+    limits: LimitsConfig
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """As ``read``."""
         known: dict[int, Channel] = {}
-        with _reading(self.path) as stream:
+        with _reading(self.path, self.limits) as stream:
             reader = make_reader(stream, validate_crcs=self.check_chunks)
             wanted = None if topics is None else list(topics)
             for schema, channel, message in reader.iter_messages(wanted, starting_at=start_ns, ending_before=end_ns):
@@ -107,21 +114,21 @@ class IndexedFile:
                 yield Message(known[channel.id], message.log_time, message.publish_time, message.sequence, message.data)
 
 
-def _inspected(path: Path) -> Part:
+def _inspected(path: Path, limits: LimitsConfig) -> Part:
     """What one file holds.
 
     Raises:
         LogError: as ``summarise``.
     """
-    sealed = require_undamaged(path)
-    with _reading(path) as stream:
+    sealed = require_undamaged(path, limits)
+    with _reading(path, limits) as stream:
         reader = make_reader(stream)
         profile = reader.get_header().profile
         index = usable_index(reader)
         attachments, metadata = _besides_messages(reader, stream)
-        summary = LogSummary(path, IndexedFile(path, check_chunks=not sealed), profile, (), {}, attachments, metadata)
+        summary = LogSummary(path, IndexedFile(path, not sealed, limits), profile, (), {}, attachments, metadata)
         if index is None:
-            return Part(_scanned(summary, stream), None, in_file_order)
+            return Part(_scanned(summary, stream), None, partial(in_file_order, limits=limits))
     channels = tuple(
         channel_of(index.channels[i], index.schemas.get(index.channels[i].schema_id)) for i in sorted(index.channels)
     )
@@ -134,7 +141,7 @@ def _inspected(path: Path) -> Part:
         first_ns=statistics.message_start_time,
         last_ns=statistics.message_end_time,
     )
-    return Part(indexed, held_bytes(index), in_file_order)
+    return Part(indexed, held_bytes(index), partial(in_file_order, limits=limits))
 
 
 def _besides_messages(reader: McapReader, stream: IO[bytes]) -> tuple[tuple[Attachment, ...], tuple[Metadata, ...]]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.log.damage import nothing_saved
 from roadperc_stream.log.order import in_order_within
@@ -119,12 +120,13 @@ def saved_messages(salvage: Salvage) -> Iterator[Message]:
     )
 
 
-def write_repaired(source: Path, target: Path) -> tuple[Salvage, Recovery]:
+def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[Salvage, Recovery]:
     """Write what can be read of a log to a new one, with an index, CRCs, and a record of what was lost.
 
     Args:
         source: the damaged log; of a whole one the copy has no such record.
         target: the log to write.
+        limits: of the records and chunks of ``source``.
 
     Returns:
         The finished salvage of ``source``, and what the record says.
@@ -133,7 +135,7 @@ def write_repaired(source: Path, target: Path) -> tuple[Salvage, Recovery]:
         LogError: not one message can be read.
         TargetError: ``target`` cannot be written.
     """
-    salvage = Salvage(source)
+    salvage = Salvage(source, limits=limits)
     messages = saved_messages(salvage)
     first = next(messages, None)
     if first is None:
@@ -166,7 +168,7 @@ class RepairedLog:
     recovery: Recovery
 
 
-def repaired_copy(source: Path) -> RepairedLog:
+def repaired_copy(source: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> RepairedLog:
     """What can be read of a log, as a whole log that is stored in a temporary file.
 
     Raises:
@@ -175,7 +177,7 @@ def repaired_copy(source: Path) -> RepairedLog:
     """
     with storing(str(source)), TemporaryDirectory(prefix="roadperc-") as folder:
         file = Path(folder) / "repaired.mcap"
-        salvage, recovery = write_repaired(source, file)
+        salvage, recovery = write_repaired(source, file, limits)
         stored = Spool(str(source), file.open("rb"))  # the bytes stay while it is open
     return RepairedLog(StoredLog.of(source, stored), salvage, recovery)
 

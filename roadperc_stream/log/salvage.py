@@ -18,6 +18,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.chunks import (
     MESSAGE_HEAD_BYTES,
@@ -35,6 +36,7 @@ from roadperc_stream.log.framing import Framing, Record
 from roadperc_stream.log.index import UNREADABLE, end_of, index_of, places_of, span_ns_of
 from roadperc_stream.log.integrity import data_end_of, require_log, unopened
 from roadperc_stream.log.inventory import ChunkPlace, Inventory, Positions
+from roadperc_stream.log.limits import LimitError, check_chunk, guarded
 from roadperc_stream.log.losses import Gap, Losses, expected_messages, lost_in_chunk
 from roadperc_stream.log.records import Channel, Message
 
@@ -66,13 +68,16 @@ class Salvage:
         path: the log.
         inside: look inside chunks. Without that, only what stands around them is compared: enough for a log whose
             bytes are covered by CRCs, where ``conclusive``.
+        limits: of its records and chunks.
 
     Raises:
-        LogError: the file cannot be opened, is empty, or does not start as an MCAP log.
+        LogError: the file cannot be opened, is empty, or does not start as an MCAP log; while it is read, that it is
+            beyond the limits.
     """
 
     path: Path
     inside: bool = True
+    limits: LimitsConfig = DEFAULT_LIMITS
     size_bytes: int = 0
     chunks: Counter[str] = field(default_factory=Counter)
     """Chunks by their compression, empty for none."""
@@ -84,7 +89,7 @@ class Salvage:
 
     def __post_init__(self) -> None:
         try:
-            with self.path.open("rb") as stream:
+            with guarded(self.path, self.limits) as stream:
                 self.size_bytes = stream.seek(0, os.SEEK_END)
                 require_log(self.path, stream)
                 self._index = index_of(stream)
@@ -170,12 +175,14 @@ class Salvage:
 
     def _found(self) -> Iterator[Found]:
         try:
-            with self.path.open("rb") as stream:
+            with guarded(self.path, self.limits) as stream:
                 for record in self._framing.records(stream):
                     self._note_breaks()
                     yield from self._messages_of(record)
         except OSError as error:
             raise LogError(f"{self.path}: {error.strerror or error}") from error
+        except LimitError as error:
+            raise LogError(f"{self.path}: {error}") from error
         self._conclude()
 
     def _messages_of(self, record: Record) -> Iterator[Found]:
@@ -201,8 +208,12 @@ class Salvage:
     def _chunk(self, record: Record) -> Iterator[Found]:
         try:
             head = chunk_head(record.body)
-        except ValueError as error:
-            self._lose(record, None, Positions(), record.fault or f"{record.name}: {error}")
+            if not record.fault:
+                check_chunk(BytesIO(record.body), self.limits)
+        except LimitError:
+            raise
+        except UNREADABLE as error:
+            self._lose(record, None, Positions(), record.fault or f"{record.name}: {_in_words(error)}")
             return
         self.chunks[head.compression] += 1
         self._chunks_without_crc += not head.crc

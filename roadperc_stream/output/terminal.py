@@ -12,7 +12,8 @@ from rich.table import Table
 
 from roadperc_stream.core.process import discard_output
 from roadperc_stream.core.progress import no_progress
-from roadperc_stream.output.text_table import TextRow, TextTable, row, transposed
+from roadperc_stream.core.text import shown
+from roadperc_stream.output.text_table import TextRow, TextTable, transposed
 
 NARROWEST, WIDEST = 80, 120
 """Columns a text is laid out for; a narrower terminal wraps its lines rather than losing digits."""
@@ -42,6 +43,7 @@ def print_table(console: Console, table: TextTable) -> None:
 
     Where it gets narrow, labels and text fold; numbers neither wrap nor shorten: columns that do not fit go below.
     """
+    table = table.of_texts(shown)
     if table.rows:
         for part in _parts(table, console.width):
             print_lines(console, "", _rendered(part, console.width))
@@ -82,7 +84,7 @@ def _needed(table: TextTable, columns: range | list[int]) -> int:
 
 
 def _least_label(table: TextTable) -> int:
-    longest = max(len(line) for item in table.rows for line in item.label.splitlines() or [""])
+    longest = max(max(len(item.label), len(item.below)) for item in table.rows)
     return min(longest, _LEAST_LABEL)
 
 
@@ -95,7 +97,7 @@ def _cell(item: TextRow, column: int) -> str:
 
 
 def _of_columns(table: TextTable, columns: list[int]) -> TextTable:
-    rows = tuple(row(item.label, *(_cell(item, column) for column in columns)) for item in table.rows)
+    rows = tuple(replace(item, cells=(tuple(_cell(item, column) for column in columns),)) for item in table.rows)
     return replace(table, headers=tuple(table.headers[column] for column in columns), rows=rows)
 
 
@@ -114,18 +116,20 @@ def _rendered(table: TextTable, width: int) -> Table:
     if words:
         rendered.add_column(table.headers[-1], overflow="fold")
     for item in table.rows:
-        rendered.add_row(item.label, *item.cells[0])
+        rendered.add_row(f"{item.label}\n{item.below}" if item.below else item.label, *item.cells[0])
     return rendered
 
 
 def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -> None:
     """Print without the blanks that fill lines up to the right margin; what does not fit runs over, uncut.
 
-    Text folds between its words, unless ``unbroken``: what somebody may search for stays on its line.
+    Text folds between its words, unless ``unbroken``: what somebody may search for stays on its line. What a terminal
+    would take as a command is escaped in it; a ``Table`` comes with its texts escaped.
     """
     with console.capture() as capture:
         for line in lines:
-            console.print(line, crop=False, soft_wrap=unbroken and isinstance(line, str))
+            text = shown(line) if isinstance(line, str) else line
+            console.print(text, crop=False, soft_wrap=unbroken and isinstance(line, str))
     for line in capture.get().splitlines():
         console.file.write(f"{line.rstrip()}\n")
 

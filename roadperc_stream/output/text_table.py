@@ -1,6 +1,6 @@
 """A table of texts, built once and rendered on a terminal or into a page."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -19,6 +19,8 @@ class TextRow:
     cells: tuple[tuple[str, ...], ...] = ((),)
     better: str = ""
     listed: tuple[int, ...] | None = None
+    below: str = ""
+    """On a terminal, a second line of the label."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,26 @@ class TextTable:
     subjects: tuple[str, ...] = ()
     last_is_text: bool = False
     label_columns: int = 26
+
+    def of_texts(self, text: Callable[[str], str]) -> "TextTable":
+        """The table with every text put through a function."""
+        rows = tuple(
+            replace(
+                item,
+                label=text(item.label),
+                cells=tuple(tuple(map(text, cells)) for cells in item.cells),
+                below=text(item.below),
+            )
+            for item in self.rows
+        )
+        return replace(
+            self,
+            title=text(self.title),
+            headers=tuple(map(text, self.headers)),
+            rows=rows,
+            notes=tuple(map(text, self.notes)),
+            subjects=tuple(map(text, self.subjects)),
+        )
 
     def flat(self) -> "TextTable":
         """The table with a single line of cells in every row.

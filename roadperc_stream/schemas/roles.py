@@ -99,7 +99,20 @@ def parse_topic_options(options: Iterable[str]) -> dict[str, str]:
         role, separator, topic = option.partition("=")
         if not separator or not topic:
             raise ChannelError(f"--topic {option}: expected ROLE=/TOPIC, such as image=/front/rgb")
-        if role not in ROLES:
-            raise ChannelError(f"--topic {option}: no role {role!r}; roles: {', '.join(ROLES)}")
+        require_role(role, f"--topic {option}")
         mapping[role] = topic
     return mapping
+
+
+def require_role(role: str, where: str) -> None:
+    """Refuse a role that does not exist.
+
+    Args:
+        role: its name.
+        where: what the message of the error begins with.
+
+    Raises:
+        ChannelError: there is no such role.
+    """
+    if role not in ROLES:
+        raise ChannelError(f"{where}: no role {role!r}; roles: {', '.join(ROLES)}")

@@ -7,6 +7,7 @@ from pathlib import Path
 from shlex import quote
 
 from roadperc_stream import log
+from roadperc_stream.core.text import print_line
 from roadperc_stream.input.damage import warnings_of
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.roles import parse_topic_options
@@ -48,7 +49,7 @@ def _readable(arguments: argparse.Namespace) -> Path:
     copy = log.repaired_copy(path)
     if not arguments.quiet:
         for warning in warnings_of(path, copy.salvage.damages, copy.recovery, copy.salvage.first_ns):
-            print(f"warning: {warning}")
+            print_line(f"warning: {warning}")
     return copy.path
 
 
@@ -57,7 +58,7 @@ def _lay_out(arguments: argparse.Namespace) -> None:
     timed = arguments.foxglove and serves_times(arguments.log)
     write_layout(arguments.foxglove_layout, arguments.log, overrides, timed=timed, force=arguments.force)
     if not arguments.quiet:
-        print(f"wrote {arguments.foxglove_layout}")
+        print_line(f"wrote {arguments.foxglove_layout}")
 
 
 def _record_video(arguments: argparse.Namespace) -> None:
@@ -65,7 +66,7 @@ def _record_video(arguments: argparse.Namespace) -> None:
         video = write_video(arguments.log, arguments.video, force=arguments.force, progress=progress)
     if not arguments.quiet:
         _print_summary(video.problems.first.values(), video.problems.counts)
-        print(
+        print_line(
             f"wrote {arguments.video} ({video.pictures} pictures at {video.rate_hz:.3g} Hz, of {video.frames} frames)"
         )
 
@@ -82,7 +83,7 @@ def _save(arguments: argparse.Namespace) -> None:
     if not arguments.quiet:
         _print_summary(exported.notes, exported.problems)
         frames = f" ({exported.frames} frames)" if exported.frames else ""
-        print(f"wrote {arguments.save}{frames}; open it with: rerun {quote(str(arguments.save))}")
+        print_line(f"wrote {arguments.save}{frames}; open it with: rerun {quote(str(arguments.save))}")
 
 
 def _open(arguments: argparse.Namespace) -> None:
@@ -94,6 +95,6 @@ def _open(arguments: argparse.Namespace) -> None:
 
 def _print_summary(notes: Iterable[str], problems: Mapping[str, int]) -> None:
     for note in notes:
-        print(f"note: {note}")
+        print_line(f"note: {note}")
     for topic, number in problems.items():
-        print(f"warning: {number} messages on {topic} could not be read; they are not shown")
+        print_line(f"warning: {number} messages on {topic} could not be read; they are not shown")

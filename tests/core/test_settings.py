@@ -137,6 +137,14 @@ ELSEWHERE = {
     "surface.assumed_height_m": "below",
     "lanes.hold_s": "chain/stages/lanes/test_class_history.py",
     "objects.restart_s": "chain/stages/objects/test_tracker.py",
+    "limits.chunk_mb": "hostile/test_logs.py",
+    "limits.record_mb": "hostile/test_logs.py",
+    "limits.image_megapixels": "hostile/test_messages.py",
+    "limits.points": "hostile/test_messages.py",
+    "limits.message_mb": "hostile/test_messages.py",
+    "limits.detections": "hostile/test_messages.py",
+    "limits.transforms": "hostile/test_messages.py",
+    "limits.name_length": "hostile/test_messages.py",
 }
 """Settings whose effect the sample does not show, and where it is tested."""
 

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
 
 from roadperc_stream.core.geometry import Float, baseline_of, decompose_projection
+from roadperc_stream.core.nearest import nearest
 from roadperc_stream.errors import DumpError
 
 from .carla_poses import CarlaPose
@@ -48,6 +49,12 @@ class CalibrationFile(Intrinsics):
     rate_hz: Positive | None = None
 
 
+_CAMERA_KEYS = (*Intrinsics.model_fields, "fov")
+_KEYS = (*CalibrationFile.model_fields, "fov")
+_MISSPELLED = 0.78
+"""Likeness from which a key is no note: ``widht`` has 0.8, ``fov_y`` 0.75."""
+
+
 @dataclass(frozen=True)
 class Pinhole:
     """Intrinsics in pixels, pixel centres at integers from 0."""
@@ -65,13 +72,36 @@ def load_calibration(path: Path) -> CalibrationFile:
         DumpError: names file, key and fault.
 
     """
-    calibration = checked(path, TypeAdapter(CalibrationFile), read_json(path))
+    document = read_json(path)
+    _refuse_misspelled(path, document)
+    calibration = checked(path, TypeAdapter(CalibrationFile), document)
     for name, camera in {"": calibration, **calibration.cameras}.items():
         if camera.K is not None:
             _require_pinhole(f"{path}: {f'cameras.{name}.' if name else ''}K", np.array(camera.K))
     if (calibration.P_left is None) != (calibration.P_right is None):
         raise DumpError(f"{path}: P_left and P_right: expected both or none")
     return calibration
+
+
+def _refuse_misspelled(path: Path, document: Any) -> None:
+    """Name a key that is nearly one that counts; others are notes.
+
+    Raises:
+        DumpError: there is one.
+    """
+    if not isinstance(document, dict):
+        return
+    cameras = document.get("cameras")
+    parts = {"": (document, _KEYS), **{f"cameras.{n}.": (c, _CAMERA_KEYS) for n, c in _items(cameras)}}
+    for place, (keys, known) in parts.items():
+        for key in (key for key, _ in _items(keys) if key not in known):
+            meant = nearest(key, known, _MISSPELLED)
+            if meant is not None:
+                raise DumpError(f"{path}: no key {place}{key}; did you mean {meant}?")
+
+
+def _items(found: Any) -> list[tuple[str, Any]]:
+    return list(found.items()) if isinstance(found, dict) else []
 
 
 def _require_pinhole(where: str, K: Float) -> None:

@@ -12,6 +12,8 @@ from typing import Final
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import DumpError
 
+from .stamp_columns import column_table
+
 EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
 """2020-01-01T00:00:00Z: where the time of every dump starts, so that a conversion is reproducible."""
 DEFAULT_RATE_HZ: Final = 20.0
@@ -19,6 +21,8 @@ _UNIX_TIME_FROM_S: Final = 1_000_000_000
 """Seconds from here on (2001) are Unix time; a simulation does not run for 31 years."""
 _LIMIT_S: Final = 2**31
 """Stamps of ROS messages end here, in 2038."""
+_COARSEST_NS: Final = 1_000_000
+"""Names of files are times in milliseconds or finer units."""
 _DATE: Final = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?Z?")
 
 
@@ -39,24 +43,32 @@ def stamps_of_names(frames: Sequence[int]) -> dict[int, int] | None:
     """Stamp in nanoseconds of each frame number where all of them are Unix time in one unit, from 2001 to 2038.
 
     None where they are not: then they count frames.
+
+    Raises:
+        DumpError: some are times and some are not.
     """
-    for unit_ns in (1, 1000, 1_000_000):
+    for unit_ns in (1, 1000, _COARSEST_NS):
         first, beyond = _UNIX_TIME_FROM_S * NS_PER_S // unit_ns, _LIMIT_S * NS_PER_S // unit_ns
         if frames and first <= frames[0] and frames[-1] < beyond:
             return {number: number * unit_ns for number in frames}
+    times = [number for number in frames if number >= _UNIX_TIME_FROM_S * NS_PER_S // _COARSEST_NS]
+    if times and len(times) < len(frames):
+        counted = f"{len(frames) - len(times)} count frames, such as {frames[0]}"
+        raise DumpError(f"names of two kinds: {counted}, {len(times)} are times, such as {times[0]}; keep one kind")
     return None
 
 
 def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
     """Stamp in nanoseconds of each frame number from lines ``frame seconds`` or, one value a line, in frame order.
 
-    Values are seconds (counted from ``EPOCH_NS``, or Unix time) or ISO dates with time, as KITTI raw has them.
+    Values are seconds (counted from ``EPOCH_NS``, or Unix time) or ISO dates with time, as KITTI raw has them. Where
+    the first line names columns, they are found by their names, whatever others there are (``column_table``).
 
     Raises:
         DumpError: names the line that cannot be read or does not increase, or the frame without a stamp.
 
     """
-    lines = _lines(path)
+    lines = column_table(path, read_lines(path), stamp_of_seconds) or _lines(path)
     if any(number is not None for number, _, _ in lines):
         stamps = {number: (stamp, line) for number, stamp, line in lines if number is not None}
         if len(stamps) != len(lines):
@@ -68,12 +80,21 @@ def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
     return _increasing(path, frames, stamps)
 
 
-def _lines(path: Path) -> list[tuple[int | None, int, int]]:
-    """Frame number, stamp in nanoseconds and line number of each line."""
+def read_lines(path: Path) -> list[str]:
+    """The lines of a text file.
+
+    Raises:
+        DumpError: it cannot be read.
+    """
     try:
-        texts = path.read_text(encoding="utf-8").splitlines()
+        return path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise DumpError(f"{path}: {error}") from error
+
+
+def _lines(path: Path) -> list[tuple[int | None, int, int]]:
+    """Frame number, stamp in nanoseconds and line number of each line."""
+    texts = read_lines(path)
     numbered = [(text.strip(), line) for line, text in enumerate(texts, 1)]
     kept = [(text, line) for text, line in numbered if text and not text.startswith("#")]
     if kept and not any(character.isdigit() for character in kept[0][0]):
@@ -85,13 +106,14 @@ def _line(path: Path, text: str, line: int) -> tuple[int | None, int, int]:
     date = _DATE.search(text)
     fields = [*text[: date.start()].split(), date.group()] if date else re.split(r"[,;\s]+", text)
     fields = [field.strip(",; ") for field in fields]
-    stamp = _date_ns(date) if date else _seconds_ns(fields[-1])
+    stamp = _date_ns(date) if date else stamp_of_seconds(fields[-1])
     if stamp is None or len(fields) not in (1, 2) or (len(fields) == 2 and not fields[0].isdigit()):
         raise DumpError(f"{path}: line {line}: expected 'seconds' or 'frame seconds', got {text!r}")
     return (int(fields[0]) if len(fields) == 2 else None, stamp, line)
 
 
-def _seconds_ns(text: str) -> int | None:
+def stamp_of_seconds(text: str) -> int | None:
+    """Stamp in nanoseconds of seconds as a text; None of what is no time."""
     try:
         seconds = Decimal(text)
     except InvalidOperation:

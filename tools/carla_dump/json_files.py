@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
+from roadperc_stream.core.config.settings import in_brief
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import DumpError
 
@@ -51,9 +52,7 @@ def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the document"
-        shown = repr(first["input"])
-        shown = shown if len(shown) <= _SHOWN_CHARACTERS else f"{shown[:_SHOWN_CHARACTERS]}..."
-        raise DumpError(f"{path}: {key}: {first['msg']}, got {shown}") from error
+        raise DumpError(f"{path}: {key}: {first['msg']}, got {in_brief(first['input'], _SHOWN_CHARACTERS)}") from error
 
 
 def frame_number(name: str) -> int | None:

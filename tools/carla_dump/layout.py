@@ -117,6 +117,8 @@ def _folder_sensor(folder: Path, source: str, notes: list[str]) -> Sensor | None
     files = _frame_files(folder, role)
     if role in ("segmentation", "detections") and not files:
         role, files = "detections", _label_files(folder)
+    unused = [path.name for path in _entries(folder) if path.suffix == ".json"] if role != "detections" else []
+    notes += [f"{source}/{name} is not used: stamps are in timestamps.txt or timestamps.csv" for name in unused]
     if role is None or not files:
         notes.append(f"{source}/ is left out: " + ("no frames in it" if role else "its name fits no role (--role)"))
         return None

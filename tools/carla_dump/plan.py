@@ -20,7 +20,7 @@ from .depth_files import LOSSY_DEPTH, DepthEncoding, depth_encoding
 from .detection_files import load_detections, load_kitti_labels
 from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_names, stamps_of_rate
 from .layout import DumpLayout, find_layout
-from .survey import SensorSurvey, front_sensors, points_fault, require_size, survey
+from .survey import SensorSurvey, front_sensors, of_size, points_fault, survey
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
 from .truth_file import NO_TRUTH, TruthTables, load_truth
 
@@ -88,6 +88,8 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     calibration, calibration_path = _calibration(layout, options)
     surveys = _surveys(layout, options, notes)
     rig = _rig(layout, calibration, calibration_path, surveys, notes)
+    cameras = {role: rig.camera_of(role) for role in surveys}
+    surveys = {role: of_size(found, (cameras[role].width, cameras[role].height)) for role, found in surveys.items()}
     stamps_ns, timing = _stamps(layout, options, calibration.rate_hz, notes)
     if LIDAR in surveys:
         _of_frames(LIDAR, surveys[LIDAR].sensor.files, stamps_ns, notes)
@@ -146,10 +148,6 @@ def _rig(
     sizes = {role: found.size for role, found in surveys.items() if found.size}
     left_is_front = "image" in surveys and "image" not in layout.sensors
     rig = build_rig(calibration, path, list(surveys), sizes, front_name="left" if left_is_front else "image")
-    for role, found in surveys.items():
-        camera = rig.camera_of(role)
-        for number, size in found.sizes.items():
-            require_size(found.sensor.files[number], size, (camera.width, camera.height))
     notes += rig.notes
     return rig
 
@@ -170,6 +168,8 @@ def _stamps(
     if (stamps_in_names := stamps_of_names(frames)) is not None:
         if options.rate_hz:
             raise DumpError(f"--rate {options.rate_hz:g}: the names of the files are stamps, which say the rate")
+        if calibrated_hz is not None:
+            notes.append(f"rate_hz {calibrated_hz:g} of the calibration is not used: the names of the files are stamps")
         return stamps_in_names, f"stamps in the names of the files{_mean_rate(stamps_in_names)}"
     rate_hz = options.rate_hz or calibrated_hz
     rate = rate_hz or DEFAULT_RATE_HZ
@@ -188,10 +188,12 @@ def _mean_rate(stamps_ns: Mapping[int, int]) -> str:
 
 
 def _stamps_beside(layout: DumpLayout) -> Path | None:
-    """KITTI raw keeps the stamps of a camera beside its ``data`` folder."""
+    """KITTI raw and EuRoC keep the stamps of a camera beside its ``data`` folder."""
     image = layout.sensors.get("image")
-    path = image.first.parent.parent / "timestamps.txt" if image and image.first.parent.name == "data" else None
-    return path if path and path.is_file() else None
+    if image is None or image.first.parent.name != "data":
+        return None
+    paths = (image.first.parent.parent / name for name in ("timestamps.txt", "data.csv"))
+    return next((path for path in paths if path.is_file()), None)
 
 
 def _tags(

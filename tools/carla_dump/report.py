@@ -4,6 +4,7 @@ from rich.console import Console
 from rich.table import Table
 
 from roadperc_stream.core.geometry import Camera
+from roadperc_stream.core.text import shown
 from roadperc_stream.output.terminal import PipeConsole, print_lines
 
 from .camera_rig import LIDAR
@@ -40,11 +41,11 @@ def _sensor_table(plan: Plan) -> Table:
         camera, count = plan.rig.camera_of(role), sum(number in plan.stamps_ns for number in survey.sensor.files)
         missing = str(len(plan.stamps_ns) - count)
         size = "" if role == LIDAR else f"{camera.width}x{camera.height}"
-        table.add_row(role, survey.sensor.source, str(count), missing, size, survey.encoding)
+        table.add_row(role, shown(survey.sensor.source), str(count), missing, size, survey.encoding)
     if plan.detections:
         missing = str(len(plan.stamps_ns) - len(plan.detections))
         boxes = f"{sum(map(len, plan.detections.values()))} boxes"
-        table.add_row("detections", plan.detections_source, str(len(plan.detections)), missing, "", boxes)
+        table.add_row("detections", shown(plan.detections_source), str(len(plan.detections)), missing, "", boxes)
     return table
 
 

@@ -30,8 +30,8 @@ class SensorSurvey:
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """Columns and rows of the first frame."""
-        return next(iter(self.sizes.values()), None)
+        """Columns and rows of most frames, of equally many the first's."""
+        return next((size for size, _ in Counter(self.sizes.values()).most_common(1)), None)
 
     @property
     def paths(self) -> list[Path]:
@@ -142,12 +142,32 @@ def _counted(kinds: Counter[str]) -> str:
     return ", ".join(f"{kind} ({count})" for kind, count in kinds.most_common())
 
 
+def of_size(found: SensorSurvey, expected: tuple[int, int]) -> SensorSurvey:
+    """The survey without the images of another size than their camera's, which are counted as missing.
+
+    Raises:
+        UnreadableFrameError: all of them are.
+    """
+    files = dict(found.sensor.files)
+    faults: list[UnreadableFrameError] = []
+    for number, size in found.sizes.items():
+        try:
+            require_size(files[number], size, expected)
+        except UnreadableFrameError as error:
+            faults.append(error)
+            del files[number]
+    if faults and not files:
+        raise faults[0]
+    sensor = replace(found.sensor, files=files)
+    return replace(found, sensor=sensor, unreadable=(*found.unreadable, *map(str, faults))) if faults else found
+
+
 def require_size(path: Path, found: tuple[int, int], expected: tuple[int, int]) -> None:
     """Check an image's columns and rows against its camera's.
 
     Raises:
-        DumpError: names the file and both sizes.
+        UnreadableFrameError: names the file and both sizes.
 
     """
     if found != expected:
-        raise DumpError(f"{path}: image is {found[0]}x{found[1]}, its camera {expected[0]}x{expected[1]}")
+        raise UnreadableFrameError(f"{path}: image is {found[0]}x{found[1]}, its camera {expected[0]}x{expected[1]}")

@@ -1,7 +1,8 @@
 """The files of a dump in CARLA's own formats and conventions."""
 
 import json
-import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.core.files import completing
+from roadperc_stream.core.files import completing, completing_folder
 from roadperc_stream.core.geometry import Camera, Float, Float32
 from roadperc_stream.errors import DumpError
 
@@ -34,32 +35,33 @@ FILES: Final = (
 
 MARK = "truth.json"
 """The file by which an earlier dump of this renderer is known."""
+_OWN: Final = frozenset((*SENSORS, LIDAR, "truth", *FILES))
 
 
-def prepare_folder(folder: Path, *, force: bool) -> None:
-    """Makes the folder; with ``force`` an earlier dump's files are removed from it, and nothing else.
+@contextmanager
+def new_dump(folder: Path, *, force: bool) -> Iterator[Path]:
+    """A hidden folder to render into, which takes the folder's place when the dump is complete.
+
+    With ``force`` an earlier dump's files are removed with it, and nothing else.
 
     Raises:
-        DumpError: it is a file, cannot be made, or holds something and ``force`` is not given.
+        DumpError: it is a file, or holds something and ``force`` is not given.
+        TargetError: it cannot be made.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            if not force:
-                raise DumpError(f"{folder}: exists and is not empty; --force replaces an earlier dump in it")
-            if not (folder / MARK).is_file():
-                raise DumpError(f"{folder}: holds no {MARK}, so it is no earlier dump of this renderer; left as it is")
-            _remove_dump(folder)
-    except OSError as error:
-        raise DumpError(f"{folder}: {error.strerror}") from error
+    _require_free(folder, force=force)
+    with completing_folder(folder, keep=lambda entry: entry.name not in _OWN) as hidden:
+        yield hidden
 
 
-def _remove_dump(folder: Path) -> None:
-    for name in (*SENSORS, LIDAR, "truth"):
-        if (folder / name).is_dir():
-            shutil.rmtree(folder / name)
-    for name in FILES:
-        (folder / name).unlink(missing_ok=True)
+def _require_free(folder: Path, *, force: bool) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise DumpError(f"{folder}: is a file, expected the name of a folder")
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    if not force:
+        raise DumpError(f"{folder}: exists and is not empty; --force replaces an earlier dump in it")
+    if not (folder / MARK).is_file():
+        raise DumpError(f"{folder}: holds no {MARK}, so it is no earlier dump of this renderer; left as it is")
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:

@@ -37,7 +37,7 @@ def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: 
     """Renders a drive into a folder.
 
     Args:
-        folder: made if it is not there.
+        folder: there when the dump is complete; an interrupted one leaves nothing.
         options: what to render.
         force: whether an earlier dump in the folder may be replaced.
         on_frame: called after each frame.
@@ -46,8 +46,12 @@ def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: 
         DumpError: an option or the folder does not do.
     """
     options.check()
-    dump.prepare_folder(folder, force=force)
     cv2.setNumThreads(1)
+    with dump.new_dump(folder, force=force) as hidden:
+        _render(hidden, options, on_frame)
+
+
+def _render(folder: Path, options: RenderOptions, on_frame: Callable[[], None]) -> None:
     world = make_world(options.scene, 0.0 if options.static else options.speed_mps * options.seconds)
     drive = Drive.of(world, options.speed_mps, options.weave_m, options.seed, static=options.static)
     rig = make_rig(options.width, options.height)

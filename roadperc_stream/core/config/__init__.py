@@ -1,5 +1,6 @@
 """One frozen model per stage, nested in ``ReplayConfig``; TOML in, TOML out. Every key has a default."""
 
+from roadperc_stream.core.config.limits import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.core.config.loading import load_config, validated
 from roadperc_stream.core.config.replay import ReplayConfig
 from roadperc_stream.core.config.scaling import scaled
@@ -15,9 +16,11 @@ from roadperc_stream.core.config.stages import (
 from roadperc_stream.core.stage_names import NEEDS, STAGES, switched_off
 
 __all__ = [
+    "DEFAULT_LIMITS",
     "NEEDS",
     "STAGES",
     "LanesConfig",
+    "LimitsConfig",
     "ObjectsConfig",
     "OccupancyConfig",
     "OdometryConfig",

@@ -1,7 +1,5 @@
 """A configuration from a TOML file and single settings."""
 
-import difflib
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -10,6 +8,8 @@ from pydantic import BaseModel, ValidationError
 
 from roadperc_stream.core.config.catalogue import Setting, catalogue
 from roadperc_stream.core.config.replay import ReplayConfig
+from roadperc_stream.core.config.settings import MOST_BYTES, in_brief, parsed_toml
+from roadperc_stream.core.nearest import nearest
 from roadperc_stream.errors import ConfigError
 
 _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
@@ -64,7 +64,7 @@ def _complaint(error: ValidationError) -> str:
         return f"{key}: {first['ctx']['error']}"
     setting = next((setting for setting in catalogue() if setting.key == key), None)
     expected = f"expected {_expected(setting)}" if setting else first["msg"]
-    return f"{key}: {expected}, found {first['input']!r}"
+    return f"{key}: {expected}, found {in_brief(first['input'])}"
 
 
 def _expected(setting: Setting) -> str:
@@ -82,8 +82,8 @@ def _unknown(keys: list[str]) -> str:
 
 def _known(sections: list[str], name: str, names: tuple[str, ...]) -> str:
     """The nearest setting: in the same section, else one of that name in another; else all of the section."""
-    near = [".".join((*sections, close)) for close in difflib.get_close_matches(name, names, n=1)]
-    near = near or _elsewhere(name)
+    close = nearest(name, names)
+    near = _elsewhere(name) if close is None else [".".join((*sections, close))]
     return f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(names)}"
 
 
@@ -92,23 +92,24 @@ def _elsewhere(name: str) -> list[str]:
     sections = {section: type(field.default) for section, field in ReplayConfig.model_fields.items()}
     models = {section: model for section, model in sections.items() if issubclass(model, BaseModel)}
     names = {key for model in models.values() for key in model.model_fields}
-    close = difflib.get_close_matches(name, sorted(names), n=1)
-    return [f"{section}.{key}" for section, model in models.items() for key in close if key in model.model_fields]
+    key = nearest(name, sorted(names))
+    return [f"{section}.{key}" for section, model in models.items() if key in model.model_fields]
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as stream:
+            return parsed_toml(stream.read(MOST_BYTES + 1))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
 
 
 def _toml_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parsed_toml(f"value = {text}".encode())["value"]
+    except ConfigError:
         return text
 
 

@@ -6,6 +6,7 @@ import tomli_w
 from pydantic import Field
 
 from roadperc_stream.core.config.fields import Section, TableName
+from roadperc_stream.core.config.limits import LimitsConfig
 from roadperc_stream.core.config.stages import (
     LanesConfig,
     ObjectsConfig,
@@ -31,6 +32,7 @@ class ReplayConfig(Section):
     lanes: LanesConfig = LanesConfig()
     objects: ObjectsConfig = ObjectsConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
+    limits: LimitsConfig = LimitsConfig()
 
     def to_toml(self) -> str:
         """The whole configuration, defaults included; ``load_config`` reads it back."""

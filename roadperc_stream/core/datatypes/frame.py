@@ -158,6 +158,12 @@ class Box:
         x0, y0, x1, y1 = (int(np.floor(v + 0.5)) for v in (self.x_min, self.y_min, self.x_max, self.y_max))
         return max(x0, 0), max(y0, 0), min(x1, width), min(y1, height)
 
+    def meets(self, other: "Box") -> bool:
+        """Whether the boxes have an area in common."""
+        return min(self.x_max, other.x_max) > max(self.x_min, other.x_min) and min(self.y_max, other.y_max) > max(
+            self.y_min, other.y_min
+        )
+
     def overlap(self, other: "Box") -> float:
         """Intersection over union, 0 where the boxes do not meet."""
         width = min(self.x_max, other.x_max) - max(self.x_min, other.x_min)

@@ -35,6 +35,9 @@ class Absent:
     def __str__(self) -> str:
         return str(self.reason)
 
+    def __format__(self, layout: str) -> str:
+        return format(str(self), layout)
+
     if not TYPE_CHECKING:  # to mypy an absent output has nothing but its reason
 
         def __getattr__(self, name: str) -> object:

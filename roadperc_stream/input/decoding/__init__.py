@@ -6,10 +6,12 @@ from typing import Any, Final
 
 from google.protobuf.message import DecodeError as ProtobufError
 
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.core.semantics import TABLES
 from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import foxglove, own, ros
+from roadperc_stream.input.decoding.bounds import require_length, require_within
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
 from roadperc_stream.input.decoding.from_json import from_json
 from roadperc_stream.input.decoding.own import detection_from_proto
@@ -71,16 +73,19 @@ def schemas_of_kind(kind: Kind) -> tuple[tuple[str, str], ...]:
     return tuple((schema, encoding) for known, schema, encoding in DECODERS if known == kind)
 
 
-def context_of_channel(channel: Channel, configured: str, otherwise: str = "") -> Context:
+def context_of_channel(
+    channel: Channel, configured: str, otherwise: str = "", limits: LimitsConfig = DEFAULT_LIMITS
+) -> Context:
     """Decoding context of a channel whose messages are laid out as its own schema says.
 
     Args:
         channel: may name its tag table.
         configured: the tag table that wins over the channel's own, or ``auto``.
         otherwise: that of a channel that names none.
+        limits: of what a message asks for.
     """
     name = dict(channel.metadata).get(TAG_TABLE_KEY, otherwise) if configured == "auto" else configured
-    context = Context(TABLES.get(name), carla_bridge=channel.topic.startswith(CARLA_BRIDGE))
+    context = Context(TABLES.get(name), limits=limits, carla_bridge=channel.topic.startswith(CARLA_BRIDGE))
     if not channel.schema_data:
         return context
     return replace(context, definition=channel.schema_data, definition_encoding=channel.schema_encoding)
@@ -97,8 +102,10 @@ def decode(kind: Kind, schema: str, encoding: str, data: bytes, log_time_ns: int
     if decoder is None:
         expected = ", ".join(f"{known} ({written})" for known, written in schemas_of_kind(kind))
         raise DecodeError(f"expected {expected}; found {schema or 'no schema'} ({encoding})")
+    require_length(kind, data, context.limits)
     try:
         decoded = decoder(data, context)
+        require_within(decoded.payload, context.limits)
     except (ProtobufError, ValueError) as error:
         raise DecodeError(f"{len(data)} bytes are no {schema}: {error}") from error
     decoded = decoded if decoded.stamp_ns else replace(decoded, stamp_ns=log_time_ns)

@@ -17,31 +17,33 @@ from roadperc_stream.core.geometry import Float32
 from roadperc_stream.formats import points
 from roadperc_stream.formats.raster import Raster
 from roadperc_stream.input.decoding import pictures
+from roadperc_stream.input.decoding.bounds import require_count
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
 from roadperc_stream.input.decoding.payload import Context, Decoded, pose_matrix
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roles import Kind
 
 
-def _compressed_image(message: Any, _: Context) -> Decoded:
-    return Decoded(stamp_ns(message.timestamp), pictures.encoded_image(message.frame_id, message.data))
+def _compressed_image(message: Any, context: Context) -> Decoded:
+    image = pictures.encoded_image(message.frame_id, message.data, context.limits)
+    return Decoded(stamp_ns(message.timestamp), image)
 
 
 def _compressed_tags(message: Any, context: Context) -> Decoded:
-    tags = pictures.encoded_tags(message.frame_id, message.data, context.tag_table)
+    tags = pictures.encoded_tags(message.frame_id, message.data, context)
     return Decoded(stamp_ns(message.timestamp), tags)
 
 
-def _raw_image(message: Any, _: Context) -> Decoded:
-    return Decoded(stamp_ns(message.timestamp), pictures.raw_image(message.frame_id, _raster(message)))
+def _raw_image(message: Any, context: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), pictures.raw_image(message.frame_id, _raster(message), context.limits))
 
 
-def _raw_depth(message: Any, _: Context) -> Decoded:
-    return Decoded(stamp_ns(message.timestamp), pictures.raw_depth(message.frame_id, _raster(message)))
+def _raw_depth(message: Any, context: Context) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), pictures.raw_depth(message.frame_id, _raster(message), context.limits))
 
 
 def _raw_tags(message: Any, context: Context) -> Decoded:
-    tags = pictures.raw_tags(message.frame_id, _raster(message), context.tag_table)
+    tags = pictures.raw_tags(message.frame_id, _raster(message), context)
     return Decoded(stamp_ns(message.timestamp), tags)
 
 
@@ -49,7 +51,8 @@ def _raster(message: Any) -> Raster:
     return Raster(message.encoding, message.width, message.height, message.step, message.data)
 
 
-def _point_cloud(message: Any, _: Context) -> Decoded:
+def _point_cloud(message: Any, context: Context) -> Decoded:
+    require_count("points", len(message.data) // max(message.point_stride, 1), context.limits)
     return Decoded(stamp_ns(message.timestamp), PointCloud(message.frame_id, lambda: _points_m(message)))
 
 
@@ -69,8 +72,9 @@ def _transform(message: Any, _: Context) -> Decoded:
     return Decoded(stamp_ns(message.timestamp), (_edge(message),))
 
 
-def _transforms(message: Any, _: Context) -> Decoded:
+def _transforms(message: Any, context: Context) -> Decoded:
     """The first transform's stamp is the message's."""
+    require_count("transforms", len(message.transforms), context.limits)
     edges = tuple(_edge(transform) for transform in message.transforms)
     stamp = stamp_ns(message.transforms[0].timestamp) if edges else 0
     return Decoded(stamp, edges)

@@ -20,6 +20,7 @@ from roadperc_stream.core.datatypes import (
 from roadperc_stream.core.datatypes.results import BoundaryStatus, ObjectStatus
 from roadperc_stream.core.geometry import Float, Plane
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.input.decoding.bounds import require_count
 from roadperc_stream.input.decoding.payload import Context, Decoded
 from roadperc_stream.schemas.fields import optional, require_finite
 from roadperc_stream.schemas.protobuf import stamp_ns
@@ -37,9 +38,10 @@ _FEWEST: Final = 2
 _FINEST_M, _FARTHEST_M = 1e-3, 1e7
 
 
-def detections(data: bytes, _: Context) -> Decoded:
+def detections(data: bytes, context: Context) -> Decoded:
     """roadperc.Detections."""
     message = DetectionsProto.FromString(data)
+    require_count("detections", len(message.detections), context.limits)
     return Decoded(stamp_ns(message.timestamp), tuple(detection_from_proto(d) for d in message.detections))
 
 
@@ -139,9 +141,10 @@ _OPTIONAL_NUMBERS: Final = (
 )
 
 
-def objects(data: bytes, _: Context) -> Decoded:
+def objects(data: bytes, context: Context) -> Decoded:
     """roadperc.Objects: true ones, or those a replay has found."""
     message = ObjectsProto.FromString(data)
+    require_count("detections", len(message.objects), context.limits)
     return Decoded(stamp_ns(message.timestamp), Objects(tuple(_object(o) for o in message.objects)))
 
 

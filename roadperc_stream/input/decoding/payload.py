@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.core.datatypes import (
     CameraImage,
     DepthImage,
@@ -52,6 +53,7 @@ class Context:
     definition: bytes = b""
     """How the log defines the message, where its encoding does not say by itself (cdr); empty: as ROS 2 defines it."""
     definition_encoding: str = "ros2msg"
+    limits: LimitsConfig = DEFAULT_LIMITS
     carla_bridge: bool = False
     """Whether CARLA's ROS bridge wrote it: its principal point, half the image's size, counts from a pixel's corner."""
 

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from roadperc_stream.core.config import LimitsConfig
 from roadperc_stream.core.datatypes import CameraImage, DepthImage, TagImage
 from roadperc_stream.core.geometry import Float32
 from roadperc_stream.core.semantics import TagTable
@@ -12,6 +13,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.formats.palette import PALETTE_TABLE, tags_of_colours
 from roadperc_stream.formats.raster import Raster
+from roadperc_stream.input.decoding.payload import Context
 
 _COLOUR_TYPE: Final = 25
 """Where a PNG says how its pixels are coloured."""
@@ -20,47 +22,65 @@ _DEPTH_HEADER: Final = struct.Struct("<iff")
 """Of compressedDepth: a number nobody uses, and both parameters of the quantisation of 32FC1."""
 
 
-def encoded_image(frame_id: str, content: bytes) -> CameraImage:
+def encoded_image(frame_id: str, content: bytes, limits: LimitsConfig) -> CameraImage:
     """A camera's image of a file's bytes."""
     return CameraImage(
         frame_id,
-        lambda: images.decode_bgr(content),
-        lambda: images.decode_grey(content),
+        lambda: images.decode_bgr(content, limits),
+        lambda: images.decode_grey(content, limits),
         lambda: images.image_size(content),
     )
 
 
-def raw_image(frame_id: str, raster: Raster) -> CameraImage:
-    """A camera's image of raw pixels."""
+def raw_image(frame_id: str, raster: Raster, limits: LimitsConfig) -> CameraImage:
+    """A camera's image of raw pixels.
+
+    Raises:
+        DecodeError: it is beyond the limits.
+    """
+    _require_pixels("image", raster, limits)
     return CameraImage(frame_id, raster.bgr, raster.grey, raster.size)
 
 
-def raw_depth(frame_id: str, raster: Raster) -> DepthImage:
-    """Depth of raw pixels."""
+def raw_depth(frame_id: str, raster: Raster, limits: LimitsConfig) -> DepthImage:
+    """Depth of raw pixels.
+
+    Raises:
+        DecodeError: it is beyond the limits.
+    """
+    _require_pixels("depth", raster, limits)
     return DepthImage(frame_id, raster.depth)
 
 
-def raw_tags(frame_id: str, raster: Raster, table: TagTable | None) -> TagImage:
+def raw_tags(frame_id: str, raster: Raster, context: Context) -> TagImage:
     """Tags of raw pixels, numbers or CARLA's colours.
 
     Raises:
-        DecodeError: numbers, and nobody says which table is theirs.
+        DecodeError: numbers, and nobody says which table is theirs; or beyond the limits.
     """
-    known = _table_of(table, indexed=raster.indexed)
+    _require_pixels("tags", raster, context.limits)
+    known = _table_of(context.tag_table, indexed=raster.indexed)
     return TagImage(frame_id, known, lambda: raster.tags(known))
 
 
-def encoded_tags(frame_id: str, content: bytes, table: TagTable | None) -> TagImage:
+def _require_pixels(what: str, raster: Raster, limits: LimitsConfig) -> None:
+    """Refuse too many pixels; of a size that the data do not have, decoding says so."""
+    if raster.width * raster.height <= len(raster.data):
+        images.require_pixels(what, raster.width, raster.height, limits)
+
+
+def encoded_tags(frame_id: str, content: bytes, context: Context) -> TagImage:
     """Tags of a PNG: palette indices, grey values, or CARLA's colours.
 
     Raises:
         DecodeError: numbers, and nobody says which table is theirs.
     """
+    limits = context.limits
     if content.startswith(images.PNG_MAGIC) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS:
-        known = _table_of(table, indexed=False)
-        return TagImage(frame_id, known, lambda: tags_of_colours(images.decode_bgr(content), known))
-    known = _table_of(table, indexed=True)
-    return TagImage(frame_id, known, lambda: images.decode_indices(content))
+        known = _table_of(context.tag_table, indexed=False)
+        return TagImage(frame_id, known, lambda: tags_of_colours(images.decode_bgr(content, limits), known))
+    known = _table_of(context.tag_table, indexed=True)
+    return TagImage(frame_id, known, lambda: images.decode_indices(content, limits))
 
 
 def _table_of(table: TagTable | None, *, indexed: bool) -> TagTable:
@@ -72,18 +92,19 @@ def _table_of(table: TagTable | None, *, indexed: bool) -> TagTable:
     return PALETTE_TABLE
 
 
-def encoded_depth(frame_id: str, layout: str, content: bytes) -> DepthImage:
+def encoded_depth(frame_id: str, layout: str, content: bytes, limits: LimitsConfig) -> DepthImage:
     """Depth of a PNG with 16 bits a pixel.
 
     Args:
         frame_id: of the camera.
         layout: the message's ``format``: ``16UC1; compressedDepth``, ``32FC1; compressedDepth png`` or ``16UC1; png``.
         content: the message's data.
+        limits: of its size.
     """
-    return DepthImage(frame_id, lambda: _decoded_depth(layout, content))
+    return DepthImage(frame_id, lambda: _decoded_depth(layout, content, limits))
 
 
-def _decoded_depth(layout: str, content: bytes) -> tuple[Float32, float]:
+def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[Float32, float]:
     """Metres, and where the encoding ends.
 
     Source of the quantisation of 32FC1: image_transport_plugins' compressed_depth_image_transport.
@@ -91,7 +112,7 @@ def _decoded_depth(layout: str, content: bytes) -> tuple[Float32, float]:
     headed = "compressedDepth" in layout
     if headed and len(content) < _DEPTH_HEADER.size:
         raise DecodeError(f"depth of format {layout!r}: {len(content)} bytes, expected a header of 12 bytes")
-    pixels = _png16(layout, content[_DEPTH_HEADER.size :] if headed else content)
+    pixels = _png16(layout, content[_DEPTH_HEADER.size :] if headed else content, limits)
     if not layout.startswith("32FC1"):
         return images.depth_from_mm(pixels), images.DEPTH_LIMIT_MM / 1000
     if not headed:
@@ -102,8 +123,8 @@ def _decoded_depth(layout: str, content: bytes) -> tuple[Float32, float]:
     return depth_m, np.inf
 
 
-def _png16(layout: str, content: bytes) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
-    pixels = images.decode_unchanged(content) if content.startswith(images.PNG_MAGIC) else None
+def _png16(layout: str, content: bytes, limits: LimitsConfig) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
+    pixels = images.decode_unchanged(content, limits) if content.startswith(images.PNG_MAGIC) else None
     if pixels is None:
         raise DecodeError(f"depth of format {layout!r}: expected a whole PNG, it starts with {content[:4].hex()}")
     if pixels.dtype != np.uint16 or pixels.ndim != 2:

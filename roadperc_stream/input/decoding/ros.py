@@ -15,6 +15,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import points
 from roadperc_stream.formats.raster import Raster
 from roadperc_stream.input.decoding import pictures
+from roadperc_stream.input.decoding.bounds import require_count
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
 from roadperc_stream.input.decoding.payload import Context, Decoded, pose_matrix
 from roadperc_stream.schemas import cdr, ros2
@@ -35,33 +36,33 @@ def _frame_id(message: Any) -> str:
     return str(message.header.frame_id)
 
 
-def _image(message: Any, _: Context) -> Decoded:
-    return _stamped(message, pictures.raw_image(_frame_id(message), Raster.of_ros(message)))
+def _image(message: Any, context: Context) -> Decoded:
+    return _stamped(message, pictures.raw_image(_frame_id(message), Raster.of_ros(message), context.limits))
 
 
-def _depth(message: Any, _: Context) -> Decoded:
-    return _stamped(message, pictures.raw_depth(_frame_id(message), Raster.of_ros(message)))
+def _depth(message: Any, context: Context) -> Decoded:
+    return _stamped(message, pictures.raw_depth(_frame_id(message), Raster.of_ros(message), context.limits))
 
 
 def _tags(message: Any, context: Context) -> Decoded:
     raster = Raster.of_ros(message)
-    return _stamped(message, pictures.raw_tags(_frame_id(message), raster, context.tag_table))
+    return _stamped(message, pictures.raw_tags(_frame_id(message), raster, context))
 
 
-def _compressed_image(message: Any, _: Context) -> Decoded:
+def _compressed_image(message: Any, context: Context) -> Decoded:
     if "compressedDepth" in message.format:
         raise DecodeError(f"image of format {message.format!r}: that is depth, expected jpeg or png")
-    return _stamped(message, pictures.encoded_image(_frame_id(message), message.data.tobytes()))
+    return _stamped(message, pictures.encoded_image(_frame_id(message), message.data.tobytes(), context.limits))
 
 
-def _compressed_depth(message: Any, _: Context) -> Decoded:
+def _compressed_depth(message: Any, context: Context) -> Decoded:
     content = message.data.tobytes()
-    return _stamped(message, pictures.encoded_depth(_frame_id(message), message.format, content))
+    return _stamped(message, pictures.encoded_depth(_frame_id(message), message.format, content, context.limits))
 
 
 def _compressed_tags(message: Any, context: Context) -> Decoded:
     content = message.data.tobytes()
-    return _stamped(message, pictures.encoded_tags(_frame_id(message), content, context.tag_table))
+    return _stamped(message, pictures.encoded_tags(_frame_id(message), content, context))
 
 
 def _calibration(message: Any, context: Context) -> Decoded:
@@ -108,7 +109,8 @@ class _PackedPoints:
     data: bytes
 
 
-def _point_cloud(message: Any, _: Context) -> Decoded:
+def _point_cloud(message: Any, context: Context) -> Decoded:
+    require_count("points", message.width * message.height, context.limits)
     return _stamped(message, PointCloud(_frame_id(message), lambda: _points_m(message)))
 
 
@@ -128,7 +130,8 @@ def _points_m(message: Any) -> Float32:
     return points.unpack_points(_PackedPoints(message.point_step, fields, rows[:, :used].tobytes()), np.eye(4))
 
 
-def _detections(message: Any, _: Context) -> Decoded:
+def _detections(message: Any, context: Context) -> Decoded:
+    require_count("detections", len(message.detections), context.limits)
     return _stamped(message, tuple(_detection(detection) for detection in message.detections))
 
 
@@ -155,8 +158,9 @@ def _box(message: Any) -> Box:
     return Box(centre.x - half_x, centre.y - half_y, centre.x + half_x, centre.y + half_y)
 
 
-def _transforms(message: Any, _: Context) -> Decoded:
+def _transforms(message: Any, context: Context) -> Decoded:
     """The first transform's stamp is the message's."""
+    require_count("transforms", len(message.transforms), context.limits)
     edges = tuple(
         Transform(_frame_id(t), str(t.child_frame_id), pose_matrix(t.transform.translation, t.transform.rotation))
         for t in message.transforms

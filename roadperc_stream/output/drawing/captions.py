@@ -40,7 +40,7 @@ def caption_places(
 
     def free_place(index: int, taken: Sequence[Box]) -> Box | None:
         wanted = _wanted(image_size, boxes[index], text_sizes[index])
-        return next((place for place in wanted if not any(map(place.overlap, taken))), None)
+        return next((place for place in wanted if not any(map(place.meets, taken))), None)
 
     return nearest_first(objects, free_place)
 
@@ -55,8 +55,10 @@ def nearest_first(
         free_place: from an object's index and the places of those before it, its own.
     """
     places: list[Box | None] = [None] * len(objects)
+    taken: list[Box] = []
     for index in by_nearness(objects):
-        places[index] = free_place(index, [place for place in places if place is not None])
+        place = places[index] = free_place(index, taken)
+        taken += [] if place is None else [place]
     return tuple(places)
 
 

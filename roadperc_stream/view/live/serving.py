@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from roadperc_stream.core.process import optional_output
+from roadperc_stream.core.text import print_line
 from roadperc_stream.core.time import ns_to_seconds, seconds_to_ns
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
@@ -158,7 +159,8 @@ def playing(
     with serving(name, options.host, options.port, span_ns, source.channels, inbox) as (audience, port):
         if not quiet:
             with optional_output():
-                print(_invitation(options.host, port, layout))
+                for line in _invitation(options.host, port, layout):
+                    print_line(line)
         yield Player(source, audience, inbox, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
 
 
@@ -177,10 +179,10 @@ def _quoted(path: Path) -> str:
     return shlex.quote(str(path))
 
 
-def _invitation(host: str, port: int, layout: str) -> str:
+def _invitation(host: str, port: int, layout: str) -> tuple[str, ...]:
     address = f"[{host}]" if ":" in host else host
     return (
-        f"serving ws://{address}:{port} (Ctrl-C ends)\n"
-        "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open\n"
-        f"layout, for Layouts > Import from file: roadperc-view {layout}"
+        f"serving ws://{address}:{port} (Ctrl-C ends)",
+        "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open",
+        f"layout, for Layouts > Import from file: roadperc-view {layout}",
     )

@@ -1,0 +1,57 @@
+"""The most that one log or one message may ask for: far beyond real ones, and less than a machine has."""
+
+from typing import Annotated, Final
+
+from pydantic import Field
+
+from roadperc_stream.core.config.fields import Section, unit
+
+_MEGA: Final = 1_000_000
+_MIB: Final = 1024 * 1024
+
+
+class LimitsConfig(Section):
+    """What a log may ask for: what it declares is checked before memory is given to it.
+
+    ``roadperc-info``, ``roadperc-view`` and the evaluation read with the defaults.
+    """
+
+    chunk_mb: Annotated[int, Field(ge=1, le=65_536), unit("MiB")] = 256
+    """Largest chunk, decompressed; writers make chunks of 1 to 8 MiB, or of one message where that is larger."""
+    record_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
+    """Largest record of the file: a compressed chunk, an attachment, a message without a chunk."""
+    image_megapixels: Annotated[float, Field(ge=0.01, le=170.0), unit("megapixels")] = 40.0
+    """Largest image, by its header and by its calibration; 8K has 33."""
+    points: Annotated[int, Field(ge=1, le=1_000_000_000), unit("points")] = 10_000_000
+    """Most points of a lidar's message; a turn of 128 beams has 0.3 million."""
+    message_mb: Annotated[int, Field(ge=1, le=4096), unit("MiB")] = 16
+    """Largest message of anything but pixels and points."""
+    detections: Annotated[int, Field(ge=1, le=100_000), unit("boxes")] = 2000
+    """Most detections or objects of a message."""
+    transforms: Annotated[int, Field(ge=1, le=100_000), unit("frames")] = 2000
+    """Most frames in the tree of transforms."""
+    name_length: Annotated[int, Field(ge=1, le=1_000_000), unit("characters")] = 1000
+    """Longest name in a message: of a frame, a class, an object, an encoding."""
+
+    @property
+    def chunk_bytes(self) -> int:
+        """Of the largest chunk."""
+        return self.chunk_mb * _MIB
+
+    @property
+    def record_bytes(self) -> int:
+        """Of the largest record."""
+        return self.record_mb * _MIB
+
+    @property
+    def message_bytes(self) -> int:
+        """Of the largest message of anything but pixels and points."""
+        return self.message_mb * _MIB
+
+    @property
+    def image_pixels(self) -> int:
+        """Of the largest image."""
+        return int(self.image_megapixels * _MEGA)
+
+
+DEFAULT_LIMITS: Final = LimitsConfig()

@@ -1,0 +1,25 @@
+"""Text that came from outside, on a terminal: what would command it is shown as an escape sequence of Python's."""
+
+from typing import Final, TextIO
+
+_LONGEST: Final = 10_000
+"""Characters of a line; a path has 4096 at most."""
+
+
+def shown(text: str) -> str:
+    r"""A line for the terminal, in which no character moves the cursor, changes colours or turns the reading order.
+
+    Control characters of both sets, line separators, marks of direction, and whatever else has no glyph of its own
+    are written as ``\x1b``, ``\n`` or ``\u202e``; a line that is too long is cut.
+    """
+    cut = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}… ({len(text) - _LONGEST} more characters)"
+    return cut if cut.isprintable() else "".join(s if s.isprintable() else _escaped(s) for s in cut)
+
+
+def print_line(line: str, stream: TextIO | None = None) -> None:
+    """Print a line, whatever is in it, on stdout where no stream is named."""
+    print(shown(line), file=stream)
+
+
+def _escaped(sign: str) -> str:
+    return sign.encode("unicode_escape").decode("ascii")

@@ -1,0 +1,131 @@
+"""What a log declares, held against the file and against the limits before memory is given to it.
+
+The library that reads logs allocates what a record or a chunk says of itself. Layout: https://mcap.dev/spec.
+"""
+
+import io
+import os
+import struct
+from pathlib import Path
+from typing import IO, Final
+
+import lz4.frame
+import zstandard
+from mcap.exceptions import McapError
+
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
+
+_HEAD: Final = struct.Struct("<BQ")
+_CHUNK: Final = struct.Struct("<QQQII")
+_LENGTH: Final = struct.Struct("<Q")
+_ALWAYS_BYTES: Final = 1024 * 1024
+"""What is read unasked."""
+_FRAME_HEAD_BYTES: Final = 32
+"""More than the header of a frame of zstd (18) or lz4 (19) takes."""
+_LZ4_RATIO: Final = 255
+"""Bytes that one byte of lz4 stands for at most."""
+_PIECE_BYTES: Final = 4 * 1024 * 1024
+
+
+class LimitError(McapError):
+    """Something larger than a setting allows; the message names it."""
+
+
+def guarded(path: Path, limits: LimitsConfig) -> "GuardedFile":
+    """Open a log.
+
+    Raises:
+        OSError: the system does not.
+    """
+    return GuardedFile(path.open("rb").detach(), limits)
+
+
+class GuardedFile(io.BufferedReader):
+    """A file that is not asked for more bytes than it has, nor for a larger record than the limit."""
+
+    def __init__(self, raw: io.RawIOBase, limits: LimitsConfig) -> None:
+        super().__init__(raw)
+        self._size_bytes, self._most_bytes = self.seek(0, os.SEEK_END), limits.record_bytes
+        self.seek(0)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As of any file.
+
+        Raises:
+            LimitError: that is beyond the limit.
+            McapError: the file has fewer bytes left.
+        """
+        if size is not None and size > _ALWAYS_BYTES:
+            left = self._size_bytes - self.tell()
+            if size > left:
+                raise McapError(f"a record of {size} bytes, {left} are left")
+            require_record(size, self._most_bytes)
+        return super().read(size)
+
+
+def require_record(size_bytes: int, most_bytes: int) -> None:
+    """Refuse a record that is too large.
+
+    Raises:
+        LimitError: it is.
+    """
+    if size_bytes > most_bytes:
+        raise LimitError(_beyond("a record", size_bytes, "record_mb", most_bytes))
+
+
+def check_chunk(stream: IO[bytes], limits: LimitsConfig = DEFAULT_LIMITS) -> int:
+    """Look at a chunk without decompressing it; lz4 that does not say its size is measured piece by piece.
+
+    Args:
+        stream: behind the head of the chunk's record; it is left anywhere.
+        limits: of the chunk.
+
+    Returns:
+        The bytes it declares to have, decompressed.
+
+    Raises:
+        LimitError: it has more than the limit.
+        McapError: it has more than it declares.
+    """
+    _, _, declared, _, name_bytes = _CHUNK.unpack(stream.read(_CHUNK.size))
+    name = stream.read(min(name_bytes, _FRAME_HEAD_BYTES)).decode("ascii", "replace")
+    (stored,) = _LENGTH.unpack(stream.read(_LENGTH.size))
+    if declared > limits.chunk_bytes:
+        raise LimitError(_beyond("a chunk", declared, "chunk_mb", limits.chunk_bytes))
+    content = _content_bytes(stream, name, stored, declared)
+    if content > limits.chunk_bytes:
+        raise LimitError(_beyond("a chunk", content, "chunk_mb", limits.chunk_bytes))
+    if content > declared:
+        raise McapError(f"a chunk of {content} bytes or more that declares {declared}")
+    return int(declared)
+
+
+def _content_bytes(stream: IO[bytes], name: str, stored: int, declared: int) -> int:
+    """What a chunk's data decompress to, as far as it may be more than is declared."""
+    if name == "zstd":
+        # Without a size in it, the library decompresses no more than the chunk declares.
+        found = int(zstandard.get_frame_parameters(stream.read(min(stored, _FRAME_HEAD_BYTES))).content_size)
+        return declared if found == zstandard.CONTENTSIZE_UNKNOWN else found
+    if name == "lz4" and stored * _LZ4_RATIO > declared:
+        return _lz4_bytes(stream.read(stored), declared)
+    return declared
+
+
+def _lz4_bytes(data: bytes, enough: int) -> int:
+    """Length of a frame's contents; of longer ones than enough a little more than that."""
+    found: int = lz4.frame.get_frame_info(data)["content_size"]
+    if found:
+        return found
+    decompressor, given, length = lz4.frame.LZ4FrameDecompressor(), data, 0
+    while not decompressor.eof and length <= enough:
+        piece = decompressor.decompress(given, max_length=_PIECE_BYTES)
+        given = b""
+        if not piece and decompressor.needs_input:
+            break  # cut off: reading it says so
+        length += len(piece)
+    return length
+
+
+def _beyond(what: str, size_bytes: int, setting: str, most_bytes: int) -> str:
+    mebibytes = size_bytes / 1024**2
+    return f"{what} of {mebibytes:.0f} MiB: expected limits.{setting} {most_bytes // 1024**2} at most"

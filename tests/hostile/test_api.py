@@ -1,0 +1,63 @@
+"""Arguments of the package that make no sense are refused where they are given."""
+
+import numpy as np
+import pytest
+
+import roadperc_stream as rp
+from roadperc_stream.core.datatypes import Absent, Reason
+from roadperc_stream.core.geometry import Camera
+from roadperc_stream.errors import ChannelError, ConfigError
+from tests import logs
+
+CAMERA = Camera("camera", 64, 48, 40.0, 40.0, 31.5, 23.5)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return logs.write(tmp_path_factory.mktemp("api") / "in.mcap", logs.items(1))
+
+
+def test_a_role_that_does_not_exist_is_named(log, tmp_path):
+    with pytest.raises(ChannelError, match="no role 'imge'; roles: image"):
+        next(rp.frames(log, topics={"imge": "/camera/front/image"}))
+    with pytest.raises(ChannelError, match="no role 'imge'"):
+        rp.replay(log, tmp_path / "out.mcap", topics={"imge": "/camera/front/image"})
+
+
+@pytest.mark.parametrize("frames", [1.5, "2", True, np.float64(2.0)])
+def test_frames_are_counted_in_whole_numbers(log, frames):
+    with pytest.raises(ConfigError, match="frames: expected a whole number"):
+        next(rp.frames(log, max_frames=frames))
+
+
+def test_numpys_whole_numbers_are_some(log):
+    assert len(list(rp.frames(log, max_frames=np.int64(1)))) == 1
+
+
+def test_a_time_that_is_a_text_is_named(log):
+    with pytest.raises(ConfigError, match="start: expected seconds, found '1'"):
+        next(rp.frames(log, start_s="1"))
+
+
+def test_what_is_absent_is_printed_in_any_layout():
+    absent = Absent(Reason("depth", "no_image"))
+    assert f"{absent:>40}" == str(absent).rjust(40)
+    assert f"{absent}" == str(absent)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda pose: pose.__setitem__((0, 0), 2.0), "expected a rotation"),
+        (lambda pose: pose.__setitem__(slice(0, 3), -pose[:3]), "expected a rotation"),
+        (lambda pose: pose.__setitem__((3, 0), 1.0), "last row"),
+        (lambda pose: pose.__setitem__((slice(0, 3), slice(0, 3)), 0.0), "expected a rotation"),
+    ],
+    ids=["scaled", "mirrored", "projective", "flat"],
+)
+def test_a_mounting_is_a_rotation_and_a_shift(change, words):
+    pose = np.array([[0, 0, 1, 2], [-1, 0, 0, 0], [0, -1, 0, 1.5], [0, 0, 0, 1]], float)
+    rp.Chain(CAMERA, ego_T_camera=pose)
+    change(pose)
+    with pytest.raises(ValueError, match=words):
+        rp.Chain(CAMERA, ego_T_camera=pose)

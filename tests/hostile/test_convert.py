@@ -1,0 +1,176 @@
+"""Dumps with mistakes in them: what is wrong is named, and costs no more than it must."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.errors import DumpError
+from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS, stamps_of_file, stamps_of_names
+from tests.commands import run, words
+
+pytestmark = pytest.mark.commands
+TIME_NS = 1_403_636_579_763_555_584
+
+
+def dump(folder, names=("1", "2", "3"), sizes=((64, 48),) * 3, calibration=None):
+    (folder / "rgb").mkdir(parents=True)
+    for name, (width, height) in zip(names, sizes, strict=True):
+        cv2.imwrite(str(folder / "rgb" / f"{name}.png"), np.full((height, width, 3), 90, np.uint8))
+    document = {"width": 64, "height": 48, "fov_deg": 90} | (calibration or {})
+    (folder / "calibration.json").write_text(json.dumps(document))
+    return folder
+
+
+def convert(folder, *options):
+    return run("roadperc-convert", folder, folder.parent / "out.mcap", "--force", *options)
+
+
+def stamps(folder):
+    target = folder.parent / "out.mcap"
+    return [m.log_time_ns for m in log.read(target, topics=["/camera/front/image"])]
+
+
+@pytest.mark.parametrize(
+    ("calibration", "named"),
+    [
+        ({"rate_Hz": 10}, "no key rate_Hz; did you mean rate_hz?"),
+        ({"widht": 64}, "no key widht; did you mean width?"),
+        ({"cameras": {"depth": {"hieght": 4}}}, "no key cameras.depth.hieght; did you mean height?"),
+    ],
+)
+def test_a_misspelled_key_is_named_with_the_nearest(tmp_path, calibration, named):
+    done = convert(dump(tmp_path / "dump", calibration=calibration))
+    assert (done.returncode, named in done.stderr) == (1, True), done.stderr
+
+
+def test_other_keys_are_notes(tmp_path):
+    done = convert(dump(tmp_path / "dump", calibration={"town": "Town03", "weather": {"sun": 3}, "fov_y": 70}))
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("odd", [0, 2])
+def test_an_image_of_another_size_costs_that_image(tmp_path, odd):
+    sizes = [(64, 48)] * 3
+    sizes[odd] = (32, 48)
+    done = convert(dump(tmp_path / "dump", sizes=sizes))
+    assert done.returncode == 0, done.stderr
+    assert f"{odd + 1}.png: image is 32x48, its camera 64x48" in done.stderr
+    assert len(stamps(tmp_path / "dump")) == 2
+
+
+def test_images_that_are_all_of_another_size_are_an_error(tmp_path):
+    done = convert(dump(tmp_path / "dump", sizes=((32, 48),) * 3))
+    assert (done.returncode, "image is 32x48, its camera 64x48" in done.stderr) == (1, True)
+
+
+def test_names_of_two_kinds_are_said_to_be_so(tmp_path):
+    done = convert(dump(tmp_path / "dump", names=("1", "2", "1305031102.933")))
+    assert done.returncode == 1
+    assert "names of two kinds: 2 count frames, such as 1, 1 are times, such as 1305031102933000000" in done.stderr
+    with pytest.raises(DumpError, match="names of two kinds"):
+        stamps_of_names([5, TIME_NS])
+
+
+def test_a_rate_that_is_not_used_is_said_to_be_so(tmp_path):
+    names = ("1305031102.933", "1305031102.983", "1305031103.033")
+    done = convert(dump(tmp_path / "dump", names=names, calibration={"rate_hz": 5}))
+    assert "rate_hz 5 of the calibration is not used: the names of the files are stamps" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        ("frame,timestamp,x,y\n1,0.5,7,8\n2,0.6,7,8\n3,0.75,7,8\n", [EPOCH_NS + t for t in (5e8, 6e8, 7.5e8)]),
+        ("x,stamp_ns,filename\n9,100,rgb/3.png\n9,50,rgb/2.png\n9,7,rgb/1.png\n", [EPOCH_NS + t for t in (7, 50, 100)]),
+        (f"#timestamp [ns],filename\n{TIME_NS},1.png\n{TIME_NS + 5},2.png\n{TIME_NS + 9},3.png\n", None),
+        (f"Timestamp;Frame;gain\n{TIME_NS};1;a\n{TIME_NS + 5};2;b\n{TIME_NS + 9};3;c\n", None),
+        (f"time,gain\n{TIME_NS},1.5\n{TIME_NS + 5},1.5\n{TIME_NS + 9},1.5\n", None),
+    ],
+    ids=["seconds", "files", "EuRoC", "capitals", "in order"],
+)
+def test_a_table_of_stamps_may_have_more_columns(tmp_path, table, expected):
+    path = tmp_path / "timestamps.csv"
+    path.write_text(table)
+    found = list(stamps_of_file(path, [1, 2, 3]).values())
+    assert found == [int(ns) for ns in expected or (TIME_NS, TIME_NS + 5, TIME_NS + 9)]
+
+
+def test_a_table_without_a_column_of_stamps_is_an_error(tmp_path):
+    path = tmp_path / "timestamps.csv"
+    path.write_text("frame,gain\n1,2\n")
+    with pytest.raises(DumpError, match="columns 'frame,gain': expected one of timestamp"):
+        stamps_of_file(path, [1])
+    path.write_text("frame,timestamp\n1,nan\n")
+    with pytest.raises(DumpError, match="line 2: expected a time in column 2"):
+        stamps_of_file(path, [1])
+
+
+def test_stamps_of_a_table_reach_the_log(tmp_path):
+    folder = dump(tmp_path / "dump")
+    (folder / "timestamps.csv").write_text(
+        f"frame,timestamp,gain\n1,{TIME_NS},1\n2,{TIME_NS + 7},1\n3,{TIME_NS + 9},1\n"
+    )
+    assert convert(folder).returncode == 0
+    assert stamps(folder) == [TIME_NS, TIME_NS + 7, TIME_NS + 9]
+
+
+def test_euroc_keeps_its_table_beside_the_data(tmp_path):
+    folder = dump(tmp_path / "dump")
+    (folder / "rgb").rename(folder / "data")
+    (folder / "rgb").mkdir()
+    (folder / "data").rename(folder / "rgb" / "data")
+    rows = "".join(f"{TIME_NS + k * NS_PER_S},{k}.png\n" for k in (1, 2, 3))
+    (folder / "rgb" / "data.csv").write_text(f"#timestamp [ns],filename\n{rows}")
+    done = convert(folder)
+    assert done.returncode == 0, done.stderr
+    assert stamps(folder) == [TIME_NS + k * NS_PER_S for k in (1, 2, 3)]
+
+
+def test_stamps_that_are_not_used_are_said_to_be_so(tmp_path):
+    folder = dump(tmp_path / "dump")
+    (folder / "metadata.json").write_text('{"1": {"timestamp": 5}}')
+    (folder / "rgb" / "metadata.json").write_text('{"1": {"timestamp": 5}}')
+    done = convert(folder)
+    assert "metadata.json is not used" in done.stdout
+    assert "rgb/metadata.json is not used: stamps are in timestamps.txt or timestamps.csv" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("former", [False, True])
+def test_an_interrupted_render_leaves_nothing_under_its_name(tmp_path, name, former):
+    folder = tmp_path / "dump"
+    if former:
+        folder.mkdir()
+        (folder / "truth.json").write_text("former")
+        (folder / "own.txt").write_text("own")
+    command = words("roadperc-render", folder, "--size", "320x240", "--seconds", "60", "--force")
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not any(tmp_path.glob(".*.partial/rgb/000000.png")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.kill(process.pid, getattr(signal, name))
+    _, said = process.communicate(timeout=30)
+    assert (process.returncode, said) == (1, "interrupted\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["dump"] * former
+    if former:
+        assert (folder / "truth.json").read_text() == "former"
+
+
+def test_a_render_replaces_its_former_and_keeps_what_is_not_its_own(tmp_path):
+    folder = tmp_path / "dump"
+    options = ("--size", "64x48", "--seconds", "0.05", "--force")
+    assert run("roadperc-render", folder, *options).returncode == 0
+    (folder / "own.txt").write_text("own")
+    (folder / "truth.json").write_text("former")
+    assert run("roadperc-render", folder, *options).returncode == 0
+    assert (folder / "own.txt").read_text() == "own"
+    assert json.loads((folder / "truth.json").read_text())["lanes"]
+    assert [path.name for path in tmp_path.iterdir()] == ["dump"]
