@@ -61,7 +61,7 @@ def _requests(arguments: argparse.Namespace) -> tuple[Request, ...]:
 
 def _print_summary(target: Path, summary: ReplaySummary) -> None:
     for warning in summary.warnings:
-        print(f"warning: {warning}")
+        print_line(f"warning: {warning}")
     for note in (*summary.notes, *summary.throughout):
         print_line(f"note: {note}")
     for topic, number in summary.problems.items():

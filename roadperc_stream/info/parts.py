@@ -29,7 +29,7 @@ def print_parts(console: Console, logs: Sequence[LogFacts]) -> None:
         for span in spans
     )
     print_table(console, TextTable("As the parts of one log", ("from s", "to s"), rows))
-    print_lines(console, "", *map(plain, filter(None, joins(spans))), *_only_in_some(logs), *_whole(logs, spans))
+    print_lines(console, "", *filter(None, joins(spans)), *_only_in_some(logs), *_whole(logs, spans))
 
 
 def _spans(logs: Iterable[LogFacts]) -> Iterator[PartSpan]:
