@@ -4,6 +4,7 @@ import struct
 import zlib
 
 import lz4.frame
+import zstandard  # noqa: F401 - tests compress with it
 
 _RLE_BYTES = 128 * 1024
 _LZ4_BLOCK = 4 * 1024 * 1024

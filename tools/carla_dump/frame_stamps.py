@@ -21,8 +21,6 @@ _UNIX_TIME_FROM_S: Final = 1_000_000_000
 """Seconds from here on (2001) are Unix time; a simulation does not run for 31 years."""
 _LIMIT_S: Final = 2**31
 """Stamps of ROS messages end here, in 2038."""
-_COARSEST_NS: Final = 1_000_000
-"""Names of files are times in milliseconds or finer units."""
 _DATE: Final = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?Z?")
 
 
@@ -45,17 +43,22 @@ def stamps_of_names(frames: Sequence[int]) -> dict[int, int] | None:
     None where they are not: then they count frames.
 
     Raises:
-        DumpError: some are times and some are not.
+        DumpError: some are times and some are not, or not in the same unit.
     """
-    for unit_ns in (1, 1000, _COARSEST_NS):
-        first, beyond = _UNIX_TIME_FROM_S * NS_PER_S // unit_ns, _LIMIT_S * NS_PER_S // unit_ns
-        if frames and first <= frames[0] and frames[-1] < beyond:
-            return {number: number * unit_ns for number in frames}
-    times = [number for number in frames if number >= _UNIX_TIME_FROM_S * NS_PER_S // _COARSEST_NS]
-    if times and len(times) < len(frames):
-        counted = f"{len(frames) - len(times)} count frames, such as {frames[0]}"
-        raise DumpError(f"names of two kinds: {counted}, {len(times)} are times, such as {times[0]}; keep one kind")
-    return None
+    found = {_unit_ns(number): number for number in reversed(frames)}
+    if len(found) > 1:
+        examples = " and ".join(str(number) for number in sorted(found.values()))
+        raise DumpError(
+            f"names of two kinds, such as {examples}: counts or times, or times in two units; keep one kind"
+        )
+    unit_ns = next(iter(found), None)
+    return None if unit_ns is None else {number: number * unit_ns for number in frames}
+
+
+def _unit_ns(number: int) -> int | None:
+    """The unit in which a number is Unix time from 2001 to 2038, in nanoseconds; None where it is in none."""
+    units = (unit for unit in (1, 1000, 1_000_000) if _UNIX_TIME_FROM_S <= number * unit // NS_PER_S < _LIMIT_S)
+    return next(units, None)
 
 
 def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:

@@ -21,7 +21,7 @@ _DOCUMENTS: Final = {
     "calibration": ("calibration.json",),
     "detections": ("detections.json", "coco_results.json", "coco.json"),
     "poses": ("poses.json", "transforms.json", "poses.csv", "poses.txt"),
-    "timestamps": ("timestamps.txt", "timestamps.csv", "times.txt"),
+    "timestamps": ("timestamps.txt", "timestamps.csv", "times.txt", "data.csv"),
     "truth": ("truth.json",),
 }
 _DOCUMENT_SUFFIXES: Final = frozenset({".json", ".txt", ".yaml", ".yml"})

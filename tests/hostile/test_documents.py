@@ -1,0 +1,108 @@
+"""Configurations and tables that nobody can compute with: one line, which names the place."""
+
+from contextlib import suppress
+
+import polars as pl
+import pytest
+
+import roadperc_stream as rp
+from roadperc_stream.core.config import load_config
+from roadperc_stream.core.config.settings import as_typed, settings_in
+from roadperc_stream.errors import ConfigError, TableError
+from roadperc_stream.eval.runs import open_run
+from roadperc_stream.eval.scan import collect
+from tests.commands import run
+from tests.hostile.names import write_log
+
+pytestmark = pytest.mark.commands
+
+TEXTS = {
+    "a number of 5000 digits": f"seed = {'9' * 5000}",
+    "a hexadecimal number of 5000 digits": f"seed = 0x{'f' * 5000}",
+    "50000 nested keys": f"{'a.' * 50_000}a = 1",
+    "50000 nested lists": f"seed = {'[' * 50_000}",
+    "too long": f"# {'x' * 1_000_000}",
+    "no text": "seed = '\ud800'",
+}
+
+
+@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
+def test_a_configuration_is_read_or_refused_in_a_line(tmp_path, text):
+    path = tmp_path / "a.toml"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
+def test_an_attached_configuration_is_read_or_refused(text):
+    with suppress(ConfigError):
+        found = settings_in(text.encode("utf-8", "surrogatepass"))
+        assert all(len(as_typed(value)) < 1000 for value in found.values())
+
+
+def test_a_setting_of_a_command_is_refused_in_a_line():
+    done = run("roadperc-replay", "a.mcap", "b.mcap", "--set", f"seed={'9' * 5000}")
+    assert (done.returncode, done.stderr.count("\n"), "Traceback" in done.stderr) == (1, 1, False)
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tables")
+    source = write_log(folder / "in.mcap", "plain")
+    topics = {role: f"/{role}/plain" for role in ("image", "calibration", "depth", "tf")}
+    rp.replay(source, folder / "out.mcap", topics=topics)
+    return pl.read_parquet(folder / "out.metrics.parquet")
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "words"),
+    [
+        ("odom_x_m", pl.lit(1e308), "column odom_x_m holds 1e+308, expected 1e+100 at most"),
+        ("odom_x_m", pl.lit("x"), "column odom_x_m is of type large_string, expected double"),
+        ("odom_x_m", pl.lit([1.0]), "column odom_x_m is of type"),
+        ("stamp_ns", pl.lit(1.5), "column stamp_ns is of type double, expected int64"),
+        ("total_ms", pl.lit(None), "total_ms"),
+        ("reasons", pl.lit(3), "column reasons is of type int32"),
+        ("log_id", pl.lit(b"\xff"), "column log_id is of type"),
+        ("detections", pl.lit(2**64 - 1, pl.UInt64), "column detections holds 1.84467e+19"),
+    ],
+)
+def test_a_column_that_nobody_can_compute_with_is_named(tmp_path, table, column, values, words):
+    path = tmp_path / "a.metrics.parquet"
+    table.with_columns(values.alias(column)).write_parquet(path)
+    with pytest.raises(TableError, match=words.replace("+", r"\+")):
+        open_run(path, "a")
+    done = run("roadperc-report", path)
+    assert (done.returncode, done.stderr.count("\n"), "Traceback" in done.stderr) == (1, 1, False)
+
+
+def test_a_column_without_a_value_counts_as_missing(tmp_path, table):
+    path = tmp_path / "a.metrics.parquet"
+    table.with_columns(pl.lit(None).alias("odom_x_m")).write_parquet(path)
+    assert run("roadperc-report", path).returncode == 0
+
+
+def test_a_panic_of_polars_is_a_stated_error():
+    frame = pl.LazyFrame({"a": [1]}).map_batches(panic)
+    with pytest.raises(TableError, match=r"a\.parquet: its data cannot be read"):
+        collect(frame, "a.parquet")
+
+
+def panic(_):
+    raise pl.exceptions.PanicException("index out of bounds")
+
+
+@pytest.mark.parametrize("place", [0.2, 0.5, 0.8, 0.97])
+def test_a_damaged_table_is_one_line(tmp_path, table, place):
+    path = tmp_path / "a.metrics.parquet"
+    table.write_parquet(path)
+    data = bytearray(path.read_bytes())
+    at = int(place * len(data))
+    data[at : at + 200] = bytes(200)
+    path.write_bytes(data)
+    done = run("roadperc-report", path)
+    assert "Traceback" not in done.stderr
+    assert (done.returncode, done.stderr.count("\n")) in ((0, 0), (1, 1)), done.stderr

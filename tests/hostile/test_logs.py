@@ -1,0 +1,113 @@
+"""Logs that declare more than they have, or more than there is: a result or one line, in bounded memory and time."""
+
+import resource
+import struct
+import time
+
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.core.config import LimitsConfig
+from roadperc_stream.errors import LogError
+from roadperc_stream.log import Salvage
+from tests.commands import run
+from tests.hostile import bombs, mcap
+
+pytestmark = pytest.mark.commands
+GIB = 2**30
+KNOWN = (mcap.schema(1, "A", "jsonschema", b"{}"), mcap.channel(1, 1, "/a", "json"))
+HUGE = 8 * GIB + 512 * 2**20
+CLAIMED = 10**11
+
+
+def attachment(length):
+    return mcap.record(
+        mcap.ATTACHMENT, bytes(16) + mcap.text("a") + mcap.text("b") + struct.pack("<Q", length) + b"xxxx"
+    )
+
+
+def compressed(data, compression, size=HUGE):
+    return mcap.file(*KNOWN, mcap.chunk(data, compression, size=size))
+
+
+CASES = {
+    "zstd that says its size": lambda: compressed(bombs.zstd_zeros(HUGE), "zstd"),
+    "zstd that does not": lambda: compressed(bombs.zstd_zeros(HUGE, stated=False), "zstd"),
+    "zstd in a chunk that lies": lambda: compressed(bombs.zstd_zeros(HUGE), "zstd", size=100),
+    "zstd by an index": lambda: mcap.indexed(mcap.chunk(bombs.zstd_zeros(HUGE), "zstd", size=HUGE), *KNOWN, size=HUGE),
+    "zstd by an index that lies": lambda: mcap.indexed(
+        mcap.chunk(bombs.zstd_zeros(HUGE), "zstd", size=HUGE), *KNOWN, size=100
+    ),
+    "lz4": lambda: compressed(bombs.lz4_zeros(HUGE), "lz4"),
+    "lz4 in a chunk that lies": lambda: compressed(bombs.lz4_zeros(HUGE), "lz4", size=100),
+    "chunk that claims 100 GB": lambda: compressed(b"x" * 100, "zstd", size=CLAIMED),
+    "chunk that stores 100 GB": lambda: mcap.file(*KNOWN, mcap.chunk(b"x", size=CLAIMED, length=CLAIMED)),
+    "message of 100 GB": lambda: mcap.file(*KNOWN, mcap.record(mcap.MESSAGE, b"x" * 100, CLAIMED)),
+    "attachment of 100 GB": lambda: mcap.file(*KNOWN, attachment(CLAIMED)),
+}
+
+
+def bounded():
+    resource.setrlimit(resource.RLIMIT_AS, (3 * GIB, 3 * GIB))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_declared_is_not_allocated(tmp_path, case):
+    path = tmp_path / "in.mcap"
+    path.write_bytes(CASES[case]())
+    for command in (("roadperc-replay", path, tmp_path / "out.mcap"), ("roadperc-info", path)):
+        done = run(*command, preexec_fn=bounded)
+        assert done.returncode == 1, done.stdout
+        assert done.stderr.count("\n") == 1, done.stderr
+        assert done.stderr.startswith("error: ")
+        assert "not enough memory" not in done.stderr
+    assert list(tmp_path.glob("*out*")) == []
+
+
+def test_a_chunk_beyond_the_limit_names_the_setting(tmp_path):
+    path = tmp_path / "in.mcap"
+    data = b"".join(KNOWN) + mcap.message(1, 1, bytes(2_000_000))
+    path.write_bytes(compressed(bombs.zstandard.compress(data), "zstd", size=len(data)))
+    assert [len(m.data) for m in log.read(path)] == [2_000_000]
+    with pytest.raises(LogError, match=r"a chunk of 2 MiB: expected limits\.chunk_mb 1 at most"):
+        list(log.read(path, limits=LimitsConfig(chunk_mb=1)))
+
+
+def test_a_record_beyond_the_limit_names_the_setting(tmp_path):
+    path = tmp_path / "in.mcap"
+    path.write_bytes(mcap.file(*KNOWN, mcap.message(1, 1, bytes(3_000_000))))
+    assert [len(m.data) for m in log.read(path)] == [3_000_000]
+    with pytest.raises(LogError, match=r"a record of 3 MiB: expected limits\.record_mb 1 at most"):
+        list(log.read(path, limits=LimitsConfig(record_mb=1)))
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_chunks_as_writers_make_them_are_read(tmp_path, stated):
+    """lz4 with and without its size, whose contents are measured before they are decompressed."""
+    data = b"".join(KNOWN) + b"".join(mcap.message(1, k, bytes(50_000)) for k in range(100))
+    packed = bombs.lz4.frame.compress(data, store_size=stated)
+    path = tmp_path / "in.mcap"
+    path.write_bytes(compressed(packed, "lz4", size=len(data)))
+    assert len(list(log.read(path))) == 100
+    path.write_bytes(compressed(packed, "lz4", size=len(data) - 1))
+    with pytest.raises(LogError, match="that declares"):
+        list(log.read(path))
+
+
+def test_what_can_be_salvaged_is_bounded_too(tmp_path):
+    path = tmp_path / "in.mcap"
+    bomb = mcap.chunk(bombs.zstd_zeros(HUGE), "zstd", size=HUGE)
+    path.write_bytes(mcap.file(*KNOWN, mcap.message(1, 1, b"{}"), bomb, mcap.message(1, 2, b"{}")))
+    salvage = Salvage(path)
+    started = time.monotonic()
+    assert [m.log_time_ns for m in salvage.messages()] == [1, 2]
+    assert time.monotonic() - started < 5
+    assert "limits.chunk_mb" in salvage.damages[0].words
+
+
+def test_the_last_instant_of_64_bits_is_one_line(tmp_path):
+    path = tmp_path / "in.mcap"
+    path.write_bytes(mcap.file(*KNOWN, mcap.message(1, 2**64 - 1, b"{}"), mcap.message(1, 5, b"{}")))
+    assert "2 messages on 1 channel" in run("roadperc-info", path).stdout
+    done = run("roadperc-replay", path, tmp_path / "out.mcap")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)

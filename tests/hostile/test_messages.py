@@ -1,0 +1,186 @@
+"""Messages that ask for more than is real: each costs itself, and says which limit it is beyond."""
+
+import dataclasses
+import resource
+import time
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from roadperc_stream.core.config import LimitsConfig, load_config
+from roadperc_stream.core.datatypes import Transform
+from roadperc_stream.core.geometry import Camera
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats import images
+from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.input.latched import LatchedState, without_loops
+from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.stream import Stamped
+from roadperc_stream.loop import replay
+from roadperc_stream.output import encoding
+from tests import logs
+from tests.analytic import box
+from tests.commands import run
+from tests.hostile import bombs
+
+pytestmark = pytest.mark.commands
+GIB = 2**30
+STAMP = logs.START_NS
+JPEG = cv2.imencode(".jpg", np.zeros((16, 16, 3), np.uint8))[1].tobytes()
+NOISE = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (240, 320, 3)).astype(np.uint8))[1].tobytes()
+HUGE_PNG = bombs.png(30_000, 30_000, rows=4)
+
+
+def replaced(role, data, frames=2):
+    """A drive in which every message of a role is this one."""
+    return [dataclasses.replace(i, data=data) if i.role == role else i for i in logs.items(frames)]
+
+
+def bounded():
+    resource.setrlimit(resource.RLIMIT_AS, (3 * GIB, 3 * GIB))
+
+
+def replayed(tmp_path, items, *options):
+    source = logs.write(tmp_path / "in.mcap", items)
+    return run("roadperc-replay", source, tmp_path / "out.mcap", *options, preexec_fn=bounded)
+
+
+def read(kind, schema, data, limits):
+    return decode(kind, schema, "protobuf", data, STAMP, Context(limits=limits))
+
+
+@pytest.mark.parametrize("data", [HUGE_PNG, bombs.jpeg_of_size(JPEG, 30_000, 30_000)], ids=["png", "jpeg"])
+def test_an_image_is_held_against_its_header_before_it_is_decoded(data):
+    for decoder in (images.decode_bgr, images.decode_grey, images.decode_unchanged):
+        with pytest.raises(DecodeError, match=r"30000x30000, 900 megapixels: expected limits\.image_megapixels 40"):
+            decoder(data)
+
+
+@pytest.mark.parametrize("role", ["image", "segmentation"])
+def test_a_huge_image_costs_its_frames_that_image(tmp_path, role):
+    data = bombs.png(30_000, 30_000, mode=3, rows=4) if role == "segmentation" else HUGE_PNG
+    done = replayed(tmp_path, replaced(role, encoding.encode_image(STAMP, "camera", "png", data)))
+    assert done.returncode == 0, done.stderr
+    assert "in all 2 frames" in done.stdout
+    assert "expected limits.image_megapixels 40 at most" in done.stdout
+
+
+def test_a_calibration_is_held_against_the_limit(tmp_path):
+    """The sparse depth of a lidar's points is as large as the calibration says."""
+    camera = Camera("camera", 40_000, 40_000, 2e4, 2e4, 2e4, 2e4)
+    points = np.ones((100, 4), np.float32)
+    items = replaced("calibration", encoding.encode_calibration(STAMP, camera))
+    items = [item for item in items if item.role in ("calibration", "tf", "image")]
+    items += [
+        logs.Item("lidar", i.stamp_ns, encoding.encode_points(i.stamp_ns, "camera", points))
+        for i in items
+        if i.role == "image"
+    ]
+    done = replayed(tmp_path, items)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "calibration of 40000x40000, 1600 megapixels: expected limits.image_megapixels 40 at most" in done.stderr
+
+
+def test_texts_that_are_compressed_in_an_image_cost_that_image():
+    zeros = zlib.compress(bytes(100_000_000), 9)
+    extra = bombs.png_chunk(b"iCCP", b"x\0\0" + zeros) + bombs.png_chunk(b"zTXt", b"c\0\0" + zeros)
+    started = time.monotonic()
+    for decoder in (images.decode_bgr, images.decode_indices, images.image_size):
+        try:
+            decoder(bombs.png(32, 24, mode=0, extra=extra))
+        except DecodeError:
+            continue
+    assert time.monotonic() - started < 5
+
+
+@pytest.mark.parametrize(
+    ("limit", "kind", "schema", "data"),
+    [
+        (
+            "detections",
+            "detections",
+            "roadperc.Detections",
+            encoding.encode_detections(STAMP, "camera", [box("Car", 1, 1, 9, 9)] * 5),
+        ),
+        (
+            "transforms",
+            "tf",
+            "foxglove.FrameTransforms",
+            encoding.encode_transforms(STAMP, [Transform("ego", f"f{k}", np.eye(4)) for k in range(5)]),
+        ),
+        (
+            "points",
+            "points",
+            "foxglove.PointCloud",
+            encoding.encode_points(STAMP, "lidar", np.zeros((5, 4), np.float32)),
+        ),
+    ],
+)
+def test_items_beyond_the_limit_cost_their_message(limit, kind, schema, data):
+    assert read(kind, schema, data, LimitsConfig(**{limit: 5}))
+    with pytest.raises(DecodeError, match=rf"5 {limit}: expected limits\.{limit} 4 at most"):
+        read(kind, schema, data, LimitsConfig(**{limit: 4}))
+
+
+def test_a_long_name_costs_its_message():
+    data = encoding.encode_detections(STAMP, "camera", [box("x" * 1001, 1, 1, 9, 9)])
+    with pytest.raises(DecodeError, match=r"a name of 1001 characters: expected limits\.name_length 1000 at most"):
+        read("detections", "roadperc.Detections", data, LimitsConfig())
+    assert read("detections", "roadperc.Detections", data, LimitsConfig(name_length=1001))
+
+
+def test_a_long_message_is_not_read_item_by_item():
+    data = encoding.encode_detections(STAMP, "camera", [box("x" * 1_100_000, 1, 1, 9, 9)])
+    with pytest.raises(DecodeError, match=r"bytes: expected limits\.message_mb 1 at most"):
+        read("detections", "roadperc.Detections", data, LimitsConfig(message_mb=1, name_length=1_000_000))
+
+
+def test_a_long_chain_of_transforms_is_cut_where_the_tree_is_full():
+    """One edge a message: the tree grows until the limit, and what is beyond is reported once."""
+    edges = [Transform(f"f{k}", f"f{k + 1}", np.eye(4)) for k in range(20_000)]
+    items = (Stamped("tf", k, k, (edge,)) for k, edge in enumerate(edges))
+    problems, started = Problems(), time.monotonic()
+    kept = list(without_loops(items, LatchedState(), {"tf": "/tf"}, problems, LimitsConfig(transforms=300)))
+    assert len(kept) == 300
+    assert "1 transforms to more frames than limits.transforms 300: left out" in problems.first["/tf, in part"]
+    assert time.monotonic() - started < 10
+
+
+def test_edges_that_are_known_are_still_replaced_in_a_full_tree():
+    tree = LatchedState().updated(Stamped("tf", 0, 0, (Transform("a", "b", np.eye(4)),)))
+    again = Stamped("tf", 1, 1, (Transform("a", "b", np.eye(4)), Transform("a", "c", np.eye(4))))
+    item, beyond = tree.split_new(again, 1)
+    assert ([edge.child for edge in item.edges], beyond) == (["b"], 1)
+
+
+def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
+    places = np.random.default_rng(1).uniform(0, 200, (2000, 2))
+    boxes = [box(("Car", "Pedestrian")[k % 2], x, y, x + 20, y + 20) for k, (x, y) in enumerate(places)]
+    source = logs.write(
+        tmp_path / "in.mcap", replaced("detections", encoding.encode_detections(STAMP, "camera", boxes), frames=1)
+    )
+    summary = replay(source, tmp_path / "out.mcap", load_config(None, ("tag_table=0.9.13",)))
+    assert (summary.frames, summary.seconds < 15) == (1, True)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        bombs.png(320, 240)[:-40],
+        bombs.png(320, 240, rows=10),
+        bombs.png(320, 240, extra=bombs.png_chunk(b"iCCP", b"x\0\0broken")),
+        NOISE[:2000] + bytes(500) + NOISE[2500:],
+        NOISE[:5000],
+    ],
+    ids=["cut png", "rows missing", "broken profile", "damaged jpeg", "cut jpeg"],
+)
+def test_what_libpng_and_libjpeg_say_reaches_no_terminal(tmp_path, data):
+    done = replayed(tmp_path, replaced("image", encoding.encode_image(STAMP, "camera", "png", data), frames=1))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_a_decoder_says_of_a_damaged_image_is_said_once():
+    with pytest.raises(DecodeError, match=r"bytes are no image: .*truncated"):
+        images.decode_bgr(bombs.png(320, 240)[:-40])
