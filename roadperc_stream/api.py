@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import ReplayConfig, load_config, validated
-from roadperc_stream.core.datatypes import DepthImage, Detection, Frame, FrameResult, Sample, TagImage, Truth
+from roadperc_stream.core.datatypes import DepthImage, Detection, Frame, FrameResult, TagImage, Truth
 from roadperc_stream.core.geometry import Camera, level_mounting
 from roadperc_stream.core.semantics import TagTable, table_for_version
 from roadperc_stream.core.threads import one_thread
@@ -115,12 +115,12 @@ def frames(
     cfg = _config(config)
     log_in = open_input(Path(log), cfg, topics, TimeRange(start_s, end_s, max_frames))
     state = ChainState()
-    previous: Sample | None = None
+    previous: EarlierTruth | None = None
     for sample in log_in.samples():
         with one_thread():  # the same bits as in a replay, whatever the caller's own settings
             state, result, _, row = run_frame(cfg, state, log_in.log_id, sample, previous)
         yield LogFrame(sample.frame, sample.truth, result, row)
-        previous = sample
+        previous = sample.as_earlier
 
 
 class Chain:

@@ -21,6 +21,10 @@ class ConfigError(RoadpercError):
     """A setting that does not exist or does not fit."""
 
 
+class StateError(RoadpercError):
+    """What a replay left for the next one to go on from, where that cannot go on from it."""
+
+
 class DumpError(RoadpercError):
     """A dump folder that cannot be converted."""
 

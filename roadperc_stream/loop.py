@@ -7,7 +7,7 @@ from time import perf_counter
 
 from roadperc_stream.chain.step import ChainState, Timer, step, untimed
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import FrameResult, Sample
+from roadperc_stream.core.datatypes import EarlierTruth, FrameResult, Sample
 from roadperc_stream.core.files import TABLE_SUFFIX, all_or_none, require_free
 from roadperc_stream.core.progress import Progress, no_progress
 from roadperc_stream.core.reasons import throughout
@@ -45,7 +45,12 @@ class ReplaySummary:
 
 
 def run_frame(
-    cfg: ReplayConfig, state: ChainState, log_id: str, sample: Sample, previous: Sample | None, timer: Timer = untimed
+    cfg: ReplayConfig,
+    state: ChainState,
+    log_id: str,
+    sample: Sample,
+    previous: EarlierTruth | None,
+    timer: Timer = untimed,
 ) -> tuple[ChainState, FrameResult, FrameResult, FrameMetrics]:
     """Run the chain on a sample of a log and measure it, the sample before at hand.
 
@@ -95,7 +100,7 @@ def replay(
     detections = TableWriter(sidecar_path(target, "objects"), ObjectMetrics, facts)
     log_out, pictures = LogWriter(target, log_in.summary.profile), PictureMaker(on_request)
     state = ChainState()
-    previous: Sample | None = None
+    previous: EarlierTruth | None = None
     with one_thread(), all_or_none(frames, detections, log_out):
         copy = MessageCopy(log_out, *_to_copy(log_in, results_only))
         results = ResultWriter(log_out, pictures)
@@ -110,7 +115,7 @@ def replay(
             frames.append(row, **timer.columns())
             for detection in object_metrics(log_in.log_id, sample, result):
                 detections.append(detection)
-            previous = sample
+            previous = sample.as_earlier
             progress(log_in.frames, log_in.expected_frames)
         copy.rest()
         write_origin(log_out, log_in.summary, cfg, log_in.record())

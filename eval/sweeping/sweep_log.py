@@ -7,7 +7,7 @@ from pathlib import Path
 
 from roadperc_stream.chain.step import ChainState
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Sample
+from roadperc_stream.core.datatypes import EarlierTruth, Sample
 from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
@@ -42,7 +42,7 @@ class Candidate:
     table: TableWriter
     state: ChainState = field(default_factory=ChainState)
 
-    def take(self, log_id: str, sample: Sample, previous: Sample | None) -> None:
+    def take(self, log_id: str, sample: Sample, previous: EarlierTruth | None) -> None:
         """Run the chain on a sample and add its row, the one a replay under this configuration gives."""
         timer = StageTimer()
         with timer("total"):
@@ -68,14 +68,14 @@ def _one_pass(job: Job, some: Sequence[Combination], progress: Progress) -> tupl
     log_in = open_input(job.source, some[0].cfg, job.overrides, job.time_range)
     progress(0, log_in.expected_frames)
     candidates = [Candidate(item.cfg, _table(job, item)) for item in some]
-    previous: Sample | None = None
+    previous: EarlierTruth | None = None
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)
         for sample in log_in.samples():
             for candidate in _by_turns(candidates, sample.index):
                 candidate.take(log_in.log_id, sample, previous)
-            previous = sample
+            previous = sample.as_earlier
             progress(1, 0)
     return log_in.notes
 

@@ -8,24 +8,29 @@ from pathlib import Path
 
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Sample
-from roadperc_stream.core.time import WHOLE, TimeRange, seconds_to_ns
+from roadperc_stream.core.datatypes import UNWRITTEN, Sample
+from roadperc_stream.core.time import WHOLE, TimeRange
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.latched import without_loops
-from roadperc_stream.input.order import in_stamp_order
-from roadperc_stream.input.plan import InputPlan, input_messages, plan_input, span_ns
+from roadperc_stream.input.pairing import Pairing
+from roadperc_stream.input.part import PartMessages
+from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import tag_table_to_record
+from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Stamped, decoded_messages
-from roadperc_stream.input.sync import SyncedMessages, Synchroniser
+from roadperc_stream.input.sync import SyncedMessages
 from roadperc_stream.log import Channel, LogSummary, Message
 from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, TAG_TABLE_KEY, TOPIC_KEY, log_id_of
 
 
 def open_input(
-    source: Path, cfg: ReplayConfig, overrides: Mapping[str, str] | None = None, time_range: TimeRange = WHOLE
+    source: Path,
+    cfg: ReplayConfig,
+    overrides: Mapping[str, str] | None = None,
+    time_range: TimeRange = WHOLE,
+    begin: InputState | None = None,
 ) -> "ReplayInput":
     """Check a log, assign its channels to roles, and find the part to replay.
 
@@ -34,13 +39,15 @@ def open_input(
         cfg: how messages are decoded, paired and placed.
         overrides: topic of each role that is not on the contract's topic.
         time_range: the part to replay; the copy of the input is cut with it.
+        begin: what an earlier part of the drive left; None where the log begins by itself.
 
     Raises:
         ChannelError: the channels do not fit the roles.
         LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
+        StateError: the log cannot go on from ``begin``.
     """
     summary = log.summarise(source)
-    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides or {}, time_range))
+    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides or {}, time_range, begin))
 
 
 class ReplayInput:
@@ -58,14 +65,14 @@ class ReplayInput:
         plan = self.plan
         self._problems = Problems()
         self._dropped = Counter[str]()
-        tolerance_ns = seconds_to_ns(self._cfg.sync.tolerance_s)
-        roles = plan.roles.topics
-        self._synchroniser = Synchroniser(tolerance_ns, plan.order, roles, plan.latched, self._drop)
+        self.frames = 0
+        """Samples so far that are written."""
+        self._pairing = Pairing(self._cfg.sync, plan.order, plan.roles.topics, plan.start.pairing, self._drop)
 
     @property
     def log_id(self) -> str:
         """What names the log in every table."""
-        return log_id_of(self.plan.digest)
+        return log_id_of(self.plan.first_pass.digest)
 
     @property
     def topics(self) -> Mapping[str, str]:
@@ -73,8 +80,13 @@ class ReplayInput:
         return self.plan.roles.topics
 
     @property
+    def is_continuation(self) -> bool:
+        """Whether it goes on from an earlier part of the drive."""
+        return self.plan.start.is_continuation
+
+    @property
     def expected_frames(self) -> int:
-        """Messages of the reference role; one that cannot be read makes no frame."""
+        """Messages that make frames; one that cannot be read makes none."""
         return self.plan.expected_frames
 
     @property
@@ -90,17 +102,18 @@ class ReplayInput:
             LogError: no message makes a frame.
         """
         self._begin()
-        plan, topics = self.plan, self.topics
-        messages = input_messages(self.summary, self._cfg, plan, topics=set(topics.values()))
-        decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems)
-        items = without_loops(decoded, plan.latched, topics, self._problems)
-        ordered = in_stamp_order(items, plan.order, self._drop)
-        log_time_ns = 0
-        for index, synced in enumerate(islice(self._synchroniser.synced(ordered), plan.most_frames)):
-            sample = self._sample(synced, index)
-            log_time_ns = max(log_time_ns, sample.log_time_ns)  # results do not go back in the log
-            yield replace(sample, log_time_ns=log_time_ns)
-        if not self.frames:
+        plan, topics, numbers = self.plan, self.topics, self.plan.start.numbers
+        decoded = decoded_messages(
+            self._messages.all(set(topics.values())), plan.roles, self._cfg.tag_table, self._problems
+        )
+        items = plan.start.items(decoded, topics, self._problems)
+        for synced in islice(self._pairing.frames_of(items), plan.most_frames):
+            before, numbers = numbers, numbers.after(synced.reference)
+            sample = self._sample(synced, before.next)
+            is_written = before.is_written(synced.reference)
+            self.frames += is_written
+            yield replace(sample, log_time_ns=numbers.log_time_ns) if is_written else replace(sample, index=UNWRITTEN)
+        if not self.frames and not self.is_continuation:
             topic = self.topics[plan.order.reference]
             raise LogError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
 
@@ -112,7 +125,7 @@ class ReplayInput:
 
     def _sample(self, synced: SyncedMessages, index: int) -> Sample:
         try:
-            sample = sample_of(self._cfg, synced, index, self.topics, self.plan.parent_of)
+            sample = sample_of(self._cfg, synced, index, self.topics, self.plan.first_pass.parent_of)
         except ChannelError as error:
             known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned)
             raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
@@ -129,12 +142,12 @@ class ReplayInput:
 
     def messages(self) -> Iterator[Message]:
         """All messages of the part to replay as they stand in the log, in log-time order; no results."""
-        return input_messages(self.summary, self._cfg, self.plan)
+        return self._messages.all()
 
     @property
-    def frames(self) -> int:
-        """Samples so far."""
-        return self._synchroniser.frames
+    def _messages(self) -> PartMessages:
+        plan = self.plan
+        return PartMessages(self.summary, self._cfg, plan.roles, plan.window, plan.latched_messages)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -156,8 +169,8 @@ class ReplayInput:
         roles = self.plan.roles
         tag_table = tag_table_to_record(self.summary.channels, roles, self._cfg.tag_table)
         return {
-            DIGEST_KEY: self.plan.digest,
-            "input_messages": str(self.plan.messages),
+            DIGEST_KEY: self.plan.first_pass.digest,
+            "input_messages": str(self.plan.first_pass.counts.total()),
             FRAMES_KEY: str(self.frames),
             **{f"{TOPIC_KEY}{role}": topic for role, topic in sorted(roles.chosen.items())},
             **({TAG_TABLE_KEY: tag_table} if tag_table else {}),
