@@ -23,7 +23,6 @@ from roadperc_stream.core.semantics import TagTable, table_for_version
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError, TableError
-from roadperc_stream.input import open_input
 from roadperc_stream.input.arrays import (
     camera_image,
     checked_camera,
@@ -33,9 +32,11 @@ from roadperc_stream.input.arrays import (
     mounting,
     tag_pixels,
 )
-from roadperc_stream.loop import ReplaySummary, run_frame
+from roadperc_stream.loop import ReplaySummary
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.state.opening import open_log
+from roadperc_stream.state.running import run_frame
 
 if TYPE_CHECKING:
     import polars as pl
@@ -55,6 +56,10 @@ def replay(
     max_frames: int | None = None,
     results_only: bool = False,
     force: bool = False,
+    continued: str | Path | None = None,
+    warm_up_s: float = 0.0,
+    checkpoint_every_s: float | None = None,
+    resume: bool = False,
 ) -> ReplaySummary:
     """Replay a log through the chain, as ``roadperc-replay`` does.
 
@@ -67,7 +72,11 @@ def replay(
         end_s: seconds after the log's first message up to which to replay.
         max_frames: replay at most so many frames.
         results_only: leave the input's messages out of ``dst``.
-        force: replace an existing ``dst``.
+        force: replace an existing ``dst``, and start over where a checkpoint is of another replay.
+        continued: the result of the part of the drive before, to go on from; with the same configuration.
+        warm_up_s: seconds of log before ``start_s`` that the chain sees first, and of which nothing is written.
+        checkpoint_every_s: seconds of log after which what is complete is made durable; None: never.
+        resume: go on from the latest checkpoint, where there is one.
 
     Returns:
         Frames, dropped messages, notes, and the reasons that held in all frames.
@@ -83,6 +92,10 @@ def replay(
         time_range=TimeRange(start_s, end_s, max_frames),
         results_only=results_only,
         force=force,
+        continued=None if continued is None else Path(continued),
+        warm_up_s=warm_up_s,
+        checkpoint_every_s=checkpoint_every_s,
+        resume=resume,
     )
 
 
@@ -113,14 +126,13 @@ def frames(
         RoadpercError: the log cannot be read or replayed.
     """
     cfg = _config(config)
-    log_in = open_input(Path(log), cfg, topics, TimeRange(start_s, end_s, max_frames))
-    state = ChainState()
-    previous: EarlierTruth | None = None
+    opened = open_log(Path(log), cfg, topics, TimeRange(start_s, end_s, max_frames))
+    log_in, memory = opened.input, opened.memory_for(cfg)
     for sample in log_in.samples():
         with one_thread():  # the same bits as in a replay, whatever the caller's own settings
-            state, result, _, row = run_frame(cfg, state, log_in.log_id, sample, previous)
-        yield LogFrame(sample.frame, sample.truth, result, row)
-        previous = sample.as_earlier
+            memory, result, _, row = run_frame(cfg, memory, log_in.log_id, sample)
+        if sample.is_written:
+            yield LogFrame(sample.frame, sample.truth, result, row)
 
 
 class Chain:

@@ -9,6 +9,10 @@ class LogError(RoadpercError):
     """A log that cannot be read or written."""
 
 
+class NoFrameError(LogError):
+    """A log, or a part of one, in which there is no frame."""
+
+
 class ChannelError(RoadpercError):
     """Topics, schemas or roles that do not fit together."""
 

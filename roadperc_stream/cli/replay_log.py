@@ -40,6 +40,10 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
                 results_only=arguments.results_only,
                 on_request=_requests(arguments),
                 force=arguments.force,
+                continued=arguments.continued,
+                warm_up_s=arguments.warm_up or 0.0,
+                checkpoint_every_s=arguments.checkpoint_every,
+                resume=arguments.resume,
                 progress=progress,
                 opened=live.start if live else unwatched,
             )

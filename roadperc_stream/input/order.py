@@ -2,8 +2,8 @@
 
 A log stands in the order of arrival: one sensor's messages take longer than another's, and single ones are late. The
 chain wants the order in which they were measured. How late messages are is measured in a first pass over the log, so
-that where nothing is late only the next frame is waited for; the order that comes out is the same however long is waited,
-as long as that is not less than they are late. A stamp far before the latest one is a straggler, or the
+that where nothing is late only the next frame is waited for; the order that comes out is the same however long is
+waited, as long as that is not less than they are late. A stamp far before the latest one is a straggler, or the
 beginning of another recording: the clock was set back, or a bag was played in a loop. Then a new segment begins.
 """
 

@@ -7,7 +7,7 @@ from itertools import islice
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.time import TimeRange, ns_to_seconds, seconds_to_ns
-from roadperc_stream.errors import ChannelError, LogError, StateError
+from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.first_pass import FirstPass, InputStart, beginning, continuation, first_pass
 from roadperc_stream.input.latched import LatchedState, without_loops
@@ -65,7 +65,8 @@ def plan_input(
 
     Raises:
         ChannelError: the channels do not fit the roles.
-        LogError: the log is damaged, or the part asked for holds no frame.
+        LogError: the log is damaged.
+        NoFrameError: the part asked for holds no frame.
         StateError: the log cannot go on from ``begin``.
     """
     roles, reference = _roles(summary, overrides, begin)
@@ -80,7 +81,7 @@ def plan_input(
     if begin is None and not found.counts[topic]:
         length_s = ns_to_seconds((summary.last_ns or 0) - (summary.first_ns or 0))
         lasts = f"the log lasts {length_s:.3f} s"
-        raise LogError(f"{summary.path}: no message on {topic} in the part asked for; {lasts}")
+        raise NoFrameError(f"{summary.path}: no message on {topic} in the part asked for; {lasts}")
     most = None if part.frames is None else part.frames + start.frames_waiting
     order = replace(order, lateness_ns=found.lateness_ns)
     return InputPlan(roles, order, window, start, latched_messages, problems, found, most)

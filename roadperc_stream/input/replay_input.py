@@ -10,7 +10,7 @@ from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import UNWRITTEN, Sample
 from roadperc_stream.core.time import WHOLE, TimeRange
-from roadperc_stream.errors import ChannelError, LogError
+from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.pairing import Pairing
@@ -26,11 +26,7 @@ from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, 
 
 
 def open_input(
-    source: Path,
-    cfg: ReplayConfig,
-    overrides: Mapping[str, str] | None = None,
-    time_range: TimeRange = WHOLE,
-    begin: InputState | None = None,
+    source: Path, cfg: ReplayConfig, overrides: Mapping[str, str] | None = None, time_range: TimeRange = WHOLE
 ) -> "ReplayInput":
     """Check a log, assign its channels to roles, and find the part to replay.
 
@@ -39,15 +35,34 @@ def open_input(
         cfg: how messages are decoded, paired and placed.
         overrides: topic of each role that is not on the contract's topic.
         time_range: the part to replay; the copy of the input is cut with it.
-        begin: what an earlier part of the drive left; None where the log begins by itself.
 
     Raises:
         ChannelError: the channels do not fit the roles.
         LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
-        StateError: the log cannot go on from ``begin``.
     """
-    summary = log.summarise(source)
-    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides or {}, time_range, begin))
+    return input_of(log.summarise(source), cfg, overrides or {}, time_range)
+
+
+def input_of(
+    summary: LogSummary,
+    cfg: ReplayConfig,
+    overrides: Mapping[str, str],
+    time_range: TimeRange,
+    begin: InputState | None = None,
+) -> "ReplayInput":
+    """As ``open_input``, of a log whose summary has been read.
+
+    Args:
+        summary: of the log.
+        cfg: as there.
+        overrides: as there.
+        time_range: as there.
+        begin: what an earlier part of the drive left; None where the log begins by itself.
+
+    Raises:
+        StateError: the log cannot go on from ``begin``; else as there.
+    """
+    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides, time_range, begin))
 
 
 class ReplayInput:
@@ -99,7 +114,7 @@ class ReplayInput:
 
         Raises:
             ChannelError: a camera without calibration; the message names it.
-            LogError: no message makes a frame.
+            NoFrameError: no message makes a frame.
         """
         self._begin()
         plan, topics, numbers = self.plan, self.topics, self.plan.start.numbers
@@ -115,7 +130,7 @@ class ReplayInput:
             yield replace(sample, log_time_ns=numbers.log_time_ns) if is_written else replace(sample, index=UNWRITTEN)
         if not self.frames and not self.is_continuation:
             topic = self.topics[plan.order.reference]
-            raise LogError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
+            raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
 
     def _drop(self, item: Stamped) -> None:
         self._dropped[item.role] += 1
@@ -143,6 +158,19 @@ class ReplayInput:
     def messages(self) -> Iterator[Message]:
         """All messages of the part to replay as they stand in the log, in log-time order; no results."""
         return self._messages.all()
+
+    def end_state(self, *, with_messages: bool) -> InputState:
+        """What the frames still to come need of the messages so far.
+
+        Args:
+            with_messages: whether it carries its messages itself; else it names those of the copy by their places.
+        """
+        end = self.plan.first_pass.end
+        first_ns = end.first_pending_ns
+        if first_ns is None or not with_messages:
+            return end
+        topics = set(self.topics.values())
+        return end.carrying(m for m in self._messages.inside(topics) if m.log_time_ns >= first_ns)
 
     @property
     def _messages(self) -> PartMessages:

@@ -1,4 +1,4 @@
-"""What the input remembers from one part of a drive to the next: messages whose frames are not complete, and numbers."""
+"""What the input remembers from one part of a drive to the next: messages of frames that are not complete, numbers."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace

@@ -20,6 +20,17 @@ DROPPED_KEY: Final = "dropped."
 """Keys of that record which begin so name a role, and how many of its messages belonged to no frame."""
 CONFIG_ATTACHMENT: Final = "roadperc.toml"
 """Attachment of a result: the whole configuration."""
+STATE_ATTACHMENT: Final = "roadperc.state"
+"""Attachment of a result: what the replay of the next part of the drive needs of it."""
+BEGIN_ATTACHMENT: Final = "roadperc.state.begin"
+"""Attachment of a result that went on from an earlier part, or was warmed up: the state it began with."""
+OWN_ATTACHMENTS: Final = (CONFIG_ATTACHMENT, STATE_ATTACHMENT, BEGIN_ATTACHMENT)
+"""Attachments that a replay writes anew: those of an input are not copied."""
+CONTINUES_KEY: Final = "continues"
+"""In that record, and in the tables' footers: the log_id of the part of the drive that this one goes on from."""
+FIRST_FRAME_KEY: Final = "first_frame"
+"""In the tables' footers: number of the first frame, where it is not 0; of earlier parts it and what follows do not
+count."""
 
 
 def log_id_of(digest: str) -> str:

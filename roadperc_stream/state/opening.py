@@ -1,0 +1,133 @@
+"""A log as what a replay goes through: its frames, and what is remembered before the first of them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+from roadperc_stream import log
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.datatypes import UNWRITTEN
+from roadperc_stream.core.threads import one_thread
+from roadperc_stream.core.time import WHOLE, TimeRange, ns_to_seconds, seconds_to_ns
+from roadperc_stream.errors import NoFrameError, StateError
+from roadperc_stream.input import ReplayInput, input_of
+from roadperc_stream.input.state import FrameNumbers
+from roadperc_stream.log import LogSummary
+from roadperc_stream.output.writing import Shown
+from roadperc_stream.schemas.record import CONTINUES_KEY, FIRST_FRAME_KEY
+from roadperc_stream.state.attached import Notes, as_read, state_at_begin, state_at_end
+from roadperc_stream.state.replay_state import ReplayMemory, ReplayState, settings_of
+from roadperc_stream.state.running import run_frame
+
+
+@dataclass(frozen=True)
+class OpenedLog:
+    """The input of a replay, and the state it begins with; None where nothing came before."""
+
+    input: ReplayInput
+    begin: ReplayState | None = None
+    notes: Notes = ()
+
+    def state_for(self, cfg: ReplayConfig) -> ReplayState | None:
+        """The state that a replay with these settings begins with."""
+        return None if self.begin is None else self.begin.with_settings(cfg)
+
+    def memory_for(self, cfg: ReplayConfig) -> ReplayMemory:
+        """What a replay with these settings remembers before the first frame."""
+        state = self.state_for(cfg)
+        return ReplayMemory() if state is None else state.memory
+
+    def facts(self) -> dict[str, str]:
+        """Which part of the drive it goes on from, for the output to say."""
+        return {CONTINUES_KEY: self.begin.log_id} if self.begin is not None and self.begin.log_id else {}
+
+    def table_facts(self) -> dict[str, str]:
+        """The same for the tables, with the number of the first frame."""
+        first = {} if self.begin is None else {FIRST_FRAME_KEY: str(self.begin.input.numbers.next)}
+        return {**self.facts(), **first} if self.facts() else {}
+
+
+def open_log(
+    source: Path, cfg: ReplayConfig, overrides: Mapping[str, str] | None = None, part: TimeRange = WHOLE
+) -> OpenedLog:
+    """Open a log, to begin as its own recording does: where a replay wrote it, with the state that replay began with.
+
+    Args:
+        source: the log.
+        cfg: the chain's configuration.
+        overrides: topic of each role that is not on the contract's topic.
+        part: the part of the log to replay.
+
+    Raises:
+        ChannelError: the channels do not fit the roles.
+        LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
+        StateError: the state it carries cannot be read.
+    """
+    summary = log.summarise(source)
+    begin, notes = state_at_begin(summary, cfg, part)
+    return OpenedLog(_input(summary, cfg, overrides, part, begin), begin, notes)
+
+
+def open_continued(
+    source: Path, cfg: ReplayConfig, overrides: Mapping[str, str], part: TimeRange, before: Path
+) -> OpenedLog:
+    """Open a part of a drive, to go on from the result of the part before.
+
+    Raises:
+        StateError: it cannot go on from there; else as ``open_log``.
+    """
+    begin = state_at_end(before, cfg)
+    opened = OpenedLog(_input(log.summarise(source), cfg, overrides, part, begin), begin)
+    starts_ns, ended_ns = opened.input.span_ns[0], begin.input.from_ns
+    if opened.input.summary.first_ns is not None and starts_ns < ended_ns:
+        lead_s = ns_to_seconds(ended_ns - starts_ns)
+        raise StateError(
+            f"{source}: begins {lead_s:.3f} s before the end of what {before} holds: expected what follows"
+        )
+    return opened
+
+
+def open_warmed(
+    source: Path, cfg: ReplayConfig, overrides: Mapping[str, str], part: TimeRange, warm_up_s: float
+) -> OpenedLog:
+    """Open a part of a log, the chain's memory built on the seconds before it.
+
+    Raises:
+        as ``open_log``.
+    """
+    summary, start_s = log.summarise(source), part.start_s or 0.0
+    if start_s < warm_up_s:
+        notes: Notes = (f"warm-up: {start_s:g} s, the log has no more before the start",)
+    else:
+        notes = ()
+    begin = _warmed(summary, cfg, overrides, TimeRange(start_s - warm_up_s, start_s)) if start_s > 0 else None
+    return OpenedLog(_input(summary, cfg, overrides, part, begin), begin, notes)
+
+
+def _warmed(
+    summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], lead: TimeRange
+) -> ReplayState | None:
+    """What is remembered of the frames before a start, none of which is written; None where there are none."""
+    try:
+        log_in = _input(summary, cfg, overrides, lead, None)
+    except NoFrameError:
+        return None
+    memory = ReplayMemory(is_warming=True)
+    with one_thread():
+        for sample in islice(log_in.samples(), log_in.plan.first_pass.complete_frames):
+            memory, *_ = run_frame(cfg, memory, "", replace(sample, index=UNWRITTEN))
+    end = log_in.end_state(with_messages=True)
+    start_ns = (summary.first_ns or 0) + seconds_to_ns(lead.end_s or 0.0)
+    end = replace(end, from_ns=start_ns, numbers=FrameNumbers(written_from_ns=start_ns))
+    return as_read(ReplayState("", settings_of(cfg), end, replace(memory, shown=Shown())))
+
+
+def _input(
+    summary: LogSummary,
+    cfg: ReplayConfig,
+    overrides: Mapping[str, str] | None,
+    part: TimeRange,
+    begin: ReplayState | None,
+) -> ReplayInput:
+    return input_of(summary, cfg, overrides or {}, part, None if begin is None else begin.input)
