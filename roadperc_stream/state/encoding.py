@@ -62,7 +62,7 @@ def decode(data: bytes, kind: type[T]) -> T:
         raise StateError(f"its format has version {data[len(_MAGIC)]}, expected {FORMAT_VERSION}")
     try:
         found: T = msgspec.msgpack.decode(_unpacked(data[header:]), type=kind, dec_hook=_decoded)
-    except (msgspec.DecodeError, zstandard.ZstdError, RecursionError, OverflowError) as error:
+    except (ValueError, zstandard.ZstdError, RecursionError, OverflowError) as error:
         raise StateError(f"damaged: {error}") from error
     return found
 
