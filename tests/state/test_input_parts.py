@@ -102,7 +102,7 @@ def edges_after_all_roles(messages):
     return max(first.values()) + 1, messages[-1].log_time_ns
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.data())
 def test_wherever_a_drive_is_cut_its_frames_are_those_of_the_whole(data):
     delays = data.draw(st.lists(st.integers(0, WAIT_NS), min_size=len(DRIVE), max_size=len(DRIVE)))
@@ -143,7 +143,7 @@ def test_a_cut_where_another_recording_begins(tmp_path):
     messages = [*DRIVE, *later]
     whole, _, _ = frames(write(tmp_path / "whole.mcap", messages))
     assert {row[7] for row in whole.values()} == {0, 1}
-    for step in range(-3, 8):
+    for step in (-1, 1, 3, 5):
         assert in_parts(tmp_path, cut(messages, [later[0].log_time_ns + step * STEP_NS // 2])) == whole
 
 
