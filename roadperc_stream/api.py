@@ -244,20 +244,32 @@ class Chain:
         return TagImage(self._camera.frame_id, self._table, lambda: pixels)
 
 
-def read_metrics(run: str | Path) -> pl.DataFrame:
+def read_metrics(run: str | Path | Sequence[str | Path]) -> pl.DataFrame:
     """The metrics of a run, a row per frame, as a polars frame.
 
     Args:
-        run: a log with results, whose table lies beside it, or the table itself.
+        run: a log with results, whose table lies beside it, or the table itself. Or those of the parts of a drive that
+            were continued, in their order: frames that two of them give are the later one's.
 
     Raises:
         TableError: there is no such table, or it cannot be read.
     """
     import polars as pl  # noqa: PLC0415 - what replays and steps does not need it
 
+    if isinstance(run, str | Path):
+        return _metrics_table(Path(run))
+    parts = [_metrics_table(Path(part)) for part in run]
+    if not parts:
+        raise TableError("read_metrics: expected at least one run")
+    columns = ("frame",)
+    return pl.concat(parts, how="diagonal").unique(columns, keep="last", maintain_order=True).sort(columns)
+
+
+def _metrics_table(path: Path) -> pl.DataFrame:
+    import polars as pl  # noqa: PLC0415 - as above
+
     from roadperc_stream.output.tables import sidecar_path  # noqa: PLC0415
 
-    path = Path(run)
     table = sidecar_path(path, "metrics") if path.suffix == ".mcap" else path
     if table.is_dir():
         raise TableError(f"{table}: expected a metrics table, found a folder")

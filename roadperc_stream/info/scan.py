@@ -19,7 +19,7 @@ from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.pairing import Pairing, PairingState
+from roadperc_stream.input.pairing import PairingState, StampPairing
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import probe_first_message
 from roadperc_stream.input.stream import Stamped, decoded_messages
@@ -97,7 +97,7 @@ class Scan:
         cfg, drop = SyncConfig(), self._drop
         wait_ns = seconds_to_ns(cfg.max_wait_s)
         order = OrderConfig(roles.reference, wait_ns, lateness_ns=wait_ns)
-        pairing = Pairing(cfg, order, roles.topics, PairingState(), drop)
+        pairing = StampPairing(cfg, order, roles.topics, PairingState(), drop)
         paired = [role for role in roles.topics if ROLES[role].kind not in LATCHED_KINDS]
         for synced in pairing.frames_of(in_log_time_order(items, _MOST_SORTED)):
             self.alone.update(role for role in paired if role not in synced.parts)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.pairing import Pairing, PairingState
+from roadperc_stream.input.pairing import PairingState, StampPairing
 from roadperc_stream.input.part import PartMessages
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import RoleAssignment
@@ -119,7 +119,7 @@ def first_pass(part: PartMessages, order: OrderConfig, start: InputStart) -> Fir
     roles, cfg, validate_crcs = part.roles, part.cfg, not part.summary.sealed
     tally = _Tally(start.arrived, dict(start.parent_of))
     patient = replace(order, lateness_ns=order.max_wait_ns)
-    pairing = Pairing(cfg.sync, patient, roles.topics, start.pairing, lambda _: None)
+    pairing = StampPairing(cfg.sync, patient, roles.topics, start.pairing, lambda _: None)
 
     def items(messages: Iterable[Message]) -> Iterator[Stamped]:
         decoded = decoded_messages(tally.counted(messages), roles, cfg.tag_table, Problems())

@@ -35,7 +35,7 @@ class PairingState(Generic[T]):
         yield from (item for item, _ in self.sync.waiting)
 
 
-class Pairing:
+class StampPairing:
     """Makes the frames of one pass over a log."""
 
     def __init__(

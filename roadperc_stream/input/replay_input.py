@@ -13,7 +13,7 @@ from roadperc_stream.core.time import WHOLE, TimeRange
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.pairing import Pairing
+from roadperc_stream.input.pairing import StampPairing
 from roadperc_stream.input.part import PartMessages
 from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
 from roadperc_stream.input.problems import Problems
@@ -82,7 +82,7 @@ class ReplayInput:
         self._dropped = Counter[str]()
         self.frames = 0
         """Samples so far that are written."""
-        self._pairing = Pairing(self._cfg.sync, plan.order, plan.roles.topics, plan.start.pairing, self._drop)
+        self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.start.pairing, self._drop)
 
     @property
     def log_id(self) -> str:

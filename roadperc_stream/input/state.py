@@ -9,7 +9,7 @@ from roadperc_stream.errors import StateError
 from roadperc_stream.input.pairing import PairingState
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import RoleAssignment
-from roadperc_stream.input.stream import Place, Stamped, decoded_messages, in_their_places
+from roadperc_stream.input.stream import MessagePlace, Stamped, decoded_messages, in_their_places
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.log import Message
 
@@ -45,7 +45,7 @@ class PendingMessage:
     log_time_ns: int
     stamp_ns: int
     segment: int
-    place: Place
+    place: MessagePlace
     camera: Camera | None = None
     edges: tuple[Transform, ...] | None = None
 
@@ -101,7 +101,7 @@ class InputState:
         def moved(item: PendingMessage) -> PendingMessage:
             if item.place.carried or _has_content(item):
                 return item
-            return replace(item, place=Place(numbers[item.log_time_ns, item.place.number], carried=True))
+            return replace(item, place=MessagePlace(numbers[item.log_time_ns, item.place.number], carried=True))
 
         return replace(self, pairing=self.pairing.mapped(moved), carried=tuple(carried))
 
@@ -115,8 +115,8 @@ def pending(item: Stamped) -> PendingMessage:
     """What is kept of a message that waits."""
     kept = PendingMessage(item.role, item.log_time_ns, item.stamp_ns, item.segment, item.place)
     if isinstance(item.payload, Camera):
-        return replace(kept, camera=item.payload, place=Place())
-    return replace(kept, edges=item.edges, place=Place()) if item.is_latched else kept
+        return replace(kept, camera=item.payload, place=MessagePlace())
+    return replace(kept, edges=item.edges, place=MessagePlace()) if item.is_latched else kept
 
 
 def only_needed(carried: tuple[Message, ...], state: PairingState[PendingMessage]) -> "_Needed":
@@ -125,7 +125,9 @@ def only_needed(carried: tuple[Message, ...], state: PairingState[PendingMessage
     numbers = {old: new for new, old in enumerate(used)}
 
     def renumbered(item: PendingMessage) -> PendingMessage:
-        return replace(item, place=Place(numbers[item.place.number], carried=True)) if item.place.carried else item
+        return (
+            replace(item, place=MessagePlace(numbers[item.place.number], carried=True)) if item.place.carried else item
+        )
 
     return tuple(carried[k] for k in used), state.mapped(renumbered)
 

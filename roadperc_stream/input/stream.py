@@ -14,7 +14,7 @@ from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 
 @dataclass(frozen=True)
-class Place:
+class MessagePlace:
     """Where a message stands.
 
     ``number`` is its place among the messages of assigned roles with equal log time; of one that an earlier part of the
@@ -25,7 +25,7 @@ class Place:
     carried: bool = False
 
 
-_FIRST: Final = Place()
+_FIRST: Final = MessagePlace()
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Stamped:
     stamp_ns: int
     payload: Payload
     segment: int = 0
-    place: Place = _FIRST
+    place: MessagePlace = _FIRST
 
     @property
     def is_latched(self) -> bool:
@@ -88,7 +88,7 @@ def decoded_messages(
             yield Stamped(role.name, message.log_time_ns, decoded.stamp_ns, decoded.payload, place=place)
 
 
-def in_their_places(messages: Iterable[Message], topics: Container[str]) -> Iterator[tuple[Message, Place]]:
+def in_their_places(messages: Iterable[Message], topics: Container[str]) -> Iterator[tuple[Message, MessagePlace]]:
     """The messages on some topics, each with its place among those of equal log time.
 
     Args:
@@ -98,6 +98,6 @@ def in_their_places(messages: Iterable[Message], topics: Container[str]) -> Iter
     log_time_ns, place = None, _FIRST
     for message in messages:
         if message.channel.topic in topics:
-            place = Place(place.number + 1) if message.log_time_ns == log_time_ns else _FIRST
+            place = MessagePlace(place.number + 1) if message.log_time_ns == log_time_ns else _FIRST
             log_time_ns = message.log_time_ns
             yield message, place

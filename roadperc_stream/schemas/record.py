@@ -28,9 +28,11 @@ OWN_ATTACHMENTS: Final = (CONFIG_ATTACHMENT, STATE_ATTACHMENT, BEGIN_ATTACHMENT)
 """Attachments that a replay writes anew: those of an input are not copied."""
 CONTINUES_KEY: Final = "continues"
 """In that record, and in the tables' footers: the log_id of the part of the drive that this one goes on from."""
+LOG_ID_KEY: Final = "log_id"
+"""In the tables' footers, so that it is known without a row."""
 FIRST_FRAME_KEY: Final = "first_frame"
-"""In the tables' footers: number of the first frame, where it is not 0; of earlier parts it and what follows do not
-count."""
+"""In the tables' footers of a part that goes on from another: number of its first frame. The part before may have given
+that frame and later ones as well, incomplete: they do not count."""
 
 
 def log_id_of(digest: str) -> str:

@@ -15,7 +15,7 @@ from roadperc_stream.input import ReplayInput, input_of
 from roadperc_stream.input.state import FrameNumbers
 from roadperc_stream.log import LogSummary
 from roadperc_stream.output.writing import Shown
-from roadperc_stream.schemas.record import CONTINUES_KEY, FIRST_FRAME_KEY
+from roadperc_stream.schemas.record import CONTINUES_KEY, FIRST_FRAME_KEY, LOG_ID_KEY
 from roadperc_stream.state.attached import Notes, as_read, state_at_begin, state_at_end
 from roadperc_stream.state.replay_state import ReplayMemory, ReplayState, settings_of
 from roadperc_stream.state.running import run_frame
@@ -43,9 +43,11 @@ class OpenedLog:
         return {CONTINUES_KEY: self.begin.log_id} if self.begin is not None and self.begin.log_id else {}
 
     def table_facts(self) -> dict[str, str]:
-        """The same for the tables, with the number of the first frame."""
-        first = {} if self.begin is None else {FIRST_FRAME_KEY: str(self.begin.input.numbers.next)}
-        return {**self.facts(), **first} if self.facts() else {}
+        """What the tables say of the log, and where it goes on from another part the number of the first frame."""
+        log_id = {LOG_ID_KEY: self.input.log_id}
+        if self.begin is None or not self.begin.log_id:
+            return log_id
+        return {**log_id, **self.facts(), FIRST_FRAME_KEY: str(self.begin.input.numbers.next)}
 
 
 def open_log(

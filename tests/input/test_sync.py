@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from roadperc_stream.core.config import SyncConfig
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.pairing import Pairing, PairingState
+from roadperc_stream.input.pairing import PairingState, StampPairing
 from roadperc_stream.input.stream import Stamped
 
 MS = 1_000_000
@@ -32,10 +32,10 @@ class Pass:
         cfg = OrderConfig("image", round(max_wait_s * 1000) * MS)
         settings = SyncConfig(tolerance_s=tolerance_s)
         patient = replace(cfg, lateness_ns=cfg.max_wait_ns)
-        first = Pairing(settings, patient, roles, PairingState(), lambda _: None)
+        first = StampPairing(settings, patient, roles, PairingState(), lambda _: None)
         self.complete = list(first.through(ordered))
         cfg = replace(cfg, lateness_ns=first.lateness_ns)
-        pairing = Pairing(settings, cfg, roles, PairingState(), self.left_out.append)
+        pairing = StampPairing(settings, cfg, roles, PairingState(), self.left_out.append)
         self.frames = list(pairing.frames_of(ordered))
         assert pairing.frames == len(self.frames)
 
@@ -71,7 +71,7 @@ def test_a_sensor_that_never_comes_is_not_waited_for():
     items = (item("image", t) for t in range(0, 3000, 50))
     drop = [].append
     cfg = OrderConfig("image", 1000 * MS)
-    stream = Pairing(SyncConfig(tolerance_s=0.01), cfg, ("image", "depth"), PairingState(), drop).frames_of(items)
+    stream = StampPairing(SyncConfig(tolerance_s=0.01), cfg, ("image", "depth"), PairingState(), drop).frames_of(items)
     next(stream)
     assert next(items).stamp_ns == 150 * MS  # the images of the two frames behind it show that nothing can come
     assert len(list(stream)) == 58
