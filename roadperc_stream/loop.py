@@ -13,7 +13,7 @@ from roadperc_stream.core.reasons import throughout
 from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import WHOLE, TimeRange
-from roadperc_stream.errors import ConfigError
+from roadperc_stream.errors import ConfigError, StateError
 from roadperc_stream.input import ReplayInput
 from roadperc_stream.input.earlier_replay import replay_record
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
@@ -120,7 +120,7 @@ def replay(
         log_in.frames,
         outputs.log.messages,
         perf_counter() - started,
-        (*log_opened.notes, *log_in.notes, *outputs.pictures.notes()),
+        (*log_opened.notes, *log_in.notes, *outputs.pictures.notes(), *outputs.notes),
         log_in.dropped,
         log_in.unreadable,
         throughout(outputs.results.reasons, log_in.frames, log_in.topics),
@@ -172,6 +172,7 @@ class _Outputs:
         self._objects = TableWriter(sidecar_path(target, "objects"), ObjectMetrics, facts)
         self.log, self.pictures = LogWriter(target, self._input.summary.profile), PictureMaker(on_request)
         self.files = (self._frames, self._objects, self.log)
+        self.notes: tuple[str, ...] = ()
 
     def begin(
         self, opened: Callable[[LogWriter, tuple[int, int]], Timed], counted: Counted, *, results_only: bool
@@ -220,7 +221,10 @@ class _Outputs:
         begin = self._opened.state_for(self._cfg)
         states = () if begin is None else (attachment_of(BEGIN_ATTACHMENT, begin),)
         record = {**self._opened.facts(), **self._input.record()}
-        states = (*states, attachment_of(STATE_ATTACHMENT, state))
+        try:
+            states = (*states, attachment_of(STATE_ATTACHMENT, state))
+        except StateError as error:  # the results are none the worse for it
+            self.notes = (f"{STATE_ATTACHMENT}: left out, this part cannot be continued: {error}",)
         write_origin(self.log, self._input.summary, self._cfg, record, states)
 
 

@@ -27,6 +27,7 @@ from roadperc_stream.log import Attachment
 from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
+from roadperc_stream.state import encoding
 from roadperc_stream.state.attached import state_at_end
 from roadperc_stream.state.encoding import FORMAT_VERSION, decode, encode
 from roadperc_stream.state.replay_state import ReplayMemory, ReplayState
@@ -216,6 +217,13 @@ def test_other_settings_keep_the_frames_and_begin_the_memory_anew(parts, tmp_pat
     assert read_metrics(tmp_path / "other.mcap")["frame"].equals(read_metrics(parts[1])["frame"])
     replay(tmp_path / "other.mcap", tmp_path / "again.mcap", other)
     assert (tmp_path / "again.mcap").read_bytes() == (tmp_path / "other.mcap").read_bytes()
+
+
+def test_a_state_that_is_too_large_is_left_out_and_the_results_are_not(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(encoding, "MOST_BYTES", 1000)
+    summary = replay(write(tmp_path / "in.mcap", drive), tmp_path / "out.mcap", CFG)
+    assert any("this part cannot be continued" in note for note in summary.notes)
+    assert names(tmp_path / "out.mcap") == ["roadperc.toml"]
 
 
 def test_results_alone_can_be_continued_too(drive, parts, tmp_path):
