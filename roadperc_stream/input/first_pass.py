@@ -148,7 +148,6 @@ def first_pass(part: PartMessages, order: OrderConfig, start: InputStart) -> Fir
 
 
 def _from_ns(part: PartMessages, start: InputStart, last_ns: int | None) -> int:
-    """From where on a later part's messages are new: the end of the part asked for, else the last message's time."""
-    end_ns, log_ends_ns = part.window.end_ns, part.summary.last_ns or 0
-    reached_ns = last_ns or 0 if end_ns is None else min(end_ns, log_ends_ns)
-    return max(start.from_ns, reached_ns)
+    """From where on a later part's messages are new: where this one was cut, else the last message's time."""
+    cut_ns = part.window.cut_ns
+    return max(start.from_ns, (last_ns or 0) if cut_ns is None else cut_ns)

@@ -19,12 +19,15 @@ class Window:
     """The part of a log, by log time: from ``start_ns`` up to ``end_ns``, None without a limit.
 
     ``end_stamp_ns`` is the stamp of the first frame beyond: a sensor's message that arrives later than ``end_ns`` but
-    belongs to an earlier instant is part of the window still.
+    belongs to an earlier instant is part of the window still. ``cut_ns`` is the log time at which the drive goes on
+    elsewhere: ``end_ns``, where the log does not end before, or where an earlier replay cut the log; what stands behind
+    it arrived late, and comes again there.
     """
 
     start_ns: int | None = None
     end_ns: int | None = None
     end_stamp_ns: int | None = None
+    cut_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -50,18 +53,21 @@ class PartMessages:
         yield from self.late(topics)
 
     def inside(self, topics: Collection[str] | None = None, *, validate_crcs: bool = False) -> Iterator[Message]:
-        """Those from before the window and in it.
+        """Those from before the window and in it, up to where the drive goes on elsewhere.
 
         Args:
             topics: only these; None for all.
             validate_crcs: check every chunk.
         """
         yield from (m for m in self.latched if topics is None or m.channel.topic in topics)
-        yield from self._read(self.window.start_ns, self.window.end_ns, topics, validate_crcs=validate_crcs)
+        ends = [ns for ns in (self.window.end_ns, self.window.cut_ns) if ns is not None]
+        yield from self._read(self.window.start_ns, min(ends, default=None), topics, validate_crcs=validate_crcs)
 
     def late(self, topics: Collection[str] | None = None, *, validate_crcs: bool = False) -> Iterator[Message]:
-        """Those that arrive after the window and belong to an instant in it."""
-        end_ns, end_stamp_ns = self.window.end_ns, self.window.end_stamp_ns
+        """Those that arrive after that and belong to an instant before it."""
+        end_ns, end_stamp_ns, cut_ns = self.window.end_ns, self.window.end_stamp_ns, self.window.cut_ns
+        if cut_ns is not None and (end_ns is None or cut_ns < end_ns):
+            yield from self._read(cut_ns, end_ns, topics, validate_crcs=validate_crcs)
         if end_ns is None or end_stamp_ns is None:
             return
         until_ns = end_ns + seconds_to_ns(self.cfg.sync.max_wait_s)

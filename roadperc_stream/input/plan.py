@@ -3,12 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import Final
 
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.time import TimeRange, ns_to_seconds, seconds_to_ns
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
-from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.input.first_pass import FirstPass, InputStart, beginning, continuation, first_pass
 from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.order import OrderConfig
@@ -18,7 +19,11 @@ from roadperc_stream.input.roles import NOTHING_TO_REPLAY, RoleAssignment, assig
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import decoded_messages
 from roadperc_stream.log import LogSummary, Message
+from roadperc_stream.schemas.record import END_KEY
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
+
+_MOST_DIGITS: Final = 19
+"""Of a log time that is recorded."""
 
 
 @dataclass(frozen=True)
@@ -123,11 +128,20 @@ def _window(summary: LogSummary, cfg: ReplayConfig, part: TimeRange, roles: Role
         inside = log.read(summary.path, topics=[topic], start_ns=start_ns, end_ns=end_ns)
         beyond = next(islice(inside, part.frames, None), None)
         end_ns = beyond.log_time_ns if beyond else end_ns
+    cut_ns = _cut_ns(summary, end_ns)
     if end_ns is None:
-        return Window(start_ns)
+        return Window(start_ns, cut_ns=cut_ns)
     after = decoded_messages(log.read(summary.path, topics=[topic], start_ns=end_ns), roles, cfg.tag_table, Problems())
     first_after = next((item for item in after if item.role == reference), None)
-    return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None)
+    return Window(start_ns, end_ns, first_after.stamp_ns if first_after else None, cut_ns)
+
+
+def _cut_ns(summary: LogSummary, end_ns: int | None) -> int | None:
+    """Where the drive goes on elsewhere: at the end asked for, or where an earlier replay's end was, as it recorded."""
+    recorded = replay_record(summary.metadata).get(END_KEY, "")
+    known = [int(recorded)] if recorded.isascii() and recorded.isdigit() and len(recorded) <= _MOST_DIGITS else []
+    asked = [] if end_ns is None or end_ns > (summary.last_ns or 0) else [end_ns]
+    return min(known + asked, default=None)
 
 
 def _latched_at_start(

@@ -22,7 +22,15 @@ from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages
 from roadperc_stream.log import Channel, LogSummary, Message
-from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, TAG_TABLE_KEY, TOPIC_KEY, log_id_of
+from roadperc_stream.schemas.record import (
+    DIGEST_KEY,
+    DROPPED_KEY,
+    END_KEY,
+    FRAMES_KEY,
+    TAG_TABLE_KEY,
+    TOPIC_KEY,
+    log_id_of,
+)
 
 
 def open_input(
@@ -200,6 +208,7 @@ class ReplayInput:
             DIGEST_KEY: self.plan.first_pass.digest,
             "input_messages": str(self.plan.first_pass.counts.total()),
             FRAMES_KEY: str(self.frames),
+            **({} if self.plan.window.cut_ns is None else {END_KEY: str(self.plan.window.cut_ns)}),
             **{f"{TOPIC_KEY}{role}": topic for role, topic in sorted(roles.chosen.items())},
             **({TAG_TABLE_KEY: tag_table} if tag_table else {}),
             **{f"{DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},
