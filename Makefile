@@ -8,7 +8,7 @@ PICTURES := logs/runs/pictures
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test test-hostile mutants accuracy bench bench-report lint pages proto sample pictures docs clean
+.PHONY: demo test test-hostile mutants accuracy kills parts bench bench-report lint pages proto sample pictures docs clean
 
 $(VENV)/.installed: pyproject.toml
 	@echo "installing into $(VENV): about a minute"
@@ -41,6 +41,14 @@ mutants: $(VENV)/.installed  # small faults in the code: are they noticed? A qua
 
 accuracy: $(VENV)/.installed
 	$(BIN)/python -m pytest -m accuracy -s
+
+KILLS ?= 100
+kills: $(VENV)/.installed  # a replay with checkpoints is killed so often at random moments: are its files the same?
+	KILLS=$(KILLS) $(BIN)/python -m pytest -m accuracy -s tests/state/test_kills.py
+
+PARTS ?= 500
+parts: $(VENV)/.installed  # drives cut at so many random places: are the results of the parts those of the whole?
+	PARTS=$(PARTS) $(BIN)/python -m pytest -m accuracy -s tests/state/test_parts.py
 
 bench: $(VENV)/.installed
 	$(BIN)/roadperc-render logs/runs/bench --scene bend --seconds 2.2 --weave 0.5 --force

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -12,11 +12,14 @@ import pyarrow.parquet as pq
 from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import facts_in, sidecar_path
+from roadperc_stream.schemas.record import CONTINUES_KEY, FIRST_FRAME_KEY, LOG_ID_KEY
 
 from .column_types import require_columns_as_written
 
 REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
 """What makes a metrics table. Others may be absent, as in tables of older versions: they count as null."""
+_MOST_DIGITS: Final = 16
+"""Of a frame's number."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,10 @@ class Run:
     ``name`` tells it from the others of the same report; ``frames`` is its number of rows. ``config_digest``,
     ``version`` and ``config``, the whole configuration as TOML, say what made it, ``source`` and ``log`` where the
     input and the result were; each is empty where the file does not say it.
+
+    ``log_id`` and ``continues`` name the part of a drive that it is of and the one it goes on from; its frames begin
+    with ``first_frame``. Those from ``end_frame`` on do not count: the next part, which is among the runs, gives them
+    again, complete.
     """
 
     name: str
@@ -37,6 +44,10 @@ class Run:
     config: str = ""
     source: str = ""
     log: str = ""
+    log_id: str = ""
+    continues: str = ""
+    first_frame: int = 0
+    end_frame: int | None = None
 
 
 def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
@@ -47,7 +58,21 @@ def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
     """
     found = [path for argument in arguments for path in _tables(argument)]
     paths = list({path.resolve(): path for path in found}.values())
-    return tuple(open_run(path, name) for path, name in zip(paths, distinct_names(paths), strict=True))
+    runs = [open_run(path, name) for path, name in zip(paths, distinct_names(paths), strict=True)]
+    return tuple(_before_next_part(run, runs) for run in runs)
+
+
+def _before_next_part(run: Run, runs: Iterable[Run]) -> Run:
+    """The run without the frames that the part behind it gives again; no later one gives earlier ones."""
+    firsts = [
+        other.first_frame
+        for other in runs
+        if run.log_id and other.continues == run.log_id and other.config_digest == run.config_digest
+    ]
+    if not firsts:
+        return run
+    end = min(firsts)
+    return replace(run, frames=min(max(end - run.first_frame, 0), run.frames), end_frame=end)
 
 
 def open_run(path: Path, name: str) -> Run:
@@ -67,8 +92,25 @@ def open_run(path: Path, name: str) -> Run:
     _require_values(path, footer)
     require_columns_as_written(path, footer)
     facts = facts_in(footer.metadata)
-    made_by = (facts.get(key, "") for key in ("config_digest", "version", "config", "source", "log"))
-    return Run(name, path, footer.num_rows, columns, *made_by)
+    return Run(
+        name,
+        path,
+        footer.num_rows,
+        columns,
+        config_digest=facts.get("config_digest", ""),
+        version=facts.get("version", ""),
+        config=facts.get("config", ""),
+        source=facts.get("source", ""),
+        log=facts.get("log", ""),
+        log_id=facts.get(LOG_ID_KEY, ""),
+        continues=facts.get(CONTINUES_KEY, ""),
+        first_frame=_whole_number(facts.get(FIRST_FRAME_KEY, "")),
+    )
+
+
+def _whole_number(text: str) -> int:
+    """The number; 0 of what is none."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) < _MOST_DIGITS else 0
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:

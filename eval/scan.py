@@ -18,7 +18,7 @@ def scan(run: Run) -> pl.LazyFrame:
     stages, how many lane boundaries are lost, and the second differences of the lane offsets.
     """
     numbers = [*(quantity.column for quantity in STORED), *COUNTS, *(truth for _, truth in TRACED.values())]
-    stored = pl.scan_parquet(run.path, glob=False).select(
+    stored = rows_of(run).select(
         pl.col("log_id").cast(pl.String),
         pl.col("frame", "stamp_ns").cast(pl.Int64),
         pl.col("missing", "reasons").cast(pl.List(pl.String)),
@@ -32,6 +32,12 @@ def scan(run: Run) -> pl.LazyFrame:
         _lanes_lost().alias(LOST.column),
         *(column for side in SIDES for column in _second_differences(side)),
     )
+
+
+def rows_of(run: Run) -> pl.LazyFrame:
+    """All columns of a run's table, a row per frame; of frames that a later part gives again that part's alone."""
+    rows = pl.scan_parquet(run.path, glob=False)
+    return rows if run.end_frame is None else rows.filter(pl.col("frame") < run.end_frame)
 
 
 def collect(frame: pl.LazyFrame, source: str) -> pl.DataFrame:

@@ -17,13 +17,12 @@ from numpy.typing import ArrayLike
 
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import ReplayConfig, load_config, validated
-from roadperc_stream.core.datatypes import DepthImage, Detection, Frame, FrameResult, Sample, TagImage, Truth
+from roadperc_stream.core.datatypes import DepthImage, Detection, Frame, FrameResult, TagImage, Truth
 from roadperc_stream.core.geometry import Camera, level_mounting
 from roadperc_stream.core.semantics import TagTable, table_for_version
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError, TableError
-from roadperc_stream.input import open_input
 from roadperc_stream.input.arrays import (
     camera_image,
     checked_camera,
@@ -33,9 +32,11 @@ from roadperc_stream.input.arrays import (
     mounting,
     tag_pixels,
 )
-from roadperc_stream.loop import ReplaySummary, run_frame
+from roadperc_stream.loop import ReplaySummary
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.state.opening import ReplaySource, open_log
+from roadperc_stream.state.running import run_frame
 
 if TYPE_CHECKING:
     import polars as pl
@@ -59,6 +60,10 @@ def replay(
     force: bool = False,
     recover: bool = False,
     strict: bool = False,
+    continued: str | Path | None = None,
+    warm_up_s: float = 0.0,
+    checkpoint_every_s: float | None = None,
+    resume: bool = False,
 ) -> ReplaySummary:
     """Replay a log through the chain, as ``roadperc-replay`` does.
 
@@ -71,9 +76,13 @@ def replay(
         end_s: seconds after the log's first message up to which to replay.
         max_frames: replay at most so many frames.
         results_only: leave the input's messages out of ``dst``.
-        force: replace an existing ``dst``, but no recording.
+        force: replace an existing ``dst``, but no recording, and start over where a checkpoint is of another replay.
         recover: replay what can be read of a damaged log; frames behind what was lost say so in their reasons.
         strict: the first message that cannot be used is an error, instead of costing that message alone.
+        continued: the result of the part of the drive before, to go on from; with the same configuration.
+        warm_up_s: seconds of log before ``start_s`` that the chain sees first, and of which nothing is written.
+        checkpoint_every_s: seconds of log after which what is complete is made durable; None: never.
+        resume: go on from the latest checkpoint, where there is one.
 
     Returns:
         Frames, dropped messages, notes, warnings of damage, and the reasons that held in all frames.
@@ -91,6 +100,10 @@ def replay(
         force=force,
         recover=recover,
         strict=strict,
+        continued=None if continued is None else Path(continued),
+        warm_up_s=warm_up_s,
+        checkpoint_every_s=checkpoint_every_s,
+        resume=resume,
     )
 
 
@@ -122,14 +135,14 @@ def frames(
         RoadpercError: the log cannot be read or replayed.
     """
     cfg = _config(config)
-    state = ChainState()
-    previous: Sample | None = None
-    log_in = open_input(_paths(log), cfg, topics, TimeRange(start_s, end_s, max_frames), recover=recover)
+    source = ReplaySource(_paths(log), topics or {}, TimeRange(start_s, end_s, max_frames), recover)
+    opened = open_log(source, cfg)
+    log_in, memory = opened.input, opened.memory_for(cfg)
     for sample in log_in.samples():
         with one_thread():  # the same bits as in a replay, whatever the caller's own settings
-            state, result, _, row = run_frame(cfg, state, log_in.log_id, sample, previous)
-        yield LogFrame(sample.frame, sample.truth, result, row)
-        previous = sample
+            memory, result, _, row = run_frame(cfg, memory, log_in.log_id, sample)
+        if sample.is_written:
+            yield LogFrame(sample.frame, sample.truth, result, row)
 
 
 class Chain:
@@ -241,20 +254,32 @@ class Chain:
         return TagImage(self._camera.frame_id, self._table, lambda: pixels)
 
 
-def read_metrics(run: str | Path) -> pl.DataFrame:
+def read_metrics(run: str | Path | Sequence[str | Path]) -> pl.DataFrame:
     """The metrics of a run, a row per frame, as a polars frame.
 
     Args:
-        run: a log with results, whose table lies beside it, or the table itself.
+        run: a log with results, whose table lies beside it, or the table itself. Or those of the parts of a drive that
+            were continued, in their order: frames that two of them give are the later one's.
 
     Raises:
         TableError: there is no such table, or it cannot be read.
     """
     import polars as pl  # noqa: PLC0415 - what replays and steps does not need it
 
+    if isinstance(run, str | Path):
+        return _metrics_table(Path(run))
+    parts = [_metrics_table(Path(part)) for part in run]
+    if not parts:
+        raise TableError("read_metrics: expected at least one run")
+    columns = ("frame",)
+    return pl.concat(parts, how="diagonal").unique(columns, keep="last", maintain_order=True).sort(columns)
+
+
+def _metrics_table(path: Path) -> pl.DataFrame:
+    import polars as pl  # noqa: PLC0415 - as above
+
     from roadperc_stream.output.tables import sidecar_path  # noqa: PLC0415
 
-    path = Path(run)
     table = sidecar_path(path, "metrics") if path.suffix == ".mcap" else path
     if table.is_dir():
         raise TableError(f"{table}: expected a metrics table, found a folder")

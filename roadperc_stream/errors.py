@@ -9,6 +9,10 @@ class LogError(RoadpercError):
     """A log that cannot be read or written."""
 
 
+class NoFrameError(LogError):
+    """A log, or a part of one, in which there is no frame."""
+
+
 class ChannelError(RoadpercError):
     """Topics, schemas or roles that do not fit together."""
 
@@ -19,6 +23,10 @@ class DecodeError(RoadpercError):
 
 class ConfigError(RoadpercError):
     """A setting that does not exist or does not fit."""
+
+
+class StateError(RoadpercError):
+    """What a replay left for the next one to go on from, where that cannot go on from it."""
 
 
 class DumpError(RoadpercError):

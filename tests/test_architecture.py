@@ -26,11 +26,12 @@ MAY_IMPORT = {
     "metrics": BELOW | {"schemas", "chain"},
     "input": INPUT,
     "output": INPUT,
-    "loop": INPUT | {"input", "chain", "metrics", "output"},
-    "api": INPUT | {"input", "chain", "metrics", "output", "loop"},
+    "state": INPUT | {"input", "chain", "metrics", "output"},
+    "loop": INPUT | {"input", "chain", "metrics", "output", "state"},
+    "api": INPUT | {"input", "chain", "metrics", "output", "state", "loop"},
     "info": INPUT | {"input", "output"},
     "view": INPUT | {"input", "output"},
-    "cli": INPUT | {"input", "chain", "metrics", "output", "loop", "info", "view"},
+    "cli": INPUT | {"input", "chain", "metrics", "output", "state", "loop", "info", "view"},
 }
 """What each folder, and each module at the root, imports at most; nothing of the package imports tools or eval."""
 MOST_ROOT_MODULES = 6

@@ -106,7 +106,7 @@ def test_attachments_metadata_and_silent_channels_are_kept(tmp_path):
     summary = log.summarise(target)
     assert summary.profile == "ros2"
     assert "/silent" in [c.topic for c in summary.channels]
-    assert [a.name for a in summary.attachments] == ["notes.txt", "roadperc.toml"]
+    assert [a.name for a in summary.attachments] == ["notes.txt", "roadperc.toml", "roadperc.state"]
     assert [m.name for m in summary.metadata] == ["car", "roadperc"]
 
 

@@ -8,7 +8,7 @@ import polars as pl
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 
-from ..scan import collect
+from ..scan import collect, rows_of
 from .agreement import ABSENT, Agreement, Difference, Value
 from .pairing import KEY, STAMP, LoggedRun, RunPair, numbered
 from .rules import Rules
@@ -58,7 +58,7 @@ def _joined(pair: RunPair) -> pl.DataFrame:
 
 
 def _whole(item: LoggedRun) -> pl.DataFrame:
-    return collect(numbered(pl.scan_parquet(item.run.path, glob=False)), str(item.run.path))
+    return collect(numbered(rows_of(item.run)), str(item.run.path))
 
 
 def _order(pair: RunPair) -> Any:

@@ -13,7 +13,7 @@ from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.time import NS_PER_S
 
 from ..runs import Run
-from ..scan import collect
+from ..scan import collect, rows_of
 
 BUCKETS: Final = 600
 """Parts a run is thinned in: more than the columns of pixels a chart has on a page."""
@@ -40,7 +40,7 @@ def load_series(run: Run, columns: Iterable[str]) -> Series:
         TableError: the table's data cannot be read.
     """
     present = [name for name in dict.fromkeys(columns) if name in run.columns]
-    query = pl.scan_parquet(run.path, glob=False).select("frame", "stamp_ns", pl.col(present).cast(pl.Float64))
+    query = rows_of(run).select("frame", "stamp_ns", pl.col(present).cast(pl.Float64))
     table = collect(query, str(run.path))
     stamps_ns = table["stamp_ns"].to_numpy()
     values = {name: _finite(table[name]) for name in present}

@@ -2,19 +2,19 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
-from roadperc_stream.chain.step import ChainState
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
-from roadperc_stream.input import open_input
-from roadperc_stream.loop import run_frame
 from roadperc_stream.output.tables import TableWriter, table_facts
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.state.opening import ReplaySource, open_log
+from roadperc_stream.state.replay_state import ReplayMemory
+from roadperc_stream.state.running import run_frame
 
 from .settings import Combination, passes
 
@@ -36,18 +36,19 @@ class Job:
 
 @dataclass
 class Candidate:
-    """A configuration, the state of its chain in the log, and its table."""
+    """A configuration, what it remembers in the log, and its table."""
 
     cfg: ReplayConfig
     table: TableWriter
-    state: ChainState = field(default_factory=ChainState)
+    memory: ReplayMemory
 
-    def take(self, log_id: str, sample: Sample, previous: Sample | None) -> None:
+    def take(self, log_id: str, sample: Sample) -> None:
         """Run the chain on a sample and add its row, the one a replay under this configuration gives."""
         timer = StageTimer()
         with timer("total"):
-            self.state, _, _, row = run_frame(self.cfg, self.state, log_id, sample, previous, timer)
-        self.table.append(row, **timer.columns())
+            self.memory, _, _, row = run_frame(self.cfg, self.memory, log_id, sample, timer)
+        if sample.is_written:
+            self.table.append(row, **timer.columns())
 
 
 def sweep_log(job: Job, progress: Progress) -> tuple[str, ...]:
@@ -65,17 +66,16 @@ def sweep_log(job: Job, progress: Progress) -> tuple[str, ...]:
 
 def _one_pass(job: Job, some: Sequence[Combination], progress: Progress) -> tuple[str, ...]:
     """Take the combinations, which all decode alike, through the log together."""
-    log_in = open_input(job.source, some[0].cfg, job.overrides, job.time_range)
+    opened = open_log(ReplaySource(job.source, job.overrides, job.time_range), some[0].cfg)
+    log_in = opened.input
     progress(0, log_in.expected_frames)
-    candidates = [Candidate(item.cfg, _table(job, item)) for item in some]
-    previous: Sample | None = None
+    candidates = [Candidate(item.cfg, _table(job, item), opened.memory_for(item.cfg)) for item in some]
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)
         for sample in log_in.samples():
             for candidate in _by_turns(candidates, sample.index):
-                candidate.take(log_in.log_id, sample, previous)
-            previous = sample
+                candidate.take(log_in.log_id, sample)
             progress(1, 0)
     return log_in.notes
 

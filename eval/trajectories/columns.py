@@ -10,7 +10,7 @@ from roadperc_stream.core.geometry import Float
 from roadperc_stream.errors import TableError
 
 from ..runs import Run
-from ..scan import collect
+from ..scan import collect, rows_of
 from .poses import RunPoses, pose_matrices
 
 _POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
@@ -24,7 +24,7 @@ def read_poses(run: Run) -> RunPoses:
     Raises:
         TableError: the table cannot be read, or no frame has an estimated pose.
     """
-    table = collect(pl.scan_parquet(run.path, glob=False).select(_columns(run)), str(run.path))
+    table = collect(rows_of(run).select(_columns(run)), str(run.path))
     lost = (table["odometry_status"] == "lost").fill_null(value=False).to_numpy()
     estimated, true = (table.select(names).to_numpy() for names in (ESTIMATED_COLUMNS, TRUE_COLUMNS))
     has_estimate, has_truth = _known(estimated) & ~lost, _known(true)

@@ -95,6 +95,15 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     return ChainState(frame.stamp_ns, odometry_state, lanes_state, objects_state), result
 
 
+def counted_from_here(state: ChainState, result: FrameResult) -> tuple[ChainState, FrameResult]:
+    """What a step gave, with odometry counted from its frame on: that frame's pose is the identity, exactly."""
+    state = replace(state, odometry=odometry.counted_from_here(state.odometry))
+    if isinstance(result.odometry, Absent):
+        return state, result
+    here = replace(result.odometry, odom_T_ego=state.odometry.odom_T_ego)
+    return state, replace(result, odometry=here)
+
+
 def _in_order(state: ChainState, frame: Frame) -> tuple[ChainState, list[Reason]]:
     """The state, cleared where the frame's time is not after the last one's, and that as a problem."""
     last_ns, stamp_ns = state.stamp_ns, frame.stamp_ns

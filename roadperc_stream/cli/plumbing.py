@@ -173,3 +173,11 @@ def seconds(text: str) -> float:
     if not math.isfinite(value) or abs(value) > 3.2e9:
         raise argparse.ArgumentTypeError(f"{text}: expected seconds")
     return value
+
+
+def positive_seconds(text: str) -> float:
+    """An argument in seconds above 0."""
+    value = seconds(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected more than 0 seconds")
+    return value

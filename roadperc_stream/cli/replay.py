@@ -7,7 +7,7 @@ from typing import Final
 from roadperc_stream.cli.arguments import add_input_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, words
 from roadperc_stream.cli.playback import add_serving_arguments, given_options, serving_options
-from roadperc_stream.cli.plumbing import command_parser, parse, run
+from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run
 from roadperc_stream.core.folders import not_a_log
 from roadperc_stream.core.stage_names import NEEDS, STAGES
 
@@ -23,6 +23,8 @@ example:
   roadperc-replay part_*.mcap out.mcap                 files of a drive in parts are one log
   curl https://example.org/in.mcap | roadperc-replay - out.mcap
   roadperc-replay --print-config > mine.toml
+  roadperc-replay part_1.mcap out_1.mcap --continue out_0.mcap
+  roadperc-replay long.mcap out.mcap --checkpoint-every 60 --resume
 
 A log with topics of its own names them by role, such as --topic image=/front/rgb --topic depth=/front/depth.
 """
@@ -74,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_stages,
         help=f"some of {','.join(STAGES)}, with what they need; without a depth sensor name stereo among them",
     )
+    _add_parts_arguments(parser)
     add("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
     add("--overlay", action="store_true", help="write /perception/overlay: the camera image with everything drawn in")
     add(
@@ -89,6 +92,35 @@ def _parser() -> argparse.ArgumentParser:
     completed_by(logs, files(*LOGS))
     completed_by(only, words(STAGES))
     return parser
+
+
+def _add_parts_arguments(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("drives in parts, long replays")
+    continued = group.add_argument(
+        "--continue",
+        dest="continued",
+        metavar="OUT_BEFORE.mcap",
+        type=Path,
+        help="go on from the result of the part of the drive before, with the same settings",
+    )
+    group.add_argument(
+        "--warm-up",
+        metavar="SECONDS",
+        type=positive_seconds,
+        help="with --start: let the chain see so much of the log before, of which nothing is written",
+    )
+    group.add_argument(
+        "--checkpoint-every",
+        metavar="SECONDS",
+        type=positive_seconds,
+        help="keep what is complete after every so many seconds of log, for --resume",
+    )
+    group.add_argument(
+        "--resume",
+        action="store_true",
+        help="with --checkpoint-every: go on where the same command was interrupted; from the start if it never ran",
+    )
+    completed_by(continued, files(".mcap"))
 
 
 def _add_settings_arguments(parser: argparse.ArgumentParser) -> None:
@@ -111,6 +143,12 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
         parser.error(f"the following arguments are required: {', '.join(missing)}")
     if arguments.json:
         parser.error("--json: only with --list-settings")
+    if arguments.warm_up and arguments.start is None:
+        parser.error("--warm-up: only with --start")
+    if arguments.warm_up and arguments.continued:
+        parser.error("--warm-up: not together with --continue, which brings its own memory")
+    if arguments.resume and not arguments.checkpoint_every:
+        parser.error("--resume: only with --checkpoint-every")
     if given_options(arguments) and not arguments.live:
         parser.error(f"--{given_options(arguments)[0]}: for --live only")
 
@@ -122,7 +160,7 @@ def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespac
         asked, known = "--print-config", _WITH_PRINT_CONFIG
     given = [name for name, value in vars(arguments).items() if name not in known and value != parser.get_default(name)]
     if given:
-        option = "IN.mcap" if given[0] == "logs" else f"--{given[0].replace('_', '-')}"
+        option = {"logs": "IN.mcap", "continued": "--continue"}.get(given[0], f"--{given[0].replace('_', '-')}")
         parser.error(f"{option}: not together with {asked}")
 
 

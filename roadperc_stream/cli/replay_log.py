@@ -43,6 +43,10 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
                 force=arguments.force,
                 recover=arguments.recover,
                 strict=arguments.strict,
+                continued=arguments.continued,
+                warm_up_s=arguments.warm_up or 0.0,
+                checkpoint_every_s=arguments.checkpoint_every,
+                resume=arguments.resume,
                 progress=progress,
                 opened=live.start if live else unwatched,
             )

@@ -1,6 +1,7 @@
 """Files that commands write: none is replaced unasked, and each appears under its name only when complete."""
 
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -81,6 +82,33 @@ def partial_of(target: Path, suffix: str = "") -> Path:
         suffix: how the name is to end, for libraries that go by it; by default as no file that is searched for does.
     """
     return target.with_name(f".{target.name}.{os.getpid()}.partial{suffix}")
+
+
+def remove_dead_partials(target: Path) -> None:
+    """Remove what processes that are no more left unfinished under the hidden names next to a target.
+
+    Their numbers are in the names. A file whose number a living process has stays, even where that is another one by
+    now; so do the files of other targets.
+    """
+    name = re.compile(rf"\.{re.escape(target.name)}\.(\d+)\.partial({re.escape(target.suffix)})?")
+    with suppress(OSError):
+        for path in target.parent.iterdir():
+            found = name.fullmatch(path.name)
+            if found and path.is_file() and not path.is_symlink() and not _is_alive(int(found[1])):
+                path.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    """Whether a process has this number; where the system does not tell, one might."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True
+    return process > 0
 
 
 @contextmanager

@@ -17,11 +17,11 @@ from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.latched import LatchedState, without_loops
-from roadperc_stream.input.order import OrderConfig, in_stamp_order
+from roadperc_stream.input.order import OrderConfig
+from roadperc_stream.input.pairing import PairingState, StampPairing
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import no_probe, probe_first_message
 from roadperc_stream.input.stream import Stamped, decoded_messages
-from roadperc_stream.input.sync import Synchroniser
 from roadperc_stream.log import Channel, LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
@@ -99,15 +99,14 @@ class Scan:
         cfg, drop = SyncConfig(), self._drop
         wait_ns = seconds_to_ns(cfg.max_wait_s)
         order = OrderConfig(roles.reference, wait_ns, lateness_ns=wait_ns)
-        tolerance_ns = seconds_to_ns(cfg.tolerance_s)
-        synchroniser = Synchroniser(tolerance_ns, order, roles.topics, LatchedState(), drop)
+        pairing = StampPairing(cfg, order, roles.topics, PairingState(), drop)
         paired = [role for role in roles.topics if ROLES[role].kind not in LATCHED_KINDS]
         sorted_items = log.in_order_within(items, lambda item: item.log_time_ns, lambda _: 1, _MOST_SORTED)
-        for synced in synchroniser.synced(in_stamp_order(sorted_items, order, drop)):
+        for synced in pairing.frames_of(sorted_items):
             self.alone.update(role for role in paired if role not in synced.parts)
             if synced.skew_ns is not None:
                 self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)
-        self.frames = synchroniser.frames
+        self.frames = pairing.frames
 
     def _drop(self, item: Stamped) -> None:
         self.dropped[item.role] += 1

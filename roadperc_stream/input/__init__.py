@@ -5,6 +5,6 @@ The path of a frame: ``plan`` finds the part of the log, ``stream`` decodes the 
 """
 
 from roadperc_stream.input.problems import Problems
-from roadperc_stream.input.replay_input import ReplayInput, open_input
+from roadperc_stream.input.replay_input import ReplayInput, input_of, open_input
 
-__all__ = ["Problems", "ReplayInput", "open_input"]
+__all__ = ["Problems", "ReplayInput", "input_of", "open_input"]

@@ -1,12 +1,15 @@
 """A damaged log as the input of a replay: what of it can be replayed, and what its frames say of what was lost."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from roadperc_stream import log
+from roadperc_stream.core.config import LimitsConfig
 from roadperc_stream.core.datatypes import Reason
-from roadperc_stream.core.time import TimeRange, ns_to_seconds
+from roadperc_stream.core.time import WHOLE, TimeRange, ns_to_seconds
 from roadperc_stream.errors import LogError
-from roadperc_stream.log import Damage, LostSpan, Recovery
+from roadperc_stream.log import Damage, DamagedLogError, LogSummary, LostSpan, Recovery, RepairedLog
 
 SOURCE = "log"
 """Whose reason it is that messages were lost."""
@@ -50,14 +53,66 @@ def shifted(part: TimeRange, first_ns: int | None, saved_ns: int | None) -> Time
     return TimeRange(start_s, None if part.end_s is None else part.end_s - by_s, part.frames)
 
 
-def require_outside(error: LogError, damages: Sequence[Damage], start_ns: int | None, end_ns: int | None) -> None:
-    """Check that damage concerns no message from ``start_ns`` up to ``end_ns``, None without a limit.
+@dataclass(frozen=True)
+class ReadableLog:
+    """A log that can be replayed: as it stands, or what was saved of it.
+
+    ``error`` says that it is damaged, None where it is whole; ``damaged`` are the files that are, ``first_ns`` the log
+    time of the first message there was.
+    """
+
+    summary: LogSummary
+    error: DamagedLogError | None = None
+    damaged: tuple[RepairedLog, ...] = ()
+    first_ns: int | None = None
+
+    def part(self, asked: TimeRange) -> TimeRange:
+        """What is asked for, counted from the first message that is left."""
+        return shifted(asked, self.first_ns, self.summary.first_ns) if self.error else asked
+
+    def require_outside(self, start_ns: int | None, end_ns: int | None) -> None:
+        """Check that damage concerns no message from ``start_ns`` up to ``end_ns``, None without a limit.
+
+        Raises:
+            LogError: it may.
+        """
+        if self.error and any(d.concerns(start_ns, end_ns) for copy in self.damaged for d in copy.salvage.damages):
+            raise self.error
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know of it."""
+        found = ((copy.path, copy.salvage.damages, copy.recovery) for copy in self.damaged)
+        return tuple(text for facts in found for text in warnings_of(*facts, self.first_ns))
+
+
+def readable_log(
+    source: Path | Sequence[Path], limits: LimitsConfig, asked: TimeRange = WHOLE, *, recover: bool = False
+) -> ReadableLog:
+    """A log, or what can be read of it where that is asked for, or where only some of it is to be replayed.
+
+    Args:
+        source: the log, or its parts; a path ``-`` is standard input.
+        limits: of its records and chunks.
+        asked: the part to replay; damage elsewhere is none of it.
+        recover: whether damage is no error.
 
     Raises:
-        LogError: it may; ``error`` says so.
+        LogError: it cannot be read, or is damaged.
+        TargetError: there is no space for temporary files, where it needs some.
     """
-    if any(damage.concerns(start_ns, end_ns) for damage in damages):
-        raise error
+    sources = log.received([source] if isinstance(source, Path) else source)
+    try:
+        return ReadableLog(log.summarise(sources, limits))
+    except DamagedLogError as error:
+        if asked == WHOLE and not recover:
+            raise
+        found = [log.audited(path, limits) for path in sources]
+        copies = [None if salvage.whole else log.repaired_copy(salvage.path, limits) for salvage in found]
+        files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
+        first_ns = min((salvage.first_ns for salvage in found if salvage.first_ns is not None), default=None)
+        damaged = tuple(copy for copy in copies if copy is not None)
+        return ReadableLog(log.summarise(files, limits), error, damaged, first_ns)
 
 
 def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, first_ns: int | None) -> Iterator[str]:

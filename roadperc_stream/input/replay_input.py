@@ -6,24 +6,32 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Sample
-from roadperc_stream.core.time import WHOLE, TimeRange, seconds_to_ns
-from roadperc_stream.errors import ChannelError, LogError
+from roadperc_stream.core.datatypes import UNWRITTEN, Sample
+from roadperc_stream.core.time import WHOLE, TimeRange
+from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.damage import loss_reason, require_outside, shifted, warnings_of
+from roadperc_stream.input.damage import loss_reason, readable_log
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.latched import without_loops
-from roadperc_stream.input.order import in_stamp_order
+from roadperc_stream.input.pairing import StampPairing
+from roadperc_stream.input.part import PartMessages
 from roadperc_stream.input.parts import part_notes
-from roadperc_stream.input.plan import InputPlan, input_messages, plan_input, span_ns
+from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import tag_table_to_record
+from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Stamped, decoded_messages
-from roadperc_stream.input.sync import SyncedMessages, Synchroniser
-from roadperc_stream.log import Channel, DamagedLogError, LogSummary, Message, Recovery
-from roadperc_stream.schemas.record import DIGEST_KEY, DROPPED_KEY, FRAMES_KEY, TAG_TABLE_KEY, TOPIC_KEY, log_id_of
+from roadperc_stream.input.sync import SyncedMessages
+from roadperc_stream.log import Channel, LogSummary, Message, Recovery
+from roadperc_stream.schemas.record import (
+    DIGEST_KEY,
+    DROPPED_KEY,
+    END_KEY,
+    FRAMES_KEY,
+    TAG_TABLE_KEY,
+    TOPIC_KEY,
+    log_id_of,
+)
 from roadperc_stream.schemas.roles import require_role
 
 
@@ -51,38 +59,38 @@ def open_input(
         LogError: the log cannot be read, is damaged in the part asked for, or that part holds no frame.
         TargetError: there is no space for temporary files, where the log needs some.
     """
-    for role, topic in (overrides or {}).items():
-        require_role(role, f"topic {topic}")
-    sources = log.received([source] if isinstance(source, Path) else source)
-    try:
-        return _planned(log.summarise(sources, cfg.limits), cfg, overrides or {}, time_range, strict=strict)
-    except DamagedLogError as damage:
-        if time_range == WHOLE and not recover:
-            raise
-        found = [log.audited(path, cfg.limits) for path in sources]
-        copies = [None if salvage.whole else log.repaired_copy(salvage.path, cfg.limits) for salvage in found]
-        saved = log.summarise(
-            [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)], cfg.limits
-        )
-        first_ns = min((salvage.first_ns for salvage in found if salvage.first_ns is not None), default=None)
-        log_in = _planned(saved, cfg, overrides or {}, shifted(time_range, first_ns, saved.first_ns), strict=strict)
-        damaged = [copy for copy in copies if copy is not None]
-        if not recover:
-            window = log_in.plan.window
-            for copy in damaged:
-                require_outside(damage, copy.salvage.damages, window.start_ns, window.end_ns)
-        log_in.warnings = tuple(
-            warning
-            for copy in damaged
-            for warning in warnings_of(copy.path, copy.salvage.damages, copy.recovery, first_ns)
-        )
-        return log_in
+    found = readable_log(source, cfg.limits, time_range, recover=recover)
+    log_in = input_of(found.summary, cfg, overrides or {}, found.part(time_range), strict=strict)
+    if not recover:
+        found.require_outside(*log_in.plan.window.limits_ns)
+    return log_in
 
 
-def _planned(
-    summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], time_range: TimeRange, *, strict: bool
+def input_of(
+    summary: LogSummary,
+    cfg: ReplayConfig,
+    overrides: Mapping[str, str],
+    time_range: TimeRange,
+    begin: InputState | None = None,
+    *,
+    strict: bool = False,
 ) -> "ReplayInput":
-    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides, time_range, strict=strict))
+    """As ``open_input``, of a log whose summary has been read.
+
+    Args:
+        summary: of the log.
+        cfg: as there.
+        overrides: as there.
+        time_range: as there.
+        begin: what an earlier part of the drive left; None where the log begins by itself.
+        strict: as there.
+
+    Raises:
+        StateError: the log cannot go on from ``begin``; else as there.
+    """
+    for role, topic in overrides.items():
+        require_role(role, f"topic {topic}")
+    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides, time_range, begin, strict=strict))
 
 
 class ReplayInput:
@@ -90,9 +98,6 @@ class ReplayInput:
 
     ``frames``, ``dropped``, ``unreadable`` and ``notes`` are of the samples so far; ``samples`` begins anew.
     """
-
-    warnings: tuple[str, ...] = ()
-    """What the user should know of a damaged log."""
 
     def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan) -> None:
         self.summary, self.plan = summary, plan
@@ -105,14 +110,14 @@ class ReplayInput:
         plan = self.plan
         self._problems = Problems(plan.problems.strict_in)
         self._dropped = Counter[str]()
-        tolerance_ns = seconds_to_ns(self._cfg.sync.tolerance_s)
-        roles = plan.roles.topics
-        self._synchroniser = Synchroniser(tolerance_ns, plan.order, roles, plan.latched, self._drop)
+        self.frames = 0
+        """Samples so far that are written."""
+        self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.start.pairing, self._drop)
 
     @property
     def log_id(self) -> str:
         """What names the log in every table."""
-        return log_id_of(self.plan.digest)
+        return log_id_of(self.plan.first_pass.digest)
 
     @property
     def topics(self) -> Mapping[str, str]:
@@ -120,8 +125,13 @@ class ReplayInput:
         return self.plan.roles.topics
 
     @property
+    def is_continuation(self) -> bool:
+        """Whether it goes on from an earlier part of the drive."""
+        return self.plan.start.is_continuation
+
+    @property
     def expected_frames(self) -> int:
-        """Messages of the reference role; one that cannot be read makes no frame."""
+        """Messages that make frames; one that cannot be read makes none."""
         return self.plan.expected_frames
 
     @property
@@ -134,24 +144,28 @@ class ReplayInput:
 
         Raises:
             ChannelError: a camera without calibration; the message names it.
-            LogError: no message makes a frame.
+            NoFrameError: no message makes a frame.
         """
         self._begin()
-        plan, topics = self.plan, self.topics
-        messages = input_messages(self.summary, self._cfg, plan, topics=set(topics.values()))
-        decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems, self._cfg.limits)
-        items = without_loops(decoded, plan.latched, topics, self._problems, self._cfg.limits)
-        ordered = in_stamp_order(items, plan.order, self._drop)
-        log_time_ns, before_ns = 0, None
-        for index, synced in enumerate(islice(self._synchroniser.synced(ordered), plan.most_frames)):
-            sample = self._sample(synced, index)
-            log_time_ns = max(log_time_ns, sample.log_time_ns)  # results do not go back in the log
-            lost = loss_reason(self._gaps, before_ns, log_time_ns)
-            yield replace(sample, log_time_ns=log_time_ns, lost=lost)
-            before_ns = log_time_ns
-        if not self.frames:
+        plan, topics, numbers = self.plan, self.topics, self.plan.start.numbers
+        messages, limits = self._messages.all(set(topics.values())), self._cfg.limits
+        decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems, limits)
+        items = plan.start.items(decoded, topics, self._problems, limits)
+        before_ns: int | None = None
+        for synced in islice(self._pairing.frames_of(items), plan.most_frames):
+            before, numbers = numbers, numbers.after(synced.reference)
+            sample = self._sample(synced, before.next)
+            is_written = before.is_written(synced.reference)
+            self.frames += is_written
+            if is_written:
+                lost = loss_reason(self._gaps, before_ns, numbers.log_time_ns)
+                yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
+                before_ns = numbers.log_time_ns
+            else:
+                yield replace(sample, index=UNWRITTEN)
+        if not self.frames and not self.is_continuation:
             topic = self.topics[plan.order.reference]
-            raise LogError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
+            raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
 
     def _drop(self, item: Stamped) -> None:
         self._dropped[item.role] += 1
@@ -161,7 +175,7 @@ class ReplayInput:
 
     def _sample(self, synced: SyncedMessages, index: int) -> Sample:
         try:
-            sample = sample_of(self._cfg, synced, index, self.topics, self.plan.parent_of)
+            sample = sample_of(self._cfg, synced, index, self.topics, self.plan.first_pass.parent_of)
         except ChannelError as error:
             known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned)
             raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
@@ -178,12 +192,25 @@ class ReplayInput:
 
     def messages(self) -> Iterator[Message]:
         """All messages of the part to replay as they stand in the log, in log-time order; no results."""
-        return input_messages(self.summary, self._cfg, self.plan)
+        return self._messages.all()
+
+    def end_state(self, *, with_messages: bool) -> InputState:
+        """What the frames still to come need of the messages so far.
+
+        Args:
+            with_messages: whether it carries its messages itself; else it names those of the copy by their places.
+        """
+        end = self.plan.first_pass.end
+        first_ns = end.first_pending_ns
+        if first_ns is None or not with_messages:
+            return end
+        topics = set(self.topics.values())
+        return end.carrying(m for m in self._messages.inside(topics) if m.log_time_ns >= first_ns)
 
     @property
-    def frames(self) -> int:
-        """Samples so far."""
-        return self._synchroniser.frames
+    def _messages(self) -> PartMessages:
+        plan = self.plan
+        return PartMessages(self.summary, self._cfg, plan.roles, plan.window, plan.latched_messages)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -206,9 +233,10 @@ class ReplayInput:
         roles = self.plan.roles
         tag_table = tag_table_to_record(self.summary.channels, roles, self._cfg.tag_table)
         return {
-            DIGEST_KEY: self.plan.digest,
-            "input_messages": str(self.plan.messages),
+            DIGEST_KEY: self.plan.first_pass.digest,
+            "input_messages": str(self.plan.first_pass.counts.total()),
             FRAMES_KEY: str(self.frames),
+            **({} if self.plan.window.cut_ns is None else {END_KEY: str(self.plan.window.cut_ns)}),
             **{f"{TOPIC_KEY}{role}": topic for role, topic in sorted(roles.chosen.items())},
             **({TAG_TABLE_KEY: tag_table} if tag_table else {}),
             **{f"{DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},

@@ -5,13 +5,17 @@ Of each other role it takes the message whose own stamp is nearest, within the t
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 from roadperc_stream.input.latched import LatchedState
 from roadperc_stream.input.order import Drop, OrderConfig
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
+
+T = TypeVar("T")
+U = TypeVar("U")
 
 
 @dataclass(frozen=True)
@@ -24,40 +28,71 @@ class SyncedMessages:
     skew_ns: int | None
 
 
+@dataclass(frozen=True)
+class SyncState(Generic[T]):
+    """What is remembered of the messages so far; those that wait are of any type that stands for a message.
+
+    ``streams`` are the messages of each role that no frame has taken yet, ``waiting`` the reference messages of the
+    frames to come, each with what was latched when it came.
+    """
+
+    latched: LatchedState = field(default_factory=LatchedState)
+    segment: int = 0
+    streams: Mapping[str, tuple[T, ...]] = field(default_factory=dict)
+    waiting: tuple[tuple[T, LatchedState], ...] = ()
+
+    def mapped(self, function: Callable[[T], U]) -> "SyncState[U]":
+        """The same state with other things in place of the messages."""
+        streams = {role: tuple(map(function, items)) for role, items in self.streams.items()}
+        waiting = tuple((function(item), latched) for item, latched in self.waiting)
+        return SyncState(self.latched, self.segment, streams, waiting)
+
+
 class Synchroniser:
     """Groups messages into frames, in the order of the reference messages; made for one pass over a log."""
 
     def __init__(
-        self, tolerance_ns: int, order: OrderConfig, roles: Iterable[str], latched: LatchedState, drop: Drop
+        self, tolerance_ns: int, order: OrderConfig, roles: Iterable[str], state: SyncState[Stamped], drop: Drop
     ) -> None:
-        """Prepare for a pass.
+        """Begin, or go on.
 
         Args:
             tolerance_ns: largest distance of a message's stamp from its frame's.
             order: the role whose messages make the frames, and how long the others' messages are kept for one.
             roles: all roles that the log has.
-            latched: calibrations and transforms known before the first message.
+            state: what an earlier one had come to; at the beginning the calibrations and transforms that are known.
             drop: called with each message that belongs to no frame.
         """
-        self._tolerance_ns, self._reference, self._latched, self._drop = tolerance_ns, order.reference, latched, drop
+        self._tolerance_ns, self._reference, self._drop = tolerance_ns, order.reference, drop
         self._forget_after_ns = 4 * order.max_wait_ns
+        self._latched, self._segment = state.latched, state.segment
         others = (role for role in roles if role != order.reference and ROLES[role].kind not in LATCHED_KINDS)
-        self._streams = {role: deque[Stamped]() for role in others}
-        self._waiting = deque[tuple[Stamped, LatchedState]]()
+        self._streams = {role: deque[Stamped](state.streams.get(role, ())) for role in others}
+        self._waiting = deque[tuple[Stamped, LatchedState]](state.waiting)
         self.frames = 0
         """Frames made so far."""
 
-    def synced(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
-        """The frames of messages in the order of their segments and stamps."""
-        segment = 0
+    def through(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
+        """The frames that some more messages, in the order of their segments and stamps, show to be complete."""
         for item in items:
-            if item.segment != segment:
-                yield from self._rest()
-                segment = item.segment
+            if item.segment != self._segment:
+                yield from self.rest()
+                self._segment = item.segment
             while self._waiting and item.stamp_ns > self._waiting[0][0].stamp_ns + self._tolerance_ns:
                 yield self._frame(*self._waiting.popleft())
             self._add(item)
-        yield from self._rest()
+
+    def rest(self) -> Iterator[SyncedMessages]:
+        """The frames of all that is there; nothing remains for a later segment."""
+        while self._waiting:
+            yield self._frame(*self._waiting.popleft())
+        self._drop_before(None)
+
+    @property
+    def state(self) -> SyncState[Stamped]:
+        """What is remembered, all that ``through`` gives having been consumed."""
+        streams = {role: tuple(items) for role, items in self._streams.items() if items}
+        return SyncState(self._latched, self._segment, streams, tuple(self._waiting))
 
     def _add(self, item: Stamped) -> None:
         if item.is_latched:
@@ -76,12 +111,6 @@ class Synchroniser:
         for stream in self._streams.values():
             while stream and stream[0].log_time_ns < now_ns - self._forget_after_ns:
                 self._drop(stream.popleft())
-
-    def _rest(self) -> Iterator[SyncedMessages]:
-        """The frames of all that is there; nothing remains for a later segment."""
-        while self._waiting:
-            yield self._frame(*self._waiting.popleft())
-        self._drop_before(None)
 
     def _frame(self, reference: Stamped, latched: LatchedState) -> SyncedMessages:
         self._drop_before(reference.stamp_ns - self._tolerance_ns)

@@ -1,7 +1,7 @@
 """The row of a frame: what each stage gave, and how far it is from what is true."""
 
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import FrameResult, Sample
+from roadperc_stream.core.datatypes import EarlierTruth, FrameResult, Sample
 from roadperc_stream.core.reasons import frame_reasons
 from roadperc_stream.metrics.lanes import lane_benchmarks, lane_columns, lane_errors, true_lane_columns
 from roadperc_stream.metrics.objects import object_columns, object_errors
@@ -12,9 +12,9 @@ from roadperc_stream.schemas.columns import FrameKey, FrameMetrics, InputColumns
 
 
 def frame_metrics(
-    cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameResult, previous: Sample | None = None
+    cfg: ReplayConfig, log_id: str, sample: Sample, result: FrameResult, previous: EarlierTruth | None = None
 ) -> FrameMetrics:
-    """The row of one frame, with errors wherever the log carries truth; ``previous`` is the frame before."""
+    """The row of one frame, with errors wherever the log carries truth; ``previous`` is of the frame before."""
     frame, truth = sample.frame, sample.truth
     return row_of(
         FrameMetrics,

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.core.datatypes import Absent, Odometry, Sample, Truth
+from roadperc_stream.core.datatypes import Absent, EarlierTruth, Odometry, Sample, Truth
 from roadperc_stream.core.geometry import Float, inverse, quaternion
 from roadperc_stream.schemas.columns.errors import OdometryErrorColumns, TruePoseColumns
 from roadperc_stream.schemas.columns.estimates import OdometryColumns
@@ -42,12 +42,12 @@ def _position_and_quaternion(odom_T_ego: Float) -> tuple[float, ...]:
     return (*(float(value) for value in odom_T_ego[:3, 3]), *quaternion(odom_T_ego[:3, :3]))
 
 
-def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: Sample | None) -> OdometryErrorColumns:
+def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: EarlierTruth | None) -> OdometryErrorColumns:
     """What is left of the step when the true one is undone: its length and its angle."""
     if isinstance(odometry, Absent) or odometry.step is None or previous is None:
         return OdometryErrorColumns()
-    before, now = previous.truth.odom_T_ego, sample.truth.odom_T_ego
-    if before is None or now is None or odometry.since_ns != previous.frame.stamp_ns:
+    before, now = previous.odom_T_ego, sample.truth.odom_T_ego
+    if before is None or now is None or odometry.since_ns != previous.stamp_ns:
         return OdometryErrorColumns()
     remainder = inverse(inverse(before) @ now) @ odometry.step
     return OdometryErrorColumns(

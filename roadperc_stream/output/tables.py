@@ -36,10 +36,16 @@ def sidecar_path(target: Path, table: str) -> Path:
     return target.with_name(f"{target.stem}.{table}{TABLE_SUFFIX}")
 
 
-def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]:
+def table_facts(source: Path, target: Path, cfg: ReplayConfig, more: Mapping[str, str] | None = None) -> dict[str, str]:
     """What a table says of where it came from.
 
     ``roadperc.log`` is the log it lies next to, ``roadperc.source`` the input, ``roadperc.config`` the configuration.
+
+    Args:
+        source: the input.
+        target: the log.
+        cfg: the configuration.
+        more: other facts.
     """
     toml = cfg.to_toml()
     facts = {
@@ -48,6 +54,7 @@ def table_facts(source: Path, target: Path, cfg: ReplayConfig) -> dict[str, str]
         "version": __version__,
         "log": str(target.absolute()),
         "source": str(source.absolute()),
+        **(more or {}),
     }
     return {f"{FACT_PREFIX}{key}": value for key, value in facts.items()}
 

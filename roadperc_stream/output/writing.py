@@ -1,25 +1,36 @@
 """The results of a replay into its log, frame by frame, and at the end how they came about."""
 
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Final
+
+import numpy as np
 
 from roadperc_stream import __version__
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import FrameResult, Odometry, Sample
+from roadperc_stream.core.datatypes.arrays import read_only
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.reasons import ReasonCounts, frame_reasons, merged, of_frame
-from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.results import result_messages
-from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, PRODUCER, SEED_KEY, VERSION_KEY
+from roadperc_stream.schemas.columns import FrameMetrics, ObjectMetrics
+from roadperc_stream.schemas.record import (
+    CONFIG_ATTACHMENT,
+    METADATA_RECORD,
+    OWN_ATTACHMENTS,
+    PRODUCER,
+    SEED_KEY,
+    VERSION_KEY,
+)
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import result_schemas
 
 TRAJECTORY_POSES: Final = 200
 """Length of the trajectory that each frame shows: ten seconds at 20 Hz."""
+ResultMessages = tuple[tuple[str, bytes], ...]
+"""Topic and bytes of each."""
 Timed = Callable[[FrameMetrics, Mapping[str, float]], None]
 """Takes a frame's row and its time columns in milliseconds, before anything of a later frame is written."""
 
@@ -29,8 +40,47 @@ def unwatched(_writer: LogWriter, _span_ns: tuple[int, int]) -> Timed:
     return lambda _row, _times_ms: None
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What a frame's messages show of earlier frames.
+
+    ``trajectory`` are the latest poses odom_T_ego that are known, ``reasons`` those of the frame before, ``first_ns``
+    the stamp of the first frame of all.
+    """
+
+    trajectory: tuple[Float, ...] = ()
+    reasons: tuple[str, ...] = ()
+    first_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check the poses.
+
+        Raises:
+            ValueError: one is none.
+        """
+        for odom_T_ego in self.trajectory:
+            read_only(odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+
+    def with_pose(self, result: FrameResult) -> "Shown":
+        """With the pose of one more frame, where it has one."""
+        known = self.trajectory
+        if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
+            known = (*known, result.odometry.odom_T_ego)[-TRAJECTORY_POSES:]
+        return replace(self, trajectory=known, first_ns=result.stamp_ns if self.first_ns is None else self.first_ns)
+
+
+@dataclass(frozen=True)
+class FrameOutput:
+    """All that is written of one frame: its messages, its row with the time columns in milliseconds, its objects."""
+
+    messages: ResultMessages
+    row: FrameMetrics
+    times_ms: Mapping[str, float]
+    objects: tuple[ObjectMetrics, ...]
+
+
 class ResultWriter:
-    """Writes what the frames gave, and remembers what a later frame's messages show: trajectory and last reasons.
+    """Makes the messages of what the frames gave, and writes them.
 
     ``reasons`` are those of all frames so far.
     """
@@ -40,24 +90,32 @@ class ResultWriter:
         self._channels = {t: _result_channel(t, name) for t, name in result_schemas(pictures.requests).items()}
         for channel in self._channels.values():
             writer.register(channel)
-        self._trajectory = deque[Float](maxlen=TRAJECTORY_POSES)
-        self._last_reasons: tuple[str, ...] = ()
         self.reasons: ReasonCounts = {}
 
-    def write(
-        self, sample: Sample, result: FrameResult, written: FrameResult, row: FrameMetrics, timer: StageTimer
-    ) -> None:
-        """Write a frame's results; ``written`` is what of ``result`` the log can carry."""
-        if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
-            self._trajectory.append(result.odometry.odom_T_ego)
-        with timer("encode"):
-            messages = list(result_messages(sample, written, row, self._last_reasons, tuple(self._trajectory)))
-            messages += self._pictures.messages(sample, result, row)
-        for topic, data in messages:
-            time_ns = sample.log_time_ns
-            self._writer.write(Message(self._channels[topic], time_ns, time_ns, sample.index, data))
-        self._last_reasons = row.reasons
+    def messages(
+        self, sample: Sample, result: FrameResult, written: FrameResult, row: FrameMetrics, shown: Shown
+    ) -> tuple[Shown, ResultMessages]:
+        """Topics and bytes of a frame's results, and what later ones show of it.
+
+        Args:
+            sample: the frame's input.
+            result: what the chain made of it.
+            written: what of that the log can carry.
+            row: its row.
+            shown: what it shows of earlier frames.
+        """
+        shown = shown.with_pose(result)
+        assert shown.first_ns is not None
+        messages = list(result_messages(sample, written, row, shown.reasons, shown.trajectory))
+        messages += self._pictures.messages(sample, result, row, shown.first_ns)
         self.reasons = merged((self.reasons, of_frame(frame_reasons(sample, result))))
+        return replace(shown, reasons=row.reasons), tuple(messages)
+
+    def write(self, sample: Sample, messages: ResultMessages) -> None:
+        """Write a frame's messages."""
+        time_ns = sample.log_time_ns
+        for topic, data in messages:
+            self._writer.write(Message(self._channels[topic], time_ns, time_ns, sample.index, data))
 
 
 def _result_channel(topic: str, schema_name: str) -> Channel:
@@ -65,7 +123,13 @@ def _result_channel(topic: str, schema_name: str) -> Channel:
     return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata=(PRODUCER,))
 
 
-def write_origin(writer: LogWriter, source: LogSummary, cfg: ReplayConfig, record: Mapping[str, str]) -> None:
+def write_origin(
+    writer: LogWriter,
+    source: LogSummary,
+    cfg: ReplayConfig,
+    record: Mapping[str, str],
+    states: Iterable[Attachment],
+) -> None:
     """Carry the input's attachments and metadata over, and say how this output came about.
 
     Args:
@@ -73,11 +137,13 @@ def write_origin(writer: LogWriter, source: LogSummary, cfg: ReplayConfig, recor
         source: the input.
         cfg: the chain's configuration.
         record: what else the result has to record of its input.
+        states: what the replay began with, and what it leaves to the next part.
     """
     for attachment in source.attachments:
-        if attachment.name != CONFIG_ATTACHMENT:
+        if attachment.name not in OWN_ATTACHMENTS:
             writer.attach(attachment)
-    writer.attach(Attachment(CONFIG_ATTACHMENT, "application/toml", cfg.to_toml().encode()))
+    for attachment in (Attachment(CONFIG_ATTACHMENT, "application/toml", cfg.to_toml().encode()), *states):
+        writer.attach(attachment)
     for metadata in source.metadata:
         if metadata.name != METADATA_RECORD:
             writer.describe(metadata)

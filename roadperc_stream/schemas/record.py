@@ -14,12 +14,29 @@ SEED_KEY: Final = "seed"
 DIGEST_KEY: Final = "digest"
 """Of the input's messages that were replayed."""
 FRAMES_KEY: Final = "frames"
+END_KEY: Final = "end_ns"
+"""In that record of a part that was cut off a log: the log time at which the rest of the drive begins.
+
+Messages behind it are late ones of earlier frames."""
 TOPIC_KEY: Final = "topic."
 """Keys of that record which begin so name a role, and the topic that was chosen for it."""
 DROPPED_KEY: Final = "dropped."
 """Keys of that record which begin so name a role, and how many of its messages belonged to no frame."""
 CONFIG_ATTACHMENT: Final = "roadperc.toml"
 """Attachment of a result: the whole configuration."""
+STATE_ATTACHMENT: Final = "roadperc.state"
+"""Attachment of a result: what the replay of the next part of the drive needs of it."""
+BEGIN_ATTACHMENT: Final = "roadperc.state.begin"
+"""Attachment of a result that went on from an earlier part, or was warmed up: the state it began with."""
+OWN_ATTACHMENTS: Final = (CONFIG_ATTACHMENT, STATE_ATTACHMENT, BEGIN_ATTACHMENT)
+"""Attachments that a replay writes anew: those of an input are not copied."""
+CONTINUES_KEY: Final = "continues"
+"""In that record, and in the tables' footers: the log_id of the part of the drive that this one goes on from."""
+LOG_ID_KEY: Final = "log_id"
+"""In the tables' footers, so that it is known without a row."""
+FIRST_FRAME_KEY: Final = "first_frame"
+"""In the tables' footers of a part that goes on from another: number of its first frame. The part before may have given
+that frame and later ones as well, incomplete: they do not count."""
 
 
 def log_id_of(digest: str) -> str:

@@ -2,10 +2,12 @@
 
 import os
 import re
+import subprocess
+import sys
 
 import pytest
 
-from roadperc_stream.core.files import completing, require_free, require_suffix
+from roadperc_stream.core.files import completing, remove_dead_partials, require_free, require_suffix
 from roadperc_stream.errors import TargetError
 
 
@@ -125,3 +127,33 @@ def test_what_another_program_wrote_meanwhile_stays(tmp_path):
     write_while_another_does(target, force=True)
     assert target.read_bytes() == b"mine"
     assert list(tmp_path.iterdir()) == [target]
+
+
+def dead_process():
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        return process.pid
+
+
+def test_what_dead_processes_left_of_a_target_is_removed(tmp_path):
+    dead, target = dead_process(), tmp_path / "out.mcap"
+    left = [f".out.mcap.{dead}.partial", f".out.mcap.{dead}.partial.mcap"]
+    kept = [
+        f".out.mcap.{os.getppid()}.partial",  # of one that lives
+        f".out.mcap.{dead}.partial.html",
+        f".other.mcap.{dead}.partial",
+        f".out.mcap.5.{dead}.partial",  # of the target out.mcap.5
+        f"out.mcap.{dead}.partial",
+        ".out.mcap.x.partial",
+    ]
+    for name in (*left, *kept):
+        (tmp_path / name).write_bytes(b"")
+    (tmp_path / ".out.mcap.0.partial").mkdir()
+    remove_dead_partials(target)
+    assert {path.name for path in tmp_path.iterdir()} == {*kept, ".out.mcap.0.partial"}
+    remove_dead_partials(tmp_path / "no folder" / "out.mcap")
+
+
+def test_a_number_too_large_for_a_process_is_a_dead_one(tmp_path):
+    (tmp_path / f".out.mcap.{'9' * 30}.partial").write_bytes(b"")
+    remove_dead_partials(tmp_path / "out.mcap")
+    assert list(tmp_path.iterdir()) == []

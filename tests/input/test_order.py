@@ -7,11 +7,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.input.order import OrderConfig, in_stamp_order, lateness_ns
+from roadperc_stream.input.order import OrderConfig, StampOrder
 from tests.input.test_sync import CAMERA, MS, item
 
 WAIT_MS = 200
 CFG = OrderConfig("image", WAIT_MS * MS)
+
+
+def in_stamp_order(items, cfg, drop):
+    order = StampOrder(cfg, drop)
+    yield from order.through(items)
+    yield from order.rest()
+
+
+def lateness_ns(items, cfg):
+    """As a first pass measures it."""
+    order = StampOrder(replace(cfg, lateness_ns=cfg.max_wait_ns), lambda _: None)
+    assert list(order.through(items)) is not None
+    return order.lateness_ns
 
 
 def ordered(items, cfg=None):

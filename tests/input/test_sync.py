@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadperc_stream.core.config import SyncConfig
 from roadperc_stream.core.geometry import Camera
-from roadperc_stream.input.latched import LatchedState
-from roadperc_stream.input.order import OrderConfig, in_stamp_order, lateness_ns
+from roadperc_stream.input.order import OrderConfig
+from roadperc_stream.input.pairing import PairingState, StampPairing
 from roadperc_stream.input.stream import Stamped
-from roadperc_stream.input.sync import Synchroniser
 
 MS = 1_000_000
 CAMERA = Camera("c", 10, 10, 5.0, 5.0, 4.5, 4.5)
@@ -30,11 +30,14 @@ class Pass:
         ordered = sorted(items, key=lambda i: i.log_time_ns)
         self.left_out = []
         cfg = OrderConfig("image", round(max_wait_s * 1000) * MS)
-        cfg = replace(cfg, lateness_ns=lateness_ns(ordered, cfg))
-        drop = self.left_out.append
-        synchroniser = Synchroniser(round(tolerance_s * 1000) * MS, cfg, roles, LatchedState(), drop)
-        self.frames = list(synchroniser.synced(in_stamp_order(ordered, cfg, drop)))
-        assert synchroniser.frames == len(self.frames)
+        settings = SyncConfig(tolerance_s=tolerance_s)
+        patient = replace(cfg, lateness_ns=cfg.max_wait_ns)
+        first = StampPairing(settings, patient, roles, PairingState(), lambda _: None)
+        self.complete = list(first.through(ordered))
+        cfg = replace(cfg, lateness_ns=first.lateness_ns)
+        pairing = StampPairing(settings, cfg, roles, PairingState(), self.left_out.append)
+        self.frames = list(pairing.frames_of(ordered))
+        assert pairing.frames == len(self.frames)
 
     @property
     def dropped(self):
@@ -68,8 +71,7 @@ def test_a_sensor_that_never_comes_is_not_waited_for():
     items = (item("image", t) for t in range(0, 3000, 50))
     drop = [].append
     cfg = OrderConfig("image", 1000 * MS)
-    synchroniser = Synchroniser(10 * MS, cfg, ("image", "depth"), LatchedState(), drop)
-    stream = synchroniser.synced(in_stamp_order(items, cfg, drop))
+    stream = StampPairing(SyncConfig(tolerance_s=0.01), cfg, ("image", "depth"), PairingState(), drop).frames_of(items)
     next(stream)
     assert next(items).stamp_ns == 150 * MS  # the images of the two frames behind it show that nothing can come
     assert len(list(stream)) == 58

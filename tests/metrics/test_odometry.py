@@ -22,7 +22,7 @@ def row_of(step, true_step, **odometry):
     before = replace(before, truth=Truth(odom_T_ego=start))
     now = replace(before, index=1, truth=Truth(odom_T_ego=start @ true_step))
     found = Odometry("tracked", step, step=step, since_ns=before.frame.stamp_ns, **odometry)
-    return frame_metrics(CFG, "id", now, replace(result, odometry=found), before)
+    return frame_metrics(CFG, "id", now, replace(result, odometry=found), before.as_earlier)
 
 
 def test_a_step_that_is_off_by_three_and_four_metres_is_off_by_five():

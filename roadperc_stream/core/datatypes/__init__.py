@@ -33,7 +33,16 @@ from roadperc_stream.core.datatypes.results import (
     SurfaceSource,
     Verdict,
 )
-from roadperc_stream.core.datatypes.sample import EGO, ODOM, OWN_ODOM, FrameAnchor, Sample, Truth
+from roadperc_stream.core.datatypes.sample import (
+    EGO,
+    ODOM,
+    OWN_ODOM,
+    UNWRITTEN,
+    EarlierTruth,
+    FrameAnchor,
+    Sample,
+    Truth,
+)
 from roadperc_stream.core.datatypes.transform import Transform
 
 __all__ = [
@@ -43,6 +52,7 @@ __all__ = [
     "OWN_ODOM",
     "SIDES",
     "TEMPLATES",
+    "UNWRITTEN",
     "Absent",
     "Boundary",
     "BoundaryStatus",
@@ -51,6 +61,7 @@ __all__ = [
     "Correlation",
     "DepthImage",
     "Detection",
+    "EarlierTruth",
     "Frame",
     "FrameAnchor",
     "FrameResult",

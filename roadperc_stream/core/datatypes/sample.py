@@ -46,6 +46,22 @@ class FrameAnchor:
     odom: str = ODOM
 
 
+UNWRITTEN: Final = -1
+"""Index of a sample that only warms up the chain: nothing of it is written."""
+
+
+@dataclass(frozen=True)
+class EarlierTruth:
+    """What the metrics of a frame need of the frame before: when it was, and where the car truly was."""
+
+    stamp_ns: int
+    odom_T_ego: Float | None
+
+    def __post_init__(self) -> None:
+        if self.odom_T_ego is not None:
+            read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+
+
 @dataclass(frozen=True)
 class Sample:
     """One instant of a log, as ``sync`` put it together."""
@@ -61,3 +77,13 @@ class Sample:
     """How often the stamps before it began anew."""
     lost: Reason | None = None
     """That messages were lost to damage since the frame before."""
+
+    @property
+    def is_written(self) -> bool:
+        """Whether its results are written; else it only warms up the chain."""
+        return self.index != UNWRITTEN
+
+    @property
+    def as_earlier(self) -> EarlierTruth:
+        """What the next frame's metrics need of it."""
+        return EarlierTruth(self.frame.stamp_ns, self.truth.odom_T_ego)

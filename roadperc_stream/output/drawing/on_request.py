@@ -45,17 +45,19 @@ class PictureMaker:
     """Frames whose pictures could not be drawn, for want of a camera image."""
     misfits: int = 0
     """Frames whose camera image is shown, and too large or too small to draw into."""
-    _first_ns: int | None = None
 
-    def messages(self, sample: Sample, result: FrameResult, metrics: FrameMetrics) -> Iterator[tuple[str, bytes]]:
+    def messages(
+        self, sample: Sample, result: FrameResult, metrics: FrameMetrics, first_ns: int
+    ) -> Iterator[tuple[str, bytes]]:
         """Topic and bytes of a frame's pictures; of what is absent there is none.
 
         Args:
             sample: the frame's input, in the order of the replay.
             result: what the chain made of it.
             metrics: its row.
+            first_ns: stamp of the drive's first frame.
         """
-        for topic, frame_id, picture in self._drawn(sample, result, metrics) if self.requests else ():
+        for topic, frame_id, picture in self._drawn(sample, result, metrics, first_ns) if self.requests else ():
             jpeg = encode_jpeg(picture, _JPEG_QUALITY)
             yield topic, encoding.encode_image(result.stamp_ns, frame_id, "jpeg", jpeg)
 
@@ -68,15 +70,14 @@ class PictureMaker:
         }
         return tuple(f"{asked}: {what}: {number}" for what, number in counts.items() if number)
 
-    def _drawn(self, sample: Sample, result: FrameResult, metrics: FrameMetrics) -> Iterator[Picture]:
-        self._first_ns = result.stamp_ns if self._first_ns is None else self._first_ns
+    def _drawn(self, sample: Sample, result: FrameResult, metrics: FrameMetrics, first_ns: int) -> Iterator[Picture]:
         image = _pixels(sample.frame.image)
         fits = image is not None and image.shape[:2] == sample.frame.camera.size
         self.without_image += image is None
         self.misfits += image is not None and not fits
         if image is not None and "overlay" in self.requests:
             frame = PerceivedFrame(image, result.lanes, result.objects, result.drivable, fits)
-            since_start_s = ns_to_seconds(result.stamp_ns - self._first_ns)
+            since_start_s = ns_to_seconds(result.stamp_ns - first_ns)
             yield OVERLAY_TOPIC, result.frame_id, draw_frame(frame, metrics, since_start_s, image.shape[1])
         if "debug" in self.requests:
             yield from _debug(sample.frame, image if fits else None, result)

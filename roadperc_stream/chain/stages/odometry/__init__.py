@@ -1,5 +1,5 @@
 """Visual odometry: features tracked from a keyframe, and the motion estimated from them."""
 
-from roadperc_stream.chain.stages.odometry.ego_motion import OdometryState, step
+from roadperc_stream.chain.stages.odometry.ego_motion import OdometryState, counted_from_here, step
 
-__all__ = ["OdometryState", "step"]
+__all__ = ["OdometryState", "counted_from_here", "step"]

@@ -102,6 +102,14 @@ def step(
     return _continued(cfg, state.odom_T_ego, state.keyframe, state.last, frame, estimate)
 
 
+def counted_from_here(state: OdometryState) -> OdometryState:
+    """The state with odom where ego is now."""
+    if state.keyframe is None:
+        return replace(state, odom_T_ego=np.eye(4))
+    here_T_camera = inverse(state.odom_T_ego) @ state.keyframe.odom_T_camera
+    return replace(state, odom_T_ego=np.eye(4), keyframe=replace(state.keyframe, odom_T_camera=here_T_camera))
+
+
 def _lost(odom_T_ego: Float, reason: Reason) -> Odometry:
     return Odometry("lost", odom_T_ego, reason=reason)
 
