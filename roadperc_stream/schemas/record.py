@@ -15,8 +15,9 @@ DIGEST_KEY: Final = "digest"
 """Of the input's messages that were replayed."""
 FRAMES_KEY: Final = "frames"
 END_KEY: Final = "end_ns"
-"""In that record of a part that was cut off a log: the log time at which the rest of the drive begins. Messages behind it
-are late ones of earlier frames."""
+"""In that record of a part that was cut off a log: the log time at which the rest of the drive begins.
+
+Messages behind it are late ones of earlier frames."""
 TOPIC_KEY: Final = "topic."
 """Keys of that record which begin so name a role, and the topic that was chosen for it."""
 DROPPED_KEY: Final = "dropped."
