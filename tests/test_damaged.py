@@ -117,7 +117,7 @@ def test_seconds_count_from_the_first_message_that_was_written(tmp_path):
     path = tmp_path / "headless.mcap"
     with log.LogWriter(path) as writer:
         writer.write(large)
-        for message in log.read(logs.write(tmp_path / "plain.mcap", logs.items(6))):
+        for message in log.read(log.summarise(logs.write(tmp_path / "plain.mcap", logs.items(6)))):
             writer.write(message)
     part = TimeRange(start_s=1.1, end_s=1.2)
     expected, _ = run(path, "whole", time_range=part)
@@ -283,8 +283,8 @@ def test_the_sample_with_a_damaged_chunk_says_which_stamps_of_which_topics_were_
     path = tmp_path / "sample.mcap"
     path.write_bytes(flipped(content, 8 * 3_000_000))
     _, recovery = log.write_repaired(path, tmp_path / "out.mcap")
-    saved = {(m.channel.topic, m.log_time_ns) for m in log.read(tmp_path / "out.mcap")}
-    lost = [m for m in log.read(SAMPLE) if (m.channel.topic, m.log_time_ns) not in saved]
+    saved = {(m.channel.topic, m.log_time_ns) for m in log.read(log.summarise(tmp_path / "out.mcap"))}
+    lost = [m for m in log.read(log.summarise(SAMPLE)) if (m.channel.topic, m.log_time_ns) not in saved]
     (gap,) = recovery.gaps
     assert (gap.first_ns, gap.last_ns) == (lost[0].log_time_ns, lost[-1].log_time_ns)
     assert sum(recovery.lost.values()) == len(lost) > 10

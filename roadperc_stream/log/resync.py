@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from roadperc_stream.log.chunks import chunk_head
 
 _HEAD: Final = struct.Struct("<BQ")
-_BLOCK_BYTES: Final = 4 * 1024 * 1024
+_BLOCK_BYTES: Final = 1024 * 1024
 _OVERLAP_BYTES: Final = 64
 """More than what ``_LIKELY`` looks at."""
 _CHUNK_FIELDS_BYTES: Final = 64
