@@ -156,12 +156,6 @@ class Salvage:
         """Messages that were written, by ``Channel.source_id``; None where no index says so."""
         return dict(self._index.statistics.channel_message_counts) if self._index and self._index.statistics else None
 
-    @property
-    def indexed_channels(self) -> tuple[Channel, ...] | None:
-        """The channels that hold messages, by the index; None where there is no usable one."""
-        counts = self.written
-        return None if counts is None else tuple(self.channels[i] for i in sorted(self.channels) if counts.get(i))
-
     def messages(self) -> Iterator[Message]:
         """Every message that can be read, in the order of the file."""
         for head, body in self._found():
