@@ -350,13 +350,26 @@ SPOILERS = {
     "no calibration": (lambda d: (d / "calibration.json").unlink(), ["camera_front", "--fov"]),
     "no version": (spoil_calibration({**CALIBRATION, "carla_tags": None}), ["segmentation", "--carla", "2 fence"]),
     "version unknown": (spoil_calibration({**CALIBRATION, "carla_tags": "new"}), ["'new'", "0.9.15"]),
-    "mixed sizes": (spoil_size, ["000001.png", "16x10", "16x12"]),
-    "table of another size": (spoil_table_size, ["000001.dat"]),
     "all images cut": (spoil_all_images, ["rgb: none of 3 files can be read", "cut off"]),
     "all depth damaged": (spoil_all_depth_inside, ["depth", "damaged"]),
     "tags as jpeg": (spoil_tags_with_jpeg, ["tags as JPEG", "--allow-lossy-tags"]),
     "wrong truth": (spoil_truth, ["truth.json: lanes"]),
 }
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words", "role"),
+    [(spoil_size, ["000001.png", "16x10", "16x12"], "image"), (spoil_table_size, ["000001.dat"], "depth")],
+    ids=["image", "table"],
+)
+def test_a_file_of_another_size_costs_that_file(dump, tmp_path, capsys, spoil, words, role):
+    target = tmp_path / "in.mcap"
+    spoil(dump)
+    assert main([str(dump), str(target), "--quiet"]) == 0
+    said = capsys.readouterr().err
+    assert said.startswith("warning: counted as missing: ")
+    assert all(word in said for word in words), said
+    assert len(list(log.read(target, topics=[ROLES[role].topic]))) == 2
 
 
 @pytest.mark.parametrize("name", SPOILERS)

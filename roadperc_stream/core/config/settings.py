@@ -8,6 +8,8 @@ from roadperc_stream.errors import ConfigError
 
 MOST_BYTES: Final = 1_000_000
 """Of a configuration; all settings with their comments take 30 kB."""
+_MOST_DOTS: Final = 100
+"""In a line: the keys of settings have one."""
 _MOST_SHOWN: Final = 200
 
 
@@ -31,6 +33,8 @@ def parsed_toml(toml: bytes) -> dict[str, Any]:
     """
     if len(toml) > MOST_BYTES:
         raise ConfigError(f"not TOML of settings: more than {MOST_BYTES} bytes")
+    if any(line.count(b".") > _MOST_DOTS for line in toml.splitlines()):
+        raise ConfigError("not TOML of settings: nested too deeply")  # the parser's time goes with the square of that
     try:
         return tomllib.loads(toml.decode())
     except RecursionError as error:
