@@ -97,16 +97,24 @@ def main(arguments: list[str]) -> int:
     asked = parser().parse_args(arguments)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that no process is left behind
     started, tally = time.monotonic(), Tally()
-    for order, verdict in run(orders(asked), max(asked.jobs, 1)):
-        new = [fault for fault in verdict.faults if not is_known(fault)]
-        if asked.verbose or asked.case or new:
-            print(f"{order.case}: {verdict.line}: {verdict.codes} {verdict.message}", flush=True)
-        for fault in new:
-            print(f"  {fault}\n  again: python -m tests.fuzz --case {order.case}{' --whole' * order.whole}")
-            print(f"  recipe: {json.dumps(verdict.recipe)}", flush=True)
-        tally.add(order.case, verdict)
+    try:
+        for order, verdict in run(orders(asked), max(asked.jobs, 1)):
+            report(order, verdict, quiet=not (asked.verbose or asked.case))
+            tally.add(order.case, verdict)
+    except KeyboardInterrupt:
+        print("interrupted")
     print("\n".join(tally.lines(time.monotonic() - started)))
     return 1 if tally.faults else 0
+
+
+def report(order: Order, verdict: Verdict, *, quiet: bool) -> None:
+    """Print a case that has a fault, and how to repeat it; others only where they are asked for."""
+    new = [fault for fault in verdict.faults if not is_known(fault)]
+    if new or not quiet:
+        print(f"{order.case}: {verdict.line}: {verdict.codes} {verdict.message}", flush=True)
+    for fault in new:
+        print(f"  {fault}\n  again: python -m tests.fuzz --case {order.case}{' --whole' * order.whole}")
+        print(f"  recipe: {json.dumps(verdict.recipe)}", flush=True)
 
 
 def orders(asked: argparse.Namespace) -> list[Order]:

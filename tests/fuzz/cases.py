@@ -14,7 +14,7 @@ from tests.fuzz.choices import Choices, wild_integer
 from tests.fuzz.configurations import mutate_toml, wild_setting
 from tests.fuzz.messages import mutate_content
 from tests.fuzz.octets import damage
-from tests.fuzz.records import FIXES, mutate_records, put_together, taken_apart
+from tests.fuzz.records import WEIGHTED_FIXES, mutate_records, put_together, taken_apart
 from tests.fuzz.trees import mutate_json
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -88,7 +88,7 @@ def _log(folder: Path, choices: Choices) -> list[str]:
         records = taken_apart(data)
         for part in changes:
             mutate_records(records, part)
-        data = put_together(records, choices.of("fix", FIXES))
+        data = put_together(records, choices.of("fix", WEIGHTED_FIXES))
     for part in choices.parts("bytes", 2 if level in ("bytes", "all") else 0):
         data = damage(data, part)
     name = OUT if base == "result" else LOG

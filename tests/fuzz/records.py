@@ -129,6 +129,7 @@ def _compressed(data: bytes, name: bytes) -> bytes:
 
 
 FIXES = ("nothing", "checksums", "everything")
+WEIGHTED_FIXES = (*FIXES, "everything", "everything")
 
 
 def put_together(records: list[Record], fix: str) -> bytes:
