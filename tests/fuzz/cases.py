@@ -1,5 +1,6 @@
 """A case: input files made as its recipe says, and the commands that get them."""
 
+import base64
 import json
 import random
 from collections.abc import Callable
@@ -220,7 +221,15 @@ def _dump(folder: Path, choices: Choices) -> list[str]:
 
 CONVERT_OPTIONS = ("",) * 4 + ("--depth float", "--rate 0.5", "--carla 0.9.10", "--fov 60 --quiet", "--role image=segmentation", "--allow-lossy-tags")
 
+
+def _files(folder: Path, choices: Choices) -> list[str]:
+    """Files as the recipe of a corpus has them: none are drawn."""
+    for name, data in choices.of("files", ({},)).items():
+        (folder / name).write_bytes(base64.b64decode(data))
+    return []
+
+
 FAMILIES: dict[str, Callable[[Path, Choices], list[str]]] = {
-    "log": _log, "table": _table, "config": _config, "lanes": _lanes, "dump": _dump,
+    "log": _log, "table": _table, "config": _config, "lanes": _lanes, "dump": _dump, "files": _files,
 }  # fmt: skip
 WEIGHTED = ("log",) * 10 + ("table",) * 4 + ("dump",) * 4 + ("config", "lanes")

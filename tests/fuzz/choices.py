@@ -71,6 +71,7 @@ class Choices:
         return inner
 
     def _noted(self, name: str, draw: Any) -> Any:
+        assert name not in self.made, f"{name} is chosen twice: a recipe could not repeat that"
         self.made[name] = self._given[name] if name in self._given else draw()
         return self.made[name]
 

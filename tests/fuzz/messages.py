@@ -72,7 +72,7 @@ def _mutated_protobuf(message: Message, choices: Choices) -> bytes:
     except DecodeError:  # an earlier step has damaged it
         return damage(message.data, choices)
     if message.channel.schema_name in PICTURES and choices.chance("picture", 0.6):
-        parsed.data = mutate_picture(parsed.data, choices)  # type: ignore[attr-defined]
+        parsed.data = mutate_picture(parsed.data, choices.part("pixels"))  # type: ignore[attr-defined]
     else:
         mutate_message(parsed, choices)
     return parsed.SerializeToString()
@@ -189,7 +189,8 @@ def _attach(content: Content, choices: Choices) -> None:
     name = choices.of("name", ("roadperc.toml", "roadperc.state", "roadperc.state.begin", "notes.txt", wild_text(choices)))
     known = [item for item in content.attachments if item.name == name]
     before = known[0].data if known else CONFIGURATION
-    data = mutate_toml(before, choices) if name == "roadperc.toml" else damage(before, choices)
+    inner = choices.part("damage")
+    data = mutate_toml(before, inner) if name == "roadperc.toml" else damage(before, inner)
     content.attachments = [item for item in content.attachments if item.name != name]
     content.attachments.append(Attachment(name, wild_text(choices, "media_type"), data, wild_integer(choices, "time") % 2**64))
 

@@ -19,12 +19,12 @@ NEW_CHUNKS = {
 def mutate_picture(data: bytes, choices: Choices) -> bytes:
     """An encoded image with one fault."""
     if choices.chance("bytes", 0.2):
-        return damage(data, choices)
+        return damage(data, choices.part("damage"))
     if data.startswith(PNG_MAGIC):
         return _mutate_png(data, choices)
     if data.startswith(b"\xff\xd8"):
         return _mutate_jpeg(data, choices)
-    return damage(data, choices)
+    return damage(data, choices.part("damage"))
 
 
 def _mutate_png(data: bytes, choices: Choices) -> bytes:
@@ -48,7 +48,7 @@ def _mutate_png(data: bytes, choices: Choices) -> bytes:
         name = choices.of("name", tuple(NEW_CHUNKS))
         chunks.insert(choices.number("to", 1, len(chunks)), [name.encode(), NEW_CHUNKS[name]])
     elif fault == "content":
-        chunks[at][1] = damage(chunks[at][1], choices)
+        chunks[at][1] = damage(chunks[at][1], choices.part("damage"))
     else:
         _repack(chunks, choices)
     return png_of(chunks, fixed=choices.chance("fixed", 0.8))
@@ -62,7 +62,7 @@ def _repack(chunks: list[list[bytes]], choices: Choices) -> None:
     except zlib.error:
         return
     more = choices.of("more", (0, 0, 1, 1000, 20_000_000))
-    changed = zlib.compress(damage(pixels, choices) + bytes(more))
+    changed = zlib.compress(damage(pixels, choices.part("damage")) + bytes(more))
     chunks[:] = [chunk for chunk in chunks if chunk[0] != b"IDAT"]
     chunks.insert(max(len(chunks) - 1, 0), [b"IDAT", changed])
 
@@ -100,7 +100,7 @@ def png_of(chunks: list[list[bytes]], *, fixed: bool = True) -> bytes:
 def _mutate_jpeg(data: bytes, choices: Choices) -> bytes:
     segments, scan = jpeg_segments(data)
     if not segments:
-        return damage(data, choices)
+        return damage(data, choices.part("damage"))
     at = choices.index("segment", len(segments))
     fault = choices.of("fault", ("size", "size", "remove", "repeat", "length", "marker", "content", "cut", "components"))
     frames = [k for k, (marker, _) in enumerate(segments) if marker in (0xC0, 0xC2)]
@@ -115,9 +115,9 @@ def _mutate_jpeg(data: bytes, choices: Choices) -> bytes:
     elif fault == "marker":
         segments[at][0] = choices.of("marker", (0x00, 0x01, 0xC1, 0xC3, 0xC9, 0xD8, 0xD9, 0xDA, 0xE1, 0xFE, 0xFF))
     elif fault == "content":
-        segments[at][1] = damage(segments[at][1], choices)
+        segments[at][1] = damage(segments[at][1], choices.part("damage"))
     else:
-        scan = damage(scan, choices)
+        scan = damage(scan, choices.part("damage"))
     return jpeg_of(segments, scan)
 
 

@@ -130,7 +130,7 @@ def _facts(found: pa.Table, choices: Choices) -> pa.Table:
     elif how == "bytes":
         facts[key] = damage(before, choices)
     elif how == "toml":
-        facts[b"roadperc.config"] = mutate_toml(facts.get(b"roadperc.config", before), choices)
+        facts[b"roadperc.config"] = mutate_toml(facts.get(b"roadperc.config", before), choices.part("toml"))
     return found.replace_schema_metadata(facts)
 
 

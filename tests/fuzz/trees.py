@@ -129,7 +129,7 @@ def _mutate_repeated(values: Any, field: FieldDescriptor, choices: Choices) -> N
 def _set(assign: Any, before: Any, field: FieldDescriptor, choices: Choices) -> None:
     """Assign a value of the field's type; one that does not fit its width is left away."""
     if isinstance(before, bytes):
-        value: Any = damage(before, choices)
+        value: Any = damage(before, choices.part("damage"))
     elif isinstance(before, str):
         value = wild_text(choices)
     elif isinstance(before, bool):
