@@ -37,7 +37,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--seed", type=int, default=1, metavar="N", help="what is drawn follows from it (default: 1)")
     made.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N", help="processes (default: the cores)")
     made.add_argument("--case", action="append", metavar="CASE", help="SEED:NUMBER, a name in the corpus, or a recipe's file")
-    made.add_argument("--corpus", action="store_true", help="the corpus alone")
+    only = made.add_mutually_exclusive_group()
+    only.add_argument("--corpus", action="store_true", help="the corpus alone")
+    only.add_argument("--drawn", action="store_true", help="drawn cases alone")
     made.add_argument("--whole", action="store_true", help="every case as a process of its own")
     made.add_argument("--verbose", action="store_true", help="print every case")
     return made
@@ -121,7 +123,7 @@ def orders(asked: argparse.Namespace) -> list[Order]:
     """The cases that the arguments ask for."""
     if asked.case:
         return [Order(named(name).name, asked.whole) for name in asked.case]
-    corpus = [Order(name, asked.whole) for name in recorded()]
+    corpus = [] if asked.drawn else [Order(name, asked.whole) for name in recorded()]
     numbers = range(asked.first, asked.first + asked.count) if not asked.corpus else ()
     return corpus + [Order(drawn(asked.seed, k).name, asked.whole or k % EVERY_WHOLE == EVERY_WHOLE - 1) for k in numbers]
 

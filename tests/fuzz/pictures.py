@@ -30,8 +30,11 @@ def mutate_picture(data: bytes, choices: Choices) -> bytes:
 def _mutate_png(data: bytes, choices: Choices) -> bytes:
     chunks = png_chunks(data)
     at = choices.index("chunk", len(chunks))
-    fault = choices.of("fault", ("size", "size", "depth", "remove", "repeat", "move", "palette", "new", "content", "inflate"))
-    if fault == "size":
+    fault = choices.of("fault", ("zeros", "size", "size", "depth", "remove", "repeat", "move", "palette", "new", "content", "inflate"))
+    if fault == "zeros":
+        side = choices.of("side", (100, 3000, 30_000))
+        chunks[:] = _zeros(chunks[0][1], side)
+    elif fault == "size":
         chunks[0][1] = _sized(chunks[0][1], choices)
     elif fault == "depth":
         chunks[0][1] = _with_byte(chunks[0][1], choices.of("where", (8, 9, 10, 11, 12)), choices)
@@ -52,6 +55,23 @@ def _mutate_png(data: bytes, choices: Choices) -> bytes:
     else:
         _repack(chunks, choices)
     return png_of(chunks, fixed=choices.chance("fixed", 0.8))
+
+
+def _zeros(header: bytes, side: int) -> list[list[bytes]]:
+    """A square picture that is all there, its pixels zeros: a megabyte of them takes a kilobyte."""
+    piece = 2**20
+    count, rest = divmod(side * (side * 4 + 1), piece)  # as many as the widest kind of pixel takes
+    pieces = _deflated(piece) * count + _deflated(rest)
+    checksum = struct.pack(">HH", side * (side * 4 + 1) % 65521, 1)  # Adler-32 of zeros
+    packed = b"\x78\x9c" + pieces + b"\x03\0" + checksum
+    size = struct.pack(">II", side, side)
+    return [[b"IHDR", size + header[8:]], [b"PLTE", bytes(768)], [b"IDAT", packed], [b"IEND", b""]]
+
+
+def _deflated(count: int) -> bytes:
+    """So many zeros, compressed so that any number of such pieces may stand one behind the other."""
+    writer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return writer.compress(bytes(count)) + writer.flush(zlib.Z_FULL_FLUSH)
 
 
 def _repack(chunks: list[list[bytes]], choices: Choices) -> None:
