@@ -38,6 +38,7 @@ JOBS ?= $(shell nproc)
 mutants: $(VENV)/.installed  # small faults in the code: are they noticed? A quarter of an hour, the first time a half
 	$(BIN)/python -m tests.mutants --count $(N) --seed $(SEED) --jobs $(JOBS)
 
+fuzz: N = 2000
 fuzz: $(VENV)/.installed  # inputs that are wrong in some place, to every command: make fuzz N=20000 SEED=2
 	$(BIN)/python -m tests.fuzz --count $(N) --seed $(SEED) --jobs $(JOBS)
 

@@ -197,7 +197,12 @@ def test_a_table_of_an_older_version_lacks_columns(reference, capsys):
 
 @pytest.mark.parametrize(
     "strange",
-    [pl.duration(seconds="frame"), pl.struct("frame", "log_id"), pl.col("log_id").cast(pl.Binary), pl.concat_list("frame")],
+    [
+        pl.duration(seconds="frame"),
+        pl.struct("frame", "log_id"),
+        pl.col("log_id").cast(pl.Binary),
+        pl.concat_list("frame"),
+    ],
 )
 def test_columns_of_a_type_that_no_replay_writes(reference, capsys, strange):
     candidate = other(reference, extra=strange)

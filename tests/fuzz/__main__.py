@@ -21,12 +21,12 @@ SHOWN_MESSAGES = 25
 SHOWN_CASES = 5
 UNREADABLE = ("damaged MCAP", "cut off", "not an MCAP log", "its data cannot be read", "not TOML", "Invalid JSON")
 """What is said of an input that is refused as a whole: its magic, checksums or syntax are wrong."""
-DESCRIPTION = """Makes logs, tables, configurations, true lanes and folders of frames that are wrong in one to three places, and
-runs a command on each: it must end with a result or one clear line, within 10 seconds and a gigabyte, leave no file
-half written, print no control characters, and give the same bytes again. Exit code 1 where one does not."""
-EPILOG = """Case SEED:NUMBER follows from its name alone. What fails is printed with the line that repeats it and its recipe,
-which --case takes from a file as well. Every 50th case runs as a process of its own, and the logs it writes are read by
-a second reader where there is one."""
+DESCRIPTION = """Makes logs, tables, configurations, true lanes and folders of frames that are wrong in one to three
+places, and runs a command on each: it must end with a result or one clear line, within 10 seconds and a gigabyte, leave
+no file half written, print no control characters, and give the same bytes again. Exit code 1 where one does not."""
+EPILOG = """Case SEED:NUMBER follows from its name alone. What fails is printed with the line that repeats it and its
+recipe, which --case takes from a file as well. Every 50th case runs as a process of its own, and the logs it writes are
+read by a second reader where there is one."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -36,7 +36,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--first", type=int, default=0, metavar="N", help="number of the first one (default: 0)")
     made.add_argument("--seed", type=int, default=1, metavar="N", help="what is drawn follows from it (default: 1)")
     made.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N", help="processes (default: the cores)")
-    made.add_argument("--case", action="append", metavar="CASE", help="SEED:NUMBER, a name in the corpus, or a recipe's file")
+    made.add_argument(
+        "--case", action="append", metavar="CASE", help="SEED:NUMBER, a name in the corpus, or a recipe's file"
+    )
     only = made.add_mutually_exclusive_group()
     only.add_argument("--corpus", action="store_true", help="the corpus alone")
     only.add_argument("--drawn", action="store_true", help="drawn cases alone")
@@ -78,7 +80,8 @@ class Tally:
     def lines(self, seconds: float) -> Iterable[str]:
         """For a person."""
         yield f"{self.cases} cases in {seconds:.0f} s"
-        yield f"results {self.results}, refused as a whole {self.unreadable}, refused within {self.cases - self.results - self.unreadable}"
+        within = self.cases - self.results - self.unreadable
+        yield f"results {self.results}, refused as a whole {self.unreadable}, refused within {within}"
         by_command: dict[str, list[str]] = defaultdict(list)
         for key, number in sorted(self.codes.items()):
             command, _, code = key.rpartition(" ")
@@ -125,7 +128,9 @@ def orders(asked: argparse.Namespace) -> list[Order]:
         return [Order(named(name).name, asked.whole) for name in asked.case]
     corpus = [] if asked.drawn else [Order(name, asked.whole) for name in recorded()]
     numbers = range(asked.first, asked.first + asked.count) if not asked.corpus else ()
-    return corpus + [Order(drawn(asked.seed, k).name, asked.whole or k % EVERY_WHOLE == EVERY_WHOLE - 1) for k in numbers]
+    return corpus + [
+        Order(drawn(asked.seed, k).name, asked.whole or k % EVERY_WHOLE == EVERY_WHOLE - 1) for k in numbers
+    ]
 
 
 if __name__ == "__main__":

@@ -131,10 +131,11 @@ def _replay_options(choices: Choices) -> list[str]:
 
 
 REPLAY_OPTIONS = ("",) * 6 + (
-    "--overlay", "--overlay --debug", "--start 0.04", "--start -1 --end 0.01", "--end 0", "--frames 1", "--results-only",
-    "--only surface", "--only odometry,lanes", "--set stereo.method=full", "--set surface.model=spline",
-    "--topic image=/camera/right/image", "--topic depth=/nowhere", "--set odometry.features=orb", "--set tag_table=0.9.15",
-    "--start 1e9", "--set sync.max_wait_s=0", "--quiet", "--set occupancy.enabled=false",
+    "--overlay", "--overlay --debug", "--start 0.04", "--start -1 --end 0.01", "--end 0", "--frames 1",
+    "--results-only", "--only surface", "--only odometry,lanes",
+    "--set stereo.method=full", "--set surface.model=spline",
+    "--topic image=/camera/right/image", "--topic depth=/nowhere", "--set odometry.features=orb",
+    "--set tag_table=0.9.15", "--start 1e9", "--set sync.max_wait_s=0", "--quiet", "--set occupancy.enabled=false",
 )  # fmt: skip
 
 
@@ -157,8 +158,9 @@ def _table(folder: Path, choices: Choices) -> list[str]:
 
 TABLE_COMMANDS = (
     f"report {METRICS}", "report out.mcap", f"report . a/{METRICS} --worst 2", f"report {METRICS} --html page.html",
-    f"compare a/{METRICS} {METRICS}", f"compare {METRICS} a/{METRICS} --exact", f"compare a/{METRICS} {METRICS} --other-log",
-    f"compare a . --allow 5% --tolerance *=0.1", f"trajectory {METRICS}", f"trajectory {METRICS} --align sim3",
+    f"compare a/{METRICS} {METRICS}", f"compare {METRICS} a/{METRICS} --exact",
+    f"compare a/{METRICS} {METRICS} --other-log",
+    "compare a . --allow 5% --tolerance *=0.1", f"trajectory {METRICS}", f"trajectory {METRICS} --align sim3",
     f"trajectory {METRICS} --export-tum tum --export-kitti kitti --align none", f"info {OUT}",
     f"trajectory {METRICS} --delta 1 --delta-unit metres", f"lanes {OUT} --tusimple lanes.json",
     f"replay {OUT} result.mcap", f"view {OUT} --foxglove-layout view.json",
@@ -219,7 +221,14 @@ def _dump(folder: Path, choices: Choices) -> list[str]:
     return words + (["--rate", str(wild_integer(choices, "rate"))] if choices.chance("odd_rate", 0.05) else [])
 
 
-CONVERT_OPTIONS = ("",) * 4 + ("--depth float", "--rate 0.5", "--carla 0.9.10", "--fov 60 --quiet", "--role image=segmentation", "--allow-lossy-tags")
+CONVERT_OPTIONS = ("",) * 4 + (
+    "--depth float",
+    "--rate 0.5",
+    "--carla 0.9.10",
+    "--fov 60 --quiet",
+    "--role image=segmentation",
+    "--allow-lossy-tags",
+)
 
 
 def _files(folder: Path, choices: Choices) -> list[str]:

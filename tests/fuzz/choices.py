@@ -15,8 +15,9 @@ FLOATS = (
 INJECTED = "INJECTED"
 """No line of what a command prints may begin with it: it stands behind a newline in a name."""
 TEXTS = (
-    "", " ", "\n", "\r", "\t", "\x00", "/a/b", "/", "../x", "ego", "camera", "map", "png", "jpeg", "rgb8", "bgra8", "16UC1",
-    "32FC1", "mono16", "bayer_rggb8", "zstd", "lz4", "protobuf", "cdr", "json", "nan", "None", "auto", "0.9.15",
+    "", " ", "\n", "\r", "\t", "\x00", "/a/b", "/", "../x", "ego", "camera", "map", "png", "jpeg", "rgb8", "bgra8",
+    "16UC1", "32FC1", "mono16", "bayer_rggb8", "zstd", "lz4", "protobuf", "cdr", "json", "nan", "None", "auto",
+    "0.9.15",
     "\x1b[31mred\x1b[0m", "\x1b]0;title\x07", "\x9b2J", f"/a\n{INJECTED}", f"/a\r{INJECTED}", f"/a\u2028{INJECTED}",
     "\u202etxt", "[bold]b[/bold]", "[/nope]", "[red", "%s%d%n", "{0}{x}", "äöü", "\U0001f600", "x" * 300,
     "y" * 20_000, "C:\\a", "'; --", '"', "\\", "<script>alert(1)</script>", "/camera/front/image", "/tf",

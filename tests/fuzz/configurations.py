@@ -37,7 +37,25 @@ def _with_a_value(text: bytes, choices: Choices) -> bytes:
 
 def wild_setting(choices: Choices) -> str:
     """A KEY=VALUE as --set takes it."""
-    key = choices.of("key", ("lanes.hold_s", "surface.model", "seed", "sync.max_wait_s", "stereo.method", "tag_table", "", "x.y"))
-    values = ("1", "-1", "0", "nan", "inf", "1e308", "1e-300", "true", "[]", "{}", '"x"', "2020-01-01", "9" * 400, "[" * 60, "")
+    key = choices.of(
+        "key", ("lanes.hold_s", "surface.model", "seed", "sync.max_wait_s", "stereo.method", "tag_table", "", "x.y")
+    )
+    values = (
+        "1",
+        "-1",
+        "0",
+        "nan",
+        "inf",
+        "1e308",
+        "1e-300",
+        "true",
+        "[]",
+        "{}",
+        '"x"',
+        "2020-01-01",
+        "9" * 400,
+        "[" * 60,
+        "",
+    )
     value = choices.of("value", values) if choices.chance("number", 0.8) else wild_text(choices, "text")
     return f"{key}={value}".replace("\0", "\x01")  # no argument of a process holds a NUL

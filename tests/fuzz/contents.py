@@ -22,7 +22,6 @@ from roadperc_stream.log import Attachment, Channel, Message, Metadata
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
-from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.roles import ROLES
 from tests import foxglove_json, logs, rosbag
 from tests.analytic import STEP_NS, Road, box
@@ -102,7 +101,9 @@ def drive(frames: int = FRAMES) -> Content:
     """Foxglove's and the project's own messages, as roadperc-convert writes them; images as JPEG."""
     grey = images.encode_jpeg(np.repeat(ROAD.tags()[..., None] * 10, 3, axis=2), 90)
     found = [
-        replace(item, data=encoding.encode_image(item.stamp_ns, "camera", "jpeg", grey)) if item.role == "image" else item
+        replace(item, data=encoding.encode_image(item.stamp_ns, "camera", "jpeg", grey))
+        if item.role == "image"
+        else item
         for item in logs.items(frames, ROAD)
     ]
     return _of_items([*found, *(_pose(k) for k in range(frames))])
@@ -119,7 +120,9 @@ def truth() -> Content:
     """A drive that carries its truth: what a replay of it found."""
     content = drive()
     for message in replayed().messages:
-        role = {f"/perception/{name}": f"truth_{name}" for name in ("surface", "lanes", "objects")}.get(message.channel.topic)
+        role = {f"/perception/{name}": f"truth_{name}" for name in ("surface", "lanes", "objects")}.get(
+            message.channel.topic
+        )
         if role and message.log_time_ns < START_NS + FRAMES * STEP_NS:
             content.messages.append(replace(message, channel=logs.channel(role)))
     for message in list(content.messages):
@@ -141,7 +144,9 @@ def pair() -> Content:
         noise = np.random.default_rng(k).integers(0, 255, (ROAD.height, ROAD.width), np.uint8)
         picture = encoding.encode_image(stamp_ns, "right", "png", cv2.imencode(".png", noise)[1].tobytes())
         items.append(Item("right", stamp_ns, picture))
-        items.append(Item("lidar", stamp_ns, encoding.encode_points(stamp_ns, "ego", points_m[np.isfinite(points_m).all(1)])))
+        items.append(
+            Item("lidar", stamp_ns, encoding.encode_points(stamp_ns, "ego", points_m[np.isfinite(points_m).all(1)]))
+        )
     return _of_items(items)
 
 
@@ -189,21 +194,50 @@ def bag() -> Content:
     content = Content(profile="ros2")
     mounting = rosbag.pose(ROAD.ego_T_camera)
     edge = {"translation": mounting["position"], "rotation": mounting["orientation"]}
-    _put(content, "/tf_static", "tf2_msgs/msg/TFMessage", 0, {
-        "transforms": [{"header": rosbag.header(START_NS, "ego_vehicle"), "child_frame_id": "camera", "transform": edge}]
-    })  # fmt: skip
+    placed = {"header": rosbag.header(START_NS, "ego_vehicle"), "child_frame_id": "camera", "transform": edge}
+    _put(content, "/tf_static", "tf2_msgs/msg/TFMessage", 0, {"transforms": [placed]})
     _put(content, f"{BRIDGE}rgb_front/camera_info", "sensor_msgs/msg/CameraInfo", 0,
          rosbag.camera_info(START_NS, "camera", ROAD.width, ROAD.height, K))  # fmt: skip
     for k in range(FRAMES):
         stamp_ns = START_NS + k * STEP_NS
         depth_mm = images.depth_to_mm(ROAD.depth_m())
-        _put(content, f"{BRIDGE}rgb_front/image", "sensor_msgs/msg/Image", k, rosbag.image(stamp_ns, "camera", "bgr8", colours))
-        _put(content, f"{BRIDGE}depth_front/image", "sensor_msgs/msg/Image", k, rosbag.image(stamp_ns, "camera", "16UC1", depth_mm))
-        _put(content, f"{BRIDGE}semantic_segmentation_front/image", "sensor_msgs/msg/Image", k, rosbag.image(stamp_ns, "camera", "bgr8", colours))
+        _put(
+            content,
+            f"{BRIDGE}rgb_front/image",
+            "sensor_msgs/msg/Image",
+            k,
+            rosbag.image(stamp_ns, "camera", "bgr8", colours),
+        )
+        _put(
+            content,
+            f"{BRIDGE}depth_front/image",
+            "sensor_msgs/msg/Image",
+            k,
+            rosbag.image(stamp_ns, "camera", "16UC1", depth_mm),
+        )
+        _put(
+            content,
+            f"{BRIDGE}semantic_segmentation_front/image",
+            "sensor_msgs/msg/Image",
+            k,
+            rosbag.image(stamp_ns, "camera", "bgr8", colours),
+        )
         _put(content, f"{BRIDGE}lidar", "sensor_msgs/msg/PointCloud2", k, rosbag.cloud(stamp_ns, "ego_vehicle", points))
-        _put(content, f"{BRIDGE}odometry", "nav_msgs/msg/Odometry", k, rosbag.odometry(stamp_ns, "ego_vehicle", rosbag.pose(np.eye(4))))
+        _put(
+            content,
+            f"{BRIDGE}odometry",
+            "nav_msgs/msg/Odometry",
+            k,
+            rosbag.odometry(stamp_ns, "ego_vehicle", rosbag.pose(np.eye(4))),
+        )
         found = [rosbag.detection(box("car", 4, 8, 20, 20).box_px, "Car", 0.9)]
-        _put(content, f"{BRIDGE}detections", rosbag.DETECTIONS, k, {"header": rosbag.header(stamp_ns, "camera"), "detections": found})
+        _put(
+            content,
+            f"{BRIDGE}detections",
+            rosbag.DETECTIONS,
+            k,
+            {"header": rosbag.header(stamp_ns, "camera"), "detections": found},
+        )
     return content
 
 

@@ -15,8 +15,8 @@ from tests.tools import dump_writer
 
 FRAMES = (0, 1)
 NAMES = (
-    "000001", "1", "-1", "1305031102.933", "99999999999999999999", "1e5", "nan", "a", "", " ", "\x1b[31m5", "5\nINJECTED",
-    "１２", "1403636579763555584", "0001_0002", "..5", "x" * 200, "[nope]7", "[red]8",
+    "000001", "1", "-1", "1305031102.933", "99999999999999999999", "1e5", "nan", "a", "", " ", "\x1b[31m5",
+    "5\nINJECTED", "\uff11\uff12", "1403636579763555584", "0001_0002", "..5", "x" * 200, "[nope]7", "[red]8",
 )  # fmt: skip
 SUFFIXES = (".png", ".jpg", ".PNG", ".npy", ".csv", ".bin", ".ply", ".txt", "")
 
@@ -52,7 +52,9 @@ def _mounted(folder: Path) -> None:
 def _described(folder: Path) -> None:
     boxes = [{"label": "Car", "box_px": [1, 2, 8, 9], "score": 0.5}]
     dump_writer.document(folder / "detections.json", {str(number): boxes for number in FRAMES})
-    poses = {str(n): {"location": {"x": n, "y": 0, "z": 0}, "rotation": {"roll": 0, "pitch": 0, "yaw": 0}} for n in FRAMES}
+    poses = {
+        str(n): {"location": {"x": n, "y": 0, "z": 0}, "rotation": {"roll": 0, "pitch": 0, "yaw": 0}} for n in FRAMES
+    }
     dump_writer.document(folder / "poses.json", poses)
     (folder / "timestamps.txt").write_text("".join(f"{number} {number * 0.05}\n" for number in FRAMES))
 
@@ -68,7 +70,9 @@ def _listed(folder: Path) -> None:
 def _scanned(folder: Path) -> None:
     (folder / "lidar").mkdir()
     points = np.linspace(1, 9, 32, dtype="<f4").reshape(8, 4)
-    header = "ply\nformat ascii 1.0\nelement vertex 8\n" + "".join(f"property float32 {n}\n" for n in ("x", "y", "z", "I"))
+    header = "ply\nformat ascii 1.0\nelement vertex 8\n" + "".join(
+        f"property float32 {n}\n" for n in ("x", "y", "z", "I")
+    )
     rows = "".join(" ".join(f"{value:.4f}" for value in row) + "\n" for row in points)
     (folder / "lidar" / "000000.ply").write_text(f"{header}end_header\n{rows}")
     (folder / "lidar" / "000001.ply").write_text(f"{header}end_header\n{rows}")
@@ -132,7 +136,20 @@ def _content(folder: Path, choices: Choices) -> None:
     path.write_bytes(changed)
 
 
-WORDS = (b"nan", b"inf", b"-1", b"1e308", b"1e400", b"9" * 400, b"", b'"', b"x", b"\x1b[31m", b"99999999999999999999", b"\xff\xfe")
+WORDS = (
+    b"nan",
+    b"inf",
+    b"-1",
+    b"1e308",
+    b"1e400",
+    b"9" * 400,
+    b"",
+    b'"',
+    b"x",
+    b"\x1b[31m",
+    b"99999999999999999999",
+    b"\xff\xfe",
+)
 
 
 def _mutated_text(data: bytes, choices: Choices) -> bytes:
@@ -143,7 +160,9 @@ def _mutated_text(data: bytes, choices: Choices) -> bytes:
     lines = [line.replace(b",", b" , ").split() for line in data.splitlines()] or [[]]
     row = lines[choices.index("line", len(lines))]
     if how == "word" and row:
-        row[choices.index("word", len(row))] = choices.of("value", [word.decode("latin-1") for word in WORDS]).encode("latin-1")
+        row[choices.index("word", len(row))] = choices.of("value", [word.decode("latin-1") for word in WORDS]).encode(
+            "latin-1"
+        )
     elif how == "line":
         lines.append(list(row))
     elif how == "long":

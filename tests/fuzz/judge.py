@@ -72,7 +72,11 @@ def _printed(stream: str, data: bytes) -> list[str]:
     found = _CONTROL.search(text)
     if found:
         return [f"{stream}: control character {found[0]!a}"]
-    return [f"{stream}: a name begins a line of its own"] if any(l.startswith(INJECTED) for l in text.split("\n")) else []
+    return (
+        [f"{stream}: a name begins a line of its own"]
+        if any(line.startswith(INJECTED) for line in text.split("\n"))
+        else []
+    )
 
 
 def _left(ran: Ran) -> list[str]:

@@ -112,7 +112,9 @@ def _fields(owner: Any, prefix: str = "") -> Iterator[tuple[str, tuple[Any, str]
 def _set_ros(owner: Any, name: str, choices: Choices) -> None:
     value = getattr(owner, name)
     if isinstance(value, np.ndarray):
-        changed: Any = np.frombuffer(damage(value.tobytes(), choices)[: value.nbytes].ljust(value.nbytes, b"\0"), value.dtype)
+        changed: Any = np.frombuffer(
+            damage(value.tobytes(), choices)[: value.nbytes].ljust(value.nbytes, b"\0"), value.dtype
+        )
         changed = changed[: choices.of("items", (len(value), len(value), 0, len(value) // 2))]
     elif isinstance(value, list):
         changed = value * choices.of("copies", (0, 2, 50))
@@ -171,7 +173,9 @@ def _repeat(content: Content, choices: Choices) -> None:
 def _channel(content: Content, choices: Choices) -> None:
     """One of the words that describe a channel."""
     old = content.messages[_chosen(content, choices)].channel
-    word = choices.of("word", ("topic", "topic", "message_encoding", "schema_name", "schema_encoding", "schema_data", "metadata"))
+    word = choices.of(
+        "word", ("topic", "topic", "message_encoding", "schema_name", "schema_encoding", "schema_data", "metadata")
+    )
     if word == "schema_data":
         new = replace(old, schema_data=damage(old.schema_data, choices))
     elif word == "metadata":
@@ -186,13 +190,17 @@ def _channel(content: Content, choices: Choices) -> None:
 
 def _attach(content: Content, choices: Choices) -> None:
     """An attachment that the project itself writes, with other bytes; or one it does not know."""
-    name = choices.of("name", ("roadperc.toml", "roadperc.state", "roadperc.state.begin", "notes.txt", wild_text(choices)))
+    name = choices.of(
+        "name", ("roadperc.toml", "roadperc.state", "roadperc.state.begin", "notes.txt", wild_text(choices))
+    )
     known = [item for item in content.attachments if item.name == name]
     before = known[0].data if known else CONFIGURATION
     inner = choices.part("damage")
     data = mutate_toml(before, inner) if name == "roadperc.toml" else damage(before, inner)
     content.attachments = [item for item in content.attachments if item.name != name]
-    content.attachments.append(Attachment(name, wild_text(choices, "media_type"), data, wild_integer(choices, "time") % 2**64))
+    content.attachments.append(
+        Attachment(name, wild_text(choices, "media_type"), data, wild_integer(choices, "time") % 2**64)
+    )
 
 
 CONFIGURATION = b"seed = 1\n[lanes]\nhold_s = 0.5\n[surface]\nmodel = 'plane'\n"
@@ -243,7 +251,9 @@ def _detections(content: Content, choices: Choices) -> None:
 
 def _foreign(content: Content, choices: Choices) -> None:
     """A channel that nobody knows, with messages in between."""
-    channel = Channel(wild_text(choices, "topic"), wild_text(choices, "encoding"), wild_text(choices, "schema"), "ros2msg", b"x")
+    channel = Channel(
+        wild_text(choices, "topic"), wild_text(choices, "encoding"), wild_text(choices, "schema"), "ros2msg", b"x"
+    )
     at = choices.index("at", len(content.messages))
     message = Message(channel, content.messages[at].log_time_ns, wild_integer(choices) % 2**64, 0, b"\0" * 8)
     content.messages[at:at] = [message] * choices.of("copies", (1, 5))

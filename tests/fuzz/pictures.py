@@ -30,7 +30,9 @@ def mutate_picture(data: bytes, choices: Choices) -> bytes:
 def _mutate_png(data: bytes, choices: Choices) -> bytes:
     chunks = png_chunks(data)
     at = choices.index("chunk", len(chunks))
-    fault = choices.of("fault", ("zeros", "size", "size", "depth", "remove", "repeat", "move", "palette", "new", "content", "inflate"))
+    fault = choices.of(
+        "fault", ("zeros", "size", "size", "depth", "remove", "repeat", "move", "palette", "new", "content", "inflate")
+    )
     if fault == "zeros":
         side = choices.of("side", (100, 3000, 30_000))
         chunks[:] = _zeros(chunks[0][1], side)
@@ -122,7 +124,9 @@ def _mutate_jpeg(data: bytes, choices: Choices) -> bytes:
     if not segments:
         return damage(data, choices.part("damage"))
     at = choices.index("segment", len(segments))
-    fault = choices.of("fault", ("size", "size", "remove", "repeat", "length", "marker", "content", "cut", "components"))
+    fault = choices.of(
+        "fault", ("size", "size", "remove", "repeat", "length", "marker", "content", "cut", "components")
+    )
     frames = [k for k, (marker, _) in enumerate(segments) if marker in (0xC0, 0xC2)]
     if fault in ("size", "components") and frames:
         segments[frames[0]][1] = _frame_header(segments[frames[0]][1], fault, choices)

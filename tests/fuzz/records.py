@@ -167,6 +167,13 @@ def _pack_chunk(chunk: Record, fix: str) -> None:
         chunk.fields |= {name: value for name, value in right.items() if name not in chunk.held}
 
 
+_INDEXED = {
+    Opcode.CHUNK: Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT: Opcode.ATTACHMENT_INDEX,
+    Opcode.METADATA: Opcode.METADATA_INDEX,
+}
+
+
 def _place(records: list[Record]) -> None:
     """Let the indexes point where things are, as far as there are as many of them."""
     for chunk, indexes in _chunks(records):
@@ -176,7 +183,7 @@ def _place(records: list[Record]) -> None:
         places.append(at)
         at += len(record.packed())
     where = list(zip(records, places, [*places[1:], at], strict=True))
-    for kind, index in ((Opcode.CHUNK, Opcode.CHUNK_INDEX), (Opcode.ATTACHMENT, Opcode.ATTACHMENT_INDEX), (Opcode.METADATA, Opcode.METADATA_INDEX)):  # fmt: skip
+    for kind, index in _INDEXED.items():
         spans = [(start, end) for record, start, end in where if record.opcode == kind]
         for record, (start, end) in zip([r for r in records if r.opcode == index], spans, strict=False):
             _state(record, offset=start, length=end - start)

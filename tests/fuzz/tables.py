@@ -22,9 +22,17 @@ TYPES = {
 }  # fmt: skip
 VALUES: dict[str, Any] = {
     "text": "x", "float": 1.5, "half": 1.5, "integer": 7, "unsigned": 2**64 - 1, "truth": True, "list": ["a"],
-    "numbers": [math.nan], "struct": {"a": 1}, "time": 1, "bytes": b"\xff", "days": 1, "decimal": 1, "words": "x", "span": 1,
+    "numbers": [math.nan], "struct": {"a": 1}, "time": 1, "bytes": b"\xff", "days": 1, "decimal": 1, "words": "x",
+    "span": 1,
 }  # fmt: skip
-FACTS = ("roadperc.config", "roadperc.config_digest", "roadperc.version", "roadperc.log", "roadperc.source", "ARROW:schema")
+FACTS = (
+    "roadperc.config",
+    "roadperc.config_digest",
+    "roadperc.version",
+    "roadperc.log",
+    "roadperc.source",
+    "ARROW:schema",
+)
 
 POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
@@ -57,9 +65,9 @@ def mutate_table(found: pa.Table, choices: Choices) -> pa.Table:
     try:
         changed = FAULTS[choices.of("do", WEIGHTED)](found, choices)
         written(changed)
-        return changed
     except (pa.ArrowException, ValueError, TypeError, OverflowError, IndexError, KeyError):
         return found
+    return changed
 
 
 def _column(found: pa.Table, choices: Choices) -> tuple[int, str]:
@@ -134,5 +142,13 @@ def _facts(found: pa.Table, choices: Choices) -> pa.Table:
     return found.replace_schema_metadata(facts)
 
 
-FAULTS = {"value": _value, "missing": _missing, "retype": _retype, "remove": _remove, "rename": _rename, "rows": _rows, "facts": _facts}
+FAULTS = {
+    "value": _value,
+    "missing": _missing,
+    "retype": _retype,
+    "remove": _remove,
+    "rename": _rename,
+    "rows": _rows,
+    "facts": _facts,
+}
 WEIGHTED = ("value",) * 5 + ("retype",) * 3 + tuple(FAULTS)

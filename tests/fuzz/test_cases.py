@@ -6,6 +6,7 @@ import random
 from collections import Counter
 
 import pytest
+import zstandard
 
 from roadperc_stream import log
 from tests.fuzz import contents
@@ -92,8 +93,6 @@ def test_what_is_removed_from_a_log_is_put_right(tmp_path):
 
 @pytest.mark.parametrize("size", [1, 131_072, 131_073, 1_000_000])
 def test_zeros_in_a_few_bytes(size):
-    import zstandard
-
     assert zstandard.decompress(zeros_as_zstd(size)) == bytes(size)
     assert len(zeros_as_zstd(10**9)) < 40_000
 

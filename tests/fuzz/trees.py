@@ -13,8 +13,6 @@ DEPTHS = (2, 50, 1000, 100_000)
 COPIES = (2, 30, 1000)
 
 
-
-
 def places(tree: Any) -> list[tuple[Any, Any]]:
     """(container, key) of every value in a tree of dictionaries and lists."""
     return list(_places(tree))
