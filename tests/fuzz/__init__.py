@@ -12,6 +12,6 @@ choose is noted, so that a recipe repeats its case without them.
   C library, no control characters, nothing half written; ``trying.py`` adds that logs that are written are whole by
   roadperc-info and by a second reader (``validator.py``), and that a replay gives the same bytes again.
 - ``worker.py`` tries many cases one after the other, in an address space that may grow by a gigabyte (``bounds.py``);
-  ``pool.py`` kills and replaces a worker that takes more than ten seconds for a command, twice.
+  ``pool.py`` kills and replaces a worker that takes more than ten seconds of the processor for a command.
 - ``corpus/`` holds what was found, ``known.py`` what of it is not mended yet.
 """

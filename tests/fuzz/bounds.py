@@ -28,6 +28,12 @@ def limit_to(most_bytes: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (most_bytes, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
+def limit_process(most_bytes: int, most_s: int) -> None:
+    """Let this process have so much address space, and so many seconds of the processor."""
+    limit_to(most_bytes)
+    resource.setrlimit(resource.RLIMIT_CPU, (most_s, most_s))
+
+
 def lift_limit() -> None:
     """Let it have what the machine has, for work between the cases."""
     limit_to(resource.getrlimit(resource.RLIMIT_AS)[1])

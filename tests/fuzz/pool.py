@@ -11,10 +11,11 @@ import time
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tests.fuzz.judge import ROOT
-from tests.fuzz.trying import SECONDS, STARTING_S, Verdict
+from tests.fuzz.trying import SECONDS, WAITING_S, Verdict
 
 WARM_UP_S = 180.0
 ENDING_S = 10.0
@@ -26,13 +27,6 @@ class Order:
 
     case: str
     whole: bool = False
-    again: bool = False
-    """Whether it has hung once: the machine may have been busy."""
-
-    @property
-    def patience_s(self) -> float:
-        """How long one command may take."""
-        return SECONDS + (STARTING_S if self.whole else 0.0)
 
 
 class Worker:
@@ -46,8 +40,20 @@ class Worker:
             env=environment, start_new_session=True,
         )  # fmt: skip
         self.order: Order | None = None
-        self.deadline_s = time.monotonic() + WARM_UP_S
         self._buffer = b""
+        self.begin(WARM_UP_S, WARM_UP_S)
+
+    def begin(self, cpu_s: float = SECONDS, wall_s: float = WAITING_S) -> None:
+        """Something begins that may take so long."""
+        self._last_cpu_s, self._last_wall_s = self._cpu_s() + cpu_s, time.monotonic() + wall_s
+
+    def is_late(self) -> bool:
+        """Whether it takes longer; time of the processor, for others may use the machine, or far longer of the day."""
+        return self._cpu_s() > self._last_cpu_s or time.monotonic() > self._last_wall_s
+
+    def _cpu_s(self) -> float:
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text("ascii").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def fileno(self) -> int:
         """What becomes readable when it answers."""
@@ -57,7 +63,8 @@ class Worker:
     def give(self, order: Order) -> None:
         """Let it try a case."""
         assert self.process.stdin
-        self.order, self.deadline_s = order, time.monotonic() + order.patience_s
+        self.order = order
+        self.begin()
         self.process.stdin.write(json.dumps({"case": order.case, "whole": order.whole}).encode() + b"\n")
         self.process.stdin.flush()
 
@@ -97,7 +104,7 @@ def run(orders: Iterable[Order], jobs: int) -> Iterator[tuple[Order, Verdict]]:
             while workers:
                 for key, _ in selector.select(timeout=0.5):
                     yield from _heard(key.fileobj, waiting, workers, selector)  # type: ignore[arg-type]
-                for worker in [w for w in workers if time.monotonic() > w.deadline_s]:
+                for worker in [worker for worker in workers if worker.is_late()]:
                     yield from _hung(worker, waiting, workers, selector)
         finally:
             for worker in workers:
@@ -124,7 +131,7 @@ def _heard(
             yield from _died(worker, waiting, workers, selector)
             return
         if "beat" in answer and worker.order:
-            worker.deadline_s = time.monotonic() + worker.order.patience_s
+            worker.begin()
             continue
         if "broken" in answer:
             raise RuntimeError(answer["broken"])
@@ -155,12 +162,9 @@ def _hung(
     _stop(worker, workers, selector)
     if order is None:
         raise RuntimeError(f"a worker was not ready after {WARM_UP_S:.0f} s")
-    if not order.again:
-        waiting.appendleft(Order(order.case, order.whole, again=True))
     if waiting:
         _start(workers, selector)
-    if order.again:
-        yield order, _without_answer(f"hang: more than {order.patience_s:.0f} s, twice")
+    yield order, _without_answer(f"hang: more than {SECONDS:.0f} s")
 
 
 def _without_answer(fault: str) -> Verdict:

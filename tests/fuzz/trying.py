@@ -21,8 +21,11 @@ from tests.fuzz.judge import Ran, crash_of, faults, kind_of_message
 from tests.fuzz.validator import damages
 
 SECONDS = 10.0
-STARTING_S = 20.0
-"""What a process may take beside that until its libraries are imported."""
+"""Of the processor, for a command."""
+STARTING_S = 5.0
+"""Of it, until a process has imported its libraries."""
+WAITING_S = 120.0
+"""Of the day, for a command that does nothing, or on a machine that does all else."""
 EVERY_AGAIN = 8
 """Of so many replays one is repeated: it must give the same bytes."""
 Runner = Callable[[list[str], Path], Ran]
@@ -154,7 +157,7 @@ def as_process(words: list[str], folder: Path, limit_bytes: int) -> Ran:
     done = subprocess.run(
         commands.words(f"roadperc-{words[0]}", *words[1:]), cwd=folder, capture_output=True, check=False,
         env=variables | {"PYTHONPATH": os.pathsep.join(sys.path), "MALLOC_ARENA_MAX": "2"},
-        preexec_fn=partial(bounds.limit_to, limit_bytes),
+        preexec_fn=partial(bounds.limit_process, limit_bytes, int(SECONDS + STARTING_S)),
     )  # fmt: skip
     return Ran(tuple(words), done.returncode, done.stdout, done.stderr, "", _appeared(there, folder))
 
