@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from tests.conftest import DEFAULT_DATA
+from tests.fuzz import bounds
 from tests.fuzz.judge import kind_of_message
 
 PATIENCE_S = 60
@@ -30,7 +31,10 @@ def damages(log: Path) -> list[str]:
     path = program()
     if path is None:
         return []
-    done = subprocess.run(["node", path, "--json", log], capture_output=True, check=False, timeout=PATIENCE_S)
+    done = subprocess.run(
+        ["node", path, "--json", log], capture_output=True, check=False, timeout=PATIENCE_S,
+        preexec_fn=bounds.lift_limit,  # Node alone takes ten gigabytes of address space
+    )  # fmt: skip
     try:
         found = json.loads(done.stdout)
     except ValueError:
