@@ -10,7 +10,8 @@ from tests.fuzz.choices import INJECTED
 ROOT = Path(__file__).parents[2]
 SOURCES = [ROOT / name for name in ("roadperc_stream", "tools", "eval")]
 CODES = (0, 1, 2, 3)
-LONGEST_LINE = 3000
+LONGEST_LINE = 12_000
+"""Characters: a name of ten thousand may be said whole."""
 _ASIDE = re.compile(r"(note|warning): ")
 _USAGE = re.compile(r"roadperc-[a-z]+: error: ")
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029]")

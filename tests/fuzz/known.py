@@ -26,7 +26,6 @@ CORPUS: dict[str, str] = {
     "config-with-a-number-of-5000-digits": _TOML,
     "detections-20000": _SLOW,
     "dump-whose-png-makes-libpng-speak": _PRINTED,
-    "dump-with-a-line-of-10000-characters": _SHOWN,
     "escapes-in-a-schema-name": _SHOWN,
     "escapes-in-a-topic": _SHOWN,
     "escapes-in-facts": _SHOWN,

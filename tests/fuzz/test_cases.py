@@ -123,7 +123,7 @@ def ran(code=0, out=b"", err=b"", crash="", appeared=()):
         (ran(0, err=b"libpng warning: x\n"), "1 lines with exit code 0"),
         (ran(0, err=b"Traceback (most recent call last):\nValueError: x\n"), "a traceback"),
         (ran(2, err=b"usage: x\nerror: x\n"), "2 lines"),
-        (ran(1, err=b"error: " + b"x" * 5000 + b"\n"), "a line of 5007"),
+        (ran(1, err=b"error: " + b"x" * 20_000 + b"\n"), "a line of 20007"),
         (ran(out=b"a\x1b[31m\n"), "stdout: control character"),
         (ran(1, err="error: \x9b\n".encode()), "stderr: control character"),
         (ran(out=b"\xff\n"), "no UTF-8"),
