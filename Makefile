@@ -8,7 +8,7 @@ PICTURES := logs/runs/pictures
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test test-hostile mutants accuracy kills parts bench bench-report lint pages proto sample pictures docs clean
+.PHONY: demo test test-hostile mutants accuracy kills parts bench bench-report fuzz lint pages proto sample pictures docs clean
 
 $(VENV)/.installed: pyproject.toml
 	@echo "installing into $(VENV): about a minute"
@@ -38,6 +38,10 @@ SEED ?= 1
 JOBS ?= $(shell nproc)
 mutants: $(VENV)/.installed  # small faults in the code: are they noticed? A quarter of an hour, the first time a half
 	$(BIN)/python -m tests.mutants --count $(N) --seed $(SEED) --jobs $(JOBS)
+
+fuzz: N = 2000
+fuzz: $(VENV)/.installed  # inputs that are wrong in some place, to every command: make fuzz N=20000 SEED=2
+	$(BIN)/python -m tests.fuzz --count $(N) --seed $(SEED) --jobs $(JOBS)
 
 accuracy: $(VENV)/.installed
 	$(BIN)/python -m pytest -m accuracy -s

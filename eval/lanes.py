@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from roadperc_stream.core.files import real_path
 from roadperc_stream.output.terminal import console_for, print_parts
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
@@ -43,7 +44,7 @@ def print_lanes(path: Path, options: LaneOptions) -> None:
         LaneFileError: a file is not TuSimple's, or would be replaced by what it is compared with.
         RoadpercError: the log cannot be read.
     """
-    if options.target and options.truth and options.target.resolve() == options.truth.resolve():
+    if options.target and options.truth and real_path(options.target) == real_path(options.truth):
         raise LaneFileError(f"{options.target}: is the truth itself; expected another file to write")
     truth = by_key(read_frames(options.truth), options.pairing) if options.truth else {}
     source = open_lanes(path)

@@ -9,7 +9,7 @@ from typing import Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX
+from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX, real_path
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import facts_in, sidecar_path
 from roadperc_stream.schemas.record import CONTINUES_KEY, FIRST_FRAME_KEY, LOG_ID_KEY
@@ -57,7 +57,7 @@ def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
         TableError: an argument names no table, or a file is not a metrics table.
     """
     found = [path for argument in arguments for path in _tables(argument)]
-    paths = list({path.resolve(): path for path in found}.values())
+    paths = list({real_path(path): path for path in found}.values())
     runs = [open_run(path, name) for path, name in zip(paths, distinct_names(paths), strict=True)]
     return tuple(_before_next_part(run, runs) for run in runs)
 
@@ -115,7 +115,7 @@ def _whole_number(text: str) -> int:
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
     """Names without folder and suffix; where two would be the same, with as many folders as tell them apart."""
-    full = [path.resolve().with_name(path.name.removesuffix(METRICS_SUFFIX)).parts for path in paths]
+    full = [real_path(path).with_name(path.name.removesuffix(METRICS_SUFFIX)).parts for path in paths]
     depths = [1] * len(full)
     while True:
         names = ["/".join(parts[-depth:]) for parts, depth in zip(full, depths, strict=True)]

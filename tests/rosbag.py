@@ -122,6 +122,37 @@ def camera_info(stamp_ns, frame_id, width, height, K, **other):
     } | other
 
 
+def field(name, offset, datatype=7):
+    return {"name": name, "offset": offset, "datatype": datatype, "count": 1}
+
+
+def cloud(stamp_ns, frame_id, rows, padding=0, **other):
+    """sensor_msgs/msg/PointCloud2 of (H, W, 4) float32, of which the last column is padding inside a point."""
+    height, width = rows.shape[:2]
+    return {
+        "header": header(stamp_ns, frame_id),
+        "height": height,
+        "width": width,
+        "fields": [field("x", 0), field("y", 4), field("z", 8)],
+        "is_bigendian": False,
+        "point_step": 16,
+        "row_step": 16 * width + padding,
+        "data": b"".join(row.tobytes() + b"\xee" * padding for row in rows),
+        "is_dense": True,
+    } | other
+
+
+def odometry(stamp_ns, child_frame_id, pose):
+    """nav_msgs/msg/Odometry of a geometry_msgs/Pose, standing still."""
+    still = {"linear": dict.fromkeys("xyz", 0.0), "angular": dict.fromkeys("xyz", 0.0)}
+    return {
+        "header": header(stamp_ns, "map"),
+        "child_frame_id": child_frame_id,
+        "pose": {"pose": pose, "covariance": [0.0] * 36},
+        "twist": {"twist": still, "covariance": [0.0] * 36},
+    }
+
+
 def xyz(vector):
     return {"x": vector.x, "y": vector.y, "z": vector.z}
 

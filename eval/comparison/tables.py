@@ -1,7 +1,7 @@
 """Two metrics tables side by side: which frames both have, and how their columns agree."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import polars as pl
 
@@ -15,6 +15,7 @@ from .rules import Rules
 
 NOT_COMPARED = (STAMP, *TIME_COLUMNS)
 _CANDIDATE = " of the candidate"
+_PLAIN: Final = (pl.String, pl.Boolean, pl.Null)
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,14 @@ def _side(joined: pl.DataFrame, name: str) -> pl.Series:
     if name not in joined.columns:
         return pl.Series(name, [None] * joined.height, pl.Float64)
     column = joined[name]
-    return column.cast(pl.List(pl.String)).list.join("; ") if isinstance(column.dtype, pl.List) else column
+    if column.dtype in (pl.List(pl.String), pl.List(pl.Null)):
+        return column.cast(pl.List(pl.String)).list.join("; ")
+    return column if column.dtype.is_numeric() or column.dtype in _PLAIN else _as_text(column)
+
+
+def _as_text(column: pl.Series) -> pl.Series:
+    """A column of a type that no replay writes, such as a duration or a struct: not all of them can be cast."""
+    return pl.Series(column.name, [None if value is None else str(value) for value in column.to_list()], pl.String)
 
 
 def _comparable(ours: pl.Series, theirs: pl.Series) -> tuple[pl.Series, pl.Series]:

@@ -15,6 +15,8 @@ from roadperc_stream.errors import RoadpercError
 
 NOWHERE: Final = -2
 """The column of a point that is not there; any negative one is read as such."""
+FARTHEST_PX: Final = 1e9
+"""A column or row farther out is no pixel of any image, and its square might not be a number."""
 _DECIMALS: Final = 2
 
 
@@ -86,6 +88,8 @@ def _frame(text: bytes, place: str) -> LaneFrame:
     except ValidationError as error:
         raise LaneFileError(f"{place}: is not a line of TuSimple's format: {_first(error)}") from error
     _require_lengths(line.lanes, len(line.h_samples), place)
+    for name, values in (("h_samples", line.h_samples), *((f"lanes[{k}]", lane) for k, lane in enumerate(line.lanes))):
+        _require_pixels(values, f"{place}: {name}")
     lanes = tuple(_unknown_as_nan(np.array(lane, float)) for lane in line.lanes)
     return LaneFrame(line.raw_file, np.array(line.h_samples, float), lanes, line.run_time, place)
 
@@ -102,6 +106,11 @@ def _require_lengths(lanes: Sequence[Sequence[float]], rows: int, place: str) ->
     for k, lane in enumerate(lanes):
         if len(lane) != rows:
             raise LaneFileError(f"{place}: lanes[{k}] has {len(lane)} columns; expected {rows}, one for each h_sample")
+
+
+def _require_pixels(values: Sequence[float], place: str) -> None:
+    if any(not -FARTHEST_PX <= value <= FARTHEST_PX for value in values):
+        raise LaneFileError(f"{place}: expected pixels from {-FARTHEST_PX:g} to {FARTHEST_PX:g}")
 
 
 def _unknown_as_nan(lane: Float) -> Float:

@@ -16,10 +16,13 @@ from .poses import RunPoses, pose_matrices
 _POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ESTIMATED_COLUMNS: Final = tuple(f"odom_{name}" for name in _POSE)
 TRUE_COLUMNS: Final = tuple(f"true_{name}" for name in _POSE)
+FARTHEST_M: Final = 1e9
+_LENGTHS: Final = (1e-3, 1e3)
+"""Of a quaternion: of any other not even the direction is sure."""
 
 
 def read_poses(run: Run) -> RunPoses:
-    """Read a run's poses; a pose with a value that is missing or not finite is missing.
+    """Read a run's poses; one with a value that is missing, not finite or no place on Earth is missing.
 
     Raises:
         TableError: the table cannot be read, or no frame has an estimated pose.
@@ -59,5 +62,10 @@ def _columns(run: Run) -> list[pl.Expr]:
 
 def _known(rows: Float) -> NDArray[np.bool_]:
     """(N,) which of (N, 7) rows are a pose."""
-    known: NDArray[np.bool_] = np.isfinite(rows).all(axis=1) & (rows[:, 3:] != 0).any(axis=1)
+    with np.errstate(over="ignore"):  # what is too long for a number is too long
+        length = np.linalg.norm(rows[:, 3:], axis=1)
+    shortest, longest = _LENGTHS
+    known: NDArray[np.bool_] = (
+        (np.abs(rows[:, :3]) <= FARTHEST_M).all(axis=1) & (shortest <= length) & (length <= longest)
+    )
     return known

@@ -7,6 +7,7 @@ from pathlib import Path
 from roadperc_stream.cli.arguments import add_input_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings
 from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
+from roadperc_stream.core.files import real_path
 
 _EXAMPLE = """\
 example:
@@ -65,7 +66,7 @@ def _refuse_contradictions(parser: argparse.ArgumentParser, arguments: argparse.
     for key in keys:
         if keys.count(key) > 1:
             parser.error(f"argument --vary: {key} is varied twice")
-    logs = [path.resolve() for path in arguments.logs]
+    logs = [real_path(path) for path in arguments.logs]
     for path in arguments.logs:
-        if logs.count(path.resolve()) > 1:
+        if logs.count(real_path(path)) > 1:
             parser.error(f"argument IN.mcap: {path} is given twice")

@@ -61,6 +61,11 @@ def require_suffix(target: Path, *suffixes: str) -> None:
         raise TargetError(f"{target}: expected a name that ends in {' or '.join(suffixes)}")
 
 
+def real_path(path: Path) -> Path:
+    """The absolute path without links; of links that run in a circle the last one, where pathlib raises an error."""
+    return Path(os.path.realpath(path))
+
+
 @contextmanager
 def target_errors(target: Path) -> Iterator[None]:
     """What the system refuses in writing a file, as an error that names the file.

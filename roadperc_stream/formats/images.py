@@ -206,7 +206,8 @@ def depth_from_mm(depth_mm: NDArray[np.generic]) -> Float32:
 def depth_to_mm(depth_m: Float32) -> NDArray[np.uint16]:
     """16-bit millimetres of metres: unknown (NaN, not positive) becomes 0, what lies beyond the range 65535."""
     known = np.isfinite(depth_m) & (depth_m > 0) | (depth_m == np.inf)
-    millimetres = np.clip(np.where(known, depth_m, 0.0) * np.float32(1000.0), 0, DEPTH_LIMIT_MM)
+    with np.errstate(over="ignore"):  # what is too far for a number is beyond the range
+        millimetres = np.clip(np.where(known, depth_m, 0.0) * np.float32(1000.0), 0, DEPTH_LIMIT_MM)
     rounded = np.rint(millimetres).astype(np.uint16)
     rounded[known & (rounded == UNKNOWN_MM)] = 1
     return rounded

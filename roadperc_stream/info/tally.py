@@ -18,12 +18,12 @@ _MOST_KEPT: Final = 65_536
 class Intervals:
     """Times between messages: all of the first ones, then evenly thinned, so that memory is bounded."""
 
-    _kept: "array[int]" = field(default_factory=lambda: array("q"))
+    _kept: "array[int]" = field(default_factory=lambda: array("Q"))
     _stride: int = 1
     _seen: int = 0
 
     def add(self, interval_ns: int) -> None:
-        """Take one more."""
+        """Take one more; log times are 64 bits without a sign, and so are the times between them."""
         if self._seen % self._stride == 0:
             self._kept.append(interval_ns)
         self._seen += 1

@@ -195,6 +195,24 @@ def test_a_table_of_an_older_version_lacks_columns(reference, capsys):
     assert "lane_left_error_m: none → 0.1, in 40 frames" in text
 
 
+@pytest.mark.parametrize(
+    "strange",
+    [
+        pl.duration(seconds="frame"),
+        pl.struct("frame", "log_id"),
+        pl.col("log_id").cast(pl.Binary),
+        pl.concat_list("frame"),
+    ],
+)
+def test_columns_of_a_type_that_no_replay_writes(reference, capsys, strange):
+    candidate = other(reference, extra=strange)
+    assert compare(capsys, reference, candidate)[0] == 0
+    code, text, error = compare(capsys, candidate, reference, "--exact")
+    assert "extra: " in text
+    assert (code, error) == (1, "differs from the reference: extra\n")
+    assert compare(capsys, candidate, other(candidate, "c", extra=strange), "--exact")[0] == 0
+
+
 def test_frames_of_equal_stamps_stay_in_order(tmp_path, capsys):
     rows = [replace(row(k, lane_merged=k), stamp_ns=START_NS + k // 2) for k in range(6)]
     path = write(tmp_path / "a.metrics.parquet", rows)

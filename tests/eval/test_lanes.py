@@ -215,6 +215,8 @@ BAD = {
     truth_line(1, lanes=[], h_samples=[]): "h_samples is empty",
     truth_line(1, lanes=[["x"]]): "lanes.0.0",
     truth_line(1, lanes=[[float("nan")]]): "lanes.0.0",
+    truth_line(1, lanes=[[10**400] * len(ROWS)]): "lanes[0]: expected pixels from -1e+09 to 1e+09",
+    truth_line(1, lanes=[], h_samples=[1e300]): "h_samples: expected pixels",
     truth_line(1, raw_file=3): "raw_file: Input should be a valid string",
     truth_line(1, raw_file="clips/20_a.jpg"): "unknown raw_file 'clips/20_a.jpg'; expected a frame's stamp in ns",
     truth_line(STAMPS_NS[0]): "again, after",

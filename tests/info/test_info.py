@@ -73,6 +73,11 @@ def test_a_huge_gap_and_times_beyond_any_date(tmp_path, capsys):
     assert "9223372036.9" in out.replace("\n", "")
 
 
+def test_a_gap_of_more_than_63_bits(tmp_path):
+    found = facts_of(write(tmp_path / "a.mcap", [0, 2**64 - 1], stamps=[1] * 2)).channels[0]
+    assert found.longest_gap_s == pytest.approx((2**64 - 1) / 1e9)
+
+
 @pytest.mark.parametrize("options", WRITERS.values(), ids=WRITERS)
 def test_logs_of_other_writers(tmp_path, options):
     facts = facts_of(write(tmp_path / "a.mcap", list(range(1, 41)), **options))

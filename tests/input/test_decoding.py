@@ -127,6 +127,10 @@ def test_depth_comes_back_and_saturates():
     np.testing.assert_allclose(back, [[np.nan, 0.001, 1.234, 65.5, 65.535, 65.535, np.nan]], rtol=1e-6)
 
 
+def test_depth_beyond_any_number_of_millimetres_is_beyond_the_range():
+    np.testing.assert_array_equal(images.depth_to_mm(np.array([[3e38, -3e38]], np.float32)), [[65535, 0]])
+
+
 def test_set_stamp_keeps_nanoseconds():
     message = pb.Detections()
     set_stamp(message, STAMP + 123_456_789)

@@ -98,13 +98,7 @@ def of_objects(topic, data):
         return "tf2_msgs/msg/TFMessage", {"transforms": edges}
     pose = PoseInFrame.FromString(data)
     inner = {"position": rosbag.xyz(pose.pose.position), "orientation": rosbag.xyzw(pose.pose.orientation)}
-    still = {"linear": dict.fromkeys("xyz", 0.0), "angular": dict.fromkeys("xyz", 0.0)}
-    return "nav_msgs/msg/Odometry", {
-        "header": rosbag.header(stamp_ns(pose.timestamp), "map"),
-        "child_frame_id": "ego_vehicle",
-        "pose": {"pose": inner, "covariance": [0.0] * 36},
-        "twist": {"twist": still, "covariance": [0.0] * 36},
-    }
+    return "nav_msgs/msg/Odometry", rosbag.odometry(stamp_ns(pose.timestamp), "ego_vehicle", inner)
 
 
 def transform(edge):

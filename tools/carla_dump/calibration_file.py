@@ -16,6 +16,7 @@ from .json_files import Document, Numbers3, Numbers4, checked, read_json
 
 Positive = Annotated[float, Field(gt=0.0)]
 FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]
+Pixels = Annotated[PositiveInt, Field(le=1_000_000)]
 _HALF_PIXEL = 0.5
 _ROUNDING_PX = 1e-9
 """What a decomposition leaves of a skew that is none."""
@@ -26,8 +27,8 @@ _FOCAL_DIGITS = 9
 class Intrinsics(Document):
     """A camera's size and either K or its horizontal field of view."""
 
-    width: PositiveInt | None = None
-    height: PositiveInt | None = None
+    width: Pixels | None = None
+    height: Pixels | None = None
     K: tuple[Numbers3, Numbers3, Numbers3] | None = None
     fov_deg: FieldOfView | None = Field(None, validation_alias=AliasChoices("fov_deg", "fov"))
 

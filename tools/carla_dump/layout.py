@@ -7,6 +7,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Final
 
+from roadperc_stream.core.files import real_path
 from roadperc_stream.errors import DumpError
 
 from .json_files import frame_number
@@ -68,8 +69,8 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
     """
     entries = _entries(dump)
     notes: list[str] = []
-    taken = {path.resolve() for path in overrides.values()}
-    free = [e for e in entries if e.resolve() not in taken and role_of(e.name) not in overrides]
+    taken = {real_path(path) for path in overrides.values()}
+    free = [e for e in entries if real_path(e) not in taken and role_of(e.name) not in overrides]
     candidates = [sensor for sensor in _candidates(free, notes) if sensor.role not in overrides]
     documents = {kind: path for kind in _DOCUMENTS if (path := _document(dump, kind, overrides))}
     candidates += [

@@ -51,6 +51,13 @@ def test_a_quaternion_of_zeros_is_no_pose(tmp_path):
     assert (found.true_frames, len(found.true)) == (5, 5)
 
 
+@pytest.mark.parametrize(("column", "value"), [("true_x_m", 1e300), ("true_qy", -1e308), ("true_qw", np.inf)])
+def test_a_place_or_a_turn_beyond_any_is_no_pose(tmp_path, column, value):
+    holes = {column: with_hole(columns("true", TRUE)[column], 2, value)}
+    found = read(write_run(tmp_path / "drive.metrics.parquet", ESTIMATED, TRUE, **holes))
+    assert (found.true_frames, len(found.true)) == (5, 5)
+
+
 @pytest.mark.parametrize("true", [{}, {"true_x_m": [None] * 6}])
 def test_without_truth_all_estimates_are_there(tmp_path, true):
     found = read(write_run(tmp_path / "drive.metrics.parquet", ESTIMATED, TRUE if true else None, **true))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from google.protobuf.json_format import MessageToDict
 
 from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
@@ -16,6 +15,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
+from tests import foxglove_json
 from tests.analytic import Road
 
 STAMP = 1_700_000_000_123_456_789
@@ -69,19 +69,7 @@ KINDS = {key: "tags" if "tag" in key else kind_of(key) for key in MESSAGES}
 
 def as_json(name, data):
     """The message in Foxglove's JSON, with one field that nobody knows."""
-    said = MessageToDict(TYPES[name].FromString(data), preserving_proto_field_name=True)
-    return json.dumps(with_times(said) | {"unknown_to_all": {"sec": "?"}}).encode()
-
-
-def with_times(value):
-    if isinstance(value, list):
-        return [with_times(item) for item in value]
-    if isinstance(value, dict):
-        return {
-            key: {"sec": STAMP // 10**9, "nsec": STAMP % 10**9} if key == "timestamp" else with_times(item)
-            for key, item in value.items()
-        }
-    return value
+    return foxglove_json.as_json(TYPES[name].FromString(data), unknown_to_all={"sec": "?"})
 
 
 def numbers(payload):

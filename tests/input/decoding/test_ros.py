@@ -226,24 +226,8 @@ def test_a_camera_info_of_another_image_is_named(other, words):
         read("calibration", INFO, info(**other))
 
 
-def field(name, offset, datatype=7):
-    return {"name": name, "offset": offset, "datatype": datatype, "count": 1}
-
-
 def cloud(rows, padding=0, **other):
-    """PointCloud2 of (H, W, 4) float32, of which the last column is padding inside a point."""
-    height, width = rows.shape[:2]
-    return {
-        "header": rosbag.header(STAMP, "lidar"),
-        "height": height,
-        "width": width,
-        "fields": [field("x", 0), field("y", 4), field("z", 8)],
-        "is_bigendian": False,
-        "point_step": 16,
-        "row_step": 16 * width + padding,
-        "data": b"".join(row.tobytes() + b"\xee" * padding for row in rows),
-        "is_dense": True,
-    } | other
+    return rosbag.cloud(STAMP, "lidar", rows, padding, **other)
 
 
 def test_points_come_through_row_by_row():
@@ -256,7 +240,7 @@ def test_points_come_through_row_by_row():
 
 def test_points_of_whole_numbers_keep_their_sign():
     rows = np.array([[[-1, 2, 3, 4]]], np.int32)
-    fields = [field("x", 0, 5), field("y", 4, 6), field("z", 8, 5)]
+    fields = [rosbag.field("x", 0, 5), rosbag.field("y", 4, 6), rosbag.field("z", 8, 5)]
     np.testing.assert_array_equal(read("points", CLOUD, cloud(rows, fields=fields)).payload.points_m, [[-1, 2, 3]])
 
 
@@ -266,8 +250,8 @@ def test_points_of_whole_numbers_keep_their_sign():
         ({"is_bigendian": True}, "big-endian"),
         ({"row_step": 20}, "with row step 20: expected 96 bytes, found 96"),
         ({"height": 3}, "expected 144 bytes, found 96"),
-        ({"fields": [field("x", 0), field("z", 8)]}, "expected x, y and z"),
-        ({"fields": [field("x", 0, 99), field("y", 4), field("z", 8)]}, "field x: type 0"),
+        ({"fields": [rosbag.field("x", 0), rosbag.field("z", 8)]}, "expected x, y and z"),
+        ({"fields": [rosbag.field("x", 0, 99), rosbag.field("y", 4), rosbag.field("z", 8)]}, "field x: type 0"),
     ],
     ids=["big endian", "step", "height", "no y", "type"],
 )

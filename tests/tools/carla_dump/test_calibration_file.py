@@ -70,6 +70,7 @@ P = [[640, 0, 640, 0], [0, 640, 480, 0], [0, 0, 1, 0]]
         ({"fov": 0}, "fov.*greater than 0"),
         ({"width": -4}, "width"),
         ({"width": "wide"}, "width: .*'wide'"),
+        ({"width": 10**400}, "width: .*1000000"),
         ({"pixel_origin": "middle"}, "pixel_origin"),
         ({"mounting": {"rgb": {"z": 1.5, "hight": 2}}}, r"mounting\.rgb\.hight"),
         ({"mounting": {"rgb": {"x": 1.5}}}, r"mounting\.rgb\.z: Field required"),

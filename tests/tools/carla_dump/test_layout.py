@@ -108,6 +108,12 @@ def test_a_single_file_of_a_role_option_is_its_own_frame(tmp_path):
     assert frames(find_layout(tmp_path, {"lidar": scan.rename(scan.with_name("scan.ply"))}), "lidar") == [0]
 
 
+def test_links_in_a_circle_are_no_files(tmp_path):
+    (plain_dump(tmp_path) / "poses.json").symlink_to("poses.json")
+    (tmp_path / "lidar").symlink_to("lidar")
+    assert set(find_layout(tmp_path, {}).sensors) == {"image", "depth", "segmentation"}
+
+
 def test_files_without_a_number_are_mentioned(tmp_path):
     plain_dump(tmp_path)
     png(tmp_path / "rgb" / "thumbnail.png", camera_pixels())

@@ -1,0 +1,92 @@
+"""What a case is made of: every choice is given by a recipe or drawn from a seed, and noted either way."""
+
+import random
+from collections.abc import Sequence
+from typing import Any
+
+INTEGERS = (
+    0, 1, 2, 3, 7, 8, 31, 127, 128, 255, 256, 4095, 32767, 32768, 65535, 65536, 10**6, 2**24, 2**31 - 1, 2**31,
+    2**32 - 1, 2**32, 10**10, 2**53, 2**63 - 1, 2**63, 2**64 - 1, -1, -2, -32768, -(2**31), -(2**63),
+)  # fmt: skip
+FLOATS = (
+    float("nan"), float("inf"), float("-inf"), 0.0, -0.0, 1.0, -1.0, 0.5, 1e-9, 5e-324, 1e9, 1e18, 1e30, 3e38, 1e300,
+    1e308, -1e308, 1.7976931348623157e308, -1e-300, 4294967296.0, 1e5, 32.0, 24.0, 1e-3,
+)  # fmt: skip
+INJECTED = "INJECTED"
+"""No line of what a command prints may begin with it: it stands behind a newline in a name."""
+TEXTS = (
+    "", " ", "\n", "\r", "\t", "\x00", "/a/b", "/", "../x", "ego", "camera", "map", "png", "jpeg", "rgb8", "bgra8",
+    "16UC1", "32FC1", "mono16", "bayer_rggb8", "zstd", "lz4", "protobuf", "cdr", "json", "nan", "None", "auto",
+    "0.9.15",
+    "\x1b[31mred\x1b[0m", "\x1b]0;title\x07", "\x9b2J", f"/a\n{INJECTED}", f"/a\r{INJECTED}", f"/a\u2028{INJECTED}",
+    "\u202etxt", "[bold]b[/bold]", "[/nope]", "[red", "%s%d%n", "{0}{x}", "äöü", "\U0001f600", "x" * 300,
+    "y" * 20_000, "C:\\a", "'; --", '"', "\\", "<script>alert(1)</script>", "/camera/front/image", "/tf",
+)  # fmt: skip
+
+
+class Choices:
+    """Named choices, in a tree that can be written as JSON.
+
+    Args:
+        given: choices of a recipe; those it lacks are drawn.
+        numbers: what is drawn from.
+    """
+
+    def __init__(self, given: dict[str, Any] | None = None, numbers: random.Random | None = None) -> None:
+        self._given = given or {}
+        self._is_given = given is not None
+        self._numbers = numbers or random.Random(0)
+        self.made: dict[str, Any] = {}
+
+    def of(self, name: str, options: Sequence[Any]) -> Any:
+        """One of the options, all of them as likely."""
+        return self._noted(name, lambda: self._numbers.choice(options))
+
+    def number(self, name: str, low: int, high: int) -> int:
+        """A whole number from `low` to `high`."""
+        return int(self._noted(name, lambda: self._numbers.randint(low, high)))
+
+    def share(self, name: str) -> float:
+        """A number from 0 up to 1, such as the place of a byte in a file."""
+        return float(self._noted(name, lambda: round(self._numbers.random(), 6)))
+
+    def index(self, name: str, count: int) -> int:
+        """The place of one of `count` things; given ones hold for any count."""
+        return int(self._noted(name, lambda: self._numbers.randrange(count))) % count
+
+    def chance(self, name: str, probability: float) -> bool:
+        """Whether something is done."""
+        return bool(self._noted(name, lambda: self._numbers.random() < probability))
+
+    def part(self, name: str) -> "Choices":
+        """Choices of their own below a name."""
+        inner = Choices(self._given.get(name), self._numbers)
+        self.made[name] = inner.made
+        return inner
+
+    def parts(self, name: str, most: int) -> "list[Choices]":
+        """A list of choices of their own: the recipe's, which is empty where it names none, else up to `most`."""
+        given = self._given.get(name, []) if self._is_given else [None] * self._numbers.randint(0, most)
+        inner = [Choices(item, self._numbers) for item in given]
+        self.made[name] = [item.made for item in inner]
+        return inner
+
+    def _noted(self, name: str, draw: Any) -> Any:
+        assert name not in self.made, f"{name} is chosen twice: a recipe could not repeat that"
+        self.made[name] = self._given[name] if name in self._given else draw()
+        return self.made[name]
+
+
+def wild_integer(choices: Choices, name: str = "value") -> int:
+    """A number at a border, or any."""
+    return int(choices.of(name, INTEGERS))
+
+
+def wild_float(choices: Choices, name: str = "value") -> float:
+    """A number that few expect."""
+    return float(choices.of(name, FLOATS))
+
+
+def wild_text(choices: Choices, name: str = "value") -> str:
+    """A text that few expect."""
+    return str(choices.of(name, TEXTS))

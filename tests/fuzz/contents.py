@@ -1,0 +1,274 @@
+"""What logs hold before they are damaged: tiny drives in every role and every schema that is read."""
+
+import io
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.message import Message as ProtobufMessage
+from mcap.writer import Writer
+
+from roadperc_stream import log
+from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.core.geometry import transform
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.formats import images
+from roadperc_stream.log import Attachment, Channel, Message, Metadata
+from roadperc_stream.output import encoding
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
+from roadperc_stream.schemas.roles import ROLES
+from tests import foxglove_json, logs, rosbag
+from tests.analytic import STEP_NS, Road, box
+from tests.info.odd import WRITERS as ODD_WRITERS
+from tests.logs import START_NS, Item
+
+FRAMES = 2
+RESULT_FRAMES = 4
+"""Of the drive with results: a trajectory wants three."""
+ROAD = Road(width=32, height=24)
+TYPES: dict[str, type[ProtobufMessage]] = MESSAGE_TYPES | {"foxglove.RawImage": RawImage}
+CHUNK_BYTES = 6000
+WRITERS = {"lz4 and every CRC": {"enable_data_crcs": True}, **ODD_WRITERS}
+BRIDGE = "/carla/ego_vehicle/"
+
+
+@dataclass
+class Content:
+    """What a log holds: lists that may be changed."""
+
+    messages: list[Message] = field(default_factory=list)
+    attachments: list[Attachment] = field(default_factory=list)
+    metadata: list[Metadata] = field(default_factory=list)
+    profile: str = ""
+
+    def copied(self) -> "Content":
+        """The same in lists of its own."""
+        return Content(list(self.messages), list(self.attachments), list(self.metadata), self.profile)
+
+    def channels(self) -> list[Channel]:
+        """Every channel that has messages, in the order of their first ones."""
+        return list(dict.fromkeys(message.channel for message in self.messages))
+
+
+def encoded(content: Content, writer_name: str) -> bytes:
+    """The bytes of a log as one of several kinds of writer leaves it."""
+    stream = io.BytesIO()
+    writer = Writer(stream, **({"chunk_size": CHUNK_BYTES} | WRITERS[writer_name]))
+    writer.start(profile=content.profile)
+    ids: dict[Channel, int] = {}
+    for message in content.messages:
+        if message.channel not in ids:
+            ids[message.channel] = _registered(writer, message.channel)
+        times = {"log_time": message.log_time_ns, "publish_time": message.publish_time_ns}
+        writer.add_message(ids[message.channel], data=message.data, sequence=message.sequence, **times)
+    for item in content.attachments:
+        writer.add_attachment(item.create_time_ns, item.log_time_ns, item.name, item.media_type, item.data)
+    for record in content.metadata:
+        writer.add_metadata(record.name, dict(record.values))
+    writer.finish()
+    return stream.getvalue()
+
+
+def _registered(writer: Writer, channel: Channel) -> int:
+    schema_id = 0
+    if channel.schema_name:
+        schema_id = writer.register_schema(channel.schema_name, channel.schema_encoding, channel.schema_data)
+    return writer.register_channel(channel.topic, channel.message_encoding, schema_id, dict(channel.metadata))
+
+
+def read(path: Path) -> Content:
+    """What a whole log holds."""
+    summary = log.summarise(path)
+    return Content(list(log.read(path)), list(summary.attachments), list(summary.metadata), summary.profile)
+
+
+def _of_items(items: list[Item]) -> Content:
+    return Content(
+        [
+            Message(logs.channel(item.role, item.topic), item.stamp_ns, item.stamp_ns, sequence, item.data)
+            for sequence, item in enumerate(items)
+        ]
+    )
+
+
+def drive(frames: int = FRAMES) -> Content:
+    """Foxglove's and the project's own messages, as roadperc-convert writes them; images as JPEG."""
+    grey = images.encode_jpeg(np.repeat(ROAD.tags()[..., None] * 10, 3, axis=2), 90)
+    found = [
+        replace(item, data=encoding.encode_image(item.stamp_ns, "camera", "jpeg", grey))
+        if item.role == "image"
+        else item
+        for item in logs.items(frames, ROAD)
+    ]
+    return _of_items([*found, *(_pose(k) for k in range(frames))])
+
+
+def _pose(k: int) -> Item:
+    pose = np.eye(4)
+    pose[0, 3] = k
+    stamp_ns = START_NS + k * STEP_NS
+    return Item("truth_pose", stamp_ns, encoding.encode_pose(stamp_ns, "map", pose))
+
+
+def truth() -> Content:
+    """A drive that carries its truth: what a replay of it found."""
+    content = drive()
+    for message in replayed().messages:
+        role = {f"/perception/{name}": f"truth_{name}" for name in ("surface", "lanes", "objects")}.get(
+            message.channel.topic
+        )
+        if role and message.log_time_ns < START_NS + FRAMES * STEP_NS:
+            content.messages.append(replace(message, channel=logs.channel(role)))
+    for message in list(content.messages):
+        role = {ROLES[name].topic: f"truth_{name}" for name in ("depth", "segmentation")}.get(message.channel.topic)
+        if role:
+            content.messages.append(replace(message, channel=logs.channel(role)))
+    return content
+
+
+def pair() -> Content:
+    """Two cameras side by side and a lidar, without other depth."""
+    roles = ("calibration", "tf", "segmentation")
+    items = [item for item in logs.items(FRAMES, ROAD) if item.role in (*roles, "image")]
+    right = replace(ROAD.camera, frame_id="right", baseline_m=0.5)
+    items.append(Item("right_calibration", START_NS, encoding.encode_calibration(START_NS, right)))
+    points_m = transform(ROAD.ego_T_camera, ROAD.ground()[0].reshape(-1, 3)[::3]).astype(np.float32)
+    for k in range(FRAMES):
+        stamp_ns = START_NS + k * STEP_NS
+        noise = np.random.default_rng(k).integers(0, 255, (ROAD.height, ROAD.width), np.uint8)
+        picture = encoding.encode_image(stamp_ns, "right", "png", cv2.imencode(".png", noise)[1].tobytes())
+        items.append(Item("right", stamp_ns, picture))
+        items.append(
+            Item("lidar", stamp_ns, encoding.encode_points(stamp_ns, "ego", points_m[np.isfinite(points_m).all(1)]))
+        )
+    return _of_items(items)
+
+
+def raw() -> Content:
+    """Pictures that are not compressed."""
+    content, made = drive(), {}
+    pixels = {
+        "image": ("bgr8", np.repeat(ROAD.tags()[..., None] * 10, 3, axis=2)),
+        "depth": ("32FC1", np.nan_to_num(ROAD.depth_m()).astype("<f4")),
+        "segmentation": ("mono8", ROAD.tags()),
+    }
+    for role, (name, array) in pixels.items():
+        row_bytes = array[0].nbytes
+        made[ROLES[role].topic] = RawImage(
+            frame_id="camera", width=ROAD.width, height=ROAD.height, encoding=name, step=row_bytes, data=array.tobytes()
+        )
+    for k, message in enumerate(content.messages):
+        if message.channel.topic in made:
+            picture = made[message.channel.topic]
+            set_stamp(picture, message.log_time_ns)
+            # Foxglove's definition of compressed images stands for theirs: it is not read.
+            channel = replace(message.channel, schema_name="foxglove.RawImage", message_encoding="protobuf")
+            content.messages[k] = replace(message, channel=channel, data=picture.SerializeToString())
+    return content
+
+
+def as_json() -> Content:
+    """What of the drive Foxglove's JSON has a form for; own messages and depth stay as they are."""
+    content = raw()
+    for k, message in enumerate(content.messages):
+        name = message.channel.schema_name
+        if name.startswith("foxglove."):
+            channel = replace(message.channel, message_encoding="json", schema_encoding="jsonschema", schema_data=b"{}")
+            text = foxglove_json.as_json(TYPES[name].FromString(message.data))
+            content.messages[k] = replace(message, channel=channel, data=text)
+    return content
+
+
+def bag() -> Content:
+    """A ROS 2 bag of CARLA's bridge."""
+    K = ROAD.camera.K.ravel().tolist()
+    colours = np.array(TABLE.colours, np.uint8)[ROAD.tags()][..., ::-1]
+    points = np.zeros((1, 64, 4), np.float32)
+    points[0, :, 0] = np.linspace(3, 30, 64)
+    content = Content(profile="ros2")
+    mounting = rosbag.pose(ROAD.ego_T_camera)
+    edge = {"translation": mounting["position"], "rotation": mounting["orientation"]}
+    placed = {"header": rosbag.header(START_NS, "ego_vehicle"), "child_frame_id": "camera", "transform": edge}
+    _put(content, "/tf_static", "tf2_msgs/msg/TFMessage", 0, {"transforms": [placed]})
+    _put(content, f"{BRIDGE}rgb_front/camera_info", "sensor_msgs/msg/CameraInfo", 0,
+         rosbag.camera_info(START_NS, "camera", ROAD.width, ROAD.height, K))  # fmt: skip
+    for k in range(FRAMES):
+        stamp_ns = START_NS + k * STEP_NS
+        depth_mm = images.depth_to_mm(ROAD.depth_m())
+        _put(
+            content,
+            f"{BRIDGE}rgb_front/image",
+            "sensor_msgs/msg/Image",
+            k,
+            rosbag.image(stamp_ns, "camera", "bgr8", colours),
+        )
+        _put(
+            content,
+            f"{BRIDGE}depth_front/image",
+            "sensor_msgs/msg/Image",
+            k,
+            rosbag.image(stamp_ns, "camera", "16UC1", depth_mm),
+        )
+        _put(
+            content,
+            f"{BRIDGE}semantic_segmentation_front/image",
+            "sensor_msgs/msg/Image",
+            k,
+            rosbag.image(stamp_ns, "camera", "bgr8", colours),
+        )
+        _put(content, f"{BRIDGE}lidar", "sensor_msgs/msg/PointCloud2", k, rosbag.cloud(stamp_ns, "ego_vehicle", points))
+        _put(
+            content,
+            f"{BRIDGE}odometry",
+            "nav_msgs/msg/Odometry",
+            k,
+            rosbag.odometry(stamp_ns, "ego_vehicle", rosbag.pose(np.eye(4))),
+        )
+        found = [rosbag.detection(box("car", 4, 8, 20, 20).box_px, "Car", 0.9)]
+        _put(
+            content,
+            f"{BRIDGE}detections",
+            rosbag.DETECTIONS,
+            k,
+            {"header": rosbag.header(stamp_ns, "camera"), "detections": found},
+        )
+    return content
+
+
+def _put(content: Content, topic: str, name: str, k: int, message: dict) -> None:
+    channel = Channel(topic, "cdr", name, "ros2msg", rosbag.definition_of(name).encode())
+    time_ns = START_NS + k * STEP_NS
+    content.messages.append(Message(channel, time_ns, time_ns, k, rosbag.serialised(name, message)))
+
+
+@cache
+def results() -> dict[str, bytes]:
+    """The files of a replay of the drive, by name: out.mcap and its tables."""
+    with TemporaryDirectory() as folder:
+        source, target = Path(folder, "in.mcap"), Path(folder, "out.mcap")
+        source.write_bytes(encoded(drive(RESULT_FRAMES), "zstd"))
+        if replay_main([str(source), str(target), "--quiet", "--overlay"]):
+            raise RuntimeError("the drive cannot be replayed")
+        files = [target, sidecar_path(target, "metrics"), sidecar_path(target, "objects")]
+        return {path.name: path.read_bytes() for path in files}
+
+
+@cache
+def replayed() -> Content:
+    """A log with results."""
+    with TemporaryDirectory() as folder:
+        target = Path(folder, "out.mcap")
+        target.write_bytes(results()["out.mcap"])
+        return read(target)
+
+
+BASES: dict[str, Callable[[], Content]] = {
+    "drive": cache(drive), "truth": cache(truth), "pair": cache(pair), "raw": cache(raw), "json": cache(as_json),
+    "bag": cache(bag), "result": replayed,
+}  # fmt: skip

@@ -1,0 +1,206 @@
+"""Folders of frames for roadperc-convert, with one thing wrong."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tests.fuzz.choices import Choices
+from tests.fuzz.octets import damage
+from tests.fuzz.pictures import mutate_picture
+from tests.fuzz.trees import mutate_json
+from tests.tools import dump_writer
+
+FRAMES = (0, 1)
+NAMES = (
+    "000001", "1", "-1", "1305031102.933", "99999999999999999999", "1e5", "nan", "a", "", " ", "\x1b[31m5",
+    "5\nINJECTED", "\uff11\uff12", "1403636579763555584", "0001_0002", "..5", "x" * 200, "[nope]7", "[red]8",
+)  # fmt: skip
+SUFFIXES = (".png", ".jpg", ".PNG", ".npy", ".csv", ".bin", ".ply", ".txt", "")
+
+
+def write_dump(folder: Path, choices: Choices) -> None:
+    """A small dump in `folder`, of one of several kinds, with what is said beside the frames."""
+    dump_writer.plain_dump(folder, FRAMES)
+    for extra in EXTRAS[choices.of("kind", tuple(EXTRAS))]:
+        extra(folder)
+
+
+def mutate_dump(folder: Path, choices: Choices) -> None:
+    """Change one file, or its name."""
+    FAULTS[choices.of("do", WEIGHTED)](folder, choices)
+
+
+def _right(folder: Path) -> None:
+    for number in FRAMES:
+        dump_writer.png(folder / "right" / f"{number:06d}.png", dump_writer.camera_pixels(number))
+    _say(folder, baseline_m=0.5)
+
+
+def _say(folder: Path, **more: object) -> None:
+    path = folder / "calibration.json"
+    dump_writer.document(path, json.loads(path.read_text()) | more)
+
+
+def _mounted(folder: Path) -> None:
+    place = {"x": 1.5, "y": 0.0, "z": 1.4, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
+    _say(folder, mounting={"rgb": place, "lidar": place}, K=[[8.0, 0, 7.5], [0, 8.0, 5.5], [0, 0, 1]], rate_hz=20)
+
+
+def _described(folder: Path) -> None:
+    boxes = [{"label": "Car", "box_px": [1, 2, 8, 9], "score": 0.5}]
+    dump_writer.document(folder / "detections.json", {str(number): boxes for number in FRAMES})
+    poses = {
+        str(n): {"location": {"x": n, "y": 0, "z": 0}, "rotation": {"roll": 0, "pitch": 0, "yaw": 0}} for n in FRAMES
+    }
+    dump_writer.document(folder / "poses.json", poses)
+    (folder / "timestamps.txt").write_text("".join(f"{number} {number * 0.05}\n" for number in FRAMES))
+
+
+def _listed(folder: Path) -> None:
+    (folder / "label_2").mkdir()
+    for number in FRAMES:
+        (folder / "label_2" / f"{number:06d}.txt").write_text("Car 0 0 0 1 2 8 9 1 1 1 0 0 5 0 0.9\n")
+    (folder / "poses.csv").write_text("frame,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n1,1,0,0,0,0,0\n")
+    (folder / "timestamps.csv").write_text("frame,seconds\n0,0.0\n1,0.05\n")
+
+
+def _scanned(folder: Path) -> None:
+    (folder / "lidar").mkdir()
+    points = np.linspace(1, 9, 32, dtype="<f4").reshape(8, 4)
+    header = "ply\nformat ascii 1.0\nelement vertex 8\n" + "".join(
+        f"property float32 {n}\n" for n in ("x", "y", "z", "I")
+    )
+    rows = "".join(" ".join(f"{value:.4f}" for value in row) + "\n" for row in points)
+    (folder / "lidar" / "000000.ply").write_text(f"{header}end_header\n{rows}")
+    (folder / "lidar" / "000001.ply").write_text(f"{header}end_header\n{rows}")
+
+
+def _velodyne(folder: Path) -> None:
+    (folder / "velodyne").mkdir()
+    for number in FRAMES:
+        (folder / "velodyne" / f"{number:06d}.bin").write_bytes(np.linspace(1, 9, 32, dtype="<f4").tobytes())
+
+
+def _arrays(folder: Path) -> None:
+    shutil.rmtree(folder / "depth")
+    (folder / "depth").mkdir()
+    for number in FRAMES:
+        np.save(folder / "depth" / f"{number:06d}.npy", dump_writer.depth_m().astype(np.float32))
+
+
+def _csv(folder: Path) -> None:
+    shutil.rmtree(folder / "depth")
+    (folder / "depth").mkdir()
+    for number in FRAMES:
+        np.savetxt(folder / "depth" / f"{number:06d}.csv", dump_writer.depth_m(), delimiter=",", fmt="%.3f")
+
+
+def _jpeg(folder: Path) -> None:
+    for path in (folder / "rgb").iterdir():
+        dump_writer.jpeg(path.with_suffix(".jpg"), dump_writer.camera_pixels())
+        path.unlink()
+
+
+EXTRAS: dict[str, tuple[Callable[[Path], None], ...]] = {
+    "plain": (), "pair": (_right, _described), "mounted": (_mounted, _scanned, _described), "listed": (_listed, _jpeg),
+    "arrays": (_arrays, _velodyne), "csv": (_csv, _described, _mounted),
+}  # fmt: skip
+
+
+def _files(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def _chosen(folder: Path, choices: Choices) -> Path:
+    names = _files(folder)
+    documents = [name for name in names if "/" not in name]
+    return folder / choices.of("file", documents if documents and choices.chance("document", 0.4) else names)
+
+
+def _content(folder: Path, choices: Choices) -> None:
+    path = _chosen(folder, choices)
+    if not path.is_file():  # an earlier step has renamed it
+        return
+    data = path.read_bytes()
+    if path.suffix == ".json":
+        changed = mutate_json(data, choices)
+    elif path.suffix in (".png", ".jpg"):
+        changed = mutate_picture(data, choices)
+    elif path.suffix in (".csv", ".txt", ".ply"):
+        changed = _mutated_text(data, choices)
+    else:
+        changed = damage(data, choices)
+    path.write_bytes(changed)
+
+
+WORDS = (
+    b"nan",
+    b"inf",
+    b"-1",
+    b"1e308",
+    b"1e400",
+    b"9" * 400,
+    b"",
+    b'"',
+    b"x",
+    b"\x1b[31m",
+    b"99999999999999999999",
+    b"\xff\xfe",
+)
+
+
+def _mutated_text(data: bytes, choices: Choices) -> bytes:
+    """A word or number of a text, a line too many or none, or damaged bytes."""
+    how = choices.of("how", ("word", "word", "bytes", "line", "empty", "long"))
+    if how == "bytes":
+        return damage(data, choices)
+    lines = [line.replace(b",", b" , ").split() for line in data.splitlines()] or [[]]
+    row = lines[choices.index("line", len(lines))]
+    if how == "word" and row:
+        row[choices.index("word", len(row))] = choices.of("value", [word.decode("latin-1") for word in WORDS]).encode(
+            "latin-1"
+        )
+    elif how == "line":
+        lines.append(list(row))
+    elif how == "long":
+        row.extend([b"1"] * 5000)
+    return b"" if how == "empty" else b"\n".join(b" ".join(row).replace(b" , ", b",") for row in lines)
+
+
+def _rename(folder: Path, choices: Choices) -> None:
+    path = _chosen(folder, choices)
+    name = choices.of("name", NAMES) + choices.of("suffix", (path.suffix, path.suffix, *SUFFIXES))
+    if path.is_file() and name not in ("", ".", ".."):
+        path.rename(path.with_name(name))
+
+
+def _remove(folder: Path, choices: Choices) -> None:
+    _chosen(folder, choices).unlink(missing_ok=True)
+
+
+def _copy(folder: Path, choices: Choices) -> None:
+    """A file where another kind is expected."""
+    source, target = _chosen(folder, choices), folder / choices.of("over", _files(folder))
+    if source.is_file():
+        target.write_bytes(source.read_bytes())
+
+
+def _link(folder: Path, choices: Choices) -> None:
+    path = _chosen(folder, choices)
+    if path.is_file():
+        path.unlink()
+        path.symlink_to(choices.of("to", ("missing.png", path.name, "/dev/null", ".")))
+
+
+def _folder(folder: Path, choices: Choices) -> None:
+    """A folder where a file is expected."""
+    path = _chosen(folder, choices)
+    path.unlink(missing_ok=True)
+    path.mkdir()
+
+
+FAULTS = {"content": _content, "rename": _rename, "remove": _remove, "copy": _copy, "link": _link, "folder": _folder}
+WEIGHTED = ("content",) * 9 + tuple(FAULTS)

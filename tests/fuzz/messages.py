@@ -1,0 +1,268 @@
+"""What a log holds, changed before it is written: messages, their order and times, channels, attachments."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from google.protobuf.message import DecodeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from roadperc_stream.core.datatypes import Transform
+from roadperc_stream.log import Attachment, Channel, Message, Metadata
+from roadperc_stream.output import encoding
+from roadperc_stream.schemas.definitions import types_of
+from roadperc_stream.schemas.record import TAG_TABLE_KEY
+from tests.analytic import box
+from tests.fuzz.choices import Choices, wild_float, wild_integer, wild_text
+from tests.fuzz.configurations import mutate_toml
+from tests.fuzz.contents import TYPES, Content
+from tests.fuzz.octets import damage
+from tests.fuzz.pictures import mutate_picture
+from tests.fuzz.trees import mutate_json, mutate_message
+
+LAST_NS = 2**64 - 1
+PICTURES = ("foxglove.CompressedImage", "sensor_msgs/msg/CompressedImage")
+
+
+def mutate_content(content: Content, choices: Choices) -> None:
+    """Change one thing in place."""
+    fault: Callable[[Content, Choices], None] = FAULTS[choices.of("do", WEIGHTED)]
+    if content.messages:
+        fault(content, choices)
+
+
+def _chosen(content: Content, choices: Choices) -> int:
+    """The place of a message: any channel is as likely, however many messages it has."""
+    channels = content.channels()
+    topic = choices.of("topic", [channel.topic for channel in channels])
+    places = [k for k, message in enumerate(content.messages) if message.channel.topic == topic]
+    return places[choices.index("message", len(places))] if places else 0
+
+
+def _payload(content: Content, choices: Choices) -> None:
+    """A field of a message, or of all messages of its channel."""
+    at = _chosen(content, choices)
+    changed = _mutated(content.messages[at], choices)
+    everywhere = choices.chance("everywhere", 0.3)
+    for k, message in enumerate(content.messages):
+        if k == at or (everywhere and message.channel == content.messages[at].channel):
+            content.messages[k] = replace(message, data=changed)
+
+
+def _mutated(message: Message, choices: Choices) -> bytes:
+    channel = message.channel
+    if choices.chance("bytes", 0.1):
+        return damage(message.data, choices)
+    if channel.message_encoding == "json":
+        return mutate_json(message.data, choices)
+    if channel.message_encoding == "cdr":
+        return _mutated_cdr(message, choices)
+    if channel.schema_name in TYPES:
+        return _mutated_protobuf(message, choices)
+    return damage(message.data, choices)
+
+
+def _mutated_protobuf(message: Message, choices: Choices) -> bytes:
+    try:
+        parsed = TYPES[message.channel.schema_name].FromString(message.data)
+    except DecodeError:  # an earlier step has damaged it
+        return damage(message.data, choices)
+    if message.channel.schema_name in PICTURES and choices.chance("picture", 0.6):
+        parsed.data = mutate_picture(parsed.data, choices.part("pixels"))  # type: ignore[attr-defined]
+    else:
+        mutate_message(parsed, choices)
+    return parsed.SerializeToString()
+
+
+@cache
+def _layout(name: str, definition: bytes) -> Typestore:
+    store = get_typestore(Stores.EMPTY)
+    store.register(types_of(name, definition, "ros2msg"))
+    return store
+
+
+def _mutated_cdr(message: Message, choices: Choices) -> bytes:
+    """A ROS message with one field changed; what its layout cannot hold is damaged byte by byte."""
+    channel = message.channel
+    try:
+        store = _layout(channel.schema_name, channel.schema_data)
+        parsed = store.deserialize_cdr(message.data, channel.schema_name)
+        fields = dict(_fields(parsed))
+        _set_ros(*fields[choices.of("field", list(fields))], choices)
+        return bytes(store.serialize_cdr(parsed, channel.schema_name))
+    except Exception:  # The generated code raises what it likes where a value or the bytes do not fit.
+        return damage(message.data, choices.part("otherwise"))
+
+
+def _fields(owner: Any, prefix: str = "") -> Iterator[tuple[str, tuple[Any, str]]]:
+    """Every field of a ROS message and of those in it, by its path; of many alike the first."""
+    for name, value in vars(owner).items():
+        if name.startswith("_"):
+            continue
+        yield f"{prefix}{name}", (owner, name)
+        part = value[0] if isinstance(value, list) and value else value
+        if hasattr(part, "__msgtype__"):
+            yield from _fields(part, f"{prefix}{name}.")
+
+
+def _set_ros(owner: Any, name: str, choices: Choices) -> None:
+    value = getattr(owner, name)
+    if isinstance(value, np.ndarray):
+        changed: Any = np.frombuffer(
+            damage(value.tobytes(), choices)[: value.nbytes].ljust(value.nbytes, b"\0"), value.dtype
+        )
+        changed = changed[: choices.of("items", (len(value), len(value), 0, len(value) // 2))]
+    elif isinstance(value, list):
+        changed = value * choices.of("copies", (0, 2, 50))
+    elif isinstance(value, str):
+        changed = wild_text(choices)
+    elif isinstance(value, float):
+        changed = wild_float(choices)
+    else:
+        changed = wild_integer(choices)
+    object.__setattr__(owner, name, changed)
+
+
+def _log_time(content: Content, choices: Choices) -> None:
+    """The log time of one message, or of all from there on."""
+    at, value = _chosen(content, choices), wild_integer(choices) % (LAST_NS + 1)
+    last = len(content.messages) if choices.chance("rest", 0.3) else at + 1
+    for k in range(at, last):
+        content.messages[k] = replace(content.messages[k], log_time_ns=value)
+
+
+def _shift(content: Content, choices: Choices) -> None:
+    """The log times of a channel: moved by a fixed time."""
+    topic = content.messages[_chosen(content, choices)].channel.topic
+    shift_ns = choices.of("shift_ns", (-(10**12), -(10**9), -60_000_000, 1, 10**9, 10**12, 2**62))
+    for k, message in enumerate(content.messages):
+        if message.channel.topic == topic:
+            content.messages[k] = replace(message, log_time_ns=min(max(message.log_time_ns + shift_ns, 0), LAST_NS))
+
+
+def _order(content: Content, choices: Choices) -> None:
+    """The messages in another order; their log times stay in place."""
+    times = [message.log_time_ns for message in content.messages]
+    turned = content.messages[::-1] if choices.chance("reverse", 0.5) else _rotated(content.messages, choices)
+    content.messages[:] = [replace(m, log_time_ns=t) for m, t in zip(turned, times, strict=True)]
+
+
+def _rotated(messages: list[Message], choices: Choices) -> list[Message]:
+    by = choices.index("by", len(messages))
+    return messages[by:] + messages[:by]
+
+
+def _drop(content: Content, choices: Choices) -> None:
+    del content.messages[_chosen(content, choices)]
+
+
+def _drop_channel(content: Content, choices: Choices) -> None:
+    topic = content.messages[_chosen(content, choices)].channel.topic
+    content.messages[:] = [message for message in content.messages if message.channel.topic != topic]
+
+
+def _repeat(content: Content, choices: Choices) -> None:
+    at = _chosen(content, choices)
+    content.messages[at:at] = [content.messages[at]] * choices.of("copies", (1, 3, 50))
+
+
+def _channel(content: Content, choices: Choices) -> None:
+    """One of the words that describe a channel."""
+    old = content.messages[_chosen(content, choices)].channel
+    word = choices.of(
+        "word", ("topic", "topic", "message_encoding", "schema_name", "schema_encoding", "schema_data", "metadata")
+    )
+    if word == "schema_data":
+        new = replace(old, schema_data=damage(old.schema_data, choices))
+    elif word == "metadata":
+        key = choices.of("key", ("producer", TAG_TABLE_KEY, "offered_qos_profiles", ""))
+        new = replace(old, metadata=((key, wild_text(choices)),))
+    else:
+        known = tuple(getattr(channel, word) for channel in content.channels())
+        value = choices.of("known", known) if choices.chance("of_another", 0.3) else wild_text(choices)
+        new = replace(old, **{word: value})
+    content.messages[:] = [replace(m, channel=new) if m.channel == old else m for m in content.messages]
+
+
+def _attach(content: Content, choices: Choices) -> None:
+    """An attachment that the project itself writes, with other bytes; or one it does not know."""
+    name = choices.of(
+        "name", ("roadperc.toml", "roadperc.state", "roadperc.state.begin", "notes.txt", wild_text(choices))
+    )
+    known = [item for item in content.attachments if item.name == name]
+    before = known[0].data if known else CONFIGURATION
+    inner = choices.part("damage")
+    data = mutate_toml(before, inner) if name == "roadperc.toml" else damage(before, inner)
+    content.attachments = [item for item in content.attachments if item.name != name]
+    content.attachments.append(
+        Attachment(name, wild_text(choices, "media_type"), data, wild_integer(choices, "time") % 2**64)
+    )
+
+
+CONFIGURATION = b"seed = 1\n[lanes]\nhold_s = 0.5\n[surface]\nmodel = 'plane'\n"
+
+
+def _metadata(content: Content, choices: Choices) -> None:
+    """The record that a result carries of its replay, or one of another program."""
+    known = dict(next((record.values for record in content.metadata if record.name == "roadperc"), ()))
+    keys = (*known, "digest", "version", "seed", "topic.image", "frames", "input_messages", "")
+    key = choices.of("key", keys)
+    values = known | {key: wild_text(choices) if choices.chance("text", 0.7) else str(wild_integer(choices, "number"))}
+    if choices.chance("remove", 0.2):
+        values.pop(key)
+    content.metadata = [record for record in content.metadata if record.name != "roadperc"]
+    content.metadata.append(Metadata("roadperc", tuple(values.items())))
+
+
+def _transforms(content: Content, choices: Choices) -> None:
+    """Transforms that hang together as a tree does not."""
+    kind, length = choices.of("kind", ("chain", "loop", "twice", "self", "far")), choices.of("length", (2, 30, 500))
+    names = [f"frame{k}" for k in range(length)]
+    edges = {
+        "chain": zip(["ego", *names], [*names, "camera"], strict=True),
+        "loop": zip(names, [*names[1:], names[0]], strict=True),
+        "twice": [("map", "camera"), ("ego", "camera")] * length,
+        "self": [("camera", "camera"), ("ego", "ego")],
+        "far": [("ego", "camera")],
+    }[kind]
+    matrix = np.eye(4)
+    matrix[0, 3] = choices.of("x_m", (0.0, 1e9, 1e300, math.nan))
+    first = content.messages[0]
+    channel = next((c for c in content.channels() if c.schema_name == "foxglove.FrameTransforms"), None)
+    if channel is not None:
+        data = encoding.encode_transforms(first.log_time_ns, [Transform(*edge, matrix) for edge in edges])
+        content.messages.insert(0, replace(first, channel=channel, data=data))
+
+
+def _detections(content: Content, choices: Choices) -> None:
+    """Many boxes, or odd ones, in every frame."""
+    numbers = [wild_float(choices, name) for name in ("x_min", "y_min", "x_max", "y_max", "score")]
+    count, label = choices.of("count", (1, 10, 200)), wild_text(choices, "label")
+    found = [box(label, *numbers)] * count if choices.chance("odd", 0.5) else [box("Car", 2, 3, 20, 20)] * count
+    for k, message in enumerate(content.messages):
+        if message.channel.schema_name == "roadperc.Detections":
+            data = encoding.encode_detections(message.log_time_ns, "camera", found)
+            content.messages[k] = replace(message, data=data)
+
+
+def _foreign(content: Content, choices: Choices) -> None:
+    """A channel that nobody knows, with messages in between."""
+    channel = Channel(
+        wild_text(choices, "topic"), wild_text(choices, "encoding"), wild_text(choices, "schema"), "ros2msg", b"x"
+    )
+    at = choices.index("at", len(content.messages))
+    message = Message(channel, content.messages[at].log_time_ns, wild_integer(choices) % 2**64, 0, b"\0" * 8)
+    content.messages[at:at] = [message] * choices.of("copies", (1, 5))
+
+
+FAULTS = {
+    "payload": _payload, "log_time": _log_time, "shift": _shift, "order": _order, "drop": _drop, "repeat": _repeat,
+    "drop_channel": _drop_channel, "channel": _channel, "attach": _attach, "metadata": _metadata,
+    "transforms": _transforms, "detections": _detections, "foreign": _foreign,
+}  # fmt: skip
+WEIGHTED = ("payload",) * 14 + ("channel",) * 3 + tuple(FAULTS)
+"""Mostly messages themselves: all else has fewer ways to be odd."""

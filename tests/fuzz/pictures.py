@@ -1,0 +1,176 @@
+"""PNG and JPEG files changed part by part: sizes, depths, palettes and markers, with checksums that fit or do not."""
+
+import struct
+import zlib
+
+from tests.fuzz.choices import Choices
+from tests.fuzz.octets import damage
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+SIZES = (0, 1, 2, 31, 33, 1000, 9999, 12_000, 30_000, 65_535, 2**31 - 1, 2**32 - 1)
+JPEG_SIZES = (0, 1, 31, 33, 5000, 12_000, 30_000, 65_535)
+NEW_CHUNKS = {
+    "tRNS": b"\0", "tIME": b"\0" * 7, "tEXt": b"Comment\0" + b"x" * 100, "iCCP": b"name\0\0" + b"\1" * 20,
+    "gAMA": b"\0\0\0\0", "pHYs": b"\0" * 9, "PLTE": b"\1\2\3", "acTL": b"\0\0\0\5\0\0\0\0", "eXIf": b"MM\0*\0\0\0\x08",
+    "zTXt": b"Comment\0\0" + zlib.compress(bytes(2_000_000)), "sBIT": b"\0", "XXXX": b"", "iTXt": b"", "bKGD": b"\xff",
+}  # fmt: skip
+
+
+def mutate_picture(data: bytes, choices: Choices) -> bytes:
+    """An encoded image with one fault."""
+    if choices.chance("bytes", 0.2):
+        return damage(data, choices.part("damage"))
+    if data.startswith(PNG_MAGIC):
+        return _mutate_png(data, choices)
+    if data.startswith(b"\xff\xd8"):
+        return _mutate_jpeg(data, choices)
+    return damage(data, choices.part("damage"))
+
+
+def _mutate_png(data: bytes, choices: Choices) -> bytes:
+    chunks = png_chunks(data)
+    at = choices.index("chunk", len(chunks))
+    fault = choices.of(
+        "fault", ("zeros", "size", "size", "depth", "remove", "repeat", "move", "palette", "new", "content", "inflate")
+    )
+    if fault == "zeros":
+        side = choices.of("side", (100, 3000, 30_000))
+        chunks[:] = _zeros(chunks[0][1], side)
+    elif fault == "size":
+        chunks[0][1] = _sized(chunks[0][1], choices)
+    elif fault == "depth":
+        chunks[0][1] = _with_byte(chunks[0][1], choices.of("where", (8, 9, 10, 11, 12)), choices)
+    elif fault == "remove":
+        del chunks[at]
+    elif fault == "repeat":
+        chunks.insert(at, list(chunks[at]))
+    elif fault == "move":
+        chunks.insert(choices.index("to", len(chunks)), chunks.pop(at))
+    elif fault == "palette":
+        palette = bytes(range(256)) * 3
+        chunks.insert(1, [b"PLTE", palette[: choices.of("length", (0, 1, 3, 6, 765, 768))]])
+    elif fault == "new":
+        name = choices.of("name", tuple(NEW_CHUNKS))
+        chunks.insert(choices.number("to", 1, len(chunks)), [name.encode(), NEW_CHUNKS[name]])
+    elif fault == "content":
+        chunks[at][1] = damage(chunks[at][1], choices.part("damage"))
+    else:
+        _repack(chunks, choices)
+    return png_of(chunks, fixed=choices.chance("fixed", 0.8))
+
+
+def _zeros(header: bytes, side: int) -> list[list[bytes]]:
+    """A square picture that is all there, its pixels zeros: a megabyte of them takes a kilobyte."""
+    piece = 2**20
+    count, rest = divmod(side * (side * 4 + 1), piece)  # as many as the widest kind of pixel takes
+    pieces = _deflated(piece) * count + _deflated(rest)
+    checksum = struct.pack(">HH", side * (side * 4 + 1) % 65521, 1)  # Adler-32 of zeros
+    packed = b"\x78\x9c" + pieces + b"\x03\0" + checksum
+    size = struct.pack(">II", side, side)
+    return [[b"IHDR", size + header[8:]], [b"PLTE", bytes(768)], [b"IDAT", packed], [b"IEND", b""]]
+
+
+def _deflated(count: int) -> bytes:
+    """So many zeros, compressed so that any number of such pieces may stand one behind the other."""
+    writer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return writer.compress(bytes(count)) + writer.flush(zlib.Z_FULL_FLUSH)
+
+
+def _repack(chunks: list[list[bytes]], choices: Choices) -> None:
+    """The pixels themselves damaged below their compression, or more of them than the header says."""
+    packed = b"".join(content for name, content in chunks if name == b"IDAT")
+    try:
+        pixels = zlib.decompress(packed)
+    except zlib.error:
+        return
+    more = choices.of("more", (0, 0, 1, 1000, 20_000_000))
+    changed = zlib.compress(damage(pixels, choices.part("damage")) + bytes(more))
+    chunks[:] = [chunk for chunk in chunks if chunk[0] != b"IDAT"]
+    chunks.insert(max(len(chunks) - 1, 0), [b"IDAT", changed])
+
+
+def _sized(header: bytes, choices: Choices) -> bytes:
+    size = struct.pack(">I", choices.of("size", SIZES))
+    which = choices.of("which", ("width", "height", "both"))
+    return (size if which != "height" else header[:4]) + (size if which != "width" else header[4:8]) + header[8:]
+
+
+def _with_byte(data: bytes, where: int, choices: Choices) -> bytes:
+    value = choices.of("byte", (0, 1, 2, 3, 4, 6, 7, 8, 16, 32, 255))
+    return data[:where] + bytes([value]) + data[where + 1 :]
+
+
+def png_chunks(data: bytes) -> list[list[bytes]]:
+    """[name, content] of each chunk as far as they can be read; never empty."""
+    chunks, at = [], len(PNG_MAGIC)
+    while at + 8 <= len(data):
+        (length,) = struct.unpack_from(">I", data, at)
+        chunks.append([data[at + 4 : at + 8], data[at + 8 : at + 8 + length]])
+        at += 12 + length
+    return chunks or [[b"IHDR", struct.pack(">IIBBBBB", 32, 24, 8, 0, 0, 0, 0)]]
+
+
+def png_of(chunks: list[list[bytes]], *, fixed: bool = True) -> bytes:
+    """A PNG of chunks, their checksums right or all the same."""
+    made = [PNG_MAGIC]
+    for name, content in chunks:
+        crc = zlib.crc32(name + content) if fixed else 0x12345678
+        made.append(struct.pack(">I", len(content)) + name + content + struct.pack(">I", crc))
+    return b"".join(made)
+
+
+def _mutate_jpeg(data: bytes, choices: Choices) -> bytes:
+    segments, scan = jpeg_segments(data)
+    if not segments:
+        return damage(data, choices.part("damage"))
+    at = choices.index("segment", len(segments))
+    fault = choices.of(
+        "fault", ("size", "size", "remove", "repeat", "length", "marker", "content", "cut", "components")
+    )
+    frames = [k for k, (marker, _) in enumerate(segments) if marker in (0xC0, 0xC2)]
+    if fault in ("size", "components") and frames:
+        segments[frames[0]][1] = _frame_header(segments[frames[0]][1], fault, choices)
+    elif fault == "remove":
+        del segments[at]
+    elif fault == "repeat":
+        segments[at:at] = [list(segments[at])] * choices.of("copies", (1, 100))
+    elif fault == "length":
+        return jpeg_of(segments, scan, lie=(at, choices.of("length", (0, 1, 2, 17, 65535))))
+    elif fault == "marker":
+        segments[at][0] = choices.of("marker", (0x00, 0x01, 0xC1, 0xC3, 0xC9, 0xD8, 0xD9, 0xDA, 0xE1, 0xFE, 0xFF))
+    elif fault == "content":
+        segments[at][1] = damage(segments[at][1], choices.part("damage"))
+    else:
+        scan = damage(scan, choices.part("damage"))
+    return jpeg_of(segments, scan)
+
+
+def _frame_header(content: bytes, fault: str, choices: Choices) -> bytes:
+    """Of a frame segment: precision, rows, columns, number of components, then three bytes for each."""
+    if fault == "components":
+        return _with_byte(content, choices.of("where", (0, 5, 6, 7, 8)), choices)
+    size = struct.pack(">H", choices.of("size", JPEG_SIZES))
+    which = choices.of("which", ("rows", "columns", "both"))
+    rows, columns = content[1:3], content[3:5]
+    return content[:1] + (size if which != "columns" else rows) + (size if which != "rows" else columns) + content[5:]
+
+
+def jpeg_segments(data: bytes) -> tuple[list[list], bytes]:
+    """[marker, content] of each segment up to the scan, and what follows from there."""
+    segments, at = [], 2
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker, (length,) = data[at + 1], struct.unpack_from(">H", data, at + 2)
+        segments.append([marker, data[at + 4 : at + 2 + length]])
+        at += 2 + length
+        if marker == 0xDA:
+            break
+    return segments, data[at:]
+
+
+def jpeg_of(segments: list[list], scan: bytes, lie: tuple[int, int] | None = None) -> bytes:
+    """A JPEG of segments, one of which may state another length than it has."""
+    made = [b"\xff\xd8"]
+    for k, (marker, content) in enumerate(segments):
+        length = lie[1] if lie is not None and lie[0] == k else (len(content) + 2) & 0xFFFF
+        made.append(bytes([0xFF, marker]) + struct.pack(">H", length) + content)
+    return b"".join(made) + scan

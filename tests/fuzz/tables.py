@@ -1,0 +1,154 @@
+"""A run's tables, changed: columns, values, facts in the footer, and bytes."""
+
+import io
+import math
+from functools import cache
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from roadperc_stream.schemas.columns import TIME_COLUMNS
+from tests.fuzz import contents
+from tests.fuzz.choices import FLOATS, TEXTS, Choices, wild_integer, wild_text
+from tests.fuzz.configurations import mutate_toml
+from tests.fuzz.octets import damage
+
+TYPES = {
+    "null": pa.null(), "text": pa.string(), "float": pa.float64(), "half": pa.float32(), "integer": pa.int64(),
+    "unsigned": pa.uint64(), "truth": pa.bool_(), "list": pa.list_(pa.string()), "numbers": pa.list_(pa.float64()),
+    "struct": pa.struct([("a", pa.int64())]), "time": pa.timestamp("ns"), "bytes": pa.binary(), "days": pa.date32(),
+    "decimal": pa.decimal128(38, 10), "words": pa.dictionary(pa.int32(), pa.string()), "span": pa.duration("ns"),
+}  # fmt: skip
+VALUES: dict[str, Any] = {
+    "text": "x", "float": 1.5, "half": 1.5, "integer": 7, "unsigned": 2**64 - 1, "truth": True, "list": ["a"],
+    "numbers": [math.nan], "struct": {"a": 1}, "time": 1, "bytes": b"\xff", "days": 1, "decimal": 1, "words": "x",
+    "span": 1,
+}  # fmt: skip
+FACTS = (
+    "roadperc.config",
+    "roadperc.config_digest",
+    "roadperc.version",
+    "roadperc.log",
+    "roadperc.source",
+    "ARROW:schema",
+)
+
+POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+
+
+@cache
+def table(name: str) -> pa.Table:
+    """A table of the replayed drive without what differs from run to run: times and paths."""
+    found = pq.read_table(io.BytesIO(contents.results()[f"out.{name}.parquet"]))
+    if name == "metrics":
+        fixed = {column: [10.0] * found.num_rows for column in TIME_COLUMNS}
+        # In pictures this small odometry finds nothing, and a trajectory wants poses.
+        poses = {f"odom_{part}": found[f"true_{part}"].to_pylist() for part in POSE}
+        for column, values in {**fixed, **poses, "odometry_status": ["tracked"] * found.num_rows}.items():
+            at = found.column_names.index(column)
+            found = found.set_column(at, found.field(at), pa.array(values, found.field(at).type))
+    facts = {**found.schema.metadata, b"roadperc.log": b"/runs/out.mcap", b"roadperc.source": b"/runs/in.mcap"}
+    free = pa.schema([field.with_nullable(True) for field in found.schema], facts)
+    return found.replace_schema_metadata(facts).cast(free)
+
+
+def written(changed: pa.Table) -> bytes:
+    """The bytes of a Parquet file."""
+    stream = io.BytesIO()
+    pq.write_table(changed, stream)
+    return stream.getvalue()
+
+
+def mutate_table(found: pa.Table, choices: Choices) -> pa.Table:
+    """The table with one fault; as it was where the fault does not fit it."""
+    try:
+        changed = FAULTS[choices.of("do", WEIGHTED)](found, choices)
+        written(changed)
+    except (pa.ArrowException, ValueError, TypeError, OverflowError, IndexError, KeyError):
+        return found
+    return changed
+
+
+def _column(found: pa.Table, choices: Choices) -> tuple[int, str]:
+    name = choices.of("column", found.column_names)
+    return found.column_names.index(name), name
+
+
+def _value(found: pa.Table, choices: Choices) -> pa.Table:
+    """One cell, or the whole column."""
+    at, _ = _column(found, choices)
+    kind = found.field(at).type
+    values = found.column(at).to_pylist()
+    if pa.types.is_floating(kind):
+        value: Any = choices.of("float", FLOATS)
+    elif pa.types.is_integer(kind):
+        value = wild_integer(choices, "integer")
+    elif pa.types.is_list(kind):
+        value = [choices.of("text", TEXTS)] * choices.of("copies", (0, 1, 100))
+    else:
+        value = choices.of("text", TEXTS) if pa.types.is_string(kind) else None
+    row = choices.index("row", max(len(values), 1))
+    everywhere = choices.chance("everywhere", 0.4)
+    changed = [value if everywhere or k == row else before for k, before in enumerate(values)]
+    return found.set_column(at, found.field(at), pa.array(changed, kind))
+
+
+def _missing(found: pa.Table, choices: Choices) -> pa.Table:
+    at, _ = _column(found, choices)
+    return found.set_column(at, found.field(at), pa.nulls(found.num_rows, found.field(at).type))
+
+
+def _retype(found: pa.Table, choices: Choices) -> pa.Table:
+    at, name = _column(found, choices)
+    kind = choices.of("type", tuple(TYPES))
+    if kind == "null" or choices.chance("empty", 0.2):
+        return found.set_column(at, name, pa.nulls(found.num_rows, TYPES[kind]))
+    return found.set_column(at, name, pa.array([VALUES[kind]] * found.num_rows, TYPES[kind]))
+
+
+def _remove(found: pa.Table, choices: Choices) -> pa.Table:
+    return found.remove_column(_column(found, choices)[0])
+
+
+def _rename(found: pa.Table, choices: Choices) -> pa.Table:
+    at, _ = _column(found, choices)
+    name = choices.of("to", found.column_names) if choices.chance("twice", 0.2) else wild_text(choices)
+    names = found.column_names
+    names[at] = name
+    return found.rename_columns(names)
+
+
+def _rows(found: pa.Table, choices: Choices) -> pa.Table:
+    how = choices.of("how", ("none", "one", "many", "reverse", "again"))
+    if how == "many":
+        return pa.concat_tables([found] * 300)
+    if how == "reverse":
+        return found.take(list(range(found.num_rows))[::-1])
+    return {"none": found.slice(0, 0), "one": found.slice(0, 1), "again": pa.concat_tables([found] * 2)}[how]
+
+
+def _facts(found: pa.Table, choices: Choices) -> pa.Table:
+    facts = dict(found.schema.metadata or {})
+    key = choices.of("key", FACTS).encode()
+    how = choices.of("how", ("text", "remove", "bytes", "toml"))
+    before = facts.pop(key, b"")
+    if how == "text":
+        facts[key] = wild_text(choices).encode()
+    elif how == "bytes":
+        facts[key] = damage(before, choices)
+    elif how == "toml":
+        facts[b"roadperc.config"] = mutate_toml(facts.get(b"roadperc.config", before), choices.part("toml"))
+    return found.replace_schema_metadata(facts)
+
+
+FAULTS = {
+    "value": _value,
+    "missing": _missing,
+    "retype": _retype,
+    "remove": _remove,
+    "rename": _rename,
+    "rows": _rows,
+    "facts": _facts,
+}
+WEIGHTED = ("value",) * 5 + ("retype",) * 3 + tuple(FAULTS)

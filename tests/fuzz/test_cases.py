@@ -1,0 +1,143 @@
+"""What the fuzzer makes: the same from the same name, the same from its recipe, and logs of every kind."""
+
+import hashlib
+import json
+import random
+from collections import Counter
+
+import pytest
+import zstandard
+
+from roadperc_stream import log
+from tests.fuzz import contents
+from tests.fuzz.cases import FAMILIES, WEIGHTED, Case, drawn, named, prepared, recorded
+from tests.fuzz.choices import Choices
+from tests.fuzz.judge import Ran, faults
+from tests.fuzz.known import CORPUS
+from tests.fuzz.pictures import jpeg_of, jpeg_segments, png_chunks, png_of
+from tests.fuzz.records import FIXES, put_together, taken_apart, zeros_as_zstd
+
+CASES = 60
+
+
+def made(case, folder):
+    """The command, the recipe as text, and a digest of each file."""
+    folder.mkdir()
+    words, recipe = prepared(case, folder)
+    files = {str(path.relative_to(folder)): digest(path) for path in sorted(folder.rglob("*"))}
+    return words, json.dumps(recipe), files
+
+
+def digest(path):
+    if path.is_symlink():
+        return str(path.readlink())
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "folder"
+
+
+def test_a_case_is_its_name_and_its_recipe_is_the_case(tmp_path):
+    families = Counter()
+    for k in range(CASES):
+        found = made(drawn(7, k), tmp_path / f"a{k}")
+        assert made(drawn(7, k), tmp_path / f"b{k}") == found
+        recipe = json.loads(found[1])
+        assert made(Case("another name", recipe), tmp_path / f"c{k}") == found, recipe
+        families[recipe["family"]] += 1
+    assert set(families) == set(WEIGHTED)
+    assert set(FAMILIES) == {*families, "files"}
+
+
+def test_a_recipe_may_say_less_than_a_drawn_one(tmp_path):
+    """What it does not name is as it is in a sound log."""
+    recipe = {"family": "log", "base": "drive", "writer": "zstd", "command": ["replay", "in.mcap", "out.mcap"]}
+    words, whole, _ = made(Case("short", recipe), tmp_path / "a")
+    assert (tmp_path / "a" / "in.mcap").read_bytes() == contents.encoded(contents.BASES["drive"](), "zstd")
+    assert words == recipe["command"]
+    assert json.loads(whole)["records"] == []
+
+
+def test_no_name_is_chosen_twice():
+    choices = Choices(None, random.Random(1))
+    choices.number("at", 0, 5)
+    with pytest.raises(AssertionError, match="at is chosen twice"):
+        choices.share("at")
+
+
+@pytest.mark.parametrize("name", ["1:x", "nothing of that name", "1.5:3"])
+def test_a_name_of_no_case_is_an_error(name):
+    with pytest.raises(ValueError, match="expected SEED:NUMBER"):
+        named(name)
+
+
+@pytest.mark.parametrize("writer", contents.WRITERS)
+@pytest.mark.parametrize("base", contents.BASES)
+def test_a_log_taken_apart_goes_together_again(tmp_path, base, writer):
+    """So what a case changes is all that is wrong with it, whatever is put right afterwards."""
+    content = contents.BASES[base]()
+    data = contents.encoded(content, writer)
+    for fix in FIXES:
+        assert put_together(taken_apart(data), fix) == data
+    (tmp_path / "a.mcap").write_bytes(data)
+    assert len(list(log.read(tmp_path / "a.mcap", validate_crcs=True))) == len(content.messages)
+
+
+def test_what_is_removed_from_a_log_is_put_right(tmp_path):
+    """Offsets, sizes and checksums fit again: only the statistics miss a message."""
+    records = taken_apart(contents.encoded(contents.BASES["drive"](), "lz4 and every CRC"))
+    chunk = next(record for record in records if record.inner)
+    chunk.inner = [record for record in chunk.inner if record.opcode != 5][:1] + chunk.inner[2:]
+    path = tmp_path / "a.mcap"
+    path.write_bytes(put_together(records, "everything"))
+    reread = taken_apart(path.read_bytes())
+    assert put_together(reread, "everything") == path.read_bytes()
+
+
+@pytest.mark.parametrize("size", [1, 131_072, 131_073, 1_000_000])
+def test_zeros_in_a_few_bytes(size):
+    assert zstandard.decompress(zeros_as_zstd(size)) == bytes(size)
+    assert len(zeros_as_zstd(10**9)) < 40_000
+
+
+def test_pictures_go_together_again():
+    content = contents.BASES["drive"]()
+    pictures = {m.channel.topic: contents.TYPES[m.channel.schema_name].FromString(m.data) for m in content.messages
+                if m.channel.schema_name == "foxglove.CompressedImage"}  # fmt: skip
+    png, jpeg = pictures["/camera/front/segmentation"].data, pictures["/camera/front/image"].data
+    assert png_of(png_chunks(png)) == png
+    assert jpeg_of(*jpeg_segments(jpeg)) == jpeg
+
+
+def ran(code=0, out=b"", err=b"", crash="", appeared=()):
+    return Ran(("replay", "in.mcap"), code, out, err, crash, appeared)
+
+
+@pytest.mark.parametrize(
+    ("kept", "words"),
+    [
+        (ran(err=b"note: x\nwarning: y\n", appeared=("out.mcap",)), ""),
+        (ran(1, err=b"warning: y\nerror: x\n"), ""),
+        (ran(2, err=b"usage: roadperc-replay IN\n  [--x]\nroadperc-replay: error: x\n"), ""),
+        (ran(None, crash="Traceback\n  File\nKeyError: 'x'"), "traceback: KeyError: 'x'"),
+        (ran(139), "exit code 139"),
+        (ran(1), "0 lines"),
+        (ran(1, err=b"error: x\nerror: y\n"), "2 lines"),
+        (ran(0, err=b"libpng warning: x\n"), "1 lines with exit code 0"),
+        (ran(0, err=b"Traceback (most recent call last):\nValueError: x\n"), "a traceback"),
+        (ran(2, err=b"usage: x\nerror: x\n"), "2 lines"),
+        (ran(1, err=b"error: " + b"x" * 20_000 + b"\n"), "a line of 20007"),
+        (ran(out=b"a\x1b[31m\n"), "stdout: control character"),
+        (ran(1, err="error: \x9b\n".encode()), "stderr: control character"),
+        (ran(out=b"\xff\n"), "no UTF-8"),
+        (ran(out=b"topic /a\nINJECTED\n"), "begins a line of its own"),
+        (ran(1, err=b"error: x\n", appeared=("out.mcap",)), "but it wrote: .mcap"),
+        (ran(appeared=(".out.mcap.12.partial",)), "left behind"),
+        (ran(1, err=b"error: x: Unable to allocate 3 GiB\n"), "memory: Unable to allocate"),
+    ],
+)
+def test_what_a_command_may_not_do(kept, words):
+    found = faults(kept)
+    assert bool(found) == bool(words)
+    assert words in " ".join(found)
+
+
+def test_the_corpus_names_what_is_known():
+    assert set(CORPUS) <= set(recorded())

@@ -1,0 +1,154 @@
+"""JSON, TOML and protobuf messages changed value by value."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from google.protobuf.descriptor import FieldDescriptor
+
+from tests.fuzz.choices import Choices, wild_float, wild_integer, wild_text
+from tests.fuzz.octets import damage
+
+DEPTHS = (2, 50, 1000, 100_000)
+COPIES = (2, 30, 1000)
+
+
+def places(tree: Any) -> list[tuple[Any, Any]]:
+    """(container, key) of every value in a tree of dictionaries and lists."""
+    return list(_places(tree))
+
+
+def _places(tree: Any) -> Iterator[tuple[Any, Any]]:
+    items = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    for key, value in items:
+        yield tree, key
+        yield from _places(value)
+
+
+def mutate(tree: Any, choices: Choices) -> None:
+    """Change one value of a tree of dictionaries and lists in place."""
+    found = places(tree)
+    if not found:
+        return
+    container, key = found[choices.index("place", len(found))]
+    fault = choices.of("fault", ("value", "value", "value", "remove", "rename", "copies", "nest"))
+    if fault == "value":
+        container[key] = wild_value(choices)
+    elif fault == "remove":
+        del container[key]
+    elif fault == "rename" and isinstance(container, dict):
+        container[wild_text(choices)] = container.pop(key)
+    elif fault == "copies":
+        container[key] = [container[key]] * choices.of("copies", COPIES)
+    elif fault == "nest":
+        container[key] = nested(container[key], choices.of("depth", DEPTHS[:2]))
+
+
+def nested(value: Any, depth: int) -> Any:
+    """The value in so many lists."""
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+def wild_value(choices: Choices) -> Any:
+    """A value of any type."""
+    kind = choices.of("kind", ("integer", "float", "text", "true", "null", "list", "object", "digits"))
+    if kind == "integer":
+        return wild_integer(choices)
+    if kind == "float":
+        return wild_float(choices)
+    if kind == "text":
+        return wild_text(choices)
+    if kind == "digits":
+        return 10 ** choices.of("digits", (20, 400, 4000))
+    return {"true": True, "null": None, "list": [], "object": {}}[kind]
+
+
+def mutate_json(data: bytes, choices: Choices) -> bytes:
+    """A JSON document with one value changed, one thing nested deeply, or damaged bytes."""
+    how = choices.of("how", ("value", "value", "value", "bytes", "deep"))
+    if how == "bytes":
+        return damage(data, choices)
+    if how == "deep":
+        depth, opening = choices.of("depth", DEPTHS), choices.of("opening", ("[", '{"a":'))
+        return (opening * depth + "1" + ("]" if opening == "[" else "}") * depth).encode()
+    try:
+        tree = [json.loads(data)]
+    except (ValueError, RecursionError):  # an earlier step has damaged it
+        return damage(data, choices)
+    mutate(tree, choices)
+    return json.dumps(tree[0] if tree else None).encode()
+
+
+def mutate_message(message: Any, choices: Choices) -> None:
+    """Change one field of a protobuf message in place, at any depth; a recipe names it as ``rotation.w``."""
+    fields = dict(_fields(message, "", 0))
+    path = choices.of("field", list(fields))
+    if path not in fields:
+        return
+    owner, field = fields[path]
+    if field.is_repeated:
+        _mutate_repeated(getattr(owner, field.name), field, choices)
+    elif field.message_type:
+        owner.ClearField(field.name)
+    else:
+        _set(lambda value: setattr(owner, field.name, value), getattr(owner, field.name), field, choices)
+
+
+def _fields(message: Any, prefix: str, depth: int) -> Iterator[tuple[str, tuple[Any, FieldDescriptor]]]:
+    """Every field of a message and of those in it, by its path; of many alike the first."""
+    for field in message.DESCRIPTOR.fields:
+        path = f"{prefix}{field.name}"
+        yield path, (message, field)
+        if not field.message_type or depth > 6:
+            continue
+        if field.is_repeated:
+            inner = list(getattr(message, field.name))[:1] if not field.message_type.GetOptions().map_entry else []
+        else:
+            inner = [getattr(message, field.name)] if message.HasField(field.name) else []
+        for part in inner:
+            yield from _fields(part, f"{path}.", depth + 1)
+
+
+def _mutate_repeated(values: Any, field: FieldDescriptor, choices: Choices) -> None:
+    fault = choices.of("fault", ("remove", "clear", "copies", "value", "value"))
+    if not len(values) or fault == "clear":
+        del values[:]
+    elif fault == "remove":
+        del values[choices.index("item", len(values))]
+    elif fault == "copies":
+        values.extend([values[0]] * choices.of("copies", COPIES))
+    elif not field.message_type:
+        item = choices.index("item", len(values))
+        _set(lambda value: values.__setitem__(item, value), values[item], field, choices)
+
+
+def _set(assign: Any, before: Any, field: FieldDescriptor, choices: Choices) -> None:
+    """Assign a value of the field's type; one that does not fit its width is left away."""
+    if isinstance(before, bytes):
+        value: Any = damage(before, choices.part("damage"))
+    elif isinstance(before, str):
+        value = wild_text(choices)
+    elif isinstance(before, bool):
+        value = not before
+    elif isinstance(before, float):
+        value = wild_float(choices)
+    else:
+        value = wild_integer(choices)
+    try:
+        assign(value)
+    except (ValueError, OverflowError):
+        assign(_within(value, field))
+
+
+def _within(value: int, field: FieldDescriptor) -> int:
+    bits = 64 if "64" in _TYPE_NAMES[field.type] else 32
+    signed = not _TYPE_NAMES[field.type].startswith(("UINT", "FIXED"))
+    low = value & ((1 << bits) - 1)
+    return low - (1 << bits) if signed and low >= 1 << (bits - 1) else low
+
+
+_TYPE_NAMES = {
+    number: name.removeprefix("TYPE_") for name, number in vars(FieldDescriptor).items() if name.startswith("TYPE_")
+}
