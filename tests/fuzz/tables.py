@@ -121,11 +121,13 @@ def _rename(found: pa.Table, choices: Choices) -> pa.Table:
 
 def _rows(found: pa.Table, choices: Choices) -> pa.Table:
     how = choices.of("how", ("none", "one", "many", "reverse", "again"))
-    if how == "many":
+    if how == "many" and found.num_rows <= contents.RESULT_FRAMES:
         return pa.concat_tables([found] * 300)
     if how == "reverse":
         return found.take(list(range(found.num_rows))[::-1])
-    return {"none": found.slice(0, 0), "one": found.slice(0, 1), "again": pa.concat_tables([found] * 2)}[how]
+    if how in ("many", "again"):
+        return pa.concat_tables([found] * 2)
+    return found.slice(0, 0 if how == "none" else 1)
 
 
 def _facts(found: pa.Table, choices: Choices) -> pa.Table:

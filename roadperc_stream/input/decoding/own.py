@@ -56,9 +56,9 @@ def surface(data: bytes, _: Context) -> Decoded:
     """roadperc.Surface of a truth."""
     message = SurfaceProto.FromString(data)
     normal = np.array([message.normal.x, message.normal.y, message.normal.z])
+    require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d)
     if not np.linalg.norm(normal) > 0:
         raise DecodeError("surface without a normal")
-    require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d)
     decoded = Surface(
         source="truth",
         frame_id=message.frame_id,

@@ -45,3 +45,9 @@ def test_a_height_grid_comes_back():
 def test_a_height_grid_that_is_none_is_refused(grid, words):
     with pytest.raises(DecodeError, match=f"height grid: .*{words}"):
         surface(**grid)
+
+
+def test_a_normal_beyond_any_is_refused_without_a_warning():
+    message = pb.Surface(normal=pb.Vector3(z=-1e308))
+    with pytest.raises(DecodeError, match="surface: a number is not finite in 32 bits"):
+        decode("surface", "roadperc.Surface", "protobuf", message.SerializeToString(), STAMP, Context())
