@@ -204,8 +204,6 @@ class Salvage:
             head = chunk_head(record.body)
             if not record.fault:
                 check_chunk(BytesIO(record.body), self.limits)
-        except LimitError:
-            raise
         except UNREADABLE as error:
             self._lose(record, None, Positions(), record.fault or f"{record.name}: {_in_words(error)}")
             return

@@ -13,5 +13,5 @@ choose is noted, so that a recipe repeats its case without them.
   roadperc-info and by a second reader (``validator.py``), and that a replay gives the same bytes again.
 - ``worker.py`` tries many cases one after the other, in an address space that may grow by a gigabyte (``bounds.py``);
   ``pool.py`` kills and replaces a worker that takes more than ten seconds of the processor for a command.
-- ``corpus/`` holds what was found, ``known.py`` what of it is not mended yet.
+- ``corpus/`` holds what was found.
 """

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 from tests.fuzz.cases import drawn, named, recorded
 from tests.fuzz.judge import same_kind
-from tests.fuzz.known import is_known
 from tests.fuzz.pool import Order, run
 from tests.fuzz.trying import Verdict
 
@@ -57,7 +56,6 @@ class Tally:
     unreadable: int = 0
     messages: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     faults: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
-    known: Counter[str] = field(default_factory=Counter)
     most_grown_bytes: int = 0
     longest_s: float = 0.0
 
@@ -70,10 +68,7 @@ class Tally:
             self.messages[verdict.message].append(case)
             self.unreadable += any(words in verdict.message for words in UNREADABLE)
         for fault in verdict.faults:
-            if is_known(fault):
-                self.known[same_kind(fault)] += 1
-            else:
-                self.faults[f"{verdict.command}: {same_kind(fault)}"].append(case)
+            self.faults[f"{verdict.command}: {same_kind(fault)}"].append(case)
         self.most_grown_bytes = max(self.most_grown_bytes, verdict.grown_bytes)
         self.longest_s = max(self.longest_s, verdict.seconds)
 
@@ -91,8 +86,6 @@ class Tally:
         yield f"{len(self.messages)} different messages, the most frequent:"
         frequent = sorted(self.messages.items(), key=lambda item: -len(item[1]))[:SHOWN_MESSAGES]
         yield from (f"  {len(found):5} {text}   ({found[0]})" for text, found in frequent)
-        for kind, number in self.known.most_common():
-            yield f"known: {number} {kind}"
         for kind, found in sorted(self.faults.items(), key=lambda item: -len(item[1])):
             yield f"FAULT: {len(found)} {kind}   ({' '.join(found[:SHOWN_CASES])})"
 
@@ -114,10 +107,9 @@ def main(arguments: list[str]) -> int:
 
 def report(order: Order, verdict: Verdict, *, quiet: bool) -> None:
     """Print a case that has a fault, and how to repeat it; others only where they are asked for."""
-    new = [fault for fault in verdict.faults if not is_known(fault)]
-    if new or not quiet:
+    if verdict.faults or not quiet:
         print(f"{order.case}: {verdict.line}: {verdict.codes} {verdict.message}", flush=True)
-    for fault in new:
+    for fault in verdict.faults:
         print(f"  {fault}\n  again: python -m tests.fuzz --case {order.case}{' --whole' * order.whole}")
         print(f"  recipe: {json.dumps(verdict.recipe)}", flush=True)
 

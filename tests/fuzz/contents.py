@@ -85,7 +85,7 @@ def _registered(writer: Writer, channel: Channel) -> int:
 def read(path: Path) -> Content:
     """What a whole log holds."""
     summary = log.summarise(path)
-    return Content(list(log.read(path)), list(summary.attachments), list(summary.metadata), summary.profile)
+    return Content(list(log.read(summary)), list(summary.attachments), list(summary.metadata), summary.profile)
 
 
 def _of_items(items: list[Item]) -> Content:

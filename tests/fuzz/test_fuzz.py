@@ -9,7 +9,6 @@ import pytest
 
 from tests.fuzz.__main__ import main
 from tests.fuzz.cases import recorded
-from tests.fuzz.known import CORPUS
 from tests.fuzz.pool import Order, run
 
 DRAWN = 2000
@@ -22,13 +21,7 @@ def corpus():
     return {order.case: verdict.faults for order, verdict in run([Order(name) for name in recorded()], JOBS)}
 
 
-def entries():
-    for name in recorded():
-        known = CORPUS.get(name)
-        yield pytest.param(name, marks=pytest.mark.xfail(reason=known, strict=True) if known else ())
-
-
-@pytest.mark.parametrize("name", entries())
+@pytest.mark.parametrize("name", recorded())
 def test_what_was_found_once_is_answered(corpus, name):
     assert corpus[name] == []
 

@@ -68,30 +68,30 @@ def test_a_chunk_beyond_the_limit_names_the_setting(tmp_path):
     path = tmp_path / "in.mcap"
     data = b"".join(KNOWN) + mcap.message(1, 1, bytes(2_000_000))
     path.write_bytes(compressed(bombs.zstandard.compress(data), "zstd", size=len(data)))
-    assert [len(m.data) for m in log.read(path)] == [2_000_000]
+    assert [len(m.data) for m in log.read(log.summarise(path))] == [2_000_000]
     with pytest.raises(LogError, match=r"a chunk of 2 MiB: expected limits\.chunk_mb 1 at most"):
-        list(log.read(path, limits=LimitsConfig(chunk_mb=1)))
+        list(log.read(log.summarise(path, LimitsConfig(chunk_mb=1))))
 
 
 def test_a_record_beyond_the_limit_names_the_setting(tmp_path):
     path = tmp_path / "in.mcap"
     path.write_bytes(mcap.file(*KNOWN, mcap.message(1, 1, bytes(3_000_000))))
-    assert [len(m.data) for m in log.read(path)] == [3_000_000]
+    assert [len(m.data) for m in log.read(log.summarise(path))] == [3_000_000]
     with pytest.raises(LogError, match=r"a record of 3 MiB: expected limits\.record_mb 1 at most"):
-        list(log.read(path, limits=LimitsConfig(record_mb=1)))
+        list(log.read(log.summarise(path, LimitsConfig(record_mb=1))))
 
 
 @pytest.mark.parametrize("stated", [True, False])
 def test_chunks_as_writers_make_them_are_read(tmp_path, stated):
     """lz4 with and without its size, whose contents are measured before they are decompressed."""
-    data = b"".join(KNOWN) + b"".join(mcap.message(1, k, bytes(50_000)) for k in range(100))
+    data = b"".join(KNOWN) + b"".join(mcap.message(1, 1, bytes(50_000)) for _ in range(100))
     packed = bombs.lz4.frame.compress(data, store_size=stated)
     path = tmp_path / "in.mcap"
     path.write_bytes(compressed(packed, "lz4", size=len(data)))
-    assert len(list(log.read(path))) == 100
+    assert len(list(log.read(log.summarise(path)))) == 100
     path.write_bytes(compressed(packed, "lz4", size=len(data) - 1))
     with pytest.raises(LogError, match="that declares"):
-        list(log.read(path))
+        list(log.read(log.summarise(path)))
 
 
 def test_what_can_be_salvaged_is_bounded_too(tmp_path):

@@ -63,7 +63,7 @@ def test_a_stated_error():
 
 
 def test_wrong_usage():
-    require_plain(run("roadperc-replay", "a.mcap", "b.mcap", EVIL), names=SHOWN, codes=(2,))
+    require_plain(run("roadperc-replay", "a.mcap", "b.mcap", f"--{EVIL}"), names=SHOWN, codes=(2,))
 
 
 def test_info(replayed):

@@ -28,7 +28,7 @@ def write(path, messages):
 
 
 def inputs(path):
-    return [message for message in log.read(path) if not is_result(message.channel)]
+    return [message for message in log.read(log.summarise(path)) if not is_result(message.channel)]
 
 
 def cut(messages, times_ns):
@@ -57,7 +57,7 @@ def results(paths):
 
 def _by_frame(path):
     frames = {}
-    for message in log.read(path):
+    for message in log.read(log.summarise(path)):
         if is_result(message.channel):
             frames.setdefault(message.sequence, []).append(_nameless(message))
     return frames

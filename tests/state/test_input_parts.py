@@ -78,7 +78,7 @@ def frames(path, begin=None):
     log_in = input_of(log.summarise(path), CFG, {}, WHOLE, begin)
     found = {sample.index: seen(sample) for sample in log_in.samples()}
     end = decode(encode(log_in.end_state(with_messages=False)), InputState)
-    return found, end.carrying(log.read(path)), log_in
+    return found, end.carrying(log.read(log.summarise(path))), log_in
 
 
 def in_parts(folder, parts):

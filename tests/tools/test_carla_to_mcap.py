@@ -369,7 +369,7 @@ def test_a_file_of_another_size_costs_that_file(dump, tmp_path, capsys, spoil, w
     said = capsys.readouterr().err
     assert said.startswith("warning: counted as missing: ")
     assert all(word in said for word in words), said
-    assert len(list(log.read(target, topics=[ROLES[role].topic]))) == 2
+    assert len(list(log.read(log.summarise(target), topics=[ROLES[role].topic]))) == 2
 
 
 @pytest.mark.parametrize("name", SPOILERS)
