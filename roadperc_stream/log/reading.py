@@ -44,7 +44,7 @@ def _reading(path: Path, limits: LimitsConfig) -> Iterator[IO[bytes]]:
     except LimitError as error:
         raise LogError(f"{path}: {error}") from error
     except McapError as error:
-        raise damaged(path, f"damaged MCAP: {error}") from error
+        raise damaged(path, f"damaged MCAP: {str(error) or 'it ends before its contents do'}") from error
     except (EOFError, ValueError, KeyError, OverflowError, RuntimeError, MemoryError, struct.error, ZstdError) as error:
         raise damaged(path, f"damaged MCAP: {type(error).__name__}: {error}") from error
 
