@@ -26,6 +26,8 @@ def require_columns_as_written(path: Path, footer: pq.FileMetaData) -> None:
     """
     found = footer.schema.to_arrow_schema()
     for expected in arrow_schema(FrameMetrics, TIME_COLUMNS):
+        if found.names.count(expected.name) > 1:
+            raise TableError(f"{path}: several columns are called {expected.name}")
         if expected.name in found.names:
             kind = found.field(expected.name).type
             if not _fits(expected, kind):

@@ -89,7 +89,7 @@ def _reading(path: Path, limits: LimitsConfig) -> Iterator[IO[bytes]]:
         raise LogError(f"{path}: {error}") from error
     except UNREADABLE as error:
         found = salvaged(path, limits)
-        words = f"damaged MCAP: {type(error).__name__}: {error}"
+        words = f"damaged MCAP: {str(error) or type(error).__name__}"
         raise (damaged(path, words) if found.whole else damage_in(found)) from error
 
 

@@ -84,5 +84,5 @@ def test_the_whole_command_on_one_case():
     words = [sys.executable, "-m", "tests.fuzz", "--case", "quaternion-of-1e308-in-trajectory", "--jobs", "1"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, env=os.environ)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("quaternion-of-1e308-in-trajectory: roadperc-trajectory out.metrics.parquet: [0]")
+    assert done.stdout.startswith("quaternion-of-1e308-in-trajectory: roadperc-trajectory out.metrics.parquet: [1]")
     assert "\n1 cases in " in done.stdout
