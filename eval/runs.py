@@ -83,11 +83,13 @@ def open_run(path: Path, name: str) -> Run:
     """
     try:
         footer = pq.read_metadata(path)
+        columns = frozenset(footer.schema.to_arrow_schema().names)
+    except UnicodeDecodeError as error:
+        raise TableError(f"{path}: has a column whose name is no text ({error.reason})") from error
     except pa.ArrowException as error:
         raise TableError(f"{path}: is not a Parquet file, or was cut short ({_first_line(error)})") from error
     except OSError as error:
         raise TableError(f"{path}: {error.strerror or _first_line(error)}") from error
-    columns = frozenset(footer.schema.to_arrow_schema().names)
     _require_columns(path, columns)
     _require_values(path, footer)
     require_columns_as_written(path, footer)
