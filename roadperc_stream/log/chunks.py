@@ -14,6 +14,8 @@ import lz4.frame
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError
 
+from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
+
 _HEAD: Final = struct.Struct("<QQQII")
 _LENGTH: Final = struct.Struct("<Q")
 _RECORD: Final = struct.Struct("<BQ")
@@ -100,14 +102,14 @@ class Workspace:
         return memoryview(self.memory)[used:]
 
 
-def contents_of(head: ChunkHead, workspace: Workspace) -> Contents:
+def contents_of(head: ChunkHead, workspace: Workspace, limits: LimitsConfig = DEFAULT_LIMITS) -> Contents:
     """A chunk's records, which hold until the workspace is used again.
 
     Where the bytes make no sense, or end, those before are given: they were read as they were written. Where they do
     but their CRC is wrong, nobody knows which of them is, and none is given.
     """
     data, broken = _DECOMPRESSED[head.compression](head, workspace)
-    items, fault = split(data)
+    items, fault = split(data, limits.chunk_messages)
     if head.stored_bytes > len(head.stored):
         return Contents(items, "ends before its contents do")
     if broken or fault:
@@ -119,11 +121,13 @@ def contents_of(head: ChunkHead, workspace: Workspace) -> Contents:
     return Contents(items)
 
 
-def split(data: memoryview) -> tuple[tuple[Item, ...], str]:
-    """The records that stand in the decompressed data of a chunk, and why they end early."""
+def split(data: memoryview, most: int) -> tuple[tuple[Item, ...], str]:
+    """The records that stand in the decompressed data of a chunk, so many at most, and why they end early."""
     items: list[Item] = []
     at = 0
     while at < len(data):
+        if len(items) == most:
+            return tuple(items), too_many(most)
         if at + _RECORD.size > len(data):
             return tuple(items), "ends before its contents do"
         opcode, length = _RECORD.unpack_from(data, at)
@@ -135,6 +139,11 @@ def split(data: memoryview) -> tuple[tuple[Item, ...], str]:
         items.append(Item(at, opcode, data[start:end]))
         at = end
     return tuple(items), ""
+
+
+def too_many(most: int) -> str:
+    """What is said of a chunk with more messages than may be."""
+    return f"more messages in a chunk than limits.chunk_messages, which is {most}"
 
 
 def message_head(body: bytes | memoryview) -> MessageHead:

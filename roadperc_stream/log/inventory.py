@@ -14,6 +14,7 @@ from roadperc_stream.log.framing import Record
 
 _INDEX_HEAD: Final = struct.Struct("<HI")
 _INDEX_ENTRY: Final = struct.Struct("<QQ")
+INDEX_ENTRY_BYTES: Final = _INDEX_ENTRY.size
 
 Positions = dict[int, list[tuple[int, int]]]
 """Log time and offset in its chunk of each message, by channel."""

@@ -29,13 +29,14 @@ from roadperc_stream.log.chunks import (
     chunk_head,
     contents_of,
     message_head,
+    too_many,
 )
 from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.described import Described
 from roadperc_stream.log.framing import Framing, Record
 from roadperc_stream.log.index import UNREADABLE, end_of, index_of, places_of, span_ns_of
 from roadperc_stream.log.integrity import data_end_of, require_log, unopened
-from roadperc_stream.log.inventory import ChunkPlace, Inventory, Positions
+from roadperc_stream.log.inventory import INDEX_ENTRY_BYTES, ChunkPlace, Inventory, Positions
 from roadperc_stream.log.limits import LimitError, check_chunk, guarded
 from roadperc_stream.log.losses import Gap, Losses, expected_messages, lost_in_chunk
 from roadperc_stream.log.records import Channel, Message
@@ -191,6 +192,8 @@ class Salvage:
                 self._covered = False
                 yield self._counted(record.body)
             elif record.opcode == Opcode.MESSAGE_INDEX:
+                if len(record.body) > self.limits.chunk_messages * INDEX_ENTRY_BYTES + INDEX_ENTRY_BYTES:
+                    raise LimitError(too_many(self.limits.chunk_messages))
                 self._inventory.add_message_index(record)
             elif record.opcode >= _PRIVATE_BIT:
                 self._require_private(record)
@@ -213,7 +216,7 @@ class Salvage:
         if not self.inside and not record.fault:
             self._inventory.add_chunk(ChunkPlace.of(record, head, None))
             return
-        contents, positions = contents_of(head, self._workspace), Positions()
+        contents, positions = contents_of(head, self._workspace, self.limits), Positions()
         faults = [record.fault, contents.fault and f"{record.name}: {contents.fault}"]
         for item in contents.items:
             try:

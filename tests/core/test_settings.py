@@ -138,6 +138,7 @@ ELSEWHERE = {
     "lanes.hold_s": "chain/stages/lanes/test_class_history.py",
     "objects.restart_s": "chain/stages/objects/test_tracker.py",
     "limits.chunk_mb": "hostile/test_logs.py",
+    "limits.chunk_messages": "hostile/test_logs.py",
     "limits.record_mb": "hostile/test_logs.py",
     "limits.image_megapixels": "hostile/test_messages.py",
     "limits.points": "hostile/test_messages.py",

@@ -5,6 +5,7 @@ import struct
 import time
 
 import pytest
+from mcap.writer import IndexType, Writer
 
 from roadperc_stream import log
 from roadperc_stream.core.config import LimitsConfig
@@ -92,6 +93,21 @@ def test_chunks_as_writers_make_them_are_read(tmp_path, stated):
     path.write_bytes(compressed(packed, "lz4", size=len(data) - 1))
     with pytest.raises(LogError, match="that declares"):
         list(log.read(log.summarise(path)))
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_a_chunk_of_more_messages_than_may_be_is_named(tmp_path, indexed):
+    path = tmp_path / "in.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=2**30, index_types=IndexType.ALL if indexed else IndexType.NONE)
+        writer.start()
+        channel = writer.register_channel("/a", "json", 0)
+        for k in range(1000):
+            writer.add_message(channel, k, b"", k)
+        writer.finish()
+    assert log.summarise(path, LimitsConfig(chunk_messages=1001)).counts == {channel: 1000}
+    with pytest.raises(LogError, match=r"more messages in a chunk than limits\.chunk_messages, which is 900"):
+        log.summarise(path, LimitsConfig(chunk_messages=900))
 
 
 def test_what_can_be_salvaged_is_bounded_too(tmp_path):

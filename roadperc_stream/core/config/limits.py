@@ -18,6 +18,8 @@ class LimitsConfig(Section):
 
     chunk_mb: Annotated[int, Field(ge=1, le=65_536), unit("MiB")] = 256
     """Largest chunk, decompressed; writers make chunks of 1 to 8 MiB, or of one message where that is larger."""
+    chunk_messages: Annotated[int, Field(ge=1, le=1_000_000_000), unit("messages")] = 1_000_000
+    """Most messages of a chunk; one of 8 MiB has 0.3 million of the shortest."""
     record_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
     """Largest record of the file: a compressed chunk, an attachment, a message without a chunk."""
     image_megapixels: Annotated[float, Field(ge=0.01, le=170.0), unit("megapixels")] = 40.0
