@@ -27,7 +27,7 @@ def test_what_was_found_once_is_answered(corpus, name):
 
 
 def test_what_is_drawn_is_answered(capsys):
-    code = main(["--count", str(DRAWN), "--jobs", str(JOBS), "--drawn"])
+    code = main(["--count", str(DRAWN), "--jobs", str(JOBS), "--drawn", "--quick"])
     said = capsys.readouterr().out
     assert code == 0, said
     assert f"\n{DRAWN} cases in " in f"\n{said}"
