@@ -72,7 +72,7 @@ class Tally:
             self.messages[verdict.message].append(case)
             self.unreadable += any(words in verdict.message for words in UNREADABLE)
         for fault in verdict.faults:
-            if is_known(fault):
+            if is_known(case, fault):
                 self.known[same_kind(fault)] += 1
             else:
                 self.faults[f"{verdict.command}: {same_kind(fault)}"].append(case)
@@ -116,7 +116,7 @@ def main(arguments: list[str]) -> int:
 
 def report(order: Order, verdict: Verdict, *, quiet: bool) -> None:
     """Print a case that has a fault, and how to repeat it; others only where they are asked for."""
-    new = [fault for fault in verdict.faults if not is_known(fault)]
+    new = [fault for fault in verdict.faults if not is_known(order.case, fault)]
     if new or not quiet:
         print(f"{order.case}: {verdict.line}: {verdict.codes} {verdict.message}", flush=True)
     for fault in new:

@@ -54,6 +54,6 @@ FAULTS: tuple[str, ...] = (
 )  # fmt: skip
 
 
-def is_known(fault: str) -> bool:
-    """Whether a drawn case may have this fault for now."""
-    return any(part in fault for part in FAULTS)
+def is_known(case: str, fault: str) -> bool:
+    """Whether a case may have this fault for now."""
+    return case in CORPUS or any(part in fault for part in FAULTS)
