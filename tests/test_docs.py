@@ -1,4 +1,7 @@
-"""README and docs hold: every command and example runs, in order, in one folder, and what they show is printed."""
+"""README and docs hold: every command and example runs, in order, in one folder, and what they show is printed.
+
+Commands in fences of ``bash``, not ``sh``, are for drives that a reader's folder does not have: those are not run.
+"""
 
 import os
 import re
@@ -24,8 +27,8 @@ FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SERVES = re.compile(r"--(foxglove|live)$")
 OPENS_VIEWER = re.compile(r"^roadperc-view \S+$")
 PYTHON = shlex.quote(sys.executable)
-OTHERS = {"--delta_unit", "--all_pairs", "--shell"}
-"""Options of evo and argcomplete, which the pages name as well."""
+OTHERS = {"--delta_unit", "--all_pairs", "--shell", "--max-bag-duration"}
+"""Options of evo, argcomplete and rosbag2, which the pages name as well."""
 
 
 @dataclass(frozen=True)

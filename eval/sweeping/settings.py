@@ -74,7 +74,7 @@ def setting_of(cfg: ReplayConfig, key: str) -> Scalar:
 
 def _decoding(cfg: ReplayConfig) -> Hashable:
     """All that samples depend on besides the log: see ``ReplayInput.samples`` and ``assemble.sample_of``."""
-    return (cfg.sync, cfg.tag_table, cfg.surface.assumed_height_m)
+    return (cfg.sync, cfg.limits, cfg.tag_table, cfg.surface.assumed_height_m)
 
 
 def _of_one_type(values: Sequence[Scalar]) -> Sequence[Scalar]:

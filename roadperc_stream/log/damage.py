@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Self
 
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.integrity import damaged, says_more
@@ -32,7 +33,11 @@ class DamagedLogError(LogError):
 
     def __init__(self, path: Path, damages: Sequence[Damage], can_be_saved: str) -> None:
         super().__init__(f"{path}: {_first(damages)}; {can_be_saved}{says_more(path)}")
-        self.damages = tuple(damages)
+        self.path, self.damages, self.can_be_saved = path, tuple(damages), can_be_saved
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Any, ...]]:
+        """As it is made: it comes out of other processes too."""
+        return type(self), (self.path, self.damages, self.can_be_saved)
 
 
 def nothing_saved(path: Path, damages: Sequence[Damage]) -> LogError:

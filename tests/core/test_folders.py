@@ -6,6 +6,9 @@ from roadperc_stream.core.folders import not_a_log
 def test_the_first_log_in_it_is_named(tmp_path):
     for name in ("b.mcap", "a.mcap", "0.txt"):
         (tmp_path / name).touch()
+    both = f", or its 2 files as the parts of one: {tmp_path}/*.mcap"
+    assert not_a_log(tmp_path) == f"{tmp_path}: is a folder, expected a log, such as {tmp_path / 'a.mcap'}{both}"
+    (tmp_path / "b.mcap").unlink()
     assert not_a_log(tmp_path) == f"{tmp_path}: is a folder, expected a log, such as {tmp_path / 'a.mcap'}"
 
 

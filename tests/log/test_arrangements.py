@@ -178,7 +178,7 @@ def test_memory_is_that_of_the_indexed_log(tmp_path, monkeypatch):
     for name, path in others.items():
         read, peak = read_and_peak(path)
         assert read == len(data) * 200
-        assert peak < 1.5 * tidy, name
+        assert peak < 1.5 * tidy + 4_000_000, name  # the bytes of a chunk or two, of any log
 
 
 def test_a_message_of_a_channel_that_nothing_describes_is_damage():

@@ -51,7 +51,7 @@ def test_a_quaternion_of_zeros_is_no_pose(tmp_path):
     assert (found.true_frames, len(found.true)) == (5, 5)
 
 
-@pytest.mark.parametrize(("column", "value"), [("true_x_m", 1e300), ("true_qy", -1e308), ("true_qw", np.inf)])
+@pytest.mark.parametrize(("column", "value"), [("true_x_m", 1e90), ("true_qy", -1e90), ("true_qw", np.inf)])
 def test_a_place_or_a_turn_beyond_any_is_no_pose(tmp_path, column, value):
     holes = {column: with_hole(columns("true", TRUE)[column], 2, value)}
     found = read(write_run(tmp_path / "drive.metrics.parquet", ESTIMATED, TRUE, **holes))
@@ -82,5 +82,5 @@ def test_a_run_without_odometry_is_refused(tmp_path, rows):
 
 def test_columns_of_another_type_are_said(tmp_path):
     path = write_run(tmp_path / "drive.metrics.parquet", ESTIMATED, TRUE, true_x_m=["far"] * 6)
-    with pytest.raises(TableError, match=r"drive\.metrics\.parquet: its data cannot be read"):
+    with pytest.raises(TableError, match=r"drive\.metrics\.parquet: column true_x_m is of type"):
         read(path)

@@ -53,9 +53,11 @@ def test_a_viewer_that_goes_away_is_an_error(server, tmp_path):
 
 
 SENDING = """
-import sys
+import signal, sys
 from pathlib import Path
 from roadperc_stream.view.rerun import open_viewer, recording, viewer
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
 
 def stopped(frames, expected):
     if frames == 1:
