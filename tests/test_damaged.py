@@ -1,5 +1,6 @@
 """Whole replays of damaged logs: what is whole is replayed, what was lost is said, and nothing is lost in silence."""
 
+import shlex
 from random import Random
 
 import polars as pl
@@ -171,7 +172,10 @@ def test_replay_prints_what_was_lost(damaged, capsys):
 def test_info_writes_the_repaired_log_and_says_so_of_it(damaged, capsys):
     target = damaged.with_name("repaired.mcap")
     assert info_main([str(damaged)]) == 1
-    assert f"roadperc-info {damaged} --recover OUT.mcap writes that as a whole log" in capsys.readouterr().out
+    assert (
+        f"roadperc-info {shlex.quote(str(damaged))} --recover OUT.mcap writes that as a whole log"
+        in capsys.readouterr().out
+    )
     assert info_main([str(damaged), "--recover", str(target)]) == 0
     printed = capsys.readouterr().out
     assert "warning: lost from" in printed
