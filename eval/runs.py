@@ -76,29 +76,28 @@ def _before_next_part(run: Run, runs: Iterable[Run]) -> Run:
 
 
 def open_run(path: Path, name: str) -> Run:
-    """Read a table's footer.
+    """Read a table's footer, and check what its columns hold.
 
     Raises:
         TableError: the file cannot be read, is not Parquet, or lacks columns of a metrics table.
     """
     try:
         footer = pq.read_metadata(path)
-        columns = frozenset(footer.schema.to_arrow_schema().names)
+        found = footer.schema.to_arrow_schema()
     except UnicodeDecodeError as error:
         raise TableError(f"{path}: has a column whose name is no text ({error.reason})") from error
     except pa.ArrowException as error:
         raise TableError(f"{path}: is not a Parquet file, or was cut short ({_first_line(error)})") from error
     except OSError as error:
         raise TableError(f"{path}: {error.strerror or _first_line(error)}") from error
-    _require_columns(path, columns)
-    _require_values(path, footer)
-    require_columns_as_written(path, footer)
+    _require_columns(path, found.names)
+    require_columns_as_written(path, found)
     facts = facts_in(footer.metadata)
     return Run(
         name,
         path,
         footer.num_rows,
-        columns,
+        frozenset(found.names),
         config_digest=facts.get("config_digest", ""),
         version=facts.get("version", ""),
         config=facts.get("config", ""),
@@ -181,16 +180,6 @@ def _require_columns(path: Path, columns: Iterable[str]) -> None:
     if path.name.endswith(OBJECTS_SUFFIX):
         hint = f"; a row per frame is in {path.name.removesuffix(OBJECTS_SUFFIX)}{METRICS_SUFFIX}"
     raise TableError(f"{path}: is not a metrics table: it has no column {', '.join(missing)}{hint}")
-
-
-def _require_values(path: Path, footer: pq.FileMetaData) -> None:
-    """A metrics table has a log, a stamp and a time in every row."""
-    places = {footer.schema.column(k).path: k for k in range(footer.num_columns)}
-    groups = [footer.row_group(k) for k in range(footer.num_row_groups)]
-    for name in ("log_id", "stamp_ns", "total_ms"):
-        found = [group.column(places[name]).statistics for group in groups if name in places]
-        if any(part is not None and part.null_count for part in found):
-            raise TableError(f"{path}: is not a metrics table: its column {name} has rows without a value")
 
 
 def _first_line(error: Exception) -> str:

@@ -3,7 +3,6 @@
 import polars as pl
 
 from roadperc_stream.core.time import NS_PER_S
-from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import RATIO
 
 from .quantities import CATEGORIES, LOST, REST, SIDES, STAGE_TIMES, STORED, TOTAL, Quantity
@@ -38,21 +37,6 @@ def rows_of(run: Run) -> pl.LazyFrame:
     """All columns of a run's table, a row per frame; of frames that a later part gives again that part's alone."""
     rows = pl.scan_parquet(run.path, glob=False)
     return rows if run.end_frame is None else rows.filter(pl.col("frame") < run.end_frame)
-
-
-def collect(frame: pl.LazyFrame, source: str) -> pl.DataFrame:
-    """The rows of a query on one table.
-
-    In memory: of a table of 10 000 rows that takes 25 ms, where the streaming engine takes 300.
-
-    Raises:
-        TableError: the data of ``source`` cannot be read.
-    """
-    try:
-        return frame.collect(engine="in-memory")
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        cause = (str(error).splitlines() or [type(error).__name__])[0]
-        raise TableError(f"{source}: its data cannot be read: {cause}") from error
 
 
 def extent() -> list[pl.Expr]:

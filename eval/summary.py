@@ -17,11 +17,12 @@ import polars as pl
 from roadperc_stream.core.datatypes import ReasonKind
 from roadperc_stream.core.reasons import ReasonCounts, grouped, merged
 
+from .collecting import collect
 from .configurations import Group
 from .distribution import Distribution, Sketch, exactly, thinned
 from .quantities import CATEGORIES, NUMBERS, SUSPECT, TRUTH, Quantity
 from .runs import Run
-from .scan import collect, counts, extent, scan, totals, traces, worst_frames
+from .scan import counts, extent, scan, totals, traces, worst_frames
 from .scores import COUNTS, TRACED, Score, averaged, lag_frames, scores
 from .statistics import Statistics, statistics, statistics_of_all
 

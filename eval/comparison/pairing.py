@@ -11,8 +11,8 @@ import polars as pl
 from roadperc_stream.core.files import METRICS_SUFFIX
 from roadperc_stream.errors import TableError
 
+from ..collecting import collect
 from ..runs import Run, find_runs
-from ..scan import collect
 
 STAMP: Final = "stamp_ns"
 NTH: Final = "nth of stamp"

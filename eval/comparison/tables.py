@@ -8,7 +8,8 @@ import polars as pl
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 
-from ..scan import collect, rows_of
+from ..collecting import collect
+from ..scan import rows_of
 from .agreement import ABSENT, Agreement, Difference, Value
 from .pairing import KEY, STAMP, LoggedRun, RunPair, numbered
 from .rules import Rules

@@ -9,7 +9,8 @@ import polars as pl
 
 from roadperc_stream.core.geometry import Float
 
-from ..scan import collect, scan
+from ..collecting import collect
+from ..scan import scan
 from .bootstrap import Interval, mean_interval
 from .metrics import FRAMES, METRICS, Metric
 from .pairing import KEY, LoggedRun, RunPair, numbered

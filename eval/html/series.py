@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.time import NS_PER_S
 
+from ..collecting import collect
 from ..runs import Run
-from ..scan import collect, rows_of
+from ..scan import rows_of
 
 BUCKETS: Final = 600
 """Parts a run is thinned in: more than the columns of pixels a chart has on a page."""

@@ -21,8 +21,8 @@ from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.names import CALIBRATION_SCHEMA
 from roadperc_stream.schemas.topics import LANES_TOPIC, RESULTS
 
+from ..collecting import collect
 from ..runs import open_run
-from ..scan import collect
 from .tusimple import LaneFrame, rounded
 
 _SCHEMAS: Final = {"lanes": RESULTS[LANES_TOPIC], "calibration": CALIBRATION_SCHEMA}

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.errors import TableError
 
+from ..collecting import collect
 from ..runs import Run
-from ..scan import collect, rows_of
+from ..scan import rows_of
 from .poses import RunPoses, pose_matrices
 
 _POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")

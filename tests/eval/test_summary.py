@@ -142,9 +142,8 @@ def test_damaged_data_behind_a_whole_footer(tmp_path):
     content = bytearray(path.read_bytes())
     content[4:2000] = bytes(1996)
     path.write_bytes(content)
-    (run,) = find_runs([str(path)])
     with pytest.raises(TableError, match=r"bad\.metrics\.parquet: its data cannot be read"):
-        summarise_run(run, 1)
+        find_runs([str(path)])
 
 
 def two_runs(tmp_path):

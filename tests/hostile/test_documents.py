@@ -9,8 +9,8 @@ import roadperc_stream as rp
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
+from roadperc_stream.eval.collecting import collect
 from roadperc_stream.eval.runs import open_run
-from roadperc_stream.eval.scan import collect
 from tests.commands import run
 from tests.hostile.names import write_log
 

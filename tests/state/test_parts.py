@@ -20,8 +20,9 @@ from roadperc_stream.cli.report import main as report
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import NoFrameError, StateError
+from roadperc_stream.eval.collecting import collect
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.scan import collect, rows_of
+from roadperc_stream.eval.scan import rows_of
 from roadperc_stream.input import open_input
 from roadperc_stream.log import Attachment
 from roadperc_stream.loop import replay
