@@ -1,4 +1,7 @@
-"""``roadperc-replay`` in a process that kills itself before the n-th change of a name: ``killed.py N ARGUMENTS``."""
+"""``roadperc-replay`` in a process that is killed: ``killed.py N SECONDS ARGUMENTS``.
+
+Before the n-th change of a name, or after so much time of the processor from when everything is imported (0: never).
+"""
 
 import os
 import shutil
@@ -9,7 +12,7 @@ from pathlib import Path
 
 from roadperc_stream.cli.replay import main
 
-LAST, CALLS = int(sys.argv[1]), count(1)
+LAST, AFTER_S, CALLS = int(sys.argv[1]), float(sys.argv[2]), count(1)
 
 
 def before(function):
@@ -22,4 +25,5 @@ def before(function):
 
 
 Path.replace, Path.unlink, shutil.rmtree, os.fsync = map(before, (Path.replace, Path.unlink, shutil.rmtree, os.fsync))
-sys.exit(main(sys.argv[2:]))
+signal.setitimer(signal.ITIMER_PROF, AFTER_S)  # nobody handles its signal: the kernel ends the process
+sys.exit(main(sys.argv[3:]))
