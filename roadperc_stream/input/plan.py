@@ -16,6 +16,7 @@ from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.part import PartMessages, Window
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import NOTHING_TO_REPLAY, RoleAssignment, assignment_of_log
+from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import decoded_messages
 from roadperc_stream.log import LogSummary, Message
@@ -53,23 +54,15 @@ class InputPlan:
 
 
 def plan_input(
-    summary: LogSummary,
-    cfg: ReplayConfig,
-    overrides: Mapping[str, str],
-    part: TimeRange,
-    begin: InputState | None = None,
-    *,
-    strict: bool = False,
+    summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, begin: InputState | None = None
 ) -> InputPlan:
     """Assign the roles, find the part to replay, and read it once: every CRC is checked before work starts.
 
     Args:
         summary: of the log.
         cfg: how messages are decoded, paired and waited for.
-        overrides: topic of each role that is not on the contract's topic.
-        part: what of the log to replay.
+        asked: what of the log to replay, in seconds from the first message of ``summary``.
         begin: what an earlier part of the drive left; None where the log begins by itself.
-        strict: the first message that cannot be read is an error.
 
     Raises:
         ChannelError: the channels do not fit the roles.
@@ -77,8 +70,9 @@ def plan_input(
         NoFrameError: the part asked for holds no frame.
         StateError: the log cannot go on from ``begin``.
     """
-    roles, reference = _roles(summary, overrides, begin)
-    problems = Problems(summary.path if strict else None)
+    part = asked.time_range
+    roles, reference = _roles(summary, asked.overrides, begin)
+    problems = Problems(summary.path if asked.strict else None)
     window = _window(summary, cfg, part, roles, reference)
     latched, latched_messages = _latched_at_start(summary, cfg, roles, window, problems)
     order = OrderConfig(reference, seconds_to_ns(cfg.sync.max_wait_s))

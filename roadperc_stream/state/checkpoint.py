@@ -52,6 +52,22 @@ class Checkpoint:
     counted: Counted
 
 
+@dataclass(frozen=True)
+class CheckpointOptions:
+    """Whether a replay keeps checkpoints, and goes on from one; neither unless said.
+
+    Args:
+        every_s: seconds of log after which what is complete is made durable; None: never.
+        resume: go on from the latest one, where there is one.
+    """
+
+    every_s: float | None = None
+    resume: bool = False
+
+
+NO_CHECKPOINTS: Final = CheckpointOptions()
+
+
 def checkpoint_folder(target: Path) -> Path:
     """Where the checkpoints of an output lie."""
     return target.with_name(f".{target.name}.checkpoint")

@@ -18,12 +18,12 @@ from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.stream import Stamped
-from roadperc_stream.loop import replay
 from roadperc_stream.output import encoding
 from tests import logs
 from tests.analytic import box
 from tests.commands import run
 from tests.hostile import bombs
+from tests.replaying import replay
 
 pytestmark = pytest.mark.commands
 GIB = 2**30

@@ -14,10 +14,10 @@ import pytest
 
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import StateError, TargetError
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.state.checkpoint import checkpoint_folder
 from tests import logs
+from tests.replaying import replay
 
 SETTINGS = ("sync.max_wait_s=0.1",)
 CFG = load_config(None, SETTINGS)
