@@ -102,9 +102,11 @@ def replay(
     target.remove_dead_partials()
     opened = open_replay(source, cfg, beginning)
     if checkpoints.resume and found is None and (done := finished(target, cfg, opened)) is not None:
+        folder.remove()
         return _summary_of_finished(target, opened, done, perf_counter() - started)
     kept = Checkpoints(folder, checkpoints.every_s, run_of(cfg, opened, target), found, force=target.force)
-    may_replace = target.force or found is not None
+    was_killed = checkpoints.resume and folder.exists and not target.is_complete
+    may_replace = target.force or found is not None or was_killed
     target.require_free(source.files, force=may_replace)
     outputs = _Outputs(target, cfg, opened)
     with one_thread(), kept, all_or_none(*outputs.files):
@@ -141,7 +143,8 @@ class _Outputs:
         self._objects = TableWriter(target.objects, ObjectMetrics, facts)
         self._log = LogWriter(target.path, self._input.summary.profile)
         self._pictures = PictureMaker(target.on_request)
-        self.files = (self._frames, self._objects, self._log)
+        self.files = (self._log, self._objects, self._frames)
+        """The last one gets its name first: where the log stands under its own, its tables do."""
         self._notes: tuple[str, ...] = ()
 
     def begin(self, watcher: Watcher, counted: Counted) -> None:
@@ -228,7 +231,7 @@ def _replayed(
     complete = log_in.plan.first_pass.complete_frames
     for number, sample in enumerate(log_in.samples(), start=1):
         if number <= checkpoints.samples:
-            output = checkpoints.next_output() if sample.is_written else None
+            output = checkpoints.next_output(sample.index) if sample.is_written else None
             memory = checkpoints.memory
             if output is not None:
                 outputs.write_again(sample, output)

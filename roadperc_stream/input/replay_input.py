@@ -207,6 +207,11 @@ class ReplayInput:
         parts = part_notes(self.summary, self.topics[self.plan.order.reference])
         return (*parts, *self.plan.roles.notes, *(self.plan.problems.first | self._problems.first).values())
 
+    @property
+    def chosen_topics(self) -> dict[str, str]:
+        """The topics that the user chose, by the keys under which a result records them."""
+        return {f"{TOPIC_KEY}{role}": topic for role, topic in sorted(self.plan.roles.chosen.items())}
+
     def record(self) -> dict[str, str]:
         """What a result has to record of its input, so that it can be replayed from itself."""
         roles = self.plan.roles
@@ -216,7 +221,7 @@ class ReplayInput:
             "input_messages": str(self.plan.first_pass.counts.total()),
             FRAMES_KEY: str(self.frames),
             **({} if self.plan.window.cut_ns is None else {END_KEY: str(self.plan.window.cut_ns)}),
-            **{f"{TOPIC_KEY}{role}": topic for role, topic in sorted(roles.chosen.items())},
+            **self.chosen_topics,
             **({TAG_TABLE_KEY: tag_table} if tag_table else {}),
             **{f"{DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},
         }

@@ -40,6 +40,11 @@ class ReplayTarget:
         """All that is written."""
         return self.path, self.metrics, self.objects
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether all of them are there: the log is the last one that gets its name."""
+        return all(path.exists() for path in self.files)
+
     def require_free(self, sources: Iterable[Path], *, force: bool) -> None:
         """Check that the files may be written.
 

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 
 from roadperc_stream import __version__, log
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.input.earlier_replay import replay_record
+from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.log import LogSummary
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, CONFIG_ATTACHMENT, DIGEST_KEY, VERSION_KEY
+from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, CONFIG_ATTACHMENT, DIGEST_KEY, TOPIC_KEY, VERSION_KEY
+from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.state.encoding import encode
 from roadperc_stream.state.opening import OpenedLog
 from roadperc_stream.state.replay_state import settings_of
@@ -26,6 +27,7 @@ def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[s
         "frames at most": str(plan.most_frames),
         "pictures": json.dumps(sorted(target.on_request)),
         "results only": str(target.results_only),
+        "strict": str(opened.strict),
         "state at the beginning": "" if begin is None else hashlib.sha256(encode(begin)).hexdigest(),
     }
 
@@ -37,15 +39,23 @@ def differences(run: Mapping[str, str], other: Mapping[str, str]) -> tuple[str, 
 
 def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> LogSummary | None:
     """The output that is there already, where it is that of this replay; None where it is not, or not all is there."""
-    if not all(path.exists() for path in target.files):
+    if not target.is_complete:
         return None
     summary = log.summarise(target.path)
     attached = {item.name: item.data for item in summary.attachments}
     record, begin = replay_record(summary.metadata), opened.state_for(cfg)
-    expected = {DIGEST_KEY: opened.input.plan.first_pass.digest, VERSION_KEY: __version__}
     is_same = (
-        attached.get(CONFIG_ATTACHMENT) == cfg.to_toml().encode()
+        record.get(DIGEST_KEY) == opened.input.plan.first_pass.digest
+        and record.get(VERSION_KEY) == __version__
+        and {key: topic for key, topic in record.items() if key.startswith(TOPIC_KEY)} == opened.input.chosen_topics
+        and attached.get(CONFIG_ATTACHMENT) == cfg.to_toml().encode()
         and attached.get(BEGIN_ATTACHMENT) == (None if begin is None else encode(begin))
-        and all(record.get(key) == value for key, value in expected.items())
+        and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)
     )
     return summary if is_same else None
+
+
+def _topics(target: ReplayTarget, opened: OpenedLog) -> set[tuple[str, bool]]:
+    """The topics of what a replay writes, and whether they are its results."""
+    copied = () if target.results_only else opened.input.channels
+    return {(topic, True) for topic in result_schemas(target.on_request)} | {(c.topic, False) for c in copied}
