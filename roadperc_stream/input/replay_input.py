@@ -12,7 +12,6 @@ from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.damage import ReadableLog, loss_reason
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.pairing import StampPairing
-from roadperc_stream.input.part import PartMessages
 from roadperc_stream.input.parts import part_notes
 from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
 from roadperc_stream.input.problems import Problems
@@ -21,6 +20,7 @@ from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages
+from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import Channel, LogSummary, Message, Recovery
 from roadperc_stream.schemas.record import (
     DIGEST_KEY,
@@ -187,9 +187,9 @@ class ReplayInput:
         return end.carrying(m for m in self._messages.inside(topics) if m.log_time_ns >= first_ns)
 
     @property
-    def _messages(self) -> PartMessages:
+    def _messages(self) -> WindowMessages:
         plan = self.plan
-        return PartMessages(self.summary, self._cfg, plan.roles, plan.window, plan.latched_messages)
+        return WindowMessages(self.summary, self._cfg, plan.roles, plan.window, plan.latched_messages)
 
     @property
     def dropped(self) -> dict[str, int]:
