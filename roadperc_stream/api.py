@@ -23,6 +23,7 @@ from roadperc_stream.core.semantics import TagTable, table_for_version
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError, TableError
+from roadperc_stream.input import ReplaySource
 from roadperc_stream.input.arrays import (
     camera_image,
     checked_camera,
@@ -34,8 +35,10 @@ from roadperc_stream.input.arrays import (
 )
 from roadperc_stream.loop import ReplaySummary
 from roadperc_stream.loop import replay as _replay
+from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.state.opening import ReplaySource, open_log
+from roadperc_stream.state.checkpoint import CheckpointOptions
+from roadperc_stream.state.opening import Beginning, open_log
 from roadperc_stream.state.running import run_frame
 
 if TYPE_CHECKING:
@@ -91,19 +94,11 @@ def replay(
         RoadpercError: the input cannot be read or replayed, or the output cannot be written; nothing is left behind.
     """
     return _replay(
-        _paths(src),
-        Path(dst),
+        ReplaySource(_paths(src), dict(topics or {}), TimeRange(start_s, end_s, max_frames), recover, strict),
+        ReplayTarget(Path(dst), results_only=results_only, force=force),
         _config(config),
-        overrides=dict(topics or {}),
-        time_range=TimeRange(start_s, end_s, max_frames),
-        results_only=results_only,
-        force=force,
-        recover=recover,
-        strict=strict,
-        continued=None if continued is None else Path(continued),
-        warm_up_s=warm_up_s,
-        checkpoint_every_s=checkpoint_every_s,
-        resume=resume,
+        beginning=Beginning(None if continued is None else Path(continued), warm_up_s),
+        checkpoints=CheckpointOptions(checkpoint_every_s, resume),
     )
 
 

@@ -131,7 +131,7 @@ def test_only_the_table_and_the_evaluation_know_parquet():
 
 
 def test_functions_have_at_most_eight_parameters():
-    """But for the two that take all options of a replay, by keyword."""
+    """But for the one that takes all options of a replay, by keyword."""
     many = set()
     for path in sources("roadperc_stream", "tools", "eval"):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -139,7 +139,7 @@ def test_functions_have_at_most_eight_parameters():
                 given = node.args
                 if len(given.posonlyargs) + len(given.args) + len(given.kwonlyargs) > 8:
                     many.add((path.name, node.name))
-    assert many == {("loop.py", "replay"), ("api.py", "replay")}
+    assert many == {("api.py", "replay")}
 
 
 def test_chain_and_stages_never_see_the_truth():

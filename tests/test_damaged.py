@@ -16,11 +16,11 @@ from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.input.damage import loss_reason
 from roadperc_stream.log import Channel, LostSpan, Message
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.log.flips import flipped
+from tests.replaying import replay
 from tests.test_sample import SAMPLE
 
 OFF = ("odometry", "lanes", "objects", "occupancy")

@@ -14,11 +14,11 @@ from roadperc_stream.core.config import ReplayConfig, load_config
 from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, Reason, StereoDepth, Transform
 from roadperc_stream.core.registration import depth_of_points
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.loop import replay
 from roadperc_stream.output.encoding import encode_points, encode_transforms
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
 from tests.analytic import VEHICLE, Road, box
+from tests.replaying import replay
 
 CFG = ReplayConfig()
 ROAD = Road(pitch=0.02, roll=-0.01)

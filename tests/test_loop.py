@@ -16,11 +16,11 @@ from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.topics import RESULTS
 from tests import logs
 from tests.analytic import STEP_NS
+from tests.replaying import replay
 
 CFG = load_config()
 

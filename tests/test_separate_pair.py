@@ -16,13 +16,13 @@ from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.ros import unpack_image
-from roadperc_stream.loop import replay
 from roadperc_stream.metrics.surface import intersection_over_union
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.roadperc_pb2 import Surface
 from tests import logs, pair
 from tests.analytic import LINE, ROAD, STEP_NS, VEHICLE, Road, box
+from tests.replaying import replay
 
 FRAMES = 3
 FRONT = Road(height_m=1.4, pitch=0.02, width=480, height=360)

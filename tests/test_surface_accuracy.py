@@ -11,7 +11,7 @@ from roadperc_stream.core.config import ReplayConfig, load_config
 from roadperc_stream.core.datatypes import Absent
 from roadperc_stream.core.ground import height_at
 from roadperc_stream.core.scene import DepthMap, Scene
-from roadperc_stream.input import open_input
+from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.metrics.surface import surface_height_error_m
 
 HILL = ("--scene", "hill", "--depth-noise", "0.01")
@@ -22,7 +22,7 @@ def rendered(folder: Path, *options):
     """Samples of a rendered drive."""
     assert render.main([str(folder / "dump"), *options]) == 0
     assert convert.main([str(folder / "dump"), str(folder / "in.mcap"), "--quiet"]) == 0
-    return open_input(folder / "in.mcap", ReplayConfig()).samples()
+    return open_input(ReplaySource(folder / "in.mcap"), ReplayConfig()).samples()
 
 
 def errors_of(folder, *options):

@@ -10,9 +10,10 @@ from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
+from roadperc_stream.input import ReplaySource
 from roadperc_stream.output.tables import TableWriter, table_facts
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.state.opening import ReplaySource, open_log
+from roadperc_stream.state.opening import open_log
 from roadperc_stream.state.replay_state import ReplayMemory
 from roadperc_stream.state.running import run_frame
 

@@ -2,18 +2,20 @@
 
 import argparse
 from contextlib import nullcontext
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.core.process import optional_output
 from roadperc_stream.core.text import print_line
-from roadperc_stream.loop import ReplaySummary, replay
-from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.input import ReplaySource
+from roadperc_stream.loop import ReplaySummary, Watcher, replay
+from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.output.writing import unwatched
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.schemas.topics import Request
+from roadperc_stream.state.checkpoint import CheckpointOptions
+from roadperc_stream.state.opening import Beginning
 
 if TYPE_CHECKING:
     from roadperc_stream.view.live.serving import LiveReplay
@@ -29,26 +31,16 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
     Raises:
         RoadpercError: the log cannot be replayed.
     """
-    time_range, (*sources, target) = time_range_of(arguments), arguments.logs
+    target = _target(arguments)
     with live or nullcontext():
         with frame_progress("replaying", not arguments.quiet) as progress:
             summary = replay(
-                sources,
+                _source(arguments),
                 target,
                 config_of(arguments),
-                overrides=parse_topic_options(arguments.topic),
-                time_range=time_range,
-                results_only=arguments.results_only,
-                on_request=_requests(arguments),
-                force=arguments.force,
-                recover=arguments.recover,
-                strict=arguments.strict,
-                continued=arguments.continued,
-                warm_up_s=arguments.warm_up or 0.0,
-                checkpoint_every_s=arguments.checkpoint_every,
-                resume=arguments.resume,
-                progress=progress,
-                opened=live.start if live else unwatched,
+                beginning=Beginning(arguments.continued, arguments.warm_up or 0.0),
+                checkpoints=CheckpointOptions(arguments.checkpoint_every, arguments.resume),
+                watcher=Watcher(progress, live.start if live else unwatched),
             )
         if not arguments.quiet:
             with optional_output():
@@ -57,13 +49,24 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
             live.wait()
 
 
+def _source(arguments: argparse.Namespace) -> ReplaySource:
+    """All files but the last."""
+    topics = parse_topic_options(arguments.topic)
+    return ReplaySource(arguments.logs[:-1], topics, time_range_of(arguments), arguments.recover, arguments.strict)
+
+
+def _target(arguments: argparse.Namespace) -> ReplayTarget:
+    """The last file."""
+    return ReplayTarget(arguments.logs[-1], arguments.results_only, _requests(arguments), arguments.force)
+
+
 def _requests(arguments: argparse.Namespace) -> tuple[Request, ...]:
     """The pictures that the options ask for."""
     asked: dict[Request, bool] = {"overlay": arguments.overlay, "debug": arguments.debug}
     return tuple(request for request, wanted in asked.items() if wanted)
 
 
-def _print_summary(target: Path, summary: ReplaySummary) -> None:
+def _print_summary(target: ReplayTarget, summary: ReplaySummary) -> None:
     for warning in summary.warnings:
         print_line(f"warning: {warning}")
     for note in (*summary.notes, *summary.throughout):
@@ -74,7 +77,4 @@ def _print_summary(target: Path, summary: ReplaySummary) -> None:
         print_line(f"note: {number} messages of role {role} belong to no frame")
     rate = summary.frames / summary.seconds
     print_line(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} frames/s), log {summary.log_id}")
-    print_line(
-        f"wrote {target} ({summary.messages_out} messages), {sidecar_path(target, 'metrics').name}, "
-        f"{sidecar_path(target, 'objects').name}"
-    )
+    print_line(f"wrote {target.path} ({summary.messages_out} messages), {target.metrics.name}, {target.objects.name}")

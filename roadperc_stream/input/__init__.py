@@ -1,10 +1,12 @@
 """From a log to frames.
 
-The path of a frame: ``plan`` finds the part of the log, ``stream`` decodes the messages of the assigned ``roles``,
-``latched`` keeps calibrations and transforms, ``sync`` groups what belongs together, ``assemble`` makes the sample.
+The path of a frame: ``source`` says which part of which log, ``plan`` finds it in a first pass, ``stream`` decodes the
+messages of the assigned ``roles``, ``order`` puts them in the order of their stamps, ``latched`` keeps calibrations and
+transforms, ``sync`` groups what belongs together, ``assemble`` makes the sample.
 """
 
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.replay_input import ReplayInput, input_of, open_input
+from roadperc_stream.input.source import ReplaySource
 
-__all__ = ["Problems", "ReplayInput", "input_of", "open_input"]
+__all__ = ["Problems", "ReplayInput", "ReplaySource", "input_of", "open_input"]

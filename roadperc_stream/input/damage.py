@@ -87,12 +87,12 @@ class ReadableLog:
 
 
 def readable_log(
-    source: Path | Sequence[Path], limits: LimitsConfig, asked: TimeRange = WHOLE, *, recover: bool = False
+    paths: Sequence[Path], limits: LimitsConfig, asked: TimeRange = WHOLE, *, recover: bool = False
 ) -> ReadableLog:
     """A log, or what can be read of it where that is asked for, or where only some of it is to be replayed.
 
     Args:
-        source: the log, or its parts; a path ``-`` is standard input.
+        paths: of the log, or of its parts; ``-`` is standard input.
         limits: of its records and chunks.
         asked: the part to replay; damage elsewhere is none of it.
         recover: whether damage is no error.
@@ -101,7 +101,7 @@ def readable_log(
         LogError: it cannot be read, or is damaged.
         TargetError: there is no space for temporary files, where it needs some.
     """
-    sources = log.received([source] if isinstance(source, Path) else source)
+    sources = log.received(paths)
     try:
         return ReadableLog(log.summarise(sources, limits))
     except DamagedLogError as error:

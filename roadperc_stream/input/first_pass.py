@@ -13,13 +13,13 @@ from roadperc_stream.core.config import LimitsConfig
 from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.pairing import PairingState, StampPairing
-from roadperc_stream.input.part import PartMessages
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import RoleAssignment
 from roadperc_stream.input.state import FrameNumbers, InputState, only_needed, pending, restored
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncState
 from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import Message, MessageDigest
 
 
@@ -63,12 +63,12 @@ class FirstPass:
     end: InputState
 
 
-def beginning(latched: LatchedState) -> InputStart:
+def drive_start(latched: LatchedState) -> InputStart:
     """The start of a drive, where some calibrations and transforms hold."""
     return InputStart(PairingState(sync=SyncState(latched)), latched.tree)
 
 
-def continuation(state: InputState, roles: RoleAssignment, tag_table: str) -> InputStart:
+def continued_start(state: InputState, roles: RoleAssignment, tag_table: str) -> InputStart:
     """The start of a part that goes on from another.
 
     Raises:
@@ -109,11 +109,13 @@ class _Tally:
             yield item if item.is_latched else replace(item, payload=())
 
 
-def first_pass(part: PartMessages, order: OrderConfig, start: InputStart, strict_in: Path | None = None) -> FirstPass:
+def first_pass(
+    reader: WindowMessages, order: OrderConfig, start: InputStart, strict_in: Path | None = None
+) -> FirstPass:
     """Read all messages once.
 
     Args:
-        part: reads them.
+        reader: reads them.
         order: which role makes the frames, and how late messages may be.
         start: what is known before the first of them.
         strict_in: names the log, where the first message that cannot be read is an error.
@@ -121,7 +123,7 @@ def first_pass(part: PartMessages, order: OrderConfig, start: InputStart, strict
     Raises:
         LogError: the log is damaged.
     """
-    roles, cfg = part.roles, part.cfg
+    roles, cfg = reader.roles, reader.cfg
     tally = _Tally(start.arrived, dict(start.parent_of))
     patient = replace(order, lateness_ns=order.max_wait_ns)
     pairing = StampPairing(cfg.sync, patient, roles.topics, start.pairing, lambda _: None)
@@ -132,12 +134,12 @@ def first_pass(part: PartMessages, order: OrderConfig, start: InputStart, strict
         return tally.light(known.items(tally.with_parents(decoded), roles.topics, Problems(), cfg.limits))
 
     numbers = start.numbers
-    for synced in pairing.through(items(part.inside())):
+    for synced in pairing.through(items(reader.inside())):
         numbers = numbers.after(synced.reference)
     complete_frames, last_ns = pairing.frames, tally.last_ns
     carried, waiting = only_needed(start.carried, pairing.state.mapped(pending))
     end = InputState(
-        _from_ns(part, start, last_ns),
+        _from_ns(reader, start, last_ns),
         order.reference,
         roles.topics,
         roles.tag_table,
@@ -147,12 +149,12 @@ def first_pass(part: PartMessages, order: OrderConfig, start: InputStart, strict
         numbers,
         carried,
     )
-    for _ in pairing.through(items(part.late())):
+    for _ in pairing.through(items(reader.late())):
         pass  # only how late they are
     return FirstPass(tally.digest.hexdigest(), tally.counts, pairing.lateness_ns, tally.parent_of, complete_frames, end)
 
 
-def _from_ns(part: PartMessages, start: InputStart, last_ns: int | None) -> int:
+def _from_ns(reader: WindowMessages, start: InputStart, last_ns: int | None) -> int:
     """From where on a later part's messages are new: where this one was cut, else the last message's time."""
-    cut_ns = part.window.cut_ns
+    cut_ns = reader.window.cut_ns
     return max(start.from_ns, (last_ns or 0) if cut_ns is None else cut_ns)

@@ -10,14 +10,15 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.time import TimeRange, ns_to_seconds, seconds_to_ns
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.earlier_replay import is_result, replay_record
-from roadperc_stream.input.first_pass import FirstPass, InputStart, beginning, continuation, first_pass
+from roadperc_stream.input.first_pass import FirstPass, InputStart, continued_start, drive_start, first_pass
 from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.part import PartMessages, Window
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import NOTHING_TO_REPLAY, RoleAssignment, assignment_of_log
+from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import decoded_messages
+from roadperc_stream.input.window import Window, WindowMessages
 from roadperc_stream.log import LogSummary, Message
 from roadperc_stream.schemas.record import END_KEY
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
@@ -53,23 +54,15 @@ class InputPlan:
 
 
 def plan_input(
-    summary: LogSummary,
-    cfg: ReplayConfig,
-    overrides: Mapping[str, str],
-    part: TimeRange,
-    begin: InputState | None = None,
-    *,
-    strict: bool = False,
+    summary: LogSummary, cfg: ReplayConfig, asked: ReplaySource, begin: InputState | None = None
 ) -> InputPlan:
     """Assign the roles, find the part to replay, and read it once: every CRC is checked before work starts.
 
     Args:
         summary: of the log.
         cfg: how messages are decoded, paired and waited for.
-        overrides: topic of each role that is not on the contract's topic.
-        part: what of the log to replay.
+        asked: what of the log to replay, in seconds from the first message of ``summary``.
         begin: what an earlier part of the drive left; None where the log begins by itself.
-        strict: the first message that cannot be read is an error.
 
     Raises:
         ChannelError: the channels do not fit the roles.
@@ -77,14 +70,15 @@ def plan_input(
         NoFrameError: the part asked for holds no frame.
         StateError: the log cannot go on from ``begin``.
     """
-    roles, reference = _roles(summary, overrides, begin)
-    problems = Problems(summary.path if strict else None)
+    part = asked.time_range
+    roles, reference = _roles(summary, asked.overrides, begin)
+    problems = Problems(summary.path if asked.strict else None)
     window = _window(summary, cfg, part, roles, reference)
     latched, latched_messages = _latched_at_start(summary, cfg, roles, window, problems)
     order = OrderConfig(reference, seconds_to_ns(cfg.sync.max_wait_s))
-    start = beginning(latched) if begin is None else continuation(begin, roles, cfg.tag_table)
-    in_part = PartMessages(summary, cfg, roles, window, latched_messages)
-    found = first_pass(in_part, order, start, problems.strict_in)
+    start = drive_start(latched) if begin is None else continued_start(begin, roles, cfg.tag_table)
+    messages = WindowMessages(summary, cfg, roles, window, latched_messages)
+    found = first_pass(messages, order, start, problems.strict_in)
     topic = roles.topics[reference]
     if begin is None and not found.counts[topic]:
         length_s = ns_to_seconds((summary.last_ns or 0) - (summary.first_ns or 0))

@@ -1,27 +1,26 @@
 """A log as the input of a replay: what every loop over frames opens."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import UNWRITTEN, Sample
-from roadperc_stream.core.time import WHOLE, TimeRange
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.damage import loss_reason, readable_log
+from roadperc_stream.input.damage import ReadableLog, loss_reason
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.pairing import StampPairing
-from roadperc_stream.input.part import PartMessages
 from roadperc_stream.input.parts import part_notes
 from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import tag_table_to_record
+from roadperc_stream.input.source import ReplaySource
 from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages
+from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import Channel, LogSummary, Message, Recovery
 from roadperc_stream.schemas.record import (
     DIGEST_KEY,
@@ -35,62 +34,42 @@ from roadperc_stream.schemas.record import (
 from roadperc_stream.schemas.roles import require_role
 
 
-def open_input(
-    source: Path | Sequence[Path],
-    cfg: ReplayConfig,
-    overrides: Mapping[str, str] | None = None,
-    time_range: TimeRange = WHOLE,
-    *,
-    recover: bool = False,
-    strict: bool = False,
-) -> "ReplayInput":
+def open_input(source: ReplaySource, cfg: ReplayConfig) -> "ReplayInput":
     """Check a log, assign its channels to roles, and find the part to replay.
 
     Args:
-        source: the log, or its parts; a path ``-`` is standard input.
+        source: the log, and what of it is asked for.
         cfg: how messages are decoded, paired and placed.
-        overrides: topic of each role that is not on the contract's topic.
-        time_range: the part to replay; the copy of the input is cut with it.
-        recover: replay what can be read of a damaged log.
-        strict: the first message that cannot be used is an error.
 
     Raises:
         ChannelError: a role does not exist, or the channels do not fit the roles.
         LogError: the log cannot be read, is damaged in the part asked for, or that part holds no frame.
         TargetError: there is no space for temporary files, where the log needs some.
     """
-    found = readable_log(source, cfg.limits, time_range, recover=recover)
-    log_in = input_of(found.summary, cfg, overrides or {}, found.part(time_range), strict=strict)
-    if not recover:
-        found.require_outside(*log_in.plan.window.limits_ns)
-    return log_in
+    return input_of(source.read(cfg.limits), source, cfg)
 
 
 def input_of(
-    summary: LogSummary,
-    cfg: ReplayConfig,
-    overrides: Mapping[str, str],
-    time_range: TimeRange,
-    begin: InputState | None = None,
-    *,
-    strict: bool = False,
+    found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, begin: InputState | None = None
 ) -> "ReplayInput":
-    """As ``open_input``, of a log whose summary has been read.
+    """As ``open_input``, of a log that has been read.
 
     Args:
-        summary: of the log.
+        found: what ``source`` gave.
+        source: as there.
         cfg: as there.
-        overrides: as there.
-        time_range: as there.
         begin: what an earlier part of the drive left; None where the log begins by itself.
-        strict: as there.
 
     Raises:
         StateError: the log cannot go on from ``begin``; else as there.
     """
-    for role, topic in overrides.items():
+    for role, topic in source.overrides.items():
         require_role(role, f"topic {topic}")
-    return ReplayInput(summary, cfg, plan_input(summary, cfg, overrides, time_range, begin, strict=strict))
+    asked = replace(source, time_range=found.part(source.time_range))
+    plan = plan_input(found.summary, cfg, asked, begin)
+    if not source.recover:
+        found.require_outside(*plan.window.limits_ns)
+    return ReplayInput(found.summary, cfg, plan)
 
 
 class ReplayInput:
@@ -208,9 +187,9 @@ class ReplayInput:
         return end.carrying(m for m in self._messages.inside(topics) if m.log_time_ns >= first_ns)
 
     @property
-    def _messages(self) -> PartMessages:
+    def _messages(self) -> WindowMessages:
         plan = self.plan
-        return PartMessages(self.summary, self._cfg, plan.roles, plan.window, plan.latched_messages)
+        return WindowMessages(self.summary, self._cfg, plan.roles, plan.window, plan.latched_messages)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -228,6 +207,11 @@ class ReplayInput:
         parts = part_notes(self.summary, self.topics[self.plan.order.reference])
         return (*parts, *self.plan.roles.notes, *(self.plan.problems.first | self._problems.first).values())
 
+    @property
+    def chosen_topics(self) -> dict[str, str]:
+        """The topics that the user chose, by the keys under which a result records them."""
+        return {f"{TOPIC_KEY}{role}": topic for role, topic in sorted(self.plan.roles.chosen.items())}
+
     def record(self) -> dict[str, str]:
         """What a result has to record of its input, so that it can be replayed from itself."""
         roles = self.plan.roles
@@ -237,7 +221,7 @@ class ReplayInput:
             "input_messages": str(self.plan.first_pass.counts.total()),
             FRAMES_KEY: str(self.frames),
             **({} if self.plan.window.cut_ns is None else {END_KEY: str(self.plan.window.cut_ns)}),
-            **{f"{TOPIC_KEY}{role}": topic for role, topic in sorted(roles.chosen.items())},
+            **self.chosen_topics,
             **({TAG_TABLE_KEY: tag_table} if tag_table else {}),
             **{f"{DROPPED_KEY}{role}": str(number) for role, number in sorted(self.dropped.items())},
         }

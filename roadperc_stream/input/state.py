@@ -119,7 +119,11 @@ def pending(item: Stamped) -> PendingMessage:
     return replace(kept, edges=item.edges, place=MessagePlace()) if item.is_latched else kept
 
 
-def only_needed(carried: tuple[Message, ...], state: PairingState[PendingMessage]) -> "_Needed":
+_Needed = tuple[tuple[Message, ...], PairingState[PendingMessage]]
+"""Messages that are carried, and the state that names them."""
+
+
+def only_needed(carried: tuple[Message, ...], state: PairingState[PendingMessage]) -> _Needed:
     """The carried messages that a state still names, and the state that names them by their new places."""
     used = sorted({item.place.number for item in state.items if item.place.carried})
     numbers = {old: new for new, old in enumerate(used)}
@@ -130,9 +134,6 @@ def only_needed(carried: tuple[Message, ...], state: PairingState[PendingMessage
         )
 
     return tuple(carried[k] for k in used), state.mapped(renumbered)
-
-
-_Needed = tuple[tuple[Message, ...], PairingState[PendingMessage]]
 
 
 def restored(state: InputState, roles: RoleAssignment, tag_table: str) -> PairingState[Stamped]:

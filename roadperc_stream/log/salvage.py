@@ -9,6 +9,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
@@ -101,7 +102,8 @@ class Salvage:
         if self._index is not None:
             self.described.add_index(self._index)
         self._inventory, self._losses, self._workspace = Inventory(), Losses(), Workspace()
-        self._framing = Framing(self.size_bytes, resume_at, self._is_message)
+        is_message = partial(_is_message, self.described, self._inventory)  # not of this object: it is freed at once
+        self._framing = Framing(self.size_bytes, resume_at, is_message)
         self._chunks_without_crc = self._breaks = 0
         self._covered = True
         """Whether every message that was read stands in a chunk with a CRC of its own."""
@@ -275,7 +277,7 @@ class Salvage:
     def _require_private(self, record: Record) -> None:
         """An application's own record does not have the form of messages: then its type is not what was written."""
         opcode = record.opcode & ~_PRIVATE_BIT
-        if opcode == Opcode.MESSAGE and self._is_message(record.body):
+        if opcode == Opcode.MESSAGE and self._framing.is_message(record.body):
             raise ValueError("is a message by its form")
         if opcode == Opcode.CHUNK:
             try:
@@ -284,15 +286,6 @@ class Salvage:
                 return
             if head.record_bytes == record.end - record.start:
                 raise ValueError("is a chunk by its form")
-
-    def _is_message(self, body: bytes) -> bool:
-        """Whether these are the first bytes of a message of this log, by its channel and its log time."""
-        try:
-            head = message_head(body)
-        except ValueError:
-            return False
-        near_ns = self._inventory.last_ns or head.log_time_ns
-        return head.channel_id in self.channels and abs(head.log_time_ns - near_ns) < _FAR_NS
 
     def _note(self, opcode: int, body: bytes, start: int | None = None) -> None:
         """Keep what a record other than a message says; ``start`` is its first byte, None inside a chunk."""
@@ -323,6 +316,16 @@ class Salvage:
             f"CRCs of {self._chunks_without_crc} chunks": bool(self._chunks_without_crc),
         }
         self.absent = tuple(what for what, true in lacking.items() if true)
+
+
+def _is_message(described: Described, inventory: Inventory, body: bytes) -> bool:
+    """Whether these are the first bytes of a message of this log, by its channel and its log time."""
+    try:
+        head = message_head(body)
+    except ValueError:
+        return False
+    near_ns = inventory.last_ns or head.log_time_ns
+    return head.channel_id in described.channels and abs(head.log_time_ns - near_ns) < _FAR_NS
 
 
 class _Bounded(ReadDataStream):

@@ -52,6 +52,22 @@ class Checkpoint:
     counted: Counted
 
 
+@dataclass(frozen=True)
+class CheckpointOptions:
+    """Whether a replay keeps checkpoints, and goes on from one; neither unless said.
+
+    Args:
+        every_s: seconds of log after which what is complete is made durable; None: never.
+        resume: go on from the latest one, where there is one.
+    """
+
+    every_s: float | None = None
+    resume: bool = False
+
+
+NO_CHECKPOINTS: Final = CheckpointOptions()
+
+
 def checkpoint_folder(target: Path) -> Path:
     """Where the checkpoints of an output lie."""
     return target.with_name(f".{target.name}.checkpoint")
@@ -76,17 +92,29 @@ class CheckpointFolder:
         except FileNotFoundError:
             return None
         except (OSError, StateError) as error:
-            raise StateError(f"{self.path}: {error}; remove it to start over") from error
+            raise self.damaged(str(error)) from error
         if not is_whole:
-            raise StateError(f"{self.path}: its frames are cut short; remove it to start over")
+            raise self.damaged("its frames are cut short")
         return checkpoint
 
+    def damaged(self, words: str) -> StateError:
+        """The error of checkpoints that cannot be used."""
+        return StateError(f"{self.path}: {words}; remove it to start over")
+
     def outputs(self, checkpoint: Checkpoint) -> Iterator[FrameOutput]:
-        """What was written of the frames up to a checkpoint, in their order."""
+        """What was written of the frames up to a checkpoint, in their order.
+
+        Raises:
+            StateError: it cannot be read.
+        """
         with target_errors(self.path), (self.path / _FRAMES).open("rb") as frames:
             while frames.tell() < checkpoint.length:
-                (length,) = _LENGTH.unpack(frames.read(_LENGTH.size))
-                yield decode(frames.read(min(length, checkpoint.length)), FrameOutput)
+                try:
+                    (length,) = _LENGTH.unpack(frames.read(_LENGTH.size))
+                    output = decode(frames.read(min(length, checkpoint.length)), FrameOutput)
+                except (struct.error, StateError) as error:
+                    raise self.damaged(str(error)) from error
+                yield output
 
     def begin(self, checkpoint: Checkpoint | None) -> None:
         """Prepare for more frames, behind a checkpoint; without one anything that is there is removed."""
@@ -96,6 +124,7 @@ class CheckpointFolder:
             self.path.mkdir(parents=True, exist_ok=True)
             self._frames = (self.path / _FRAMES).open("ab")
             self._frames.truncate(0 if checkpoint is None else checkpoint.length)
+            self._frames.seek(0, os.SEEK_END)  # else its length counts from the end it had
             _sync_folder(self.path.parent)
 
     def append(self, output: FrameOutput) -> None:
@@ -124,6 +153,11 @@ class CheckpointFolder:
                 os.fsync(state.fileno())
             new.replace(self.path / _STATE)
             _sync_folder(self.path)
+
+    @property
+    def exists(self) -> bool:
+        """Whether a replay has begun to keep some, and has not come to its end."""
+        return self.path.exists()
 
     @property
     def holds_one(self) -> bool:
@@ -197,13 +231,19 @@ class Checkpoints:
         """What was counted in those."""
         return Counted() if self._found is None else self._found.counted
 
-    def next_output(self) -> FrameOutput:
+    def next_output(self, index: int) -> FrameOutput:
         """What was written of the next of those that are written at all.
 
+        Args:
+            index: number of the frame.
+
         Raises:
-            StateError: it cannot be read.
+            StateError: it cannot be read, or is of another frame.
         """
-        return next(self._outputs)
+        output = next(self._outputs, None)
+        if output is None or output.row.frame != index:
+            raise self._folder.damaged(f"does not hold frame {index}")
+        return output
 
     def __enter__(self) -> Self:
         if self._found is not None:

@@ -2,23 +2,21 @@
 
 import hashlib
 import json
-from collections.abc import Collection, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 
 from roadperc_stream import __version__, log
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.input.earlier_replay import replay_record
+from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.log import LogSummary
-from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, CONFIG_ATTACHMENT, DIGEST_KEY, VERSION_KEY
-from roadperc_stream.schemas.topics import Request
+from roadperc_stream.output.target import ReplayTarget
+from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, CONFIG_ATTACHMENT, DIGEST_KEY, TOPIC_KEY, VERSION_KEY
+from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.state.encoding import encode
 from roadperc_stream.state.opening import OpenedLog
 from roadperc_stream.state.replay_state import settings_of
 
 
-def run_of(
-    cfg: ReplayConfig, opened: OpenedLog, *, results_only: bool, on_request: Collection[Request]
-) -> dict[str, str]:
+def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[str, str]:
     """Everything that decides what a replay writes, by name: two that are equal in it write the same."""
     plan, begin = opened.input.plan, opened.state_for(cfg)
     return {
@@ -27,8 +25,9 @@ def run_of(
         "input": plan.first_pass.digest,
         "topics": json.dumps(dict(plan.roles.topics)),
         "frames at most": str(plan.most_frames),
-        "pictures": json.dumps(sorted(on_request)),
-        "results only": str(results_only),
+        "pictures": json.dumps(sorted(target.on_request)),
+        "results only": str(target.results_only),
+        "strict": str(opened.strict),
         "state at the beginning": "" if begin is None else hashlib.sha256(encode(begin)).hexdigest(),
     }
 
@@ -38,17 +37,25 @@ def differences(run: Mapping[str, str], other: Mapping[str, str]) -> tuple[str, 
     return tuple(name for name in {**run, **other} if run.get(name) != other.get(name))
 
 
-def finished(target: Path, cfg: ReplayConfig, opened: OpenedLog) -> LogSummary | None:
-    """The output that stands under a name, where it is that of this replay; None where it is not, or there is none."""
-    if not target.exists():
+def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> LogSummary | None:
+    """The output that is there already, where it is that of this replay; None where it is not, or not all is there."""
+    if not target.is_complete:
         return None
-    summary = log.summarise(target)
+    summary = log.summarise(target.path)
     attached = {item.name: item.data for item in summary.attachments}
     record, begin = replay_record(summary.metadata), opened.state_for(cfg)
-    expected = {DIGEST_KEY: opened.input.plan.first_pass.digest, VERSION_KEY: __version__}
     is_same = (
-        attached.get(CONFIG_ATTACHMENT) == cfg.to_toml().encode()
+        record.get(DIGEST_KEY) == opened.input.plan.first_pass.digest
+        and record.get(VERSION_KEY) == __version__
+        and {key: topic for key, topic in record.items() if key.startswith(TOPIC_KEY)} == opened.input.chosen_topics
+        and attached.get(CONFIG_ATTACHMENT) == cfg.to_toml().encode()
         and attached.get(BEGIN_ATTACHMENT) == (None if begin is None else encode(begin))
-        and all(record.get(key) == value for key, value in expected.items())
+        and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)
     )
     return summary if is_same else None
+
+
+def _topics(target: ReplayTarget, opened: OpenedLog) -> set[tuple[str, bool]]:
+    """The topics of what a replay writes, and whether they are its results."""
+    copied = () if target.results_only else opened.input.channels
+    return {(topic, True) for topic in result_schemas(target.on_request)} | {(c.topic, False) for c in copied}

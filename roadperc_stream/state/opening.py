@@ -1,17 +1,17 @@
 """A log as what a replay goes through: its frames, and what is remembered before the first of them."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Final
 
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import UNWRITTEN
 from roadperc_stream.core.threads import one_thread
-from roadperc_stream.core.time import WHOLE, TimeRange, ns_to_seconds, seconds_to_ns
-from roadperc_stream.errors import NoFrameError, StateError
-from roadperc_stream.input import ReplayInput, input_of
-from roadperc_stream.input.damage import ReadableLog, readable_log
+from roadperc_stream.core.time import TimeRange, ns_to_seconds, seconds_to_ns
+from roadperc_stream.errors import ConfigError, NoFrameError, StateError
+from roadperc_stream.input import ReplayInput, ReplaySource, input_of
+from roadperc_stream.input.damage import ReadableLog
 from roadperc_stream.input.state import FrameNumbers
 from roadperc_stream.log import LogSummary
 from roadperc_stream.output.writing import Shown
@@ -55,45 +55,36 @@ class OpenedLog:
 
 
 @dataclass(frozen=True)
-class ReplaySource:
-    """What is to be replayed.
+class Beginning:
+    """What the chain has seen before the first frame that is written; nothing unless said.
 
     Args:
-        paths: the log, or its parts; ``-`` is standard input.
-        overrides: topic of each role that is not on the contract's topic.
-        part: of the log.
-        recover: replay what can be read of a damaged log.
-        strict: the first message that cannot be used is an error.
+        continued: the result of the part of the drive before, to go on from.
+        warm_up_s: seconds of log before the start of the part to replay, of which nothing is written.
     """
 
-    paths: Path | Sequence[Path]
-    overrides: Mapping[str, str] = field(default_factory=dict)
-    part: TimeRange = WHOLE
-    recover: bool = False
-    strict: bool = False
+    continued: Path | None = None
+    warm_up_s: float = 0.0
 
-    def read(self, cfg: ReplayConfig) -> ReadableLog:
-        """The log, as far as it can be read.
 
-        Raises:
-            LogError: it cannot, or is damaged where that is an error.
-        """
-        return readable_log(self.paths, cfg.limits, self.part, recover=self.recover)
+BY_ITSELF: Final = Beginning()
 
-    def opened(
-        self, found: ReadableLog, cfg: ReplayConfig, begin: ReplayState | None, notes: Notes = ()
-    ) -> "OpenedLog":
-        """The log as what a replay goes through, once it is known what came before.
 
-        Raises:
-            ChannelError: the channels do not fit the roles.
-            LogError: it is damaged in the part asked for, or that holds no frame.
-        """
-        part, state = found.part(self.part), None if begin is None else begin.input
-        log_in = input_of(found.summary, cfg, self.overrides, part, state, strict=self.strict)
-        if not self.recover:
-            found.require_outside(*log_in.plan.window.limits_ns)
-        return OpenedLog(log_in, begin, notes, found.warnings, self.strict)
+def open_replay(source: ReplaySource, cfg: ReplayConfig, beginning: Beginning) -> OpenedLog:
+    """Open a log, to begin as is asked for.
+
+    Raises:
+        ConfigError: two beginnings are asked for, or a warm-up without a start; else as ``open_log``.
+    """
+    if beginning.warm_up_s and beginning.continued is not None:
+        raise ConfigError("warm_up_s: what is continued needs no warm-up")
+    if beginning.warm_up_s and source.time_range.start_s is None:
+        raise ConfigError("warm_up_s: only with a start")
+    if beginning.continued is not None:
+        return _open_continued(source, cfg, beginning.continued)
+    if beginning.warm_up_s:
+        return _open_warmed(source, cfg, beginning.warm_up_s)
+    return open_log(source, cfg)
 
 
 def open_log(source: ReplaySource, cfg: ReplayConfig) -> OpenedLog:
@@ -104,18 +95,18 @@ def open_log(source: ReplaySource, cfg: ReplayConfig) -> OpenedLog:
         LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
         StateError: the state it carries cannot be read.
     """
-    found = source.read(cfg)
-    return source.opened(found, cfg, *state_at_begin(found.summary, cfg, source.part))
+    found = source.read(cfg.limits)
+    return _opened(found, source, cfg, *state_at_begin(found.summary, cfg, source.time_range))
 
 
-def open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> OpenedLog:
+def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> OpenedLog:
     """Open a part of a drive, to go on from the result of the part before.
 
     Raises:
         StateError: it cannot go on from there; else as ``open_log``.
     """
     begin = state_at_end(before, cfg)
-    opened = source.opened(source.read(cfg), cfg, begin)
+    opened = _opened(source.read(cfg.limits), source, cfg, begin)
     summary, starts_ns, ended_ns = opened.input.summary, opened.input.span_ns[0], begin.input.from_ns
     if summary.first_ns is not None and starts_ns < ended_ns:
         lead_s = ns_to_seconds(ended_ns - starts_ns)
@@ -125,26 +116,28 @@ def open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> Ope
     return opened
 
 
-def open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> OpenedLog:
-    """Open a part of a log, the chain's memory built on the seconds before it.
-
-    Raises:
-        as ``open_log``.
-    """
-    found = source.read(cfg)
-    start_s = found.part(source.part).start_s or 0.0
+def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> OpenedLog:
+    """Open a part of a log, the chain's memory built on the seconds before it."""
+    found = source.read(cfg.limits)
+    start_s = found.part(source.time_range).start_s or 0.0
     short = (f"warm-up: {start_s:g} s, the log has no more before the start",) if start_s < warm_up_s else ()
-    lead = TimeRange(start_s - warm_up_s, start_s)
-    begin = _warmed(found.summary, cfg, source.overrides, lead) if start_s > 0 else None
-    return source.opened(found, cfg, begin, short)
+    lead = ReplaySource(source.paths, source.overrides, TimeRange(start_s - warm_up_s, start_s))
+    begin = _warmed(found.summary, lead, cfg) if start_s > 0 else None
+    return _opened(found, source, cfg, begin, short)
 
 
-def _warmed(
-    summary: LogSummary, cfg: ReplayConfig, overrides: Mapping[str, str], lead: TimeRange
-) -> ReplayState | None:
+def _opened(
+    found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, begin: ReplayState | None, notes: Notes = ()
+) -> OpenedLog:
+    """A log as what a replay goes through, once it is known what came before."""
+    log_in = input_of(found, source, cfg, None if begin is None else begin.input)
+    return OpenedLog(log_in, begin, notes, found.warnings, source.strict)
+
+
+def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig) -> ReplayState | None:
     """What is remembered of the frames before a start, none of which is written; None where there are none."""
     try:
-        log_in = input_of(summary, cfg, overrides, lead)
+        log_in = input_of(ReadableLog(summary), lead, cfg)
     except NoFrameError:
         return None
     memory = ReplayMemory(is_warming=True)
@@ -152,6 +145,6 @@ def _warmed(
         for sample in islice(log_in.samples(), log_in.plan.first_pass.complete_frames):
             memory, *_ = run_frame(cfg, memory, "", replace(sample, index=UNWRITTEN))
     end = log_in.end_state(with_messages=True)
-    start_ns = (summary.first_ns or 0) + seconds_to_ns(lead.end_s or 0.0)
+    start_ns = (summary.first_ns or 0) + seconds_to_ns(lead.time_range.end_s or 0.0)
     end = replace(end, from_ns=start_ns, numbers=FrameNumbers(written_from_ns=start_ns))
     return as_read(ReplayState("", settings_of(cfg), end, replace(memory, shown=Shown())))

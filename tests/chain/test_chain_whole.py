@@ -13,7 +13,7 @@ from roadperc_stream.core.config import load_config
 from roadperc_stream.core.datatypes import Absent, PointCloud, Reason
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
-from roadperc_stream.input import open_input
+from roadperc_stream.input import ReplaySource, open_input
 from tests.chain.test_chain import same
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
@@ -24,7 +24,7 @@ EGO_T_LIDAR = g.rigid(g.rotation_from_rpy(0.02, -0.05, 0.3), np.array([0.0, 0.1,
 
 @pytest.fixture(scope="module")
 def frames():
-    log_in = open_input(SAMPLE, CFG, time_range=TimeRange(frames=FRAMES))
+    log_in = open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES)), CFG)
     return [with_lidar(sample.frame) for sample in log_in.samples()]
 
 

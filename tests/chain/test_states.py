@@ -10,7 +10,7 @@ import pytest
 from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
-from roadperc_stream.input import open_input
+from roadperc_stream.input import ReplaySource, open_input
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 PLAIN = (type(None), bool, int, float, str, bytes, Enum)
@@ -34,7 +34,7 @@ def state():
     """After frames in which every stage had something to remember."""
     cfg = load_config()
     state = ChainState()
-    for sample in open_input(SAMPLE, cfg, time_range=TimeRange(frames=3)).samples():
+    for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=3)), cfg).samples():
         state, _ = step(cfg, state, sample.frame)
     return state
 

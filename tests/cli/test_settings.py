@@ -16,7 +16,7 @@ from roadperc_stream.core.config import ReplayConfig, load_config
 from roadperc_stream.core.config.catalogue import Setting, catalogue, sections
 from roadperc_stream.core.stage_names import STAGES
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.loop import table_facts
+from roadperc_stream.output.tables import table_facts
 from tests.core.test_settings import all_settings
 
 ROOT = Path(__file__).parents[2]

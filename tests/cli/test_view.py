@@ -8,10 +8,10 @@ import pytest
 
 from roadperc_stream.cli.view import main
 from roadperc_stream.core.config import load_config
-from roadperc_stream.loop import replay
 from roadperc_stream.view import modes
 from roadperc_stream.view.rerun import viewer
 from tests import logs
+from tests.replaying import replay
 from tests.view.rerun.chunks import recorded
 
 

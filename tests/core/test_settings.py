@@ -12,11 +12,11 @@ from roadperc_stream.core.config import STAGES, ReplayConfig, load_config, switc
 from roadperc_stream.core.config.fields import Section
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
-from roadperc_stream.input import open_input
-from roadperc_stream.loop import replay
+from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
 from tests.chain.test_chain import same
+from tests.replaying import replay
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 FRAMES = 8
@@ -166,7 +166,7 @@ GROUPS = (
 
 @cache
 def frames(mono):
-    found = open_input(SAMPLE, ReplayConfig(), time_range=TimeRange(frames=FRAMES)).samples()
+    found = open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES)), ReplayConfig()).samples()
     lacking = {"depth": None, "right": None} if mono else {}
     return [replace(sample.frame, **lacking) for sample in found]
 

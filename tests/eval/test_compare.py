@@ -10,7 +10,7 @@ import pytest
 
 from roadperc_stream.cli.compare import main
 from roadperc_stream.core.config import load_config
-from roadperc_stream.loop import table_facts
+from roadperc_stream.output.tables import table_facts
 from tests.eval.tables import START_NS, row, write
 
 OTHER = "b" * 16

@@ -9,9 +9,9 @@ from roadperc_stream.cli.compare import main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.log import LogWriter
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.roles import ROLES
+from tests.replaying import replay
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 SEGMENTATION = ROLES["segmentation"].topic

@@ -15,7 +15,7 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.report import main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.eval.html.page import RUNS_DRAWN
-from roadperc_stream.loop import table_facts
+from roadperc_stream.output.tables import table_facts
 from tests.eval.tables import START_NS, STEP_NS, row, write
 from tests.eval.test_html_parts import STAMP, write_log
 

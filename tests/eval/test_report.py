@@ -12,7 +12,7 @@ import pytest
 from roadperc_stream.cli.report import main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.eval import summary
-from roadperc_stream.loop import table_facts
+from roadperc_stream.output.tables import table_facts
 from tests.commands import BUFFERINGS, environment
 from tests.eval.tables import row, write
 

@@ -17,11 +17,11 @@ from roadperc_stream.cli.sweep import main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.input import open_input, replay_input
-from roadperc_stream.loop import replay
+from roadperc_stream.input import ReplaySource, open_input, replay_input
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests import logs
+from tests.replaying import replay
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 LANES = ("--vary", "lanes.process_noise=0.1,1")
@@ -137,7 +137,9 @@ class Watched:
 def test_no_other_settings_decide_what_a_sample_is(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(6, roles=tuple(r for r in logs.ALL if r != "tf")))
     read = set()
-    log_in = open_input(source, Watched(load_config(), read), time_range=TimeRange(start_s=0.05, frames=3))
+    log_in = open_input(
+        ReplaySource(source, time_range=TimeRange(start_s=0.05, frames=3)), Watched(load_config(), read)
+    )
     assert len(list(log_in.samples())) == 3
     others = {key for key in read if not key.startswith("limits.")}
     assert others == {"sync.tolerance_s", "sync.max_wait_s", "tag_table", "surface.assumed_height_m"}

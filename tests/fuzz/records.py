@@ -311,14 +311,15 @@ def _bomb(scope: list[Record], at: int, choices: Choices) -> None:
         record.fields["crc"] = 0
 
 
-def zeros_as_zstd(size: int) -> bytes:
-    """A zstd frame of so many zeros, a block of 128 kB in four bytes (RFC 8878)."""
+def zeros_as_zstd(size: int, *, stated: bool = True) -> bytes:
+    """A zstd frame of so many zeros, a block of 128 kB in four bytes (RFC 8878); its header may leave the size out."""
     block = 128 * 1024
     count = -(-size // block)
     blocks = bytearray(struct.pack("<I", (block << 3) | 0b010)[:3] + b"\0") * (count - 1)
     last = size - (count - 1) * block
     blocks += struct.pack("<I", (last << 3) | 0b011)[:3] + b"\0"
-    return struct.pack("<IBBQ", 0xFD2FB528, 0b11000000, 0b01101000, size) + bytes(blocks)
+    head = struct.pack("<IBB", 0xFD2FB528, 0b11000000 if stated else 0, 0b01101000)
+    return head + (struct.pack("<Q", size) if stated else b"") + bytes(blocks)
 
 
 FAULTS = {

@@ -93,6 +93,7 @@ def test_what_is_removed_from_a_log_is_put_right(tmp_path):
 @pytest.mark.parametrize("size", [1, 131_072, 131_073, 1_000_000])
 def test_zeros_in_a_few_bytes(size):
     assert zstandard.decompress(zeros_as_zstd(size)) == bytes(size)
+    assert zstandard.decompress(zeros_as_zstd(size, stated=False), size) == bytes(size)
     assert len(zeros_as_zstd(10**9)) < 40_000
 
 

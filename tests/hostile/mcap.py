@@ -1,52 +1,54 @@
-"""MCAP files record by record, with whatever lengths one likes. Layout: https://mcap.dev/spec."""
+"""MCAP files record by record, with whatever lengths one likes."""
 
 import struct
 
-from roadperc_stream.log.integrity import MAGIC
+from mcap.opcode import Opcode
 
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX = 1, 2, 3, 4, 5, 6, 8
-ATTACHMENT, STATISTICS, METADATA, DATA_END = 9, 11, 12, 15
+from tests.fuzz.records import MAGIC, Record
 
-
-def record(opcode, body, length=None):
-    return struct.pack("<BQ", opcode, len(body) if length is None else length) + body
-
-
-def text(value):
-    data = value.encode() if isinstance(value, str) else value
-    return struct.pack("<I", len(data)) + data
+HEADER = Record(Opcode.HEADER, {"library": b"hostile"}).packed()
 
 
 def schema(number, name, encoding, data):
-    return record(SCHEMA, struct.pack("<H", number) + text(name) + text(encoding) + text(data))
+    fields = {"id": number, "name": name.encode(), "encoding": encoding.encode(), "data": data}
+    return Record(Opcode.SCHEMA, fields).packed()
 
 
 def channel(number, of, topic, encoding):
-    return record(CHANNEL, struct.pack("<HH", number, of) + text(topic) + text(encoding) + text(b""))
+    fields = {"id": number, "schema_id": of, "topic": topic.encode(), "encoding": encoding.encode()}
+    return Record(Opcode.CHANNEL, fields).packed()
 
 
 def message(of, time_ns, data, length=None):
-    return record(MESSAGE, struct.pack("<HIQQ", of, 0, time_ns, time_ns) + data, length)
+    fields = {"channel_id": of, "log_time": time_ns, "publish_time": time_ns, "data": data}
+    return Record(Opcode.MESSAGE, fields, length=length).packed()
+
+
+def attachment(length):
+    """An attachment that says that its data have this length."""
+    return Record(Opcode.ATTACHMENT, {"name": b"a", "media_type": b"b"}, lies={"data": length}).packed()
 
 
 def chunk(data, compression="", *, size, length=None):
     """A chunk whose header says that it is ``size`` bytes without compression, and ``length`` with it."""
-    stored = len(data) if length is None else length
-    return record(CHUNK, struct.pack("<QQQI", 1, 1, size, 0) + text(compression) + struct.pack("<Q", stored) + data)
+    fields = {"start": 1, "end": 1, "size": size, "compression": compression.encode(), "records": data}
+    return Record(Opcode.CHUNK, fields, lies={} if length is None else {"records": length}).packed()
 
 
 def file(*records, index=()):
     """A file of these records; ``index`` are those of its summary."""
-    data = MAGIC + record(HEADER, text("") + text("hostile")) + b"".join(records) + record(DATA_END, bytes(4))
+    data = MAGIC + HEADER + b"".join(records) + Record(Opcode.DATA_END, {}).packed()
     summary = b"".join(index)
-    return data + summary + record(FOOTER, struct.pack("<QQI", len(data) if summary else 0, 0, 0)) + MAGIC
+    footer = Record(Opcode.FOOTER, {"summary_start": len(data) if summary else 0})
+    return data + summary + footer.packed() + MAGIC
 
 
 def indexed(chunk_record, *records, size, messages=1):
     """A file of one chunk with an index that says the same as the chunk, and these schemas and channels."""
-    start = len(MAGIC) + len(record(HEADER, text("") + text("hostile")))
-    place = struct.pack("<QQQQIQ", 1, 1, start, len(chunk_record), 0, 0)
-    entry = record(CHUNK_INDEX, place + text("zstd") + struct.pack("<QQ", len(chunk_record), size))
-    counts = struct.pack("<IHQ", 10, 1, messages)
-    facts = struct.pack("<QHIIIIQQ", messages, 1, 1, 0, 0, 1, 1, 1) + counts
-    return file(chunk_record, index=(*records, record(STATISTICS, facts), entry))
+    place = {"start": 1, "end": 1, "offset": len(MAGIC + HEADER), "length": len(chunk_record)}
+    entry = Record(
+        Opcode.CHUNK_INDEX, {**place, "compression": b"zstd", "compressed_size": len(chunk_record), "size": size}
+    )
+    counts = {"messages": messages, "schemas": 1, "channels": 1, "chunks": 1, "start": 1, "end": 1}
+    statistics = Record(Opcode.STATISTICS, {**counts, "counts": struct.pack("<HQ", 1, messages)})
+    return file(chunk_record, index=(*records, statistics.packed(), entry.packed()))

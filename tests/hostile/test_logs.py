@@ -1,10 +1,11 @@
 """Logs that declare more than they have, or more than there is: a result or one line, in bounded memory and time."""
 
 import resource
-import struct
 import time
 
+import lz4.frame
 import pytest
+import zstandard
 from mcap.writer import IndexType, Writer
 
 from roadperc_stream import log
@@ -12,6 +13,7 @@ from roadperc_stream.core.config import LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Salvage
 from tests.commands import run
+from tests.fuzz.records import zeros_as_zstd
 from tests.hostile import bombs, mcap
 
 pytestmark = pytest.mark.commands
@@ -21,30 +23,24 @@ HUGE = 8 * GIB + 512 * 2**20
 CLAIMED = 10**11
 
 
-def attachment(length):
-    return mcap.record(
-        mcap.ATTACHMENT, bytes(16) + mcap.text("a") + mcap.text("b") + struct.pack("<Q", length) + b"xxxx"
-    )
-
-
 def compressed(data, compression, size=HUGE):
     return mcap.file(*KNOWN, mcap.chunk(data, compression, size=size))
 
 
 CASES = {
-    "zstd that says its size": lambda: compressed(bombs.zstd_zeros(HUGE), "zstd"),
-    "zstd that does not": lambda: compressed(bombs.zstd_zeros(HUGE, stated=False), "zstd"),
-    "zstd in a chunk that lies": lambda: compressed(bombs.zstd_zeros(HUGE), "zstd", size=100),
-    "zstd by an index": lambda: mcap.indexed(mcap.chunk(bombs.zstd_zeros(HUGE), "zstd", size=HUGE), *KNOWN, size=HUGE),
+    "zstd that says its size": lambda: compressed(zeros_as_zstd(HUGE), "zstd"),
+    "zstd that does not": lambda: compressed(zeros_as_zstd(HUGE, stated=False), "zstd"),
+    "zstd in a chunk that lies": lambda: compressed(zeros_as_zstd(HUGE), "zstd", size=100),
+    "zstd by an index": lambda: mcap.indexed(mcap.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE), *KNOWN, size=HUGE),
     "zstd by an index that lies": lambda: mcap.indexed(
-        mcap.chunk(bombs.zstd_zeros(HUGE), "zstd", size=HUGE), *KNOWN, size=100
+        mcap.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE), *KNOWN, size=100
     ),
     "lz4": lambda: compressed(bombs.lz4_zeros(HUGE), "lz4"),
     "lz4 in a chunk that lies": lambda: compressed(bombs.lz4_zeros(HUGE), "lz4", size=100),
     "chunk that claims 100 GB": lambda: compressed(b"x" * 100, "zstd", size=CLAIMED),
     "chunk that stores 100 GB": lambda: mcap.file(*KNOWN, mcap.chunk(b"x", size=CLAIMED, length=CLAIMED)),
-    "message of 100 GB": lambda: mcap.file(*KNOWN, mcap.record(mcap.MESSAGE, b"x" * 100, CLAIMED)),
-    "attachment of 100 GB": lambda: mcap.file(*KNOWN, attachment(CLAIMED)),
+    "message of 100 GB": lambda: mcap.file(*KNOWN, mcap.message(1, 1, b"x" * 100, CLAIMED)),
+    "attachment of 100 GB": lambda: mcap.file(*KNOWN, mcap.attachment(CLAIMED)),
 }
 
 
@@ -68,7 +64,7 @@ def test_what_is_declared_is_not_allocated(tmp_path, case):
 def test_a_chunk_beyond_the_limit_names_the_setting(tmp_path):
     path = tmp_path / "in.mcap"
     data = b"".join(KNOWN) + mcap.message(1, 1, bytes(2_000_000))
-    path.write_bytes(compressed(bombs.zstandard.compress(data), "zstd", size=len(data)))
+    path.write_bytes(compressed(zstandard.compress(data), "zstd", size=len(data)))
     assert [len(m.data) for m in log.read(log.summarise(path))] == [2_000_000]
     with pytest.raises(LogError, match=r"a chunk of 2 MiB: expected limits\.chunk_mb 1 at most"):
         list(log.read(log.summarise(path, LimitsConfig(chunk_mb=1))))
@@ -86,7 +82,7 @@ def test_a_record_beyond_the_limit_names_the_setting(tmp_path):
 def test_chunks_as_writers_make_them_are_read(tmp_path, stated):
     """lz4 with and without its size, whose contents are measured before they are decompressed."""
     data = b"".join(KNOWN) + b"".join(mcap.message(1, 1, bytes(50_000)) for _ in range(100))
-    packed = bombs.lz4.frame.compress(data, store_size=stated)
+    packed = lz4.frame.compress(data, store_size=stated)
     path = tmp_path / "in.mcap"
     path.write_bytes(compressed(packed, "lz4", size=len(data)))
     assert len(list(log.read(log.summarise(path)))) == 100
@@ -112,7 +108,7 @@ def test_a_chunk_of_more_messages_than_may_be_is_named(tmp_path, indexed):
 
 def test_what_can_be_salvaged_is_bounded_too(tmp_path):
     path = tmp_path / "in.mcap"
-    bomb = mcap.chunk(bombs.zstd_zeros(HUGE), "zstd", size=HUGE)
+    bomb = mcap.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE)
     path.write_bytes(mcap.file(*KNOWN, mcap.message(1, 1, b"{}"), bomb, mcap.message(1, 2, b"{}")))
     salvage = Salvage(path)
     started = time.monotonic()

@@ -18,12 +18,12 @@ from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.stream import Stamped
-from roadperc_stream.loop import replay
 from roadperc_stream.output import encoding
 from tests import logs
 from tests.analytic import box
 from tests.commands import run
 from tests.hostile import bombs
+from tests.replaying import replay
 
 pytestmark = pytest.mark.commands
 GIB = 2**30
@@ -85,7 +85,7 @@ def test_a_calibration_is_held_against_the_limit(tmp_path):
 
 def test_texts_that_are_compressed_in_an_image_cost_that_image():
     zeros = zlib.compress(bytes(100_000_000), 9)
-    extra = bombs.png_chunk(b"iCCP", b"x\0\0" + zeros) + bombs.png_chunk(b"zTXt", b"c\0\0" + zeros)
+    extra = ([b"iCCP", b"x\0\0" + zeros], [b"zTXt", b"c\0\0" + zeros])
     started = time.monotonic()
     for decoder in (images.decode_bgr, images.decode_indices, images.image_size):
         try:
@@ -170,7 +170,7 @@ def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
     [
         bombs.png(320, 240)[:-40],
         bombs.png(320, 240, rows=10),
-        bombs.png(320, 240, extra=bombs.png_chunk(b"iCCP", b"x\0\0broken")),
+        bombs.png(320, 240, extra=[[b"iCCP", b"x\0\0broken"]]),
         NOISE[:2000] + bytes(500) + NOISE[2500:],
         NOISE[:5000],
     ],

@@ -22,12 +22,12 @@ from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.payload import pose_matrix
 from roadperc_stream.input.decoding.ros import unpack_image
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas import ros2
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections
 from tests import rosbag
+from tests.replaying import replay
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 FRAMES = 8

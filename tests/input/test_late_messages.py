@@ -10,7 +10,7 @@ from roadperc_stream import log
 from roadperc_stream.cli.replay import main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
-from roadperc_stream.input import open_input
+from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
@@ -24,7 +24,7 @@ S, MS = 1_000_000_000, 1_000_000
 @pytest.fixture(scope="module")
 def messages():
     """The input of the sample's first frames."""
-    return list(open_input(SAMPLE, load_config(None), time_range=TimeRange(frames=FRAMES)).messages())
+    return list(open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES)), load_config(None)).messages())
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ChannelError, LogError
-from roadperc_stream.input import open_input
+from roadperc_stream.input import ReplaySource, open_input
 from tests import logs
 
 CFG = ReplayConfig()
@@ -18,7 +18,7 @@ def source(tmp_path):
 
 
 def test_samples_messages_and_counts(source):
-    log_in = open_input(source, CFG)
+    log_in = open_input(ReplaySource(source), CFG)
     assert (log_in.expected_frames, log_in.frames) == (4, 0)
     assert [sample.index for sample in log_in.samples()] == [0, 1, 2, 3]
     assert (log_in.frames, log_in.dropped, log_in.unreadable, log_in.notes) == (4, {}, {}, ())
@@ -33,7 +33,7 @@ def test_every_pass_begins_anew(source):
         source,
         [*logs.items(4), bad],
     )
-    log_in = open_input(source, CFG)
+    log_in = open_input(ReplaySource(source), CFG)
     for _ in range(2):
         assert len(list(log_in.samples())) == 4
         assert log_in.unreadable == {"/camera/front/depth": 1}
@@ -43,7 +43,7 @@ def test_every_pass_begins_anew(source):
 def test_what_is_dropped_is_recorded(source):
     late = [logs.Item("depth", item.stamp_ns + 20_000_000, item.data) for item in logs.items(4) if item.role == "depth"]
     source = logs.write(source, sorted([*logs.items(4), *late], key=lambda item: item.stamp_ns))
-    log_in = open_input(source, CFG)
+    log_in = open_input(ReplaySource(source), CFG)
     list(log_in.samples())
     record = log_in.record()
     assert (record["frames"], record["dropped.depth"]) == ("4", "4")
@@ -57,10 +57,10 @@ def test_a_topic_that_the_user_chose_is_recorded(source, tmp_path):
     other = [logs.Item("image", i.stamp_ns, i.data, "/cam/other") for i in moved if i.role == "image"]
     source = logs.write(tmp_path / "two.mcap", sorted([*moved, *other], key=lambda item: item.stamp_ns))
     with pytest.raises(ChannelError, match="2 topics fit role image"):
-        open_input(source, CFG)
-    assert open_input(source, CFG, {"image": "/cam/rgb"}).record()["topic.image"] == "/cam/rgb"
+        open_input(ReplaySource(source), CFG)
+    assert open_input(ReplaySource(source, {"image": "/cam/rgb"}), CFG).record()["topic.image"] == "/cam/rgb"
 
 
 def test_a_part_without_a_frame_is_refused(source):
     with pytest.raises(LogError, match="no message on /camera/front/image in the part asked for"):
-        open_input(source, CFG, time_range=TimeRange(start_s=9.0))
+        open_input(ReplaySource(source, time_range=TimeRange(start_s=9.0)), CFG)

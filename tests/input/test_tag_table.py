@@ -12,11 +12,11 @@ from roadperc_stream.info.examine import examine
 from roadperc_stream.input.earlier_replay import recorded_tag_table
 from roadperc_stream.input.roles import RoleAssignment, tag_table_to_record
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.record import METADATA_RECORD, TAG_TABLE_KEY
 from roadperc_stream.view.rerun.recording import save_recording
 from tests import logs
+from tests.replaying import replay
 
 NAMED = ReplayConfig(tag_table="0.9.12")
 OTHER = ReplayConfig(tag_table="0.9.15")

@@ -10,9 +10,9 @@ from roadperc_stream.core.geometry import level_mounting, rigid, rotation_from_r
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.transforms import TransformTree
-from roadperc_stream.loop import replay
 from roadperc_stream.output import encoding
 from tests import logs
+from tests.replaying import replay
 
 CFG = ReplayConfig()
 FRAMES = 3

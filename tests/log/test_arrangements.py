@@ -17,8 +17,8 @@ from roadperc_stream.log.file_order import FileOrder
 from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.reading import IndexedFile
 from roadperc_stream.log.sorting import SortedMessages
-from roadperc_stream.loop import replay
 from tests.arranged import ARRANGEMENTS, arranged, by_topic, shuffled
+from tests.replaying import replay
 from tests.test_sample import SAMPLE
 
 A = Channel("/a", "x", source_id=1)

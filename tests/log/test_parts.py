@@ -13,16 +13,16 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import LogError, TargetError
-from roadperc_stream.input import open_input
+from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.input.parts import PartSpan, joins
 from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Metadata
 from roadperc_stream.log.parts import MergedParts
 from roadperc_stream.log.sorting import SortedMessages
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import read_footer
 from tests import logs
 from tests.arranged import ARRANGEMENTS, dealt, parts
 from tests.logs import START_NS
+from tests.replaying import replay
 from tests.test_sample import SAMPLE
 
 CFG = ReplayConfig()
@@ -53,7 +53,7 @@ def test_parts_of_the_sample_are_the_sample(tmp_path, seed, arrangement):
     cuts = sorted(random.Random(seed).sample(range(1, MESSAGES), 4))
     files = parts(SAMPLE, tmp_path, cuts, **arrangement)
     random.Random(seed).shuffle(files)
-    log_in, whole = open_input(files, CFG), open_input(SAMPLE, CFG)
+    log_in, whole = open_input(ReplaySource(files), CFG), open_input(ReplaySource(SAMPLE), CFG)
     assert isinstance(log_in.summary.source, SortedMessages if arrangement else MergedParts)
     assert plain(log_in.messages()) == plain(whole.messages())
     assert (log_in.log_id, log_in.span_ns, log_in.topics) == (whole.log_id, whole.span_ns, whole.topics)
@@ -61,7 +61,7 @@ def test_parts_of_the_sample_are_the_sample(tmp_path, seed, arrangement):
 
 def test_parts_whose_times_overlap_are_merged(tmp_path):
     files = dealt(SAMPLE, tmp_path, 3, seed=1)
-    log_in, whole = open_input(files, CFG), open_input(SAMPLE, CFG)
+    log_in, whole = open_input(ReplaySource(files), CFG), open_input(ReplaySource(SAMPLE), CFG)
     times = [m.log_time_ns for m in log_in.messages()]
     assert times == sorted(times)
     assert sorted(plain(log_in.messages())) == sorted(plain(whole.messages()))
@@ -166,7 +166,7 @@ def test_what_a_replay_of_parts_says(tmp_path, capsys):
 def test_calibration_and_transforms_of_the_first_part_hold_in_the_others(tmp_path):
     once = parts(SAMPLE, tmp_path, [MESSAGES // 2])
     assert not list(log.read(log.summarise(once[1]), topics=["/tf", "/camera/front/calibration"]))
-    frames = open_input(once, CFG, time_range=TimeRange(start_s=1.5, frames=1)).samples()
+    frames = open_input(ReplaySource(once, time_range=TimeRange(start_s=1.5, frames=1)), CFG).samples()
     assert next(iter(frames)).frame.mounted
 
 
@@ -174,7 +174,7 @@ def test_a_file_given_twice_is_an_error(tmp_path):
     (tmp_path / "link.mcap").symlink_to(SAMPLE.absolute())
     for again in (SAMPLE, tmp_path / "link.mcap"):
         with pytest.raises(LogError, match="is given twice"):
-            open_input([SAMPLE, again], CFG)
+            open_input(ReplaySource([SAMPLE, again]), CFG)
     with pytest.raises(LogError, match="no log is given"):
         rp.replay([], tmp_path / "out.mcap")
 
@@ -208,4 +208,4 @@ def test_a_damaged_part_is_named(tmp_path):
     files = parts(SAMPLE, tmp_path, [100, 200])
     files[1].write_bytes(files[1].read_bytes()[:-100])
     with pytest.raises(LogError, match=r"part_1\.mcap: damaged at byte"):
-        open_input(files, CFG)
+        open_input(ReplaySource(files), CFG)

@@ -15,10 +15,10 @@ from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import LogError, TargetError
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from tests.arranged import ARRANGEMENTS, arranged
 from tests.commands import run, words
+from tests.replaying import replay
 from tests.test_sample import SAMPLE
 
 

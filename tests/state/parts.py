@@ -9,10 +9,10 @@ from roadperc_stream import log
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.loop import replay
 from roadperc_stream.output.results import decode_metrics, encode_metrics
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.topics import METRICS_TOPIC
+from tests.replaying import replay
 
 CFG = load_config()
 WAIT_NS = NS_PER_S

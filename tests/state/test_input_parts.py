@@ -13,8 +13,8 @@ from roadperc_stream import log
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.core.geometry import rigid
-from roadperc_stream.core.time import WHOLE
-from roadperc_stream.input import input_of
+from roadperc_stream.input import ReplaySource, input_of
+from roadperc_stream.input.damage import ReadableLog
 from roadperc_stream.input.state import InputState
 from roadperc_stream.output import encoding
 from roadperc_stream.state.encoding import decode, encode
@@ -75,7 +75,7 @@ def seen(sample):
 
 def frames(path, begin=None):
     """What the frames of a log are, and the state for the next part, through its bytes."""
-    log_in = input_of(log.summarise(path), CFG, {}, WHOLE, begin)
+    log_in = input_of(ReadableLog(log.summarise(path)), ReplaySource(path), CFG, begin)
     found = {sample.index: seen(sample) for sample in log_in.samples()}
     end = decode(encode(log_in.end_state(with_messages=False)), InputState)
     return found, end.carrying(log.read(log.summarise(path))), log_in

@@ -14,10 +14,13 @@ import pytest
 
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import StateError, TargetError
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.state.checkpoint import checkpoint_folder
+from roadperc_stream.output.writing import FrameOutput
+from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.state.checkpoint import Checkpoint, CheckpointFolder, Counted, checkpoint_folder
+from roadperc_stream.state.replay_state import ReplayMemory
 from tests import logs
+from tests.replaying import replay
 
 SETTINGS = ("sync.max_wait_s=0.1",)
 CFG = load_config(None, SETTINGS)
@@ -67,6 +70,7 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+LITTLE = FrameOutput((), FrameMetrics("log", 0, 0), {}, ())
 OUTPUTS = ["out.mcap", "out.metrics.parquet", "out.objects.parquet"]
 
 
@@ -181,6 +185,56 @@ def test_a_finished_replay_has_nothing_left_to_do_and_another_file_is_not_replac
     assert target.stat().st_mtime_ns == before
     with pytest.raises(TargetError, match="--force"):
         replay(source, target, load_config(), checkpoint_every_s=9, resume=True)
+
+
+@pytest.mark.parametrize("options", [{"results_only": True}, {"on_request": ("overlay",)}])
+def test_a_finished_replay_that_wrote_something_else_is_another_one(source, tmp_path, options):
+    target = tmp_path / "out.mcap"
+    replay(source, target, CFG)
+    with pytest.raises(TargetError, match="--force"):
+        replay(source, target, CFG, checkpoint_every_s=9, resume=True, **options)
+
+
+@pytest.mark.parametrize("named", [1, 2])
+def test_killed_while_the_files_get_their_names_before_any_checkpoint(source, undisturbed, tmp_path, named):
+    """The tables get theirs before the log."""
+    target = tmp_path / "out.mcap"
+    replay(source, target, CFG)
+    checkpoint_folder(target).mkdir()
+    for name in OUTPUTS[: 3 - named]:
+        (tmp_path / name).unlink()
+    replay(source, target, CFG, checkpoint_every_s=9, resume=True)
+    assert same(target, undisturbed)
+    assert names(tmp_path) == OUTPUTS
+
+
+def test_checkpoints_of_little_behind_what_was_cut_off_count_right(tmp_path):
+    """What a replay wrote behind its last checkpoint is computed again: it may be little until the next one."""
+    folder = CheckpointFolder(tmp_path / "out.mcap")
+    checkpoint = Checkpoint({}, 0, 0, ReplayMemory(), Counted())
+    folder.begin(None)
+    folder.append(LITTLE)
+    folder.write(replace(checkpoint, samples=1, length=folder.length))
+    folder.append(LITTLE)
+    folder.close()
+    again = CheckpointFolder(tmp_path / "out.mcap")
+    again.begin(found := folder.read())
+    assert again.length == found.length
+    again.append(LITTLE)
+    again.write(replace(checkpoint, samples=2, length=again.length))
+    again.close()
+    assert len(list(again.outputs(again.read()))) == 2
+
+
+def test_a_checkpoint_of_other_frames_is_an_error(source, tmp_path):
+    target = tmp_path / "out.mcap"
+    interrupt(source, target, 15)
+    path = checkpoint_folder(target) / "frames"
+    data = path.read_bytes()
+    length = 8 + int.from_bytes(data[:8], "little")
+    path.write_bytes(data[length:] + data[:length])
+    with pytest.raises(StateError, match="does not hold frame 0; remove it to start over"):
+        replay(source, target, CFG, checkpoint_every_s=0.2, resume=True)
 
 
 def test_without_checkpoints_an_interrupted_replay_leaves_nothing(source, tmp_path):

@@ -23,9 +23,8 @@ from roadperc_stream.errors import NoFrameError, StateError
 from roadperc_stream.eval.collecting import collect
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.scan import rows_of
-from roadperc_stream.input import open_input
+from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.log import Attachment
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
 from roadperc_stream.state import encoding
@@ -34,6 +33,7 @@ from roadperc_stream.state.encoding import FORMAT_VERSION, decode, encode
 from roadperc_stream.state.replay_state import ReplayMemory, ReplayState
 from roadperc_stream.state.running import run_frame
 from tests import logs
+from tests.replaying import replay
 from tests.state.parts import cut, inputs, replayed, results, rows, write
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
@@ -117,7 +117,7 @@ def test_the_memory_after_any_frame_goes_on_from_its_bytes():
     """Every frame of the sample's first second is computed from the bytes of what was remembered."""
     cfg = load_config()
     memory = again = ReplayMemory()
-    for sample in open_input(SAMPLE, cfg, time_range=TimeRange(frames=12)).samples():
+    for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=12)), cfg).samples():
         memory, _, _, row = run_frame(cfg, memory, "", sample)
         again, _, _, same = run_frame(cfg, decode(encode(again), ReplayMemory), "", sample)
         assert same == row
@@ -138,7 +138,7 @@ def plain(value, where="state"):
 @pytest.mark.parametrize("settings", [(), ("odometry.features=sift",)])
 def test_a_state_holds_plain_numbers_and_arrays_in_the_order_of_c(settings):
     cfg, state = load_config(None, settings), ReplayMemory().chain
-    for sample in open_input(SAMPLE, cfg, time_range=TimeRange(frames=3)).samples():
+    for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=3)), cfg).samples():
         state, _ = step(cfg, state, sample.frame)
         assert plain(state) == []
 

@@ -11,10 +11,10 @@ from roadperc_stream.cli.replay import main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.loop import replay
 from roadperc_stream.schemas.topics import ODOMETRY_TOPIC, TRAJECTORY_TOPIC
 from tests import logs
 from tests.analytic import STEP_NS
+from tests.replaying import replay
 from tests.state.parts import inputs, results, write
 
 CFG = load_config(None, ("sync.max_wait_s=0.2",))

@@ -14,7 +14,6 @@ from roadperc_stream import log
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.loop import replay
 from roadperc_stream.schemas import roadperc_pb2
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.schemas.roles import ROLES
@@ -25,6 +24,7 @@ from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, 
 from roadperc_stream.view.layout.panels import column, row, tabs, words
 from roadperc_stream.view.layout.writing import write_layout
 from tests import logs
+from tests.replaying import replay
 
 SCHEMAS = {role.topic: role.schema for role in ROLES.values()} | result_schemas(["overlay", "debug"]) | LIVE_ONLY
 IMAGES = {"foxglove.CompressedImage", "sensor_msgs/msg/Image"}

@@ -13,7 +13,6 @@ from roadperc_stream.core.datatypes import Absent, Boundary, Lanes
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.log import Channel, LogWriter, Message
-from roadperc_stream.loop import replay
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics
 from roadperc_stream.schemas.columns import FrameMetrics
@@ -22,6 +21,7 @@ from roadperc_stream.schemas.registry import schema
 from roadperc_stream.view.result_frames import read_frame, read_frames, read_rows
 from roadperc_stream.view.video import write_video
 from tests import logs
+from tests.replaying import replay
 
 START = 1_600_000_000_000_000_000
 STAMPS = [START + k * 50_000_000 for k in range(3)]

@@ -7,7 +7,6 @@ import pytest
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.log import Channel, LogWriter, Message
-from roadperc_stream.loop import replay
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics
 from roadperc_stream.schemas.columns import FrameMetrics
@@ -15,6 +14,7 @@ from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.view.video import frame_rate_hz, pictures_shown, write_video
 from tests import logs
+from tests.replaying import replay
 
 CFG = load_config()
 MS = 1_000_000

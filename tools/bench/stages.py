@@ -21,7 +21,7 @@ from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import LogError
-from roadperc_stream.input import open_input
+from roadperc_stream.input import ReplaySource, open_input
 
 WARM_UP = 3
 
@@ -42,9 +42,10 @@ def measure(path: Path, frames: int) -> dict[str, float]:
         RoadpercError: the log cannot be replayed, or holds too few frames.
     """
     cfg, times = ReplayConfig(), dict[str, list[float]]()
+    part = TimeRange(frames=frames + WARM_UP)
     state = ChainState()
     with one_thread():
-        for sample in open_input(path, cfg, time_range=TimeRange(frames=frames + WARM_UP)).samples():
+        for sample in open_input(ReplaySource(path, time_range=part), cfg).samples():
             timer = StageTimer()
             state, _ = step(cfg, state, sample.frame, timer)
             readings = timer.elapsed_ms | {"camera image": _decode_ms(sample)}

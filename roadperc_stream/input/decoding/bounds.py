@@ -1,24 +1,12 @@
 """What a message asks for, held against the limits; pixels are counted where they are decoded."""
 
-from collections.abc import Iterator
 from typing import Final, Literal
 
 from roadperc_stream.core.config import LimitsConfig
-from roadperc_stream.core.datatypes import (
-    CameraImage,
-    DepthImage,
-    Detection,
-    Lanes,
-    Objects,
-    PointCloud,
-    Surface,
-    TagImage,
-    Transform,
-)
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.images import require_pixels
-from roadperc_stream.input.decoding.payload import Payload
+from roadperc_stream.input.decoding.payload import Payload, names_in
 from roadperc_stream.schemas.roles import Kind
 
 _LARGE: Final[frozenset[Kind]] = frozenset(("image", "tags", "depth", "points"))
@@ -54,26 +42,6 @@ def require_within(payload: Payload, limits: LimitsConfig) -> None:
     """
     if isinstance(payload, Camera):
         require_pixels("calibration", payload.width, payload.height, limits)
-    longest = max(map(len, _names(payload)), default=0)
+    longest = max(map(len, names_in(payload)), default=0)
     if longest > limits.name_length:
         raise DecodeError(f"a name of {longest} characters: expected limits.name_length {limits.name_length} at most")
-
-
-def _names(payload: Payload | Transform | Detection) -> Iterator[str]:
-    """What a message calls frames and things."""
-    match payload:
-        case CameraImage() | TagImage() | DepthImage() | PointCloud() | Camera() | Surface():
-            yield payload.frame_id
-        case Transform():
-            yield from (payload.parent, payload.child)
-        case Detection():
-            yield from (payload.label, payload.id)
-        case Lanes():
-            for boundary in payload.boundaries:
-                yield from (boundary.inside, boundary.outside)
-        case Objects():
-            for item in payload.objects:
-                yield from (item.detection.label, item.detection.id, item.track_id)
-        case tuple():
-            for part in payload:
-                yield from _names(part)

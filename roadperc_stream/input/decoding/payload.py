@@ -1,5 +1,6 @@
 """What a decoder gives, and what it may need besides the bytes."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +36,26 @@ Payload = (
     | Lanes
     | Objects
 )
+
+
+def names_in(payload: Payload | Transform | Detection) -> Iterator[str]:
+    """What a message calls frames and things."""
+    match payload:
+        case CameraImage() | TagImage() | DepthImage() | PointCloud() | Camera() | Surface():
+            yield payload.frame_id
+        case Transform():
+            yield from (payload.parent, payload.child)
+        case Detection():
+            yield from (payload.label, payload.id)
+        case Lanes():
+            for boundary in payload.boundaries:
+                yield from (boundary.inside, boundary.outside)
+        case Objects():
+            for item in payload.objects:
+                yield from (item.detection.label, item.detection.id, item.track_id)
+        case tuple():
+            for part in payload:
+                yield from names_in(part)
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.input.decoding import Context, decode
-from roadperc_stream.loop import replay
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.topics import ON_REQUEST
 from roadperc_stream.view.video import write_video
 from tests import logs
+from tests.replaying import replay
 
 CFG = load_config()
 DEBUG = {topic for topic, request in ON_REQUEST.items() if request == "debug"}

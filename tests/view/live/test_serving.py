@@ -18,7 +18,6 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
-from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.roadperc_pb2 import StageTimes
@@ -29,6 +28,7 @@ from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, se
 from roadperc_stream.view.live.source import FinishedLog
 from tests import logs
 from tests.analytic import STEP_NS
+from tests.replaying import replay
 from tests.view.live.client import PATIENCE_S, Viewer
 
 S = 1_000_000_000

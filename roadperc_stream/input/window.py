@@ -36,7 +36,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class PartMessages:
+class WindowMessages:
     """Reads the messages to replay, in log-time order: what was latched before, the window, what arrives late for it.
 
     ``latched`` are the messages from before the window that hold in it.
