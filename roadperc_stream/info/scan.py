@@ -62,7 +62,7 @@ class Scan:
         Raises:
             LogError: the file cannot be opened, or is no log at all.
         """
-        first, salvage = log.audited(path), Salvage(path)
+        first, salvage = log.audited(path, check_chunks=True), Salvage(path)
         summary = _summary(path) if first.whole else None
         metadata = first.described.metadata
         channels = tuple(first.channels[number] for number in sorted(first.channels) if first.counts[number])

@@ -102,12 +102,13 @@ def readable_log(
         TargetError: there is no space for temporary files, where it needs some.
     """
     sources = log.received([source] if isinstance(source, Path) else source)
+    despite_damage = recover or asked != WHOLE
     try:
-        return ReadableLog(log.summarise(sources, limits))
+        return ReadableLog(log.summarise(sources, limits, check_chunks=despite_damage))
     except DamagedLogError as error:
-        if asked == WHOLE and not recover:
+        if not despite_damage:
             raise
-        found = [log.audited(path, limits) for path in sources]
+        found = [log.audited(path, limits, check_chunks=True) for path in sources]
         copies = [None if salvage.whole else log.repaired_copy(salvage.path, limits) for salvage in found]
         files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
         first_ns = min((salvage.first_ns for salvage in found if salvage.first_ns is not None), default=None)
