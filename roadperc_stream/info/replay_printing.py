@@ -56,7 +56,7 @@ def _said(state: RoleState) -> str:
 
 def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
     if not whole:
-        yield "a replay refuses the file as it is; mcap recover (of the mcap command) writes one of what can be read"
+        yield "a replay refuses the file as it is, and takes what can be read of it with --recover"
     if replay.refusal is not None:
         yield f"a replay stops: {replay.refusal}"
     if replay.reference is not None:

@@ -11,7 +11,7 @@ from roadperc_stream.core.datatypes import UNWRITTEN, Sample
 from roadperc_stream.core.time import WHOLE, TimeRange
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.damage import loss_reason, readable_log
+from roadperc_stream.input.damage import loss_reason, reach_ns, readable_log
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.pairing import StampPairing
 from roadperc_stream.input.part import PartMessages
@@ -32,7 +32,7 @@ from roadperc_stream.schemas.record import (
     TOPIC_KEY,
     log_id_of,
 )
-from roadperc_stream.schemas.roles import require_role
+from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, require_role
 
 
 def open_input(
@@ -158,7 +158,7 @@ class ReplayInput:
             is_written = before.is_written(synced.reference)
             self.frames += is_written
             if is_written:
-                lost = loss_reason(self._gaps, before_ns, numbers.log_time_ns)
+                lost = loss_reason(self._gaps, before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
                 yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
                 before_ns = numbers.log_time_ns
             else:
@@ -166,6 +166,11 @@ class ReplayInput:
         if not self.frames and not self.is_continuation:
             topic = self.topics[plan.order.reference]
             raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
+
+    def _until_ns(self, synced: SyncedMessages, since_ns: int | None, log_time_ns: int) -> int:
+        """The log time up to which messages of a frame may have been lost."""
+        is_whole = all(role in synced.parts for role in self.topics if ROLES[role].kind not in LATCHED_KINDS)
+        return log_time_ns if is_whole else reach_ns(since_ns, log_time_ns, self.plan.order.lateness_ns)
 
     def _drop(self, item: Stamped) -> None:
         self._dropped[item.role] += 1

@@ -71,8 +71,9 @@ def salvaged(path: Path, limits: LimitsConfig) -> Salvage:
 def _can_be_saved(found: Salvage) -> str:
     saved, written = found.counts.total(), found.written
     of_all = "" if written is None else f" of {sum(written.values())}"
-    start_ns = found.first_ns
+    start_ns, lost_ns = found.first_ns, [gap.first_ns for gap in found.gaps]
+    from_ns = min((ns for ns in lost_ns if ns is not None), default=None)
     before = ""
-    if found.last_good_ns is not None and start_ns is not None:
-        before = f", all up to {ns_to_seconds(found.last_good_ns - start_ns):.3f} s"
+    if start_ns is not None and from_ns is not None and None not in lost_ns and from_ns > start_ns:
+        before = f", all before {ns_to_seconds(from_ns - start_ns):.3f} s"
     return f"{saved}{of_all} messages can be saved{before}: roadperc-replay and roadperc-view do with --recover"

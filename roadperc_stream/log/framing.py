@@ -109,8 +109,8 @@ class Framing:
             self.damages.remove(self._data_crc_damage)
 
     def damaged(self, byte: int, words: str, first_ns: int | None = None, last_ns: int | None = None) -> None:
-        """Take note of a damage."""
-        self.damages.append(Damage(byte, words, first_ns, last_ns))
+        """Take note of a damage; behind the data section it concerns no messages."""
+        self.damages.append(Damage(byte, words, first_ns, last_ns, of_messages=self.summary_start is None))
 
     def records(self, stream: IO[bytes]) -> Iterator[Record]:
         """The file's records outside chunks, up to its end or to where nothing follows that makes sense.
@@ -188,23 +188,35 @@ class Framing:
         self.chunked |= record.opcode == Opcode.CHUNK
         if record.opcode == Opcode.DATA_END:
             self.summary_start = record.end
-            before = len(self.damages)
-            self.sealed = self._compare("data section", record, self._data_crc)
-            self._data_crc_damage = self.damages[before] if len(self.damages) > before else None
+            self.sealed = bool(_crc_in(record))
+            self._data_crc_damage = _crc_damage("data section", record, self._data_crc)
+            self._note(self._data_crc_damage)
             self._summary_crc = 0
         elif self._summary_crc is not None:
             without_last = CRC_BYTES if record.opcode == Opcode.FOOTER else 0
             self._summary_crc = record.crc(self._summary_crc, without_last=without_last)
             if record.opcode == Opcode.FOOTER:
-                self._compare("summary", record, self._summary_crc)
+                self._note(_crc_damage("summary", record, self._summary_crc, of_messages=False))
         elif self._data_crc is not None:
             self._data_crc = record.crc(self._data_crc)
         if record.opcode == Opcode.ATTACHMENT:
-            self._compare("attachment", record, zlib.crc32(memoryview(record.body)[:-CRC_BYTES]))
+            found = zlib.crc32(memoryview(record.body)[:-CRC_BYTES])
+            self._note(_crc_damage("attachment", record, found, of_messages=False))
 
-    def _compare(self, what: str, record: Record, found: int | None) -> bool:
-        """Whether a CRC, the record's last bytes, was there to be compared; zero says that the writer gave none."""
-        expected = int.from_bytes(record.body[-CRC_BYTES:], "little")
-        if expected and found is not None and found != expected:
-            self.damaged(record.start, f"CRC of the {what} is {found:#010x}, expected {expected:#010x}")
-        return bool(expected)
+    def _note(self, damage: Damage | None) -> None:
+        if damage is not None:
+            self.damages.append(damage)
+
+
+def _crc_in(record: Record) -> int:
+    """The CRC that is a record's last bytes; zero says that the writer gave none."""
+    return int.from_bytes(record.body[-CRC_BYTES:], "little")
+
+
+def _crc_damage(what: str, record: Record, found: int | None, *, of_messages: bool = True) -> Damage | None:
+    """That a CRC, where there is one to be compared, is not the one that the record gives."""
+    expected = _crc_in(record)
+    if not expected or found in (None, expected):
+        return None
+    words = f"CRC of the {what} is {found:#010x}, expected {expected:#010x}"
+    return Damage(record.start, words, of_messages=of_messages)
