@@ -8,7 +8,7 @@ import bisect
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import IO, Final
 
 from mcap.opcode import Opcode
@@ -93,6 +93,8 @@ class Framing:
     """Whether the file ends as a log does, with footer and magic."""
     sealed: bool = False
     """Whether there is a CRC over the whole data section."""
+    summary_sealed: bool = False
+    """Whether there is one over the summary."""
     chunked: bool = False
     """Whether a chunk was seen: then messages stand in chunks."""
     breaks: list[int] = field(default_factory=list)
@@ -103,10 +105,17 @@ class Framing:
     _data_crc_damage: Damage | None = None
     _summary_crc: int | None = None
 
-    def forget_data_crc(self) -> None:
-        """What else was found in the data section says where it is wrong."""
-        if self._data_crc_damage in self.damages:
-            self.damages.remove(self._data_crc_damage)
+    def explain_data_crc(self) -> None:
+        """All CRCs of messages fit: the data section is wrong where other damage was found, else beside the messages."""
+        damage = self._data_crc_damage
+        if damage in self.damages:
+            self.damages.remove(damage)
+            self.damages.extend([] if self.damages else [replace(damage, of_messages=False)])
+
+    @property
+    def has_place(self) -> bool:
+        """Whether there are damages that say where the file is wrong: not that only the data section's CRC is."""
+        return self.damages not in ([], [self._data_crc_damage])
 
     def damaged(self, byte: int, words: str, first_ns: int | None = None, last_ns: int | None = None) -> None:
         """Take note of a damage; behind the data section it concerns no messages."""
@@ -196,6 +205,7 @@ class Framing:
             without_last = CRC_BYTES if record.opcode == Opcode.FOOTER else 0
             self._summary_crc = record.crc(self._summary_crc, without_last=without_last)
             if record.opcode == Opcode.FOOTER:
+                self.summary_sealed = bool(_crc_in(record))
                 self._note(_crc_damage("summary", record, self._summary_crc, of_messages=False))
         elif self._data_crc is not None:
             self._data_crc = record.crc(self._data_crc)

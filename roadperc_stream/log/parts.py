@@ -154,9 +154,9 @@ def gone_on_ns(summary: LogSummary, files: Iterable[LogSummary]) -> int | None:
         None where one of its topics does not come again; what has a single message need not.
     """
     first_ns = summary.first_ns or 0
-    later = sorted((f for f in files if f.first_ns is not None and f.first_ns > first_ns), key=lambda f: f.first_ns or 0)
+    later = [(f.first_ns, _counted_topics(f)) for f in files if f.first_ns is not None and f.first_ns > first_ns]
     begins = [
-        next((file.first_ns for file in later if topic in _counted_topics(file)), None)
+        min((begin_ns for begin_ns, topics in later if topic in topics), default=None)
         for topic, messages in _counted_topics(summary).items()
         if messages > 1
     ]

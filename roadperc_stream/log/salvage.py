@@ -123,7 +123,8 @@ class Salvage:
     @property
     def conclusive(self) -> bool:
         """Whether the messages of all chunks were counted, and are covered by CRCs, where nobody looked inside."""
-        return self.inside or (self._inventory.conclusive and (self._covered or self._framing.sealed))
+        is_covered = (self._covered or self._framing.sealed) and self._framing.summary_sealed
+        return self.inside or (self._inventory.conclusive and is_covered)
 
     @property
     def sealed(self) -> bool:
@@ -341,10 +342,10 @@ class Salvage:
         """What only the end shows: records that fell out without a trace, and what the writer left out."""
         self._note_breaks()
         self._note_damage(self._inventory.close_chunk())
-        if len(self.damages) > 1 and self._covered:
-            self._framing.forget_data_crc()
-        if not self.damages and self.conclusive:
+        if not self._framing.has_place and self.conclusive:
             self.damages.extend(self._inventory.discrepancies(self._framing.summary_start))
+        if self._covered and self.inside:
+            self._framing.explain_data_crc()
         lacking = {
             "index": self._index is None,
             "CRC of the data section": not self._framing.sealed,
