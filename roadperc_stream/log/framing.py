@@ -106,7 +106,7 @@ class Framing:
     _summary_crc: int | None = None
 
     def explain_data_crc(self) -> None:
-        """All CRCs of messages fit: the data section is wrong where other damage was found, else beside the messages."""
+        """The CRCs of the messages fit: other damage says where the data section is wrong, or it is beside messages."""
         damage = self._data_crc_damage
         if damage in self.damages:
             self.damages.remove(damage)

@@ -151,15 +151,12 @@ def gone_on_ns(summary: LogSummary, files: Iterable[LogSummary]) -> int | None:
         files: of the log.
 
     Returns:
-        None where one of its topics does not come again; what has a single message need not.
+        None where one of its topics does not come again; what has a single message need not, if others have more.
     """
-    first_ns = summary.first_ns or 0
+    first_ns, counts = summary.first_ns or 0, _counted_topics(summary)
+    repeated = [topic for topic, messages in counts.items() if messages > 1] or list(counts)
     later = [(f.first_ns, _counted_topics(f)) for f in files if f.first_ns is not None and f.first_ns > first_ns]
-    begins = [
-        min((begin_ns for begin_ns, topics in later if topic in topics), default=None)
-        for topic, messages in _counted_topics(summary).items()
-        if messages > 1
-    ]
+    begins = [min((begin_ns for begin_ns, topics in later if topic in topics), default=None) for topic in repeated]
     known = [ns for ns in begins if ns is not None]
     return max(known) if known and len(known) == len(begins) else None
 
