@@ -22,7 +22,7 @@ from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Role
 
 _COSTS: Final = {
-    "calibration": "a replay of this log alone stops: the camera is not known",
+    "calibration": "a replay stops, unless another part has it: the camera is not known",
     "segmentation": "no lanes, no detection is verified, the lower image stands in for the road",
     "detections": "no objects",
     "tf": "the camera is taken as level, at the height of the setting surface.assumed_height_m",
@@ -146,7 +146,7 @@ def _cost(role: str, roles: Roles) -> str:
     if role == "depth":
         return _depth_cost(there)
     if role == "left_calibration":
-        return "a replay of this log alone stops: the left camera is not known" if "left" in there else ""
+        return "a replay stops, unless another part has it: the left camera is not known" if "left" in there else ""
     if role == "right_calibration":
         return "no stereo: the baseline is not known" if "right" in there else ""
     return "" if _SPARED_BY.get(role) in there else _COSTS.get(role, "")

@@ -60,7 +60,7 @@ def words_of(capsys, *files):
 
 def test_the_roles_of_parts_are_those_of_the_whole(parts, capsys):
     alone = words_of(capsys, parts[1])
-    assert "calibration missing: a replay of this log alone stops: the camera is not known" in alone
+    assert "calibration missing: a replay stops, unless another part has it: the camera is not known" in alone
     together = words_of(capsys, *parts).partition("As the parts of one log")[2]
     assert "calibration /camera/front/calibration" in together
     assert "missing" not in together
