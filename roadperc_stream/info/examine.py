@@ -102,6 +102,7 @@ def _replay_facts(scan: Scan) -> ReplayFacts:
         roles=roles.states,
         reference=roles.assignment.reference,
         frames=scan.frames,
+        segments=scan.segments,
         alone=dict(scan.alone),
         unused=dict(scan.dropped),
         skew_s=_seconds(scan.skew_ns, 0),

@@ -93,6 +93,8 @@ class ReplayFacts:
     reference: str | None
     """The role whose messages make the frames."""
     frames: int
+    segments: int
+    """Parts of the log whose stamps go on, each begun anew: another recording, or a bag that was played in a loop."""
     alone: Mapping[str, int]
     """Frames for which an assigned role has no message within the tolerance, by role."""
     unused: Mapping[str, int]

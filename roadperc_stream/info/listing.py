@@ -46,7 +46,7 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) ->
         fault = _fault(found)
         faults += [fault] if fault else []
     if len(parts) > 1 and not as_json:
-        print_parts(console_for(sys.stdout), parts)
+        print_parts(console_for(sys.stdout), parts, overrides)
     if faults:
         raise LogError(listed(faults, len(faults)))
 

@@ -44,7 +44,7 @@ def print_log(console: Console, facts: LogFacts) -> None:
     print_table(console, _odd_stamps(facts.channels))
     print_replay(console, facts)
     if facts.provenance is not None:
-        print_lines(console, "", *_provenance_lines(facts.provenance), unbroken=True)
+        print_lines(console, "", *_provenance_lines(facts.provenance, facts.replay.frames), unbroken=True)
         print_table(console, _settings(facts.provenance))
 
 
@@ -155,11 +155,16 @@ def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:
     return seconds * channel.rate_hz >= least
 
 
-def _provenance_lines(provenance: Provenance) -> Iterator[str]:
+def _provenance_lines(provenance: Provenance, own_frames: int) -> Iterator[str]:
+    """Where a result comes from; ``own_frames`` are those of the images that it holds."""
     config = (provenance.config_digest or "unknown")[:8]
     version, seed = provenance.version or "unknown", provenance.seed or "unknown"
     frames = "" if provenance.frames is None else f", {number(provenance.frames, 'frame')}"
     yield f"replayed by version {version}, configuration {config}, seed {seed}{frames}"
+    if provenance.continues:
+        again = (provenance.frames or 0) - own_frames
+        given = f", whose last {number(again, 'frame')} it gives again, complete" if own_frames and again > 0 else ""
+        yield f"goes on from the result of log {provenance.continues}{given}"
     yield _digest_line(provenance)
     if provenance.dropped:
         dropped = ", ".join(f"{role} {count}" for role, count in provenance.dropped.items())

@@ -14,6 +14,7 @@ from roadperc_stream.log import Attachment, Metadata
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.schemas.record import (
     CONFIG_ATTACHMENT,
+    CONTINUES_KEY,
     DIGEST_KEY,
     DROPPED_KEY,
     FRAMES_KEY,
@@ -53,6 +54,8 @@ class Provenance:
     digest_found: str | None
     """Digest of the input's messages as they are in the file now; None where they are not there or not all readable."""
     frames: int | None
+    continues: str | None
+    """Name of the log that it goes on from, as ``log_id``; None where it begins by itself."""
     dropped: Mapping[str, int]
     """Messages by role that belonged to no frame."""
     config_digest: str | None
@@ -81,6 +84,7 @@ def provenance_of(
         digest=digest,
         digest_found=digest_found,
         frames=_number(facts.get(FRAMES_KEY, "")),
+        continues=facts.get(CONTINUES_KEY),
         dropped={
             name.removeprefix(DROPPED_KEY): _number(value) or 0
             for name, value in facts.items()

@@ -22,7 +22,8 @@ def recover_log(source: Path, target: Path, *, force: bool) -> None:
         TargetError: ``target`` cannot be written, or may not be.
     """
     require_free(target, force=force, source=source, suffix=".mcap")
-    salvage, recovery = log.write_repaired(source, target)
+    (file,) = log.received([source])
+    salvage, recovery = log.write_repaired(file, target)
     console = console_for(sys.stdout)
     if salvage.whole:
         print_lines(console, f"note: {source}: whole, nothing was lost", unbroken=True)

@@ -1,6 +1,6 @@
 """Prints what a replay would make of a log: the roles, the frames, the cameras."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from rich.console import Console
@@ -24,16 +24,17 @@ _CHOICES: Final = {
 def print_replay(console: Console, facts: LogFacts) -> None:
     """What a replay would make of the log."""
     replay = facts.replay
-    print_table(console, _roles(replay.roles))
+    print_roles(console, replay.roles)
     print_lines(console, "", *_frame_lines(facts.file.whole, replay))
     print_table(console, _cameras(replay.cameras))
 
 
-def _roles(states: Iterable[RoleState]) -> TextTable:
-    states = tuple(states)
+def print_roles(console: Console, states: Sequence[RoleState]) -> None:
+    """Which topic fills which role, and what a replay does without."""
     filled = {state.role for state in states if state.state == "filled"}
     rows = tuple(row(state.role, _said(state)) for state in states if _worth_a_line(state, filled))
-    return TextTable("Role", ("topic, or what a replay does without",), rows, last_is_text=True, label_columns=18)
+    headers = ("topic, or what a replay does without",)
+    print_table(console, TextTable("Role", headers, rows, last_is_text=True, label_columns=18))
 
 
 def _worth_a_line(state: RoleState, filled: set[str]) -> bool:
@@ -56,12 +57,14 @@ def _said(state: RoleState) -> str:
 
 def _frame_lines(whole: bool, replay: ReplayFacts) -> Iterator[str]:
     if not whole:
-        yield "a replay refuses the file as it is; mcap recover (of the mcap command) writes one of what can be read"
+        yield "a replay refuses the file as it is, and takes what can be read of it with --recover"
     if replay.refusal is not None:
         yield f"a replay stops: {replay.refusal}"
     if replay.reference is not None:
         skew = "" if replay.skew_s is None else f", stamps within a frame differ by up to {1000 * replay.skew_s:.1f} ms"
         yield f"{number(replay.frames, 'frame')}, one per message of role {replay.reference}{skew}"
+    if replay.segments > 1:
+        yield f"{replay.segments} segments: the stamps begin anew, as in another recording or a bag played in a loop"
     yield from _alone_lines(replay)
     if replay.unused:
         unused = ", ".join(f"{role} {count}" for role, count in sorted(replay.unused.items()))

@@ -1,7 +1,7 @@
 """Which channel is assigned to which role of a replay, which role has none and why, and what a replay lacks then."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from roadperc_stream.errors import ChannelError
@@ -18,10 +18,11 @@ from roadperc_stream.input.roles import (
     fits,
 )
 from roadperc_stream.log import Channel
-from roadperc_stream.schemas.roles import ROLES, Role
+from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
+from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Role
 
 _COSTS: Final = {
-    "calibration": "a replay stops: the camera is not known",
+    "calibration": "a replay stops, unless another part has it: the camera is not known",
     "segmentation": "no lanes, no detection is verified, the lower image stands in for the road",
     "detections": "no objects",
     "tf": "the camera is taken as level, at the height of the setting surface.assumed_height_m",
@@ -81,6 +82,16 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
     return Roles(tuple(states), assignment, refusal)
 
 
+def continued(roles: Roles) -> Roles:
+    """The roles of a result that went on from an earlier part: calibrations and transforms of that one hold on."""
+    return replace(roles, states=tuple(map(_continued, roles.states)))
+
+
+def _continued(state: RoleState) -> RoleState:
+    is_held = state.state == "missing" and state.cost and ROLES[state.role].kind in LATCHED_KINDS
+    return replace(state, cost=f"as the part before had it, in {BEGIN_ATTACHMENT}") if is_held else state
+
+
 def _poses(inputs: Sequence[Channel], assigned: Mapping[str, str]) -> tuple[str, ...]:
     """Topics whose poses the user may know to be true."""
     return distinct(c for c in inputs if fits(ROLES["truth_pose"], c) and c.topic not in assigned.values())
@@ -135,7 +146,7 @@ def _cost(role: str, roles: Roles) -> str:
     if role == "depth":
         return _depth_cost(there)
     if role == "left_calibration":
-        return "a replay stops: the left camera is not known" if "left" in there else ""
+        return "a replay stops, unless another part has it: the left camera is not known" if "left" in there else ""
     if role == "right_calibration":
         return "no stereo: the baseline is not known" if "right" in there else ""
     return "" if _SPARED_BY.get(role) in there else _COSTS.get(role, "")

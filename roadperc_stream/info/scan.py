@@ -12,7 +12,7 @@ from roadperc_stream.core.config import SyncConfig
 from roadperc_stream.core.datatypes import CameraImage, DepthImage
 from roadperc_stream.core.time import seconds_to_ns
 from roadperc_stream.errors import DecodeError, LogError
-from roadperc_stream.info.role_states import Roles, roles_of
+from roadperc_stream.info.role_states import Roles, continued, roles_of
 from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
@@ -23,6 +23,7 @@ from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import no_probe, probe_first_message
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, Message, MessageDigest, Salvage
+from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 _MOST_SORTED: Final = 100_000
@@ -42,6 +43,8 @@ class Scan:
     problems: Problems = field(default_factory=Problems)
     latched: LatchedState = field(default_factory=LatchedState)
     frames: int = 0
+    segments: int = 1
+    """How often the stamps begin anew, and once more."""
     dropped: Counter[str] = field(default_factory=Counter)
     """Messages per role that belong to no frame."""
     alone: Counter[str] = field(default_factory=Counter)
@@ -62,12 +65,14 @@ class Scan:
         Raises:
             LogError: the file cannot be opened, or is no log at all.
         """
-        first, salvage = log.audited(path), Salvage(path)
+        first, salvage = log.audited(path, check_chunks=True), Salvage(path)
         summary = _summary(path) if first.whole else None
         metadata = first.described.metadata
         channels = tuple(first.channels[number] for number in sorted(first.channels) if first.counts[number])
         named = {**recorded_topics(metadata, channels), **overrides}
         roles = roles_of(channels, named, no_probe if summary is None else cache(partial(probe_first_message, summary)))
+        if any(attachment.name == BEGIN_ATTACHMENT for attachment in first.described.attachments):
+            roles = continued(roles)
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
         scan = cls(salvage, replace(roles, assignment=assignment), summary)
         scan._run()
@@ -103,6 +108,7 @@ class Scan:
         paired = [role for role in roles.topics if ROLES[role].kind not in LATCHED_KINDS]
         sorted_items = log.in_order_within(items, lambda item: item.log_time_ns, lambda _: 1, _MOST_SORTED)
         for synced in pairing.frames_of(sorted_items):
+            self.segments = max(self.segments, synced.reference.segment + 1)
             self.alone.update(role for role in paired if role not in synced.parts)
             if synced.skew_ns is not None:
                 self.skew_ns = max(self.skew_ns or 0, synced.skew_ns)

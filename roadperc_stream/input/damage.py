@@ -1,7 +1,7 @@
 """A damaged log as the input of a replay: what of it can be replayed, and what its frames say of what was lost."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from roadperc_stream import log
@@ -16,13 +16,24 @@ SOURCE = "log"
 _UNUSABLE = frozenset(("undecodable", "wrong_size", "pair_of_wrong_size", "pair_of_two_sizes"))
 
 
+def reach_ns(since_ns: int | None, log_time_ns: int, late_ns: int) -> int:
+    """The log time up to which what a frame lacks may have come: late ones, and those up to the next frame.
+
+    Args:
+        since_ns: log time of the frame before, None of the first one: the next frame is as far away.
+        log_time_ns: of the frame.
+        late_ns: by how much messages of the log are late.
+    """
+    return log_time_ns + late_ns + (0 if since_ns is None else log_time_ns - since_ns)
+
+
 def loss_reason(gaps: Iterable[LostSpan], since_ns: int | None, until_ns: int) -> Reason | None:
     """That messages were lost since the frame before, or at this one; None where none were.
 
     Args:
         gaps: of the log.
         since_ns: log time of the frame before; None of the first one, which speaks for all that was lost before it.
-        until_ns: log time of the frame.
+        until_ns: log time of the frame; of one that lacks messages, up to which they may have come.
     """
     found = [gap for gap in gaps if _lies_between(gap, since_ns, until_ns)]
     if not found:
@@ -102,17 +113,25 @@ def readable_log(
         TargetError: there is no space for temporary files, where it needs some.
     """
     sources = log.received(paths)
+    despite_damage = recover or asked != WHOLE
     try:
-        return ReadableLog(log.summarise(sources, limits))
+        return ReadableLog(log.summarise(sources, limits, check_chunks=despite_damage))
     except DamagedLogError as error:
-        if asked == WHOLE and not recover:
+        if not despite_damage:
             raise
-        found = [log.audited(path, limits) for path in sources]
+        found = [log.audited(path, limits, check_chunks=True) for path in sources]
         copies = [None if salvage.whole else log.repaired_copy(salvage.path, limits) for salvage in found]
         files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
         first_ns = min((salvage.first_ns for salvage in found if salvage.first_ns is not None), default=None)
-        damaged = tuple(copy for copy in copies if copy is not None)
-        return ReadableLog(log.summarise(files, limits), error, damaged, first_ns)
+        summary = log.summarise(files, limits)
+        damaged = tuple(_in_log(copy, summary.parts) for copy in copies if copy is not None)
+        return ReadableLog(summary, error, damaged, first_ns)
+
+
+def _in_log(copy: RepairedLog, parts: Sequence[LogSummary]) -> RepairedLog:
+    """A repaired part, whose losses end where later parts go on."""
+    own = next((part for part in parts if part.path == copy.path), None)
+    return copy if own is None else replace(copy, recovery=copy.recovery.ending(log.gone_on_ns(own, parts)))
 
 
 def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, first_ns: int | None) -> Iterator[str]:

@@ -9,7 +9,7 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import UNWRITTEN, Sample
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.damage import ReadableLog, loss_reason
+from roadperc_stream.input.damage import ReadableLog, loss_reason, reach_ns
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.pairing import StampPairing
 from roadperc_stream.input.parts import part_notes
@@ -31,7 +31,7 @@ from roadperc_stream.schemas.record import (
     TOPIC_KEY,
     log_id_of,
 )
-from roadperc_stream.schemas.roles import require_role
+from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, require_role
 
 
 def open_input(source: ReplaySource, cfg: ReplayConfig) -> "ReplayInput":
@@ -137,7 +137,7 @@ class ReplayInput:
             is_written = before.is_written(synced.reference)
             self.frames += is_written
             if is_written:
-                lost = loss_reason(self._gaps, before_ns, numbers.log_time_ns)
+                lost = loss_reason(self._gaps, before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
                 yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
                 before_ns = numbers.log_time_ns
             else:
@@ -145,6 +145,11 @@ class ReplayInput:
         if not self.frames and not self.is_continuation:
             topic = self.topics[plan.order.reference]
             raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
+
+    def _until_ns(self, synced: SyncedMessages, since_ns: int | None, log_time_ns: int) -> int:
+        """The log time up to which messages of a frame may have been lost."""
+        is_whole = all(role in synced.parts for role in self.topics if ROLES[role].kind not in LATCHED_KINDS)
+        return log_time_ns if is_whole else reach_ns(since_ns, log_time_ns, self.plan.order.lateness_ns)
 
     def _drop(self, item: Stamped) -> None:
         self._dropped[item.role] += 1

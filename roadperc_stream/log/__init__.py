@@ -8,6 +8,7 @@ from roadperc_stream.log.copying import MessageCopy
 from roadperc_stream.log.damage import Damage, DamagedLogError
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.order import in_order_within
+from roadperc_stream.log.parts import gone_on_ns
 from roadperc_stream.log.reading import read, summarise
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, MessageDigest, Metadata
 from roadperc_stream.log.recovery import RECOVERY_RECORD, LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
@@ -33,6 +34,7 @@ __all__ = [
     "RepairedLog",
     "Salvage",
     "audited",
+    "gone_on_ns",
     "in_order_within",
     "read",
     "received",

@@ -9,8 +9,13 @@ from roadperc_stream.log.damage import DamagedLogError, nothing_saved
 from roadperc_stream.log.salvage import Salvage
 
 
-def require_undamaged(path: Path, limits: LimitsConfig) -> bool:
+def require_undamaged(path: Path, limits: LimitsConfig, *, check_chunks: bool = False) -> bool:
     """Check all CRCs, and that index, message indexes and statistics say what stands in the file.
+
+    Args:
+        path: the log.
+        limits: of its records and chunks.
+        check_chunks: as ``audited``.
 
     Returns:
         Whether the CRCs inside chunks were checked, too: where each chunk has one, that is left to who reads it.
@@ -19,7 +24,7 @@ def require_undamaged(path: Path, limits: LimitsConfig) -> bool:
         DamagedLogError: they do not; it says what can be saved.
         LogError: the file cannot be read, is no MCAP log, or nothing of it can be saved.
     """
-    found = audited(path, limits)
+    found = audited(path, limits, check_chunks=check_chunks)
     if not found.whole:
         raise damage_in(found)
     return found.sealed
@@ -32,17 +37,24 @@ def damage_in(found: Salvage) -> LogError:
     return DamagedLogError(found.path, found.damages, _can_be_saved(found))
 
 
-def audited(path: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> Salvage:
+def audited(path: Path, limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False) -> Salvage:
     """The finished account of a log.
 
     Chunks are not opened where CRCs cover every message, and message indexes count what they hold.
+
+    Args:
+        path: the log.
+        limits: of its records and chunks.
+        check_chunks: also where their own CRCs alone cover the messages, which reading them compares else. Needed by
+            whoever reads only some of them, or wants to read on behind damage.
 
     Raises:
         LogError: the file cannot be read, or is no MCAP log.
     """
     quick = Salvage(path, inside=False, limits=limits)
     quick.run()
-    return quick if quick.whole and quick.conclusive else salvaged(path, limits)
+    is_checked = quick.sealed or not check_chunks
+    return quick if quick.whole and quick.conclusive and is_checked else salvaged(path, limits)
 
 
 def salvaged(path: Path, limits: LimitsConfig) -> Salvage:
@@ -59,8 +71,9 @@ def salvaged(path: Path, limits: LimitsConfig) -> Salvage:
 def _can_be_saved(found: Salvage) -> str:
     saved, written = found.counts.total(), found.written
     of_all = "" if written is None else f" of {sum(written.values())}"
-    start_ns = found.first_ns
+    start_ns, lost_ns = found.first_ns, [gap.first_ns for gap in found.gaps]
+    from_ns = min((ns for ns in lost_ns if ns is not None), default=None)
     before = ""
-    if found.last_good_ns is not None and start_ns is not None:
-        before = f", all up to {ns_to_seconds(found.last_good_ns - start_ns):.3f} s"
+    if start_ns is not None and from_ns is not None and None not in lost_ns and from_ns > start_ns:
+        before = f", all before {ns_to_seconds(from_ns - start_ns):.3f} s"
     return f"{saved}{of_all} messages can be saved{before}: roadperc-replay and roadperc-view do with --recover"

@@ -13,19 +13,21 @@ from roadperc_stream.log.integrity import damaged, says_more
 class Damage:
     """Where a file is not what it should be, and how.
 
-    ``first_ns`` and ``last_ns`` are the log times of the messages that it may concern, None without a limit.
+    ``first_ns`` and ``last_ns`` are the log times of the messages that it may concern, None without a limit; where it
+    concerns none, as in the index, ``of_messages`` is false.
     """
 
     byte: int
     words: str
     first_ns: int | None = None
     last_ns: int | None = None
+    of_messages: bool = True
 
     def concerns(self, start_ns: int | None, end_ns: int | None) -> bool:
         """Whether messages from ``start_ns`` up to ``end_ns`` may be among those, None without a limit."""
         ends_before = self.last_ns is not None and start_ns is not None and self.last_ns < start_ns
         starts_behind = self.first_ns is not None and end_ns is not None and self.first_ns >= end_ns
-        return not (ends_before or starts_behind)
+        return self.of_messages and not (ends_before or starts_behind)
 
 
 class DamagedLogError(LogError):

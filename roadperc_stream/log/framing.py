@@ -8,7 +8,7 @@ import bisect
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import IO, Final
 
 from mcap.opcode import Opcode
@@ -93,6 +93,8 @@ class Framing:
     """Whether the file ends as a log does, with footer and magic."""
     sealed: bool = False
     """Whether there is a CRC over the whole data section."""
+    summary_sealed: bool = False
+    """Whether there is one over the summary."""
     chunked: bool = False
     """Whether a chunk was seen: then messages stand in chunks."""
     breaks: list[int] = field(default_factory=list)
@@ -103,14 +105,21 @@ class Framing:
     _data_crc_damage: Damage | None = None
     _summary_crc: int | None = None
 
-    def forget_data_crc(self) -> None:
-        """What else was found in the data section says where it is wrong."""
-        if self._data_crc_damage in self.damages:
-            self.damages.remove(self._data_crc_damage)
+    def explain_data_crc(self) -> None:
+        """The CRCs of the messages fit: other damage says where the data section is wrong, or it is beside messages."""
+        damage = self._data_crc_damage
+        if damage in self.damages:
+            self.damages.remove(damage)
+            self.damages.extend([] if self.damages else [replace(damage, of_messages=False)])
+
+    @property
+    def has_place(self) -> bool:
+        """Whether there are damages that say where the file is wrong: not that only the data section's CRC is."""
+        return self.damages not in ([], [self._data_crc_damage])
 
     def damaged(self, byte: int, words: str, first_ns: int | None = None, last_ns: int | None = None) -> None:
-        """Take note of a damage."""
-        self.damages.append(Damage(byte, words, first_ns, last_ns))
+        """Take note of a damage; behind the data section it concerns no messages."""
+        self.damages.append(Damage(byte, words, first_ns, last_ns, of_messages=self.summary_start is None))
 
     def records(self, stream: IO[bytes]) -> Iterator[Record]:
         """The file's records outside chunks, up to its end or to where nothing follows that makes sense.
@@ -188,23 +197,36 @@ class Framing:
         self.chunked |= record.opcode == Opcode.CHUNK
         if record.opcode == Opcode.DATA_END:
             self.summary_start = record.end
-            before = len(self.damages)
-            self.sealed = self._compare("data section", record, self._data_crc)
-            self._data_crc_damage = self.damages[before] if len(self.damages) > before else None
+            self.sealed = bool(_crc_in(record))
+            self._data_crc_damage = _crc_damage("data section", record, self._data_crc)
+            self._note(self._data_crc_damage)
             self._summary_crc = 0
         elif self._summary_crc is not None:
             without_last = CRC_BYTES if record.opcode == Opcode.FOOTER else 0
             self._summary_crc = record.crc(self._summary_crc, without_last=without_last)
             if record.opcode == Opcode.FOOTER:
-                self._compare("summary", record, self._summary_crc)
+                self.summary_sealed = bool(_crc_in(record))
+                self._note(_crc_damage("summary", record, self._summary_crc, of_messages=False))
         elif self._data_crc is not None:
             self._data_crc = record.crc(self._data_crc)
         if record.opcode == Opcode.ATTACHMENT:
-            self._compare("attachment", record, zlib.crc32(memoryview(record.body)[:-CRC_BYTES]))
+            found = zlib.crc32(memoryview(record.body)[:-CRC_BYTES])
+            self._note(_crc_damage("attachment", record, found, of_messages=False))
 
-    def _compare(self, what: str, record: Record, found: int | None) -> bool:
-        """Whether a CRC, the record's last bytes, was there to be compared; zero says that the writer gave none."""
-        expected = int.from_bytes(record.body[-CRC_BYTES:], "little")
-        if expected and found is not None and found != expected:
-            self.damaged(record.start, f"CRC of the {what} is {found:#010x}, expected {expected:#010x}")
-        return bool(expected)
+    def _note(self, damage: Damage | None) -> None:
+        if damage is not None:
+            self.damages.append(damage)
+
+
+def _crc_in(record: Record) -> int:
+    """The CRC that is a record's last bytes; zero says that the writer gave none."""
+    return int.from_bytes(record.body[-CRC_BYTES:], "little")
+
+
+def _crc_damage(what: str, record: Record, found: int | None, *, of_messages: bool = True) -> Damage | None:
+    """That a CRC, where there is one to be compared, is not the one that the record gives."""
+    expected = _crc_in(record)
+    if not expected or found in (None, expected):
+        return None
+    words = f"CRC of the {what} is {found:#010x}, expected {expected:#010x}"
+    return Damage(record.start, words, of_messages=of_messages)

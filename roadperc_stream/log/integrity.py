@@ -7,6 +7,7 @@ alone cover logs without chunks, the index and the attachments. Layout: https://
 import os
 import shlex
 import struct
+import zlib
 from pathlib import Path
 from typing import IO, Final
 
@@ -19,6 +20,7 @@ _FOOTER_OPCODE: Final = 0x02
 _DATA_END: Final = struct.Struct("<BQI")
 _DATA_END_OPCODE: Final = 0x0F
 CRC_BYTES: Final = 4
+_BLOCK_BYTES: Final = 1024 * 1024
 
 
 def damaged(path: Path, what: str) -> LogError:
@@ -71,6 +73,20 @@ def data_end_of(stream: IO[bytes]) -> int | None:
     data_end = (summary_start or footer_start) - _DATA_END.size
     is_data_end = opcode == _FOOTER_OPCODE and _unpack(stream, _DATA_END, data_end)[0] == _DATA_END_OPCODE
     return data_end if is_data_end else None
+
+
+def summary_fits(stream: IO[bytes]) -> bool:
+    """Whether the summary's bytes are those that were written, as far as a CRC says so."""
+    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
+    opcode, _, summary_start, _, expected = _unpack(stream, _FOOTER, footer_start)
+    if opcode != _FOOTER_OPCODE or not expected or not summary_start:
+        return True
+    if summary_start >= footer_start:
+        return False
+    crc, left = 0, footer_start + _FOOTER.size - CRC_BYTES - stream.seek(summary_start)
+    while left > 0 and (block := stream.read(min(left, _BLOCK_BYTES))):
+        crc, left = zlib.crc32(block, crc), left - len(block)
+    return crc == expected
 
 
 def _unpack(stream: IO[bytes], record: struct.Struct, start: int) -> tuple[int, ...]:

@@ -77,6 +77,9 @@ class Inventory:
     """Messages by channel."""
     first_ns: int | None = None
     last_ns: int | None = None
+    behind_ns: int = -1
+    """By how much messages stand in the file behind ones of a later log time, at most; -1 where not even equal times
+    follow one another."""
     chunks: dict[int, ChunkPlace] = field(default_factory=dict)
     """By their first byte."""
     entries: list[tuple[int, records.ChunkIndex]] = field(default_factory=list)
@@ -112,7 +115,20 @@ class Inventory:
         """Count a message."""
         self.counts[channel_id] += 1
         self.first_ns = log_time_ns if self.first_ns is None else min(self.first_ns, log_time_ns)
-        self.last_ns = log_time_ns if self.last_ns is None else max(self.last_ns, log_time_ns)
+        latest_ns = log_time_ns if self.last_ns is None else self.last_ns
+        if self.last_ns is not None:
+            self.behind_ns = max(self.behind_ns, latest_ns - log_time_ns)
+        self.last_ns = max(latest_ns, log_time_ns)
+
+    @property
+    def next_ns(self) -> int | None:
+        """The earliest log time that the next message may have, if it comes as those before; None at the beginning."""
+        return None if self.last_ns is None else self.last_ns - self.behind_ns
+
+    @property
+    def span_ns(self) -> tuple[int | None, int | None]:
+        """First and last log time of the chunk whose message indexes are being read; None outside."""
+        return (None, None) if self._open is None else (self._open.first_ns, self._open.last_ns)
 
     def add_chunk(self, chunk: ChunkPlace) -> None:
         """Take note of a chunk that was read whole; its message indexes come next."""
@@ -173,12 +189,13 @@ class Inventory:
             byte, footer = self._footer
             if footer.summary_start != summary_start and (footer.summary_start or byte != summary_start):
                 words = f"the footer says that the summary starts at byte {footer.summary_start}, it does at"
-                yield Damage(byte, f"{words} {summary_start}")
+                yield Damage(byte, f"{words} {summary_start}", of_messages=False)
         yield from self._chunk_discrepancies()
         beside = {*self.attachments, *self.metadata}
         for byte, entry in self.beside_entries:
             if entry.offset not in beside:
-                yield Damage(byte, f"the index names byte {entry.offset}, where {entry.name!r} does not start")
+                words = f"the index names byte {entry.offset}, where {entry.name!r} does not start"
+                yield Damage(byte, words, of_messages=False)
         if self.statistics is not None:
             yield from self._statistics_discrepancies(*self.statistics)
 

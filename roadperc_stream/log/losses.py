@@ -45,7 +45,7 @@ def expected_messages(path: Path, at: int) -> Positions:
 
 
 def lost_in_chunk(
-    expected: Positions, saved: Positions, span_ns: tuple[int, int] | None, before_ns: int | None
+    expected: Positions, saved: Positions, span_ns: tuple[int, int] | None, next_ns: int | None, *, all_read: bool
 ) -> Gap | None:
     """What a damaged chunk lost; None where it lost nothing.
 
@@ -53,17 +53,22 @@ def lost_in_chunk(
         expected: its messages, by the message indexes behind it; empty where there are none.
         saved: those that were read.
         span_ns: first and last log time, by the index or its own head; None where both make no sense.
-        before_ns: log time of the last message read.
+        next_ns: earliest log time of what follows the last message read.
+        all_read: whether it ended where it should, and each of its messages was read.
     """
     if any(expected.values()):
         lost = {number: set(places) - set(saved.get(number, ())) for number, places in expected.items()}
         times = [time_ns for places in lost.values() for time_ns, _ in places]
         counts = {number: len(places) for number, places in lost.items() if places}
         return Gap(min(times), max(times), counts) if times else None
-    saved_ns = max((time_ns for places in saved.values() for time_ns, _ in places), default=None)
-    if saved_ns is not None:
-        return Gap(saved_ns + 1, None if span_ns is None else max(span_ns[1], saved_ns + 1))
-    return Gap(*span_ns) if span_ns is not None else Gap(None if before_ns is None else before_ns + 1, None)
+    if all_read:
+        return None
+    if span_ns is None:
+        return Gap(next_ns, None)
+    if not any(saved.values()) or next_ns is None:
+        return Gap(*span_ns)
+    first_ns = max(span_ns[0], next_ns)
+    return Gap(first_ns, max(span_ns[1], first_ns))
 
 
 @dataclass
@@ -73,7 +78,20 @@ class Losses:
     gaps: list[Gap] = field(default_factory=list)
     undescribed: Counter[int] = field(default_factory=Counter)
     """Messages of channels that nothing describes, by channel."""
+    _undescribed_ns: tuple[int, int] | None = None
+    """Their first and last log time."""
     _is_open: bool = False
+
+    @property
+    def all(self) -> tuple[Gap, ...]:
+        """The gaps, and the span of the messages that nothing describes."""
+        return (*self.gaps, *(() if self._undescribed_ns is None else (Gap(*self._undescribed_ns),)))
+
+    def add_undescribed(self, channel_id: int, log_time_ns: int) -> None:
+        """Take note of a message of a channel that nothing describes."""
+        self.undescribed[channel_id] += 1
+        first_ns, last_ns = self._undescribed_ns or (log_time_ns, log_time_ns)
+        self._undescribed_ns = min(first_ns, log_time_ns), max(last_ns, log_time_ns)
 
     def add(self, gap: Gap, *, is_open: bool) -> None:
         """Take note of a gap; an open one ends where the next message is."""
@@ -82,8 +100,8 @@ class Losses:
         self.gaps.append(replace(gap, last_ns=None) if is_open else gap)
         self._is_open = is_open
 
-    def settle(self, log_time_ns: int) -> bool:
-        """A message was read: an open gap ends before it.
+    def settle(self, last_ns: int) -> bool:
+        """A message was read, which what an open gap lost is no later than.
 
         Returns:
             Whether there was one.
@@ -91,6 +109,5 @@ class Losses:
         was_open, self._is_open = self._is_open, False
         if was_open:
             first_ns = self.gaps[-1].first_ns
-            last_ns = max(log_time_ns - 1, 0 if first_ns is None else first_ns)
-            self.gaps[-1] = replace(self.gaps[-1], last_ns=last_ns)
+            self.gaps[-1] = replace(self.gaps[-1], last_ns=max(last_ns, 0 if first_ns is None else first_ns))
         return was_open

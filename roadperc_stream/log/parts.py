@@ -11,7 +11,8 @@ from typing import Final
 
 from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
 from roadperc_stream.log.integrity import damaged
-from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message
+from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
+from roadperc_stream.log.recovery import RECOVERY_RECORD, Recovery
 from roadperc_stream.log.sorting import SortedMessages
 
 _LEAST_HELD_BYTES: Final = 1024 * 1024
@@ -115,7 +116,8 @@ def united(parts: Sequence[Part]) -> LogSummary:
     attachments = dict[tuple[str, str, bytes], Attachment]()
     for attachment in chain.from_iterable(part.summary.attachments for part in ordered):
         attachments.setdefault((attachment.name, attachment.media_type, attachment.data), attachment)
-    metadata = dict.fromkeys(m for part in ordered for m in part.summary.metadata)
+    summaries = [part.summary for part in ordered]
+    metadata = dict.fromkeys(chain.from_iterable(_with_ends(summary, summaries) for summary in summaries))
     ordered = [replace(part, summary=replace(part.summary, attachments=(), metadata=())) for part in ordered]
     summaries = [part.summary for part in ordered]
     translations = _translations(summaries)
@@ -139,6 +141,42 @@ def united(parts: Sequence[Part]) -> LogSummary:
         last_ns=max((last for _, last in spans), default=None),
         parts=tuple(summaries),
     )
+
+
+def gone_on_ns(summary: LogSummary, files: Iterable[LogSummary]) -> int | None:
+    """The log time at which later files hold again all that a file holds: what it lost at its end ends there.
+
+    Args:
+        summary: of the file.
+        files: of the log.
+
+    Returns:
+        None where one of its topics does not come again; what has a single message need not, if others have more.
+    """
+    first_ns, counts = summary.first_ns or 0, _counted_topics(summary)
+    repeated = [topic for topic, messages in counts.items() if messages > 1] or list(counts)
+    later = [(f.first_ns, _counted_topics(f)) for f in files if f.first_ns is not None and f.first_ns > first_ns]
+    begins = [min((begin_ns for begin_ns, topics in later if topic in topics), default=None) for topic in repeated]
+    known = [ns for ns in begins if ns is not None]
+    return max(known) if known and len(known) == len(begins) else None
+
+
+def _counted_topics(summary: LogSummary) -> Counter[str]:
+    """Messages by topic, of those that have some."""
+    counts = Counter[str]()
+    for channel in summary.channels:
+        counts[channel.topic] += summary.counts.get(channel.source_id, 0)
+    return +counts
+
+
+def _with_ends(summary: LogSummary, files: Iterable[LogSummary]) -> Iterator[Metadata]:
+    """A file's metadata; of one that was repaired, with the ends of its gaps that the other files show."""
+    recovery = Recovery.of_records(summary.metadata)
+    for record in summary.metadata:
+        if recovery is None or record.name != RECOVERY_RECORD:
+            yield record
+    if recovery is not None:
+        yield recovery.ending(gone_on_ns(summary, files)).to_record()
 
 
 def _translations(summaries: Iterable[LogSummary]) -> list[Translation]:

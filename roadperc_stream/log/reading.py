@@ -22,20 +22,25 @@ from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message
 from roadperc_stream.log.sorting import SortedMessages
 
 
-def summarise(source: Path | Sequence[Path], limits: LimitsConfig = DEFAULT_LIMITS) -> LogSummary:
+def summarise(
+    source: Path | Sequence[Path], limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False
+) -> LogSummary:
     """Channels, counts, attachments and metadata of a log, from its index where it has one.
 
     All CRCs are checked, and that index and statistics say what stands in the file. A log that its index does not give
-    in order of log time with little memory is put in order on disk when it is first read.
+    in order of log time with little memory is put in order on disk when it is first read. Where CRCs of chunks are all
+    there is, they are checked when the chunks are read.
 
     Args:
         source: the log, or the files that are one log.
         limits: of their records and chunks.
+        check_chunks: check them now.
 
     Raises:
         LogError: a file cannot be read, is no MCAP, is cut or damaged, or is beyond the limits.
     """
-    parts = [_inspected(path, limits) for path in ([source] if isinstance(source, Path) else source)]
+    paths = [source] if isinstance(source, Path) else source
+    parts = [_inspected(path, limits, check_chunks=check_chunks) for path in paths]
     if len(parts) > 1:
         return united(parts)
     summary, held = parts[0].summary, parts[0].held_bytes
@@ -114,13 +119,13 @@ class IndexedFile:
                 yield Message(known[channel.id], message.log_time, message.publish_time, message.sequence, message.data)
 
 
-def _inspected(path: Path, limits: LimitsConfig) -> Part:
+def _inspected(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> Part:
     """What one file holds.
 
     Raises:
         LogError: as ``summarise``.
     """
-    sealed = require_undamaged(path, limits)
+    sealed = require_undamaged(path, limits, check_chunks=check_chunks)
     with _reading(path, limits) as stream:
         reader = make_reader(stream)
         profile = reader.get_header().profile

@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -57,7 +57,8 @@ class Recovery:
             lost = Counter(salvage.written) - salvage.counts
         else:
             lost = sum((Counter(gap.messages) for gap in salvage.gaps), Counter(salvage.undescribed))
-        return cls(salvage.counts.total(), _by_topic(lost, topics), salvage.written is not None, gaps)
+        is_exact = salvage.written is not None or not any(damage.of_messages for damage in salvage.damages)
+        return cls(salvage.counts.total(), _by_topic(lost, topics), is_exact, gaps)
 
     @classmethod
     def of_records(cls, metadata: Iterable[Metadata]) -> "Recovery | None":
@@ -90,6 +91,12 @@ class Recovery:
         }
         return Metadata(RECOVERY_RECORD, tuple(values.items()))
 
+    def ending(self, last_ns: int | None) -> "Recovery":
+        """With an end of the gaps that have none, unless they begin behind it."""
+        if last_ns is None:
+            return self
+        return replace(self, gaps=tuple(_ending(gap, last_ns) for gap in self.gaps))
+
     def after(self, earlier: "Recovery | None", saved: int) -> "Recovery":
         """With what an earlier repair of the same log, or that of its part before, had lost."""
         if earlier is None:
@@ -104,13 +111,18 @@ class Recovery:
             first_ns: log time of the first message, from which seconds count.
         """
         lost = sum(self.lost.values())
-        number = f"{lost}" if self.exact else f"at least {lost}" if lost else "an unknown number of them"
+        number = f"{lost}" if self.exact else f"at least {lost}" if lost else "an unknown number"
         listed = "" if len(self.gaps) == 1 and self.gaps[0].messages == self.lost else _listed(self.lost)
         yield f"{self.saved} messages saved, {number} lost{listed}"
         for gap in self.gaps[:_GAPS_LISTED]:
             yield f"lost {_between(gap, first_ns)}{_listed(gap.messages)}"
         if len(self.gaps) > _GAPS_LISTED:
             yield f"and {len(self.gaps) - _GAPS_LISTED} gaps more"
+
+
+def _ending(gap: LostSpan, last_ns: int) -> LostSpan:
+    is_open = gap.last_ns is None and (gap.first_ns is None or gap.first_ns <= last_ns)
+    return replace(gap, last_ns=last_ns) if is_open else gap
 
 
 def saved_messages(salvage: Salvage) -> Iterator[Message]:

@@ -36,7 +36,7 @@ from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.described import Described
 from roadperc_stream.log.framing import Framing, Record
 from roadperc_stream.log.index import UNREADABLE, end_of, index_of, places_of, span_ns_of
-from roadperc_stream.log.integrity import data_end_of, require_log, unopened
+from roadperc_stream.log.integrity import data_end_of, require_log, summary_fits, unopened
 from roadperc_stream.log.inventory import INDEX_ENTRY_BYTES, ChunkPlace, Inventory, Positions
 from roadperc_stream.log.limits import LimitError, check_chunk, guarded
 from roadperc_stream.log.losses import Gap, Losses, expected_messages, lost_in_chunk
@@ -55,6 +55,8 @@ _PARSED: Final[dict[int, Any]] = {
     Opcode.FOOTER: records.Footer,
 }
 _PRIVATE_BIT: Final = 0x80
+_OF_MESSAGES: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX))
+"""Records of the data section without which messages are lost, or that say something else of them."""
 _FAR_NS: Final = 24 * 3600 * 1_000_000_000
 """Messages of a log are closer together than this."""
 
@@ -96,15 +98,17 @@ class Salvage:
                 require_log(self.path, stream)
                 self._index = index_of(stream)
                 resume_at = () if self._index is None else places_of(self._index, data_end_of(stream))
+                self._index_fits = summary_fits(stream)
         except OSError as error:
             raise unopened(self.path, error) from error
-        self._entries = {entry.chunk_start_offset: entry for entry in self._index.chunk_indexes} if self._index else {}
+        entries = self._index.chunk_indexes if self._index and self._index_fits else []
+        self._entries = {entry.chunk_start_offset: entry for entry in entries}
         if self._index is not None:
             self.described.add_index(self._index)
         self._inventory, self._losses, self._workspace = Inventory(), Losses(), Workspace()
         is_message = partial(_is_message, self.described, self._inventory)  # not of this object: it is freed at once
         self._framing = Framing(self.size_bytes, resume_at, is_message)
-        self._chunks_without_crc = self._breaks = 0
+        self._chunks_without_crc = self._breaks = self._open_at = 0
         self._covered = True
         """Whether every message that was read stands in a chunk with a CRC of its own."""
 
@@ -121,7 +125,8 @@ class Salvage:
     @property
     def conclusive(self) -> bool:
         """Whether the messages of all chunks were counted, and are covered by CRCs, where nobody looked inside."""
-        return self.inside or (self._inventory.conclusive and (self._covered or self._framing.sealed))
+        is_covered = (self._covered or self._framing.sealed) and self._framing.summary_sealed
+        return self.inside or (self._inventory.conclusive and is_covered)
 
     @property
     def sealed(self) -> bool:
@@ -141,7 +146,7 @@ class Salvage:
     @property
     def gaps(self) -> tuple[Gap, ...]:
         """Where messages were lost, in the order of the file."""
-        return tuple(self._losses.gaps)
+        return self._losses.all
 
     @property
     def undescribed(self) -> dict[int, int]:
@@ -151,13 +156,17 @@ class Salvage:
     @property
     def first_ns(self) -> int | None:
         """Log time of the first message that was written, as far as the index says, else of the first one read."""
-        indexed = self._index.statistics if self._index else None
-        return self._inventory.first_ns if indexed is None else indexed.message_start_time
+        return self._inventory.first_ns if self._statistics is None else self._statistics.message_start_time
 
     @property
     def written(self) -> dict[int, int] | None:
         """Messages that were written, by ``Channel.source_id``; None where no index says so."""
-        return dict(self._index.statistics.channel_message_counts) if self._index and self._index.statistics else None
+        return None if self._statistics is None else dict(self._statistics.channel_message_counts)
+
+    @property
+    def _statistics(self) -> records.Statistics | None:
+        """What the index says in numbers; None where there is none whose CRC fits."""
+        return self._index.statistics if self._index and self._index_fits else None
 
     def messages(self) -> Iterator[Message]:
         """Every message that can be read, in the order of the file."""
@@ -202,7 +211,12 @@ class Salvage:
             else:
                 self._note(record.opcode, record.body, record.start)
         except UNREADABLE as error:
-            self._framing.damaged(record.start, f"{record.name}: {_in_words(error)}")
+            self._damaged_record(record, f"{record.name}: {_in_words(error)}")
+
+    def _damaged_record(self, record: Record, words: str) -> None:
+        """Take note of a record that makes no sense; one of a message index may be right, and its chunk wrong."""
+        of_messages = record.opcode in _OF_MESSAGES and self._framing.summary_start is None
+        self.damages.append(Damage(record.start, words, *self._inventory.span_ns, of_messages))
 
     def _chunk(self, record: Record) -> Iterator[Found]:
         try:
@@ -226,7 +240,9 @@ class Salvage:
             except UNREADABLE as error:
                 faults.append(f"{record.name}: {_in_words(error)}")
         if any(faults):
-            self._lose(record, head, positions, next(filter(None, faults)))
+            messages = sum(item.opcode == Opcode.MESSAGE for item in contents.items)
+            all_read = not contents.fault and messages == sum(map(len, positions.values()))
+            self._lose(record, head, positions, next(filter(None, faults)), all_read=all_read)
         else:
             self._inventory.add_chunk(ChunkPlace.of(record, head, positions))
 
@@ -245,34 +261,47 @@ class Salvage:
     def _counted(self, body: bytes | memoryview) -> Found:
         head = message_head(body)
         if head.channel_id not in self.channels:
-            self._losses.undescribed[head.channel_id] += 1
+            self._losses.add_undescribed(head.channel_id, head.log_time_ns)
             raise ValueError(f"message of channel {head.channel_id}, which nothing describes")
-        if self._losses.settle(head.log_time_ns) and self.damages:
-            self.damages[-1] = replace(self.damages[-1], last_ns=head.log_time_ns)
         self._inventory.add_message(head.channel_id, head.log_time_ns)
+        last_ns = head.log_time_ns + self._inventory.behind_ns
+        if self._losses.settle(last_ns):
+            self._bound_damages(None, last_ns)
         if not self.damages:
             self.last_good_ns = head.log_time_ns
         return head, body
 
-    def _lose(self, record: Record, head: ChunkHead | None, saved: Positions, fault: str) -> None:
+    def _lose(
+        self, record: Record, head: ChunkHead | None, saved: Positions, fault: str, *, all_read: bool = False
+    ) -> None:
         """Take note of a damaged chunk, and of which of its messages were lost."""
         entry = self._entries.get(record.start)
         self._inventory.lose_chunk()
         span, end = span_ns_of(entry, head), end_of(record, entry, head)
-        gap = lost_in_chunk(expected_messages(self.path, end), saved, span, self._inventory.last_ns)
-        is_open = entry is None and bool(record.fault)
+        next_ns = self._inventory.next_ns
+        gap = lost_in_chunk(expected_messages(self.path, end), saved, span, next_ns, all_read=all_read)
+        is_open = entry is None and (bool(record.fault) or span is None)
         if gap is not None:
+            self._open_at = record.start
             self._losses.add(gap, is_open=is_open)
-        first_ns, last_ns = span or (self._inventory.last_ns, None)
+        first_ns, last_ns = span or (next_ns, None)
         self._framing.damaged(record.start, fault, first_ns, None if is_open else last_ns)
         self._breaks = len(self._framing.breaks)
 
     def _note_breaks(self) -> None:
         """Where no record could start, messages are lost up to the next one."""
         if len(self._framing.breaks) > self._breaks:
-            self._breaks = len(self._framing.breaks)
-            before_ns = self._inventory.last_ns
-            self._losses.add(Gap(None if before_ns is None else before_ns + 1, None), is_open=True)
+            self._open_at, self._breaks = self._framing.breaks[self._breaks], len(self._framing.breaks)
+            self._losses.add(Gap(self._inventory.next_ns, None), is_open=True)
+            self._bound_damages(self._inventory.next_ns, None)
+
+    def _bound_damages(self, first_ns: int | None, last_ns: int | None) -> None:
+        """The damages of the gap that is open, or just ended, concern messages between these log times."""
+        for number in range(len(self.damages) - 1, -1, -1):
+            damage = self.damages[number]
+            if damage.byte < self._open_at:
+                return
+            self.damages[number] = replace(damage, first_ns=damage.first_ns or first_ns, last_ns=last_ns)
 
     def _require_private(self, record: Record) -> None:
         """An application's own record does not have the form of messages: then its type is not what was written."""
@@ -306,10 +335,10 @@ class Salvage:
         """What only the end shows: records that fell out without a trace, and what the writer left out."""
         self._note_breaks()
         self._note_damage(self._inventory.close_chunk())
-        if len(self.damages) > 1 and self._covered:
-            self._framing.forget_data_crc()
-        if not self.damages and self.conclusive:
+        if not self._framing.has_place and self.conclusive:
             self.damages.extend(self._inventory.discrepancies(self._framing.summary_start))
+        if self._covered and self.inside:
+            self._framing.explain_data_crc()
         lacking = {
             "index": self._index is None,
             "CRC of the data section": not self._framing.sealed,

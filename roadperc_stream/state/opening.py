@@ -111,7 +111,8 @@ def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> Op
     if summary.first_ns is not None and starts_ns < ended_ns:
         lead_s = ns_to_seconds(ended_ns - starts_ns)
         raise StateError(
-            f"{summary.path}: begins {lead_s:.3f} s before the end of what {before} holds: expected what follows"
+            f"{summary.path}: begins {lead_s:.3f} s before the end of what {before} holds: expected what "
+            "follows; give the part that does, or where it begins in this file with --start"
         )
     return opened
 

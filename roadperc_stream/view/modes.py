@@ -44,7 +44,7 @@ def view_log(arguments: argparse.Namespace, playback: PlaybackOptions) -> None:
 def _readable(arguments: argparse.Namespace) -> Path:
     """The log as it can be read more than once: stored where it comes through a pipe or has to be repaired."""
     (path,) = log.received([arguments.log])
-    if not arguments.recover or log.audited(path).whole:
+    if not arguments.recover or log.audited(path, check_chunks=True).whole:
         return path
     copy = log.repaired_copy(path)
     if not arguments.quiet:

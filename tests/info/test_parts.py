@@ -1,7 +1,14 @@
 """What roadperc-info says of how several logs join as the parts of one."""
 
+import pytest
+
+from roadperc_stream.api import replay
 from roadperc_stream.cli.info import main
+from roadperc_stream.core.config import load_config
+from roadperc_stream.errors import ChannelError, StateError
+from roadperc_stream.log import LogWriter, Message
 from tests import logs
+from tests.analytic import Road
 from tests.logs import START_NS, STEP_NS
 
 
@@ -33,3 +40,58 @@ def test_json_and_a_single_log_say_nothing_of_parts(tmp_path, capsys):
     assert main([path]) == 0
     assert main(["--json", path, path]) == 0
     assert "parts of one" not in capsys.readouterr().out
+
+
+CFG = load_config(None, [f"{stage}.enabled=false" for stage in ("odometry", "lanes", "objects", "occupancy")])
+
+
+@pytest.fixture
+def parts(tmp_path):
+    """A drive in two files, the first of which alone has calibration and transforms."""
+    items, cut_ns = logs.items(6, Road(width=64, height=48)), START_NS + 3 * STEP_NS
+    first = logs.write(tmp_path / "part_0.mcap", [item for item in items if item.stamp_ns < cut_ns])
+    return first, logs.write(tmp_path / "part_1.mcap", [item for item in items if item.stamp_ns >= cut_ns])
+
+
+def words_of(capsys, *files):
+    assert main(list(map(str, files))) == 0
+    return " ".join(capsys.readouterr().out.split())
+
+
+def test_the_roles_of_parts_are_those_of_the_whole(parts, capsys):
+    alone = words_of(capsys, parts[1])
+    assert "calibration missing: a replay stops, unless another part has it: the camera is not known" in alone
+    together = words_of(capsys, *parts).partition("As the parts of one log")[2]
+    assert "calibration /camera/front/calibration" in together
+    assert "missing" not in together
+    with pytest.raises(ChannelError, match=r"give the parts together, or .* --continue"):
+        replay(parts[1], parts[1].with_name("out.mcap"), config=CFG)
+
+
+def test_a_continuation_says_what_it_goes_on_from(parts, capsys):
+    results = [path.with_name(f"out_{k}.mcap") for k, path in enumerate(parts)]
+    replay(parts[0], results[0], config=CFG)
+    replay(parts[1], results[1], config=CFG, continued=results[0])
+    text = words_of(capsys, results[1])
+    assert "calibration missing: as the part before had it, in roadperc.state.begin" in text
+    assert "6 frames goes on from the result of log" in text
+    assert "whose last 3 frames it gives again, complete" in text
+    assert "segments" not in text
+    together = words_of(capsys, *results).partition("As the parts of one log")[2]
+    assert "out_1.mcap 0.150 0.250 out_1.mcap: goes on from out_0.mcap" in together
+    assert "overlaps" not in together
+    with pytest.raises(StateError, match=r"expected what follows; give the part that does, or .* --start"):
+        replay(parts[0], parts[0].with_name("out.mcap"), config=CFG, continued=results[0])
+
+
+def test_recordings_in_one_file_are_segments(tmp_path, capsys):
+    items = [item for item in logs.items(30, Road(width=64, height=48)) if item.role in {"image", "calibration"}]
+    path = tmp_path / "loop.mcap"
+    with LogWriter(path) as writer:
+        for k in range(2):
+            for item in items:
+                log_time_ns = item.stamp_ns + 2_000_000_000 * k
+                writer.write(Message(logs.channel(item.role), log_time_ns, item.stamp_ns, 0, item.data))
+    text = words_of(capsys, path)
+    assert "60 frames, one per message of role image" in text
+    assert "2 segments: the stamps begin anew" in text

@@ -139,7 +139,7 @@ def test_an_error_names_the_place_what_can_be_saved_and_the_option(tmp_path):
     first = chunk_starts(path)[2]
     words = refused(path, flips.flipped(content, 8 * (first + 200)))
     assert f"damaged at byte {first}: chunk: " in words
-    assert " of 60 messages can be saved, all up to 0." in words
+    assert " of 60 messages can be saved, all before 0." in words
     assert "--recover" in words
     assert words.endswith(f"roadperc-info {path} tells what is whole")
 
