@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.fuzz.judge import ROOT
-from tests.fuzz.trying import SECONDS, WAITING_S, Verdict
+from tests.fuzz.trying import SECONDS, WAITING_S, Verdict, without_answer
 
 WARM_UP_S = 180.0
 ENDING_S = 10.0
@@ -93,7 +93,7 @@ def run(orders: Iterable[Order], jobs: int) -> Iterator[tuple[Order, Verdict]]:
     """Try cases in so many processes; the verdicts come as they are found.
 
     Raises:
-        RuntimeError: a worker does not even start, or a case cannot be made.
+        RuntimeError: a worker does not even start.
     """
     waiting = deque(orders)
     workers: list[Worker] = []
@@ -133,8 +133,6 @@ def _heard(
         if "beat" in answer and worker.order:
             worker.begin()
             continue
-        if "broken" in answer:
-            raise RuntimeError(answer["broken"])
         if "verdict" in answer and worker.order:
             yield worker.order, Verdict(**answer["verdict"])
         worker.order = None
@@ -152,7 +150,7 @@ def _died(
         raise RuntimeError(f"a worker ended with {code} before its first case")
     if waiting:
         _start(workers, selector)
-    yield order, _without_answer(f"died: the process ended with {code}")
+    yield order, without_answer("?", f"died: the process ended with {code}")
 
 
 def _hung(
@@ -164,8 +162,4 @@ def _hung(
         raise RuntimeError(f"a worker was not ready after {WARM_UP_S:.0f} s")
     if waiting:
         _start(workers, selector)
-    yield order, _without_answer(f"hang: more than {SECONDS:.0f} s")
-
-
-def _without_answer(fault: str) -> Verdict:
-    return Verdict("?", [None], "", [fault], {}, "?")
+    yield order, without_answer("?", f"hang: more than {SECONDS:.0f} s")

@@ -23,8 +23,6 @@ for line in sys.stdin:
         time.sleep(600)
     if name == "killed":
         os.kill(os.getpid(), 9)
-    if name == "broken":
-        print(json.dumps({"broken": "no such case"}), flush=True)
     verdict = {"command": "info", "codes": [0], "message": "", "faults": [], "recipe": {}, "line": name}
     print(json.dumps({"verdict": verdict}), flush=True)
 """
@@ -59,12 +57,6 @@ def test_a_worker_that_is_killed_is_replaced_and_the_others_go_on(workers):
     assert all(worker.poll() is not None for worker in workers)
 
 
-def test_a_case_that_cannot_be_made_ends_it_all(workers):
-    with pytest.raises(RuntimeError, match="no such case"):
-        list(run([Order("a"), Order("broken"), Order("b")], 1))
-    assert all(worker.poll() is not None for worker in workers)
-
-
 def test_who_stops_early_leaves_no_process(workers):
     found = run([Order("a"), Order("asleep")], 2)
     next(found)
@@ -77,6 +69,28 @@ def test_a_gigabyte_more_is_refused():
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.stderr.splitlines()[-1] == "MemoryError"
     assert bounds.MOST_GROWTH_BYTES == 2**30
+
+
+def test_a_case_that_cannot_be_made_is_the_fuzzers_fault_and_the_next_one_follows(tmp_path):
+    (tmp_path / "broken.json").write_text('{"family": "log", "base": "no such drive"}')
+    words = [
+        sys.executable,
+        "-m",
+        "tests.fuzz",
+        "--jobs",
+        "1",
+        "--case",
+        str(tmp_path / "broken.json"),
+        "--case",
+        "1:5",
+    ]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, env=os.environ)
+    assert done.returncode == 1, done.stderr
+    assert "broken.json: ?: [None]" in done.stdout
+    assert "its own fault: KeyError: 'no such drive' in cases.py:_log" in done.stdout
+    assert "\n1:5: roadperc-" in done.stdout
+    assert "\n2 cases in " in done.stdout
+    assert "\nFAULT: 1 fuzzer: its own fault: KeyError: Q" in done.stdout
 
 
 def test_the_whole_command_on_one_case():
