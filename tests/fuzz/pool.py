@@ -40,6 +40,8 @@ class Worker:
             env=environment, start_new_session=True,
         )  # fmt: skip
         self.order: Order | None = None
+        self.is_making = False
+        """Whether the case is still being made: what happens then is no fault of a command."""
         self._buffer = b""
         self.begin(WARM_UP_S, WARM_UP_S)
 
@@ -63,7 +65,7 @@ class Worker:
     def give(self, order: Order) -> None:
         """Let it try a case."""
         assert self.process.stdin
-        self.order = order
+        self.order, self.is_making = order, True
         self.begin()
         self.process.stdin.write(json.dumps({"case": order.case, "whole": order.whole}).encode() + b"\n")
         self.process.stdin.flush()
@@ -131,6 +133,7 @@ def _heard(
             yield from _died(worker, waiting, workers, selector)
             return
         if "beat" in answer and worker.order:
+            worker.is_making = False
             worker.begin()
             continue
         if "verdict" in answer and worker.order:
@@ -150,7 +153,7 @@ def _died(
         raise RuntimeError(f"a worker ended with {code} before its first case")
     if waiting:
         _start(workers, selector)
-    yield order, without_answer("?", f"died: the process ended with {code}")
+    yield order, _without_answer(worker, f"died: the process ended with {code}")
 
 
 def _hung(
@@ -162,4 +165,8 @@ def _hung(
         raise RuntimeError(f"a worker was not ready after {WARM_UP_S:.0f} s")
     if waiting:
         _start(workers, selector)
-    yield order, without_answer("?", f"hang: more than {SECONDS:.0f} s")
+    yield order, _without_answer(worker, f"hang: more than {SECONDS:.0f} s")
+
+
+def _without_answer(worker: Worker, fault: str) -> Verdict:
+    return without_answer("fuzzer", f"its own fault: {fault}") if worker.is_making else without_answer("?", fault)

@@ -16,6 +16,8 @@ import json, os, resource, sys, time
 print(json.dumps({"ready": True}), flush=True)
 for line in sys.stdin:
     name = json.loads(line)["case"]
+    if name == "never made":
+        while True: pass
     print(json.dumps({"beat": True}), flush=True)
     if name == "busy":
         while True: pass
@@ -49,10 +51,10 @@ def faults(found):
 
 
 def test_a_worker_that_is_killed_is_replaced_and_the_others_go_on(workers):
-    found = faults(run([Order(name) for name in ("a", "busy", "b", "killed", "c", "asleep", "d")], 2))
+    found = faults(run([Order(name) for name in ("a", "busy", "b", "killed", "c", "asleep", "never made", "d")], 2))
     assert found == {
         "a": [], "b": [], "c": [], "d": [], "busy": ["hang: more than 10 s"], "asleep": ["hang: more than 10 s"],
-        "killed": ["died: the process ended with -9"],
+        "killed": ["died: the process ended with -9"], "never made": ["its own fault: hang: more than 10 s"],
     }  # fmt: skip
     assert all(worker.poll() is not None for worker in workers)
 
