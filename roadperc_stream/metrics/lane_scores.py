@@ -26,6 +26,9 @@ _TUSIMPLE_COLUMNS: Final = 1280
 _CULANE_COLUMNS: Final = 1640
 """Widths of the benchmarks' images: their thresholds in px scale with the image, so that resolution does not matter."""
 _SUBPIXEL_BITS: Final = 4
+_DRAWABLE_PX: Final = 2.0**14
+"""To points farther than this outside the image, as of a line that passes beside the camera, OpenCV draws a line that
+is a few columns off; far more of them take seconds, or do not fit into its 32 bits."""
 
 
 class TuSimpleScore(NamedTuple):
@@ -144,6 +147,22 @@ def counts_above(overlaps: Float, threshold: float) -> Counts:
 
 def _drawn(line: Float, shape: tuple[int, int], width_px: float) -> Mask:
     image = np.zeros(shape, np.uint8)
-    points = np.rint(np.asarray(line, float) * 2**_SUBPIXEL_BITS).astype(np.int32)
-    cv2.polylines(image, [points], False, 1, max(round(width_px), 1), cv2.LINE_8, _SUBPIXEL_BITS)
+    for piece in _drawable(np.asarray(line, float), max(shape) + _DRAWABLE_PX):
+        points = np.rint(piece * 2**_SUBPIXEL_BITS).astype(np.int32)
+        cv2.polylines(image, [points], False, 1, max(round(width_px), 1), cv2.LINE_8, _SUBPIXEL_BITS)
     return image.view(np.bool_)
+
+
+def _drawable(line: Float, most_px: float) -> Sequence[Float]:
+    """Polylines within ``most_px`` of the origin: an (N, 2) line, or of one that goes farther its clipped segments."""
+    if (np.abs(line) <= most_px).all():
+        return [line]
+    starts, steps = line[:-1], np.diff(line, axis=0)
+    borders = np.array([-most_px, most_px]).reshape(2, 1, 1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # along a border's direction: never, or NaN on the border
+        crossings = np.sort((borders - starts) / steps, axis=0)
+    first = np.maximum(crossings[0].max(axis=1), 0)
+    last = np.minimum(crossings[1].min(axis=1), 1)
+    inside = first < last
+    shares = np.stack([first, last], axis=1)[inside, :, None]
+    return list(starts[inside, None] + shares * steps[inside, None])

@@ -1,10 +1,11 @@
 """Configuration files: values of another type or size, keys that do not exist, and text that is no TOML."""
 
-import tomllib
 from typing import Any
 
 import tomli_w
 
+from roadperc_stream.core.config.settings import parsed_toml
+from roadperc_stream.errors import ConfigError
 from tests.fuzz.choices import Choices, wild_text
 from tests.fuzz.octets import damage
 from tests.fuzz.trees import DEPTHS, mutate
@@ -28,10 +29,10 @@ def mutate_toml(text: bytes, choices: Choices) -> bytes:
 
 def _with_a_value(text: bytes, choices: Choices) -> bytes:
     try:
-        tree: dict[str, Any] = tomllib.loads(text.decode())
+        tree: dict[str, Any] = parsed_toml(text)
         mutate(tree, choices)
         return tomli_w.dumps(tree).encode()
-    except (ValueError, TypeError, RecursionError):  # no TOML to begin with, or no value that it has
+    except (ConfigError, ValueError, TypeError, RecursionError):  # no TOML to begin with, or no value that it has
         return damage(text, choices.part("otherwise"))
 
 

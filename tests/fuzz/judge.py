@@ -2,6 +2,7 @@
 
 import re
 import traceback
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from tests.fuzz.choices import INJECTED
 
 ROOT = Path(__file__).parents[2]
 SOURCES = [ROOT / name for name in ("roadperc_stream", "tools", "eval")]
+FUZZER = [ROOT / "tests"]
 CODES = (0, 1, 2, 3)
 LONGEST_LINE = 12_000
 """Characters: a name of ten thousand may be said whole."""
@@ -94,16 +96,16 @@ def suffix_of(name: str) -> str:
     return "".join(Path(name).suffixes) or "a file without a suffix"
 
 
-def crash_line(trace: str) -> str:
-    """The exception, and the last function of the project that it came through."""
+def crash_line(trace: str, sources: Sequence[Path] = SOURCES) -> str:
+    """The exception, and the last function below the folders that it came through."""
     lines = [line for line in trace.splitlines() if line.strip()]
-    places = [(Path(file), name) for file, name in _CODE.findall(trace) if _is_own(file)]
+    places = [(Path(file), name) for file, name in _CODE.findall(trace) if _is_below(file, sources)]
     where = f"{places[-1][0].name}:{places[-1][1]}" if places else "?"
     return f"{lines[-1].strip()[:160] if lines else '?'} in {where}"
 
 
-def _is_own(file: str) -> bool:
-    return any(Path(file).is_relative_to(folder) for folder in SOURCES)
+def _is_below(file: str, folders: Sequence[Path]) -> bool:
+    return any(Path(file).is_relative_to(folder) for folder in folders)
 
 
 def crash_of(error: BaseException) -> str:

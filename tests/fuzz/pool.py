@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.fuzz.judge import ROOT
-from tests.fuzz.trying import SECONDS, WAITING_S, Verdict
+from tests.fuzz.trying import SECONDS, WAITING_S, Verdict, without_answer
 
 WARM_UP_S = 180.0
 ENDING_S = 10.0
@@ -40,6 +40,8 @@ class Worker:
             env=environment, start_new_session=True,
         )  # fmt: skip
         self.order: Order | None = None
+        self.is_making = False
+        """Whether the case is still being made: what happens then is no fault of a command."""
         self._buffer = b""
         self.begin(WARM_UP_S, WARM_UP_S)
 
@@ -63,7 +65,7 @@ class Worker:
     def give(self, order: Order) -> None:
         """Let it try a case."""
         assert self.process.stdin
-        self.order = order
+        self.order, self.is_making = order, True
         self.begin()
         self.process.stdin.write(json.dumps({"case": order.case, "whole": order.whole}).encode() + b"\n")
         self.process.stdin.flush()
@@ -93,7 +95,7 @@ def run(orders: Iterable[Order], jobs: int) -> Iterator[tuple[Order, Verdict]]:
     """Try cases in so many processes; the verdicts come as they are found.
 
     Raises:
-        RuntimeError: a worker does not even start, or a case cannot be made.
+        RuntimeError: a worker does not even start.
     """
     waiting = deque(orders)
     workers: list[Worker] = []
@@ -131,10 +133,9 @@ def _heard(
             yield from _died(worker, waiting, workers, selector)
             return
         if "beat" in answer and worker.order:
+            worker.is_making = False
             worker.begin()
             continue
-        if "broken" in answer:
-            raise RuntimeError(answer["broken"])
         if "verdict" in answer and worker.order:
             yield worker.order, Verdict(**answer["verdict"])
         worker.order = None
@@ -152,7 +153,7 @@ def _died(
         raise RuntimeError(f"a worker ended with {code} before its first case")
     if waiting:
         _start(workers, selector)
-    yield order, _without_answer(f"died: the process ended with {code}")
+    yield order, _without_answer(worker, f"died: the process ended with {code}")
 
 
 def _hung(
@@ -164,8 +165,8 @@ def _hung(
         raise RuntimeError(f"a worker was not ready after {WARM_UP_S:.0f} s")
     if waiting:
         _start(workers, selector)
-    yield order, _without_answer(f"hang: more than {SECONDS:.0f} s")
+    yield order, _without_answer(worker, f"hang: more than {SECONDS:.0f} s")
 
 
-def _without_answer(fault: str) -> Verdict:
-    return Verdict("?", [None], "", [fault], {}, "?")
+def _without_answer(worker: Worker, fault: str) -> Verdict:
+    return without_answer("fuzzer", f"its own fault: {fault}") if worker.is_making else without_answer("?", fault)

@@ -71,7 +71,7 @@ class Record:
         return _HEAD.pack(self.opcode, len(content) if self.length is None else self.length) + content
 
     def _packed(self, name: str, kind: str) -> bytes:
-        value = self.fields.get(name, b"" if kind in "sdDr" else 0)
+        value = self.fields[name]
         if kind == "r":
             return bytes(value)
         if kind in _LENGTHS:
@@ -263,7 +263,7 @@ def _near(scope: list[Record], at: int, choices: Choices) -> None:
     if names:
         name = choices.of("field", names)
         record.held.add(name)
-        record.fields[name] = record.fields.get(name, 0) + choices.of("by", (-9, -1, 1, 8, 9, 100))
+        record.fields[name] += choices.of("by", (-9, -1, 1, 8, 9, 100))
 
 
 def _length(scope: list[Record], at: int, choices: Choices) -> None:
@@ -291,9 +291,13 @@ def _move(scope: list[Record], at: int, choices: Choices) -> None:
 def _opcode(scope: list[Record], at: int, choices: Choices) -> None:
     body = scope[at].packed()[_HEAD.size :]
     opcode = choices.of("opcode", (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 15, 16, 0x7F, 0x80, 0xFF))
-    scope[at] = Record(opcode, {})
+    scope[at] = Record(opcode, _empty(opcode))
     with contextlib.suppress(struct.error):  # a body too short for it: the record is then one of zeros
         scope[at] = Record(opcode, _fields(opcode, body))
+
+
+def _empty(opcode: int) -> dict[str, Any]:
+    return {name: b"" if kind in "sdDr" else 0 for name, kind in LAYOUTS.get(opcode, (("data", "r"),))}
 
 
 def _garbage(scope: list[Record], at: int, choices: Choices) -> None:

@@ -7,6 +7,7 @@ from collections import Counter
 
 import pytest
 import zstandard
+from mcap.opcode import Opcode
 
 from roadperc_stream import log
 from tests.fuzz import contents
@@ -14,7 +15,7 @@ from tests.fuzz.cases import FAMILIES, WEIGHTED, Case, drawn, named, prepared
 from tests.fuzz.choices import Choices
 from tests.fuzz.judge import Ran, faults
 from tests.fuzz.pictures import jpeg_of, jpeg_segments, png_chunks, png_of
-from tests.fuzz.records import FIXES, put_together, taken_apart, zeros_as_zstd
+from tests.fuzz.records import FIXES, LAYOUTS, mutate_records, put_together, taken_apart, zeros_as_zstd
 
 CASES = 60
 
@@ -88,6 +89,20 @@ def test_what_is_removed_from_a_log_is_put_right(tmp_path):
     path.write_bytes(put_together(records, "everything"))
     reread = taken_apart(path.read_bytes())
     assert put_together(reread, "everything") == path.read_bytes()
+
+
+@pytest.mark.parametrize("fix", FIXES)
+@pytest.mark.parametrize("opcode", [Opcode.FOOTER, Opcode.CHUNK, Opcode.ATTACHMENT])
+def test_a_record_that_is_too_short_for_its_new_kind_becomes_one_of_zeros(opcode, fix):
+    records = taken_apart(contents.encoded(contents.BASES["drive"](), "zstd"))
+    count = len(records)
+    recipe = {"chunk": 0, "inside": False, "kind": Opcode.DATA_END, "record": 0, "do": "opcode", "opcode": opcode}
+    mutate_records(records, Choices(recipe))
+    (changed,) = (record for record in records if record.opcode == opcode and not any(record.fields.values()))
+    assert set(changed.fields) == {name for name, _ in LAYOUTS[opcode]}
+    data = put_together(records, fix)
+    assert changed.packed() in data
+    assert len(records) == count
 
 
 @pytest.mark.parametrize("size", [1, 131_072, 131_073, 1_000_000])

@@ -16,6 +16,8 @@ import json, os, resource, sys, time
 print(json.dumps({"ready": True}), flush=True)
 for line in sys.stdin:
     name = json.loads(line)["case"]
+    if name == "never made":
+        while True: pass
     print(json.dumps({"beat": True}), flush=True)
     if name == "busy":
         while True: pass
@@ -23,8 +25,6 @@ for line in sys.stdin:
         time.sleep(600)
     if name == "killed":
         os.kill(os.getpid(), 9)
-    if name == "broken":
-        print(json.dumps({"broken": "no such case"}), flush=True)
     verdict = {"command": "info", "codes": [0], "message": "", "faults": [], "recipe": {}, "line": name}
     print(json.dumps({"verdict": verdict}), flush=True)
 """
@@ -51,17 +51,11 @@ def faults(found):
 
 
 def test_a_worker_that_is_killed_is_replaced_and_the_others_go_on(workers):
-    found = faults(run([Order(name) for name in ("a", "busy", "b", "killed", "c", "asleep", "d")], 2))
+    found = faults(run([Order(name) for name in ("a", "busy", "b", "killed", "c", "asleep", "never made", "d")], 2))
     assert found == {
         "a": [], "b": [], "c": [], "d": [], "busy": ["hang: more than 10 s"], "asleep": ["hang: more than 10 s"],
-        "killed": ["died: the process ended with -9"],
+        "killed": ["died: the process ended with -9"], "never made": ["its own fault: hang: more than 10 s"],
     }  # fmt: skip
-    assert all(worker.poll() is not None for worker in workers)
-
-
-def test_a_case_that_cannot_be_made_ends_it_all(workers):
-    with pytest.raises(RuntimeError, match="no such case"):
-        list(run([Order("a"), Order("broken"), Order("b")], 1))
     assert all(worker.poll() is not None for worker in workers)
 
 
@@ -77,6 +71,28 @@ def test_a_gigabyte_more_is_refused():
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.stderr.splitlines()[-1] == "MemoryError"
     assert bounds.MOST_GROWTH_BYTES == 2**30
+
+
+def test_a_case_that_cannot_be_made_is_the_fuzzers_fault_and_the_next_one_follows(tmp_path):
+    (tmp_path / "broken.json").write_text('{"family": "log", "base": "no such drive"}')
+    words = [
+        sys.executable,
+        "-m",
+        "tests.fuzz",
+        "--jobs",
+        "1",
+        "--case",
+        str(tmp_path / "broken.json"),
+        "--case",
+        "1:5",
+    ]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, env=os.environ)
+    assert done.returncode == 1, done.stderr
+    assert "broken.json: ?: [None]" in done.stdout
+    assert "its own fault: KeyError: 'no such drive' in cases.py:_log" in done.stdout
+    assert "\n1:5: roadperc-" in done.stdout
+    assert "\n2 cases in " in done.stdout
+    assert "\nFAULT: 1 fuzzer: its own fault: KeyError: Q" in done.stdout
 
 
 def test_the_whole_command_on_one_case():

@@ -48,6 +48,11 @@ class Verdict:
     wrote: list[str] = field(default_factory=list)
 
 
+def without_answer(command: str, fault: str) -> Verdict:
+    """Of a case that came to no end."""
+    return Verdict(command, [None], "", [fault], {}, "?")
+
+
 def tried(case: Case, started: Callable[[], None], limit_bytes: int | None = None) -> Verdict:
     """Run a case in a folder of its own.
 

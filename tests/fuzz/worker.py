@@ -9,8 +9,8 @@ from typing import IO
 
 from tests.fuzz import bounds, cases, contents, dumps
 from tests.fuzz.choices import Choices
-from tests.fuzz.judge import crash_of
-from tests.fuzz.trying import tried, warm_up
+from tests.fuzz.judge import FUZZER, crash_line, crash_of
+from tests.fuzz.trying import tried, warm_up, without_answer
 
 
 def main() -> None:
@@ -31,9 +31,8 @@ def main() -> None:
         limit = whole_limit_bytes if order["whole"] else None
         try:
             verdict = tried(cases.named(order["case"]), lambda: _say(answers, beat=True), limit)
-        except Exception as error:  # a fault of the fuzzer, which the parent reports
-            _say(answers, broken=f"{order['case']}: {crash_of(error)}")
-            raise
+        except Exception as error:  # a fault of the fuzzer itself: it is reported as one, and the next case follows
+            verdict = without_answer("fuzzer", f"its own fault: {crash_line(crash_of(error), FUZZER)}")
         bounds.lift_limit()
         _say(answers, verdict=asdict(verdict))
 

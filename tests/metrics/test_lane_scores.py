@@ -102,6 +102,25 @@ def test_the_overlap_of_two_upright_lines():
     np.testing.assert_allclose(overlaps, expected, atol=0.03)
 
 
+@pytest.mark.parametrize("far_px", [2.0**15, 2.0**21, 1e9, 1e12])
+@pytest.mark.parametrize("is_first", [True, False])
+@pytest.mark.parametrize("direction", [(1, 0), (0, 1), (0.6, -0.8), (-0.28, 0.96)])
+def test_a_line_that_leaves_the_image_goes_on_in_its_direction(far_px, direction, is_first):
+    """As one of a point close to the plane of the camera: it is what it would be with an end just outside."""
+    inner = np.array([(700.0, 300.0)])
+    near, far = (np.vstack([inner, inner + reach * np.array(direction)]) for reach in (2000, far_px))
+    order = slice(None, None, -1 if is_first else 1)
+    assert line_overlaps([far[order]], [near[order]], SHAPE, 30).item() == pytest.approx(1, abs=0.01)  # a column
+
+
+def test_a_line_far_outside_is_nowhere():
+    """Also one on the very border of what is drawn, and between two far ends the part in the image is."""
+    beside = [np.array([(x, -1e9), (x, 1e9)]) for x in (1e7, -(2.0**14) - 1640, 2.0**14 + 1640)]
+    np.testing.assert_array_equal(line_overlaps(beside, [line(800)], SHAPE, 30), 0)
+    across = np.array([(800, -1e9), (800, 1e9)])
+    assert line_overlaps([across], [line(800)], SHAPE, 30).item() == 1
+
+
 def test_a_line_moved_by_25_pixels_is_found_wrongly_and_missed():
     assert culane([line(825)], [line(800)], SHAPE) == Counts(0, 1, 1)
     assert culane([line(825)], [line(800)], SHAPE, threshold=0.3) == Counts(0, 1, 1)
