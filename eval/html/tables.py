@@ -6,6 +6,8 @@ from roadperc_stream.output.text_table import TextRow, TextTable
 
 from ..configurations import UNKNOWN, short_digest
 from ..grid import percent
+from ..names import listed
+from ..overview import in_segments
 from ..summary import Summary
 from .sources import Sources
 
@@ -21,12 +23,12 @@ def _facts(summary: Summary, files: Sources) -> dict[str, str]:
     rate = f", {summary.rate_hz:.1f} frames/s" if summary.rate_hz else ""
     missing = ", ".join(f"{role} {percent(n / summary.frames)} %" for role, n in summary.missing.most_common())
     return {
-        "log": ", ".join(summary.log_ids),
+        "log": listed(summary.log_ids),
         "configuration": short_digest(summary.configs[0]),
         "version": summary.versions[0] or UNKNOWN,
         "input": files.source.name if files.source else "not named",
         "output": files.log.name if files.log else "not named",
-        "frames": f"{summary.frames} over {summary.span_s:.2f} s{rate}",
+        "frames": f"{summary.frames}{in_segments(summary)} over {summary.span_s:.2f} s{rate}",
         "longest gap": f"{summary.longest_gap_s:.2f} s",
         "messages missing": missing or "none in any frame",
     }
