@@ -60,4 +60,3 @@ def _require_no_regression(found: Comparison, exact: bool) -> None:
         raise RegressionError(f"worse than the reference: {listed(found.regressions)}")
     if exact and found.differences:
         raise RegressionError(f"differs from the reference: {listed(found.differences)}")
-

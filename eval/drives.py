@@ -52,7 +52,7 @@ def in_drives(runs: Sequence[Run]) -> Drives:
     chains = _chains(list(parts.values()), [link for link in links if not _apart(*link, links)])
     notes = [
         *(_one_drive(chain) for chain in chains if len(chain) > 1),
-        *(_without_part(run, dict(gaps).get(run)) for run in orphans),
+        *(_without_part(run, dict(gaps).get(run)) for run in orphans if run.first_frame),
         *(_undecided(name, before) for name, before in found.items() if len(before) > 1),
         *(f"{run.name}: {why}: evaluated by itself" for run, to in links if (why := _apart(run, to, links))),
     ]

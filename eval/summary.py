@@ -54,8 +54,8 @@ class Summary:
     """A metrics table in numbers, or several together.
 
     ``log_ids`` are digests of the logs' messages, ``configs`` and ``versions`` what made the tables. ``segments``
-    are stretches of one recording, one a table but where its stamps begin anew; ``span_s`` are the seconds from first to
-    last frame of each, ``longest_gap_s`` the longest time between two frames of one.
+    are stretches of one recording, one a table but where its stamps begin anew; ``span_s`` are the seconds from first
+    to last frame of each, ``longest_gap_s`` the longest time between two frames of one.
     ``statistics`` holds the numeric columns that have values; ``categories`` counts the values of each text column;
     ``missing`` counts frames per role without a message, ``incomplete`` frames where any role is without, ``reasons``
     say why something is absent; ``worst`` holds the worst frames, the worst first. ``totals`` are the sums of the

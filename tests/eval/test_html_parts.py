@@ -30,7 +30,7 @@ STAMP = 1_600_000_000_000_000_000
 def series(name="drive", **columns):
     values = {key: np.asarray(column, float) for key, column in columns.items()}
     frames = len(next(iter(values.values())))
-    return Series(name, np.arange(frames), np.arange(frames) / 20, values)
+    return Series(name, np.zeros(frames, np.int64), np.arange(frames) / 20, values)
 
 
 @given(st.integers(1, 400), st.integers(1, 20), st.integers(0, 2**31))
