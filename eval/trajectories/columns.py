@@ -30,7 +30,7 @@ def read_poses(run: Run) -> RunPoses:
         TableError: the table cannot be read, or no frame has an estimated pose.
     """
     table = collect(rows_of(run).select(_columns(run)), run.source_name)
-    if not run.frames:
+    if run.next_part and not run.frames:
         raise TableError(run.why_empty)
     lost = (table["odometry_status"] == "lost").fill_null(value=False).to_numpy()
     estimated, true = (table.select(names).to_numpy() for names in (ESTIMATED_COLUMNS, TRUE_COLUMNS))
