@@ -8,6 +8,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .configurations import short_digest
 from .grid import percent
+from .names import listed
 from .sections import accuracy, latency, missing_outputs
 from .summary import Summary
 
@@ -42,7 +43,7 @@ def runs(summaries: Sequence[Summary], notes: tuple[str, ...]) -> TextTable:
 def _run(summary: Summary, with_version: bool) -> TextRow:
     version = [summary.versions[0] or "unknown"] if with_version else []
     extent = (str(summary.frames), f"{summary.span_s:.2f}", f"{summary.rate_hz:.1f}" if summary.rate_hz else "")
-    return row(summary.name, summary.log_ids[0], short_digest(summary.configs[0]), *version, *extent)
+    return row(summary.name, listed(summary.log_ids, 1), short_digest(summary.configs[0]), *version, *extent)
 
 
 def coverage_by_run(summaries: Sequence[Summary]) -> TextTable:

@@ -14,6 +14,7 @@ from .comparison.display import print_comparison
 from .comparison.pairing import logged_runs, pair_runs
 from .comparison.reference import Copy, carry_out, first_copies, is_new, require_updatable, update_copies
 from .comparison.rules import Rules
+from .names import listed
 
 
 def compare(arguments: argparse.Namespace) -> None:
@@ -56,11 +57,6 @@ def _update(copies: tuple[Copy, ...]) -> None:
 
 def _require_no_regression(found: Comparison, exact: bool) -> None:
     if found.regressions:
-        raise RegressionError(f"worse than the reference: {_listed(found.regressions)}")
+        raise RegressionError(f"worse than the reference: {listed(found.regressions)}")
     if exact and found.differences:
-        raise RegressionError(f"differs from the reference: {_listed(found.differences)}")
-
-
-def _listed(names: list[str], shown: int = 6) -> str:
-    rest = len(names) - shown
-    return ", ".join(names[:shown]) + (f" and {rest} more" if rest > 0 else "")
+        raise RegressionError(f"differs from the reference: {listed(found.differences)}")

@@ -34,6 +34,12 @@ def legend(names: Mapping[str, str]) -> Iterator[str]:
     yield from (f"{short}: {name}" for name, short in names.items() if short != name)
 
 
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """Names in a line: the first of many, and how many more there are."""
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
 def _cut(name: str, columns: int) -> str:
     if len(name) <= columns:
         return name

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from .configurations import UNKNOWN, short_digest
 from .grid import percent
+from .names import listed
 from .quantities import SKEW
 from .summary import Summary
 
@@ -13,7 +14,7 @@ def identity(summary: Summary) -> str:
     if summary.runs > 1:
         return contents([summary])
     config, version = short_digest(summary.configs[0]), summary.versions[0] or UNKNOWN
-    return f"{summary.name}: log {', '.join(summary.log_ids)}, configuration {config}, version {version}"
+    return f"{summary.name}: log {listed(summary.log_ids)}, configuration {config}, version {version}"
 
 
 def contents(summaries: Sequence[Summary]) -> str:
@@ -30,13 +31,18 @@ def contents(summaries: Sequence[Summary]) -> str:
 
 def extent(summary: Summary) -> str:
     """How many frames over how long."""
-    frames = f"{summary.frames} frame{'s' * (summary.frames > 1)}"
+    frames = f"{summary.frames} frame{'s' * (summary.frames > 1)}{in_segments(summary)}"
     if summary.rate_hz is None:
         return frames
     return (
         f"{frames} over {summary.span_s:.2f} s, {summary.rate_hz:.1f} frames/s, "
         f"longest gap {summary.longest_gap_s:.2f} s"
     )
+
+
+def in_segments(summary: Summary) -> str:
+    """How often stamps began anew, where they did."""
+    return f" in {summary.segments} segments" if summary.segments > summary.runs else ""
 
 
 def inputs(summary: Summary) -> str:

@@ -11,10 +11,11 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines
 
 from .configurations import grouped, settings_table
+from .drives import find_drives
 from .names import name_columns, short_names
-from .runs import Run, find_runs
+from .runs import Run
 from .summary import summarise_group, summarise_run
-from .terminal import print_empty, print_one, print_several
+from .terminal import print_one, print_several
 
 WritePage = Callable[[Path, list[Run]], None]
 
@@ -31,14 +32,14 @@ def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_
     Raises:
         TableError: no such run, or none has a frame.
     """
-    runs = find_runs(arguments)
-    filled = [item for item in runs if item.frames]
+    found = find_drives(arguments)
+    filled = [item for item in found.runs if item.frames]
     if not filled:
-        raise TableError(f"{runs[0].path}: no frames in this table, so there is nothing to report")
+        raise TableError(f"{found.runs[0].why_empty}, so there is nothing to report")
     if html is not None and write_page is not None:
         write_page(html, filled)  # before anything is printed: whoever reads the text may close the pipe early
     console = console_for(sys.stdout)
-    print_empty(console, [item for item in runs if not item.frames])
+    print_lines(console, *found.notes, *(item.why_empty for item in found.runs if not item.frames), unbroken=True)
     if len(filled) == 1:
         print_one(console, summarise_run(filled[0], worst))
     else:

@@ -24,15 +24,18 @@ _MOST_DIGITS: Final = 16
 
 @dataclass(frozen=True)
 class Run:
-    """One metrics table: the frames of one log under one configuration.
+    """One metrics table, or the tables of a drive's parts: the frames of one log under one configuration.
 
-    ``name`` tells it from the others of the same report; ``frames`` is its number of rows. ``config_digest``,
-    ``version`` and ``config``, the whole configuration as TOML, say what made it, ``source`` and ``log`` where the
-    input and the result were; each is empty where the file does not say it.
+    ``name`` tells it from the others of the same report; ``frames`` is its number of frames that count, ``rows`` that
+    of its rows. ``config_digest``, ``version`` and ``config``, the whole configuration as TOML, say what made it,
+    ``source`` and ``log`` where the input and the result were; each is empty where the file does not say it.
 
     ``log_id`` and ``continues`` name the part of a drive that it is of and the one it goes on from; its frames begin
-    with ``first_frame``. Those from ``end_frame`` on do not count: the next part, which is among the runs, gives them
-    again, complete.
+    with ``first_frame``. Those from ``end_frame`` on do not count: the next part, which is among the runs under the
+    name ``next_part``, gives them again, complete.
+
+    Of a drive in several parts ``parts`` are their runs in order, at least two; what else is here, but for the counts
+    and the name, is the first part's.
     """
 
     name: str
@@ -48,6 +51,27 @@ class Run:
     continues: str = ""
     first_frame: int = 0
     end_frame: int | None = None
+    next_part: str = ""
+    rows: int = 0
+    parts: tuple["Run", ...] = ()
+
+    @property
+    def tables(self) -> tuple["Run", ...]:
+        """The run of each metrics table."""
+        return self.parts or (self,)
+
+    @property
+    def source_name(self) -> str:
+        """The tables as errors name them."""
+        more = len(self.tables) - 1
+        return f"{self.path} and {more} more part{'s' * (more > 1)}" if more else str(self.path)
+
+    @property
+    def why_empty(self) -> str:
+        """Why a run without frames has none."""
+        if self.rows and self.next_part:
+            return f"{self.path}: all its {self.rows} frames are given again by {self.next_part}"
+        return f"{self.path}: no frames in this table"
 
 
 def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
@@ -64,15 +88,19 @@ def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
 
 def _before_next_part(run: Run, runs: Iterable[Run]) -> Run:
     """The run without the frames that the part behind it gives again; no later one gives earlier ones."""
-    firsts = [
-        other.first_frame
+    behind = [
+        other
         for other in runs
         if run.log_id and other.continues == run.log_id and other.config_digest == run.config_digest
     ]
-    if not firsts:
-        return run
-    end = min(firsts)
-    return replace(run, frames=min(max(end - run.first_frame, 0), run.frames), end_frame=end)
+    return cut_before(run, min(behind, key=lambda other: other.first_frame)) if behind else run
+
+
+def cut_before(run: Run, behind: Run) -> Run:
+    """A part of a drive without the frames that one behind it gives again."""
+    end = behind.first_frame
+    frames = min(max(end - run.first_frame, 0), run.frames)
+    return replace(run, frames=frames, end_frame=end, next_part=behind.name)
 
 
 def open_run(path: Path, name: str) -> Run:
@@ -106,6 +134,7 @@ def open_run(path: Path, name: str) -> Run:
         log_id=facts.get(LOG_ID_KEY, ""),
         continues=facts.get(CONTINUES_KEY, ""),
         first_frame=_whole_number(facts.get(FIRST_FRAME_KEY, "")),
+        rows=footer.num_rows,
     )
 
 

@@ -8,25 +8,27 @@ from roadperc_stream.schemas.columns import RATIO
 from .quantities import CATEGORIES, LOST, REST, SIDES, STAGE_TIMES, STORED, TOTAL, Quantity
 from .runs import Run
 from .scores import COUNTS, TRACED, correlations
+from .segments import SEGMENT, elapsed_ns, longest_gap_ns, segment, whole_span_ns, within
 
 
 def scan(run: Run) -> pl.LazyFrame:
     """The columns a report needs, a row per frame; what the table lacks is null.
 
-    Derived columns come behind: ``since_start_s`` counted from the table's first frame, the frame's time outside the
-    stages, how many lane boundaries are lost, and the second differences of the lane offsets.
+    Derived columns come behind: ``since_start_s`` counted from the table's first frame through its segments, the
+    frame's time outside the stages, how many lane boundaries are lost, and the second differences of the lane offsets.
     """
     numbers = [*(quantity.column for quantity in STORED), *COUNTS, *(truth for _, truth in TRACED.values())]
     stored = rows_of(run).select(
         pl.col("log_id").cast(pl.String),
         pl.col("frame", "stamp_ns").cast(pl.Int64),
+        segment(run.columns),
         pl.col("missing", "reasons").cast(pl.List(pl.String)),
         *(_number(run, name) for name in dict.fromkeys(numbers)),
         *(_text(run, name) for name in CATEGORIES),
     )
     stages = [quantity.column for quantity in STAGE_TIMES if quantity not in {TOTAL, REST}]
     return stored.with_columns(
-        ((pl.col("stamp_ns") - pl.col("stamp_ns").min()) / NS_PER_S).alias("since_start_s"),
+        (elapsed_ns() / NS_PER_S).alias("since_start_s"),
         (pl.col(TOTAL.column) - pl.sum_horizontal(stages)).alias(REST.column),
         _lanes_lost().alias(LOST.column),
         *(column for side in SIDES for column in _second_differences(side)),
@@ -34,18 +36,22 @@ def scan(run: Run) -> pl.LazyFrame:
 
 
 def rows_of(run: Run) -> pl.LazyFrame:
-    """All columns of a run's table, a row per frame; of frames that a later part gives again that part's alone."""
-    rows = pl.scan_parquet(run.path, glob=False)
-    return rows if run.end_frame is None else rows.filter(pl.col("frame") < run.end_frame)
+    """All columns of a run's tables, a row per frame; of frames that a later part gives again that part's alone."""
+    return pl.concat([_rows_of_table(table) for table in run.tables])
+
+
+def _rows_of_table(table: Run) -> pl.LazyFrame:
+    rows = pl.scan_parquet(table.path, glob=False)
+    return rows if table.end_frame is None else rows.filter(pl.col("frame") < table.end_frame)
 
 
 def extent() -> list[pl.Expr]:
     """Which logs, how long, how evenly and how completely."""
-    stamp_ns = pl.col("stamp_ns")
     return [
-        pl.col("log_id").unique().sort().implode().alias("log_ids"),
-        ((stamp_ns.max() - stamp_ns.min()) / NS_PER_S).alias("span_s"),
-        (stamp_ns.diff().max() / NS_PER_S).alias("longest_gap_s"),
+        pl.col("log_id").unique(maintain_order=True).implode().alias("log_ids"),
+        pl.col(SEGMENT).n_unique().alias("segments"),
+        (whole_span_ns() / NS_PER_S).alias("span_s"),
+        (longest_gap_ns() / NS_PER_S).alias("longest_gap_s"),
         (pl.col("missing").list.len() > 0).sum().alias("incomplete"),
     ]
 
@@ -76,9 +82,9 @@ def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
     value = pl.col(quantity.column)
     badness = value.abs() if quantity.worse == "high" else -value
     flawed = badness > (-1 if quantity.worse == "low" and quantity.unit == RATIO else 0)
-    row = pl.struct("frame", "since_start_s", "stamp_ns", value=value).filter(flawed)
-    order = [badness.filter(flawed), pl.col("stamp_ns").filter(flawed)]
-    return row.sort_by(order, descending=[True, False]).head(number).implode().alias(f"worst {quantity.column}")
+    row = pl.struct("frame", SEGMENT, "since_start_s", "stamp_ns", value=value).filter(flawed)
+    order = [badness.filter(flawed), pl.col(SEGMENT).filter(flawed), pl.col("stamp_ns").filter(flawed)]
+    return row.sort_by(order, descending=[True, False, False]).head(number).implode().alias(f"worst {quantity.column}")
 
 
 def _number(run: Run, name: str) -> pl.Expr:
@@ -102,10 +108,10 @@ def _lanes_lost() -> pl.Expr:
 def _second_differences(side: str) -> list[pl.Expr]:
     """Second differences of a side's smoothed and raw offset, metres, over the frames where both are known.
 
-    Frames without a measurement have no raw offset: the two compare only on the same frames.
+    Frames without a measurement have no raw offset: the two compare only on the same frames, of the same segment.
     """
     names = [f"lane_{side}_offset_m", f"lane_{side}_raw_offset_m"]
-    differences = [pl.col(name).diff().diff() for name in names]
+    differences = [within(pl.col(name).diff().diff()) for name in names]
     known = differences[0].is_not_null() & differences[1].is_not_null()
     return [
         pl.when(known).then(difference).alias(name.replace("offset", "second_difference"))

@@ -8,6 +8,7 @@ from typing import Final
 import polars as pl
 
 from .quantities import SIDES
+from .segments import within
 
 _COUNTED: Final = {
     "detections kept": ("filter_tp", "filter_fp", "filter_fn"),
@@ -65,11 +66,11 @@ def scores(totals: Mapping[str, int]) -> list[Score]:
 
 
 def correlations(estimate: str, truth: str) -> pl.Expr:
-    """Pearson's coefficient of two columns per shift: a list, each of the frames where both are known.
+    """Pearson's coefficient of two columns per shift within a segment: a list, each of the frames where both are known.
 
     Null or not finite where they are known together in fewer than half of the frames, or one does not vary there.
     """
-    return pl.concat_list(_correlation(pl.col(estimate).shift(-shift), pl.col(truth)) for shift in _SHIFTS)
+    return pl.concat_list(_correlation(within(pl.col(estimate).shift(-shift)), pl.col(truth)) for shift in _SHIFTS)
 
 
 def _correlation(a: pl.Expr, b: pl.Expr) -> pl.Expr:

@@ -28,6 +28,7 @@ _ERRORS: Final = "median, p95 and worst are of the absolute error, bias is the m
 _COVERAGE: Final = "frames %: those with a value; p5: where high is good; worst is then the least"
 _NO_TRUTH: Final = "No frame has a truth for what was replayed."
 _SECONDS: Final = "s: seconds from the log's first frame"
+_SEGMENTS: Final = "a segment begins at the instant at which the one before ended"
 
 
 def sections(summaries: Summaries) -> Iterator[TextTable]:
@@ -102,7 +103,9 @@ def worst_frames(summaries: Summaries) -> TextTable:
     several = sum(summary.runs for summary in summaries) > 1
     rows = (line for quantity in ranked_by(summaries) for line in _worst(summaries, quantity, several))
     headers = ("value", "frame", "s", "stamp ns")
-    return TextTable("Worst frames", headers, tuple(rows), (_SECONDS,), label_columns=20)
+    one_after_another = any(summary.segments > summary.runs for summary in summaries)
+    notes = (f"{_SECONDS}; {_SEGMENTS}" if one_after_another else _SECONDS,)
+    return TextTable("Worst frames", headers, tuple(rows), notes, label_columns=20)
 
 
 def ranked_by(summaries: Summaries) -> list[Quantity]:

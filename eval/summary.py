@@ -43,6 +43,7 @@ class WorstFrame:
 
     run: str
     frame: int
+    segment: int
     since_start_s: float
     stamp_ns: int
     value: float
@@ -52,8 +53,9 @@ class WorstFrame:
 class Summary:
     """A metrics table in numbers, or several together.
 
-    ``log_ids`` are digests of the logs' messages, ``configs`` and ``versions`` what made the tables; ``span_s`` are the
-    seconds from first to last frame of each table, ``longest_gap_s`` the longest time between two frames.
+    ``log_ids`` are digests of the logs' messages, ``configs`` and ``versions`` what made the tables. ``segments``
+    are stretches of one recording, one a table but where its stamps begin anew; ``span_s`` are the seconds from first
+    to last frame of each, ``longest_gap_s`` the longest time between two frames of one.
     ``statistics`` holds the numeric columns that have values; ``categories`` counts the values of each text column;
     ``missing`` counts frames per role without a message, ``incomplete`` frames where any role is without, ``reasons``
     say why something is absent; ``worst`` holds the worst frames, the worst first. ``totals`` are the sums of the
@@ -66,6 +68,7 @@ class Summary:
     log_ids: tuple[str, ...]
     configs: tuple[str, ...]
     versions: tuple[str, ...]
+    segments: int
     span_s: float
     longest_gap_s: float
     incomplete: int
@@ -80,7 +83,7 @@ class Summary:
     @property
     def rate_hz(self) -> float | None:
         """Frames a second of the logs' own time; None where there is no span, as with a single frame."""
-        return (self.frames - self.runs) / self.span_s if self.span_s > 0 else None
+        return (self.frames - self.segments) / self.span_s if self.span_s > 0 else None
 
     def coverage(self, column: str) -> float:
         """Share of the frames that have a value in a numeric column."""
@@ -168,7 +171,7 @@ def _each(runs: Sequence[Run], worst: int, points: int) -> Iterator[tuple[Summar
 
 def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distribution]]:
     """A table's summary, and the distributions of its columns in at most ``points`` values each."""
-    frames = collect(scan(run), str(run.path))
+    frames = collect(scan(run), run.source_name)
     found = frames.select(_facts(worst)).row(0, named=True)
     columns = {q.column: frames[q.column].drop_nulls() for q in NUMBERS}
     distributions = {name: exactly(np.sort(values.to_numpy())) for name, values in columns.items() if len(values)}
@@ -180,6 +183,7 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
         tuple(found["log_ids"]),
         (run.config_digest,),
         (run.version,),
+        found["segments"],
         found["span_s"],
         found["longest_gap_s"] or 0.0,
         found["incomplete"],
@@ -202,6 +206,7 @@ def _together(summaries: Sequence[Summary], sketches: Mapping[str, Sketch], wors
         _distinct(name for summary in summaries for name in summary.log_ids),
         _distinct(name for summary in summaries for name in summary.configs),
         _distinct(name for summary in summaries for name in summary.versions),
+        sum(summary.segments for summary in summaries),
         sum(summary.span_s for summary in summaries),
         max(summary.longest_gap_s for summary in summaries),
         sum(summary.incomplete for summary in summaries),

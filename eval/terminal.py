@@ -1,6 +1,6 @@
 """Prints a report: its sections in the order in which they are asked for."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 
@@ -9,7 +9,6 @@ from roadperc_stream.output.text_table import TextTable
 
 from . import by_run, overview
 from .names import legend
-from .runs import Run
 from .sections import LISTED, sections, worst_frames
 from .summary import GroupSummary, Summary
 
@@ -18,11 +17,6 @@ def print_one(console: Console, summary: Summary) -> None:
     """The report of one run."""
     print_lines(console, overview.identity(summary), overview.extent(summary), overview.inputs(summary))
     _print_tables(console, [summary])
-
-
-def print_empty(console: Console, runs: Iterable[Run]) -> None:
-    """Name the tables that hold no frames and are left out."""
-    print_lines(console, *(f"{run.path}: no frames in this table" for run in runs), unbroken=True)
 
 
 def print_several(

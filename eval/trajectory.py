@@ -1,7 +1,7 @@
 """How far runs' paths are from the true ones, and both as files for other tools."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,9 +9,9 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines, print_parts
 from roadperc_stream.output.text_table import TextTable
 
+from .drives import Drives, find_drives
 from .names import legend, name_columns, short_names
 from .options import Alignment, DeltaUnit
-from .runs import Run, find_runs
 from .trajectories import tables
 from .trajectories.columns import read_poses
 from .trajectories.errors import Delta
@@ -41,15 +41,15 @@ def print_trajectories(arguments: Sequence[str], options: TrajectoryOptions) -> 
     Raises:
         TableError: there is no such run, or none with a path.
     """
-    _print_runs(find_runs(arguments), options)
+    _print_runs(find_drives(arguments), options)
 
 
-def _print_runs(runs: Sequence[Run], options: TrajectoryOptions) -> None:
+def _print_runs(found: Drives, options: TrajectoryOptions) -> None:
     """Every run's figures; a run that has none is named, and is an error where nothing else came of the command."""
     evaluated: list[Evaluation] = []
     refused: list[TableError] = []
     exported = 0
-    for item in runs:
+    for item in found.runs:
         try:
             poses = read_poses(item)
             exported += _export(poses, options)
@@ -59,7 +59,7 @@ def _print_runs(runs: Sequence[Run], options: TrajectoryOptions) -> None:
     if not evaluated and not exported:
         raise refused[0]
     console = console_for(sys.stdout)
-    print_lines(console, *(str(reason) for reason in refused), unbroken=True)
+    print_lines(console, *found.notes, *(str(reason) for reason in refused), unbroken=True)
     if len(evaluated) == 1:
         print_parts(console, *_one(evaluated[0]))
     elif evaluated:
@@ -76,12 +76,18 @@ def _export(poses: RunPoses, options: TrajectoryOptions) -> bool:
 
 
 def _one(evaluation: Evaluation) -> list[str | TextTable]:
-    facts = (*tables.coverage(evaluation), tables.alignment(evaluation), tables.without_scale(evaluation))
+    about = tables.alignment(evaluation), *evaluation.left_out, tables.without_scale(evaluation)
+    facts = (*tables.coverage(evaluation), *about)
     return [*filter(None, facts), tables.errors(evaluation), tables.stretches(evaluation)]
+
+
+def _notes(evaluation: Evaluation) -> Iterator[str]:
+    """What there is to say of a run's figures, without its alignment."""
+    yield from filter(None, (tables.segments(evaluation), *evaluation.left_out, tables.without_scale(evaluation)))
 
 
 def _several(evaluated: Sequence[Evaluation], columns: int) -> list[str | TextTable]:
     names = short_names([item.run.name for item in evaluated], columns)
-    notes = [f"{item.run.name}: {note}" for item in evaluated if (note := tables.without_scale(item))]
+    notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
     overview = replace(tables.runs(evaluated, names), notes=tuple(legend(names)))
     return [f"{len(evaluated)} runs", overview, tables.side_by_side(evaluated, names), *notes]

@@ -71,7 +71,7 @@ def _changed(changed: Change) -> Iterator[str]:
 
 def _identity(side: str, item: LoggedRun) -> str:
     config, version = short_digest(item.run.config_digest), item.run.version or UNKNOWN
-    return f"{side} {item.run.path}: log {item.log_id}, configuration {config}, version {version}"
+    return f"{side} {item.run.source_name}: log {item.log_id}, configuration {config}, version {version}"
 
 
 def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:

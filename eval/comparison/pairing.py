@@ -12,19 +12,27 @@ from roadperc_stream.core.files import METRICS_SUFFIX
 from roadperc_stream.errors import TableError
 
 from ..collecting import collect
-from ..runs import Run, find_runs
+from ..drives import find_drives
+from ..runs import Run
+from ..scan import rows_of
+from ..segments import segment
 
 STAMP: Final = "stamp_ns"
 NTH: Final = "nth of stamp"
-KEY: Final = (STAMP, NTH)
+WITHIN: Final = "pairs within"
+KEY: Final = (WITHIN, STAMP, NTH)
 
 
 @dataclass(frozen=True)
 class LoggedRun:
-    """A metrics table with the log it was made from, and its name below the folder it was found in."""
+    """A run with the log it was made from, how many segments that has, and its name below the folder it was found in.
+
+    Of a drive in parts ``log_id`` names the log of each, and the name is the first part's.
+    """
 
     run: Run
     log_id: str
+    segments: int
     relative: str
 
 
@@ -39,6 +47,14 @@ class RunPair:
     def name(self) -> str:
         """What to call the two."""
         return self.reference.relative
+
+    @property
+    def by_segment(self) -> bool:
+        """Whether frames pair within segments: one segment's stamps may be another's too.
+
+        Where the runs do not have as many segments, nothing says which belong together, and stamps alone decide.
+        """
+        return self.reference.segments == self.candidate.segments > 1
 
 
 @dataclass(frozen=True)
@@ -56,7 +72,7 @@ def logged_runs(argument: str) -> tuple[LoggedRun, ...]:
     Raises:
         TableError: none, one that is not a metrics table, or one without frames or of several logs.
     """
-    return tuple(LoggedRun(run, _log_id(run), _relative(run, Path(argument))) for run in find_runs([argument]))
+    return tuple(_logged(run, Path(argument)) for run in find_drives([argument]).runs)
 
 
 def pair_runs(reference: Sequence[LoggedRun], candidate: Sequence[LoggedRun], other_log: bool) -> Pairing:
@@ -85,14 +101,31 @@ def pair_runs(reference: Sequence[LoggedRun], candidate: Sequence[LoggedRun], ot
     return Pairing(pairs, missing, tuple(item for item in candidate if item.relative not in paired))
 
 
-def numbered(frame: pl.LazyFrame) -> pl.LazyFrame:
-    """The same rows with ``nth of stamp``, which tells frames of equal stamps apart."""
-    return frame.with_columns(pl.int_range(pl.len()).over(STAMP).alias(NTH))
+def numbered(frame: pl.LazyFrame, segments: pl.Expr) -> pl.LazyFrame:
+    """The same rows with what tells frames of equal stamps apart: their segment, and ``nth of stamp`` within it.
+
+    Args:
+        frame: rows of a run.
+        segments: of each row; one for all where stamps alone decide.
+    """
+    within = frame.with_columns(segments.alias(WITHIN))
+    return within.with_columns(pl.int_range(pl.len()).over(WITHIN, STAMP).alias(NTH))
+
+
+def segments_of(item: LoggedRun, by_segment: bool) -> pl.Expr:
+    """Which of the run's segments each row is of, counted from 1, where frames pair by segment."""
+    return segment(item.run.columns).rank("dense").cast(pl.Int64) if by_segment else pl.lit(0, pl.Int64)
+
+
+def _logged(run: Run, argument: Path) -> LoggedRun:
+    if not run.frames:
+        raise TableError(f"{run.why_empty}, so there is nothing to compare")
+    log_ids = "+".join(_log_id(table) for table in run.tables if table.rows)
+    rows = rows_of(run).select(segment(run.columns).n_unique().alias("segments"))
+    return LoggedRun(run, log_ids, collect(rows, run.source_name).item(), _relative(run, argument))
 
 
 def _log_id(run: Run) -> str:
-    if not run.frames:
-        raise TableError(f"{run.path}: no frames in this table, so there is nothing to compare")
     log_ids = pl.scan_parquet(run.path, glob=False).select(pl.col("log_id").cast(pl.String).unique())
     found = collect(log_ids, str(run.path))
     names = sorted(found["log_id"])

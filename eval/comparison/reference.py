@@ -1,7 +1,7 @@
 """A reference run that is kept, in a repository maybe: only its metrics tables are needed."""
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,19 +47,25 @@ def first_copies(reference: str, candidate: Iterable[LoggedRun]) -> tuple[Copy, 
     """
     runs, path = list(candidate), Path(reference)
     if path.suffix != TABLE_SUFFIX:
-        return tuple(Copy(item.run.path, _in_folder(path, item)) for item in runs)
-    if len(runs) > 1:
-        raise TableError(f"{reference}: is to hold {len(runs)} tables, expected the name of a folder")
+        return tuple(copy for item in runs for copy in _into_folder(path, item))
+    tables = sum(len(item.run.tables) for item in runs)
+    if tables > 1:
+        raise TableError(f"{reference}: is to hold {tables} tables, expected the name of a folder")
     return (Copy(runs[0].run.path, path),)
 
 
 def update_copies(reference: str, pairing: Pairing) -> tuple[Copy, ...]:
-    """Copies that bring a reference up to date: tables whose results differ, and those it has none of."""
-    changed = tuple(_replacement(pair) for pair in pairing.pairs if not same_but_for_times(pair))
+    """Copies that bring a reference up to date: tables whose results differ, and those it has none of.
+
+    Raises:
+        TableError: a drive of one is in more parts than the other's.
+    """
+    differing = (pair for pair in pairing.pairs if not same_but_for_times(pair))
+    changed = tuple(copy for pair in differing for copy in _replacements(pair))
     path = Path(reference)
     if not path.is_dir():
         return changed
-    return (*changed, *(Copy(item.run.path, _in_folder(path, item)) for item in pairing.added))
+    return (*changed, *(copy for item in pairing.added for copy in _into_folder(path, item)))
 
 
 def carry_out(copies: Iterable[Copy]) -> None:
@@ -73,9 +79,19 @@ def carry_out(copies: Iterable[Copy]) -> None:
             shutil.copyfile(copy.source, temporary)
 
 
-def _replacement(pair: RunPair) -> Copy:
-    return Copy(pair.candidate.run.path, pair.reference.run.path)
+def _replacements(pair: RunPair) -> Iterator[Copy]:
+    ours, theirs = pair.reference.run.tables, pair.candidate.run.tables
+    if len(ours) != len(theirs):
+        raise TableError(
+            f"{pair.candidate.run.source_name}: a drive of {len(theirs)} tables cannot replace one of {len(ours)}; "
+            "expected the same parts, or a new reference"
+        )
+    return (Copy(new.path, old.path) for old, new in zip(ours, theirs, strict=True))
 
 
-def _in_folder(folder: Path, item: LoggedRun) -> Path:
-    return folder / f"{item.relative}{METRICS_SUFFIX}"
+def _into_folder(folder: Path, item: LoggedRun) -> Iterator[Copy]:
+    """The tables under their names below the candidate's folder; those of a drive's parts next to the first."""
+    first, *others = item.run.tables
+    target = folder / f"{item.relative}{METRICS_SUFFIX}"
+    yield Copy(first.path, target)
+    yield from (Copy(part.path, target.with_name(f"{part.name.replace('/', '-')}{METRICS_SUFFIX}")) for part in others)

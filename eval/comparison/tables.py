@@ -11,7 +11,7 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS
 from ..collecting import collect
 from ..scan import rows_of
 from .agreement import ABSENT, Agreement, Difference, Value
-from .pairing import KEY, STAMP, LoggedRun, RunPair, numbered
+from .pairing import KEY, STAMP, LoggedRun, RunPair, numbered, segments_of
 from .rules import Rules
 
 NOT_COMPARED = (STAMP, *TIME_COLUMNS)
@@ -34,7 +34,7 @@ def overlap(pair: RunPair) -> Overlap:
     Raises:
         TableError: they share none, or a table's data cannot be read.
     """
-    ours, theirs = (_whole(item).select(KEY) for item in (pair.reference, pair.candidate))
+    ours, theirs = (_whole(item, pair.by_segment).select(KEY) for item in (pair.reference, pair.candidate))
     common = ours.join(theirs, on=KEY).height
     if not common:
         raise TableError(
@@ -54,13 +54,13 @@ def table_agreements(pair: RunPair, rules: Rules) -> dict[str, Agreement]:
 
 def _joined(pair: RunPair) -> pl.DataFrame:
     """Frames of both, in the order of time: columns of the candidate behind a suffix, those of neither side's null."""
-    ours, theirs = _whole(pair.reference), _whole(pair.candidate)
+    ours, theirs = (_whole(item, pair.by_segment) for item in (pair.reference, pair.candidate))
     theirs = theirs.rename({name: name + _CANDIDATE for name in theirs.columns if name not in KEY})
     return ours.join(theirs, on=KEY).sort(KEY)
 
 
-def _whole(item: LoggedRun) -> pl.DataFrame:
-    return collect(numbered(rows_of(item.run)), str(item.run.path))
+def _whole(item: LoggedRun, by_segment: bool) -> pl.DataFrame:
+    return collect(numbered(rows_of(item.run), segments_of(item, by_segment)), item.run.source_name)
 
 
 def _order(pair: RunPair) -> Any:
@@ -124,5 +124,7 @@ def _span(stamps: pl.DataFrame) -> str:
 
 def same_but_for_times(pair: RunPair) -> bool:
     """Whether two tables hold the same frames with the same results, however long they took."""
-    ours, theirs = (_whole(item).drop(TIME_COLUMNS, strict=False) for item in (pair.reference, pair.candidate))
+    ours, theirs = (
+        _whole(item, by_segment=False).drop(TIME_COLUMNS, strict=False) for item in (pair.reference, pair.candidate)
+    )
     return ours.equals(theirs)

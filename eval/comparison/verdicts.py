@@ -13,7 +13,7 @@ from ..collecting import collect
 from ..scan import scan
 from .bootstrap import Interval, mean_interval
 from .metrics import FRAMES, METRICS, Metric
-from .pairing import KEY, LoggedRun, RunPair, numbered
+from .pairing import KEY, LoggedRun, RunPair, numbered, segments_of
 from .rules import Rules
 from .tables import Overlap
 
@@ -116,14 +116,15 @@ def _mark(metric: Metric, values: Paired, interval: Interval, allowed: float) ->
 
 def _values(pair: RunPair) -> Mapping[str, tuple[Float, Float]]:
     """Of each metric the values of the frames in which both runs have one, in the order of time."""
-    ours, theirs = (_measured(item) for item in (pair.reference, pair.candidate))
+    ours, theirs = (_measured(item, pair.by_segment) for item in (pair.reference, pair.candidate))
     joined = ours.join(theirs, on=KEY, suffix=_CANDIDATE).sort(KEY)
     return {metric.name: _both(joined, metric.name) for metric in METRICS}
 
 
-def _measured(item: LoggedRun) -> pl.DataFrame:
+def _measured(item: LoggedRun, by_segment: bool) -> pl.DataFrame:
     values = [metric.value.cast(pl.Float64).alias(metric.name) for metric in METRICS]
-    return collect(numbered(scan(item.run)).select(*KEY, *values), str(item.run.path))
+    rows = numbered(scan(item.run), segments_of(item, by_segment))
+    return collect(rows.select(*KEY, *values), item.run.source_name)
 
 
 def _both(joined: pl.DataFrame, name: str) -> tuple[Float, Float]:

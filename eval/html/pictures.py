@@ -1,7 +1,7 @@
 """The worst frames of each metric: which they are, and a picture of each with what the chain saw drawn into it."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -11,9 +11,10 @@ import cv2
 from roadperc_stream.core.datatypes import Image
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.input.problems import Problems
-from roadperc_stream.output.drawing.frame import draw_results
+from roadperc_stream.log import summarise
+from roadperc_stream.output.drawing.frame import PerceivedFrame, draw_results
 from roadperc_stream.schemas.columns import UNITLESS
-from roadperc_stream.view.result_frames import read_frame
+from roadperc_stream.view.result_frames import read_frame, read_frames
 
 from ..grid import rounded
 from ..quantities import Quantity
@@ -27,6 +28,8 @@ WIDTH_PX: Final = 400
 JPEG_QUALITY: Final = 75
 Key = tuple[str, int]
 """A run's name and a frame's number."""
+Seen = tuple[WorstFrame, PerceivedFrame]
+"""One of the worst frames, and what the log has of it."""
 Ranked = tuple[Quantity, str, tuple[WorstFrame, ...]]
 """A metric, the name of a group of runs, and its worst frames."""
 
@@ -73,12 +76,12 @@ class Gallery:
     notes: tuple[str, ...]
 
 
-def gallery(groups: Sequence[Summary], sources: Mapping[str, Sources]) -> Gallery:
+def gallery(groups: Sequence[Summary], sources: Mapping[str, Sequence[Sources]]) -> Gallery:
     """The worst frames, by each truth metric, or, without any truth, by signs of trouble.
 
     Args:
         groups: summary over the runs of each configuration, with its worst frames: each has its own.
-        sources: the files of each run by its name.
+        sources: the files of each table of each run, by the run's name.
     """
     ranked = _ranked(groups)
     worst = {(f.run, f.frame): f for _, _, frames in ranked for f in frames}
@@ -132,19 +135,20 @@ def _places(ranked: Sequence[Ranked]) -> dict[Key, list[Place]]:
     return places
 
 
-def _images(frames: Sequence[WorstFrame], sources: Mapping[str, Sources]) -> tuple[dict[Key, str], list[str]]:
-    """Pictures of the frames whose log is there, and a line on each run that has to go without."""
+def _images(frames: Sequence[WorstFrame], sources: Mapping[str, Sequence[Sources]]) -> tuple[dict[Key, str], list[str]]:
+    """Pictures of the frames whose log is there, and a line on each log that has to go without."""
     images: dict[Key, str] = {}
     notes: list[str] = []
-    for run, files in sources.items():
-        wanted = [frame for frame in frames if frame.run == run]
-        found, why = _of_run(wanted, files)
-        images |= found
-        notes += [f"{run}: {why}"] if why else []
+    for run, tables in sources.items():
+        for files in tables:
+            wanted = [frame for frame in frames if frame.run == run and files.holds(frame.frame)]
+            found, why = _of_log(wanted, files) if wanted or len(tables) == 1 else ({}, "")
+            images |= found
+            notes += [f"{run}: {why}"] if why else []
     return images, notes
 
 
-def _of_run(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str], str]:
+def _of_log(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str], str]:
     log = files.present_log
     if log is None:
         name = files.log.name if files.log else "its log"
@@ -157,9 +161,8 @@ def _of_run(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str
                 {},
                 f"{log.name} was replayed again with another configuration, so it has no pictures of this run.",
             )
-        for frame in frames:
-            image = _drawn(log, frame, problems)
-            images |= {(frame.run, frame.frame): image} if image else {}
+        for frame, image in _drawn(log, frames, problems):
+            images[frame.run, frame.frame] = image
     except RoadpercError as error:
         return images, f"no more pictures: {str(error).replace(str(log), log.name)}"
     lacking = len(frames) - len(images)
@@ -168,9 +171,24 @@ def _of_run(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str
     return images, " ".join(notes)
 
 
-def _drawn(log: Path, frame: WorstFrame, problems: Problems) -> str:
-    """A frame's picture as a data URI, empty where the log has no camera image of it."""
-    frame_results = read_frame(log, frame.stamp_ns, problems)
-    if frame_results is None:
-        return ""
-    return data_uri(draw_results(frame_results, WIDTH_PX))
+def _drawn(log: Path, frames: Sequence[WorstFrame], problems: Problems) -> Iterator[tuple[WorstFrame, str]]:
+    """The frames of which the log has a camera image, each with its picture as a data URI."""
+    found = _seen_in_order if any(frame.segment for frame in frames) else _seen_at_stamps
+    return ((frame, data_uri(draw_results(seen, WIDTH_PX))) for frame, seen in found(log, frames, problems))
+
+
+def _seen_at_stamps(log: Path, frames: Sequence[WorstFrame], problems: Problems) -> Iterator[Seen]:
+    """Each frame as the log's part at its stamp has it."""
+    for frame in frames:
+        if seen := read_frame(log, frame.stamp_ns, problems):
+            yield frame, seen
+
+
+def _seen_in_order(log: Path, frames: Sequence[WorstFrame], problems: Problems) -> Iterator[Seen]:
+    """The frames of a log in several segments: stamps come again there, so it is read from the beginning."""
+    wanted = {frame.frame: frame for frame in frames}
+    for row, seen in read_frames(summarise(log), problems):
+        if seen and row.frame in wanted:
+            yield wanted.pop(row.frame), seen
+        if not wanted:
+            return

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import polars as pl
@@ -15,7 +15,9 @@ from roadperc_stream.core.time import NS_PER_S
 from ..collecting import collect
 from ..runs import Run
 from ..scan import rows_of
+from ..segments import SEGMENT, elapsed_ns, segment
 
+_TIME: Final = "since_start_s"
 BUCKETS: Final = 600
 """Parts a run is thinned in: more than the columns of pixels a chart has on a page."""
 Indices = NDArray[np.intp]
@@ -25,11 +27,12 @@ Indices = NDArray[np.intp]
 class Series:
     """A run's columns over time: seconds from its first frame, and (N,) values of each column, NaN where null.
 
-    ``values`` holds only columns with a value in any frame.
+    ``values`` holds only columns with a value in any frame. Where the log's ``segments`` (N,) change, the last row of
+    the one that ends is NaN and no frame's: no line goes on across.
     """
 
     name: str
-    frame: NDArray[np.int64]
+    segments: NDArray[np.int64]
     since_start_s: Float
     values: Mapping[str, Float]
 
@@ -41,12 +44,18 @@ def load_series(run: Run, columns: Iterable[str]) -> Series:
         TableError: the table's data cannot be read.
     """
     present = [name for name in dict.fromkeys(columns) if name in run.columns]
-    query = rows_of(run).select("frame", "stamp_ns", pl.col(present).cast(pl.Float64))
-    table = collect(query, str(run.path))
-    stamps_ns = table["stamp_ns"].to_numpy()
-    values = {name: _finite(table[name]) for name in present}
+    rows = rows_of(run).select("stamp_ns", segment(run.columns), pl.col(present).cast(pl.Float64))
+    table = collect(rows.with_columns((elapsed_ns() / NS_PER_S).alias(_TIME)), run.source_name)
+    begins = np.flatnonzero(np.diff(table[SEGMENT])) + 1
+    values = {name: np.insert(_finite(table[name]), begins, np.nan) for name in present}
     filled = {name: array for name, array in values.items() if np.isfinite(array).any()}
-    return Series(run.name, table["frame"].to_numpy(), (stamps_ns - stamps_ns.min()) / NS_PER_S, filled)
+    segments, since_start_s = (_ends_repeated(table[name].to_numpy(), begins) for name in (SEGMENT, _TIME))
+    return Series(run.name, segments, since_start_s, filled)
+
+
+def _ends_repeated(values: NDArray[Any], begins: Indices) -> NDArray[Any]:
+    """(N,) values with the last before each beginning twice."""
+    return np.insert(values, begins, values[begins - 1])
 
 
 def thinned(values: Float, buckets: int = BUCKETS) -> Indices:

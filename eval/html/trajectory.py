@@ -23,6 +23,8 @@ def trajectory(runs: Sequence[Series]) -> Figure | None:
     if not traces:
         return None
     note = "From above: ahead of the first frame is up, left is left; both axes to one scale, in metres."
+    if any(np.ptp(run.segments) for run in runs):
+        note += " Each segment of a log begins at the origin."
     if any(trace["line"]["dash"] != "solid" for trace in traces):
         note += " The true path is dashed."
     left = axis("y to the left, m", autorange="reversed")
@@ -34,11 +36,14 @@ def paths(run: Series) -> dict[str, Float]:
     """(N, 3) metres of odometry's path (``odom``) and the true one (``true``), those there are, NaN where unknown.
 
     Whichever frame the poses are given in, the pose of the first frame that has all of them becomes the origin, x
-    ahead: odometry's path and the truth are compared from the same start.
+    ahead: odometry's path and the truth are compared from the same start. Each segment of the log has its own start,
+    for its odometry begins anew.
     """
     poses = {which: found for which in ("odom", "true") if (found := _poses(run, which)) is not None}
     known = np.all([_usable(found) for found in poses.values()], axis=0) if poses else np.zeros(1, bool)
-    return {which: _from_pose(found, int(np.argmax(known))) for which, found in poses.items()} if known.any() else {}
+    if not known.any():
+        return {}
+    return {which: _from_starts(found, known, run.segments) for which, found in poses.items()}
 
 
 def _poses(run: Series, which: str) -> Float | None:
@@ -52,6 +57,15 @@ def _poses(run: Series, which: str) -> Float | None:
 def _usable(poses: Float) -> NDArray[np.bool_]:
     """(N,) poses that are known and have an orientation."""
     return np.asarray(np.isfinite(poses).all(axis=1) & (np.abs(poses[:, 3:]).max(axis=1) > 0))
+
+
+def _from_starts(poses: Float, known: NDArray[np.bool_], segments: NDArray[np.int64]) -> Float:
+    """(N, 3) positions of (N, 7) poses in the frame of the first known one of their segment; NaN in one without any."""
+    points_m = np.full((len(poses), 3), np.nan)
+    for segment in np.unique(segments[known]):
+        these = segments == segment
+        points_m[these] = _from_pose(poses[these], int(np.argmax(known[these])))
+    return points_m
 
 
 def _from_pose(poses: Float, first: int) -> Float:
@@ -69,7 +83,8 @@ def _traces(run: Series, place: int, several: bool) -> list[Trace]:
     }
     traces = []
     for which, points_m in paths(run).items():
-        kept = np.unique(np.linspace(0, len(points_m) - 1, 3 * BUCKETS).astype(int))
+        evenly = np.linspace(0, len(points_m) - 1, 3 * BUCKETS).astype(int)
+        kept = np.union1d(evenly, np.flatnonzero(np.diff(run.segments)))
         colour, look = looks[which]
         traces.append(line(names[which], points_m[kept, 1], points_m[kept, 0], colour, **look))
     return traces

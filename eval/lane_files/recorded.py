@@ -1,13 +1,12 @@
 """A run's lanes in the image, frame by frame, from its log."""
 
-from collections import deque
-from collections.abc import Iterator, Mapping
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-import polars as pl
 
 from roadperc_stream import log
 from roadperc_stream.core.datatypes import Lanes
@@ -23,6 +22,8 @@ from roadperc_stream.schemas.topics import LANES_TOPIC, RESULTS
 
 from ..collecting import collect
 from ..runs import open_run
+from ..scan import rows_of
+from ..segments import SEGMENT, segment
 from .tusimple import LaneFrame, rounded
 
 _SCHEMAS: Final = {"lanes": RESULTS[LANES_TOPIC], "calibration": CALIBRATION_SCHEMA}
@@ -45,8 +46,8 @@ class RunLanes:
 
     summary: LogSummary
     camera: Camera
-    times_ms: Mapping[int, float]
-    """Each frame's whole time by its stamp, in order; empty where no metrics table lies next to the log."""
+    times_ms: Sequence[tuple[int, float]]
+    """Stamp and whole time of each frame, in order; empty where no metrics table lies next to the log."""
 
     def frames(self) -> Iterator[RunFrame]:
         """Every frame in order; one that the table knows and the log has no lanes of has no lines.
@@ -56,17 +57,15 @@ class RunLanes:
             DecodeError: a message is not a roadperc.Lanes.
         """
         waiting = deque(self.times_ms)
+        left = Counter(stamp_ns for stamp_ns, _ in waiting)
         for message in log.read(self.summary, topics=[LANES_TOPIC]):
             stamp_ns, lines_px = _lines(message)
-            while waiting and waiting[0] < stamp_ns:
-                yield self._frame(waiting.popleft())
-            if waiting and waiting[0] == stamp_ns:
-                waiting.popleft()
-            yield self._frame(stamp_ns, lines_px)
-        yield from (self._frame(stamp_ns) for stamp_ns in waiting)
-
-    def _frame(self, stamp_ns: int, lines_px: tuple[Float, ...] = ()) -> RunFrame:
-        return RunFrame(stamp_ns, lines_px, self.times_ms.get(stamp_ns, 0.0))
+            for before_ns, took_ms in _before(waiting, stamp_ns, left):
+                yield RunFrame(before_ns, (), took_ms)
+            _, took_ms = waiting.popleft() if left[stamp_ns] > 0 else (stamp_ns, 0.0)
+            left[stamp_ns] -= 1
+            yield RunFrame(stamp_ns, lines_px, took_ms)
+        yield from (RunFrame(stamp_ns, (), took_ms) for stamp_ns, took_ms in waiting)
 
 
 def open_lanes(path: Path) -> RunLanes:
@@ -85,6 +84,13 @@ def open_lanes(path: Path) -> RunLanes:
     frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(summary, topics=[LANES_TOPIC])), None)
     topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
     return RunLanes(summary, _camera(summary, topics, frame_id), _times_ms(path))
+
+
+def _before(waiting: deque[tuple[int, float]], stamp_ns: int, left: Counter[int]) -> Iterator[tuple[int, float]]:
+    """Take out the frames before the next of a stamp, which may lie in a later segment, or those of earlier stamps."""
+    while waiting and (waiting[0][0] != stamp_ns if left[stamp_ns] > 0 else waiting[0][0] < stamp_ns):
+        left[waiting[0][0]] -= 1
+        yield waiting.popleft()
 
 
 def default_rows(height: int) -> Float:
@@ -132,10 +138,10 @@ def _camera(summary: LogSummary, topics: list[str], frame_id: str | None) -> Cam
     )
 
 
-def _times_ms(path: Path) -> dict[int, float]:
+def _times_ms(path: Path) -> list[tuple[int, float]]:
     table = sidecar_path(path, "metrics")
     if not table.exists():
-        return {}
+        return []
     run = open_run(table, path.stem)
-    rows = collect(pl.scan_parquet(run.path, glob=False).select("stamp_ns", "total_ms").sort("stamp_ns"), str(table))
-    return dict(rows.iter_rows())
+    rows = rows_of(run).select(segment(run.columns), "stamp_ns", "total_ms").sort(SEGMENT, "stamp_ns")
+    return list(collect(rows.drop(SEGMENT), str(table)).iter_rows())

@@ -12,6 +12,7 @@ from roadperc_stream.errors import TableError
 from ..collecting import collect
 from ..runs import Run
 from ..scan import rows_of
+from ..segments import SEGMENT, segment
 from .poses import RunPoses, pose_matrices
 
 _POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
@@ -28,17 +29,21 @@ def read_poses(run: Run) -> RunPoses:
     Raises:
         TableError: the table cannot be read, or no frame has an estimated pose.
     """
-    table = collect(rows_of(run).select(_columns(run)), str(run.path))
+    table = collect(rows_of(run).select(_columns(run)), run.source_name)
+    if run.next_part and not run.frames:
+        raise TableError(run.why_empty)
     lost = (table["odometry_status"] == "lost").fill_null(value=False).to_numpy()
     estimated, true = (table.select(names).to_numpy() for names in (ESTIMATED_COLUMNS, TRUE_COLUMNS))
     has_estimate, has_truth = _known(estimated) & ~lost, _known(true)
     if not has_estimate.any():
-        raise TableError(f"{run.path}: no frame has an estimated pose (odom_x_m to odom_qw); was odometry replayed?")
+        raise TableError(
+            f"{run.source_name}: no frame has an estimated pose (odom_x_m to odom_qw); was odometry replayed?"
+        )
     used = has_estimate & has_truth if has_truth.any() else has_estimate
     turned = table["turn_deg"].is_not_null()
     return RunPoses(
         name=run.name,
-        source=str(run.path),
+        source=run.source_name,
         frames=run.frames,
         lost=int(lost.sum()),
         estimated_frames=int(has_estimate.sum()),
@@ -48,6 +53,7 @@ def read_poses(run: Run) -> RunPoses:
         stamps_ns=table["stamp_ns"].to_numpy()[used],
         estimated=pose_matrices(estimated[used]),
         true=pose_matrices(true[used]) if has_truth.any() else None,
+        segments=table[SEGMENT].to_numpy()[used],
     )
 
 
@@ -56,8 +62,11 @@ def _columns(run: Run) -> list[pl.Expr]:
     kinds = {"odometry_status": pl.String, "stamp_ns": pl.Int64}
     numbers = dict.fromkeys(("step_m", "turn_deg", *ESTIMATED_COLUMNS, *TRUE_COLUMNS), pl.Float64)
     return [
-        pl.col(name).cast(kind) if name in run.columns else pl.lit(None, kind).alias(name)
-        for name, kind in (kinds | numbers).items()
+        segment(run.columns),
+        *(
+            pl.col(name).cast(kind) if name in run.columns else pl.lit(None, kind).alias(name)
+            for name, kind in (kinds | numbers).items()
+        ),
     ]
 
 

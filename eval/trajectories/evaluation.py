@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -36,13 +37,15 @@ class Segments:
 class Evaluation:
     """The figures of one run, and over how much of it they are.
 
-    ``driven_m`` is the length of the true path; ``scale`` what the estimate was multiplied by. ``relative_m`` and
-    ``relative_deg`` are None where no pair lies ``delta`` apart. ``stretches`` are by length, ``together`` over all.
+    Each segment of the log is aligned and measured by itself; ``left_out`` says of which there are no figures, and why.
+    ``driven_m`` is the length of the true paths; ``scales`` what the estimate of each segment was multiplied by.
+    ``relative_m`` and ``relative_deg`` are None where no pair lies ``delta`` apart. ``stretches`` are by length,
+    ``together`` over all.
     """
 
     run: RunPoses
     alignment: Alignment
-    scale: float
+    scales: tuple[float, ...]
     driven_m: float
     delta: Delta
     absolute_m: ErrorStatistics
@@ -51,6 +54,16 @@ class Evaluation:
     every: int
     stretches: tuple[Segments, ...]
     together: Segments
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Aligned:
+    """(N, 4, 4) poses of a segment of the log, the estimated ones aligned to the true ones."""
+
+    estimated: Float
+    true: Float
+    scale: float
 
 
 def evaluate(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Evaluation:
@@ -64,45 +77,73 @@ def evaluate(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Evalua
     Raises:
         TableError: there is no truth, too few frames have both poses, or they cannot be aligned.
     """
-    true = _truth_of(run)
+    _require_truth(run)
     chosen = alignment or ("sim3" if run.up_to_scale else "se3")
-    try:
-        true_S_estimated = align(run.estimated, true, chosen)
-    except TableError as error:
-        raise TableError(f"{run.source}: {error}") from error
-    estimated = true_S_estimated.poses(run.estimated)
-    relative_m, relative_deg = relative_errors(estimated, true, *pairs(estimated, delta))
-    driven_m = float(path_m(true)[-1])
-    lengths_m, every = (KITTI_LENGTHS_M, KITTI_EVERY) if driven_m > KITTI_LENGTHS_M[0] else (SHORT_LENGTHS_M, 1)
-    stretches = [segment_errors(estimated, true, length_m, every) for length_m in lengths_m]
+    aligned, left_out = _aligned(run, chosen)
+    relative = [relative_errors(part.estimated, part.true, *pairs(part.estimated, delta)) for part in aligned]
+    relative_m, relative_deg = (np.concatenate(part) for part in zip(*relative, strict=True))
+    driven_m = [float(path_m(part.true)[-1]) for part in aligned]
+    lengths_m, every = (KITTI_LENGTHS_M, KITTI_EVERY) if max(driven_m) > KITTI_LENGTHS_M[0] else (SHORT_LENGTHS_M, 1)
+    stretches = [_stretches(aligned, length_m, every) for length_m in lengths_m]
     return Evaluation(
         run,
         chosen,
-        true_S_estimated.scale,
-        driven_m,
+        tuple(part.scale for part in aligned),
+        sum(driven_m),
         delta,
-        ErrorStatistics.of(absolute_errors_m(estimated, true)),
+        ErrorStatistics.of(np.concatenate([absolute_errors_m(part.estimated, part.true) for part in aligned])),
         ErrorStatistics.of(relative_m) if len(relative_m) else None,
         ErrorStatistics.of(relative_deg) if len(relative_deg) else None,
         every,
-        tuple(_segments(length_m, [found]) for length_m, found in zip(lengths_m, stretches, strict=True)),
-        _segments(None, stretches),
+        tuple(_segments(length_m, found) for length_m, found in zip(lengths_m, stretches, strict=True)),
+        _segments(None, chain.from_iterable(stretches)),
+        left_out,
     )
 
 
-def _truth_of(run: RunPoses) -> Float:
-    """The true poses, if they are enough to judge by."""
+def _require_truth(run: RunPoses) -> None:
+    """Check that a segment of the log has enough true poses to judge by."""
     if run.true is None:
         raise TableError(
             f"{run.source}: no figures without truth: none of its {run.frames} frames has a true pose "
             "(true_x_m to true_qw); poses can still be exported"
         )
-    if len(run.true) < _FEWEST:
+    most = max((len(part.stamps_ns) for part in run.of_segments.values()), default=0)
+    if most < _FEWEST:
+        where = " in a segment" if len(run.of_segments) > 1 else ""
         raise TableError(
-            f"{run.source}: no figures: expected {_FEWEST} or more frames with an estimated and a true pose, "
-            f"found {len(run.true)} of {run.frames}"
+            f"{run.source}: no figures: expected {_FEWEST} or more frames{where} with an estimated and a true pose, "
+            f"found {most} of {run.frames}"
         )
-    return run.true
+
+
+def _aligned(run: RunPoses, how: Alignment) -> tuple[list[_Aligned], tuple[str, ...]]:
+    """The segments of the log that can be aligned, and why the others cannot.
+
+    Raises:
+        TableError: none can be.
+    """
+    aligned, refused = [], []
+    for number, part in run.of_segments.items():
+        try:
+            aligned.append(_align_segment(part, how))
+        except TableError as error:
+            refused.append((number, error))
+    if not aligned:
+        raise TableError(f"{run.source}: {refused[0][1]}") from refused[0][1]
+    return aligned, tuple(f"no figures of segment {number}: {error}" for number, error in refused)
+
+
+def _align_segment(part: RunPoses, how: Alignment) -> _Aligned:
+    frames = len(part.stamps_ns)
+    if part.true is None or frames < _FEWEST:
+        raise TableError(f"expected {_FEWEST} or more frames with an estimated and a true pose, found {frames}")
+    true_S_estimated = align(part.estimated, part.true, how)
+    return _Aligned(true_S_estimated.poses(part.estimated), part.true, true_S_estimated.scale)
+
+
+def _stretches(aligned: Iterable[_Aligned], length_m: float, every: int) -> list[tuple[Float, Float]]:
+    return [segment_errors(part.estimated, part.true, length_m, every) for part in aligned]
 
 
 def _segments(length_m: float | None, errors: Iterable[tuple[Float, Float]]) -> Segments:

@@ -1,6 +1,6 @@
 """Poses as files that other trajectory tools read."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,20 +17,24 @@ from .poses import RunPoses
 def export_tum(folder: Path, run: RunPoses) -> None:
     """Write NAME.est.tum and, where there is truth, NAME.true.tum, each pose in its own world.
 
+    Of a run in several segments each has its files: NAME.segment-0.est.tum and so on.
+
     Raises:
         TargetError: a file cannot be written.
     """
-    for path, poses in _targets(folder, run, "tum"):
-        _write(path, tum_lines(run.stamps_ns, poses))
+    for path, stamps_ns, poses in _targets(folder, run, "tum"):
+        _write(path, tum_lines(stamps_ns, poses))
 
 
 def export_kitti(folder: Path, run: RunPoses) -> None:
     """Write NAME.est.kitti and, where there is truth, NAME.true.kitti, each pose against its file's first.
 
+    Of a run in several segments each has its files: NAME.segment-0.est.kitti and so on.
+
     Raises:
         TargetError: a file cannot be written.
     """
-    for path, poses in _targets(folder, run, "kitti"):
+    for path, _, poses in _targets(folder, run, "kitti"):
         _write(path, kitti_lines(poses))
 
 
@@ -59,11 +63,13 @@ def _numbers(row: Iterable[float]) -> str:
     return " ".join(repr(value) for value in row)
 
 
-def _targets(folder: Path, run: RunPoses, suffix: str) -> list[tuple[Path, Float]]:
-    """A run that only its folder distinguishes from others gets that folder here, too."""
-    name = run.name.lstrip("/")
-    kinds = {"est": run.estimated} if run.true is None else {"est": run.estimated, "true": run.true}
-    return [(folder / f"{name}.{kind}.{suffix}", poses) for kind, poses in kinds.items()]
+def _targets(folder: Path, run: RunPoses, suffix: str) -> Iterator[tuple[Path, NDArray[np.int64], Float]]:
+    """Files with their stamps and poses; a run that only its folder distinguishes from others gets that folder, too."""
+    segments = run.of_segments
+    for number, part in segments.items():
+        name = f"{run.name.lstrip('/')}.segment-{number}" if len(segments) > 1 else run.name.lstrip("/")
+        kinds = {"est": part.estimated} if part.true is None else {"est": part.estimated, "true": part.true}
+        yield from ((folder / f"{name}.{kind}.{suffix}", part.stamps_ns, poses) for kind, poses in kinds.items())
 
 
 def _write(path: Path, lines: Iterable[str]) -> None:

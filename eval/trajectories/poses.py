@@ -1,6 +1,7 @@
 """The poses of a run, estimated and true."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,8 @@ class RunPoses:
 
     ``estimated`` and ``true`` are (N, 4, 4), from the ego frame to the run's odom frame and to the truth's own, in
     metres, of the same N frames, stamped ``stamps_ns`` (N,): those with both. Of a log without truth ``true`` is None,
-    and N counts the estimated poses.
+    and N counts the estimated poses. ``segments`` (N,) says which belong together: from one to the next neither the
+    odom frame nor the truth's need go on.
 
     A ``lost`` frame has no estimate: its row repeats the last pose known. Of the ``steps`` between estimates, those
     ``without_scale`` have a direction but no length in metres.
@@ -32,6 +34,22 @@ class RunPoses:
     stamps_ns: NDArray[np.int64]
     estimated: Float
     true: Float | None
+    segments: NDArray[np.int64]
+
+    @cached_property
+    def of_segments(self) -> dict[int, "RunPoses"]:
+        """The poses of each segment, in the order of their frames; the counts stay the run's."""
+        return {int(segment): self._of(self.segments == segment) for segment in dict.fromkeys(self.segments.tolist())}
+
+    def _of(self, these: NDArray[np.bool_]) -> "RunPoses":
+        true = None if self.true is None else self.true[these]
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns[these],
+            estimated=self.estimated[these],
+            true=true,
+            segments=self.segments[these],
+        )
 
     @property
     def up_to_scale(self) -> bool:

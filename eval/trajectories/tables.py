@@ -6,9 +6,11 @@ from typing import Final
 from roadperc_stream.output.text_table import TextTable, row
 
 from ..grid import percent
+from ..names import listed
 from ..options import Alignment
 from .errors import Delta, ErrorStatistics
 from .evaluation import Evaluation, Segments
+from .poses import RunPoses
 
 _ALIGNED: Final[Mapping[Alignment, str]] = {
     "se3": "aligned by SE(3)",
@@ -17,12 +19,14 @@ _ALIGNED: Final[Mapping[Alignment, str]] = {
     "none": "not aligned",
 }
 
+_EACH: Final = ", each segment of the log by itself"
+
 
 def coverage(evaluation: Evaluation) -> tuple[str, str]:
     """How much of the run the figures are over, in two lines."""
     run = evaluation.run
     return (
-        f"{run.name}: {run.frames} frames, {evaluation.driven_m:.1f} m driven",
+        f"{run.name}: {run.frames} frames{_in_segments(run)}, {evaluation.driven_m:.1f} m driven",
         f"{percent(run.coverage)} % have both poses: "
         f"estimated {run.estimated_frames}, true {run.true_frames}, lost {run.lost}",
     )
@@ -30,8 +34,21 @@ def coverage(evaluation: Evaluation) -> tuple[str, str]:
 
 def alignment(evaluation: Evaluation) -> str:
     """How the estimate was aligned to the truth."""
-    scale = f", the estimate scaled by {evaluation.scale:.6g}" if evaluation.alignment == "sim3" else ""
-    return f"{_ALIGNED[evaluation.alignment]}{scale}"
+    scales = listed([f"{scale:.6g}" for scale in evaluation.scales])
+    scale = f", the estimate scaled by {scales}" if evaluation.alignment == "sim3" else ""
+    return f"{_ALIGNED[evaluation.alignment]}{_EACH if _in_segments(evaluation.run) else ''}{scale}"
+
+
+def segments(evaluation: Evaluation) -> str:
+    """Of how many segments the log is; empty where it is one."""
+    found = _in_segments(evaluation.run)
+    return f"{evaluation.run.frames} frames{found}{_EACH}" if found else ""
+
+
+def _in_segments(run: RunPoses) -> str:
+    """How many segments of the log have poses, where there are several."""
+    segments = len(run.of_segments)
+    return f" in {segments} segments of the log" if segments > 1 else ""
 
 
 def without_scale(evaluation: Evaluation) -> str:
@@ -89,7 +106,12 @@ def runs(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTab
 def _overview(evaluation: Evaluation) -> list[str]:
     run = evaluation.run
     counts = [str(run.frames), percent(run.coverage), str(run.lost), f"{evaluation.driven_m:.1f}"]
-    return [*counts, f"{evaluation.scale:.4g}", _used_lengths(evaluation.stretches)]
+    return [*counts, _scale(evaluation.scales), _used_lengths(evaluation.stretches)]
+
+
+def _scale(scales: Sequence[float]) -> str:
+    least, most = (f"{scale:.4g}" for scale in (min(scales), max(scales)))
+    return least if least == most else f"{least} to {most}"
 
 
 def side_by_side(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:

@@ -19,7 +19,8 @@ true pose, and lost ones, are left out and counted. A monocular run without scal
 TUM files (NAME.est.tum, NAME.true.tum) hold the frames that are evaluated, each as `timestamp x y z qx qy qz qw`; KITTI
 files (NAME.est.kitti, NAME.true.kitti) the same frames, against the first. Both hold the ego frame (x forward, y left,
 z up, on the road), where KITTI's own files hold the left camera's: compare them with each other, not with KITTI's.
-Without truth there is only NAME.est.
+Without truth there is only NAME.est. Each segment of a log (another recording, a bag played in a loop) is aligned and
+measured by itself, and has files of its own: NAME.segment-0.est.tum. The parts of a drive (--continue) are one run.
 """
 _EXAMPLE = """\
 example:

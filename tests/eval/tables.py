@@ -16,10 +16,18 @@ def row(frame: int, log_id: str = "a" * 16, **columns) -> FrameMetrics:
 
 
 def write(
-    path: Path, rows: Sequence[FrameMetrics], times: Sequence[dict[str, float]] = (), config: str = "c" * 64
+    path: Path,
+    rows: Sequence[FrameMetrics],
+    times: Sequence[dict[str, float]] = (),
+    config: str = "c" * 64,
+    **more: str,
 ) -> Path:
-    """A metrics table as a replay writes it; ``times`` are the time columns of each row, 10 ms in all by default."""
-    facts = {"roadperc.config_digest": config, "roadperc.version": "1.2.3", "roadperc.log": "out.mcap"}
+    """A metrics table as a replay writes it; ``times`` are the time columns of each row, 10 ms in all by default.
+
+    ``more`` are facts of its footer, such as ``continues``.
+    """
+    facts = {"config_digest": config, "version": "1.2.3", "log": "out.mcap", **more}
+    facts = {f"roadperc.{key}": value for key, value in facts.items()}
     with TableWriter(path, FrameMetrics, facts, TIME_COLUMNS) as table:
         for index, item in enumerate(rows):
             table.append(item, **(times[index] if times else {"total_ms": 10.0}))

@@ -1,5 +1,6 @@
 """Series, charts, trajectory and frames of the page, each with a known answer."""
 
+import base64
 import json
 
 import cv2
@@ -13,16 +14,24 @@ from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Object, Obje
 from roadperc_stream.eval.html.figures import line, numbers
 from roadperc_stream.eval.html.histograms import bin_edges, histograms
 from roadperc_stream.eval.html.over_time import over_time, stage_times
+from roadperc_stream.eval.html.pictures import gallery
 from roadperc_stream.eval.html.series import Series, thinned
+from roadperc_stream.eval.html.sources import sources_of
 from roadperc_stream.eval.html.trajectory import paths, trajectory
+from roadperc_stream.eval.runs import find_runs
+from roadperc_stream.eval.summary import summarise_run
 from roadperc_stream.formats import images
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output import encoding
+from roadperc_stream.output.results import encode_metrics
+from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.topics import METRICS_TOPIC
 from roadperc_stream.view.result_frames import read_frame
 from tests.analytic import box
+from tests.eval.tables import write
 
 STAMP = 1_600_000_000_000_000_000
 
@@ -30,7 +39,7 @@ STAMP = 1_600_000_000_000_000_000
 def series(name="drive", **columns):
     values = {key: np.asarray(column, float) for key, column in columns.items()}
     frames = len(next(iter(values.values())))
-    return Series(name, np.arange(frames), np.arange(frames) / 20, values)
+    return Series(name, np.zeros(frames, np.int64), np.arange(frames) / 20, values)
 
 
 @given(st.integers(1, 400), st.integers(1, 20), st.integers(0, 2**31))
@@ -221,3 +230,24 @@ def test_a_pairs_right_camera_is_not_the_one_the_results_belong_to(tmp_path):
 def test_a_log_without_the_image_has_no_frame(tmp_path):
     assert read_frame(write_log(tmp_path / "none.mcap", image=False), STAMP, Problems()) is None
     assert read_frame(write_log(tmp_path / "out.mcap"), STAMP + 1, Problems()) is None
+
+
+def test_pictures_of_a_looped_log_are_of_the_frame_itself(tmp_path):
+    """Both passes have the same stamp: the picture of the second is not that of the first."""
+    log, table = tmp_path / "loop.mcap", tmp_path / "loop.metrics.parquet"
+    rows = [FrameMetrics("a" * 16, k, STAMP, segment=k, lane_left_error_m=0.1 + k) for k in range(2)]
+    with LogWriter(log) as writer:
+        for item, grey in zip(rows, (40, 200), strict=True):
+            picture = cv2.imencode(".png", np.full((48, 64, 3), grey, np.uint8))[1].tobytes()
+            content = encoding.encode_image(STAMP, "camera", "png", picture)
+            time_ns = STAMP + item.frame * 1_000_000_000
+            writer.write(Message(image_channel(), time_ns, time_ns, item.frame, content))
+            metrics = result_channel(METRICS_TOPIC, "roadperc.FrameMetrics")
+            writer.write(Message(metrics, time_ns, time_ns, item.frame, encode_metrics("camera", item)))
+    (run,) = find_runs([str(write(table, rows, log=str(log)))])
+    found = gallery([summarise_run(run, 2)], {run.name: sources_of(run)})
+    assert found.notes == ()
+    assert [picture.frame for picture in found.pictures] == [0, 1]
+    decoded = [np.frombuffer(base64.b64decode(p.image.partition(",")[2]), np.uint8) for p in found.pictures]
+    shades = [int(np.median(cv2.imdecode(data, cv2.IMREAD_COLOR))) for data in decoded]
+    assert shades == [pytest.approx(40, abs=3), pytest.approx(200, abs=3)]

@@ -114,6 +114,18 @@ def test_a_frame_the_table_alone_knows_stands_in_its_place(tmp_path):
     )
 
 
+def test_frames_of_a_looped_log_have_their_own_times(tmp_path):
+    """Each pass has the same stamps; of the second the log lacks the first frame."""
+    times = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    stamps = [*STAMPS_NS, *STAMPS_NS[1:]]
+    items = [seen(stamp, upright(LEFT_PX)) for stamp in stamps]
+    log = run_log(tmp_path / "a.mcap", [replace(item, stamp_ns=START_NS + k) for k, item in enumerate(items)])
+    rows = [replace(tables.row(k), frame=k + 3 * segment, segment=segment) for segment in (0, 1) for k in range(3)]
+    tables.write(sidecar_path(log, "metrics"), rows, [{"total_ms": ms} for ms in times])
+    found = [(f.stamp_ns, len(f.lines_px), f.run_time_ms) for f in open_lanes(log).frames()]
+    assert found == list(zip(STAMPS_NS * 2, (1, 1, 1, 0, 1, 1), times, strict=True))
+
+
 def test_without_a_table_run_time_is_zero(drive):
     assert [frame.run_time_ms for frame in open_lanes(drive).frames()] == [0.0] * 3
 

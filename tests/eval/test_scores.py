@@ -12,8 +12,9 @@ from roadperc_stream.eval.scores import averaged, correlations, lag_frames, scor
 SUMS = {"filter_tp": 6, "filter_fp": 2, "filter_fn": 4}
 
 
-def lag(offsets, truths):
+def lag(offsets, truths, segments=0):
     table = pl.DataFrame({"offset": offsets, "truth": truths}, schema={"offset": pl.Float64, "truth": pl.Float64})
+    table = table.with_columns(segment=pl.Series(segments) if segments else pl.lit(0))
     return lag_frames(table.select(correlations("offset", "truth")).item().to_list())
 
 

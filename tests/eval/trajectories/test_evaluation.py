@@ -16,10 +16,10 @@ FRAME = Delta(1, "frames")
 
 def run_of(estimated, true, **facts):
     frames = len(estimated)
-    told = RunPoses(
-        "drive", "drive.metrics.parquet", frames, 0, frames, frames, frames - 1, 0, np.arange(frames), estimated, true
-    )
-    return dataclasses.replace(told, **facts)
+    stamps_ns, segments = np.arange(frames), np.zeros(frames, np.int64)
+    poses = (stamps_ns, estimated, true, segments)
+    found = RunPoses("drive", "drive.metrics.parquet", frames, 0, frames, frames, frames - 1, 0, *poses)
+    return dataclasses.replace(found, **facts)
 
 
 def test_a_perfect_run_has_no_errors():

@@ -1,0 +1,205 @@
+"""Drives replayed in parts with --continue: one run, with the figures of the whole."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from roadperc_stream.cli.compare import main as compare_main
+from roadperc_stream.cli.report import main as report_main
+from roadperc_stream.cli.trajectory import main as trajectory_main
+from roadperc_stream.eval.collecting import collect
+from roadperc_stream.eval.drives import find_drives
+from roadperc_stream.eval.html.page import page
+from roadperc_stream.eval.scan import rows_of
+from roadperc_stream.eval.summary import summarise_run
+from tests.eval.tables import row, write
+from tests.eval.trajectories.paths import columns, helix, noisy
+
+FRAMES = 20
+LOGS = ("a" * 16, "b" * 16, "c" * 16, "d" * 16)
+PARTS = ((0, 8), (5, 13), (10, 20))
+"""First and end of the frames that each part gives: the last three of a part are given again by the next."""
+
+
+def frames(log="e" * 16):
+    estimated, true = noisy(helix(FRAMES), 1), helix(FRAMES)
+    poses = {**columns("odom", estimated), **columns("true", true)}
+    at = [{name: float(values[k]) for name, values in poses.items()} for k in range(FRAMES)]
+    return [row(k, log, lane_left_error_m=0.01 * k, odometry_status="tracked", **at[k]) for k in range(FRAMES)]
+
+
+def parts(folder, spans=PARTS, version="1.2.3"):
+    """Tables out_0, out_1, ... of a drive; a frame that is given again was incomplete before."""
+    made = []
+    for number, (first, end) in enumerate(spans):
+        following = spans[number + 1][0] if number + 1 < len(spans) else end
+        rows = [
+            item if item.frame < following else replace(item, lane_left_error_m=None, missing=("depth",))
+            for item in frames(LOGS[number])[first:end]
+        ]
+        facts = {"log_id": LOGS[number], "version": version}
+        if number:
+            facts |= {"continues": LOGS[number - 1], "first_frame": str(first)}
+        made.append(str(write(folder / f"out_{number}.metrics.parquet", rows, **facts)))
+    return made
+
+
+@pytest.fixture
+def whole(tmp_path):
+    return str(write(tmp_path / "whole.metrics.parquet", frames()))
+
+
+def numbers_of(run):
+    return collect(rows_of(run).select("frame"), "")["frame"].to_list()
+
+
+def test_parts_are_one_run_with_the_figures_of_the_whole(tmp_path, whole):
+    found = find_drives(parts(tmp_path))
+    (run,), (expected,) = found.runs, find_drives([whole]).runs
+    assert (run.name, run.frames, numbers_of(run)) == ("out_0+2", FRAMES, list(range(FRAMES)))
+    assert found.notes == ("out_0+2: one drive in 3 parts: out_0, out_1, out_2",)
+    ours, theirs = summarise_run(run, 3), summarise_run(expected, 3)
+    assert ours.log_ids == LOGS[:3]
+    worst = {column: tuple(replace(f, run="whole") for f in ranking) for column, ranking in ours.worst.items()}
+    assert replace(ours, name="whole", log_ids=theirs.log_ids, worst=worst) == theirs
+
+
+def test_the_order_of_the_arguments_does_not_matter(tmp_path):
+    tables = parts(tmp_path)
+    (run,) = find_drives([tables[2], tables[0], tables[1]]).runs
+    assert [part.name for part in run.tables] == ["out_0", "out_1", "out_2"]
+
+
+@pytest.mark.parametrize("command", [report_main, trajectory_main], ids=["report", "trajectory"])
+def test_the_commands_print_what_they_print_of_the_whole(tmp_path, whole, capsys, command):
+    assert command([whole]) == 0
+    expected = capsys.readouterr().out
+    assert command(parts(tmp_path)) == 0
+    printed = capsys.readouterr().out
+    note, text = printed.split("\n", 1)
+    assert note == "out_0+2: one drive in 3 parts: out_0, out_1, out_2"
+    text = re.sub(r"log a{16}, b{16}, c{16},", f"log {'e' * 16},", " ".join(text.split())).replace("out_0+2", "whole")
+    assert text == " ".join(expected.split())
+
+
+def test_a_trajectory_of_parts_is_one_file(tmp_path):
+    assert trajectory_main([*parts(tmp_path), "--export-tum", str(tmp_path / "files")]) == 0
+    files = {item.name: len(item.read_text().splitlines()) for item in (tmp_path / "files").iterdir()}
+    assert files == {"out_0+2.est.tum": FRAMES, "out_0+2.true.tum": FRAMES}
+
+
+def test_a_part_all_of_whose_frames_are_given_again_is_named_so(tmp_path, capsys):
+    tables = parts(tmp_path, ((0, 4), (0, 8), (6, 20)))
+    for command in (report_main, trajectory_main):
+        assert command(tables) == 0
+        assert capsys.readouterr().out.startswith(
+            "out_0+2: one drive in 3 parts: out_0 (all its 4 frames are given again by out_1), out_1, out_2\n"
+        )
+
+
+def test_a_part_in_the_middle_that_is_missing_is_stated_and_nothing_counts_twice(tmp_path):
+    """out_2 gives again what out_0 gave from frame 5 on, though out_1 lay between them."""
+    first, _, last = parts(tmp_path, ((0, 8), (2, 10), (5, 20)))
+    found = find_drives([first, last])
+    (run,) = found.runs
+    assert (run.frames, numbers_of(run)) == (FRAMES, list(range(FRAMES)))
+    assert found.notes == (
+        "out_0+1: one drive in 2 parts: out_0, out_2",
+        f"out_2: goes on from a part that is not among these tables (log {LOGS[1]}); "
+        "frames that out_0 has too, from 5 on, count once",
+    )
+
+
+def test_parts_that_share_no_frame_stay_apart_and_that_is_stated(tmp_path):
+    first, _, last = parts(tmp_path)
+    found = find_drives([first, last])
+    assert [(run.name, run.frames) for run in found.runs] == [("out_0", 8), ("out_2", 10)]
+    assert found.notes == (
+        f"out_2: goes on from a part that is not among these tables (log {LOGS[1]}): "
+        "evaluated by itself, from frame 10 on",
+    )
+
+
+def test_the_whole_is_no_earlier_part_of_its_own_end(tmp_path, whole):
+    """Both end with the same frame: a part that ends within a later one ends before it does."""
+    found = find_drives([whole, parts(tmp_path)[2]])
+    assert [run.frames for run in found.runs] == [FRAMES, 10]
+
+
+def test_results_of_two_folders_are_two_drives(tmp_path):
+    tables = [*parts(tmp_path / "a"), *parts(tmp_path / "b")]
+    found = find_drives(tables)
+    assert [(run.name, run.frames) for run in found.runs] == [("a/out_0+2", FRAMES), ("b/out_0+2", FRAMES)]
+    assert [{part.path.parent.name for part in run.tables} for run in found.runs] == [{"a"}, {"b"}]
+
+
+def test_two_that_go_on_from_one_part_stay_by_themselves(tmp_path):
+    tables = parts(tmp_path, PARTS[:2])
+    again = str(
+        write(
+            tmp_path / "again.metrics.parquet",
+            frames(LOGS[1])[5:13],
+            log_id=LOGS[1],
+            continues=LOGS[0],
+            first_frame="5",
+        )
+    )
+    found = find_drives([*tables, again])
+    assert [(run.name, run.frames) for run in found.runs] == [("out_0", 5), ("out_1", 8), ("again", 8)]
+    assert found.notes == tuple(
+        f"{name}: out_1, again go on from out_0 alike: evaluated by itself" for name in ("out_1", "again")
+    )
+
+
+def test_parts_of_two_versions_stay_by_themselves(tmp_path):
+    tables = parts(tmp_path / "old", PARTS[:1]) + parts(tmp_path / "new", PARTS[:2], version="2.0.0")[1:]
+    found = find_drives(tables)
+    assert [(run.name, run.frames) for run in found.runs] == [("out_0", 5), ("out_1", 8)]
+    assert found.notes == ("out_1: goes on from out_0, which another version made: evaluated by itself",)
+
+
+def test_parts_in_a_circle_are_no_drive(tmp_path):
+    """No replay writes such footers; whoever does gets an answer all the same."""
+    one = write(tmp_path / "one.metrics.parquet", frames(LOGS[0]), log_id=LOGS[0], continues=LOGS[1])
+    two = write(tmp_path / "two.metrics.parquet", frames(LOGS[1]), log_id=LOGS[1], continues=LOGS[0])
+    alone = write(tmp_path / "alone.metrics.parquet", frames(LOGS[2]), log_id=LOGS[2], continues=LOGS[2])
+    assert [run.name for run in find_drives([str(one), str(two), str(alone)]).runs] == ["one", "two", "alone"]
+
+
+def test_only_parts_whose_frames_are_given_again_elsewhere_have_nothing_to_report(tmp_path, capsys):
+    first = parts(tmp_path / "old", ((0, 4),))
+    later = parts(tmp_path / "new", ((0, 4), (0, 4)), version="2.0.0")[1]
+    assert report_main([*first, later]) == 0
+    assert "out_0.metrics.parquet: all its 4 frames are given again by out_1\n" in capsys.readouterr().out
+    assert trajectory_main([*first, later]) == 0
+    assert "out_0.metrics.parquet: all its 4 frames are given again by out_1\n" in capsys.readouterr().out
+
+
+def test_the_page_names_the_input_of_each_part(tmp_path):
+    text = page(find_drives(parts(tmp_path)).runs)
+    assert f"{LOGS[0]}, {LOGS[1]}, {LOGS[2]}" in text
+    assert "out.mcap, out.mcap, out.mcap" in text
+
+
+def test_a_folder_of_parts_is_compared_with_the_whole(tmp_path, whole, capsys):
+    folder = tmp_path / "parts"
+    parts(folder)
+    assert compare_main([whole, str(folder), "--other-log", "--exact", "--ignore", "log_id"]) == 0
+    assert "20 frames compared" in capsys.readouterr().out
+
+
+def test_a_reference_of_parts_is_made_and_updated(tmp_path, capsys):
+    candidate, reference = tmp_path / "candidate", tmp_path / "reference"
+    parts(candidate)
+    assert compare_main([str(reference), str(candidate), "--update-reference"]) == 0
+    assert sorted(p.name for p in reference.iterdir()) == [f"out_{k}.metrics.parquet" for k in range(3)]
+    assert compare_main([str(reference), str(candidate), "--exact"]) == 0
+    assert "20 frames compared" in capsys.readouterr().out
+    parts(candidate, ((0, 8), (5, 13), (10, 19)))
+    assert compare_main([str(reference), str(candidate), "--update-reference"]) == 0
+    assert find_drives([str(reference)]).runs[0].frames == 19
+    for name in ("out_2", "out_1"):
+        (candidate / f"{name}.metrics.parquet").unlink()
+    assert compare_main([str(reference), str(candidate), "--update-reference", "--other-log"]) == 1
+    assert "a drive of 1 tables cannot replace one of 3" in capsys.readouterr().err
