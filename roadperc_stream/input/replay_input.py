@@ -183,8 +183,7 @@ class ReplayInput:
         first_ns = end.first_pending_ns
         if first_ns is None or not with_messages:
             return end
-        topics = set(self.topics.values())
-        return end.carrying(m for m in self._messages.inside(topics) if m.log_time_ns >= first_ns)
+        return end.carrying(self._messages.inside(set(self.topics.values()), first_ns))
 
     @property
     def _messages(self) -> WindowMessages:
