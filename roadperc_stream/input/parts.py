@@ -63,6 +63,20 @@ def joins(parts: Sequence[PartSpan]) -> list[str]:
     return texts
 
 
+def continuation_notes(part: PartSpan, frames_before_ns: Sequence[int], ended_ns: int) -> tuple[str, ...]:
+    """What is to be said of how a part follows the one whose result it goes on from.
+
+    Args:
+        part: this one.
+        frames_before_ns: log times of the last messages of the reference sensor in the part before, as far as known.
+        ended_ns: log time from which on the drive goes on.
+    """
+    before = PartSpan("what it goes on from", min(frames_before_ns, default=ended_ns), ended_ns, len(frames_before_ns))
+    gap_ns, interval_ns = part.first_ns - ended_ns, _interval_ns([before, part])
+    missing = interval_ns and gap_ns > _GAP_INTERVALS * interval_ns
+    return (_join(before, part, 0.0),) if missing else ()
+
+
 def _join(before: PartSpan, part: PartSpan, least_gap_ns: float) -> str:
     gap_ns = part.first_ns - before.last_ns
     if gap_ns < 0:
@@ -81,7 +95,7 @@ def _shared(part: PartSpan) -> str:
         return ""
     if not part.repeats:
         return "; no message is in both, they are merged"
-    return f"; {part.repeats} of its messages are in parts before it as well and count once, all others are merged"
+    return f"; {part.repeats} of its messages are in parts before it as well, these count once"
 
 
 def _interval_ns(parts: Iterable[PartSpan]) -> float:
