@@ -120,12 +120,9 @@ def test_a_gap_behind_what_is_continued_is_noted_and_a_join_is_not(drive, tmp_pa
     replay(first, tmp_path / "out_0.mcap", CFG)
     for begins, noted in ((4, False), (5, True)):
         part = write(tmp_path / f"from_{begins}.mcap", between(drive, begins, 12))
-        out = tmp_path / f"out_{begins}.mcap"
-        notes = replay(part, out, CFG, continued=tmp_path / "out_0.mcap").notes
+        notes = replay(part, tmp_path / f"out_{begins}.mcap", CFG, continued=tmp_path / "out_0.mcap").notes
         assert (f"{part}: begins 0.100 s after what it goes on from ends" in notes) == noted
-        assert f"{4} of {16 - begins} frames are in the part before as well, and given again" in notes
-        again = replay(out, tmp_path / "again.mcap", CFG, force=True).notes
-        assert any("begins 0.100 s after what it goes on from ends" in note for note in again) == noted
+        assert f"4 of {16 - begins} frames are in the part before as well, and given again" in notes
 
 
 def test_a_gap_is_judged_by_the_images_of_both_parts_and_by_none_where_nothing_is_known():
