@@ -26,7 +26,8 @@ def summarise(source: Path | Sequence[Path], limits: LimitsConfig = DEFAULT_LIMI
     """Channels, counts, attachments and metadata of a log, from its index where it has one.
 
     All CRCs are checked, and that index and statistics say what stands in the file. A log that its index does not give
-    in order of log time with little memory is put in order on disk when it is first read.
+    in order of log time with little memory is put in order on disk when it is first read. Where files share topics at
+    the same time, their messages are read to find those that several of them hold.
 
     Args:
         source: the log, or the files that are one log.
@@ -34,6 +35,7 @@ def summarise(source: Path | Sequence[Path], limits: LimitsConfig = DEFAULT_LIMI
 
     Raises:
         LogError: a file cannot be read, is no MCAP, is cut or damaged, or is beyond the limits.
+        TargetError: there is no space to put several files in order.
     """
     parts = [_inspected(path, limits) for path in ([source] if isinstance(source, Path) else source)]
     if len(parts) > 1:
