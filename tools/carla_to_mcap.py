@@ -113,5 +113,5 @@ def _description(plan: Plan) -> Metadata:
     """How the log was made: nothing of the machine or the user."""
     encodings = {f"encoding.{role}": survey.encoding for role, survey in plan.surveys.items()}
     table = {"tag_table": plan.tag_table.name, "tag_table_known_by": plan.tag_table_source} if plan.tag_table else {}
-    values = {"version": __version__, "frames": str(len(plan.stamps_ns)), "time": plan.timing, **encodings, **table}
+    values = {"version": __version__, "frames": str(len(plan.frames)), "time": plan.timing, **encodings, **table}
     return Metadata("roadperc_convert", tuple(sorted(values.items())))

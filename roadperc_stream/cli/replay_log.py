@@ -73,8 +73,6 @@ def _print_summary(target: ReplayTarget, summary: ReplaySummary) -> None:
         print_line(f"note: {note}")
     for topic, number in summary.problems.items():
         print_line(f"warning: {number} messages on {topic} could not be read; they are copied, their frames go without")
-    for role, number in summary.dropped.items():
-        print_line(f"note: {number} messages of role {role} belong to no frame")
     rate = summary.frames / summary.seconds
     print_line(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} frames/s), log {summary.log_id}")
     print_line(f"wrote {target.path} ({summary.messages_out} messages), {target.metrics.name}, {target.objects.name}")

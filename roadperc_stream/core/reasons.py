@@ -10,6 +10,8 @@ from roadperc_stream.core.datatypes import MISSING_ROLES, FrameResult, Reason, R
 _STAGES: Final = (*STAGES, "drivable")
 """Sources that are stages: any other is an input."""
 _MOST_REPORTED: Final = 4
+UNUSABLE: Final = frozenset(("undecodable", "wrong_size", "pair_of_wrong_size", "pair_of_two_sizes"))
+"""The codes of messages that are there and cannot be used."""
 
 
 def frame_reasons(sample: Sample, result: FrameResult) -> tuple[Reason, ...]:
@@ -65,10 +67,10 @@ def ranked(counts: Mapping[ReasonKind, ReasonCount]) -> ReasonCounts:
 
 
 def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Collection[str]) -> tuple[str, ...]:
-    """The reasons that held in all frames of a replay, in words; a few where there are many.
+    """The reasons that held in all frames of a replay, in words, and messages that could not be used in some.
 
-    Left out are stages that are switched off, inputs for which the log has no topic, and what follows from another
-    reason that is reported.
+    Of many a few are named. Left out are stages that are switched off, inputs for which the log has no topic, and what
+    follows from another reason that is reported.
 
     Args:
         counts: of the frames.
@@ -81,7 +83,16 @@ def throughout(counts: Mapping[ReasonKind, ReasonCount], frames: int, filled: Co
     where = f"in all {frames} frames" if frames > 1 else "in the only frame"
     rest = len(first) - _MOST_REPORTED
     more = (f"{where}: {rest} more reason{'s' * (rest > 1)}, which roadperc-report lists",) if rest > 0 else ()
-    return (*(f"{where}: {text}" for text in first[:_MOST_REPORTED]), *more)
+    return (*(f"{where}: {text}" for text in first[:_MOST_REPORTED]), *more, *_unusable_in_some(counts, frames))
+
+
+def _unusable_in_some(counts: Mapping[ReasonKind, ReasonCount], frames: int) -> tuple[str, ...]:
+    """Messages of some frames that could not be used, the most frequent first."""
+    some = ranked({kind: n for kind, n in counts.items() if n.frames < frames and kind[0][1] in UNUSABLE})
+    found = [f"in {count.frames} of {frames} frames: {count}" for count in some.values()]
+    rest = len(found) - _MOST_REPORTED
+    more = (f"{rest} more kinds of messages that cannot be used, which roadperc-report lists",) if rest > 0 else ()
+    return (*found[:_MOST_REPORTED], *more)
 
 
 def _source(kind: ReasonKind) -> str:

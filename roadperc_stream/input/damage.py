@@ -7,13 +7,13 @@ from pathlib import Path
 from roadperc_stream import log
 from roadperc_stream.core.config import LimitsConfig
 from roadperc_stream.core.datatypes import Reason
+from roadperc_stream.core.reasons import UNUSABLE
 from roadperc_stream.core.time import WHOLE, TimeRange, ns_to_seconds
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Damage, DamagedLogError, LogSummary, LostSpan, Recovery, RepairedLog
 
 SOURCE = "log"
 """Whose reason it is that messages were lost."""
-_UNUSABLE = frozenset(("undecodable", "wrong_size", "pair_of_wrong_size", "pair_of_two_sizes"))
 
 
 def reach_ns(since_ns: int | None, log_time_ns: int, late_ns: int) -> int:
@@ -148,5 +148,5 @@ def require_sound(source: Path, stamp_ns: int, reasons: Iterable[Reason]) -> Non
         LogError: one is.
     """
     for reason in reasons:
-        if reason.code in _UNUSABLE:
+        if reason.code in UNUSABLE:
             raise LogError(f"{source}: message with stamp {stamp_ns} ns: {reason}; --strict stops there")

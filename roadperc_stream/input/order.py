@@ -12,12 +12,15 @@ from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from typing import Final, Generic, TypeVar
 
+from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.input.stream import Stamped
 
 _ROW: Final = 3
 """Reference messages in a row that begin a new segment: fewer are stragglers."""
 _MOST_HELD: Final = 10_000
 """Messages that wait at most, where the reference sensor is silent and log times say nothing."""
+_LONGEST_HOLD_NS: Final = 10 * NS_PER_S
+"""Log time that other messages wait for the reference sensor to show to which segment they belong."""
 T = TypeVar("T")
 U = TypeVar("U")
 Drop = Callable[[Stamped], None]
@@ -154,13 +157,26 @@ class _Segments:
     def _decided(self, item: Stamped) -> Iterable[Stamped]:
         """What is held, where the last of it shows to which segment it belongs; nothing until then."""
         if item.role != self._cfg.reference:
-            return self._same_segment() if len(self.held) > _MOST_HELD else ()
+            return self._same_segment() if len(self.held) > _MOST_HELD else self._too_long_held(item.log_time_ns)
         if not self._is_back(item):
             return self._same_segment()
         if self.row and item.stamp_ns <= self.row[-1].stamp_ns:
             self._drop_row()
         self.row.append(item)
         return self._new_segment() if len(self.row) == _ROW else ()
+
+    def _too_long_held(self, now_ns: int) -> Iterator[Stamped]:
+        """The other sensors' messages about which the reference sensor was silent for too long: nothing new begins."""
+        while (place := self._first_of_others()) is not None and self._is_given_up(self.held[place], now_ns):
+            yield self._passed(self.held.pop(place))
+
+    def _first_of_others(self) -> int | None:
+        first = self.held[: len(self.row) + 1]
+        return next((k for k, item in enumerate(first) if not any(item is other for other in self.row)), None)
+
+    def _is_given_up(self, item: Stamped, now_ns: int) -> bool:
+        is_alone = not self.row and not self._is_back(item)
+        return is_alone or now_ns - item.log_time_ns > _LONGEST_HOLD_NS
 
     def _same_segment(self) -> Iterator[Stamped]:
         self._drop_row()

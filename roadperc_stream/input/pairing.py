@@ -78,6 +78,11 @@ class StampPairing:
         return self._synchroniser.frames
 
     @property
+    def nearest_ns(self) -> Mapping[str, int]:
+        """How near the messages of each role that belong to no frame came to one, at best: differences of stamps."""
+        return self._synchroniser.nearest_ns
+
+    @property
     def lateness_ns(self) -> int:
         """By how much messages trailed the reference sensor's latest stamp, at most the wait."""
         return self._order.lateness_ns

@@ -18,12 +18,16 @@ _OF_EACH_RESULT: Final = {CONFIG_ATTACHMENT, METADATA_RECORD}
 
 @dataclass(frozen=True)
 class PartSpan:
-    """When a part's messages begin and end, and how many of them make frames."""
+    """When a part's messages begin and end, and how many of them make frames.
+
+    ``repeats`` are those that an earlier part holds as well; None where that is not known.
+    """
 
     name: str
     first_ns: int
     last_ns: int
     frames: int
+    repeats: int | None = None
 
 
 def part_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
@@ -34,7 +38,7 @@ def part_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
         topic: of the reference sensor.
     """
     spans = [
-        PartSpan(str(part.path), part.first_ns, part.last_ns, _messages_on(part, topic))
+        PartSpan(str(part.path), part.first_ns, part.last_ns, _messages_on(part, topic), part.repeats)
         for part in summary.parts
         if part.first_ns is not None and part.last_ns is not None and any(part.counts.values())
     ]
@@ -59,15 +63,39 @@ def joins(parts: Sequence[PartSpan]) -> list[str]:
     return texts
 
 
+def continuation_notes(part: PartSpan, frames_before_ns: Sequence[int], ended_ns: int) -> tuple[str, ...]:
+    """What is to be said of how a part follows the one whose result it goes on from.
+
+    Args:
+        part: this one.
+        frames_before_ns: log times of the last messages of the reference sensor in the part before, as far as known.
+        ended_ns: log time from which on the drive goes on.
+    """
+    before = PartSpan("what it goes on from", min(frames_before_ns, default=ended_ns), ended_ns, len(frames_before_ns))
+    gap_ns, interval_ns = part.first_ns - ended_ns, _interval_ns([before, part])
+    missing = interval_ns and gap_ns > _GAP_INTERVALS * interval_ns
+    return (_join(before, part, 0.0),) if missing else ()
+
+
 def _join(before: PartSpan, part: PartSpan, least_gap_ns: float) -> str:
     gap_ns = part.first_ns - before.last_ns
     if gap_ns < 0:
-        return (
-            f"{part.name}: overlaps {before.name} by {ns_to_seconds(min(-gap_ns, part.last_ns - part.first_ns)):.3f} s"
-        )
+        overlap_s = ns_to_seconds(min(-gap_ns, part.last_ns - part.first_ns))
+        return f"{part.name}: overlaps {before.name} by {overlap_s:.3f} s{_shared(part)}"
+    if part.repeats:
+        return f"{part.name}: begins when {before.name} ends{_shared(part)}"
     if gap_ns > least_gap_ns:
         return f"{part.name}: begins {ns_to_seconds(gap_ns):.3f} s after {before.name} ends"
     return ""
+
+
+def _shared(part: PartSpan) -> str:
+    """What becomes of the messages of a part that overlaps others."""
+    if part.repeats is None:
+        return ""
+    if not part.repeats:
+        return "; no message is in both, they are merged"
+    return f"; {part.repeats} of its messages are in parts before it as well, these count once"
 
 
 def _interval_ns(parts: Iterable[PartSpan]) -> float:

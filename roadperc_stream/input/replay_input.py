@@ -1,6 +1,5 @@
 """A log as the input of a replay: what every loop over frames opens."""
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
@@ -11,8 +10,9 @@ from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
 from roadperc_stream.input.damage import ReadableLog, loss_reason, reach_ns
 from roadperc_stream.input.earlier_replay import is_result
+from roadperc_stream.input.outcome import InputOutcome
 from roadperc_stream.input.pairing import StampPairing
-from roadperc_stream.input.parts import part_notes
+from roadperc_stream.input.parts import PartSpan, continuation_notes, part_notes
 from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import tag_table_to_record
@@ -88,10 +88,13 @@ class ReplayInput:
     def _begin(self) -> None:
         plan = self.plan
         self._problems = Problems(plan.problems.strict_in)
-        self._dropped = Counter[str]()
-        self.frames = 0
-        """Samples so far that are written."""
+        self._outcome = InputOutcome(plan.start.pairing.sync.segment)
         self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.start.pairing, self._drop)
+
+    @property
+    def frames(self) -> int:
+        """Samples so far that are written."""
+        return self._outcome.frames
 
     @property
     def log_id(self) -> str:
@@ -135,8 +138,9 @@ class ReplayInput:
             before, numbers = numbers, numbers.after(synced.reference)
             sample = self._sample(synced, before.next)
             is_written = before.is_written(synced.reference)
-            self.frames += is_written
+            self._outcome.pair(synced)
             if is_written:
+                self._outcome.add(synced)
                 lost = loss_reason(self._gaps, before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
                 yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
                 before_ns = numbers.log_time_ns
@@ -152,7 +156,7 @@ class ReplayInput:
         return log_time_ns if is_whole else reach_ns(since_ns, log_time_ns, self.plan.order.lateness_ns)
 
     def _drop(self, item: Stamped) -> None:
-        self._dropped[item.role] += 1
+        self._outcome.drop(item)
         if item.role == self.plan.order.reference:
             topic, stamp = self.topics[item.role], f"stamp {item.stamp_ns} ns at log time {item.log_time_ns} ns"
             self._problems.report(topic, f"{topic}: message with {stamp}: too late for its place, left out")
@@ -161,13 +165,20 @@ class ReplayInput:
         try:
             sample = sample_of(self._cfg, synced, index, self.topics, self.plan.first_pass.parent_of)
         except ChannelError as error:
-            known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned)
+            known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_parts)
             raise ChannelError("; ".join((f"{self.summary.path}: {error}", *known))) from error
         if "truth_pose" in synced.parts and sample.truth.odom_T_ego is None:
             topic = self.topics["truth_pose"]
             text = f"{topic}: no transform connects the frame of its poses with ego: they are no truth"
             self._problems.report(topic, text)
         return sample
+
+    @property
+    def _if_in_parts(self) -> tuple[str, ...]:
+        """What to do where another part of the drive holds the calibrations."""
+        if self.is_continuation or any(ROLES[role].kind == "calibration" for role in self.topics):
+            return ()
+        return ("give a part of a drive together with those before it, or --continue the result of the one before",)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -188,8 +199,7 @@ class ReplayInput:
         first_ns = end.first_pending_ns
         if first_ns is None or not with_messages:
             return end
-        topics = set(self.topics.values())
-        return end.carrying(m for m in self._messages.inside(topics) if m.log_time_ns >= first_ns)
+        return end.carrying(self._messages.inside(set(self.topics.values()), first_ns))
 
     @property
     def _messages(self) -> WindowMessages:
@@ -199,7 +209,7 @@ class ReplayInput:
     @property
     def dropped(self) -> dict[str, int]:
         """Messages per role that belong to no frame."""
-        return dict(self._dropped)
+        return {role: found.messages for role, found in self._outcome.dropped.items()}
 
     @property
     def unreadable(self) -> dict[str, int]:
@@ -208,9 +218,25 @@ class ReplayInput:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know: how parts join, roles guessed or missing, the first problem of each topic."""
-        parts = part_notes(self.summary, self.topics[self.plan.order.reference])
-        return (*parts, *self.plan.roles.notes, *(self.plan.problems.first | self._problems.first).values())
+        """What the user should know: how parts join, roles guessed or missing, the first problem of each topic.
+
+        Of the samples so far: segments, messages that belong to no frame, roles that come to none.
+        """
+        plan, topics = self.plan, self.topics
+        parts = part_notes(self.summary, topics[plan.order.reference])
+        problems = (plan.problems.first | self._problems.first).values()
+        outcome = self._outcome.notes(topics, self._cfg.sync, self._pairing.nearest_ns)
+        return (*parts, *self._before, *plan.roles.notes, *problems, *outcome)
+
+    @property
+    def _before(self) -> tuple[str, ...]:
+        """How the log follows the part of the drive that it goes on from."""
+        plan = self.plan
+        if not plan.start.is_continuation or plan.start.numbers.written_from_ns is not None:
+            return ()
+        frames = plan.first_pass.counts[self.topics[plan.order.reference]]
+        waiting = [item.log_time_ns for item in plan.start.pairing.items if item.role == plan.order.reference]
+        return continuation_notes(PartSpan(str(self.summary.path), *self.span_ns, frames), waiting, plan.start.from_ns)
 
     @property
     def chosen_topics(self) -> dict[str, str]:

@@ -78,6 +78,11 @@ class InputState:
         """Reference messages whose frames are still to come."""
         return sum(item.role == self.reference for item in self.pairing.items)
 
+    @property
+    def next_ns(self) -> int:
+        """The first log time of which no message has had its effect yet: behind the last message, or at a cut."""
+        return self.from_ns + any(message.log_time_ns == self.from_ns for message in self.carried)
+
     def carrying(self, messages: Iterable[Message]) -> "InputState":
         """The same state with the messages in it that it names by their places.
 

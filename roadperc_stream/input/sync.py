@@ -69,15 +69,18 @@ class Synchroniser:
         others = (role for role in roles if role != order.reference and ROLES[role].kind not in LATCHED_KINDS)
         self._streams = {role: deque[Stamped](state.streams.get(role, ())) for role in others}
         self._waiting = deque[tuple[Stamped, LatchedState]](state.waiting)
+        self._last_ns: int | None = None  # stamp of the latest frame of this segment
         self.frames = 0
         """Frames made so far."""
+        self.nearest_ns = dict[str, int]()
+        """How near the messages of each role that were dropped came to a frame, at best: differences of stamps."""
 
     def through(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
         """The frames that some more messages, in the order of their segments and stamps, show to be complete."""
         for item in items:
             if item.segment != self._segment:
                 yield from self.rest()
-                self._segment = item.segment
+                self._segment, self._last_ns = item.segment, None
             while self._waiting and item.stamp_ns > self._waiting[0][0].stamp_ns + self._tolerance_ns:
                 yield self._frame(*self._waiting.popleft())
             self._add(item)
@@ -103,17 +106,18 @@ class Synchroniser:
         elif item.role in self._streams:
             self._streams[item.role].append(item)
         if self._waiting:
-            self._drop_before(self._waiting[0][0].stamp_ns - self._tolerance_ns)
+            next_ns = self._waiting[0][0].stamp_ns
+            self._drop_before(next_ns - self._tolerance_ns, next_ns)
         self._forget(item.log_time_ns)
 
     def _forget(self, now_ns: int) -> None:
         """Drop what is old, so that a log whose images stop does not fill the memory."""
         for stream in self._streams.values():
             while stream and stream[0].log_time_ns < now_ns - self._forget_after_ns:
-                self._drop(stream.popleft())
+                self._left_out(stream.popleft())
 
     def _frame(self, reference: Stamped, latched: LatchedState) -> SyncedMessages:
-        self._drop_before(reference.stamp_ns - self._tolerance_ns)
+        self._drop_before(reference.stamp_ns - self._tolerance_ns, reference.stamp_ns)
         parts = {reference.role: reference}
         for role, stream in self._streams.items():
             nearest = min(stream, key=lambda part: abs(part.stamp_ns - reference.stamp_ns), default=None)
@@ -121,11 +125,20 @@ class Synchroniser:
                 parts[role] = nearest
                 stream.remove(nearest)
         self.frames += 1
+        self._last_ns = reference.stamp_ns
         skews = [abs(part.stamp_ns - reference.stamp_ns) for part in parts.values() if part is not reference]
         return SyncedMessages(reference, parts, latched, max(skews, default=None))
 
-    def _drop_before(self, limit_ns: int | None) -> None:
-        """Drop what no frame can use any more, all where there is no limit."""
+    def _drop_before(self, limit_ns: int | None, next_ns: int | None = None) -> None:
+        """Drop what no frame can use any more, all where there is no limit; the next frame's stamp is ``next_ns``."""
         for stream in self._streams.values():
             while stream and (limit_ns is None or stream[0].stamp_ns < limit_ns):
-                self._drop(stream.popleft())
+                self._left_out(stream.popleft(), next_ns)
+
+    def _left_out(self, item: Stamped, next_ns: int | None = None) -> None:
+        """Drop a message, and note how near it came to the frame before or the next one."""
+        for frame_ns in (self._last_ns, next_ns):
+            if frame_ns is not None:
+                off_ns = abs(item.stamp_ns - frame_ns)
+                self.nearest_ns[item.role] = min(off_ns, self.nearest_ns.get(item.role, off_ns))
+        self._drop(item)

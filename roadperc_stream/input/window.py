@@ -57,15 +57,17 @@ class WindowMessages:
         yield from self.inside(topics)
         yield from self.late(topics)
 
-    def inside(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+    def inside(self, topics: Collection[str] | None = None, from_ns: int = 0) -> Iterator[Message]:
         """Those from before the window and in it, up to where the drive goes on elsewhere.
 
         Args:
             topics: only these; None for all.
+            from_ns: the first log time read.
         """
-        yield from (m for m in self.latched if topics is None or m.channel.topic in topics)
+        held = (m for m in self.latched if m.log_time_ns >= from_ns)
+        yield from (m for m in held if topics is None or m.channel.topic in topics)
         ends = [ns for ns in (self.window.end_ns, self.window.cut_ns) if ns is not None]
-        yield from self._read(self.window.start_ns, min(ends, default=None), topics)
+        yield from self._read(max(self.window.start_ns or 0, from_ns), min(ends, default=None), topics)
 
     def late(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Those that arrive after that and belong to an instant before it."""

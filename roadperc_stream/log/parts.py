@@ -1,4 +1,7 @@
-"""Several files as one log: their messages in the order of their log times, each file open only while it is read."""
+"""Several files as one log: their messages in the order of their log times, each file open only while it is read.
+
+A message that several files hold counts once.
+"""
 
 import heapq
 from collections import Counter
@@ -13,6 +16,7 @@ from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
 from roadperc_stream.log.integrity import damaged
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.recovery import RECOVERY_RECORD, Recovery
+from roadperc_stream.log.repeats import Numbered, SharedTimes, marked, shared_times
 from roadperc_stream.log.sorting import SortedMessages
 
 _LEAST_HELD_BYTES: Final = 1024 * 1024
@@ -60,7 +64,7 @@ class MergedParts:
     parts: Sequence[tuple[LogSummary, Translation]]
     """Those with messages, by their first log time."""
 
-    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
+    def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
         """As ``reading.read``; of equal log times those of the part that begins first come first."""
 
         def opened(number: int) -> _OpenPart | None:
@@ -76,13 +80,65 @@ class MergedParts:
                 following = opened(waiting.pop())
             else:
                 earliest = heapq.heappop(heap)
-                yield earliest.next
+                yield earliest.number, earliest.next
                 following = _advanced(earliest.number, earliest.rest)
             if following is not None:
                 heapq.heappush(heap, following)
 
     def _first_ns(self, number: int) -> int:
         return self.parts[number][0].first_ns or 0
+
+
+class SortedParts:
+    """The messages of files that are read one after the other and sorted on disk.
+
+    Args:
+        name: of the log, for errors.
+        parts: with messages, by their first log time.
+    """
+
+    def __init__(self, name: str, parts: Sequence[tuple[Part, Translation]]) -> None:
+        origins = [(number, channel) for number, (_, known) in enumerate(parts) for channel in known.values()]
+        self._origins = dict(enumerate(origins))
+        ids = iter(self._origins)
+        marked_parts = [(part, {i: replace(known[i], source_id=next(ids)) for i in known}) for part, known in parts]
+        self._sorted = SortedMessages(name, partial(_in_file_order, marked_parts))
+
+    def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
+        """As ``MergedParts.numbered``.
+
+        Raises:
+            TargetError: there is no space to sort them.
+        """
+        for message in self._sorted.messages(topics, start_ns, end_ns):
+            number, channel = self._origins[message.channel.source_id]
+            yield number, replace(message, channel=channel)
+
+
+@dataclass(frozen=True)
+class UnitedParts:
+    """The messages of several files; what several of them hold comes once."""
+
+    parts: MergedParts | SortedParts
+    shared: SharedTimes
+
+    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
+        """As ``reading.read``."""
+        found = marked(self.parts.numbered(topics, start_ns, end_ns), self.shared)
+        return (message for _, message, is_repeated in found if not is_repeated)
+
+    def repeats(self) -> Counter[tuple[int, int]]:
+        """How many messages come no second time, by the number of the file and the channel of the log.
+
+        Raises:
+            LogError: a file is damaged.
+            TargetError: there is no space to sort the messages.
+        """
+        counts = Counter[tuple[int, int]]()
+        for first_ns, last_ns in self.shared.all_spans:
+            found = marked(self.parts.numbered(set(self.shared.spans), first_ns, last_ns + 1), self.shared)
+            counts.update((number, m.channel.source_id) for number, m, is_repeated in found if is_repeated)
+        return counts
 
 
 def _advanced(number: int, rest: Iterator[Message]) -> _OpenPart | None:
@@ -124,22 +180,22 @@ def united(parts: Sequence[Part]) -> LogSummary:
     holding = [(p, t) for p, t in zip(ordered, translations, strict=True) if p.span_ns is not None]
     spans = [part.span_ns for part, _ in holding if part.span_ns is not None]
     name = Path(f"{summaries[0].path} and {len(parts) - 1} more")
-    source = (
-        MergedParts([(part.summary, translation) for part, translation in holding])
-        if _held_bytes([part for part, _ in holding]) <= MOST_HELD_BYTES
-        else SortedMessages(str(name), partial(_in_file_order, holding))
-    )
+    source = UnitedParts(_read_as_one(str(name), holding), shared_times(part.summary for part, _ in holding))
+    repeats = source.repeats()
+    repeats_of = Counter[Path]()
+    for (number, _), count in repeats.items():
+        repeats_of[holding[number][0].summary.path] += count
     return LogSummary(
         path=name,
         source=source,
         profile=next((summary.profile for summary in summaries if summary.profile), ""),
         channels=tuple(dict.fromkeys(channel for translation in translations for channel in translation.values())),
-        counts=_counts(summaries, translations),
+        counts=_counts(summaries, translations, repeats),
         attachments=tuple(attachments.values()),
         metadata=tuple(metadata),
         first_ns=min((first for first, _ in spans), default=None),
         last_ns=max((last for _, last in spans), default=None),
-        parts=tuple(summaries),
+        parts=tuple(replace(summary, repeats=repeats_of[summary.path]) for summary in summaries),
     )
 
 
@@ -179,6 +235,13 @@ def _with_ends(summary: LogSummary, files: Iterable[LogSummary]) -> Iterator[Met
         yield recovery.ending(gone_on_ns(summary, files)).to_record()
 
 
+def _read_as_one(name: str, holding: Sequence[tuple[Part, Translation]]) -> MergedParts | SortedParts:
+    """The parts with messages, merged where that takes little memory."""
+    if _held_bytes([part for part, _ in holding]) <= MOST_HELD_BYTES:
+        return MergedParts([(part.summary, translation) for part, translation in holding])
+    return SortedParts(name, holding)
+
+
 def _translations(summaries: Iterable[LogSummary]) -> list[Translation]:
     """Each file's channels on those of the log: twins within a file stay apart, equal ones of several files do not."""
     known: dict[tuple[Channel, int], Channel] = {}
@@ -195,11 +258,15 @@ def _translations(summaries: Iterable[LogSummary]) -> list[Translation]:
     return made
 
 
-def _counts(summaries: Iterable[LogSummary], translations: Iterable[Translation]) -> dict[int, int]:
+def _counts(
+    summaries: Iterable[LogSummary], translations: Iterable[Translation], repeats: Mapping[tuple[int, int], int]
+) -> dict[int, int]:
     counts = Counter[int]()
     for summary, translation in zip(summaries, translations, strict=True):
         for source_id, common in translation.items():
             counts[common.source_id] += summary.counts.get(source_id, 0)
+    for (_, common_id), number in repeats.items():
+        counts[common_id] -= number
     return dict(counts)
 
 

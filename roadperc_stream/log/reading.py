@@ -29,7 +29,8 @@ def summarise(
 
     All CRCs are checked, and that index and statistics say what stands in the file. A log that its index does not give
     in order of log time with little memory is put in order on disk when it is first read. Where CRCs of chunks are all
-    there is, they are checked when the chunks are read.
+    there is, they are checked when the chunks are read. Where files share topics at the same time, their messages are
+    read to find those that several of them hold.
 
     Args:
         source: the log, or the files that are one log.
@@ -38,6 +39,7 @@ def summarise(
 
     Raises:
         LogError: a file cannot be read, is no MCAP, is cut or damaged, or is beyond the limits.
+        TargetError: there is no space to put several files in order.
     """
     paths = [source] if isinstance(source, Path) else source
     parts = [_inspected(path, limits, check_chunks=check_chunks) for path in paths]

@@ -80,6 +80,8 @@ class LogSummary:
     last_ns: int | None = None
     parts: tuple["LogSummary", ...] = ()
     """The files of a log of several, in the order of their times; empty of one."""
+    repeats: int = 0
+    """Of a file of several: how many of its messages a file before it holds as well; they count once."""
 
 
 class MessageDigest:

@@ -109,10 +109,10 @@ def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> Op
     opened = _opened(source.read(cfg.limits), source, cfg, begin)
     summary, starts_ns, ended_ns = opened.input.summary, opened.input.span_ns[0], begin.input.from_ns
     if summary.first_ns is not None and starts_ns < ended_ns:
-        lead_s = ns_to_seconds(ended_ns - starts_ns)
+        lead_s, start_s = ns_to_seconds(ended_ns - starts_ns), ns_to_seconds(begin.input.next_ns - summary.first_ns)
         raise StateError(
-            f"{summary.path}: begins {lead_s:.3f} s before the end of what {before} holds: expected what "
-            "follows; give the part that does, or where it begins in this file with --start"
+            f"{summary.path}: begins {lead_s:.3f} s before the end of what {before} holds: expected what follows; "
+            f"--start {start_s:.9f} leaves out what it holds, and parts that are given together may overlap"
         )
     return opened
 

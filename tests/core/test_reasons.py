@@ -69,6 +69,19 @@ def test_what_held_in_all_frames_is_reported_and_nothing_else():
     assert throughout(found(SIZE), 1, FILLED) == (f"in the only frame: {SIZE}",)
 
 
+def test_messages_that_cannot_be_used_in_some_frames_are_reported():
+    whole = merged([found(SIZE), found(SIZE), found()])
+    assert throughout(whole, 3, FILLED) == (f"in 2 of 3 frames: {SIZE}",)
+    assert throughout(merged([found("lanes: no segmentation"), found()]), 2, FILLED) == ()
+
+
+def test_of_many_kinds_of_messages_that_cannot_be_used_a_few_are_reported():
+    texts = [SIZE.replace("image", role) for role in ("a", "b", "c", "d", "e", "f")]
+    notes = throughout(merged([found(*texts), found()]), 2, FILLED)
+    assert notes[:4] == tuple(f"in 1 of 2 frames: {text}" for text in texts[:4])
+    assert notes[4:] == ("2 more kinds of messages that cannot be used, which roadperc-report lists",)
+
+
 def test_a_missing_input_that_the_log_has_is_reported():
     assert throughout(found("lanes: no segmentation"), 1, FILLED) == ("in the only frame: lanes: no segmentation",)
 
@@ -102,6 +115,15 @@ def test_the_command_prints_them(tmp_path, capsys):
     notes = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: in all")]
     assert notes[0] == "note: in all 3 frames: depth: 64x48 pixels, its calibration says 320x240"
     assert not [note for note in notes if "right image" in note]
+
+
+def test_the_command_prints_how_many_images_cannot_be_used(tmp_path, capsys):
+    """The camera's images shrink on the way."""
+    small, items = logs.items(3, road=logs.Road(width=64, height=48), roles=("image",)), logs.items(3)
+    source = logs.write(tmp_path / "in.mcap", [small[-1] if i == items[-4] else i for i in items])
+    assert items[-4].role == "image"
+    assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 0
+    assert "note: in 1 of 3 frames: image: 64x48 pixels, its calibration says 320x240\n" in capsys.readouterr().out
 
 
 def test_a_replay_that_lacks_nothing_prints_none(tmp_path, capsys):

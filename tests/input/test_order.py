@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.input.order import OrderConfig, StampOrder
+from roadperc_stream.input.order import OrderConfig, OrderState, StampOrder, _Segments
 from tests.input.test_sync import CAMERA, MS, item
 
 WAIT_MS = 200
@@ -136,6 +136,32 @@ def test_equal_log_times_without_images_do_not_pile_up():
     items = (item("depth", t, 0) for t in range(20_000))
     next(in_stamp_order(items, CFG, None))
     assert next(items).stamp_ns <= 10_002 * MS
+
+
+@pytest.mark.parametrize("row", [[], [0, 50]], ids=["no image", "two images"])
+def test_a_sensor_that_went_back_is_given_out_in_time_where_the_images_stop(row):
+    """Its messages are given as they are, images that may begin a segment go on waiting for a third one."""
+    images_back = [item("image", t, 5050 + t) for t in row]
+    others = [item("depth", t, 5100 + t) for t in range(0, 40_000, 50)]
+    held, most_held = _Segments(CFG, lambda _: None, OrderState()), 0
+    given = list(held.numbered(item("image", 5000)))
+    for one in [*images_back, *others]:
+        given += list(held.numbered(one))
+        most_held = max(most_held, len(held.held))
+    assert most_held <= 10_000 / 50 + 2 + len(row)
+    assert [i.role for i in held.row] == ["image"] * len(row)
+    assert {i.segment for i in given} == {0}
+    if row:
+        (*_, third) = held.numbered(item("image", 100, 45_200))
+        assert (third.role, third.segment) == ("image", 1)
+
+
+def test_a_sensor_that_catches_up_while_the_images_are_silent_waits_no_more():
+    held = _Segments(CFG, lambda _: None, OrderState())
+    times = [*range(0, 500, 50), *range(5000, 30_000, 50)]
+    given = [list(held.numbered(one)) for one in [item("image", 5000), *(item("depth", t, 5000 + t) for t in times)]]
+    assert len(given[-1]) == 1
+    assert held.held == []
 
 
 def test_a_sensor_that_is_always_too_late_disturbs_nothing():

@@ -1,6 +1,10 @@
 """Several files as one log: the results of the whole, whatever the cuts, and what the user is told of how they join."""
 
 import random
+from collections import Counter
+from dataclasses import replace
+from functools import reduce
+from operator import or_
 
 import polars.selectors as cs
 import pytest
@@ -16,11 +20,10 @@ from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.input.parts import PartSpan, joins
 from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Metadata
-from roadperc_stream.log.parts import MergedParts
-from roadperc_stream.log.sorting import SortedMessages
+from roadperc_stream.log.parts import MergedParts, SortedParts
 from roadperc_stream.output.tables import read_footer
 from tests import logs
-from tests.arranged import ARRANGEMENTS, dealt, parts
+from tests.arranged import ARRANGEMENTS, arranged, dealt, parts
 from tests.logs import START_NS
 from tests.replaying import replay
 from tests.test_sample import SAMPLE
@@ -54,7 +57,7 @@ def test_parts_of_the_sample_are_the_sample(tmp_path, seed, arrangement):
     files = parts(SAMPLE, tmp_path, cuts, **arrangement)
     random.Random(seed).shuffle(files)
     log_in, whole = open_input(ReplaySource(files), CFG), open_input(ReplaySource(SAMPLE), CFG)
-    assert isinstance(log_in.summary.source, SortedMessages if arrangement else MergedParts)
+    assert isinstance(log_in.summary.source.parts, SortedParts if arrangement else MergedParts)
     assert plain(log_in.messages()) == plain(whole.messages())
     assert (log_in.log_id, log_in.span_ns, log_in.topics) == (whole.log_id, whole.span_ns, whole.topics)
 
@@ -87,7 +90,8 @@ def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
 def test_any_files_come_in_the_order_of_their_times(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("parts")
     summary = log.summarise([written(folder / f"{k}.mcap", messages) for k, messages in enumerate(files)])
-    wanted = sorted((time, channel.topic) for messages in files for channel, time in messages)
+    counted = [Counter((time, channel.topic) for channel, time in messages) for messages in files]
+    wanted = sorted(reduce(or_, counted).elements())  # of what several files hold, the most that one of them has
     read = [(m.log_time_ns, m.channel.topic) for m in log.read(summary)]
     assert [time for time, _ in read] == [time for time, _ in wanted]
     assert sorted(read) == wanted
@@ -111,7 +115,7 @@ def test_equal_channels_of_several_files_are_one_and_twins_within_a_file_stay_ap
 def test_only_the_files_that_are_read_are_open(tmp_path, monkeypatch):
     files = [written(tmp_path / f"{k}.mcap", [(A, 10 * k + j) for j in range(9)]) for k in range(30)]
     summary, now, most = log.summarise(files), [0], [0]
-    for part, _ in summary.source.parts:
+    for part, _ in summary.source.parts.parts:
 
         def counted(*args, messages=part.source.messages, **options):
             now[0] += 1
@@ -126,10 +130,62 @@ def test_only_the_files_that_are_read_are_open(tmp_path, monkeypatch):
 
 
 def test_more_files_at_a_time_than_can_be_open_are_sorted_on_disk(tmp_path):
-    files = [written(tmp_path / f"{k}.mcap", [(A, k), (B, 100)]) for k in range(40)]
+    files = [written(tmp_path / f"{k}.mcap", [(A, k), (B, 100 + k)]) for k in range(40)]
     summary = log.summarise(files)
-    assert isinstance(summary.source, SortedMessages)
-    assert [m.log_time_ns for m in log.read(summary)] == [*range(40), *[100] * 40]
+    assert isinstance(summary.source.parts, SortedParts)
+    assert [m.log_time_ns for m in log.read(summary)] == [*range(40), *range(100, 140)]
+
+
+SHARED = [("/a", 1), ("/a", 2), ("/b", 2), ("/a", 2), ("/b", 3), ("/a", 4)]
+
+
+@pytest.mark.parametrize("together", [2, 40], ids=["merged", "sorted on disk"])
+def test_what_several_files_hold_comes_once(tmp_path, together):
+    """As often as in the file that has it most often, and in the place that it has there."""
+    channels = {"/a": A, "/b": B}
+    pieces = [SHARED[:4], SHARED[2:], SHARED] + [SHARED[1:3]] * (together - 2)
+    files = [written(tmp_path / f"{k}.mcap", [(channels[t], ns) for t, ns in piece]) for k, piece in enumerate(pieces)]
+    summary = log.summarise(files)
+    assert isinstance(summary.source.parts, MergedParts if together == 2 else SortedParts)
+    assert [(m.channel.topic, m.log_time_ns) for m in log.read(summary)] == SHARED
+    assert {c.topic: summary.counts[c.source_id] for c in summary.channels} == {"/a": 4, "/b": 2}
+    assert sum(part.repeats for part in summary.parts) == sum(map(len, pieces)) - len(SHARED)
+    assert [m.log_time_ns for m in log.read(summary, topics=["/a"], start_ns=2, end_ns=4)] == [2, 2]
+
+
+@pytest.mark.parametrize("changed", [{"publish_time_ns": 4}, {"sequence": 1}, {"data": b"y"}, {"channel": B}])
+def test_messages_that_differ_in_anything_are_all_there(tmp_path, changed):
+    message = Message(A, 5, 5, 0, b"x")
+    for name, one in (("1", message), ("2", replace(message, **changed))):
+        with LogWriter(tmp_path / f"{name}.mcap") as writer:
+            writer.write(one)
+    summary = log.summarise([tmp_path / "1.mcap", tmp_path / "2.mcap"])
+    assert len(list(log.read(summary))) == 2
+    assert [part.repeats for part in summary.parts] == [0, 0]
+
+
+@pytest.mark.parametrize("arrangement", [{}, ARRANGEMENTS["no index"]], ids=["indexed", "no index"])
+def test_parts_that_repeat_messages_give_what_the_drive_without_does(tmp_path, arrangement):
+    messages = list(log.read(WHOLE))
+    early, late = messages[: MESSAGES * 6 // 10], messages[MESSAGES * 4 // 10 :]
+    files = [
+        arranged(SAMPLE, tmp_path / f"{k}.mcap", some, **arrangement) for k, some in enumerate((early, late, messages))
+    ]
+    whole = open_input(ReplaySource(SAMPLE), CFG)
+    for some in ([files[0], files[1]], [SAMPLE, files[2]]):
+        log_in = open_input(ReplaySource(some), CFG)
+        assert plain(log_in.messages()) == plain(whole.messages())
+        assert (log_in.log_id, log_in.expected_frames) == (whole.log_id, whole.expected_frames)
+    shared = len(early) + len(late) - MESSAGES
+    notes = open_input(ReplaySource(files[:2]), CFG).notes
+    assert any(f"{shared} of its messages are in parts before it as well, these count once" in note for note in notes)
+
+
+def test_sensors_with_files_of_their_own_are_not_compared(tmp_path):
+    files = [written(tmp_path / "a.mcap", [(A, k) for k in range(9)]), written(tmp_path / "b.mcap", [(B, 3), (B, 20)])]
+    summary = log.summarise(files)
+    assert summary.source.shared.all_spans == []
+    assert [part.repeats for part in summary.parts] == [0, 0]
 
 
 def test_attachments_and_metadata_are_united(tmp_path):

@@ -1,5 +1,6 @@
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -156,11 +157,11 @@ def test_rates_and_stamp_files(dump):
 TUM = ("1305031102.933", "1305031102.983", "1305031103.033", "1305031103.083")
 
 
-def tum_dump(folder):
-    """Images, and depth 4 ms behind each of them, as TUM names its files."""
-    for seed, name in enumerate(TUM):
+def tum_dump(folder, behind_s=(0.004, 0.004, 0.004, 0.004)):
+    """Images, and depth a little behind each of them, as TUM names its files."""
+    for seed, (name, late_s) in enumerate(zip(TUM, behind_s, strict=True)):
         write_png(folder / "rgb" / f"{name}.png", camera_pixels(seed))
-        write_png(folder / "depth" / f"{float(name) + 0.004:.3f}.png", carla_codes(depth_m()))
+        write_png(folder / "depth" / f"{float(name) + late_s:.3f}.png", carla_codes(depth_m()))
     document(folder / "calibration.json", CALIBRATION)
     return folder
 
@@ -177,6 +178,40 @@ def test_names_that_are_stamps_are_read_as_stamps(tmp_path, capsys):
     rows = pl.read_parquet(tmp_path / "result.metrics.parquet")
     assert rows["stamp_ns"].to_list() == stamps_ns
     assert rows["sync_skew_ms"].to_list() == [4.0] * 4
+
+
+def test_stamps_in_names_that_do_not_meet_are_reported_by_converter_and_replay(tmp_path, capsys):
+    """One frame per image, whatever the other sensors' names; the setting that pairs them is named, and does."""
+    dump, out = tum_dump(tmp_path / "dump", (0.012,) * 4), tmp_path / "dump.mcap"
+    assert main([str(dump), str(out)]) == 0
+    said = capsys.readouterr().out
+    assert f"{dump}: 4 frames\n" in said
+    assert ", 20 Hz in the mean" in said
+    assert re.search(r"^ *image +rgb +4 +0 ", said, re.MULTILINE)
+    assert re.search(r"^ *depth +depth +4 +4 ", said, re.MULTILINE)
+    assert (
+        " note: depth: 4 of 4 images have no file within sync.tolerance_s (0.01 s), the nearest are 0.012 s apart: "
+        "a replay pairs more with --set sync.tolerance_s=SECONDS\n"
+    ) in said
+    result = str(tmp_path / "result.mcap")
+    assert replay.main([str(out), result]) == 0
+    said = capsys.readouterr().out
+    (note,) = [line for line in said.splitlines() if "sync.tolerance_s" in line]
+    assert note == (
+        "note: /camera/front/depth: in no frame, the nearest message is 0.012 s from one: sync.tolerance_s is 0.01"
+    )
+    assert replay.main([str(out), result, "--force", "--set", "sync.tolerance_s=0.012"]) == 0
+    assert "no frame" not in capsys.readouterr().out
+
+
+def test_stamps_in_names_that_meet_for_some_images_are_counted(tmp_path, capsys):
+    dump = tum_dump(tmp_path / "dump", (0.004, 0.011, 0.016, 0.004))
+    assert main([str(dump), str(tmp_path / "dump.mcap")]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"^ *depth +depth +4 +2 ", said, re.MULTILINE)
+    assert (
+        "depth: 2 of 4 images have no file within sync.tolerance_s (0.01 s), the nearest are 0.011 to 0.016 s" in said
+    )
 
 
 def test_a_rate_where_names_are_stamps_is_refused(tmp_path, capsys):

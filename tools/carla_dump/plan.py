@@ -1,6 +1,6 @@
 """The plan of a conversion: everything found, read and decided before the first message is written."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import gcd
 from pathlib import Path
@@ -20,6 +20,7 @@ from .depth_files import LOSSY_DEPTH, DepthEncoding, depth_encoding
 from .detection_files import load_detections, load_kitti_labels
 from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_names, stamps_of_rate
 from .layout import DumpLayout, find_layout
+from .meeting import apart_ns, meeting_notes, reference_of
 from .survey import SensorSurvey, front_sensors, of_size, points_fault, survey
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
 from .truth_file import NO_TRUTH, TruthTables, load_truth
@@ -50,6 +51,10 @@ class Plan:
     surveys: Mapping[str, SensorSurvey]
     stamps_ns: Mapping[int, int]
     """Stamp by frame number, in the order of frames."""
+    frames: tuple[int, ...]
+    """Frame numbers; where names are stamps those of the sensor each of whose images makes a frame."""
+    missing: Mapping[str, int]
+    """By role the frames without a file; where names are stamps without one that is near enough."""
     timing: str
     rig: Rig
     depth_encodings: Mapping[str, DepthEncoding]
@@ -90,7 +95,8 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     rig = _rig(layout, calibration, calibration_path, surveys, notes)
     cameras = {role: rig.camera_of(role) for role in surveys}
     surveys = {role: of_size(found, (cameras[role].width, cameras[role].height)) for role, found in surveys.items()}
-    stamps_ns, timing = _stamps(layout, options, calibration.rate_hz, notes)
+    stamps_ns, timing, is_by_name = _stamps(layout, options, calibration.rate_hz, notes)
+    frames, missing = _frames_and_missing(surveys, stamps_ns, notes, is_by_name=is_by_name)
     if LIDAR in surveys:
         _of_frames(LIDAR, surveys[LIDAR].sensor.files, stamps_ns, notes)
     depth_encodings: dict[str, DepthEncoding] = {
@@ -104,6 +110,8 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
         options=options,
         surveys={role: _described(found, depth_encodings, tags) for role, found in surveys.items()},
         stamps_ns=stamps_ns,
+        frames=frames,
+        missing=missing,
         timing=timing,
         rig=rig,
         depth_encodings=depth_encodings,
@@ -159,29 +167,43 @@ def _frames(layout: DumpLayout) -> list[int]:
 
 def _stamps(
     layout: DumpLayout, options: ConvertOptions, calibrated_hz: float | None, notes: list[str]
-) -> tuple[dict[int, int], str]:
+) -> tuple[dict[int, int], str, bool]:
+    """The stamp of each frame number, where they come from, and whether the files' names are stamps."""
     frames = _frames(layout)
     path = layout.documents.get("timestamps") or _stamps_beside(layout)
     if path is not None:
         stamps = stamps_of_file(path, frames)
-        return stamps, f"stamps of {path.name}{_mean_rate(stamps)}"
+        return stamps, f"stamps of {path.name}{_mean_rate(list(stamps.values()))}", False
     if (stamps_in_names := stamps_of_names(frames)) is not None:
         if options.rate_hz:
             raise DumpError(f"--rate {options.rate_hz:g}: the names of the files are stamps, which say the rate")
         if calibrated_hz is not None:
             notes.append(f"rate_hz {calibrated_hz:g} of the calibration is not used: the names of the files are stamps")
-        return stamps_in_names, f"stamps in the names of the files{_mean_rate(stamps_in_names)}"
+        images_ns = [stamps_in_names[number] for number in sorted(layout.sensors[reference_of(layout.sensors)].files)]
+        return stamps_in_names, f"stamps in the names of the files{_mean_rate(images_ns)}", True
     rate_hz = options.rate_hz or calibrated_hz
     rate = rate_hz or DEFAULT_RATE_HZ
     stride = gcd(*(later - frames[0] for later in frames))
     if stride > 1:
         notes.append(f"frame numbers go in steps of {stride}: {stride / rate:g} s from frame to frame at {rate:g} Hz")
     how = "" if rate_hz else " (assumed: --rate)"
-    return stamps_of_rate(frames, rate), f"{rate:g} Hz by frame number{how}"
+    return stamps_of_rate(frames, rate), f"{rate:g} Hz by frame number{how}", False
 
 
-def _mean_rate(stamps_ns: Mapping[int, int]) -> str:
-    stamps = list(stamps_ns.values())
+def _frames_and_missing(
+    surveys: Mapping[str, SensorSurvey], stamps_ns: Mapping[int, int], notes: list[str], *, is_by_name: bool
+) -> tuple[tuple[int, ...], dict[str, int]]:
+    """The numbers of the frames, and how many of them lack a file of each sensor."""
+    if not is_by_name:
+        held = {role: sum(number in stamps_ns for number in found.sensor.files) for role, found in surveys.items()}
+        return tuple(stamps_ns), {role: len(stamps_ns) - count for role, count in held.items()}
+    frames = tuple(sorted(surveys[reference_of(surveys)].sensor.files))
+    apart = apart_ns(surveys, stamps_ns)
+    notes += meeting_notes(surveys, apart, len(frames))
+    return frames, {role: len(apart.get(role, frames)) for role in surveys}
+
+
+def _mean_rate(stamps: Sequence[int]) -> str:
     if len(stamps) < 2:
         return ""
     return f", {(len(stamps) - 1) * NS_PER_S / (stamps[-1] - stamps[0]):.4g} Hz in the mean"

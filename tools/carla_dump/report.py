@@ -27,7 +27,7 @@ def print_plan(out: Console, plan: Plan) -> None:
     width = max(len(name) for name, _ in facts)
     said = (f" {name:<{width}}  {text}" for name, text in facts)
     notes = (f" note: {note}" for note in plan.notes)
-    title = f"{plan.layout.dump}: {len(plan.stamps_ns)} frames"
+    title = f"{plan.layout.dump}: {len(plan.frames)} frames"
     print_lines(out, title, _sensor_table(plan), *said, *notes, unbroken=True)
 
 
@@ -39,11 +39,10 @@ def _sensor_table(plan: Plan) -> Table:
     table.add_column("encoding")
     for role, survey in plan.surveys.items():
         camera, count = plan.rig.camera_of(role), sum(number in plan.stamps_ns for number in survey.sensor.files)
-        missing = str(len(plan.stamps_ns) - count)
         size = "" if role == LIDAR else f"{camera.width}x{camera.height}"
-        table.add_row(role, shown(survey.sensor.source), str(count), missing, size, survey.encoding)
+        table.add_row(role, shown(survey.sensor.source), str(count), str(plan.missing[role]), size, survey.encoding)
     if plan.detections:
-        missing = str(len(plan.stamps_ns) - len(plan.detections))
+        missing = str(sum(number not in plan.detections for number in plan.frames))
         boxes = f"{sum(map(len, plan.detections.values()))} boxes"
         table.add_row("detections", shown(plan.detections_source), str(len(plan.detections)), missing, "", boxes)
     return table

@@ -1,0 +1,174 @@
+"""What a replay says of its input: segments, frames given again, gaps between parts, messages of no frame."""
+
+from dataclasses import replace
+
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.cli.replay import main
+from roadperc_stream.core.config import SyncConfig, load_config
+from roadperc_stream.core.time import TimeRange
+from roadperc_stream.input import ReplaySource, open_input
+from roadperc_stream.input.order import OrderConfig
+from roadperc_stream.input.outcome import InputOutcome
+from roadperc_stream.input.pairing import PairingState, StampPairing
+from roadperc_stream.input.parts import PartSpan, continuation_notes
+from roadperc_stream.input.stream import MessagePlace
+from roadperc_stream.input.sync import SyncedMessages
+from roadperc_stream.input.window import WindowMessages
+from tests import logs
+from tests.analytic import STEP_NS
+from tests.input.test_sync import MS, item
+from tests.replaying import replay
+from tests.state.parts import inputs, results, rows, write
+
+CFG = load_config(None, ("sync.max_wait_s=0.2",))
+ROAD = replace(logs.SMALL, width=96, height=72)
+S = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return inputs(logs.write(tmp_path_factory.mktemp("drive") / "in.mcap", logs.items(12, road=ROAD)))
+
+
+def at(frame):
+    return logs.START_NS + frame * STEP_NS
+
+
+def between(messages, first, end):
+    """The messages of some frames; without the first frame also without calibration and transforms."""
+    return [m for m in messages if at(first) <= m.log_time_ns < at(end)]
+
+
+def notes_of(outcome, nearest_ns=None):
+    topics = {"image": "/image", "depth": "/depth", "lidar": "/lidar", "segmentation": "/tags"}
+    return list(outcome.notes(topics, CFG.sync, nearest_ns or {}))
+
+
+def synced(segment, stamp_ms, *others, carried=False):
+    reference = replace(item("image", stamp_ms), segment=segment, place=MessagePlace(carried=carried))
+    return SyncedMessages(reference, {"image": reference} | dict.fromkeys(others, reference), None, None)
+
+
+def test_of_a_tidy_log_nothing_is_said():
+    outcome = InputOutcome()
+    for k in range(3):
+        outcome.add(synced(0, 50 * k))
+    assert (outcome.frames, notes_of(outcome)) == (3, [])
+
+
+def test_segments_that_begin_are_named_with_their_stamps_and_frames():
+    outcome = InputOutcome()
+    for segment, stamp_ms in [(0, 5), (0, 55), (1, 7), (2, 3), (2, 53)]:
+        outcome.add(synced(segment, stamp_ms))
+    assert notes_of(outcome) == [
+        "3 segments, the stages' memory begins anew in each: 0 from stamp 5000000 ns, 2 frames; "
+        "1 from stamp 7000000 ns, 1 frames; 2 from stamp 3000000 ns, 2 frames"
+    ]
+
+
+def test_of_many_segments_five_are_named():
+    outcome = InputOutcome()
+    for segment in range(9):
+        outcome.add(synced(segment, 5))
+    (note,) = notes_of(outcome)
+    assert note.startswith("9 segments, ")
+    assert note.endswith("; 4 from stamp 5000000 ns, 1 frames; and 4 more")
+
+
+@pytest.mark.parametrize(("begun", "said"), [(1, 0), (0, 1)])
+def test_a_segment_that_an_earlier_part_began_is_no_new_one(begun, said):
+    outcome = InputOutcome(begun)
+    outcome.add(synced(1, 5))
+    assert len(notes_of(outcome)) == said
+
+
+def test_messages_of_no_frame_are_one_note():
+    outcome = InputOutcome()
+    for role, stamp_ms in [("depth", 3), ("segmentation", 3), ("lidar", 4), ("lidar", 54)]:
+        outcome.drop(item(role, stamp_ms))
+    assert notes_of(outcome) == [
+        "messages that belong to no frame: 1 on each of /depth, /tags, stamp 3000000 ns; "
+        "2 on /lidar, the first with stamp 4000000 ns"
+    ]
+
+
+def test_a_sensor_that_is_in_no_frame_is_said_with_the_setting_that_decides():
+    outcome = InputOutcome()
+    outcome.pair(synced(0, 5, "lidar"))
+    for role in ("depth", "lidar"):
+        outcome.drop(item(role, 3))
+    _, note = notes_of(outcome, {"depth": 12 * MS, "lidar": 11 * MS})
+    assert note == "/depth: in no frame, the nearest message is 0.012 s from one: sync.tolerance_s is 0.01"
+
+
+@pytest.mark.parametrize(
+    ("stamps_ms", "nearest_ms"), [([12], 12), ([38], 12), ([-15], 15), ([70], 20), ([25, 38], 12), ([3], None)]
+)
+def test_the_distance_to_the_nearest_frame_is_found_on_either_side(stamps_ms, nearest_ms):
+    """Of depth images before, between and behind two frames; of one that a frame has there is none."""
+    order = OrderConfig("image", 1000 * MS)
+    pairing = StampPairing(SyncConfig(tolerance_s=0.01), order, ("image", "depth"), PairingState(), lambda _: None)
+    items = [item("image", 0), item("image", 50), *(item("depth", t) for t in stamps_ms)]
+    assert len(list(pairing.frames_of(sorted(items, key=lambda i: i.log_time_ns)))) == 2
+    assert pairing.nearest_ns == ({} if nearest_ms is None else {"depth": nearest_ms * MS})
+
+
+def test_a_gap_behind_what_is_continued_is_noted_and_a_join_is_not(drive, tmp_path):
+    first = write(tmp_path / "0.mcap", between(drive, 0, 4))
+    replay(first, tmp_path / "out_0.mcap", CFG)
+    for begins, noted in ((4, False), (5, True)):
+        part = write(tmp_path / f"from_{begins}.mcap", between(drive, begins, 12))
+        notes = replay(part, tmp_path / f"out_{begins}.mcap", CFG, continued=tmp_path / "out_0.mcap").notes
+        assert (f"{part}: begins 0.100 s after what it goes on from ends" in notes) == noted
+        assert f"4 of {16 - begins} frames are in the part before as well, and given again" in notes
+
+
+def test_a_gap_is_judged_by_the_images_of_both_parts_and_by_none_where_nothing_is_known():
+    part = PartSpan("b", 20 * S, 30 * S, 11)
+    assert continuation_notes(part, [17 * S, 18 * S], 19 * S) == ()
+    assert continuation_notes(part, [16 * S, 17 * S], 18 * S) == ("b: begins 2.000 s after what it goes on from ends",)
+    assert continuation_notes(replace(part, frames=1), [], 18 * S) == ()
+
+
+def test_what_is_continued_with_a_part_that_overlaps_names_a_start_that_works(drive, tmp_path, capsys):
+    """The results are then those of parts that do not overlap."""
+    write(tmp_path / "0.mcap", between(drive, 0, 6))
+    write(tmp_path / "whole.mcap", drive)
+    options = ["--set", "sync.max_wait_s=0.2"]
+    before, after = tmp_path / "out_0.mcap", tmp_path / "out_1.mcap"
+    assert main([str(tmp_path / "0.mcap"), str(before), *options]) == 0
+    capsys.readouterr()
+    command = [str(tmp_path / "whole.mcap"), str(after), "--continue", str(before), *options]
+    assert main(command) == 1
+    said = capsys.readouterr().err
+    assert "expected what follows; --start 0.250000001 leaves out what it holds" in said
+    assert main([*command, "--start", "0.250000001"]) == 0
+    replay(tmp_path / "whole.mcap", tmp_path / "out.mcap", CFG)
+    assert results([before, after]) == results([tmp_path / "out.mcap"])
+    assert rows([before, after], "metrics").equals(rows([tmp_path / "out.mcap"], "metrics"))
+
+
+def test_of_a_part_without_calibration_the_next_step_is_named(drive, tmp_path, capsys):
+    part = write(tmp_path / "1.mcap", between(drive, 4, 8))
+    assert main([str(part), str(tmp_path / "out.mcap")]) == 1
+    said = capsys.readouterr().err
+    assert "or --topic calibration=/TOPIC; give a part of a drive together with those before it, or --continue" in said
+
+
+def test_carried_messages_are_read_from_the_first_of_them_alone(drive, tmp_path, monkeypatch):
+    source, asked = write(tmp_path / "in.mcap", drive), []
+    log_in = open_input(ReplaySource(source, time_range=TimeRange(start_s=0.1)), CFG)
+    read = WindowMessages._read
+
+    def noted(self, start_ns, *more):
+        asked.append(start_ns)
+        return read(self, start_ns, *more)
+
+    monkeypatch.setattr(WindowMessages, "_read", noted)
+    end = log_in.end_state(with_messages=True)
+    assert asked == [log_in.plan.first_pass.end.first_pending_ns]
+    assert [m.log_time_ns for m in end.carried] == sorted(m.log_time_ns for m in end.carried)
+    first_ns = min(m.log_time_ns for m in end.carried)
+    assert first_ns == asked[0] > (log.summarise(source).first_ns or 0)
