@@ -9,8 +9,8 @@ from roadperc_stream.errors import StateError
 ARRAY_DATA_KEY: Final = b"elements"
 """Names the bytes of an array."""
 _LEAST_ITEMS: Final = 1_000_000
-_ITEMS_PER_TRANSFORM: Final = 1000
-"""An edge of a tree has 16, and each frame that waits may have a tree of its own."""
+_ITEMS_PER_TRANSFORM: Final = 500
+"""An edge of a tree has 16, and each frame that waits has a tree of its own, though rarely one that full."""
 _ITEMS_PER_DETECTION: Final = 64
 
 
@@ -50,24 +50,22 @@ def require_bounded(plain: bytes, bounds: StateBounds) -> None:
     Raises:
         StateError: more than the bounds allow.
     """
-    at, pending, done = 0, 1, 0
-    key = slice(0, 0)
-    while pending and at < len(plain):
-        kind, start = _KINDS[plain[at]], at
-        data = at + 1 + kind.length_bytes
-        length = int.from_bytes(plain[at + 1 : data], "big")
-        at = data + kind.more_bytes
+    kinds, most, size = _KINDS, bounds.items, len(plain)
+    at, start, pending, done = 0, 0, 1, 0
+    while pending and at < size:
+        before, start = start, at
+        length_bytes, more_bytes, more_items, items_each = kinds[plain[at]]
+        at += 1 + more_bytes
+        pending += more_items - 1
         done += 1
-        pending += kind.more_items - 1
-        if kind.items_each:
-            pending += length * kind.items_each
-        else:
-            at += length
-            if length > bounds.array_bytes and plain[key].endswith(ARRAY_DATA_KEY):
+        if length_bytes:
+            length = int.from_bytes(plain[start + 1 : start + 1 + length_bytes], "big")
+            at += length_bytes + (0 if items_each else length)
+            pending += length * items_each
+            if length > bounds.array_bytes and plain[before:start].endswith(ARRAY_DATA_KEY):
                 raise StateError(f"array of {length} bytes: expected {bounds.array_bytes} at most")
-        if done + pending > bounds.items:
-            raise StateError(f"more than {bounds.items} items, at most that many are read")
-        key = slice(start, min(at, start + 16))
+        if done + pending > most:
+            raise StateError(f"more than {most} items, at most that many are read")
 
 
 def _kinds() -> tuple[_Kind, ...]:

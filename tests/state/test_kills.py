@@ -17,7 +17,7 @@ from roadperc_stream.errors import StateError, TargetError
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.output.writing import FrameOutput
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.state.checkpoint import Checkpoint, CheckpointFolder, Counted, checkpoint_folder
+from roadperc_stream.state.checkpoint_folder import Checkpoint, CheckpointFolder, Counted, checkpoint_folder
 from roadperc_stream.state.replay_state import ReplayMemory
 from tests import logs
 from tests.replaying import replay
