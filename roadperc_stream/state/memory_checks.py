@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
+from sys import float_info
 from typing import Any, Final
 
 import numpy as np
@@ -41,7 +42,8 @@ def require_chain(chain: ChainState, cfg: ReplayConfig, most_objects: int) -> No
     _require_earlier(chain, -1 if chain.stamp_ns is None else chain.stamp_ns)
     _require_odometry(chain.odometry, cfg.odometry, cfg.limits)
     _require_objects(chain.objects, most_objects)
-    _require_finite((chain.lanes, chain.objects))
+    _require_finite(chain.lanes, _LARGEST)
+    _require_finite(chain.objects)
     for side in (chain.lanes.left, chain.lanes.right):
         if side is not None:
             _require_covariance(side.track.covariance)
@@ -82,7 +84,8 @@ def _require_odometry(odometry: OdometryState, cfg: OdometryConfig, limits: Limi
     if keyframe is None or last is None:
         return
     require_transform(keyframe.odom_T_camera)
-    _require_finite((keyframe.camera, last.velocity, last.covariance))
+    _require_finite(keyframe.camera)
+    _require_finite((last.velocity, last.covariance), _LARGEST)
     if last.covariance is not None:
         _require_covariance(last.covariance)
     _require_image_of(keyframe.camera, keyframe.grey, limits)
@@ -124,7 +127,7 @@ def _require_template(grey: Image) -> None:
 
 
 def _require_filter(motion: RateFilter) -> None:
-    _require_finite(motion)
+    _require_finite(motion, _LARGEST)
     _require_covariance(np.array(((motion.value_var, motion.cross_var), (motion.cross_var, motion.rate_var))))
 
 
@@ -138,12 +141,10 @@ def _require_covariance(covariance: Float) -> None:
         raise ValueError("a covariance that is none")
 
 
-def _require_finite(value: Any) -> None:
-    """Check all numbers below a value."""
+def _require_finite(value: Any, most: float = float_info.max) -> None:
+    """Check all numbers below a value, and that none is larger than ``most``."""
     for _, number in _leaves("", value):
-        if isinstance(number, np.ndarray) and number.size and not np.abs(number).max() <= _LARGEST:
-            raise ValueError("a number that is not finite, or far too large")
-        if isinstance(number, float) and not abs(number) <= _LARGEST:
+        if isinstance(number, float | np.ndarray) and not (np.abs(number) <= most).all():
             raise ValueError("a number that is not finite, or far too large")
 
 
