@@ -74,7 +74,7 @@ def input_of(
     plan = plan_input(found.summary, cfg, asked, begin)
     if not source.recover:
         found.require_outside(*plan.window.limits_ns)
-    return ReplayInput(found.summary, cfg, plan, ended(lost, span_ns(found.summary, plan.window)[0]))
+    return ReplayInput(found.summary, cfg, plan, lost)
 
 
 class ReplayInput:
@@ -87,7 +87,8 @@ class ReplayInput:
         self.summary, self.plan = summary, plan
         self._cfg = cfg
         recovery = Recovery.of_records(summary.metadata)
-        self._gaps = (*lost, *(() if recovery is None else recovery.gaps))
+        before = ended(lost, self._first_new_ns()) if lost else ()
+        self._gaps = (*before, *(() if recovery is None else recovery.gaps))
         self._begin()
 
     def _begin(self) -> None:
@@ -97,6 +98,11 @@ class ReplayInput:
         self.frames = 0
         """Samples so far that are written."""
         self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.start.pairing, self._drop)
+
+    def _first_new_ns(self) -> int | None:
+        """Log time of the first message that no earlier part had."""
+        times = (message.log_time_ns for message in self._messages.inside())
+        return next((time_ns for time_ns in times if time_ns >= self.plan.start.from_ns), None)
 
     @property
     def log_id(self) -> str:
