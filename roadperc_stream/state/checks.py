@@ -9,13 +9,10 @@ from roadperc_stream.core.config import LimitsConfig, ReplayConfig
 from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.errors import StateError
 from roadperc_stream.log import LostSpan
-from roadperc_stream.state.input_checks import require_input
+from roadperc_stream.state.input_checks import END_OF_FRAMES, END_OF_LOG_TIMES_NS, require_input
 from roadperc_stream.state.memory_checks import require_chain, require_shown, require_transform
 from roadperc_stream.state.replay_state import ReplayMemory, ReplayState
 
-_END_OF_FRAMES: Final = 2**32
-"""The first number that a log has no place for."""
-_END_OF_LOG_TIMES_NS: Final = 2**64
 _MOST_GAPS: Final = 10_000
 
 
@@ -41,15 +38,15 @@ def require_numbers_for(state: ReplayState, frames: int) -> None:
     Raises:
         StateError: they do not.
     """
-    if state.input.numbers.next + frames > _END_OF_FRAMES:
-        raise StateError(f"frame {state.input.numbers.next} and {frames} more: a log numbers {_END_OF_FRAMES} at most")
+    if state.input.numbers.next + frames > END_OF_FRAMES:
+        raise StateError(f"frame {state.input.numbers.next} and {frames} more: a log numbers {END_OF_FRAMES} at most")
 
 
 def _require_gaps(gaps: tuple[LostSpan, ...]) -> None:
     if len(gaps) > _MOST_GAPS:
         raise ValueError(f"{len(gaps)} gaps: expected {_MOST_GAPS} at most")
     times = (time_ns for gap in gaps for time_ns in (gap.first_ns, gap.last_ns) if time_ns is not None)
-    if any(not 0 <= time_ns < _END_OF_LOG_TIMES_NS for time_ns in times):
+    if any(not 0 <= time_ns < END_OF_LOG_TIMES_NS for time_ns in times):
         raise ValueError("a time out of its range")
 
 
@@ -65,4 +62,4 @@ def _require_memory(memory: ReplayMemory, cfg: ReplayConfig) -> None:
 
 def _most_objects(limits: LimitsConfig) -> int:
     """As if every detection of every frame were a new object."""
-    return _END_OF_FRAMES * limits.detections
+    return END_OF_FRAMES * limits.detections

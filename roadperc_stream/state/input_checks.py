@@ -14,8 +14,9 @@ from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.schemas.roles import LATCHED_KINDS, REFERENCE_ROLES, ROLES
 from roadperc_stream.state.memory_checks import require_transform
 
-_END_OF_FRAMES: Final = 2**32
-_END_OF_LOG_TIMES_NS: Final = 2**64
+END_OF_FRAMES: Final = 2**32
+"""The first number that a log has no place for."""
+END_OF_LOG_TIMES_NS: Final = 2**64
 _PARENTS_PER_TRANSFORM: Final = 50
 """Frames that were left out of the full tree have parents too, which only their names are asked for."""
 _MOST_IN_ROW: Final = 2
@@ -62,14 +63,14 @@ def _require_roles(state: InputState) -> None:
 def _require_numbers(from_ns: int, numbers: FrameNumbers) -> None:
     if not all(0 <= time_ns < END_OF_TIME_NS for time_ns in (from_ns, numbers.log_time_ns)):
         raise ValueError("a time out of its range")
-    if not 0 <= numbers.next < _END_OF_FRAMES:
+    if not 0 <= numbers.next < END_OF_FRAMES:
         raise ValueError(f"frame {numbers.next}")
 
 
 def _require_order(state: InputState) -> None:
     order, sync = state.pairing.order, state.pairing.sync
     segments = (sync.segment, order.given_segment, *(item.segment for item in state.pairing.items))
-    if not 0 <= order.segment < _END_OF_FRAMES or any(not 0 <= number <= order.segment for number in segments):
+    if not 0 <= order.segment < END_OF_FRAMES or any(not 0 <= number <= order.segment for number in segments):
         raise ValueError("a segment out of its range")
     stamps = (ns for ns in (order.latest_ns, order.given_ns) if ns is not None)
     if any(not 0 <= ns < END_OF_TIME_NS for ns in stamps):
@@ -80,7 +81,7 @@ def _require_order(state: InputState) -> None:
 
 
 def _require_item(item: PendingMessage, limits: LimitsConfig) -> None:
-    if not (0 <= item.stamp_ns < END_OF_TIME_NS and 0 <= item.log_time_ns < _END_OF_LOG_TIMES_NS):
+    if not (0 <= item.stamp_ns < END_OF_TIME_NS and 0 <= item.log_time_ns < END_OF_LOG_TIMES_NS):
         raise ValueError("a time out of its range")
     kind = ROLES[item.role].kind
     if (item.camera is not None) != (kind == "calibration") or (item.edges is not None) != (kind == "tf"):
