@@ -9,11 +9,12 @@ from typing import Final
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
-from roadperc_stream.core.files import all_or_none
+from roadperc_stream.core.files import all_or_none, partial_of, sync_file, sync_folder
 from roadperc_stream.core.progress import Progress, no_progress
 from roadperc_stream.core.reasons import throughout
 from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.core.threads import one_thread
+from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.errors import LogError, StateError, TargetError
 from roadperc_stream.input import ReplayInput, ReplaySource
 from roadperc_stream.input.damage import require_sound
@@ -27,7 +28,9 @@ from roadperc_stream.output.writing import FrameOutput, ResultWriter, Timed, unw
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, FRAMES_KEY, STATE_ATTACHMENT
 from roadperc_stream.state.attached import attachment_of
-from roadperc_stream.state.checkpoint import NO_CHECKPOINTS, CheckpointFolder, CheckpointOptions, Checkpoints, Counted
+from roadperc_stream.state.checkpoint import NO_CHECKPOINTS, CheckpointOptions, Checkpoints
+from roadperc_stream.state.checkpoint_folder import CheckpointFolder, Counted
+from roadperc_stream.state.checks import require_sense
 from roadperc_stream.state.identity import finished, run_of
 from roadperc_stream.state.opening import BY_ITSELF, Beginning, OpenedLog, open_replay
 from roadperc_stream.state.replay_state import ReplayMemory, ReplayState, settings_of
@@ -53,6 +56,17 @@ class ReplaySummary:
     """The reasons that held in all frames, in words."""
     warnings: tuple[str, ...] = ()
     """Of a damaged log: where, what was saved and what was lost."""
+    frames_before: int = 0
+    """Those that an earlier run had computed."""
+    resumed_s: float | None = None
+    """How far into the log those went, in seconds; None where it was no earlier run that this one went on from."""
+    is_new: bool = True
+    """Whether anything was written: nothing where the output was complete already."""
+
+    @property
+    def frames_per_s(self) -> float:
+        """Frames computed in a second."""
+        return (self.frames - self.frames_before) / self.seconds
 
 
 @dataclass(frozen=True)
@@ -96,14 +110,28 @@ def replay(
             the checkpoints that were asked for.
     """
     started = perf_counter()
-    folder = CheckpointFolder(target.path)
+    with CheckpointFolder(target.path, cfg.limits) as folder:
+        summary = _replay(source, target, cfg, folder, beginning, checkpoints, watcher)
+    return replace(summary, seconds=perf_counter() - started)
+
+
+def _replay(
+    source: ReplaySource,
+    target: ReplayTarget,
+    cfg: ReplayConfig,
+    folder: CheckpointFolder,
+    beginning: Beginning,
+    checkpoints: CheckpointOptions,
+    watcher: Watcher,
+) -> ReplaySummary:
+    """As ``replay``, the folder of the checkpoints held; without the time it took."""
     found = folder.read() if checkpoints.resume else None
-    _require_writable(source, target, resume=checkpoints.resume)
+    _require_writable(source, target, beginning, resume=checkpoints.resume)
     target.remove_dead_partials()
     opened = open_replay(source, cfg, beginning)
     if checkpoints.resume and found is None and (done := finished(target, cfg, opened)) is not None:
         folder.remove()
-        return _summary_of_finished(target, opened, done, perf_counter() - started)
+        return _summary_of_finished(target, opened, done)
     kept = Checkpoints(folder, checkpoints.every_s, run_of(cfg, opened, target), found, force=target.force)
     was_killed = checkpoints.resume and folder.exists and not target.is_complete
     may_replace = target.force or found is not None or was_killed
@@ -114,23 +142,31 @@ def replay(
         end = _replayed(cfg, opened, outputs, kept, watcher.progress)
         outputs.end(end)
         target.require_free(source.files, force=may_replace)  # another program may have written them meanwhile
+        if kept.are_durable:
+            outputs.make_durable()
+    if kept.are_durable:
+        sync_folder(target.path.parent)
     kept.remove()
-    return outputs.summary(perf_counter() - started)
+    return outputs.summary((f"{folder.path}: left by an interrupted replay, removed",) if kept.left_over else ())
 
 
-def _require_writable(source: ReplaySource, target: ReplayTarget, *, resume: bool) -> None:
+def _require_writable(source: ReplaySource, target: ReplayTarget, beginning: Beginning, *, resume: bool) -> None:
     """Check before the input is read what may be replaced; with ``resume`` a finished output may stand there."""
     target.require_free(source.files, force=True)
+    before = beginning.continued
+    if before is not None and before.exists() and target.path.exists() and target.path.samefile(before):
+        raise TargetError(f"{target.path}: is the part that the replay goes on from; name another output")
     _require_no_recording(target.path, several=len(source.files) > 1)
     if not resume:
         target.require_free(source.files, force=target.force)
 
 
-def _summary_of_finished(target: ReplayTarget, opened: OpenedLog, output: LogSummary, seconds: float) -> ReplaySummary:
+def _summary_of_finished(target: ReplayTarget, opened: OpenedLog, output: LogSummary) -> ReplaySummary:
     """What an earlier replay of the same did."""
     frames, messages = int(replay_record(output.metadata).get(FRAMES_KEY, 0)), sum(output.counts.values())
     notes = (f"{target.path}: is complete, nothing is left to do",)
-    return ReplaySummary(opened.input.log_id, frames, messages, seconds, notes, {}, {}, (), opened.warnings)
+    log_id, warnings = opened.input.log_id, opened.warnings
+    return ReplaySummary(log_id, frames, messages, 0.0, notes, {}, {}, (), warnings, frames, is_new=False)
 
 
 class _Outputs:
@@ -146,6 +182,8 @@ class _Outputs:
         self.files = (self._log, self._objects, self._frames)
         """The last one gets its name first: where the log stands under its own, its tables do."""
         self._notes: tuple[str, ...] = ()
+        self._frames_before = 0
+        self._resumed_ns: int | None = None
 
     def begin(self, watcher: Watcher, counted: Counted) -> None:
         """Register all channels, and tell who wants to know; ``counted`` is of the frames that were computed before."""
@@ -175,6 +213,7 @@ class _Outputs:
         """Write the messages of a frame that was computed before."""
         self._copy.through(sample.log_time_ns)
         self._results.write(sample, output.messages)
+        self._frames_before, self._resumed_ns = self._frames_before + 1, sample.log_time_ns
 
     def append(self, output: FrameOutput) -> None:
         """Write a frame's rows."""
@@ -192,29 +231,39 @@ class _Outputs:
         """Write what comes behind the last frame; ``memory`` is that of the last one that was complete."""
         self._copy.rest()
         waiting = self._input.end_state(with_messages=self._target.results_only)
-        state = ReplayState(self._input.log_id, settings_of(self._cfg), waiting, memory)
+        lost = self._input.lost_to_come
+        state = ReplayState(self._input.log_id, settings_of(self._cfg), waiting, memory, lost)
         begin = self._opened.state_for(self._cfg)
         states = () if begin is None else (attachment_of(BEGIN_ATTACHMENT, begin),)
         record = {**self._opened.facts(), **self._input.record()}
         try:
-            states = (*states, attachment_of(STATE_ATTACHMENT, state))
+            states = (*states, attachment_of(STATE_ATTACHMENT, require_sense(state, self._cfg)))
         except StateError as error:  # the results are none the worse for it
             self._notes = (f"{STATE_ATTACHMENT}: left out, this part cannot be continued: {error}",)
         write_origin(self._log, self._input.summary, self._cfg, record, states)
 
-    def summary(self, seconds: float) -> ReplaySummary:
-        """What was written, in so many seconds."""
-        log_in = self._input
+    def make_durable(self) -> None:
+        """Write all of them to the disk, before they get their names."""
+        for file in self.files:
+            file.complete()
+        for path in self._target.files:
+            sync_file(partial_of(path))
+
+    def summary(self, notes: tuple[str, ...]) -> ReplaySummary:
+        """What was written, with some more notes."""
+        log_in, resumed_ns = self._input, self._resumed_ns
         return ReplaySummary(
             log_in.log_id,
             log_in.frames,
             self._log.messages,
-            seconds,
-            (*self._opened.notes, *log_in.notes, *self._pictures.notes(), *self._notes),
+            0.0,
+            (*self._opened.notes, *log_in.notes, *self._pictures.notes(), *self._notes, *notes),
             log_in.dropped,
             log_in.unreadable,
             throughout(self._results.reasons, log_in.frames, log_in.topics),
             self._opened.warnings,
+            self._frames_before,
+            None if resumed_ns is None else ns_to_seconds(resumed_ns - (log_in.summary.first_ns or 0)),
         )
 
 

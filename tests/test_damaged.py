@@ -17,10 +17,12 @@ from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.input.damage import loss_reason
 from roadperc_stream.log import Channel, LostSpan, Message
 from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.state.attached import state_at_end
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.log.flips import flipped
 from tests.replaying import replay
+from tests.state.parts import cut, inputs, write
 from tests.test_sample import SAMPLE
 
 OFF = ("odometry", "lanes", "objects", "occupancy")
@@ -292,3 +294,32 @@ def test_the_sample_with_a_damaged_chunk_says_which_stamps_of_which_topics_were_
     (gap,) = recovery.gaps
     assert (gap.first_ns, gap.last_ns) == (lost[0].log_time_ns, lost[-1].log_time_ns)
     assert sum(recovery.lost.values()) == len(lost) > 10
+
+
+def test_what_was_lost_goes_on_to_the_next_part(tmp_path):
+    """The frames that the next part gives again have the reason still, and so has the first one behind the gap."""
+    cfg = load_config(None, ["sync.max_wait_s=0.2", *(f"{stage}.enabled=false" for stage in OFF)])
+    messages = inputs(logs.write(tmp_path / "all.mcap", logs.items(24)))
+    cut_ns = logs.START_NS + 12 * STEP_NS
+    first, second = (write(tmp_path / f"{k}.mcap", part) for k, part in enumerate(cut(messages, [cut_ns])))
+    first.write_bytes(first.read_bytes()[: first.stat().st_size * 3 // 4])
+    replay(first, tmp_path / "a.mcap", cfg, recover=True)
+    replay(second, tmp_path / "b.mcap", cfg, continued=tmp_path / "a.mcap")
+    said = [row["frame"] for row in rows(tmp_path / "b.mcap").to_dicts() if "lost to damage" in str(row["reasons"])]
+    last = rows(tmp_path / "a.mcap")["frame"].max()
+    assert said
+    assert set(said) <= {last, last + 1}
+    assert last + 2 in rows(tmp_path / "b.mcap")["frame"].to_list(), "the gap ends where the next part begins"
+    replay(tmp_path / "b.mcap", tmp_path / "again.mcap", cfg)
+    assert (tmp_path / "again.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert state_at_end(tmp_path / "a.mcap", cfg).lost
+    assert not state_at_end(tmp_path / "b.mcap", cfg).lost, "it is over"
+
+
+def test_damage_in_the_seconds_of_the_warm_up_is_an_error(damaged):
+    """The memory would be another one; and with --recover it is the one of what is left."""
+    target, part = damaged.with_name("out.mcap"), TimeRange(start_s=0.35)
+    with pytest.raises(LogError, match="--recover"):
+        replay(damaged, target, CFG, time_range=part, warm_up_s=0.2)
+    assert replay(damaged, target, CFG, time_range=part, warm_up_s=0.2, recover=True).frames > 0
+    assert replay(damaged, target, CFG, time_range=part, force=True).frames > 0, "without a warm-up it lies outside"

@@ -104,7 +104,7 @@ def run(command: Callable[[], None]) -> int:
     except RoadpercError as error:
         return _fail(str(error), "" if isinstance(error, RegressionError) else "error: ")
     except (KeyboardInterrupt, MemoryError) as error:
-        return _fail("not enough memory" if isinstance(error, MemoryError) else "interrupted")
+        return _fail("not enough memory" if isinstance(error, MemoryError) else str(error) or "interrupted")
     except BrokenPipeError:  # the reader has seen enough, as with | head
         discard_output(sys.stdout)
         return EXIT_DONE

@@ -1,7 +1,8 @@
 """What ``roadperc-replay`` does with its arguments, and what it says of the replay."""
 
 import argparse
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
 from roadperc_stream.cli.arguments import config_of, time_range_of
@@ -15,6 +16,7 @@ from roadperc_stream.output.writing import unwatched
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.schemas.topics import Request
 from roadperc_stream.state.checkpoint import CheckpointOptions
+from roadperc_stream.state.checkpoint_folder import CheckpointFolder
 from roadperc_stream.state.opening import Beginning
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
     """
     target = _target(arguments)
     with live or nullcontext():
-        with frame_progress("replaying", not arguments.quiet) as progress:
+        with _naming_resume(arguments, target), frame_progress("replaying", not arguments.quiet) as progress:
             summary = replay(
                 _source(arguments),
                 target,
@@ -47,6 +49,18 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
                 _print_summary(target, summary)
         if live:
             live.wait()
+
+
+@contextmanager
+def _naming_resume(arguments: argparse.Namespace, target: ReplayTarget) -> Iterator[None]:
+    """Around a replay: who interrupts it learns how it goes on, where it can."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if arguments.checkpoint_every and CheckpointFolder(target.path).holds_one:
+            text = "interrupted; the same command with --resume goes on from the last checkpoint"
+            raise KeyboardInterrupt(text) from None
+        raise
 
 
 def _source(arguments: argparse.Namespace) -> ReplaySource:
@@ -73,6 +87,13 @@ def _print_summary(target: ReplayTarget, summary: ReplaySummary) -> None:
         print_line(f"note: {note}")
     for topic, number in summary.problems.items():
         print_line(f"warning: {number} messages on {topic} could not be read; they are copied, their frames go without")
-    rate = summary.frames / summary.seconds
-    print_line(f"{summary.frames} frames in {summary.seconds:.1f} s ({rate:.1f} frames/s), log {summary.log_id}")
+    if not summary.is_new:
+        print_line(f"{summary.frames} frames, log {summary.log_id}")
+        return
+    if summary.resumed_s is not None:
+        before, end = f"{summary.frames_before} of {summary.frames} frames", f"{summary.resumed_s:.3f} s of the log"
+        print_line(f"resumed: {before} were complete, up to {end}")
+    computed = summary.frames - summary.frames_before
+    rate = f"{summary.seconds:.1f} s ({summary.frames_per_s:.1f} frames/s)"
+    print_line(f"{computed} frames in {rate}, log {summary.log_id}")
     print_line(f"wrote {target.path} ({summary.messages_out} messages), {target.metrics.name}, {target.objects.name}")

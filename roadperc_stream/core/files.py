@@ -79,6 +79,26 @@ def target_errors(target: Path) -> Iterator[None]:
         raise TargetError(f"{target}: {error.strerror or error}") from error
 
 
+def sync_file(path: Path) -> None:
+    """Make what is in a file durable, where the system can.
+
+    Raises:
+        TargetError: it cannot be written, as when the disk is full.
+    """
+    with target_errors(path), path.open("rb") as stream:
+        os.fsync(stream.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable, where the system can."""
+    with suppress(OSError):
+        number = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
+
+
 def partial_of(target: Path, suffix: str = "") -> Path:
     """The hidden name next to a target under which this process writes it.
 

@@ -51,8 +51,20 @@ def loss_reason(gaps: Iterable[LostSpan], since_ns: int | None, until_ns: int) -
 
 def _lies_between(gap: LostSpan, since_ns: int | None, until_ns: int) -> bool:
     begun = gap.first_ns is None or gap.first_ns <= until_ns
-    over = since_ns is not None and gap.last_ns is not None and gap.last_ns <= since_ns
-    return begun and not over
+    return begun and not is_over(gap, since_ns)
+
+
+def is_over(gap: LostSpan, since_ns: int | None) -> bool:
+    """Whether no frame later than one whose log time is ``since_ns`` (None: of the first one) can lie in a gap."""
+    return since_ns is not None and gap.last_ns is not None and gap.last_ns <= since_ns
+
+
+def ended(gaps: Iterable[LostSpan], next_ns: int | None) -> tuple[LostSpan, ...]:
+    """The gaps of a part of a drive, where one without an end ends before the first message of the next part."""
+    return tuple(
+        replace(gap, last_ns=max(next_ns - 1, gap.first_ns or 0)) if gap.last_ns is None and next_ns else gap
+        for gap in gaps
+    )
 
 
 def shifted(part: TimeRange, first_ns: int | None, saved_ns: int | None) -> TimeRange:

@@ -1,6 +1,6 @@
 """A log as the input of a replay: what every loop over frames opens."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -8,7 +8,7 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import UNWRITTEN, Sample
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.damage import ReadableLog, loss_reason, reach_ns
+from roadperc_stream.input.damage import ReadableLog, ended, is_over, loss_reason, reach_ns
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.outcome import InputOutcome
 from roadperc_stream.input.pairing import StampPairing
@@ -21,7 +21,7 @@ from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages
 from roadperc_stream.input.window import WindowMessages
-from roadperc_stream.log import Channel, LogSummary, Message, Recovery
+from roadperc_stream.log import Channel, LogSummary, LostSpan, Message, Recovery
 from roadperc_stream.schemas.record import (
     DIGEST_KEY,
     DROPPED_KEY,
@@ -50,7 +50,11 @@ def open_input(source: ReplaySource, cfg: ReplayConfig) -> "ReplayInput":
 
 
 def input_of(
-    found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, begin: InputState | None = None
+    found: ReadableLog,
+    source: ReplaySource,
+    cfg: ReplayConfig,
+    begin: InputState | None = None,
+    lost: Sequence[LostSpan] = (),
 ) -> "ReplayInput":
     """As ``open_input``, of a log that has been read.
 
@@ -59,6 +63,7 @@ def input_of(
         source: as there.
         cfg: as there.
         begin: what an earlier part of the drive left; None where the log begins by itself.
+        lost: gaps of that part; one without an end ends where this log begins.
 
     Raises:
         StateError: the log cannot go on from ``begin``; else as there.
@@ -69,7 +74,7 @@ def input_of(
     plan = plan_input(found.summary, cfg, asked, begin)
     if not source.recover:
         found.require_outside(*plan.window.limits_ns)
-    return ReplayInput(found.summary, cfg, plan)
+    return ReplayInput(found.summary, cfg, plan, lost)
 
 
 class ReplayInput:
@@ -78,11 +83,12 @@ class ReplayInput:
     ``frames``, ``dropped``, ``unreadable`` and ``notes`` are of the samples so far; ``samples`` begins anew.
     """
 
-    def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan) -> None:
+    def __init__(self, summary: LogSummary, cfg: ReplayConfig, plan: InputPlan, lost: Sequence[LostSpan] = ()) -> None:
         self.summary, self.plan = summary, plan
         self._cfg = cfg
         recovery = Recovery.of_records(summary.metadata)
-        self._gaps = () if recovery is None else recovery.gaps
+        before = ended(lost, self._first_new_ns()) if lost else ()
+        self._gaps = (*before, *(() if recovery is None else recovery.gaps))
         self._begin()
 
     def _begin(self) -> None:
@@ -90,6 +96,11 @@ class ReplayInput:
         self._problems = Problems(plan.problems.strict_in)
         self._outcome = InputOutcome(plan.start.pairing.sync.segment)
         self._pairing = StampPairing(self._cfg.sync, plan.order, plan.roles.topics, plan.start.pairing, self._drop)
+
+    def _first_new_ns(self) -> int | None:
+        """Log time of the first message that no earlier part had."""
+        times = (message.log_time_ns for message in self._messages.inside())
+        return next((time_ns for time_ns in times if time_ns >= self.plan.start.from_ns), None)
 
     @property
     def frames(self) -> int:
@@ -133,7 +144,7 @@ class ReplayInput:
         messages, limits = self._messages.all(set(topics.values())), self._cfg.limits
         decoded = decoded_messages(messages, plan.roles, self._cfg.tag_table, self._problems, limits)
         items = plan.start.items(decoded, topics, self._problems, limits)
-        before_ns: int | None = None
+        before_ns = numbers.log_time_ns if numbers.next else None
         for synced in islice(self._pairing.frames_of(items), plan.most_frames):
             before, numbers = numbers, numbers.after(synced.reference)
             sample = self._sample(synced, before.next)
@@ -200,6 +211,16 @@ class ReplayInput:
         if first_ns is None or not with_messages:
             return end
         return end.carrying(self._messages.inside(set(self.topics.values()), first_ns))
+
+    @property
+    def lost_to_come(self) -> tuple[LostSpan, ...]:
+        """The gaps that the frames behind the last complete one may lie in, but for those of what follows."""
+        numbers = self.plan.first_pass.end.numbers
+        since_ns = numbers.log_time_ns if numbers.next else None
+        cut_ns = self.plan.window.cut_ns
+        own = (gap for gap in self._gaps if cut_ns is None or gap.first_ns is None or gap.first_ns < cut_ns)
+        spans = dict.fromkeys((gap.first_ns, gap.last_ns) for gap in own if not is_over(gap, since_ns))
+        return tuple(LostSpan(first_ns, last_ns, {}) for first_ns, last_ns in spans)
 
     @property
     def _messages(self) -> WindowMessages:

@@ -11,6 +11,7 @@ from roadperc_stream.errors import StateError
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.log import Attachment, LogSummary, Message
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
+from roadperc_stream.state.bounds import StateBounds
 from roadperc_stream.state.checks import require_sense
 from roadperc_stream.state.encoding import decode, encode
 from roadperc_stream.state.replay_state import ReplayState
@@ -28,8 +29,8 @@ def state_at_end(path: Path, cfg: ReplayConfig) -> ReplayState:
         LogError: the log cannot be read.
         StateError: it carries no state, or one that this configuration cannot go on from.
     """
-    summary = log.summarise(path)
-    state = _attached(summary, STATE_ATTACHMENT)
+    summary = log.summarise(path, cfg.limits)
+    state = _attached(summary, STATE_ATTACHMENT, cfg)
     if state is None:
         raise StateError(
             f"{path}: has no attachment {STATE_ATTACHMENT}: not the result of a replay, or of an older one"
@@ -50,7 +51,7 @@ def state_at_begin(summary: LogSummary, cfg: ReplayConfig, part: TimeRange) -> t
     Raises:
         StateError: the state cannot be read.
     """
-    state = None if part.start_s is not None else _attached(summary, BEGIN_ATTACHMENT)
+    state = None if part.start_s is not None else _attached(summary, BEGIN_ATTACHMENT, cfg)
     if state is None or not (differing := state.differences(cfg)):
         return state, ()
     return state, (f"{BEGIN_ATTACHMENT}: of other settings ({_some(differing)}): the chain's memory begins anew",)
@@ -70,12 +71,12 @@ def as_read(state: ReplayState) -> ReplayState:
     return decode(encode(state), ReplayState)
 
 
-def _attached(summary: LogSummary, name: str) -> ReplayState | None:
+def _attached(summary: LogSummary, name: str, cfg: ReplayConfig) -> ReplayState | None:
     found = [attachment for attachment in summary.attachments if attachment.name == name]
     if not found:
         return None
     try:
-        return require_sense(decode(found[-1].data, ReplayState))
+        return require_sense(decode(found[-1].data, ReplayState, StateBounds.of(cfg.limits)), cfg)
     except StateError as error:
         raise StateError(f"{summary.path}: attachment {name}: {error}") from error
 

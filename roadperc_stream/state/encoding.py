@@ -1,12 +1,15 @@
-"""States as bytes: MessagePack, compressed with Zstandard, behind a magic number with the format's version.
+"""States as bytes: MessagePack, compressed with Zstandard, behind a magic number, the format's version and a CRC-32.
 
-Every dataclass is a map by its fields' names, every array one of ``dtype``, ``shape`` and ``data``, its numbers little
-endian in the order of C: floats keep all their bits. Nothing is decoded whose type is not the one expected, and no type
-is code.
+Every dataclass is a map by its fields' names, every array one of ``dtype``, ``shape`` and ``elements``, its numbers
+little endian in the order of C: floats keep all their bits. Nothing is decoded whose type is not the one expected, that
+holds more than its bounds allow, or of which a single bit has changed; and no type is code.
 """
 
 import math
+import struct
+import zlib
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, TypeVar, get_args
 
 import msgspec
@@ -15,12 +18,15 @@ import zstandard
 from numpy.typing import NDArray
 
 from roadperc_stream.errors import StateError
+from roadperc_stream.state.bounds import DEFAULT_BOUNDS, StateBounds, require_bounded
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 """To be raised with every change of what a state holds: an older state would be taken for something else."""
 MOST_BYTES: Final = 512 * 1024**2
 """Of a state, unpacked."""
 _MAGIC: Final = b"RPSTATE"
+_CRC: Final = struct.Struct("<I")
+_HEADER_BYTES: Final = len(_MAGIC) + 1 + _CRC.size
 _DTYPES: Final = frozenset({"|b1", "|u1", "<u2", "<i4", "<i8", "<f4", "<f8"})
 _LEVEL: Final = 3
 T = TypeVar("T")
@@ -30,7 +36,7 @@ T = TypeVar("T")
 class _EncodedArray:
     dtype: str
     shape: tuple[int, ...]
-    data: bytes
+    elements: bytes
 
 
 def encode(state: Any) -> bytes:
@@ -42,34 +48,43 @@ def encode(state: Any) -> bytes:
     plain = msgspec.msgpack.encode(state, enc_hook=_encoded)
     if len(plain) > MOST_BYTES:
         raise StateError(f"{len(plain)} bytes, at most {MOST_BYTES} are written")
-    return _MAGIC + bytes([FORMAT_VERSION]) + zstandard.ZstdCompressor(level=_LEVEL).compress(plain)
+    packed = zstandard.ZstdCompressor(level=_LEVEL).compress(plain)
+    return _MAGIC + bytes([FORMAT_VERSION]) + _CRC.pack(zlib.crc32(packed)) + packed
 
 
-def decode(data: bytes, kind: type[T]) -> T:
+def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> T:
     """A dataclass of its bytes.
 
     Args:
         data: from ``encode``, or from anybody.
         kind: the dataclass.
+        bounds: the most that it may hold.
 
     Raises:
-        StateError: the bytes are of another version of the format, or of anything else.
+        StateError: the bytes are of another version of the format, of anything else, changed or beyond the bounds.
     """
-    header = len(_MAGIC) + 1
-    if data[: len(_MAGIC)] != _MAGIC or len(data) < header:
+    packed = data[_HEADER_BYTES:]
+    if data[: len(_MAGIC)] != _MAGIC or len(data) <= len(_MAGIC):
         raise StateError("is no state of a replay")
     if data[len(_MAGIC)] != FORMAT_VERSION:
         raise StateError(f"its format has version {data[len(_MAGIC)]}, expected {FORMAT_VERSION}")
+    if data[len(_MAGIC) + 1 : _HEADER_BYTES] != _CRC.pack(zlib.crc32(packed)):
+        raise StateError("damaged: its CRC is wrong")
+    plain = _unpacked(packed)
+    require_bounded(plain, bounds)
     try:
-        found: T = msgspec.msgpack.decode(_unpacked(data[header:]), type=kind, dec_hook=_decoded)
-    except (ValueError, zstandard.ZstdError, RecursionError, OverflowError) as error:
+        found: T = msgspec.msgpack.decode(plain, type=kind, dec_hook=partial(_decoded, bounds))
+    except (ValueError, RecursionError, OverflowError) as error:
         raise StateError(f"damaged: {error}") from error
     return found
 
 
 def _unpacked(packed: bytes) -> bytes:
-    with zstandard.ZstdDecompressor(max_window_size=2**27).stream_reader(packed) as reader:
-        plain: bytes = reader.read(MOST_BYTES + 1)
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=2**27).stream_reader(packed) as reader:
+            plain: bytes = reader.read(MOST_BYTES + 1)
+    except zstandard.ZstdError as error:
+        raise StateError(f"damaged: {error}") from error
     if len(plain) > MOST_BYTES:
         raise StateError(f"more than {MOST_BYTES} bytes, at most that many are read")
     return plain
@@ -83,16 +98,18 @@ def _encoded(value: Any) -> Any:
     raise NotImplementedError(f"{type(value).__name__} has no encoding")
 
 
-def _decoded(kind: Any, value: Any) -> NDArray[Any]:
+def _decoded(bounds: StateBounds, kind: Any, value: Any) -> NDArray[Any]:
     array = msgspec.convert(value, _EncodedArray)
+    if len(array.elements) > bounds.array_bytes:
+        raise ValueError(f"array of {len(array.elements)} bytes: expected {bounds.array_bytes} at most")
     if array.dtype not in _DTYPES or any(length < 0 for length in array.shape):
         raise ValueError(f"array of dtype {array.dtype!r} and shape {array.shape}")
     dtype = np.dtype(array.dtype)
     expected = [item for part in get_args(kind)[1:] for item in get_args(part) if item is not Any]
     if expected and np.dtype(expected[0]) != dtype:
         raise ValueError(f"array of dtype {array.dtype!r}, expected {np.dtype(expected[0]).str!r}")
-    if math.prod(array.shape) * dtype.itemsize != len(array.data):
-        raise ValueError(f"array of shape {array.shape} and dtype {array.dtype!r} in {len(array.data)} bytes")
-    found = np.frombuffer(array.data, dtype).reshape(array.shape).copy()
+    if math.prod(array.shape) * dtype.itemsize != len(array.elements):
+        raise ValueError(f"array of shape {array.shape} and dtype {array.dtype!r} in {len(array.elements)} bytes")
+    found = np.frombuffer(array.elements, dtype).reshape(array.shape).copy()
     found.setflags(write=False)
     return found

@@ -6,10 +6,20 @@ from collections.abc import Mapping
 
 from roadperc_stream import __version__, log
 from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.errors import TableError
 from roadperc_stream.input.earlier_replay import is_result, replay_record
 from roadperc_stream.log import LogSummary
+from roadperc_stream.output.tables import read_footer
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, CONFIG_ATTACHMENT, DIGEST_KEY, TOPIC_KEY, VERSION_KEY
+from roadperc_stream.schemas.record import (
+    BEGIN_ATTACHMENT,
+    CONFIG_ATTACHMENT,
+    DIGEST_KEY,
+    FRAMES_KEY,
+    LOG_ID_KEY,
+    TOPIC_KEY,
+    VERSION_KEY,
+)
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.state.encoding import encode
 from roadperc_stream.state.opening import OpenedLog
@@ -52,7 +62,17 @@ def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> LogS
         and attached.get(BEGIN_ATTACHMENT) == (None if begin is None else encode(begin))
         and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)
     )
-    return summary if is_same else None
+    return summary if is_same and _are_its_tables(target, record, opened) else None
+
+
+def _are_its_tables(target: ReplayTarget, record: Mapping[str, str], opened: OpenedLog) -> bool:
+    """Whether both tables can be read, and are of the same input and frames as the log."""
+    try:
+        frames, objects = read_footer(target.metrics), read_footer(target.objects)
+    except TableError:
+        return False
+    log_ids = {frames.facts.get(LOG_ID_KEY), objects.facts.get(LOG_ID_KEY)}
+    return log_ids == {opened.input.log_id} and str(frames.rows) == record.get(FRAMES_KEY)
 
 
 def _topics(target: ReplayTarget, opened: OpenedLog) -> set[tuple[str, bool]]:

@@ -17,6 +17,7 @@ from roadperc_stream.log import LogSummary
 from roadperc_stream.output.writing import Shown
 from roadperc_stream.schemas.record import CONTINUES_KEY, FIRST_FRAME_KEY, LOG_ID_KEY
 from roadperc_stream.state.attached import Notes, as_read, state_at_begin, state_at_end
+from roadperc_stream.state.checks import require_numbers_for
 from roadperc_stream.state.replay_state import ReplayMemory, ReplayState, settings_of
 from roadperc_stream.state.running import run_frame
 
@@ -122,7 +123,9 @@ def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> O
     found = source.read(cfg.limits)
     start_s = found.part(source.time_range).start_s or 0.0
     short = (f"warm-up: {start_s:g} s, the log has no more before the start",) if start_s < warm_up_s else ()
-    lead = ReplaySource(source.paths, source.overrides, TimeRange(start_s - warm_up_s, start_s))
+    lead = replace(source, time_range=TimeRange(start_s - warm_up_s, start_s))
+    if not source.recover:
+        _require_sound_lead(found, lead.time_range)
     begin = _warmed(found.summary, lead, cfg) if start_s > 0 else None
     return _opened(found, source, cfg, begin, short)
 
@@ -131,8 +134,22 @@ def _opened(
     found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, begin: ReplayState | None, notes: Notes = ()
 ) -> OpenedLog:
     """A log as what a replay goes through, once it is known what came before."""
-    log_in = input_of(found, source, cfg, None if begin is None else begin.input)
+    if begin is None:
+        return OpenedLog(input_of(found, source, cfg), begin, notes, found.warnings, source.strict)
+    log_in = input_of(found, source, cfg, begin.input, begin.lost)
+    require_numbers_for(begin, log_in.expected_frames)
     return OpenedLog(log_in, begin, notes, found.warnings, source.strict)
+
+
+def _require_sound_lead(found: ReadableLog, lead: TimeRange) -> None:
+    """Check that nothing is damaged in the seconds before a start: the memory they build would be another one.
+
+    Raises:
+        LogError: something is.
+    """
+    first_ns = found.summary.first_ns or 0
+    start_ns, end_ns = (first_ns + seconds_to_ns(limit_s or 0.0) for limit_s in (lead.start_s, lead.end_s))
+    found.require_outside(start_ns, end_ns)
 
 
 def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig) -> ReplayState | None:

@@ -9,6 +9,7 @@ from roadperc_stream.chain.step import ChainState
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import EarlierTruth
 from roadperc_stream.input.state import InputState
+from roadperc_stream.log import LostSpan
 from roadperc_stream.output.writing import Shown
 
 
@@ -30,13 +31,14 @@ class ReplayState:
     """What is remembered from one part of a drive to the next, as it is after the last frame that was complete.
 
     ``log_id`` names the part before, ``settings`` are those of the whole configuration it was replayed with: their
-    values as JSON, by key.
+    values as JSON, by key. ``lost`` are the gaps of a damaged log that the frames still to come may lie in.
     """
 
     log_id: str
     settings: Mapping[str, str]
     input: InputState
     memory: ReplayMemory
+    lost: tuple[LostSpan, ...] = ()
 
     def differences(self, cfg: ReplayConfig) -> tuple[str, ...]:
         """The settings that are not those of a configuration, in words."""

@@ -2,6 +2,7 @@
 
 import random
 import struct
+import zlib
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.errors import StateError
 from roadperc_stream.state import encoding
+from roadperc_stream.state.bounds import StateBounds, require_bounded
 from roadperc_stream.state.encoding import FORMAT_VERSION, decode, encode
 
 
@@ -45,11 +47,17 @@ def test_equal_things_give_equal_bytes_once_and_again():
     assert encode(decode(data, Thing)) == data
 
 
+def checked(data):
+    """Bytes behind a header that is right."""
+    return encoding._MAGIC + bytes([FORMAT_VERSION]) + struct.pack("<I", zlib.crc32(data)) + data
+
+
 def packed(plain):
-    return encoding._MAGIC + bytes([FORMAT_VERSION]) + zstandard.compress(plain)
+    return checked(zstandard.compress(plain))
 
 
-ARRAY = {"dtype": "<f8", "shape": [1], "data": b"\0" * 8}
+ARRAY = {"dtype": "<f8", "shape": [1], "elements": b"\0" * 8}
+MANY = struct.pack(">I", 10_000_000)
 
 
 @pytest.mark.parametrize(
@@ -57,11 +65,16 @@ ARRAY = {"dtype": "<f8", "shape": [1], "data": b"\0" * 8}
     [
         (b"", "is no state"),
         (b"PK\3\4 and so on", "is no state"),
-        (encoding._MAGIC + b"\2abc", "version 2, expected 1"),
-        (encoding._MAGIC + bytes([FORMAT_VERSION]) + b"\x28\xb5\x2f\xfdrubbish", "damaged"),
+        (encoding._MAGIC + b"\1abc", "version 1, expected 2"),
+        (encoding._MAGIC + bytes([FORMAT_VERSION]) + b"abc", "CRC is wrong"),
+        (checked(b"\x28\xb5\x2f\xfdrubbish"), "damaged"),
         (packed(b""), "damaged"),
         (packed(b"\x91" * 100_000), "damaged"),
-        (packed(b"\xdd\xff\xff\xff\xff"), "damaged"),
+        (packed(b"\xdd\xff\xff\xff\xff"), "items, at most that many are read"),
+        (packed(b"\xdd" + MANY + b"\0" * 10_000_000), "items, at most that many are read"),
+        (packed(b"\xdf" + MANY), "items, at most that many are read"),
+        (packed(b"\x91" * 50_000_000), "items, at most that many are read"),
+        (packed(msgspec.msgpack.encode({**ARRAY, "elements": b"\0" * 100_000_000})), "array of 100000000 bytes: exp"),
         (packed(msgspec.msgpack.encode({"value": "1"})), "Expected `float`"),
         (packed(msgspec.msgpack.encode({"value": 1.0, "pose": {**ARRAY, "dtype": "|O"}})), "dtype '|O'"),
         (packed(msgspec.msgpack.encode({"value": 1.0, "pose": {**ARRAY, "dtype": "<f4"}})), "expected '<f8'"),
@@ -89,9 +102,35 @@ def test_any_changed_byte_gives_a_thing_or_one_error():
     rng = random.Random(1)
     for _ in range(2000):
         changed = bytearray(data)
-        changed[rng.randrange(len(data))] = rng.randrange(256)
+        changed[rng.randrange(encoding._HEADER_BYTES, len(data))] = rng.randrange(256)
         with suppress(StateError):
-            assert isinstance(decode(bytes(changed), Thing), Thing)
+            assert isinstance(decode(checked(changed[encoding._HEADER_BYTES :]), Thing), Thing)
+
+
+def test_any_flipped_bit_is_one_error():
+    data = encode(Thing(1.5, np.eye(4), (np.zeros(3),), np.zeros(4, np.uint8), "name"))
+    for bit in range(8 * len(data)):
+        changed = bytearray(data)
+        changed[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(StateError):
+            decode(bytes(changed), Thing)
+
+
+def test_all_kinds_of_items_are_counted():
+    """As many as may be are read, one more is refused."""
+    things = [None, True, 5, -5, 300, -300, 2**17, -(2**17), 2**40, -(2**40), 0.5, "a", "a" * 40, "a" * 300, b"a"]
+    things += [b"a" * 300, "a" * 70_000, b"a" * 70_000, [], [1, 2], {}, {"a": 1}, [0] * 20, [0] * 70_000]
+    things += [{str(k): k for k in range(20)}, msgspec.msgpack.Ext(1, b"abcd"), msgspec.msgpack.Ext(1, b"abc")]
+
+    def count(item):
+        if isinstance(item, dict):
+            return 1 + sum(1 + count(value) for value in item.values())
+        return 1 + sum(map(count, item)) if isinstance(item, list) else 1
+
+    plain, items = msgspec.msgpack.encode(things), count(things)
+    require_bounded(plain, StateBounds(items, 100))
+    with pytest.raises(StateError, match=f"more than {items - 1} items"):
+        require_bounded(plain, StateBounds(items - 1, 100))
 
 
 def test_numbers_of_numpy_are_plain_ones():

@@ -17,7 +17,7 @@ from roadperc_stream.errors import StateError, TargetError
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.output.writing import FrameOutput
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.state.checkpoint import Checkpoint, CheckpointFolder, Counted, checkpoint_folder
+from roadperc_stream.state.checkpoint_folder import Checkpoint, CheckpointFolder, Counted, checkpoint_folder
 from roadperc_stream.state.replay_state import ReplayMemory
 from tests import logs
 from tests.replaying import replay
@@ -74,7 +74,7 @@ LITTLE = FrameOutput((), FrameMetrics("log", 0, 0), {}, ())
 OUTPUTS = ["out.mcap", "out.metrics.parquet", "out.objects.parquet"]
 
 
-@pytest.mark.parametrize("kill_before", [6, 22, 26])
+@pytest.mark.parametrize("kill_before", [8, 32, 39])
 def test_killed_before_a_change_of_a_name(source, undisturbed, tmp_path, kill_before):
     """Of checkpoints, of the outputs at the end, of the checkpoints that are removed then."""
     target = tmp_path / "out.mcap"
@@ -210,19 +210,17 @@ def test_killed_while_the_files_get_their_names_before_any_checkpoint(source, un
 
 def test_checkpoints_of_little_behind_what_was_cut_off_count_right(tmp_path):
     """What a replay wrote behind its last checkpoint is computed again: it may be little until the next one."""
-    folder = CheckpointFolder(tmp_path / "out.mcap")
     checkpoint = Checkpoint({}, 0, 0, ReplayMemory(), Counted())
-    folder.begin(None)
-    folder.append(LITTLE)
-    folder.write(replace(checkpoint, samples=1, length=folder.length))
-    folder.append(LITTLE)
-    folder.close()
-    again = CheckpointFolder(tmp_path / "out.mcap")
-    again.begin(found := folder.read())
-    assert again.length == found.length
-    again.append(LITTLE)
-    again.write(replace(checkpoint, samples=2, length=again.length))
-    again.close()
+    with CheckpointFolder(tmp_path / "out.mcap") as folder:
+        folder.begin(None)
+        folder.append(LITTLE)
+        folder.write(replace(checkpoint, samples=1, length=folder.length))
+        folder.append(LITTLE)
+    with CheckpointFolder(tmp_path / "out.mcap") as again:
+        again.begin(found := again.read())
+        assert again.length == found.length
+        again.append(LITTLE)
+        again.write(replace(checkpoint, samples=2, length=again.length))
     assert len(list(again.outputs(again.read()))) == 2
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.time import NS_PER_S
 
-_MOST = 256
+MOST_OBSERVED = 256
 """Observations that are kept: half a second at 500 frames per second."""
 
 
@@ -23,7 +23,7 @@ class ClassHistory:
         no segmentation, nothing is added and the result stays as it is.
         """
         kept = tuple(item for item in self.observations if (stamp_ns - item[0]) / NS_PER_S <= cfg.hold_s)
-        return ClassHistory((*kept, (stamp_ns, name))[-_MOST:] if name else kept)
+        return ClassHistory((*kept, (stamp_ns, name))[-MOST_OBSERVED:] if name else kept)
 
     @property
     def majority(self) -> str:

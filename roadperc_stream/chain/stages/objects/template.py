@@ -8,7 +8,7 @@ import numpy as np
 from roadperc_stream.chain.stages.objects.template_matching import correlate
 from roadperc_stream.core.datatypes import Box, Correlation, Image, read_only
 
-_LARGEST_PX = 96
+LARGEST_PX = 96
 """Longest side that is kept: the middle of a larger object is enough to find it."""
 _SMALLEST_PX = 8
 """Fewer pixels are found everywhere."""
@@ -57,7 +57,7 @@ class Template:
 
 
 def cut(image_grey: Image, box_px: Box, distance_m: float | None) -> Template | None:
-    """The middle of a box in the image, at most ``_LARGEST_PX`` in either direction; None where it is too small."""
+    """The middle of a box in the image, at most ``LARGEST_PX`` in either direction; None where it is too small."""
     height, width = image_grey.shape
     x0, y0, x1, y1 = box_px.rounded(width, height)
     x0, x1 = _middle(x0, x1)
@@ -70,7 +70,7 @@ def cut(image_grey: Image, box_px: Box, distance_m: float | None) -> Template | 
 
 
 def _middle(first: int, end: int) -> tuple[int, int]:
-    cut_off = max(end - first - _LARGEST_PX, 0)
+    cut_off = max(end - first - LARGEST_PX, 0)
     return first + cut_off // 2, end - (cut_off - cut_off // 2)
 
 

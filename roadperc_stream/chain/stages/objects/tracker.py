@@ -15,7 +15,7 @@ from roadperc_stream.core.datatypes import Absent, Box, Correlation, Object, Obj
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.core.scene import Scene
 
-_MOST_TRACKS = 256
+MOST_TRACKS = 256
 """Objects that are remembered; beyond, those longest without a detection are forgotten."""
 _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0
@@ -172,5 +172,5 @@ def _around(track: ObjectTrack) -> Box:
 
 def _remembered(tracks: Sequence[ObjectTrack]) -> tuple[ObjectTrack, ...]:
     """The tracks, the oldest first, as many as may be kept."""
-    latest = sorted(tracks, key=lambda track: (-track.detected_ns, track.number))[:_MOST_TRACKS]
+    latest = sorted(tracks, key=lambda track: (-track.detected_ns, track.number))[:MOST_TRACKS]
     return tuple(sorted(latest, key=lambda track: track.number))

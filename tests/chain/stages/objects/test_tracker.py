@@ -344,7 +344,7 @@ def test_resumes_equal_from_a_pickled_state():
 
 
 def test_memory_is_bounded(monkeypatch):
-    monkeypatch.setattr(tracker, "_MOST_TRACKS", 5)
+    monkeypatch.setattr(tracker, "MOST_TRACKS", 5)
     follower = Follower(ObjectsConfig(hold_s=1e4))
     for k in range(30):
         follower.frame(box("Car", 10 * k, 10, 10 * k + 8, 20))
