@@ -106,8 +106,7 @@ def _camera(synced: SyncedMessages, topics: Mapping[str, str]) -> Camera:
         frame_id = getattr(synced.reference.payload, "frame_id", "")
         raise ChannelError(
             f"{topics[role]}: camera {frame_id!r} has no calibration at {synced.reference.stamp_ns} ns: expected a "
-            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC; of a drive "
-            "in parts give the parts together, or the result of the part before with --continue"
+            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC"
         )
     return camera
 
