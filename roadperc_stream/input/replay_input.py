@@ -9,7 +9,7 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import UNWRITTEN, Sample
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.damage import ReadableLog, loss_reason, reach_ns
+from roadperc_stream.input.damage import LossTimes, ReadableLog, reach_ns
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.pairing import StampPairing
 from roadperc_stream.input.parts import part_notes
@@ -82,7 +82,7 @@ class ReplayInput:
         self.summary, self.plan = summary, plan
         self._cfg = cfg
         recovery = Recovery.of_records(summary.metadata)
-        self._gaps = () if recovery is None else recovery.gaps
+        self._losses = LossTimes(() if recovery is None else recovery.gaps)
         self._begin()
 
     def _begin(self) -> None:
@@ -137,7 +137,7 @@ class ReplayInput:
             is_written = before.is_written(synced.reference)
             self.frames += is_written
             if is_written:
-                lost = loss_reason(self._gaps, before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
+                lost = self._losses.reason(before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
                 yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
                 before_ns = numbers.log_time_ns
             else:

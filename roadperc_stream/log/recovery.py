@@ -2,11 +2,12 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryFile
 from typing import Any, Final
 
 from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
@@ -17,7 +18,7 @@ from roadperc_stream.log.records import Message, Metadata
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.spool import Spool, storing
 from roadperc_stream.log.stored import StoredLog
-from roadperc_stream.log.writing import LogWriter
+from roadperc_stream.log.writing import LogWriter, StoredLogWriter
 
 RECOVERY_RECORD: Final = "roadperc.recovery"
 """Metadata record of a repaired log: what was lost."""
@@ -147,13 +148,18 @@ def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LI
         LogError: not one message can be read.
         TargetError: ``target`` cannot be written.
     """
+    return _repaired(source, partial(LogWriter, target), limits)
+
+
+def _repaired(source: Path, writer_of: Callable[[str], LogWriter], limits: LimitsConfig) -> tuple[Salvage, Recovery]:
+    """Write what can be read of a log; ``writer_of`` makes the writer of its profile."""
     salvage = Salvage(source, limits=limits)
     messages = saved_messages(salvage)
     first = next(messages, None)
     if first is None:
         raise nothing_saved(source, salvage.damages)
     described = salvage.described
-    with LogWriter(target, described.profile) as writer:
+    with writer_of(described.profile) as writer:
         for message in chain((first,), messages):
             writer.write(message)
         for number in sorted(described.channels):
@@ -181,17 +187,16 @@ class RepairedLog:
 
 
 def repaired_copy(source: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> RepairedLog:
-    """What can be read of a log, as a whole log that is stored in a temporary file.
+    """What can be read of a log, as a whole log that is stored in a temporary file without a name.
 
     Raises:
         LogError: not one message can be read.
         TargetError: there is no space for it.
     """
-    with storing(str(source)), TemporaryDirectory(prefix="roadperc-") as folder:
-        file = Path(folder) / "repaired.mcap"
-        salvage, recovery = write_repaired(source, file, limits)
-        stored = Spool(str(source), file.open("rb"))  # the bytes stay while it is open
-    return RepairedLog(StoredLog.of(source, stored), salvage, recovery)
+    with storing(str(source)):
+        file = TemporaryFile()  # noqa: SIM115 - the spool closes it
+    salvage, recovery = _repaired(source, partial(StoredLogWriter, source, file=file), limits)
+    return RepairedLog(StoredLog.of(source, Spool(str(source), file)), salvage, recovery)
 
 
 def _by_topic(counts: Mapping[int, int], topics: Mapping[int, str]) -> dict[str, int]:
