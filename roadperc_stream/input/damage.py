@@ -148,7 +148,8 @@ def _in_log(copy: RepairedLog, parts: Sequence[LogSummary]) -> RepairedLog:
 
 def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, first_ns: int | None) -> Iterator[str]:
     """What the user should know of a log that was damaged: where, what was saved and what was lost."""
-    more = f" (the first of {len(damages)} damages)" if len(damages) > 1 else ""
+    number = log.number_of(damages)
+    more = f" (the first of {number} damages)" if number > 1 else ""
     yield f"{source}: damaged at byte {damages[0].byte}: {damages[0].words}{more}"
     yield from recovery.lines(first_ns)
 

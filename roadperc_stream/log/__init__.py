@@ -5,7 +5,7 @@ Bytes in, bytes out; what they mean is the business of ``schemas`` and ``input``
 
 from roadperc_stream.log.audit import audited
 from roadperc_stream.log.copying import MessageCopy
-from roadperc_stream.log.damage import Damage, DamagedLogError
+from roadperc_stream.log.damage import Damage, DamagedLogError, number_of
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.order import in_order_within
 from roadperc_stream.log.parts import gone_on_ns
@@ -36,6 +36,7 @@ __all__ = [
     "audited",
     "gone_on_ns",
     "in_order_within",
+    "number_of",
     "read",
     "received",
     "repaired_copy",

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -111,6 +111,8 @@ class Salvage:
         self._chunks_without_crc = self._breaks = self._open_at = 0
         self._covered = True
         """Whether every message that was read stands in a chunk with a CRC of its own."""
+        self._stream: IO[bytes] | None = None
+        self._to_first_damage = False
 
     @property
     def damages(self) -> list[Damage]:
@@ -174,17 +176,21 @@ class Salvage:
             data = bytes(body[MESSAGE_HEAD_BYTES:])
             yield Message(self.channels[head.channel_id], head.log_time_ns, head.publish_time_ns, head.sequence, data)
 
-    def run(self) -> None:
-        """Read everything for the account alone."""
+    def run(self, *, to_first_damage: bool = False) -> None:
+        """Read everything for the account alone, or no further than to know that the log is not whole."""
+        self._to_first_damage = to_first_damage
         for _ in self._found():
             pass
 
     def _found(self) -> Iterator[Found]:
         try:
             with guarded(self.path, self.limits) as stream:
+                self._stream = stream
                 for record in self._framing.records(stream):
                     self._note_breaks()
                     yield from self._messages_of(record)
+                    if self._to_first_damage and self.damages:
+                        return
         except OSError as error:
             raise LogError(f"{self.path}: {error.strerror or error}") from error
         except LimitError as error:
@@ -194,7 +200,7 @@ class Salvage:
     def _messages_of(self, record: Record) -> Iterator[Found]:
         """The messages of a record: one, a chunk's, or none of any other, which is taken note of."""
         if record.opcode != Opcode.MESSAGE_INDEX:
-            self._note_damage(self._inventory.close_chunk())
+            self._framing.note(self._inventory.close_chunk())
         if record.opcode == Opcode.CHUNK:
             yield from self._chunk(record)
             return
@@ -216,7 +222,7 @@ class Salvage:
     def _damaged_record(self, record: Record, words: str) -> None:
         """Take note of a record that makes no sense; one of a message index may be right, and its chunk wrong."""
         of_messages = record.opcode in _OF_MESSAGES and self._framing.summary_start is None
-        self.damages.append(Damage(record.start, words, *self._inventory.span_ns, of_messages))
+        self._framing.note(Damage(record.start, words, *self._inventory.span_ns, of_messages))
 
     def _chunk(self, record: Record) -> Iterator[Found]:
         try:
@@ -279,7 +285,7 @@ class Salvage:
         self._inventory.lose_chunk()
         span, end = span_ns_of(entry, head), end_of(record, entry, head)
         next_ns = self._inventory.next_ns
-        gap = lost_in_chunk(expected_messages(self.path, end), saved, span, next_ns, all_read=all_read)
+        gap = lost_in_chunk(self._expected_at(end), saved, span, next_ns, all_read=all_read)
         is_open = entry is None and (bool(record.fault) or span is None)
         if gap is not None:
             self._open_at = record.start
@@ -287,6 +293,14 @@ class Salvage:
         first_ns, last_ns = span or (next_ns, None)
         self._framing.damaged(record.start, fault, first_ns, None if is_open else last_ns)
         self._breaks = len(self._framing.breaks)
+
+    def _expected_at(self, end: int) -> Positions:
+        """What the message indexes say behind a damaged chunk; the stream stays where it is."""
+        assert self._stream is not None
+        at = self._stream.tell()
+        expected = expected_messages(self._stream, end)
+        self._stream.seek(at)
+        return expected
 
     def _note_breaks(self) -> None:
         """Where no record could start, messages are lost up to the next one."""
@@ -327,16 +341,13 @@ class Salvage:
                 self._inventory.note(start, item)
             self.described.add(item, in_data=self._framing.summary_start is None)
 
-    def _note_damage(self, damage: Damage | None) -> None:
-        if damage is not None:
-            self.damages.append(damage)
-
     def _conclude(self) -> None:
         """What only the end shows: records that fell out without a trace, and what the writer left out."""
         self._note_breaks()
-        self._note_damage(self._inventory.close_chunk())
+        self._framing.note(self._inventory.close_chunk())
         if not self._framing.has_place and self.conclusive:
-            self.damages.extend(self._inventory.discrepancies(self._framing.summary_start))
+            for damage in self._inventory.discrepancies(self._framing.summary_start):
+                self._framing.note(damage)
         if self._covered and self.inside:
             self._framing.explain_data_crc()
         lacking = {
@@ -349,12 +360,14 @@ class Salvage:
 
 def _is_message(described: Described, inventory: Inventory, body: bytes) -> bool:
     """Whether these are the first bytes of a message of this log, by its channel and its log time."""
+    if int.from_bytes(body[:2], "little") not in described.channels:  # cheap: there may be millions
+        return False
     try:
         head = message_head(body)
     except ValueError:
         return False
     near_ns = inventory.last_ns or head.log_time_ns
-    return head.channel_id in described.channels and abs(head.log_time_ns - near_ns) < _FAR_NS
+    return abs(head.log_time_ns - near_ns) < _FAR_NS
 
 
 class _Bounded(ReadDataStream):
