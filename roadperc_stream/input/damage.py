@@ -131,13 +131,19 @@ def readable_log(
     except DamagedLogError as error:
         if not despite_damage:
             raise
-        found = [log.audited(path, limits, check_chunks=True) for path in sources]
-        copies = [None if salvage.whole else log.repaired_copy(salvage.path, limits) for salvage in found]
+        copies = [_repaired(path, limits, error) for path in sources]
         files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
-        first_ns = min((salvage.first_ns for salvage in found if salvage.first_ns is not None), default=None)
         summary = log.summarise(files, limits)
         damaged = tuple(_in_log(copy, summary.parts) for copy in copies if copy is not None)
+        firsts = (summary.first_ns, *(copy.salvage.first_ns for copy in damaged))
+        first_ns = min((ns for ns in firsts if ns is not None), default=None)
         return ReadableLog(summary, error, damaged, first_ns)
+
+
+def _repaired(path: Path, limits: LimitsConfig, error: DamagedLogError) -> RepairedLog | None:
+    """The repaired copy of a file, which may be the one that the error is of; None where it is whole."""
+    is_whole = path != error.path and log.audited(path, limits, check_chunks=True).whole
+    return None if is_whole else log.repaired_copy(path, limits)
 
 
 def _in_log(copy: RepairedLog, parts: Sequence[LogSummary]) -> RepairedLog:

@@ -1,7 +1,7 @@
 """Where a log is damaged, and the errors that say so."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -34,14 +34,10 @@ class Damage:
 
 def with_more(damage: Damage, other: Damage) -> Damage:
     """A damage that stands for another one behind it as well."""
-    firsts, lasts = (damage.first_ns, other.first_ns), (damage.last_ns, other.last_ns)
-    return replace(
-        damage,
-        first_ns=min((ns for ns in firsts if ns is not None), default=None) if None not in firsts else None,
-        last_ns=max((ns for ns in lasts if ns is not None), default=None) if None not in lasts else None,
-        of_messages=damage.of_messages or other.of_messages,
-        number=damage.number + other.number,
-    )
+    first_ns = None if None in (damage.first_ns, other.first_ns) else min(damage.first_ns or 0, other.first_ns or 0)
+    last_ns = None if None in (damage.last_ns, other.last_ns) else max(damage.last_ns or 0, other.last_ns or 0)
+    of_messages = damage.of_messages or other.of_messages
+    return Damage(damage.byte, damage.words, first_ns, last_ns, of_messages, damage.number + other.number)
 
 
 def number_of(damages: Iterable[Damage]) -> int:

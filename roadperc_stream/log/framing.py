@@ -18,7 +18,7 @@ from roadperc_stream.log.integrity import CRC_BYTES, MAGIC
 from roadperc_stream.log.resync import IsMessage, RecordSearch
 
 _HEAD: Final = struct.Struct("<BQ")
-_OPCODES: Final = frozenset(int(opcode) for opcode in Opcode)
+_NAMES: Final = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
 _FIRST_PRIVATE: Final = 0x80
 """Opcodes from here on are an application's own."""
 _OF_DATA: Final[frozenset[int]] = frozenset(
@@ -64,7 +64,7 @@ class Record:
     @property
     def name(self) -> str:
         """The kind of record, as the specification calls it."""
-        return Opcode(self.opcode).name.lower().replace("_", " ") if self.opcode in _OPCODES else f"{self.opcode:#04x}"
+        return _NAMES.get(self.opcode, f"{self.opcode:#04x}")
 
     @property
     def end(self) -> int:
@@ -103,6 +103,8 @@ class Framing:
     """Where reading broke off in the data section: messages may be lost there."""
     summary_start: int | None = None
     """The first byte behind the data section; None before it was found."""
+    to_first_damage: bool = False
+    """Whether to read no further than to know that the file is damaged."""
     _data_crc: int | None = None
     _data_crc_damage: Damage | None = None
     _summary_crc: int | None = None
@@ -131,11 +133,13 @@ class Framing:
         self._data_crc = zlib.crc32(stream.read(len(MAGIC)))
         search = RecordSearch(stream, self.size_bytes, self.is_message)
         at: int | None = len(MAGIC)
-        while at is not None:
+        while at is not None and not (self.to_first_damage and self.damages):
             head = stream.read(_HEAD.size)
             fault = self._fault(at, head)
             if fault:
                 yield from self._broken(stream, at, head, fault)
+                if self.to_first_damage:
+                    return
                 at = self._resume(stream, at, search)
                 continue
             opcode, length = _HEAD.unpack(head)
@@ -153,7 +157,7 @@ class Framing:
             return f"cut off: the file ends after {self.size_bytes} bytes, before its footer"
         opcode, length = _HEAD.unpack(head)
         left = self.size_bytes - at - _HEAD.size
-        if opcode not in _OPCODES and opcode < _FIRST_PRIVATE:
+        if opcode not in _NAMES and opcode < _FIRST_PRIVATE:
             return f"no record starts here: its type would be {opcode:#04x}"
         if length > left:
             return f"cut off or damaged: a record of {length} bytes starts here, {left} bytes are left"

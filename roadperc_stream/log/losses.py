@@ -94,9 +94,8 @@ class Losses:
 
     def add(self, gap: Gap, *, is_open: bool) -> None:
         """Take note of a gap; an open one ends where the next message is."""
-        if self._is_open:  # reading broke off again before any message came
-            gap = replace(gap, first_ns=self.gaps.pop().first_ns)
-        self.gaps.append(replace(gap, last_ns=None) if is_open else gap)
+        first_ns = self.gaps.pop().first_ns if self._is_open else gap.first_ns  # open: no message came since
+        self.gaps.append(Gap(first_ns, None if is_open else gap.last_ns, gap.messages))
         self._is_open = is_open
 
     def settle(self, last_ns: int) -> bool:

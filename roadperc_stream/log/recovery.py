@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -14,14 +14,12 @@ from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.log.damage import nothing_saved
 from roadperc_stream.log.order import in_order_within
-from roadperc_stream.log.records import Message, Metadata
+from roadperc_stream.log.records import RECOVERY_RECORD, Message, Metadata
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.spool import Spool, storing
 from roadperc_stream.log.stored import StoredLog
 from roadperc_stream.log.writing import LogWriter, StoredLogWriter
 
-RECOVERY_RECORD: Final = "roadperc.recovery"
-"""Metadata record of a repaired log: what was lost."""
 _VERSION: Final = "1"
 _MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 _GAPS_LISTED: Final = 5
@@ -98,6 +96,12 @@ class Recovery:
             return self
         return replace(self, gaps=tuple(_ending(gap, last_ns) for gap in self.gaps))
 
+    def of_at_most(self, gaps: int) -> "Recovery":
+        """With so many gaps, of which the last stands for all behind it, too."""
+        if len(self.gaps) <= gaps:
+            return self
+        return replace(self, gaps=(*self.gaps[: gaps - 1], _as_one(self.gaps[gaps - 1 :])))
+
     def after(self, earlier: "Recovery | None", saved: int) -> "Recovery":
         """With what an earlier repair of the same log, or that of its part before, had lost."""
         if earlier is None:
@@ -124,6 +128,16 @@ class Recovery:
 def _ending(gap: LostSpan, last_ns: int) -> LostSpan:
     is_open = gap.last_ns is None and (gap.first_ns is None or gap.first_ns <= last_ns)
     return replace(gap, last_ns=last_ns) if is_open else gap
+
+
+def _as_one(gaps: Sequence[LostSpan]) -> LostSpan:
+    firsts, lasts = [gap.first_ns for gap in gaps], [gap.last_ns for gap in gaps]
+    messages = Counter[str]()
+    for gap in gaps:
+        messages.update(gap.messages)
+    first_ns = None if None in firsts else min(ns for ns in firsts if ns is not None)
+    last_ns = None if None in lasts else max(ns for ns in lasts if ns is not None)
+    return LostSpan(first_ns, last_ns, dict(messages))
 
 
 def saved_messages(salvage: Salvage) -> Iterator[Message]:
@@ -168,7 +182,7 @@ def _repaired(source: Path, writer_of: Callable[[str], LogWriter], limits: Limit
             writer.attach(attachment)
         recovery = Recovery.of_salvage(salvage)
         if not salvage.whole:
-            recovery = recovery.after(Recovery.of_records(described.metadata), recovery.saved)
+            recovery = recovery.after(Recovery.of_records(described.metadata), recovery.saved).of_at_most(limits.gaps)
         for metadata in described.metadata:
             if salvage.whole or metadata.name != RECOVERY_RECORD:
                 writer.describe(metadata)

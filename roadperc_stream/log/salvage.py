@@ -38,7 +38,7 @@ from roadperc_stream.log.framing import Framing, Record
 from roadperc_stream.log.index import UNREADABLE, end_of, index_of, places_of, span_ns_of
 from roadperc_stream.log.integrity import data_end_of, require_log, summary_fits, unopened
 from roadperc_stream.log.inventory import INDEX_ENTRY_BYTES, ChunkPlace, Inventory, Positions
-from roadperc_stream.log.limits import LimitError, check_chunk, guarded
+from roadperc_stream.log.limits import LimitError, check_chunk, guarded, require_attachments, require_gaps
 from roadperc_stream.log.losses import Gap, Losses, expected_messages, lost_in_chunk
 from roadperc_stream.log.records import Channel, Message
 
@@ -108,11 +108,10 @@ class Salvage:
         self._inventory, self._losses, self._workspace = Inventory(), Losses(), Workspace()
         is_message = partial(_is_message, self.described, self._inventory)  # not of this object: it is freed at once
         self._framing = Framing(self.size_bytes, resume_at, is_message)
-        self._chunks_without_crc = self._breaks = self._open_at = 0
+        self._chunks_without_crc = self._breaks = self._open_at = self._held_bytes = 0
         self._covered = True
         """Whether every message that was read stands in a chunk with a CRC of its own."""
         self._stream: IO[bytes] | None = None
-        self._to_first_damage = False
 
     @property
     def damages(self) -> list[Damage]:
@@ -178,7 +177,7 @@ class Salvage:
 
     def run(self, *, to_first_damage: bool = False) -> None:
         """Read everything for the account alone, or no further than to know that the log is not whole."""
-        self._to_first_damage = to_first_damage
+        self._framing.to_first_damage = to_first_damage
         for _ in self._found():
             pass
 
@@ -189,8 +188,6 @@ class Salvage:
                 for record in self._framing.records(stream):
                     self._note_breaks()
                     yield from self._messages_of(record)
-                    if self._to_first_damage and self.damages:
-                        return
         except OSError as error:
             raise LogError(f"{self.path}: {error.strerror or error}") from error
         except LimitError as error:
@@ -204,20 +201,33 @@ class Salvage:
         if record.opcode == Opcode.CHUNK:
             yield from self._chunk(record)
             return
+        self._hold(record)
         try:
             if record.opcode == Opcode.MESSAGE:
                 self._covered = False
                 yield self._counted(record.body)
             elif record.opcode == Opcode.MESSAGE_INDEX:
                 if len(record.body) > self.limits.chunk_messages * INDEX_ENTRY_BYTES + INDEX_ENTRY_BYTES:
-                    raise LimitError(too_many(self.limits.chunk_messages))
+                    raise ValueError(too_many(self.limits.chunk_messages))
                 self._inventory.add_message_index(record)
             elif record.opcode >= _PRIVATE_BIT:
                 self._require_private(record)
             else:
                 self._note(record.opcode, record.body, record.start)
+        except LimitError:
+            raise
         except UNREADABLE as error:
             self._damaged_record(record, f"{record.name}: {_in_words(error)}")
+
+    def _hold(self, record: Record) -> None:
+        """Attachments and metadata are held in memory.
+
+        Raises:
+            LimitError: there are more than the limit.
+        """
+        if record.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
+            self._held_bytes += len(record.body)
+            require_attachments(self._held_bytes, self.limits)
 
     def _damaged_record(self, record: Record, words: str) -> None:
         """Take note of a record that makes no sense; one of a message index may be right, and its chunk wrong."""
@@ -340,6 +350,8 @@ class Salvage:
             if start is not None:
                 self._inventory.note(start, item)
             self.described.add(item, in_data=self._framing.summary_start is None)
+            if isinstance(item, records.Metadata):
+                require_gaps(self.described.metadata[-1], self.limits)
 
     def _conclude(self) -> None:
         """What only the end shows: records that fell out without a trace, and what the writer left out."""
