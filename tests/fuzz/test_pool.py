@@ -63,7 +63,7 @@ def test_who_stops_early_leaves_no_process(workers):
     found = run([Order("a"), Order("asleep")], 2)
     next(found)
     found.close()
-    assert all(worker.poll() == -signal.SIGKILL for worker in workers)
+    assert all(worker.poll() is not None for worker in workers)  # killed, or ended as its input did
 
 
 def test_a_gigabyte_more_is_refused():
