@@ -1,7 +1,6 @@
 """Workers that are killed: by their time, by their memory, by the system; and what they leave behind."""
 
 import os
-import signal
 import subprocess
 import sys
 
