@@ -12,10 +12,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Final
 
 from mcap import records
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 
@@ -40,20 +39,9 @@ from roadperc_stream.log.integrity import data_end_of, require_log, summary_fits
 from roadperc_stream.log.inventory import INDEX_ENTRY_BYTES, ChunkPlace, Inventory, Positions
 from roadperc_stream.log.limits import LimitError, check_chunk, guarded, require_attachments, require_gaps
 from roadperc_stream.log.losses import Gap, Losses, expected_messages, lost_in_chunk
+from roadperc_stream.log.parsing import PARSED, parse
 from roadperc_stream.log.records import Channel, Message
 
-_PARSED: Final[dict[int, Any]] = {
-    Opcode.HEADER: records.Header,
-    Opcode.SCHEMA: records.Schema,
-    Opcode.CHANNEL: records.Channel,
-    Opcode.ATTACHMENT: records.Attachment,
-    Opcode.METADATA: records.Metadata,
-    Opcode.STATISTICS: records.Statistics,
-    Opcode.CHUNK_INDEX: records.ChunkIndex,
-    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex,
-    Opcode.METADATA_INDEX: records.MetadataIndex,
-    Opcode.FOOTER: records.Footer,
-}
 _PRIVATE_BIT: Final = 0x80
 _OF_MESSAGES: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX))
 """Records of the data section without which messages are lost, or that say something else of them."""
@@ -342,11 +330,8 @@ class Salvage:
 
     def _note(self, opcode: int, body: bytes, start: int | None = None) -> None:
         """Keep what a record other than a message says; ``start`` is its first byte, None inside a chunk."""
-        if opcode in _PARSED:
-            stream = _Bounded(BytesIO(body))
-            item = _PARSED[opcode].read(stream)
-            if start is None and stream.count < len(body):  # the library reads on at the wrong byte there
-                raise ValueError(f"a record of {len(body)} bytes whose fields have {stream.count}")
+        if opcode in PARSED:
+            item = parse(opcode, body, spare_allowed=start is None)
             if start is not None:
                 self._inventory.note(start, item)
             self.described.add(item, in_data=self._framing.summary_start is None)
@@ -380,17 +365,6 @@ def _is_message(described: Described, inventory: Inventory, body: bytes) -> bool
         return False
     near_ns = inventory.last_ns or head.log_time_ns
     return abs(head.log_time_ns - near_ns) < _FAR_NS
-
-
-class _Bounded(ReadDataStream):
-    """A record's bytes, and an error where its fields want more."""
-
-    def read(self, length: int) -> bytes:
-        """The next bytes, all of them."""
-        data = super().read(length)
-        if len(data) < length:
-            raise EndOfFile
-        return data
 
 
 def _in_words(error: BaseException) -> str:
