@@ -19,6 +19,8 @@ from tests.fuzz.trying import SECONDS, WAITING_S, Verdict, without_answer
 
 WARM_UP_S = 180.0
 ENDING_S = 10.0
+CASES_OF_A_WORKER = 500
+"""Then it is replaced: a recording of Rerun's SDK leaves two threads in its process, which wake up again and again."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class Worker:
             env=environment, start_new_session=True,
         )  # fmt: skip
         self.order: Order | None = None
+        self.tried = 0
         self.is_making = False
         """Whether the case is still being made: what happens then is no fault of a command."""
         self._buffer = b""
@@ -137,10 +140,13 @@ def _heard(
             worker.begin()
             continue
         if "verdict" in answer and worker.order:
+            worker.tried += 1
             yield worker.order, Verdict(**answer["verdict"])
         worker.order = None
-        if not waiting:
+        if not waiting or worker.tried == CASES_OF_A_WORKER:
             _stop(worker, workers, selector)
+            if waiting:
+                _start(workers, selector)
             return
         worker.give(waiting.popleft())
 

@@ -58,6 +58,12 @@ def test_a_worker_that_is_killed_is_replaced_and_the_others_go_on(workers):
     assert all(worker.poll() is not None for worker in workers)
 
 
+def test_a_worker_is_replaced_after_so_many_cases(workers, monkeypatch):
+    monkeypatch.setattr(pool, "CASES_OF_A_WORKER", 2)
+    assert faults(run([Order(name) for name in "abcde"], 1)) == {name: [] for name in "abcde"}
+    assert [worker.poll() is not None for worker in workers] == [True] * 3
+
+
 def test_who_stops_early_leaves_no_process(workers):
     found = run([Order("a"), Order("asleep")], 2)
     next(found)
