@@ -48,6 +48,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--force", action="store_true", help="replace an earlier dump in the folder")
     _add_drive(parser.add_argument_group("the drive"), facts.SCENES, defaults)
     _add_noise(parser.add_argument_group("noise and drops"))
+    _add_lane_changes(parser.add_argument_group("changes of lane"))
+    _add_truth(parser.add_argument_group("truth"))
     completed_by(dump, files())
     return parser
 
@@ -74,6 +76,18 @@ def _add_noise(group: argparse._ArgumentGroup) -> None:
         ("--drop", "P", "probability that a sensor's file is missing; the first frame is whole"),
     ):
         group.add_argument(name, type=float, default=0.0, metavar=metavar, help=text)
+
+
+def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
+    side = "after 2 s, over 3 s; the road has another lane of the car's own direction on that side"
+    group.add_argument("--change-lane", choices=("left", "right"), help=side)
+    group.add_argument("--change-back", action="store_true", help="and back again after 2 s, over 3 s")
+    group.add_argument("--change-broken-off", action="store_true", help="back before the line is crossed, in all 3 s")
+
+
+def _add_truth(group: argparse._ArgumentGroup) -> None:
+    text = "truth.json also says what is in the path, its time to impact, and lane changes"
+    group.add_argument("--path-truth", action="store_true", help=f"{text}; implied where the drive is no plain one")
 
 
 def _options(arguments: argparse.Namespace) -> Any:

@@ -9,10 +9,13 @@ import numpy as np
 from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, Float, rigid
 
 from .drawings import CAR_M, CAR_WIDTH_M
+from .ego import Ego, LaneChangeState
 from .faces import Faces, together
 from .layout import Fixtures
+from .manoeuvre import lane_changes
+from .options import RenderOptions
 from .shade import Shadow
-from .traffic import Ego, Traffic
+from .traffic import Traffic
 from .view import Scenery
 from .world import World
 
@@ -57,6 +60,9 @@ class SceneMoment:
     world_T_ego: Float
     scenery: Scenery
     things: tuple[Thing, ...]
+    d_m: float
+    """How far the ego car is to the left of the road's middle."""
+    lane_change: LaneChangeState
 
 
 @dataclass(frozen=True)
@@ -69,10 +75,11 @@ class Drive:
     seed: int
 
     @classmethod
-    def of(cls, world: World, speed_mps: float, weave_m: float, seed: int, *, static: bool = False) -> "Drive":
-        """A drive whose things are drawn from the seed."""
-        ego = Ego(world, speed_mps, weave_m, static)
-        return cls(ego, Fixtures(world, seed), Traffic(ego, seed), seed)
+    def of(cls, world: World, options: RenderOptions) -> "Drive":
+        """The drive that the options ask for; its things are drawn from the seed."""
+        changes = lane_changes(options, world.road.lanes)
+        ego = Ego(world, options.speed_mps, options.weave_m, options.static, changes)
+        return cls(ego, Fixtures(world, options.seed), Traffic(ego, options.seed), options.seed)
 
     def at(self, time_s: float) -> SceneMoment:
         """The moment at a time since the start."""
@@ -87,7 +94,8 @@ class Drive:
             Shadow(thing.pose(time_s), CAR_M[0] / 2, CAR_WIDTH_M / 2) for thing in things if thing.label == "Car"
         )
         scenery = Scenery(world, s, together(groups), shadows, MOUNT_Z_M, self.seed)
-        return SceneMoment(time_s, self.ego.pose(time_s), scenery, things)
+        change = self.ego.lane_change(time_s, CAR_WIDTH_M / 2)
+        return SceneMoment(time_s, self.ego.pose(time_s), scenery, things, self.ego.d(time_s), change)
 
 
 def _standing(world_T_body: Float) -> Callable[[float], Float]:

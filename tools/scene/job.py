@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from . import dump, noise
 from .detector import detect
 from .drive import CameraPair, Drive, SceneMoment, make_rig
+from .object_truth import ObjectTruth, objects_truth
 from .options import SENSORS, RenderOptions
+from .roads import road_of
 from .scanner import scan
-from .truth import ObjectTruth, lanes_truth, objects_truth, surface_truth
+from .truth import lanes_truth, surface_truth
 from .view import RenderedView, photograph, render
 from .world import make_world
 
@@ -52,8 +54,8 @@ def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: 
 
 
 def _render(folder: Path, options: RenderOptions, on_frame: Callable[[], None]) -> None:
-    world = make_world(options.scene, 0.0 if options.static else options.speed_mps * options.seconds)
-    drive = Drive.of(world, options.speed_mps, options.weave_m, options.seed, static=options.static)
+    world = make_world(options.scene, 0.0 if options.static else options.speed_mps * options.seconds, road_of(options))
+    drive = Drive.of(world, options)
     rig = make_rig(options.width, options.height)
     records = _Records()
     for frame in range(options.frames):
@@ -127,9 +129,9 @@ def _record(
     records.detections[name] = [detection.to_json() for detection in found]
     records.poses[name] = dump.carla_transform(moment.world_T_ego)
     records.stamps.append(f"{name} {moment.time_s:.9f}\n")
-    records.lanes[name] = lanes_truth(moment)
+    records.lanes[name] = lanes_truth(moment, with_change=options.knows_path)
     records.surface[name] = surface_truth(moment, rig)
-    records.objects[name] = [truth.to_json() for truth in objects]
+    records.objects[name] = [truth.to_json(with_path=options.knows_path) for truth in objects]
 
 
 def _write_records(folder: Path, options: RenderOptions, rig: CameraPair, records: _Records) -> None:

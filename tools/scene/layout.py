@@ -86,13 +86,15 @@ class Fixtures:
         faces = prefabs.building(int(rng.integers(100)), length, depth, 3.2 * floors + 0.5, tint)
         setback = self.world.section.walk_m + rng.uniform(0.2, 2.0)
         turn = np.pi if side > 0 else 0.0
-        return self._upright(f"house{side}:{slot}", faces, (slot + 0.5) * HOUSE_SLOT_M, side * setback, turn)
+        s = (slot + 0.5) * HOUSE_SLOT_M
+        return self._upright(f"house{side}:{slot}", faces, s, self.world.road.aside(side, s, setback), turn)
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _post(self, slot: int, side: int) -> Fixture:
         s = (slot + (0.3 if side > 0 else 0.75)) * POST_SLOT_M
         faces = prefabs.lamp_post(-side)
-        return self._upright(f"post{side}:{slot}", faces, s, side * (self.world.section.curb_m + 0.5), 0.0)
+        d = self.world.road.aside(side, s, self.world.section.curb_m + 0.5)
+        return self._upright(f"post{side}:{slot}", faces, s, d, 0.0)
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _tree(self, slot: int, side: int) -> Fixture | None:
@@ -100,13 +102,14 @@ class Fixtures:
         s, d = (slot + rng.uniform(0.2, 0.8)) * TREE_SLOT_M, self.world.section.walk_m - rng.uniform(0.3, 0.8)
         if rng.random() < 0.45:
             return None
-        return self._upright(f"tree{side}:{slot}", prefabs.tree(), s, side * d, float(rng.uniform(0, 6)))
+        d = self.world.road.aside(side, s, d)
+        return self._upright(f"tree{side}:{slot}", prefabs.tree(), s, d, float(rng.uniform(0, 6)))
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _parked(self, slot: int, side: int) -> Fixture | None:
         rng = self._rng(slot, side, 2)
         s = (slot + 0.5) * PARKING_SLOT_M + rng.uniform(-0.8, 0.8)
-        d = side * (self.world.section.curb_m - PARKED_M - rng.uniform(-0.1, 0.1))
+        d = self.world.road.aside(side, s, self.world.section.curb_m - PARKED_M - rng.uniform(-0.1, 0.1))
         taken = self.world.section.outside_right == "road" and rng.random() < 0.42
         if not taken:
             return None

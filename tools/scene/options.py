@@ -5,6 +5,7 @@ from typing import Final, Literal, get_args
 
 from roadperc_stream.errors import DumpError
 
+LaneSide = Literal["left", "right"]
 SceneName = Literal["straight", "bend", "hill", "town"]
 SCENES: Final[tuple[str, ...]] = get_args(SceneName)
 SENSORS: Final = ("rgb", "depth", "segmentation", "right")
@@ -32,6 +33,16 @@ class RenderOptions:
     without: tuple[str, ...] = ()
     """Sensors whose files are left out, of ``SENSORS``."""
     seed: int = 0
+    path_truth: bool = False
+    """Whether the truth says what is in the path and when a lane is changed; what follows implies it."""
+    change_lane: LaneSide | None = None
+    change_back: bool = False
+    change_broken_off: bool = False
+
+    @property
+    def knows_path(self) -> bool:
+        """Whether the truth says what is in the path and when a lane is changed."""
+        return self.path_truth or self.change_lane is not None
 
     @property
     def frames(self) -> int:
@@ -64,3 +75,11 @@ class RenderOptions:
             raise DumpError(f"--scene {self.scene}: expected one of {', '.join(SCENES)}")
         if not set(SENSORS) - set(self.without):
             raise DumpError("--without: no camera is left")
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Refuses options that do not go with others."""
+        if (self.change_back or self.change_broken_off) and self.change_lane is None:
+            raise DumpError("--change-back and --change-broken-off: expected --change-lane left or right as well")
+        if self.change_back and self.change_broken_off:
+            raise DumpError("--change-back: a change that is broken off is no change to go back from")

@@ -1,4 +1,4 @@
-"""What moves: the ego car along its lane, cars before and towards it, people on the sidewalks and across the road."""
+"""What moves beside the ego car: cars before and towards it, people on the sidewalks and across the road."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -9,15 +9,11 @@ import numpy as np
 from roadperc_stream.core.geometry import Float, rigid, rotation_from_rpy
 
 from . import prefabs
+from .ego import Ego
 from .faces import Faces
 from .section import CURB_HEIGHT_M
 from .world import World
 
-WEAVE_S: Final = 6.0
-MAX_WEAVE_SLOPE: Final = 0.15
-"""How far the car turns out of its lane's direction at most: a slow car weaves more slowly."""
-NOD_S: Final = 1.1
-NOD_RAD: Final = float(np.radians(0.3))
 HEADWAY_S: Final = 2.8
 HEADWAY_MIN_M: Final = 14.0
 ONCOMING_SPEED_MPS: Final = 9.0
@@ -30,33 +26,6 @@ WALK_TURN_S: Final = 14.0
 CROSSING_SLOT_M: Final = 95.0
 RUN_MPS: Final = 2.6
 STRIDE_M: Final = 0.22
-
-
-@dataclass(frozen=True)
-class Ego:
-    """The ego car's motion: constant speed along the road's centre line, weaving about the lane's middle."""
-
-    world: World
-    speed_mps: float
-    weave_m: float
-    static: bool
-
-    def s(self, time_s: float) -> float:
-        """Metres along the road."""
-        return 0.0 if self.static else self.speed_mps * time_s
-
-    def pose(self, time_s: float) -> Float:
-        """world_T_ego: on its wheels, headed where it goes, nodding a little."""
-        if self.static:
-            return self.world.ground_pose(0.0, self.world.section.lane_centre_m)
-        period_s = max(WEAVE_S, 2 * np.pi * self.weave_m / (MAX_WEAVE_SLOPE * self.speed_mps))
-        phase = 2 * np.pi * time_s / period_s
-        s, d = self.s(time_s), self.world.section.lane_centre_m + self.weave_m * np.sin(phase)
-        sideways = self.weave_m * 2 * np.pi / period_s * np.cos(phase)
-        onwards = self.speed_mps * (1 - self.world.path.curvature(s) * d)
-        turn = float(np.arctan2(sideways, onwards))
-        nod = NOD_RAD * np.sin(2 * np.pi * time_s / NOD_S)
-        return self.world.ground_pose(s, d, turn) @ rigid(rotation_from_rpy(0.0, nod, 0.0), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -97,7 +66,8 @@ class Traffic:
                 ahead = gap * (1 + swing * np.sin(2 * np.pi * time_s / period))
                 if self.ego.static:
                     ahead = gap + self.ego.speed_mps * time_s
-                return self.world.ground_pose(self.ego.s(time_s) + ahead, self.world.section.lane_centre_m)
+                s = self.ego.s(time_s) + ahead
+                return self.world.ground_pose(s, self.world.road.lanes.start.middle_m(s))
 
             yield Mover(f"leader:{i}", "Car", prefabs.car(int(self._rng(0, i).integers(100))), pose)
 
@@ -121,7 +91,7 @@ class Traffic:
             rng = self._rng(2, k)
             side = 1 if rng.random() < 0.5 else -1
             middle, late = (k + rng.random()) * WALKER_SLOT_M, rng.uniform(0, WALK_TURN_S)
-            d = side * (self.world.section.curb_m + rng.uniform(0.9, 2.3))
+            d = self.world.road.aside(side, middle, self.world.section.curb_m + rng.uniform(0.9, 2.3))
 
             def pose(time_s: float, middle: float = middle, late: float = late, d: float = d) -> Float:
                 along, turn = _to_and_fro(time_s + late)
@@ -133,16 +103,17 @@ class Traffic:
     def _crossing(self, time_s: float) -> Iterator[Mover]:
         """People who run across the road from the right, between the ego car and the one before it."""
         s, speed = self.ego.s(time_s), max(self.ego.speed_mps, 1.0)
-        edge = self.world.section.curb_m + 1.0
+        left = self.world.section.curb_m + 1.0
         for k in range(int((s - 5) // CROSSING_SLOT_M), int((s + WALKER_RANGE_M) // CROSSING_SLOT_M) + 1):
             place = (k + 0.4) * CROSSING_SLOT_M
-            start = place / speed - 0.5 - edge / RUN_MPS if not self.ego.static else 1.5 + 3 * k
+            right = -self.world.road.aside(-1, place, left)
+            start = place / speed - 0.5 - right / RUN_MPS if not self.ego.static else 1.5 + 3 * k
 
-            def pose(time_s: float, place: float = place, start: float = start) -> Float:
-                d = float(np.clip(RUN_MPS * (time_s - start) - edge, -edge, edge))
+            def pose(time_s: float, place: float = place, start: float = start, right: float = right) -> Float:
+                d = float(np.clip(RUN_MPS * (time_s - start) - right, -right, left))
                 return self._on_foot(place, d, np.pi / 2)
 
-            moving = 0 < time_s - start < 2 * edge / RUN_MPS
+            moving = 0 < time_s - start < (left + right) / RUN_MPS
             yield self._person(f"crossing:{k}", 3 * k + 1, time_s if moving else 0.0, RUN_MPS, pose)
 
     def _person(self, name: str, clothes: int, walked_s: float, speed: float, pose: Callable[[float], Float]) -> Mover:
@@ -153,7 +124,8 @@ class Traffic:
         """Pose of somebody upright on the road or, beyond the curb, on the sidewalk."""
         x, y, heading = (float(v[0]) for v in self.world.path.pose(np.array([s_m])))
         x, y = x - d_m * np.sin(heading), y + d_m * np.cos(heading)
-        step = CURB_HEIGHT_M if abs(d_m) > self.world.section.curb_m else 0.0
+        beyond = abs(float(self.world.road.section_d(np.array([s_m]), np.array([d_m]))[0])) > self.world.section.curb_m
+        step = CURB_HEIGHT_M if beyond else 0.0
         height = float(self.world.terrain.height(np.array([x]))[0]) + step
         return rigid(rotation_from_rpy(0.0, 0.0, heading + turn), np.array([x, y, height]))
 

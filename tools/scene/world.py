@@ -9,9 +9,10 @@ import numpy as np
 
 from roadperc_stream.core.geometry import Float, rigid
 
-from .options import SceneName
+from .options import RenderOptions, SceneName
 from .path import Element, Path, chain
-from .section import RoadSection, street
+from .roads import Road, road_of
+from .section import RoadSection
 from .terrain import Terrain, level_ground, rolling_ground
 
 RADIUS_M: Final = 150.0
@@ -27,7 +28,12 @@ class World:
     name: SceneName
     path: Path
     terrain: Terrain
-    section: RoadSection
+    road: Road
+
+    @property
+    def section(self) -> RoadSection:
+        """The road's cross-section."""
+        return self.road.section
 
     def ground_pose(self, s_m: float, d_m: float, turn: float = 0.0) -> Float:
         """world_T_body of a body on its wheels at (s, d), turned by ``turn`` radians against the road.
@@ -45,11 +51,11 @@ class World:
         return rigid(rotation, np.array([x, y, float(self.terrain.height(np.array([x]))[0])]))
 
 
-def make_world(name: SceneName, length_m: float) -> World:
-    """The world for a drive of ``length_m`` along the road, which starts at s = 0."""
+def make_world(name: SceneName, length_m: float, road: Road | None = None) -> World:
+    """The world for a drive of ``length_m`` along the road, which starts at s = 0; the scene's own road by default."""
     wave_m = _WAVES_M.get(name)
     terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else level_ground()
-    return World(name, _PATHS[name](length_m), terrain, street(parking=name != "hill", broken=name in ("bend", "town")))
+    return World(name, _PATHS[name](length_m), terrain, road or road_of(RenderOptions(scene=name)))
 
 
 def _straight(length_m: float) -> Path:

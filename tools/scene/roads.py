@@ -1,0 +1,79 @@
+"""The roads of the scenes: a cross-section, the lanes of the own direction, and what changes along the way."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from .along import Along, constant
+from .lanes import Edge, Lane, LaneMap, side_by_side, single
+from .markings import Marking, Markings
+from .options import RenderOptions
+from .path import Real
+from .section import LINE_M, WHITE, YELLOW, RoadSection, street
+
+LANE_M: Final = 3.6
+"""Width of an added lane between its lines."""
+_YELLOW_M: Final = 0.15
+"""How far the middles of the double yellow line are from the road's."""
+
+
+@dataclass(frozen=True)
+class Road:
+    """A road; ``wider_m`` is by how much its right half is wider than the cross-section says."""
+
+    section: RoadSection
+    lanes: LaneMap
+    wider_m: Along
+    markings: Markings | None = None
+    """Lines that are not in the cross-section."""
+
+    def section_d(self, s_m: Real, d_m: Real) -> Real:
+        """The place in the cross-section of (s, d): the right half's outer part is moved outwards."""
+        if not self.wider_m.value[0] and self.wider_m.constant:
+            return d_m
+        inner = -self.section.lane_m
+        moved = np.minimum(d_m + self.wider_m.at(s_m), inner + LINE_M)
+        return np.where(d_m >= inner + LINE_M, d_m, moved).astype(d_m.dtype)
+
+    def aside(self, side: int, s_m: float, d_m: float) -> float:
+        """D of what stands ``d_m`` from the middle of a plain road, to the left (1) or the right (-1)."""
+        return side * d_m - (float(self.wider_m.at(s_m)) if side < 0 else 0.0)
+
+
+def plain_road(section: RoadSection) -> Road:
+    """A road that is the same all along, with its lines in the cross-section."""
+    left = Edge(constant(section.left_edge_m), section.outside_left)
+    right = Edge(constant(section.right_edge_m), section.outside_right)
+    return Road(section, single(Lane(left, right)), constant(0.0))
+
+
+def road_of(options: RenderOptions) -> Road:
+    """The road that the options ask for."""
+    parking, broken = options.scene != "hill", options.scene in ("bend", "town")
+    if options.change_lane is not None:
+        return _two_lanes(street(parking=parking, broken=False, lines=False), options.change_lane)
+    return plain_road(street(parking=parking, broken=broken))
+
+
+def _two_lanes(section: RoadSection, change_to: str) -> Road:
+    """Two lanes of the own direction with a dashed line between them."""
+    inner, outer = -section.lane_m, -section.lane_m - LINE_M - LANE_M
+    lanes = side_by_side(
+        (
+            (Edge(constant(section.left_edge_m), "road"), Edge(constant(inner), "road")),
+            (Edge(constant(inner - LINE_M), "road"), Edge(constant(outer), section.outside_right)),
+        ),
+        start=1 if change_to == "left" else 0,
+    )
+    lines = [*_outer_lines(section, constant(outer)), Marking(constant(inner - LINE_M / 2), WHITE, dashed=True)]
+    return Road(section, lanes, constant(LINE_M + LANE_M), Markings(tuple(lines)))
+
+
+def _outer_lines(section: RoadSection, right_m: Along) -> list[Marking]:
+    """The double yellow line and, where cars park, the white ones at the edges; ``right_m`` is the right edge."""
+    lines = [Marking(constant(d), YELLOW) for d in (_YELLOW_M, -_YELLOW_M)]
+    if section.outside_right == "road":
+        lines.append(Marking(constant(section.lane_m + LINE_M / 2), WHITE))
+        lines.append(Marking(Along(right_m.s_m, tuple(d - LINE_M / 2 for d in right_m.value)), WHITE))
+    return lines
