@@ -49,6 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_drive(parser.add_argument_group("the drive"), facts.SCENES, defaults)
     _add_noise(parser.add_argument_group("noise and drops"))
     _add_lane_changes(parser.add_argument_group("changes of lane"))
+    _add_car_before(parser.add_argument_group("the car before"))
     _add_truth(parser.add_argument_group("truth"))
     completed_by(dump, files())
     return parser
@@ -83,6 +84,12 @@ def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--change-lane", choices=("left", "right"), help=side)
     group.add_argument("--change-back", action="store_true", help="and back again after 2 s, over 3 s")
     group.add_argument("--change-broken-off", action="store_true", help="back before the line is crossed, in all 3 s")
+
+
+def _add_car_before(group: argparse._ArgumentGroup) -> None:
+    hard = "it brakes hard after 2 s, the ego car late: they nearly collide"
+    group.add_argument("--lead-brakes", action="store_true", help=hard)
+    group.add_argument("--stop-and-go", action="store_true", help="both drive, brake, stand and drive off, in a queue")
 
 
 def _add_truth(group: argparse._ArgumentGroup) -> None:

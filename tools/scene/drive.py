@@ -14,6 +14,7 @@ from .faces import Faces, together
 from .layout import Fixtures
 from .manoeuvre import lane_changes
 from .options import RenderOptions
+from .scenario import pair_of
 from .shade import Shadow
 from .traffic import Traffic
 from .view import Scenery
@@ -78,8 +79,10 @@ class Drive:
     def of(cls, world: World, options: RenderOptions) -> "Drive":
         """The drive that the options ask for; its things are drawn from the seed."""
         changes = lane_changes(options, world.road.lanes)
-        ego = Ego(world, options.speed_mps, options.weave_m, options.static, changes)
-        return cls(ego, Fixtures(world, options.seed), Traffic(ego, options.seed), options.seed)
+        pair = pair_of(options)
+        ego = Ego(world, options.speed_mps, options.weave_m, options.static, changes, pair and pair.ego)
+        traffic = Traffic(ego, options.seed, pair and pair.leader)
+        return cls(ego, Fixtures(world, options.seed), traffic, options.seed)
 
     def at(self, time_s: float) -> SceneMoment:
         """The moment at a time since the start."""

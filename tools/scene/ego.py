@@ -52,6 +52,10 @@ class Ego:
         """Metres to the left of the road's middle."""
         return self._aside(time_s)[0]
 
+    def _driven_s(self, time_s: float) -> float:
+        """Seconds on the way, at the cruising speed: a car that stands neither weaves nor nods."""
+        return time_s if self.motion is None else self.s(time_s) / self.speed_mps
+
     def _aside(self, time_s: float) -> tuple[float, float]:
         """D, and how fast it grows where the car goes at its cruising speed, m/s."""
         s = self.s(time_s)
@@ -59,8 +63,7 @@ class Ego:
         if self.static:
             return middle, 0.0
         period_s = max(WEAVE_S, 2 * np.pi * self.weave_m / (MAX_WEAVE_SLOPE * self.speed_mps))
-        # A car that stands does not go on weaving.
-        phase = 2 * np.pi * (time_s if self.motion is None else s / self.speed_mps) / period_s
+        phase = 2 * np.pi * self._driven_s(time_s) / period_s
         d, sideways = middle + self.weave_m * np.sin(phase), self.weave_m * 2 * np.pi / period_s * np.cos(phase)
         for change in self.changes:
             aside, slope = change.at(s)
@@ -89,5 +92,5 @@ class Ego:
             return self.world.ground_pose(0.0, d)
         onwards = self.speed_mps * (1 - self.world.path.curvature(s) * d)
         turn = float(np.arctan2(sideways, onwards))
-        nod = NOD_RAD * np.sin(2 * np.pi * time_s / NOD_S)
+        nod = NOD_RAD * np.sin(2 * np.pi * self._driven_s(time_s) / NOD_S)
         return self.world.ground_pose(s, d, turn) @ rigid(rotation_from_rpy(0.0, nod, 0.0), np.zeros(3))

@@ -12,6 +12,10 @@ SENSORS: Final = ("rgb", "depth", "segmentation", "right")
 """Cameras; each has a folder of its name."""
 
 
+PATH_OPTIONS: Final = ("path_truth", "change_lane", "lead_brakes", "stop_and_go")
+"""Options with any of which the truth says what is in the path, and when the lane is changed."""
+
+
 @dataclass(frozen=True)
 class RenderOptions:
     """Everything that decides what is rendered."""
@@ -38,11 +42,14 @@ class RenderOptions:
     change_lane: LaneSide | None = None
     change_back: bool = False
     change_broken_off: bool = False
+    lead_brakes: bool = False
+    stop_and_go: bool = False
 
     @property
     def knows_path(self) -> bool:
         """Whether the truth says what is in the path and when a lane is changed."""
-        return self.path_truth or self.change_lane is not None
+        ordinary = RenderOptions()
+        return any(getattr(self, name) != getattr(ordinary, name) for name in PATH_OPTIONS)
 
     @property
     def frames(self) -> int:
@@ -81,5 +88,9 @@ class RenderOptions:
         """Refuses options that do not go with others."""
         if (self.change_back or self.change_broken_off) and self.change_lane is None:
             raise DumpError("--change-back and --change-broken-off: expected --change-lane left or right as well")
+        if self.lead_brakes and self.stop_and_go:
+            raise DumpError("--lead-brakes and --stop-and-go: the car before does one or the other")
+        if self.static and (self.lead_brakes or self.stop_and_go or self.change_lane is not None):
+            raise DumpError("--static: a car that stands neither follows one nor changes its lane")
         if self.change_back and self.change_broken_off:
             raise DumpError("--change-back: a change that is broken off is no change to go back from")

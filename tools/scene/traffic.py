@@ -11,6 +11,7 @@ from roadperc_stream.core.geometry import Float, rigid, rotation_from_rpy
 from . import prefabs
 from .ego import Ego
 from .faces import Faces
+from .motion import Motion
 from .section import CURB_HEIGHT_M
 from .world import World
 
@@ -44,6 +45,8 @@ class Traffic:
 
     ego: Ego
     seed: int
+    leader: Motion | None = None
+    """The motion of the car before the ego car, where it is a special one."""
 
     @property
     def world(self) -> World:
@@ -52,7 +55,10 @@ class Traffic:
 
     def at(self, time_s: float) -> list[Mover]:
         """Those that may be seen at a time, in a fixed order."""
-        return [*self._leaders(), *self._oncoming(time_s), *self._walkers(time_s), *self._crossing(time_s)]
+        leaders = self._leaders() if self.leader is None else self._led(self.leader)
+        # People run across before a car whose speed is constant; before another they would be run over.
+        crossing = self._crossing(time_s) if self.ego.motion is None else ()
+        return [*leaders, *self._oncoming(time_s), *self._walkers(time_s), *crossing]
 
     def _rng(self, kind: int, slot: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 202, kind, slot + 1_000_000))
@@ -70,6 +76,15 @@ class Traffic:
                 return self.world.ground_pose(s, self.world.road.lanes.start.middle_m(s))
 
             yield Mover(f"leader:{i}", "Car", prefabs.car(int(self._rng(0, i).integers(100))), pose)
+
+    def _led(self, motion: Motion) -> Iterator[Mover]:
+        """One car in the ego's lane with a motion of its own."""
+
+        def pose(time_s: float) -> Float:
+            s = motion.at(time_s)[0]
+            return self.world.ground_pose(s, self.world.road.lanes.start.middle_m(s))
+
+        yield Mover("leader:0", "Car", prefabs.car(int(self._rng(0, 0).integers(100))), pose)
 
     def _oncoming(self, time_s: float) -> Iterator[Mover]:
         """An endless row of cars in the other lane, numbered by where they were at time 0."""
