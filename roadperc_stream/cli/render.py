@@ -49,6 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_drive(parser.add_argument_group("the drive"), facts.SCENES, defaults)
     _add_noise(parser.add_argument_group("noise and drops"))
     _add_lane_changes(parser.add_argument_group("changes of lane"))
+    _add_camera(parser.add_argument_group("the camera and how the car rocks"), defaults)
     _add_car_before(parser.add_argument_group("the car before"))
     _add_truth(parser.add_argument_group("truth"))
     completed_by(dump, files())
@@ -86,6 +87,22 @@ def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--change-broken-off", action="store_true", help="back before the line is crossed, in all 3 s")
 
 
+def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
+    add, fov, mount = group.add_argument, defaults.fov_deg, defaults.mount
+    add("--fov", type=float, default=fov, dest="fov_deg", metavar="DEG", help=f"horizontal field of view ({fov:g})")
+    add(
+        "--mount",
+        type=_mount,
+        default=mount,
+        metavar="X,Y,Z,ROLL,PITCH,YAW",
+        help="the front camera as CARLA places it: metres forward, right, up; degrees of roll, pitch up, yaw right "
+        f"({','.join(f'{v:g}' for v in mount)})",
+    )
+    text = "standard deviation of a pitching of the car, degrees (0)"
+    add("--pitch-std", type=float, default=0.0, dest="pitch_std_deg", metavar="DEG", help=text)
+    add("--bumps", action="store_true", help="a speed bump every 30 m, 10 cm high")
+
+
 def _add_car_before(group: argparse._ArgumentGroup) -> None:
     hard = "it brakes hard after 2 s, the ego car late: they nearly collide"
     group.add_argument("--lead-brakes", action="store_true", help=hard)
@@ -104,6 +121,17 @@ def _options(arguments: argparse.Namespace) -> Any:
     return part("tools.scene.options").RenderOptions(
         width=width, height=height, without=tuple(arguments.without), **own
     )
+
+
+def _mount(text: str) -> tuple[float, ...]:
+    parts = text.split(",")
+    try:
+        values = tuple(float(part) for part in parts)
+    except ValueError:
+        values = ()
+    if len(values) != 6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,Z,ROLL,PITCH,YAW, such as 1.5,0,1.4,0,-3,0")
+    return values
 
 
 def _size(text: str) -> tuple[int, int]:

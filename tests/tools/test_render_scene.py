@@ -10,7 +10,7 @@ import pytest
 
 from roadperc_stream.cli.render import main
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
-from roadperc_stream.tools.scene.options import SCENES
+from roadperc_stream.tools.scene.options import SCENES, RenderOptions
 from roadperc_stream.tools.scene.world import make_world
 
 TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
@@ -108,7 +108,7 @@ def test_flat_road_depth_is_true_to_a_millimetre(rendered):
 @pytest.mark.parametrize("scene", SCENES)
 def test_road_pixels_lie_on_the_terrain_through_the_written_pose(drive, scene):
     dump = drive(scene)
-    terrain = make_world(scene, 30.0).terrain
+    terrain = make_world(RenderOptions(scene=scene), 30.0).terrain
     for name in dump.names:
         tags, points = dump.tags(name), dump.world_points(name)
         near = dump.depth(name) < 60

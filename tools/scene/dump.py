@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.core.files import completing, completing_folder
-from roadperc_stream.core.geometry import Camera, Float, Float32
+from roadperc_stream.core.geometry import Float, Float32
 from roadperc_stream.errors import DumpError
 
-from .drive import BASELINE_M, MOUNT_X_M, MOUNT_Z_M
 from .ground import FAR_M
 from .options import SENSORS
+from .rig import BASELINE_M, CameraPair, carla_mountings
 from .scanner import MOUNT_Z_M as LIDAR_Z_M
 
 JPEG_QUALITY: Final = 90
@@ -125,14 +125,14 @@ def tags_picture(tags: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return picture
 
 
-def calibration(camera: Camera, rate_hz: float, *, lidar: bool) -> dict[str, Any]:
+def calibration(rig: CameraPair, rate_hz: float, *, lidar: bool) -> dict[str, Any]:
     """The calibration file: K as CARLA has it, its centre counted from the corner of the first pixel."""
-    K = camera.K
+    camera, K = rig.camera, rig.camera.K
     K[:2, 2] += 0.5
-    mounting = {"x": MOUNT_X_M, "y": 0.0, "z": MOUNT_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
-    mountings = {sensor: {**mounting, "y": BASELINE_M if sensor == "right" else 0.0} for sensor in SENSORS}
+    of_cameras = carla_mountings(rig)
+    mountings = {sensor: of_cameras["right" if sensor == "right" else "front"] for sensor in SENSORS}
     if lidar:
-        mountings[LIDAR] = {**mounting, "x": 0.0, "z": LIDAR_Z_M}
+        mountings[LIDAR] = {"x": 0.0, "y": 0.0, "z": LIDAR_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
     return {
         "width": camera.width,
         "height": camera.height,

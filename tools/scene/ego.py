@@ -10,7 +10,8 @@ from roadperc_stream.core.geometry import Float, rigid, rotation_from_rpy
 
 from .lanes import Lane
 from .manoeuvre import Manoeuvre
-from .motion import Motion
+from .motion import SpeedProfile
+from .shake import Shake
 from .world import World
 
 WEAVE_S: Final = 6.0
@@ -40,7 +41,8 @@ class Ego:
     weave_m: float
     static: bool
     changes: tuple[Manoeuvre, ...] = ()
-    motion: Motion | None = None
+    motion: SpeedProfile | None = None
+    shake: Shake | None = None
 
     def s(self, time_s: float) -> float:
         """Metres along the road."""
@@ -93,4 +95,6 @@ class Ego:
         onwards = self.speed_mps * (1 - self.world.path.curvature(s) * d)
         turn = float(np.arctan2(sideways, onwards))
         nod = NOD_RAD * np.sin(2 * np.pi * self._driven_s(time_s) / NOD_S)
+        if self.shake is not None:
+            nod += self.shake.at(self._driven_s(time_s))
         return self.world.ground_pose(s, d, turn) @ rigid(rotation_from_rpy(0.0, nod, 0.0), np.zeros(3))

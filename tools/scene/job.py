@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from . import dump, noise
 from .detector import detect
-from .drive import CameraPair, Drive, SceneMoment, make_rig
+from .drive import Drive, SceneMoment
 from .object_truth import ObjectTruth, objects_truth
 from .options import SENSORS, RenderOptions
-from .roads import road_of
+from .rig import CameraPair, make_rig
 from .scanner import scan
 from .truth import lanes_truth, surface_truth
 from .view import RenderedView, photograph, render
@@ -54,9 +54,9 @@ def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: 
 
 
 def _render(folder: Path, options: RenderOptions, on_frame: Callable[[], None]) -> None:
-    world = make_world(options.scene, 0.0 if options.static else options.speed_mps * options.seconds, road_of(options))
+    world = make_world(options, 0.0 if options.static else options.speed_mps * options.seconds)
     drive = Drive.of(world, options)
-    rig = make_rig(options.width, options.height)
+    rig = make_rig(options.width, options.height, options.fov_deg, options.mount)
     records = _Records()
     for frame in range(options.frames):
         moment = drive.at(frame / options.rate_hz)
@@ -136,7 +136,7 @@ def _record(
 
 def _write_records(folder: Path, options: RenderOptions, rig: CameraPair, records: _Records) -> None:
     truth = {"lanes": records.lanes, "surface": records.surface, "objects": records.objects}
-    dump.write_json(folder / "calibration.json", dump.calibration(rig.camera, options.rate_hz, lidar=options.lidar))
+    dump.write_json(folder / "calibration.json", dump.calibration(rig, options.rate_hz, lidar=options.lidar))
     dump.write_json(folder / "detections.json", records.detections)
     dump.write_json(folder / "poses.json", records.poses)
     dump.write_json(folder / "truth.json", truth)

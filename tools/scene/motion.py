@@ -13,7 +13,7 @@ Phase = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Motion:
+class SpeedProfile:
     """A way along the road from ``s_m`` at a speed, in phases."""
 
     s_m: float

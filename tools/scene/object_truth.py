@@ -8,8 +8,9 @@ from scipy import ndimage
 
 from roadperc_stream.core.geometry import inverse, rays, transform
 
-from .drive import CameraPair, Drive, SceneMoment
+from .drive import Drive, SceneMoment
 from .ego_path import PathPlace, path_place
+from .rig import CameraPair
 from .view import RenderedView
 
 DERIVATIVE_STEP_S: Final = 1e-3

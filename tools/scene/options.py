@@ -5,6 +5,7 @@ from typing import Final, Literal, get_args
 
 from roadperc_stream.errors import DumpError
 
+Mount = tuple[float, float, float, float, float, float]
 LaneSide = Literal["left", "right"]
 SceneName = Literal["straight", "bend", "hill", "town"]
 SCENES: Final[tuple[str, ...]] = get_args(SceneName)
@@ -12,6 +13,9 @@ SENSORS: Final = ("rgb", "depth", "segmentation", "right")
 """Cameras; each has a folder of its name."""
 
 
+MOUNT_NAMES: Final = tuple(f"--mount {axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
+MOST_ASIDE_DEG: Final = 56.0
+"""So far to the side a camera may look over hills: they are followed along the world's x alone, and roads wind."""
 PATH_OPTIONS: Final = ("path_truth", "change_lane", "lead_brakes", "stop_and_go")
 """Options with any of which the truth says what is in the path, and when the lane is changed."""
 
@@ -44,6 +48,11 @@ class RenderOptions:
     change_broken_off: bool = False
     lead_brakes: bool = False
     stop_and_go: bool = False
+    fov_deg: float = 90.0
+    mount: Mount = (1.5, 0.0, 1.4, 0.0, 0.0, 0.0)
+    """The front camera's place as CARLA has it: metres forward, right, up; degrees of roll, pitch up, yaw right."""
+    pitch_std_deg: float = 0.0
+    bumps: bool = False
 
     @property
     def knows_path(self) -> bool:
@@ -74,6 +83,9 @@ class RenderOptions:
             ("--rgb-noise", self.rgb_noise, 0, 100),
             ("--drop", self.drop, 0, 0.95),
             ("--seed", self.seed, 0, 2**32),
+            ("--fov", self.fov_deg, 20, 140),
+            ("--pitch-std", self.pitch_std_deg, 0, 5),
+            *zip(MOUNT_NAMES, self.mount, (-2, -1.5, 0.3, -45, -45, -60), (4, 1.5, 5, 45, 45, 60), strict=True),
         )
         for name, value, low, high in limits:
             if not low <= value <= high:
@@ -88,6 +100,14 @@ class RenderOptions:
         """Refuses options that do not go with others."""
         if (self.change_back or self.change_broken_off) and self.change_lane is None:
             raise DumpError("--change-back and --change-broken-off: expected --change-lane left or right as well")
+        if self.bumps and self.scene == "bend":
+            raise DumpError("--bumps: not in the scene bend, whose road turns back: expected straight, hill or town")
+        beside = self.fov_deg / 2 + abs(self.mount[5])
+        if (self.bumps or self.scene in ("hill", "town")) and beside > MOST_ASIDE_DEG:
+            raise DumpError(
+                f"--fov and --mount: the camera looks {beside:g} degrees aside, at most {MOST_ASIDE_DEG:g} where the "
+                "ground is not level: choose --scene straight or bend"
+            )
         if self.lead_brakes and self.stop_and_go:
             raise DumpError("--lead-brakes and --stop-and-go: the car before does one or the other")
         if self.static and (self.lead_brakes or self.stop_and_go or self.change_lane is not None):

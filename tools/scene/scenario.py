@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from .drawings import CAR_M
-from .motion import Motion, Phase, repeated, starting, stopping
+from .motion import Phase, SpeedProfile, repeated, starting, stopping
 from .options import RenderOptions
 
 BRAKES_AFTER_S: Final = 2.0
@@ -32,31 +32,31 @@ REACTION_S: Final = 0.8
 class Pair:
     """The motions of the ego car and of the car before it."""
 
-    ego: Motion
-    leader: Motion
+    ego: SpeedProfile | None = None
+    leader: SpeedProfile | None = None
 
 
-def pair_of(options: RenderOptions) -> Pair | None:
-    """The motions the options ask for; None where both cars keep their way of driving."""
+def pair_of(options: RenderOptions) -> Pair:
+    """The motions the options ask for; None where a car keeps its plain way of driving."""
     if options.lead_brakes:
         return hard_braking(options.speed_mps)
     if options.stop_and_go:
         return queue(options.speed_mps, options.seconds)
-    return None
+    return Pair()
 
 
 def hard_braking(speed_mps: float) -> Pair:
     """The car before brakes hard to a standstill, the ego car brakes late, and both drive off again."""
     gap = max(GAP_S * speed_mps, CAR_M[0] + 2.0)
     off = starting(speed_mps, DRIVE_OFF_MPS2)
-    leader = Motion(gap, speed_mps, ((BRAKES_AFTER_S, 0.0), stopping(speed_mps, HARD_MPS2), (STAND_S, 0.0), off))
+    leader = SpeedProfile(gap, speed_mps, ((BRAKES_AFTER_S, 0.0), stopping(speed_mps, HARD_MPS2), (STAND_S, 0.0), off))
     ego_stop = stopping(speed_mps, HARDER_MPS2)
     leader_stops_m = leader.at(BRAKES_AFTER_S + speed_mps / HARD_MPS2)[0]
     room = leader_stops_m - CAR_M[0] - NEAR_MISS_M - speed_mps * ego_stop[0] / 2
     brakes_s = room / speed_mps
     drives_off_s = BRAKES_AFTER_S + speed_mps / HARD_MPS2 + STAND_S + DRIVE_OFF_LATER_S
     stands_s = max(drives_off_s - brakes_s - ego_stop[0], 0.5)
-    return Pair(Motion(0.0, speed_mps, ((brakes_s, 0.0), ego_stop, (stands_s, 0.0), off)), leader)
+    return Pair(SpeedProfile(0.0, speed_mps, ((brakes_s, 0.0), ego_stop, (stands_s, 0.0), off)), leader)
 
 
 def queue(speed_mps: float, seconds: float) -> Pair:
@@ -65,5 +65,5 @@ def queue(speed_mps: float, seconds: float) -> Pair:
     wave: tuple[Phase, ...] = ((CRUISE_S, 0.0), brake, (STAND_S, 0.0), off)
     times = int(seconds / sum(phase[0] for phase in wave)) + 2
     gap = CAR_M[0] + QUEUE_GAP_M + speed_mps * REACTION_S
-    leader = Motion(gap, speed_mps, repeated(wave, times))
-    return Pair(Motion(0.0, speed_mps, ((REACTION_S, 0.0), *repeated(wave, times))), leader)
+    leader = SpeedProfile(gap, speed_mps, repeated(wave, times))
+    return Pair(SpeedProfile(0.0, speed_mps, ((REACTION_S, 0.0), *repeated(wave, times))), leader)

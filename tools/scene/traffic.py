@@ -11,7 +11,7 @@ from roadperc_stream.core.geometry import Float, rigid, rotation_from_rpy
 from . import prefabs
 from .ego import Ego
 from .faces import Faces
-from .motion import Motion
+from .motion import SpeedProfile
 from .section import CURB_HEIGHT_M
 from .world import World
 
@@ -45,7 +45,7 @@ class Traffic:
 
     ego: Ego
     seed: int
-    leader: Motion | None = None
+    leader: SpeedProfile | None = None
     """The motion of the car before the ego car, where it is a special one."""
 
     @property
@@ -77,7 +77,7 @@ class Traffic:
 
             yield Mover(f"leader:{i}", "Car", prefabs.car(int(self._rng(0, i).integers(100))), pose)
 
-    def _led(self, motion: Motion) -> Iterator[Mover]:
+    def _led(self, motion: SpeedProfile) -> Iterator[Mover]:
         """One car in the ego's lane with a motion of its own."""
 
         def pose(time_s: float) -> Float:

@@ -14,8 +14,9 @@ from roadperc_stream.core.geometry import (
     transform_plane,
 )
 
-from .drive import CameraPair, SceneMoment
+from .drive import SceneMoment
 from .lanes import Edge
+from .rig import CameraPair
 from .terrain import Terrain
 from .world import World
 

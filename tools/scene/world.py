@@ -13,7 +13,7 @@ from .options import RenderOptions, SceneName
 from .path import Element, Path, chain
 from .roads import Road, road_of
 from .section import RoadSection
-from .terrain import Terrain, level_ground, rolling_ground
+from .terrain import Terrain, level_ground, rolling_ground, with_bumps
 
 RADIUS_M: Final = 150.0
 MARGIN_M: Final = 1200.0
@@ -48,14 +48,17 @@ class World:
         up = np.array([-slope, 0.0, 1.0])
         forward, up = forward / np.linalg.norm(forward), up / np.linalg.norm(up)
         rotation = np.column_stack((forward, np.cross(up, forward), up))
-        return rigid(rotation, np.array([x, y, float(self.terrain.height(np.array([x]))[0])]))
+        return rigid(rotation, np.array([x, y, self.terrain.carried_height(x, WHEELBASE_M / 2)]))
 
 
-def make_world(name: SceneName, length_m: float, road: Road | None = None) -> World:
-    """The world for a drive of ``length_m`` along the road, which starts at s = 0; the scene's own road by default."""
+def make_world(options: RenderOptions, length_m: float) -> World:
+    """The world for a drive of ``length_m`` along the road, which starts at s = 0."""
+    name = options.scene
     wave_m = _WAVES_M.get(name)
     terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else level_ground()
-    return World(name, _PATHS[name](length_m), terrain, road or road_of(RenderOptions(scene=name)))
+    if options.bumps:
+        terrain = with_bumps(terrain, length_m + MARGIN_M)
+    return World(name, _PATHS[name](length_m), terrain, road_of(options))
 
 
 def _straight(length_m: float) -> Path:
