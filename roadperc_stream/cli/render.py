@@ -49,6 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_drive(parser.add_argument_group("the drive"), facts.SCENES, defaults)
     _add_noise(parser.add_argument_group("noise and drops"))
     _add_lane_changes(parser.add_argument_group("changes of lane"))
+    _add_road(parser.add_argument_group("the road"))
     _add_camera(parser.add_argument_group("the camera and how the car rocks"), defaults)
     _add_car_before(parser.add_argument_group("the car before"))
     _add_truth(parser.add_argument_group("truth"))
@@ -85,6 +86,13 @@ def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--change-lane", choices=("left", "right"), help=side)
     group.add_argument("--change-back", action="store_true", help="and back again after 2 s, over 3 s")
     group.add_argument("--change-broken-off", action="store_true", help="back before the line is crossed, in all 3 s")
+
+
+def _add_road(group: argparse._ArgumentGroup) -> None:
+    turn = "a 90 degree bend of 12 m radius at a crossing without markings, on level ground (left)"
+    group.add_argument("--turn", nargs="?", const="left", choices=("left", "right"), help=turn)
+    for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):
+        group.add_argument(name, type=_stretch, metavar="FROM,TO", help=f"metres of road where markings are {text}")
 
 
 def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
@@ -124,13 +132,21 @@ def _options(arguments: argparse.Namespace) -> Any:
 
 
 def _mount(text: str) -> tuple[float, ...]:
-    parts = text.split(",")
+    return _numbers(text, "X,Y,Z,ROLL,PITCH,YAW", "1.5,0,1.4,0,-3,0")
+
+
+def _stretch(text: str) -> tuple[float, ...]:
+    return _numbers(text, "FROM,TO", "20,50")
+
+
+def _numbers(text: str, form: str, example: str) -> tuple[float, ...]:
+    """As many numbers as the form has words."""
     try:
-        values = tuple(float(part) for part in parts)
+        values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if len(values) != 6:
-        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,Z,ROLL,PITCH,YAW, such as 1.5,0,1.4,0,-3,0")
+    if len(values) != len(form.split(",")):
+        raise argparse.ArgumentTypeError(f"{text!r} is not {form}, such as {example}")
     return values
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.core.geometry import Camera, Float, Float32
 
+from .crossing import LocalCrossing
 from .path import LocalPath, Real
 from .section import CURB_HEIGHT_M
 from .world import World
@@ -40,7 +41,7 @@ class Ground:
     """Where a curb's upright face is seen."""
     line_gap: NDArray[np.bool_]
     """Where the ego lane's right line, if it were there, is interrupted."""
-    road: LocalPath
+    road: LocalPath | LocalCrossing
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class _Rays:
 
 def trace_ground(camera: Camera, world_T_camera: Float, world: World, s_m: float) -> Ground:
     """The ground as the camera sees it; ``s_m`` is where along the road the camera is."""
-    road = world.path.around(s_m)
+    road = world.ground_path.around(s_m)
     top_row, rays = _rays(camera, world_T_camera, world.terrain.steepest)
     depth = np.minimum(world.terrain.first_hits(rays.centre_m, rays.dx, rays.dz, 0.0), FAR_M)
     start = rays.centre_m[:2] - road.origin_m
@@ -119,13 +120,15 @@ def _put(ground: Ground, where: NDArray[np.intp], *values: Float32) -> None:
         target.ravel()[where] = value
 
 
-def _places(road: LocalPath, world: World, x_m: Real, y_m: Real) -> tuple[Real, Real, Real]:
+def _places(road: LocalPath | LocalCrossing, world: World, x_m: Real, y_m: Real) -> tuple[Real, Real, Real]:
     """S, and d both as it is and as the cross-section has it, of local points."""
     s, across = road.coordinates(x_m, y_m)
     return s, across, world.road.section_d(s + road.s_origin_m, across)
 
 
-def _curb_depth(road: LocalPath, start: Float, rays: _Rays, near_m: Float, far_m: Float, world: World) -> Float:
+def _curb_depth(
+    road: LocalPath | LocalCrossing, start: Float, rays: _Rays, near_m: Float, far_m: Float, world: World
+) -> Float:
     """Depth between two bounds at which rays cross the curbs, by regula falsi (Illinois)."""
 
     def beyond(depth_m: Float) -> Float:

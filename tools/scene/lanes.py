@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roadperc_stream.core.geometry import Float
-
 from .along import Along
 
 
@@ -18,10 +16,6 @@ class Edge:
     outside: str
     from_m: float = -np.inf
     to_m: float = np.inf
-
-    def there(self, s_m: Float) -> Float:
-        """Whether the edge is at (N,) s, as booleans."""
-        return np.asarray((s_m >= self.from_m) & (s_m < self.to_m))
 
 
 @dataclass(frozen=True)

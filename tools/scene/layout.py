@@ -55,8 +55,19 @@ class Fixtures:
             for place, slot_m, behind_m, ahead_m in kinds
             for slot in _slots(s_m + behind_m, s_m + ahead_m, slot_m)
             for side in (1, -1)
-            if (fixture := place(slot, side)) is not None
+            if (fixture := place(slot, side)) is not None and self._is_free(fixture, place == self._house)
         ]
+
+    def _is_free(self, fixture: Fixture, is_house: bool) -> bool:
+        """Whether no other road runs where the fixture stands."""
+        crossing = self.world.road.crossing
+        if crossing is None:
+            return True
+        x, y = fixture.world_T_body[:2, 3]
+        distances = np.abs(crossing.arm_distances(np.array([x]), np.array([y])))
+        own = self.world.section.walk_m if is_house else self.world.section.curb_m - 2 * PARKED_M
+        other = own + HOUSE_SLOT_M if is_house else crossing.curb_m + crossing.corner_m
+        return bool(distances.min() > own - 0.5 and distances.max() > other)
 
     def _rng(self, slot: int, side: int, kind: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 101, kind, side + 1, slot + 1_000_000))

@@ -3,9 +3,12 @@
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
+import numpy as np
+
 from roadperc_stream.errors import DumpError
 
 Mount = tuple[float, float, float, float, float, float]
+Stretch = tuple[float, float]
 LaneSide = Literal["left", "right"]
 SceneName = Literal["straight", "bend", "hill", "town"]
 SCENES: Final[tuple[str, ...]] = get_args(SceneName)
@@ -14,9 +17,20 @@ SENSORS: Final = ("rgb", "depth", "segmentation", "right")
 
 
 MOUNT_NAMES: Final = tuple(f"--mount {axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
-MOST_ASIDE_DEG: Final = 56.0
-"""So far to the side a camera may look over hills: they are followed along the world's x alone, and roads wind."""
-PATH_OPTIONS: Final = ("path_truth", "change_lane", "lead_brakes", "stop_and_go")
+MOST_ASIDE_DEG: Final = 80.0
+"""So far to the side a camera may look over hills: they are followed along the world's x alone."""
+WINDING_ASIDE_DEG: Final = 56.0
+"""The same where the road winds by 30 degrees to either side."""
+PATH_OPTIONS: Final = (
+    "path_truth",
+    "change_lane",
+    "lead_brakes",
+    "stop_and_go",
+    "turn",
+    "crossing_cars",
+    "worn_lines",
+    "missing_lines",
+)
 """Options with any of which the truth says what is in the path, and when the lane is changed."""
 
 
@@ -48,6 +62,11 @@ class RenderOptions:
     change_broken_off: bool = False
     lead_brakes: bool = False
     stop_and_go: bool = False
+    turn: LaneSide | None = None
+    crossing_cars: bool = False
+    worn_lines: Stretch | None = None
+    """From and to, metres along the road."""
+    missing_lines: Stretch | None = None
     fov_deg: float = 90.0
     mount: Mount = (1.5, 0.0, 1.4, 0.0, 0.0, 0.0)
     """The front camera's place as CARLA has it: metres forward, right, up; degrees of roll, pitch up, yaw right."""
@@ -98,19 +117,44 @@ class RenderOptions:
 
     def _check_together(self) -> None:
         """Refuses options that do not go with others."""
-        if (self.change_back or self.change_broken_off) and self.change_lane is None:
-            raise DumpError("--change-back and --change-broken-off: expected --change-lane left or right as well")
-        if self.bumps and self.scene == "bend":
-            raise DumpError("--bumps: not in the scene bend, whose road turns back: expected straight, hill or town")
+        follows = self.lead_brakes or self.stop_and_go
+        crosses = self.turn is not None or self.crossing_cars
+        back = self.change_back or self.change_broken_off
+        refused = (
+            (
+                back and self.change_lane is None,
+                "--change-back and --change-broken-off: expected --change-lane as well",
+            ),
+            (
+                self.change_back and self.change_broken_off,
+                "--change-back: a change that is broken off is no change to go back from",
+            ),
+            (self.lead_brakes and self.stop_and_go, "--lead-brakes and --stop-and-go: the car before does one of them"),
+            (
+                self.static and (follows or crosses or self.change_lane is not None),
+                "--static: a car that stands neither follows one nor changes its lane nor comes to a crossing",
+            ),
+            (self.turn is not None and follows, "--turn: not with --lead-brakes or --stop-and-go"),
+            (crosses and self.change_lane is not None, "--turn and --crossing-cars: not with --change-lane"),
+            (crosses and self.bumps, "--turn and --crossing-cars: not with --bumps"),
+            (self.bumps and self.scene == "bend", "--bumps: not in the scene bend, whose road turns back"),
+        )
+        for wrong, why in refused:
+            if wrong:
+                raise DumpError(why)
+        self._check_stretches()
+        self._check_sight(level=crosses or (self.scene in ("straight", "bend") and not self.bumps))
+
+    def _check_stretches(self) -> None:
+        for name, stretch in (("--worn-lines", self.worn_lines), ("--missing-lines", self.missing_lines)):
+            if stretch is not None and not 0 <= stretch[0] < stretch[1] < np.inf:
+                raise DumpError(f"{name} {stretch[0]:g},{stretch[1]:g}: expected FROM,TO, the nearer place first")
+
+    def _check_sight(self, *, level: bool) -> None:
         beside = self.fov_deg / 2 + abs(self.mount[5])
-        if (self.bumps or self.scene in ("hill", "town")) and beside > MOST_ASIDE_DEG:
+        most = WINDING_ASIDE_DEG if self.scene == "town" else MOST_ASIDE_DEG
+        if not level and beside > most:
             raise DumpError(
-                f"--fov and --mount: the camera looks {beside:g} degrees aside, at most {MOST_ASIDE_DEG:g} where the "
-                "ground is not level: choose --scene straight or bend"
+                f"--fov and --mount: the camera looks {beside:g} degrees aside, at most {most:g} where the ground is "
+                "not level: choose --scene straight or bend"
             )
-        if self.lead_brakes and self.stop_and_go:
-            raise DumpError("--lead-brakes and --stop-and-go: the car before does one or the other")
-        if self.static and (self.lead_brakes or self.stop_and_go or self.change_lane is not None):
-            raise DumpError("--static: a car that stands neither follows one nor changes its lane")
-        if self.change_back and self.change_broken_off:
-            raise DumpError("--change-back: a change that is broken off is no change to go back from")

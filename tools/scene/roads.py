@@ -1,13 +1,14 @@
 """The roads of the scenes: a cross-section, the lanes of the own direction, and what changes along the way."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from .along import Along, constant
+from .crossing import Crossing, crossing_of
 from .lanes import Edge, Lane, LaneMap, side_by_side, single
-from .markings import Marking, Markings
+from .markings import Dashes, Marking, Markings
 from .options import RenderOptions
 from .path import Real
 from .section import LINE_M, WHITE, YELLOW, RoadSection, street
@@ -27,6 +28,7 @@ class Road:
     wider_m: Along
     markings: Markings | None = None
     """Lines that are not in the cross-section."""
+    crossing: Crossing | None = None
 
     def section_d(self, s_m: Real, d_m: Real) -> Real:
         """The place in the cross-section of (s, d): the right half's outer part is moved outwards."""
@@ -51,9 +53,22 @@ def plain_road(section: RoadSection) -> Road:
 def road_of(options: RenderOptions) -> Road:
     """The road that the options ask for."""
     parking, broken = options.scene != "hill", options.scene in ("bend", "town")
+    bare = street(parking=parking, broken=False, lines=False)
+    missing, worn = (() if s is None else (s,) for s in (options.missing_lines, options.worn_lines))
     if options.change_lane is not None:
-        return _two_lanes(street(parking=parking, broken=False, lines=False), options.change_lane)
-    return plain_road(street(parking=parking, broken=broken))
+        road = _two_lanes(bare, options.change_lane)
+    elif crossing := crossing_of(options, bare):
+        lines = _outer_lines(bare, constant(bare.right_edge_m))
+        missing = (crossing.unmarked_m, *missing)
+        lanes = _lanes_to_and_from(bare, crossing)
+        road = Road(bare, lanes, constant(0.0), Markings(tuple(lines)), crossing)
+    elif missing or worn:
+        lines = _outer_lines(bare, constant(bare.right_edge_m), "stretches" if broken else "none")
+        road = replace(plain_road(bare), markings=Markings(tuple(lines)))
+    else:
+        return plain_road(street(parking=parking, broken=broken))
+    assert road.markings is not None
+    return replace(road, markings=replace(road.markings, missing=missing, worn=worn))
 
 
 def _two_lanes(section: RoadSection, change_to: str) -> Road:
@@ -66,14 +81,25 @@ def _two_lanes(section: RoadSection, change_to: str) -> Road:
         ),
         start=1 if change_to == "left" else 0,
     )
-    lines = [*_outer_lines(section, constant(outer)), Marking(constant(inner - LINE_M / 2), WHITE, dashed=True)]
+    lines = [*_outer_lines(section, constant(outer)), Marking(constant(inner - LINE_M / 2), WHITE, "all")]
     return Road(section, lanes, constant(LINE_M + LANE_M), Markings(tuple(lines)))
 
 
-def _outer_lines(section: RoadSection, right_m: Along) -> list[Marking]:
+def _lanes_to_and_from(section: RoadSection, crossing: Crossing) -> LaneMap:
+    """The lane up to a crossing, and the one beyond it."""
+    end, start = crossing.unmarked_m
+    lanes = []
+    for from_m, to_m in ((-np.inf, end), (start, np.inf)):
+        left = Edge(constant(section.left_edge_m), section.outside_left, from_m, to_m)
+        right = Edge(constant(section.right_edge_m), section.outside_right, from_m, to_m)
+        lanes.append(Lane(left, right, from_m, to_m))
+    return LaneMap(tuple(lanes), lanes[0])
+
+
+def _outer_lines(section: RoadSection, right_m: Along, right: Dashes = "none") -> list[Marking]:
     """The double yellow line and, where cars park, the white ones at the edges; ``right_m`` is the right edge."""
     lines = [Marking(constant(d), YELLOW) for d in (_YELLOW_M, -_YELLOW_M)]
     if section.outside_right == "road":
         lines.append(Marking(constant(section.lane_m + LINE_M / 2), WHITE))
-        lines.append(Marking(Along(right_m.s_m, tuple(d - LINE_M / 2 for d in right_m.value)), WHITE))
+        lines.append(Marking(Along(right_m.s_m, tuple(d - LINE_M / 2 for d in right_m.value)), WHITE, right))
     return lines

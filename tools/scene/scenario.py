@@ -3,6 +3,9 @@
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
+from .crossing import AFTER_S, TURN_BRAKING_MPS2, TURN_MPS, TURN_RADIUS_M
 from .drawings import CAR_M
 from .motion import Phase, SpeedProfile, repeated, starting, stopping
 from .options import RenderOptions
@@ -42,6 +45,8 @@ def pair_of(options: RenderOptions) -> Pair:
         return hard_braking(options.speed_mps)
     if options.stop_and_go:
         return queue(options.speed_mps, options.seconds)
+    if options.turn is not None:
+        return Pair(slow_turn(options.speed_mps))
     return Pair()
 
 
@@ -57,6 +62,14 @@ def hard_braking(speed_mps: float) -> Pair:
     drives_off_s = BRAKES_AFTER_S + speed_mps / HARD_MPS2 + STAND_S + DRIVE_OFF_LATER_S
     stands_s = max(drives_off_s - brakes_s - ego_stop[0], 0.5)
     return Pair(SpeedProfile(0.0, speed_mps, ((brakes_s, 0.0), ego_stop, (stands_s, 0.0), off)), leader)
+
+
+def slow_turn(speed_mps: float) -> SpeedProfile:
+    """Slower to a crossing's corner, round it and on at the speed before."""
+    slower = max(speed_mps - TURN_MPS, 0.0) / TURN_BRAKING_MPS2
+    round_s = TURN_RADIUS_M * np.pi / 2 / min(speed_mps, TURN_MPS)
+    brake, off = (slower, -TURN_BRAKING_MPS2), (slower, TURN_BRAKING_MPS2)
+    return SpeedProfile(0.0, speed_mps, ((AFTER_S, 0.0), brake, (round_s, 0.0), off))
 
 
 def queue(speed_mps: float, seconds: float) -> Pair:

@@ -87,9 +87,14 @@ class RoadSection:
         """Where the right line is interrupted; s counts from ``s_origin_m``."""
         if not self.broken:
             return np.zeros(s_m.shape, np.bool_)
-        period = round(STRETCH_M / GAP_BIN_M)
-        index = ((s_m + np.float32(s_origin_m % STRETCH_M + STRETCH_M)) * np.float32(1 / GAP_BIN_M)).astype(np.int32)
-        return _gap_table()[index % period]
+        return line_gap(s_m, s_origin_m)
+
+
+def line_gap(s_m: Float32, s_origin_m: float) -> NDArray[np.bool_]:
+    """Where a line that is dashed for stretches is interrupted; s counts from ``s_origin_m``."""
+    period = round(STRETCH_M / GAP_BIN_M)
+    index = ((s_m + np.float32(s_origin_m % STRETCH_M + STRETCH_M)) * np.float32(1 / GAP_BIN_M)).astype(np.int32)
+    return _gap_table()[index % period]
 
 
 @cache

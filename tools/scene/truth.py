@@ -3,6 +3,7 @@
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roadperc_stream.core.geometry import (
     Float,
@@ -27,6 +28,8 @@ PLANE_AHEAD_M: Final = (3.0, 15.0)
 PLANE_ASIDE_M: Final = 4.0
 PLANE_STEP_M: Final = 0.5
 DERIVATIVE_STEP_M: Final = 0.5
+FOUND_M: Final = 1e-4
+"""So near a point of an edge is found where it is there."""
 
 
 def lanes_truth(moment: SceneMoment, *, with_change: bool) -> dict[str, Any]:
@@ -62,7 +65,7 @@ def _boundary(moment: SceneMoment, edge: Edge) -> dict[str, Any] | None:
     }
 
 
-def line_at(moment: SceneMoment, edge: Edge, x_ego_m: Float) -> tuple[Float, Float]:
+def line_at(moment: SceneMoment, edge: Edge, x_ego_m: Float) -> tuple[Float, NDArray[np.bool_]]:
     """(N, 3) points in the ego frame of an edge where ego x has the (N,) values given, and where it is there at all.
 
     Found by Newton's method along s; the line runs at most 45 degrees askew within the first 60 m.
@@ -70,11 +73,14 @@ def line_at(moment: SceneMoment, edge: Edge, x_ego_m: Float) -> tuple[Float, Flo
     world, ego_T_world = moment.scenery.world, inverse(moment.world_T_ego)
     s = moment.scenery.s_m + x_ego_m
     points = _on_road(world, s, edge, ego_T_world)
+    low, high = edge.from_m, edge.to_m
     for _ in range(20):
         ahead = _on_road(world, s + 0.01, edge, ego_T_world)
-        s = s + (x_ego_m - points[:, 0]) / ((ahead[:, 0] - points[:, 0]) / 0.01)
+        # What is not there is not looked for: beyond a crossing the road may turn away for good.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = np.clip(s + (x_ego_m - points[:, 0]) / ((ahead[:, 0] - points[:, 0]) / 0.01), low, high)
         points = _on_road(world, s, edge, ego_T_world)
-    return points, edge.there(s)
+    return points, np.abs(points[:, 0] - x_ego_m) < FOUND_M
 
 
 def _on_road(world: World, s_m: Float, edge: Edge, ego_T_world: Float) -> Float:

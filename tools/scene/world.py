@@ -9,6 +9,7 @@ import numpy as np
 
 from roadperc_stream.core.geometry import Float, rigid
 
+from .crossing import Crossing
 from .options import RenderOptions, SceneName
 from .path import Element, Path, chain
 from .roads import Road, road_of
@@ -29,6 +30,11 @@ class World:
     path: Path
     terrain: Terrain
     road: Road
+
+    @property
+    def ground_path(self) -> Path | Crossing:
+        """The roads that there are to see; the path is the ego car's way on them."""
+        return self.road.crossing or self.path
 
     @property
     def section(self) -> RoadSection:
@@ -56,9 +62,12 @@ def make_world(options: RenderOptions, length_m: float) -> World:
     name = options.scene
     wave_m = _WAVES_M.get(name)
     terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else level_ground()
+    road = road_of(options)
+    if road.crossing is not None:
+        return World(name, road.crossing.path, level_ground(), road)
     if options.bumps:
         terrain = with_bumps(terrain, length_m + MARGIN_M)
-    return World(name, _PATHS[name](length_m), terrain, road_of(options))
+    return World(name, _PATHS[name](length_m), terrain, road)
 
 
 def _straight(length_m: float) -> Path:
