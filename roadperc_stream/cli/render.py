@@ -91,6 +91,8 @@ def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
 def _add_road(group: argparse._ArgumentGroup) -> None:
     turn = "a 90 degree bend of 12 m radius at a crossing without markings, on level ground (left)"
     group.add_argument("--turn", nargs="?", const="left", choices=("left", "right"), help=turn)
+    group.add_argument("--crossing-cars", action="store_true", help="a crossing on which cars cross close before")
+    group.add_argument("--parked-rows", action="store_true", help="rows of parked cars without gaps, on both sides")
     for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):
         group.add_argument(name, type=_stretch, metavar="FROM,TO", help=f"metres of road where markings are {text}")
 
@@ -119,6 +121,10 @@ def _add_car_before(group: argparse._ArgumentGroup) -> None:
 
 def _add_truth(group: argparse._ArgumentGroup) -> None:
     text = "truth.json also says what is in the path, its time to impact, and lane changes"
+    whole = "boxes of whole objects, hidden parts included, as CARLA's own 2D boxes are"
+    group.add_argument("--whole-boxes", action="store_true", help=f"{whole}, in truth.json and detections.json")
+    coding = "instance_segmentation/ in CARLA's coding: red the tag, green and blue the id's low and high byte"
+    group.add_argument("--instances", action="store_true", help=coding)
     group.add_argument("--path-truth", action="store_true", help=f"{text}; implied where the drive is no plain one")
 
 

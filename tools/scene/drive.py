@@ -58,8 +58,8 @@ class Drive:
         changes = lane_changes(options, world.road.lanes)
         pair, shake = pair_of(options), shake_of(options.pitch_std_deg, options.seed)
         ego = Ego(world, options.speed_mps, options.weave_m, options.static, changes, pair.ego, shake)
-        traffic = Traffic(ego, options.seed, pair.leader)
-        return cls(ego, Fixtures(world, options.seed), traffic, options.seed, options.mount[2])
+        traffic = Traffic(ego, options.seed, pair.leader, crossing_cars=options.crossing_cars)
+        return cls(ego, Fixtures(world, options.seed, options.parked_rows), traffic, options.seed, options.mount[2])
 
     def at(self, time_s: float) -> SceneMoment:
         """The moment at a time since the start."""

@@ -24,6 +24,7 @@ JPEG_QUALITY: Final = 90
 CARLA_VERSION: Final = "0.9.15"
 DEPTH_CODES: Final = 2**24 - 1
 LIDAR: Final = "lidar"
+INSTANCES: Final = "instance_segmentation"
 FILES: Final = (
     "calibration.json",
     "detections.json",
@@ -35,7 +36,7 @@ FILES: Final = (
 
 MARK = "truth.json"
 """The file by which an earlier dump of this renderer is known."""
-_OWN: Final = frozenset((*SENSORS, LIDAR, "truth", *FILES))
+_OWN: Final = frozenset((*SENSORS, LIDAR, INSTANCES, "truth", *FILES))
 
 
 @contextmanager
@@ -123,6 +124,14 @@ def tags_picture(tags: NDArray[np.uint8]) -> NDArray[np.uint8]:
     picture = np.zeros((*tags.shape, 3), np.uint8)
     picture[..., 2] = tags
     return picture
+
+
+def instance_picture(tags: NDArray[np.uint8], ids: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """(H, W, 3) blue, green, red as CARLA's instance segmentation has it: the tag in red, the id in green and blue.
+
+    Green holds the id's low byte, blue its high one; where no object is, it is 0.
+    """
+    return np.dstack((ids >> 8 & 255, ids & 255, tags)).astype(np.uint8)
 
 
 def calibration(rig: CameraPair, rate_hz: float, *, lidar: bool) -> dict[str, Any]:

@@ -33,6 +33,15 @@ class _Records:
     lanes: dict[str, Any] = field(default_factory=dict)
     surface: dict[str, Any] = field(default_factory=dict)
     objects: dict[str, Any] = field(default_factory=dict)
+    ids: dict[str, int] = field(default_factory=dict)
+    """Number of each thing that has come into view, by its name."""
+
+    def instances(self, moment: SceneMoment, view: RenderedView) -> NDArray[np.int32]:
+        """(H, W) number of the thing in each pixel through all of the drive, 0 for none."""
+        of_owner = np.zeros(len(moment.things) + 1, np.int32)
+        for owner in np.unique(view.owner[view.owner > 0]):
+            of_owner[owner] = self.ids.setdefault(moment.things[owner - 1].name, len(self.ids) + 1)
+        return of_owner[view.owner]
 
 
 def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: Callable[[], None]) -> None:
@@ -61,8 +70,11 @@ def _render(folder: Path, options: RenderOptions, on_frame: Callable[[], None]) 
     for frame in range(options.frames):
         moment = drive.at(frame / options.rate_hz)
         left = render(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_left)
-        objects = objects_truth(drive, moment, rig, left)
+        objects = objects_truth(drive, moment, rig, left, whole=options.whole_boxes)
         _write_frame(folder, options, frame, moment, rig, left)
+        if options.instances:
+            picture = dump.instance_picture(left.tags, records.instances(moment, left))
+            dump.write_picture(folder / dump.INSTANCES / f"{frame_name(frame)}.png", picture)
         _record(records, options, frame, moment, rig, objects)
         on_frame()
     _write_records(folder, options, rig, records)
@@ -132,6 +144,9 @@ def _record(
     records.lanes[name] = lanes_truth(moment, with_change=options.knows_path)
     records.surface[name] = surface_truth(moment, rig)
     records.objects[name] = [truth.to_json(with_path=options.knows_path) for truth in objects]
+    if options.instances:
+        for truth, entry in zip(objects, records.objects[name], strict=True):
+            entry["instance_id"] = records.ids[truth.name]
 
 
 def _write_records(folder: Path, options: RenderOptions, rig: CameraPair, records: _Records) -> None:

@@ -21,6 +21,9 @@ HOUSE_SLOT_M: Final = 16.0
 POST_SLOT_M: Final = 34.0
 TREE_SLOT_M: Final = 23.0
 PARKING_SLOT_M: Final = 7.5
+ROW_SLOT_M: Final = 5.4
+"""The same where they stand in rows without gaps."""
+ROW_SWAY_M: Final = 0.3
 PARKED_M: Final = 1.2
 """Distance of a parked car's middle from the curb."""
 
@@ -41,6 +44,8 @@ class Fixtures:
 
     world: World
     seed: int
+    parked_rows: bool = False
+    """Whether cars are parked without gaps."""
 
     def near(self, s_m: float) -> list[Fixture]:
         """Everything that may be seen from s, in a fixed order."""
@@ -48,7 +53,7 @@ class Fixtures:
             (self._house, HOUSE_SLOT_M, -25.0, 230.0),
             (self._post, POST_SLOT_M, -5.0, 130.0),
             (self._tree, TREE_SLOT_M, -8.0, 120.0),
-            (self._parked, PARKING_SLOT_M, -6.0, 100.0),
+            (self._parked, self._parking_slot_m, -6.0, 100.0),
         )
         return [
             fixture
@@ -68,6 +73,10 @@ class Fixtures:
         own = self.world.section.walk_m if is_house else self.world.section.curb_m - 2 * PARKED_M
         other = own + HOUSE_SLOT_M if is_house else crossing.curb_m + crossing.corner_m
         return bool(distances.min() > own - 0.5 and distances.max() > other)
+
+    @property
+    def _parking_slot_m(self) -> float:
+        return ROW_SLOT_M if self.parked_rows else PARKING_SLOT_M
 
     def _rng(self, slot: int, side: int, kind: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 101, kind, side + 1, slot + 1_000_000))
@@ -119,9 +128,10 @@ class Fixtures:
     @lru_cache(maxsize=256)  # noqa: B019
     def _parked(self, slot: int, side: int) -> Fixture | None:
         rng = self._rng(slot, side, 2)
-        s = (slot + 0.5) * PARKING_SLOT_M + rng.uniform(-0.8, 0.8)
+        sway_m = ROW_SWAY_M if self.parked_rows else 0.8
+        s = (slot + 0.5) * self._parking_slot_m + rng.uniform(-sway_m, sway_m)
         d = self.world.road.aside(side, s, self.world.section.curb_m - PARKED_M - rng.uniform(-0.1, 0.1))
-        taken = self.world.section.outside_right == "road" and rng.random() < 0.42
+        taken = self.world.section.outside_right == "road" and (rng.random() < 0.42 or self.parked_rows)
         if not taken:
             return None
         turn = (np.pi if side > 0 else 0.0) + rng.uniform(-0.03, 0.03)

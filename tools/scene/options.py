@@ -64,6 +64,9 @@ class RenderOptions:
     stop_and_go: bool = False
     turn: LaneSide | None = None
     crossing_cars: bool = False
+    parked_rows: bool = False
+    whole_boxes: bool = False
+    instances: bool = False
     worn_lines: Stretch | None = None
     """From and to, metres along the road."""
     missing_lines: Stretch | None = None

@@ -52,7 +52,7 @@ def plain_road(section: RoadSection) -> Road:
 
 def road_of(options: RenderOptions) -> Road:
     """The road that the options ask for."""
-    parking, broken = options.scene != "hill", options.scene in ("bend", "town")
+    parking, broken = options.scene != "hill" or options.parked_rows, options.scene in ("bend", "town")
     bare = street(parking=parking, broken=False, lines=False)
     missing, worn = (() if s is None else (s,) for s in (options.missing_lines, options.worn_lines))
     if options.change_lane is not None:

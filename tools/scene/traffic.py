@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,11 @@ HEADWAY_S: Final = 2.8
 HEADWAY_MIN_M: Final = 14.0
 ONCOMING_SPEED_MPS: Final = 9.0
 ONCOMING_SPACING_M: Final = 42.0
+ACROSS_MPS: Final = 8.0
+CROSSES_BEFORE_S: Final = ((1.6, 1), (2.6, -1), (4.5, 1))
+"""How long before the ego car is at the crossing others cross its road, and whereto."""
+CLEAR_S: Final = 2.0
+LATEST_S: Final = 120.0
 CAR_RANGE_M: Final = 140.0
 WALKER_SLOT_M: Final = 19.0
 WALKER_RANGE_M: Final = 90.0
@@ -47,6 +53,7 @@ class Traffic:
     seed: int
     leader: SpeedProfile | None = None
     """The motion of the car before the ego car, where it is a special one."""
+    crossing_cars: bool = False
 
     @property
     def world(self) -> World:
@@ -58,7 +65,8 @@ class Traffic:
         leaders = self._leaders() if self.leader is None else self._led(self.leader)
         # People run across before a car whose speed is constant; before another they would be run over.
         crossing = self._crossing(time_s) if self.ego.motion is None else ()
-        return [*leaders, *self._oncoming(time_s), *self._walkers(time_s), *crossing]
+        across = self._across() if self.crossing_cars else ()
+        return [*leaders, *self._oncoming(time_s), *across, *self._walkers(time_s), *crossing]
 
     def _rng(self, kind: int, slot: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 202, kind, slot + 1_000_000))
@@ -93,11 +101,45 @@ class Traffic:
             rng = self._rng(1, k)
             first = (k + 0.5 + rng.uniform(-0.3, 0.3)) * ONCOMING_SPACING_M
             d = -self.world.section.lane_centre_m + rng.uniform(-0.15, 0.15)
+            if self._meets_crossing_car(first):
+                continue
 
             def pose(time_s: float, first: float = first, d: float = d) -> Float:
                 return self.world.ground_pose(first - ONCOMING_SPEED_MPS * time_s, d, np.pi)
 
             yield Mover(f"oncoming:{k}", "Car", prefabs.car(int(rng.integers(100))), pose)
+
+    def _meets_crossing_car(self, first_m: float) -> bool:
+        """Whether an oncoming car that was at s at time 0 would run into one that crosses."""
+        crossing = self.world.road.crossing
+        if crossing is None or not self.crossing_cars:
+            return False
+        passes_s = (first_m - crossing.x_m) / ONCOMING_SPEED_MPS
+        return any(abs(passes_s - time_s) < CLEAR_S for time_s, _ in self._crossing_times)
+
+    @cached_property
+    def _crossing_times(self) -> tuple[tuple[float, int], ...]:
+        """When cars cross the ego car's road, and where to: to the left 1, to the right -1."""
+        crossing = self.world.road.crossing
+        if crossing is None:
+            return ()
+        times = np.arange(0.0, LATEST_S, 0.05)
+        target = crossing.begins_m if crossing.turn else crossing.x_m
+        reached = np.array([self.ego.s(float(t)) >= target for t in times])
+        arrives = float(times[int(reached.argmax())]) if reached.any() else LATEST_S
+        return tuple((arrives - before, towards) for before, towards in CROSSES_BEFORE_S)
+
+    def _across(self) -> Iterator[Mover]:
+        """Cars on the other road, close before the ego car."""
+        crossing = self.world.road.crossing
+        for k, (crosses_s, towards) in enumerate(self._crossing_times if crossing else ()):
+            x = crossing.x_m - towards * self.world.section.lane_centre_m if crossing else 0.0
+
+            def pose(time_s: float, x: float = x, crosses_s: float = crosses_s, towards: int = towards) -> Float:
+                y = towards * ACROSS_MPS * (time_s - crosses_s)
+                return rigid(rotation_from_rpy(0.0, 0.0, towards * np.pi / 2), np.array([x, y, 0.0]))
+
+            yield Mover(f"across:{k}", "Car", prefabs.car(int(self._rng(4, k).integers(100))), pose)
 
     def _walkers(self, time_s: float) -> Iterator[Mover]:
         """People who walk to and fro on the sidewalks."""
