@@ -91,6 +91,8 @@ def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
 def _add_road(group: argparse._ArgumentGroup) -> None:
     turn = "a 90 degree bend of 12 m radius at a crossing without markings, on level ground (left)"
     group.add_argument("--turn", nargs="?", const="left", choices=("left", "right"), help=turn)
+    lane = "a second lane on the right does so after 4 s, over 30 m"
+    group.add_argument("--lane", choices=("begins", "ends", "splits", "merges"), help=lane)
     group.add_argument("--crossing-cars", action="store_true", help="a crossing on which cars cross close before")
     group.add_argument("--parked-rows", action="store_true", help="rows of parked cars without gaps, on both sides")
     for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):

@@ -61,7 +61,7 @@ class Ego:
     def _aside(self, time_s: float) -> tuple[float, float]:
         """D, and how fast it grows where the car goes at its cruising speed, m/s."""
         s = self.s(time_s)
-        middle = self.world.road.lanes.start.middle_m(s)
+        middle = self.world.road.lanes.start.way_m(s)
         if self.static:
             return middle, 0.0
         period_s = max(WEAVE_S, 2 * np.pi * self.weave_m / (MAX_WEAVE_SLOPE * self.speed_mps))

@@ -1,7 +1,7 @@
 """Where things are beside the path that the ego car is going to take.
 
-The path is a strip along the middle of the lane that the car's reference point is in, as wide as the car and a margin
-on either side; where there is no lane it runs on as the lane did in which the car began.
+The path is a strip along the way that cars drive in the lane which the car's reference point is in, as wide as the
+car and a margin on either side; where there is no lane it runs on as that of the first lane did.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ def path_place(moment: SceneMoment, thing: Thing) -> PathPlace:
     x, y = (np.append(corners[:, i], corners[:, i].mean()) - road.origin_m[i] for i in (0, 1))
     s, d = road.coordinates(x, y)
     lane = world.road.lanes.at(moment.scenery.s_m, moment.d_m) or world.road.lanes.start
-    aside = d - [lane.middle_m(float(at) + road.s_origin_m) for at in s]
+    aside = d - [lane.way_m(float(at) + road.s_origin_m) for at in s]
     half = CAR_WIDTH_M / 2 + PATH_MARGIN_M
     return PathPlace(float(aside[-1]), bool(aside[:-1].min() < half and aside[:-1].max() > -half))
 

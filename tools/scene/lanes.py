@@ -20,15 +20,18 @@ class Edge:
 
 @dataclass(frozen=True)
 class Lane:
-    """A lane from one place along the road to another."""
+    """A lane from one place along the road to another; ``driven_m`` is where cars keep to, by default its middle."""
 
     left: Edge
     right: Edge
     from_m: float = -np.inf
     to_m: float = np.inf
+    driven_m: float | None = None
 
-    def middle_m(self, s_m: float) -> float:
-        """D of the lane's middle."""
+    def way_m(self, s_m: float) -> float:
+        """D of where cars drive in the lane."""
+        if self.driven_m is not None:
+            return self.driven_m
         return float(self.left.d_m.at(s_m) + self.right.d_m.at(s_m)) / 2
 
     def beside_m(self, s_m: float, d_m: float) -> float:

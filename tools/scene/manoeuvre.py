@@ -58,7 +58,7 @@ def lane_changes(options: RenderOptions, lanes: LaneMap) -> tuple[Manoeuvre, ...
     speed = options.speed_mps
     start = CHANGE_AFTER_S * speed
     target = next(lane for lane in lanes.lanes if lane is not lanes.start)
-    aside = target.middle_m(start) - lanes.start.middle_m(start)
+    aside = target.way_m(start) - lanes.start.way_m(start)
     first = Manoeuvre(start, CHANGE_S * speed, aside, options.change_broken_off)
     back = Manoeuvre(start + (CHANGE_S + STAY_S) * speed, CHANGE_S * speed, -aside)
     return (first, back) if options.change_back else (first,)

@@ -9,6 +9,7 @@ from roadperc_stream.errors import DumpError
 
 Mount = tuple[float, float, float, float, float, float]
 Stretch = tuple[float, float]
+LaneEvent = Literal["begins", "ends", "splits", "merges"]
 LaneSide = Literal["left", "right"]
 SceneName = Literal["straight", "bend", "hill", "town"]
 SCENES: Final[tuple[str, ...]] = get_args(SceneName)
@@ -26,6 +27,7 @@ PATH_OPTIONS: Final = (
     "change_lane",
     "lead_brakes",
     "stop_and_go",
+    "lane",
     "turn",
     "crossing_cars",
     "worn_lines",
@@ -62,6 +64,7 @@ class RenderOptions:
     change_broken_off: bool = False
     lead_brakes: bool = False
     stop_and_go: bool = False
+    lane: LaneEvent | None = None
     turn: LaneSide | None = None
     crossing_cars: bool = False
     parked_rows: bool = False
@@ -139,6 +142,10 @@ class RenderOptions:
             ),
             (self.turn is not None and follows, "--turn: not with --lead-brakes or --stop-and-go"),
             (crosses and self.change_lane is not None, "--turn and --crossing-cars: not with --change-lane"),
+            (
+                self.lane is not None and (crosses or self.change_lane is not None),
+                "--lane: not with --change-lane, --turn or --crossing-cars",
+            ),
             (crosses and self.bumps, "--turn and --crossing-cars: not with --bumps"),
             (self.bumps and self.scene == "bend", "--bumps: not in the scene bend, whose road turns back"),
         )

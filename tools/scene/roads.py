@@ -9,12 +9,15 @@ from .along import Along, constant
 from .crossing import Crossing, crossing_of
 from .lanes import Edge, Lane, LaneMap, side_by_side, single
 from .markings import Dashes, Marking, Markings
-from .options import RenderOptions
+from .options import LaneEvent, RenderOptions
 from .path import Real
 from .section import LINE_M, WHITE, YELLOW, RoadSection, street
 
 LANE_M: Final = 3.6
 """Width of an added lane between its lines."""
+LANE_AFTER_S: Final = 4.0
+"""When the ego car is where a lane begins, ends, is split or merges."""
+TAPER_M: Final = 30.0
 _YELLOW_M: Final = 0.15
 """How far the middles of the double yellow line are from the road's."""
 
@@ -57,6 +60,8 @@ def road_of(options: RenderOptions) -> Road:
     missing, worn = (() if s is None else (s,) for s in (options.missing_lines, options.worn_lines))
     if options.change_lane is not None:
         road = _two_lanes(bare, options.change_lane)
+    elif options.lane is not None:
+        road = _changing(bare, options.lane, LANE_AFTER_S * options.speed_mps)
     elif crossing := crossing_of(options, bare):
         lines = _outer_lines(bare, constant(bare.right_edge_m))
         missing = (crossing.unmarked_m, *missing)
@@ -94,6 +99,34 @@ def _lanes_to_and_from(section: RoadSection, crossing: Crossing) -> LaneMap:
         right = Edge(constant(section.right_edge_m), section.outside_right, from_m, to_m)
         lanes.append(Lane(left, right, from_m, to_m))
     return LaneMap(tuple(lanes), lanes[0])
+
+
+def _changing(section: RoadSection, what: LaneEvent, from_m: float) -> Road:
+    """A second lane on the right that begins or ends beside the ego car's, or is split from it or merges with it.
+
+    Where it begins or ends the dashed line between the two accompanies the taper, and the ego car's lane stays as it
+    is. Where a lane is split it first grows as wide as two, and the line begins behind the taper; a merger is the same
+    the other way round.
+    """
+    to_m = from_m + TAPER_M
+    more = LINE_M + LANE_M
+    wider = Along((from_m, to_m), (0.0, more) if what in ("begins", "splits") else (more, 0.0))
+    left, inner = Edge(constant(section.left_edge_m), "road"), -section.lane_m
+    outer = Edge(Along(wider.s_m, tuple(inner - w for w in wider.value)), section.outside_right)
+    ends = {"begins": (from_m, np.inf), "ends": (-np.inf, to_m), "splits": (to_m, np.inf), "merges": (-np.inf, from_m)}
+    two = ends[what]
+    alone = (-np.inf, two[0]) if np.isfinite(two[0]) else (two[1], np.inf)
+    straight_on = what in ("begins", "ends")
+    right = Edge(constant(inner), section.outside_right) if straight_on else outer
+    divided = Edge(constant(inner), "road") if straight_on else Edge(constant(inner), "road", *two)
+    lanes = (
+        Lane(left, right, *alone, driven_m=section.lane_centre_m),
+        Lane(left, divided, *two),
+        Lane(Edge(constant(inner - LINE_M), "road", *two), outer, *two),
+    )
+    divider = Marking(constant(inner - LINE_M / 2), WHITE, "all", *two)
+    lines = [*_outer_lines(section, outer.d_m), divider]
+    return Road(section, LaneMap(lanes, lanes[0]), wider, Markings(tuple(lines)))
 
 
 def _outer_lines(section: RoadSection, right_m: Along, right: Dashes = "none") -> list[Marking]:

@@ -81,7 +81,7 @@ class Traffic:
                 if self.ego.static:
                     ahead = gap + self.ego.speed_mps * time_s
                 s = self.ego.s(time_s) + ahead
-                return self.world.ground_pose(s, self.world.road.lanes.start.middle_m(s))
+                return self.world.ground_pose(s, self.world.road.lanes.start.way_m(s))
 
             yield Mover(f"leader:{i}", "Car", prefabs.car(int(self._rng(0, i).integers(100))), pose)
 
@@ -90,7 +90,7 @@ class Traffic:
 
         def pose(time_s: float) -> Float:
             s = motion.at(time_s)[0]
-            return self.world.ground_pose(s, self.world.road.lanes.start.middle_m(s))
+            return self.world.ground_pose(s, self.world.road.lanes.start.way_m(s))
 
         yield Mover("leader:0", "Car", prefabs.car(int(self._rng(0, 0).integers(100))), pose)
 
