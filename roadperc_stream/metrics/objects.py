@@ -63,10 +63,10 @@ def _object_row(
 def true_time_to_impact_s(true: Object) -> float | None:
     """What the truth says, else its distance over its closing speed.
 
-    None where it does not come nearer or is beside the path.
+    None where it does not come nearer; where the truth says what is in the path it says all there is to say.
     """
-    if true.in_path is False:
-        return None
+    if true.in_path is not None:
+        return true.time_to_impact_s
     if true.time_to_impact_s is not None or true.distance_m is None or true.closing_speed_mps is None:
         return true.time_to_impact_s
     return true.distance_m / true.closing_speed_mps if true.closing_speed_mps > 0 else None
