@@ -1,12 +1,16 @@
 """The objects of drives that are no plain ones: in the path or not, whole or visible, with their numbers."""
 
+import shutil
+
 import cv2
 import numpy as np
 import polars as pl
 
 from roadperc_stream.cli.convert import main as convert
 from roadperc_stream.cli.replay import main as replay
+from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.input import ReplaySource, open_input
 
 TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
 
@@ -85,3 +89,24 @@ def test_the_truth_goes_through_the_log_into_the_columns(rendered, tmp_path):
     assert expected[3] is not None
     objects = pl.read_parquet(tmp_path / "out.objects.parquet").filter(pl.col("true_in_path"))
     assert objects["true_lateral_m"].abs().max() < 2
+
+
+def test_instance_masks_go_through_the_log_to_the_frame(rendered, tmp_path):
+    dump = rendered("--instances", "--seconds", "2")
+    assert convert([str(dump.folder), str(tmp_path / "in.mcap")]) == 0
+    samples = list(open_input(ReplaySource(tmp_path / "in.mcap"), ReplayConfig()).samples())
+    assert len(samples) == len(dump.names) == 2
+    for name, sample in zip(dump.names, samples, strict=True):
+        picture = cv2.imread(str(dump.folder / "instance_segmentation" / f"{name}.png"), cv2.IMREAD_UNCHANGED)
+        ids = sample.frame.instances.ids
+        assert {o["instance_id"] for o in dump.truth["objects"][name]} <= set(ids.ravel().tolist())
+        np.testing.assert_array_equal(ids, picture[..., 1] + 256 * picture[..., 0].astype(int))
+
+
+def test_instance_masks_that_are_no_colours_are_refused(rendered, tmp_path, capsys):
+    dump = rendered("--instances", "--seconds", "2")
+    shutil.copytree(dump.folder, tmp_path / "dump")
+    grey = np.zeros((120, 160), np.uint8)
+    cv2.imwrite(str(tmp_path / "dump" / "instance_segmentation" / "000001.png"), grey)
+    assert convert([str(tmp_path / "dump"), str(tmp_path / "in.mcap")]) == 1
+    assert "000001.png: expected masks as a PNG of red, green and blue" in capsys.readouterr().err
