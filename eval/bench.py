@@ -84,6 +84,7 @@ def _write(path: Path, index: int, rows: int) -> None:
     columns = {field.name: _values(field, rng, rows) for field in schema}
     columns["log_id"] = pa.array([f"{index:016x}"] * rows)
     columns["frame"] = pa.array(np.arange(rows))
+    columns["segment"] = pa.array([0] * rows)
     columns["stamp_ns"] = pa.array(np.arange(rows) * 50_000_000)
     partial = path.with_suffix(".partial")
     pq.write_table(pa.table(columns, schema=schema), partial, ROW_GROUP_ROWS, compression="zstd")

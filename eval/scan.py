@@ -8,7 +8,7 @@ from roadperc_stream.schemas.columns import RATIO
 from .quantities import CATEGORIES, LOST, REST, SIDES, STAGE_TIMES, STORED, TOTAL, Quantity
 from .runs import Run
 from .scores import COUNTS, TRACED, correlations
-from .segments import SEGMENT, elapsed_ns, longest_gap_ns, segment, whole_span_ns, within
+from .segments import SEGMENT, difference, elapsed_ns, longest_gap_ns, segment, whole_span_ns
 
 
 def scan(run: Run) -> pl.LazyFrame:
@@ -111,9 +111,9 @@ def _second_differences(side: str) -> list[pl.Expr]:
     Frames without a measurement have no raw offset: the two compare only on the same frames, of the same segment.
     """
     names = [f"lane_{side}_offset_m", f"lane_{side}_raw_offset_m"]
-    differences = [within(pl.col(name).diff().diff()) for name in names]
+    differences = [difference(difference(pl.col(name))) for name in names]
     known = differences[0].is_not_null() & differences[1].is_not_null()
     return [
-        pl.when(known).then(difference).alias(name.replace("offset", "second_difference"))
-        for name, difference in zip(names, differences, strict=True)
+        pl.when(known).then(change).alias(name.replace("offset", "second_difference"))
+        for name, change in zip(names, differences, strict=True)
     ]

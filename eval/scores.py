@@ -8,7 +8,7 @@ from typing import Final
 import polars as pl
 
 from .quantities import SIDES
-from .segments import within
+from .segments import before
 
 _COUNTED: Final = {
     "detections kept": ("filter_tp", "filter_fp", "filter_fn"),
@@ -70,7 +70,7 @@ def correlations(estimate: str, truth: str) -> pl.Expr:
 
     Null or not finite where they are known together in fewer than half of the frames, or one does not vary there.
     """
-    return pl.concat_list(_correlation(within(pl.col(estimate).shift(-shift)), pl.col(truth)) for shift in _SHIFTS)
+    return pl.concat_list(_correlation(before(pl.col(estimate), -shift), pl.col(truth)) for shift in _SHIFTS)
 
 
 def _correlation(a: pl.Expr, b: pl.Expr) -> pl.Expr:

@@ -25,14 +25,27 @@ def segment(columns: Container[str]) -> pl.Expr:
 
 
 def within(values: pl.Expr) -> pl.Expr:
-    """The same expression within each segment, so that no row sees one of another segment."""
+    """An aggregate over each segment."""
     return values.over(SEGMENT)
+
+
+def before(values: pl.Expr, rows: int) -> pl.Expr:
+    """The values so many rows before, or behind where ``rows`` is negative, within the segment; else null.
+
+    The rows of a segment follow one another, so that no window is needed: these take many times as long.
+    """
+    return pl.when(pl.col(SEGMENT).shift(rows) == pl.col(SEGMENT)).then(values.shift(rows))
+
+
+def difference(values: pl.Expr) -> pl.Expr:
+    """What is added from the row before, of the same segment."""
+    return values - before(values, 1)
 
 
 def elapsed_ns() -> pl.Expr:
     """Nanoseconds from the table's first frame; a segment begins at the instant at which the one before ended."""
-    before = _spans_ns().fill_null(0).cum_sum() - _span_ns()
-    return _STAMP_NS - within(_STAMP_NS.min()) + before
+    earlier_ns = _spans_ns().fill_null(0).cum_sum() - _span_ns()
+    return _STAMP_NS - within(_STAMP_NS.min()) + earlier_ns
 
 
 def whole_span_ns() -> pl.Expr:
@@ -42,7 +55,7 @@ def whole_span_ns() -> pl.Expr:
 
 def longest_gap_ns() -> pl.Expr:
     """The longest time between two frames of a segment; null where no segment has two."""
-    return within(_STAMP_NS.diff()).max()
+    return difference(_STAMP_NS).max()
 
 
 def _spans_ns() -> pl.Expr:

@@ -2,6 +2,7 @@
 
 import ast
 import os
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -27,8 +28,14 @@ for _name in STREAM_VARIABLES:
     os.environ.pop(_name, None)
 
 
+LONG_FILES = ("test_docs.py", "test_compare_replays.py", "test_accuracy.py")
+"""Few tests that take minutes: a process that begins with one of them last has the others wait for it."""
+
+
 def pytest_collection_modifyitems(items):
-    """Mark every module that starts a process or imports a command's main function."""
+    """Mark every module that starts a process or imports a command's main function, and put what takes long first."""
+    tests = Counter(item.path for item in items)
+    items.sort(key=lambda item: (item.path.name not in LONG_FILES, -tests[item.path], item.path))
     for item in items:
         if _runs_commands(item.path):
             item.add_marker(pytest.mark.commands)

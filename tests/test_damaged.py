@@ -14,7 +14,7 @@ from roadperc_stream.cli.view import main as view_main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ChannelError, LogError
-from roadperc_stream.input.damage import loss_reason
+from roadperc_stream.input.damage import LossTimes
 from roadperc_stream.log import Channel, LostSpan, Message
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.state.attached import state_at_end
@@ -266,13 +266,13 @@ GAPS = (LostSpan(10, 20, {}), LostSpan(50, None, {}))
     ],
 )
 def test_the_first_frame_behind_a_gap_says_so(since, until, text):
-    found = loss_reason(GAPS, since, until)
+    found = LossTimes(GAPS).reason(since, until)
     assert (None if found is None else str(found)) == text
 
 
 def test_a_gap_without_a_beginning_and_one_without_both():
-    assert str(loss_reason([LostSpan(None, 7, {})], None, 8)) == "log: messages up to 7 ns were lost to damage"
-    somewhere = loss_reason([LostSpan(None, None, {})], None, 8)
+    assert str(LossTimes([LostSpan(None, 7, {})]).reason(None, 8)) == "log: messages up to 7 ns were lost to damage"
+    somewhere = LossTimes([LostSpan(None, None, {})]).reason(None, 8)
     assert str(somewhere) == "log: messages were lost to damage at an unknown time"
 
 

@@ -14,6 +14,7 @@ from roadperc_stream.info.facts import ChannelFacts, LogFacts
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.replay_printing import print_replay
 from roadperc_stream.info.text import listed, number, rounded, size
+from roadperc_stream.log import number_of
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.record import log_id_of
@@ -89,7 +90,7 @@ def _damage_lines(facts: LogFacts) -> Iterator[str]:
     for damage in file.damages[:_DAMAGES_SHOWN]:
         yield f"byte {damage.byte}: {damage.words}"
     if len(file.damages) > _DAMAGES_SHOWN:
-        yield f"and {len(file.damages) - _DAMAGES_SHOWN} damages more"
+        yield f"and {number_of(file.damages) - _DAMAGES_SHOWN} damages more"
     if file.damages and file.last_good_ns is not None and facts.first_ns is not None:
         after_s = ns_to_seconds(file.last_good_ns - facts.first_ns)
         yield f"the last message before that is at {after_s:.3f} s ({file.last_good_ns} ns); below is what can be read"

@@ -1,7 +1,10 @@
 """A damaged log as the input of a replay: what of it can be replayed, and what its frames say of what was lost."""
 
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
+from math import inf
 from pathlib import Path
 
 from roadperc_stream import log
@@ -27,31 +30,41 @@ def reach_ns(since_ns: int | None, log_time_ns: int, late_ns: int) -> int:
     return log_time_ns + late_ns + (0 if since_ns is None else log_time_ns - since_ns)
 
 
-def loss_reason(gaps: Iterable[LostSpan], since_ns: int | None, until_ns: int) -> Reason | None:
-    """That messages were lost since the frame before, or at this one; None where none were.
+class LossTimes:
+    """When messages were lost, found by bisection: a log may have many gaps, and each frame asks."""
 
-    Args:
-        gaps: of the log.
-        since_ns: log time of the frame before; None of the first one, which speaks for all that was lost before it.
-        until_ns: log time of the frame; of one that lacks messages, up to which they may have come.
-    """
-    found = [gap for gap in gaps if _lies_between(gap, since_ns, until_ns)]
-    if not found:
-        return None
-    firsts, lasts = [gap.first_ns for gap in found], [gap.last_ns for gap in found]
-    known_first, known_last = [ns for ns in firsts if ns is not None], [ns for ns in lasts if ns is not None]
-    if len(known_first) < len(firsts) and len(known_last) < len(lasts):
-        return Reason(SOURCE, "lost_to_damage_somewhere")
-    if len(known_first) < len(firsts):
-        return Reason(SOURCE, "lost_to_damage_before", (max(known_last),))
-    if len(known_last) < len(lasts):
-        return Reason(SOURCE, "lost_to_damage_after", (min(known_first),))
-    return Reason(SOURCE, "lost_to_damage", (min(known_first), max(known_last)))
+    def __init__(self, gaps: Iterable[LostSpan]) -> None:
+        """Sort the gaps of the log."""
+        spans = sorted((-inf if g.first_ns is None else g.first_ns, _end(g)) for g in gaps)
+        self._firsts = [first for first, _ in spans]
+        self._latest = list(accumulate((last for _, last in spans), max))
+        """Of each gap and those that begin before it, the end that is last: it never falls."""
+
+    def reason(self, since_ns: int | None, until_ns: int) -> Reason | None:
+        """That messages were lost since the frame before, or at this one; None where none were.
+
+        Args:
+            since_ns: log time of the frame before; None of the first one, which speaks for all that was lost before it.
+            until_ns: log time of the frame; of one that lacks messages, up to which they may have come.
+        """
+        begun = bisect_right(self._firsts, until_ns)
+        over = 0 if since_ns is None else bisect_right(self._latest, since_ns)
+        return _reason(self._firsts[over], self._latest[begun - 1]) if over < begun else None
 
 
-def _lies_between(gap: LostSpan, since_ns: int | None, until_ns: int) -> bool:
-    begun = gap.first_ns is None or gap.first_ns <= until_ns
-    return begun and not is_over(gap, since_ns)
+def _end(gap: LostSpan) -> float:
+    return inf if gap.last_ns is None else gap.last_ns
+
+
+def _reason(first_ns: float, last_ns: float) -> Reason:
+    match first_ns > -inf, last_ns < inf:
+        case False, False:
+            return Reason(SOURCE, "lost_to_damage_somewhere")
+        case False, True:
+            return Reason(SOURCE, "lost_to_damage_before", (last_ns,))
+        case True, False:
+            return Reason(SOURCE, "lost_to_damage_after", (first_ns,))
+    return Reason(SOURCE, "lost_to_damage", (first_ns, last_ns))
 
 
 def is_over(gap: LostSpan, since_ns: int | None) -> bool:
@@ -131,13 +144,19 @@ def readable_log(
     except DamagedLogError as error:
         if not despite_damage:
             raise
-        found = [log.audited(path, limits, check_chunks=True) for path in sources]
-        copies = [None if salvage.whole else log.repaired_copy(salvage.path, limits) for salvage in found]
+        copies = [_repaired(path, limits, error) for path in sources]
         files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
-        first_ns = min((salvage.first_ns for salvage in found if salvage.first_ns is not None), default=None)
         summary = log.summarise(files, limits)
         damaged = tuple(_in_log(copy, summary.parts) for copy in copies if copy is not None)
+        firsts = (summary.first_ns, *(copy.salvage.first_ns for copy in damaged))
+        first_ns = min((ns for ns in firsts if ns is not None), default=None)
         return ReadableLog(summary, error, damaged, first_ns)
+
+
+def _repaired(path: Path, limits: LimitsConfig, error: DamagedLogError) -> RepairedLog | None:
+    """The repaired copy of a file, which may be the one that the error is of; None where it is whole."""
+    is_whole = path != error.path and log.audited(path, limits, check_chunks=True).whole
+    return None if is_whole else log.repaired_copy(path, limits)
 
 
 def _in_log(copy: RepairedLog, parts: Sequence[LogSummary]) -> RepairedLog:
@@ -148,7 +167,8 @@ def _in_log(copy: RepairedLog, parts: Sequence[LogSummary]) -> RepairedLog:
 
 def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, first_ns: int | None) -> Iterator[str]:
     """What the user should know of a log that was damaged: where, what was saved and what was lost."""
-    more = f" (the first of {len(damages)} damages)" if len(damages) > 1 else ""
+    number = log.number_of(damages)
+    more = f" (the first of {number} damages)" if number > 1 else ""
     yield f"{source}: damaged at byte {damages[0].byte}: {damages[0].words}{more}"
     yield from recovery.lines(first_ns)
 

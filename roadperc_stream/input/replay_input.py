@@ -8,7 +8,7 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import UNWRITTEN, Sample
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.damage import ReadableLog, ended, is_over, loss_reason, reach_ns
+from roadperc_stream.input.damage import LossTimes, ReadableLog, ended, is_over, reach_ns
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.outcome import InputOutcome
 from roadperc_stream.input.pairing import StampPairing
@@ -89,6 +89,7 @@ class ReplayInput:
         recovery = Recovery.of_records(summary.metadata)
         before = ended(lost, self._first_new_ns()) if lost else ()
         self._gaps = (*before, *(() if recovery is None else recovery.gaps))
+        self._losses = LossTimes(self._gaps)
         self._begin()
 
     def _begin(self) -> None:
@@ -152,7 +153,7 @@ class ReplayInput:
             self._outcome.pair(synced)
             if is_written:
                 self._outcome.add(synced)
-                lost = loss_reason(self._gaps, before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
+                lost = self._losses.reason(before_ns, self._until_ns(synced, before_ns, numbers.log_time_ns))
                 yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
                 before_ns = numbers.log_time_ns
             else:

@@ -5,13 +5,21 @@ Bytes in, bytes out; what they mean is the business of ``schemas`` and ``input``
 
 from roadperc_stream.log.audit import audited
 from roadperc_stream.log.copying import MessageCopy
-from roadperc_stream.log.damage import Damage, DamagedLogError
+from roadperc_stream.log.damage import Damage, DamagedLogError, number_of
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.order import in_order_within
 from roadperc_stream.log.parts import gone_on_ns
 from roadperc_stream.log.reading import read, summarise
-from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, MessageDigest, Metadata
-from roadperc_stream.log.recovery import RECOVERY_RECORD, LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
+from roadperc_stream.log.records import (
+    RECOVERY_RECORD,
+    Attachment,
+    Channel,
+    LogSummary,
+    Message,
+    MessageDigest,
+    Metadata,
+)
+from roadperc_stream.log.recovery import LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.stored import received
 from roadperc_stream.log.writing import LogWriter
@@ -36,6 +44,7 @@ __all__ = [
     "audited",
     "gone_on_ns",
     "in_order_within",
+    "number_of",
     "read",
     "received",
     "repaired_copy",

@@ -52,7 +52,7 @@ def audited(path: Path, limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: 
         LogError: the file cannot be read, or is no MCAP log.
     """
     quick = Salvage(path, inside=False, limits=limits)
-    quick.run()
+    quick.run(to_first_damage=True)
     is_checked = quick.sealed or not check_chunks
     return quick if quick.whole and quick.conclusive and is_checked else salvaged(path, limits)
 

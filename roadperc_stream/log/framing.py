@@ -13,12 +13,12 @@ from typing import IO, Final
 
 from mcap.opcode import Opcode
 
-from roadperc_stream.log.damage import Damage
+from roadperc_stream.log.damage import Damage, with_more
 from roadperc_stream.log.integrity import CRC_BYTES, MAGIC
-from roadperc_stream.log.resync import IsMessage, next_record
+from roadperc_stream.log.resync import IsMessage, RecordSearch
 
 _HEAD: Final = struct.Struct("<BQ")
-_OPCODES: Final = frozenset(int(opcode) for opcode in Opcode)
+_NAMES: Final = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
 _FIRST_PRIVATE: Final = 0x80
 """Opcodes from here on are an application's own."""
 _OF_DATA: Final[frozenset[int]] = frozenset(
@@ -45,6 +45,8 @@ _OF_SUMMARY: Final[frozenset[int]] = frozenset(
         Opcode.FOOTER,
     )
 )
+_MOST_LISTED: Final = 1000
+"""Damages that are listed one by one."""
 _MOST_CUT_BYTES: Final = 256 * 1024 * 1024
 """What is read of a record that does not end: its chunk may be whole, and only its length wrong."""
 
@@ -62,7 +64,7 @@ class Record:
     @property
     def name(self) -> str:
         """The kind of record, as the specification calls it."""
-        return Opcode(self.opcode).name.lower().replace("_", " ") if self.opcode in _OPCODES else f"{self.opcode:#04x}"
+        return _NAMES.get(self.opcode, f"{self.opcode:#04x}")
 
     @property
     def end(self) -> int:
@@ -101,6 +103,8 @@ class Framing:
     """Where reading broke off in the data section: messages may be lost there."""
     summary_start: int | None = None
     """The first byte behind the data section; None before it was found."""
+    to_first_damage: bool = False
+    """Whether to read no further than to know that the file is damaged."""
     _data_crc: int | None = None
     _data_crc_damage: Damage | None = None
     _summary_crc: int | None = None
@@ -110,7 +114,7 @@ class Framing:
         damage = self._data_crc_damage
         if damage in self.damages:
             self.damages.remove(damage)
-            self.damages.extend([] if self.damages else [replace(damage, of_messages=False)])
+            self.note(None if self.damages else replace(damage, of_messages=False))
 
     @property
     def has_place(self) -> bool:
@@ -119,7 +123,7 @@ class Framing:
 
     def damaged(self, byte: int, words: str, first_ns: int | None = None, last_ns: int | None = None) -> None:
         """Take note of a damage; behind the data section it concerns no messages."""
-        self.damages.append(Damage(byte, words, first_ns, last_ns, of_messages=self.summary_start is None))
+        self.note(Damage(byte, words, first_ns, last_ns, of_messages=self.summary_start is None))
 
     def records(self, stream: IO[bytes]) -> Iterator[Record]:
         """The file's records outside chunks, up to its end or to where nothing follows that makes sense.
@@ -127,13 +131,16 @@ class Framing:
         A record that the file's end cuts off, or whose length makes no sense, comes with what there is of it.
         """
         self._data_crc = zlib.crc32(stream.read(len(MAGIC)))
+        search = RecordSearch(stream, self.size_bytes, self.is_message)
         at: int | None = len(MAGIC)
-        while at is not None:
+        while at is not None and not (self.to_first_damage and self.damages):
             head = stream.read(_HEAD.size)
             fault = self._fault(at, head)
             if fault:
                 yield from self._broken(stream, at, head, fault)
-                at = self._resume(stream, at)
+                if self.to_first_damage:
+                    return
+                at = self._resume(stream, at, search)
                 continue
             opcode, length = _HEAD.unpack(head)
             record = Record(at, opcode, stream.read(length))
@@ -150,7 +157,7 @@ class Framing:
             return f"cut off: the file ends after {self.size_bytes} bytes, before its footer"
         opcode, length = _HEAD.unpack(head)
         left = self.size_bytes - at - _HEAD.size
-        if opcode not in _OPCODES and opcode < _FIRST_PRIVATE:
+        if opcode not in _NAMES and opcode < _FIRST_PRIVATE:
             return f"no record starts here: its type would be {opcode:#04x}"
         if length > left:
             return f"cut off or damaged: a record of {length} bytes starts here, {left} bytes are left"
@@ -174,7 +181,7 @@ class Framing:
         else:
             self.damaged(at, fault)
 
-    def _resume(self, stream: IO[bytes], at: int) -> int | None:
+    def _resume(self, stream: IO[bytes], at: int, search: RecordSearch) -> int | None:
         """Go to the next record that the index names, or else to the next one whose fields fit; None without any."""
         self._data_crc = self._summary_crc = None
         if self.summary_start is None:
@@ -184,7 +191,7 @@ class Framing:
             return stream.seek(self.resume_at[following])
         if self.resume_at or self.summary_start is not None:
             return None
-        found = next_record(stream, at + 1, self.size_bytes, chunked=self.chunked, is_message=self.is_message)
+        found = search.next_record(at + 1, chunked=self.chunked)
         return None if found is None else stream.seek(found)
 
     def _close(self, at: int, rest: bytes) -> None:
@@ -199,23 +206,28 @@ class Framing:
             self.summary_start = record.end
             self.sealed = bool(_crc_in(record))
             self._data_crc_damage = _crc_damage("data section", record, self._data_crc)
-            self._note(self._data_crc_damage)
+            self.note(self._data_crc_damage)
             self._summary_crc = 0
         elif self._summary_crc is not None:
             without_last = CRC_BYTES if record.opcode == Opcode.FOOTER else 0
             self._summary_crc = record.crc(self._summary_crc, without_last=without_last)
             if record.opcode == Opcode.FOOTER:
                 self.summary_sealed = bool(_crc_in(record))
-                self._note(_crc_damage("summary", record, self._summary_crc, of_messages=False))
+                self.note(_crc_damage("summary", record, self._summary_crc, of_messages=False))
         elif self._data_crc is not None:
             self._data_crc = record.crc(self._data_crc)
         if record.opcode == Opcode.ATTACHMENT:
             found = zlib.crc32(memoryview(record.body)[:-CRC_BYTES])
-            self._note(_crc_damage("attachment", record, found, of_messages=False))
+            self.note(_crc_damage("attachment", record, found, of_messages=False))
 
-    def _note(self, damage: Damage | None) -> None:
-        if damage is not None:
+    def note(self, damage: Damage | None) -> None:
+        """Take note of a damage, where there is one; the last one that is listed stands for all that follow it."""
+        if damage is None:
+            return
+        if len(self.damages) < _MOST_LISTED:
             self.damages.append(damage)
+        else:
+            self.damages[-1] = with_more(self.damages[-1], damage)
 
 
 def _crc_in(record: Record) -> int:

@@ -59,7 +59,19 @@ def require_log(path: Path, stream: IO[bytes]) -> None:
         LogError: it is empty, or something else.
     """
     stream.seek(0)
-    magic = stream.read(len(MAGIC))
+    require_magic(path, stream.read(len(MAGIC)))
+
+
+def require_magic(path: Path, magic: bytes) -> None:
+    """Refuse what does not start as an MCAP log.
+
+    Args:
+        path: of the file or the pipe.
+        magic: its first bytes, as many as the magic has, or all there are.
+
+    Raises:
+        LogError: it is empty, or something else.
+    """
     if not magic:
         raise LogError(f"{path}: empty file, expected an MCAP log")
     if magic != MAGIC:

@@ -5,6 +5,7 @@ The library that reads logs allocates what a record or a chunk says of itself. L
 
 import io
 import os
+import re
 import struct
 from pathlib import Path
 from typing import IO, Final
@@ -14,10 +15,13 @@ import zstandard
 from mcap.exceptions import McapError
 
 from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
 
 _HEAD: Final = struct.Struct("<BQ")
 _CHUNK: Final = struct.Struct("<QQQII")
 _LENGTH: Final = struct.Struct("<Q")
+_STRING: Final = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
+"""In JSON."""
 _ALWAYS_BYTES: Final = 1024 * 1024
 """What is read unasked."""
 _FRAME_HEAD_BYTES: Final = 32
@@ -71,6 +75,33 @@ def require_record(size_bytes: int, most_bytes: int) -> None:
     """
     if size_bytes > most_bytes:
         raise LimitError(_beyond("a record", size_bytes, "record_mb", most_bytes))
+
+
+def require_attachments(size_bytes: int, limits: LimitsConfig) -> None:
+    """Refuse more attachments and metadata than may be held.
+
+    Args:
+        size_bytes: of all of them.
+        limits: of the log.
+
+    Raises:
+        LimitError: they are too many.
+    """
+    if size_bytes > limits.attachments_bytes:
+        raise LimitError(_beyond("attachments and metadata", size_bytes, "attachments_mb", limits.attachments_bytes))
+
+
+def require_gaps(metadata: Metadata, limits: LimitsConfig) -> None:
+    """Refuse a record of more gaps than there may be, before it is decoded.
+
+    Raises:
+        LimitError: it is one.
+    """
+    if metadata.name != RECOVERY_RECORD:
+        return
+    text = dict(metadata.values).get("gaps", "")
+    if text.count("[") - 1 > limits.gaps and (found := _STRING.sub("", text).count("[") - 1) > limits.gaps:
+        raise LimitError(f"metadata {RECOVERY_RECORD} of {found} gaps: expected limits.gaps {limits.gaps} at most")
 
 
 def check_chunk(stream: IO[bytes], limits: LimitsConfig = DEFAULT_LIMITS) -> int:

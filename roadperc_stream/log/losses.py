@@ -4,9 +4,9 @@ import struct
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from roadperc_stream.log.inventory import Positions, read_message_index
@@ -27,20 +27,19 @@ class Gap:
     messages: Mapping[int, int] = field(default_factory=dict)
 
 
-def expected_messages(path: Path, at: int) -> Positions:
+def expected_messages(stream: IO[bytes], at: int) -> Positions:
     """What the message indexes say that start at a byte of a file; nothing where none do."""
     expected = Positions()
-    with path.open("rb") as stream:
-        stream.seek(at)
-        while len(head := stream.read(_RECORD.size)) == _RECORD.size:
-            opcode, length = _RECORD.unpack(head)
-            if opcode != Opcode.MESSAGE_INDEX or length > _MOST_INDEX_BYTES:
-                break
-            try:
-                channel_id, positions = read_message_index(stream.read(length))
-            except ValueError:
-                break
-            expected[channel_id] = positions
+    stream.seek(at)
+    while len(head := stream.read(_RECORD.size)) == _RECORD.size:
+        opcode, length = _RECORD.unpack(head)
+        if opcode != Opcode.MESSAGE_INDEX or length > _MOST_INDEX_BYTES:
+            break
+        try:
+            channel_id, positions = read_message_index(stream.read(length))
+        except (McapError, ValueError):
+            break
+        expected[channel_id] = positions
     return expected
 
 
@@ -95,9 +94,8 @@ class Losses:
 
     def add(self, gap: Gap, *, is_open: bool) -> None:
         """Take note of a gap; an open one ends where the next message is."""
-        if self._is_open:  # reading broke off again before any message came
-            gap = replace(gap, first_ns=self.gaps.pop().first_ns)
-        self.gaps.append(replace(gap, last_ns=None) if is_open else gap)
+        first_ns = self.gaps.pop().first_ns if self._is_open else gap.first_ns  # open: no message came since
+        self.gaps.append(Gap(first_ns, None if is_open else gap.last_ns, gap.messages))
         self._is_open = is_open
 
     def settle(self, last_ns: int) -> bool:

@@ -14,8 +14,8 @@ from typing import Final
 
 from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
 from roadperc_stream.log.integrity import damaged
-from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
-from roadperc_stream.log.recovery import RECOVERY_RECORD, Recovery
+from roadperc_stream.log.records import RECOVERY_RECORD, Attachment, Channel, LogSummary, Message, Metadata
+from roadperc_stream.log.recovery import Recovery
 from roadperc_stream.log.repeats import Numbered, SharedTimes, marked, shared_times
 from roadperc_stream.log.sorting import SortedMessages
 

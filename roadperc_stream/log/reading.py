@@ -16,7 +16,7 @@ from roadperc_stream.log.audit import damage_in, require_undamaged, salvaged
 from roadperc_stream.log.file_order import FileOrder, attachments_and_metadata
 from roadperc_stream.log.index import MOST_HELD_BYTES, UNREADABLE, channel_of, held_bytes, usable_index
 from roadperc_stream.log.integrity import damaged, require_whole, unopened
-from roadperc_stream.log.limits import LimitError, guarded
+from roadperc_stream.log.limits import LimitError, guarded, require_attachments
 from roadperc_stream.log.parts import Part, united
 from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.sorting import SortedMessages
@@ -42,7 +42,7 @@ def summarise(
         TargetError: there is no space to put several files in order.
     """
     paths = [source] if isinstance(source, Path) else source
-    parts = [_inspected(path, limits, check_chunks=check_chunks) for path in paths]
+    parts = list(_all_inspected(paths, limits, check_chunks=check_chunks))
     if len(parts) > 1:
         return united(parts)
     summary, held = parts[0].summary, parts[0].held_bytes
@@ -119,6 +119,23 @@ class IndexedFile:
                 if channel.id not in known:
                     known[channel.id] = channel_of(channel, schema)
                 yield Message(known[channel.id], message.log_time, message.publish_time, message.sequence, message.data)
+
+
+def _all_inspected(paths: Sequence[Path], limits: LimitsConfig, *, check_chunks: bool) -> Iterator[Part]:
+    """What each file holds, as long as all of them together have no more attachments than may be.
+
+    Raises:
+        LogError: as ``summarise``.
+    """
+    held_bytes = 0
+    for path in paths:
+        part = _inspected(path, limits, check_chunks=check_chunks)
+        held_bytes += sum(len(attachment.data) for attachment in part.summary.attachments)
+        try:
+            require_attachments(held_bytes, limits)
+        except LimitError as error:
+            raise LogError(f"{path}: {error}") from error
+        yield part
 
 
 def _inspected(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> Part:

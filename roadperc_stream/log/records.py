@@ -4,7 +4,10 @@ import hashlib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
+
+RECOVERY_RECORD: Final = "roadperc.recovery"
+"""Metadata record of a repaired log: what was lost."""
 
 
 @dataclass(frozen=True)

@@ -2,25 +2,24 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryFile
 from typing import Any, Final
 
 from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.log.damage import nothing_saved
 from roadperc_stream.log.order import in_order_within
-from roadperc_stream.log.records import Message, Metadata
+from roadperc_stream.log.records import RECOVERY_RECORD, Message, Metadata
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.spool import Spool, storing
 from roadperc_stream.log.stored import StoredLog
-from roadperc_stream.log.writing import LogWriter
+from roadperc_stream.log.writing import LogWriter, StoredLogWriter
 
-RECOVERY_RECORD: Final = "roadperc.recovery"
-"""Metadata record of a repaired log: what was lost."""
 _VERSION: Final = "1"
 _MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 _GAPS_LISTED: Final = 5
@@ -97,6 +96,12 @@ class Recovery:
             return self
         return replace(self, gaps=tuple(_ending(gap, last_ns) for gap in self.gaps))
 
+    def of_at_most(self, gaps: int) -> "Recovery":
+        """With so many gaps, of which the last stands for all behind it, too."""
+        if len(self.gaps) <= gaps:
+            return self
+        return replace(self, gaps=(*self.gaps[: gaps - 1], _as_one(self.gaps[gaps - 1 :])))
+
     def after(self, earlier: "Recovery | None", saved: int) -> "Recovery":
         """With what an earlier repair of the same log, or that of its part before, had lost."""
         if earlier is None:
@@ -125,6 +130,16 @@ def _ending(gap: LostSpan, last_ns: int) -> LostSpan:
     return replace(gap, last_ns=last_ns) if is_open else gap
 
 
+def _as_one(gaps: Sequence[LostSpan]) -> LostSpan:
+    firsts, lasts = [gap.first_ns for gap in gaps], [gap.last_ns for gap in gaps]
+    messages = Counter[str]()
+    for gap in gaps:
+        messages.update(gap.messages)
+    first_ns = None if None in firsts else min(ns for ns in firsts if ns is not None)
+    last_ns = None if None in lasts else max(ns for ns in lasts if ns is not None)
+    return LostSpan(first_ns, last_ns, dict(messages))
+
+
 def saved_messages(salvage: Salvage) -> Iterator[Message]:
     """The messages that can be read of a log, in log-time order as far as holding some of them can tell."""
     return in_order_within(
@@ -147,13 +162,18 @@ def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LI
         LogError: not one message can be read.
         TargetError: ``target`` cannot be written.
     """
+    return _repaired(source, partial(LogWriter, target), limits)
+
+
+def _repaired(source: Path, writer_of: Callable[[str], LogWriter], limits: LimitsConfig) -> tuple[Salvage, Recovery]:
+    """Write what can be read of a log; ``writer_of`` makes the writer of its profile."""
     salvage = Salvage(source, limits=limits)
     messages = saved_messages(salvage)
     first = next(messages, None)
     if first is None:
         raise nothing_saved(source, salvage.damages)
     described = salvage.described
-    with LogWriter(target, described.profile) as writer:
+    with writer_of(described.profile) as writer:
         for message in chain((first,), messages):
             writer.write(message)
         for number in sorted(described.channels):
@@ -162,7 +182,7 @@ def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LI
             writer.attach(attachment)
         recovery = Recovery.of_salvage(salvage)
         if not salvage.whole:
-            recovery = recovery.after(Recovery.of_records(described.metadata), recovery.saved)
+            recovery = recovery.after(Recovery.of_records(described.metadata), recovery.saved).of_at_most(limits.gaps)
         for metadata in described.metadata:
             if salvage.whole or metadata.name != RECOVERY_RECORD:
                 writer.describe(metadata)
@@ -181,17 +201,16 @@ class RepairedLog:
 
 
 def repaired_copy(source: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> RepairedLog:
-    """What can be read of a log, as a whole log that is stored in a temporary file.
+    """What can be read of a log, as a whole log that is stored in a temporary file without a name.
 
     Raises:
         LogError: not one message can be read.
         TargetError: there is no space for it.
     """
-    with storing(str(source)), TemporaryDirectory(prefix="roadperc-") as folder:
-        file = Path(folder) / "repaired.mcap"
-        salvage, recovery = write_repaired(source, file, limits)
-        stored = Spool(str(source), file.open("rb"))  # the bytes stay while it is open
-    return RepairedLog(StoredLog.of(source, stored), salvage, recovery)
+    with storing(str(source)):
+        file = TemporaryFile()  # noqa: SIM115 - the spool closes it
+    salvage, recovery = _repaired(source, partial(StoredLogWriter, source, file=file), limits)
+    return RepairedLog(StoredLog.of(source, Spool(str(source), file)), salvage, recovery)
 
 
 def _by_topic(counts: Mapping[int, int], topics: Mapping[int, str]) -> dict[str, int]:

@@ -7,60 +7,110 @@ from typing import IO, Final
 
 from mcap.opcode import Opcode
 
-from roadperc_stream.log.chunks import chunk_head
+from roadperc_stream.log.chunks import MESSAGE_HEAD_BYTES, chunk_head
 
 _HEAD: Final = struct.Struct("<BQ")
 _BLOCK_BYTES: Final = 1024 * 1024
-_OVERLAP_BYTES: Final = 64
-"""More than what ``_LIKELY`` looks at."""
-_CHUNK_FIELDS_BYTES: Final = 64
-_LIKELY: Final = re.compile(
-    rb"(?=\x06.{5}\x00{3}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))|(?=[\x03\x04\x05\x09\x0c\x0f].{5}\x00{3})",
-    re.DOTALL,
-)
-"""What a chunk, or another record of the data section, begins with; lengths are below 2^40 bytes."""
-_INSIDE_CHUNKS: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
+_OVERLAP_BYTES: Final = 128
+"""More than what is looked at from where a record may start: its head and the fields of a chunk."""
+_FIELDS_BYTES: Final = 64
+_CHUNK_BEGINS: Final = rb"(?=\x06.{5}\x00{3}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))"
+_BESIDE_CHUNKS: Final = re.compile(_CHUNK_BEGINS + rb"|(?=[\x09\x0c\x0f].{5}\x00{3})", re.DOTALL)
+"""What a chunk, or a record between chunks, begins with; lengths are below 2^40 bytes."""
+_ANYWHERE: Final = re.compile(_CHUNK_BEGINS + rb"|(?=[\x03\x04\x05\x09\x0c\x0f].{5}\x00{3})", re.DOTALL)
+_OPCODES: Final = frozenset(map(int, Opcode))
+_LEAST_BYTES: Final = {
+    int(Opcode.SCHEMA): 14,
+    int(Opcode.CHANNEL): 16,
+    int(Opcode.MESSAGE): MESSAGE_HEAD_BYTES,
+    int(Opcode.CHUNK): 40,
+    int(Opcode.ATTACHMENT): 36,
+    int(Opcode.METADATA): 8,
+    int(Opcode.DATA_END): 4,
+}
+"""What the fields of a record take that has nothing in those of any length."""
 
 IsMessage = Callable[[bytes], bool]
 """Whether the first bytes of a message record are those of a message of this log."""
 
 
-def next_record(stream: IO[bytes], at: int, size_bytes: int, *, chunked: bool, is_message: IsMessage) -> int | None:
-    """The byte from ``at`` on where the next record starts whose fields fit together, and with what follows it.
+class RecordSearch:
+    """Finds where records start in bytes that make no sense.
 
-    Args:
-        stream: of the file.
-        at: first byte that is looked at.
-        size_bytes: of the file.
-        chunked: look for no messages, channels and schemas outside chunks: those inside one look the same.
-        is_message: tells messages from what only looks like one.
-
-    Returns:
-        None where there is none.
+    A block of the file is held, and looked at in place: of what only looks like records there may be millions.
     """
-    for start in _likely(stream, at):
-        stream.seek(start)
-        opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
-        if start + _HEAD.size + length > size_bytes or (chunked and opcode in _INSIDE_CHUNKS):
-            continue
-        fields = stream.read(min(length, _CHUNK_FIELDS_BYTES))
-        if opcode == Opcode.CHUNK and _is_chunk(fields, length):
-            return start
-        plausible = opcode != Opcode.MESSAGE or is_message(fields)
-        if opcode != Opcode.CHUNK and plausible and _leads_on(stream, start + _HEAD.size + length, size_bytes):
-            return start
-    return None
 
+    def __init__(self, stream: IO[bytes], size_bytes: int, is_message: IsMessage) -> None:
+        """Search a file.
 
-def _likely(stream: IO[bytes], at: int) -> Iterator[int]:
-    while True:
-        stream.seek(at)
-        block = stream.read(_BLOCK_BYTES)
-        for found in _LIKELY.finditer(block):
-            yield at + found.start()
-        if len(block) < _BLOCK_BYTES:
-            return
-        at += len(block) - _OVERLAP_BYTES
+        Args:
+            stream: of the file; it is left anywhere.
+            size_bytes: of the file.
+            is_message: tells messages from what only looks like one.
+        """
+        self._stream, self._size_bytes, self._is_message = stream, size_bytes, is_message
+        self._block, self._block_at = b"", 0
+
+    def next_record(self, at: int, *, chunked: bool) -> int | None:
+        """The byte from ``at`` on where the next record starts whose fields fit together, and with what follows it.
+
+        Args:
+            at: first byte that is looked at.
+            chunked: look for no messages, channels and schemas outside chunks: those inside one look the same.
+
+        Returns:
+            None where there is none.
+        """
+        pattern = _BESIDE_CHUNKS if chunked else _ANYWHERE
+        return next((start for start in self._likely(at, pattern) if self._fits(start)), None)
+
+    def _likely(self, at: int, pattern: re.Pattern[bytes]) -> Iterator[int]:
+        while at < self._size_bytes:
+            self._hold(at)
+            block, block_at = self._block, self._block_at
+            end = block_at + len(block)
+            end -= 0 if end == self._size_bytes else _OVERLAP_BYTES
+            for found in pattern.finditer(block, at - block_at):
+                start = block_at + found.start()
+                if start >= end:
+                    break
+                yield start
+            at = end
+
+    def _hold(self, at: int) -> None:
+        """Have the block in memory that a record's first fields are in."""
+        held = self._block_at + len(self._block)
+        is_held = self._block_at <= at and (at + _OVERLAP_BYTES < held or held == self._size_bytes)
+        if not is_held or at >= held:
+            self._stream.seek(at)
+            self._block, self._block_at = self._stream.read(min(_BLOCK_BYTES, self._size_bytes - at)), at
+
+    def _bytes(self, at: int, length: int) -> bytes:
+        """Some of the file's bytes, fewer at its end."""
+        start = at - self._block_at
+        if start >= 0 and start + length <= len(self._block):
+            return self._block[start : start + length]
+        self._stream.seek(at)
+        return self._stream.read(max(min(length, self._size_bytes - at), 0))
+
+    def _fits(self, start: int) -> bool:
+        opcode, length = _HEAD.unpack_from(self._block, start - self._block_at)
+        fields_at = start + _HEAD.size
+        if fields_at + length > self._size_bytes or length < _LEAST_BYTES[opcode]:
+            return False
+        if opcode == Opcode.CHUNK:
+            return _is_chunk(self._bytes(fields_at, min(length, _FIELDS_BYTES)), length)
+        if opcode == Opcode.MESSAGE and not self._is_message(self._bytes(fields_at, MESSAGE_HEAD_BYTES)):
+            return False
+        return self._leads_on(fields_at + length)
+
+    def _leads_on(self, end: int) -> bool:
+        """Whether a record that ends here is followed by another, or by nothing."""
+        head = self._bytes(end, _HEAD.size)
+        if len(head) < _HEAD.size:
+            return not head
+        opcode, length = _HEAD.unpack(head)
+        return opcode in _OPCODES and end + _HEAD.size + length <= self._size_bytes
 
 
 def _is_chunk(fields: bytes, length: int) -> bool:
@@ -69,13 +119,3 @@ def _is_chunk(fields: bytes, length: int) -> bool:
     except ValueError:
         return False
     return head.first_ns <= head.last_ns and head.record_bytes == _HEAD.size + length
-
-
-def _leads_on(stream: IO[bytes], end: int, size_bytes: int) -> bool:
-    """Whether a record that ends here is followed by another, or by nothing."""
-    stream.seek(end)
-    head = stream.read(_HEAD.size)
-    if len(head) < _HEAD.size:
-        return not head
-    opcode, length = _HEAD.unpack(head)
-    return opcode in set(Opcode) and end + _HEAD.size + length <= size_bytes

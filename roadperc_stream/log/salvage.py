@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -38,7 +38,7 @@ from roadperc_stream.log.framing import Framing, Record
 from roadperc_stream.log.index import UNREADABLE, end_of, index_of, places_of, span_ns_of
 from roadperc_stream.log.integrity import data_end_of, require_log, summary_fits, unopened
 from roadperc_stream.log.inventory import INDEX_ENTRY_BYTES, ChunkPlace, Inventory, Positions
-from roadperc_stream.log.limits import LimitError, check_chunk, guarded
+from roadperc_stream.log.limits import LimitError, check_chunk, guarded, require_attachments, require_gaps
 from roadperc_stream.log.losses import Gap, Losses, expected_messages, lost_in_chunk
 from roadperc_stream.log.records import Channel, Message
 
@@ -108,9 +108,10 @@ class Salvage:
         self._inventory, self._losses, self._workspace = Inventory(), Losses(), Workspace()
         is_message = partial(_is_message, self.described, self._inventory)  # not of this object: it is freed at once
         self._framing = Framing(self.size_bytes, resume_at, is_message)
-        self._chunks_without_crc = self._breaks = self._open_at = 0
+        self._chunks_without_crc = self._breaks = self._open_at = self._held_bytes = 0
         self._covered = True
         """Whether every message that was read stands in a chunk with a CRC of its own."""
+        self._stream: IO[bytes] | None = None
 
     @property
     def damages(self) -> list[Damage]:
@@ -174,14 +175,16 @@ class Salvage:
             data = bytes(body[MESSAGE_HEAD_BYTES:])
             yield Message(self.channels[head.channel_id], head.log_time_ns, head.publish_time_ns, head.sequence, data)
 
-    def run(self) -> None:
-        """Read everything for the account alone."""
+    def run(self, *, to_first_damage: bool = False) -> None:
+        """Read everything for the account alone, or no further than to know that the log is not whole."""
+        self._framing.to_first_damage = to_first_damage
         for _ in self._found():
             pass
 
     def _found(self) -> Iterator[Found]:
         try:
             with guarded(self.path, self.limits) as stream:
+                self._stream = stream
                 for record in self._framing.records(stream):
                     self._note_breaks()
                     yield from self._messages_of(record)
@@ -194,29 +197,42 @@ class Salvage:
     def _messages_of(self, record: Record) -> Iterator[Found]:
         """The messages of a record: one, a chunk's, or none of any other, which is taken note of."""
         if record.opcode != Opcode.MESSAGE_INDEX:
-            self._note_damage(self._inventory.close_chunk())
+            self._framing.note(self._inventory.close_chunk())
         if record.opcode == Opcode.CHUNK:
             yield from self._chunk(record)
             return
+        self._hold(record)
         try:
             if record.opcode == Opcode.MESSAGE:
                 self._covered = False
                 yield self._counted(record.body)
             elif record.opcode == Opcode.MESSAGE_INDEX:
                 if len(record.body) > self.limits.chunk_messages * INDEX_ENTRY_BYTES + INDEX_ENTRY_BYTES:
-                    raise LimitError(too_many(self.limits.chunk_messages))
+                    raise ValueError(too_many(self.limits.chunk_messages))
                 self._inventory.add_message_index(record)
             elif record.opcode >= _PRIVATE_BIT:
                 self._require_private(record)
             else:
                 self._note(record.opcode, record.body, record.start)
+        except LimitError:
+            raise
         except UNREADABLE as error:
             self._damaged_record(record, f"{record.name}: {_in_words(error)}")
+
+    def _hold(self, record: Record) -> None:
+        """Attachments and metadata are held in memory.
+
+        Raises:
+            LimitError: there are more than the limit.
+        """
+        if record.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
+            self._held_bytes += len(record.body)
+            require_attachments(self._held_bytes, self.limits)
 
     def _damaged_record(self, record: Record, words: str) -> None:
         """Take note of a record that makes no sense; one of a message index may be right, and its chunk wrong."""
         of_messages = record.opcode in _OF_MESSAGES and self._framing.summary_start is None
-        self.damages.append(Damage(record.start, words, *self._inventory.span_ns, of_messages))
+        self._framing.note(Damage(record.start, words, *self._inventory.span_ns, of_messages))
 
     def _chunk(self, record: Record) -> Iterator[Found]:
         try:
@@ -279,7 +295,7 @@ class Salvage:
         self._inventory.lose_chunk()
         span, end = span_ns_of(entry, head), end_of(record, entry, head)
         next_ns = self._inventory.next_ns
-        gap = lost_in_chunk(expected_messages(self.path, end), saved, span, next_ns, all_read=all_read)
+        gap = lost_in_chunk(self._expected_at(end), saved, span, next_ns, all_read=all_read)
         is_open = entry is None and (bool(record.fault) or span is None)
         if gap is not None:
             self._open_at = record.start
@@ -287,6 +303,14 @@ class Salvage:
         first_ns, last_ns = span or (next_ns, None)
         self._framing.damaged(record.start, fault, first_ns, None if is_open else last_ns)
         self._breaks = len(self._framing.breaks)
+
+    def _expected_at(self, end: int) -> Positions:
+        """What the message indexes say behind a damaged chunk; the stream stays where it is."""
+        assert self._stream is not None
+        at = self._stream.tell()
+        expected = expected_messages(self._stream, end)
+        self._stream.seek(at)
+        return expected
 
     def _note_breaks(self) -> None:
         """Where no record could start, messages are lost up to the next one."""
@@ -326,17 +350,16 @@ class Salvage:
             if start is not None:
                 self._inventory.note(start, item)
             self.described.add(item, in_data=self._framing.summary_start is None)
-
-    def _note_damage(self, damage: Damage | None) -> None:
-        if damage is not None:
-            self.damages.append(damage)
+            if isinstance(item, records.Metadata):
+                require_gaps(self.described.metadata[-1], self.limits)
 
     def _conclude(self) -> None:
         """What only the end shows: records that fell out without a trace, and what the writer left out."""
         self._note_breaks()
-        self._note_damage(self._inventory.close_chunk())
+        self._framing.note(self._inventory.close_chunk())
         if not self._framing.has_place and self.conclusive:
-            self.damages.extend(self._inventory.discrepancies(self._framing.summary_start))
+            for damage in self._inventory.discrepancies(self._framing.summary_start):
+                self._framing.note(damage)
         if self._covered and self.inside:
             self._framing.explain_data_crc()
         lacking = {
@@ -349,12 +372,14 @@ class Salvage:
 
 def _is_message(described: Described, inventory: Inventory, body: bytes) -> bool:
     """Whether these are the first bytes of a message of this log, by its channel and its log time."""
+    if int.from_bytes(body[:2], "little") not in described.channels:  # cheap: there may be millions
+        return False
     try:
         head = message_head(body)
     except ValueError:
         return False
     near_ns = inventory.last_ns or head.log_time_ns
-    return head.channel_id in described.channels and abs(head.log_time_ns - near_ns) < _FAR_NS
+    return abs(head.log_time_ns - near_ns) < _FAR_NS
 
 
 class _Bounded(ReadDataStream):

@@ -7,13 +7,14 @@ temporary database of SQLite, whose memory is bounded too.
 import sqlite3
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
+from tempfile import gettempdir
 from threading import Lock
 from typing import Final
 
 from roadperc_stream.errors import TargetError
 from roadperc_stream.log.records import Channel, Message
-from roadperc_stream.log.spool import Spool
+from roadperc_stream.log.spool import Spool, refusal, storing
 
 _SIGN: Final = 2**63
 """SQLite's integers have a sign, log times have none."""
@@ -24,11 +25,26 @@ _SETUP: Final = (
     "CREATE TABLE messages (log_time, number, publish_time, sequence, channel, start, length, "
     "PRIMARY KEY (log_time, number)) WITHOUT ROWID",
 )
+_PLACE: Final = "PRAGMA temp_store_directory = '{folder}'"
+"""Else SQLite takes another folder than Python where TMPDIR is not set."""
 _ADD: Final = "INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?, ?)"
 _FIND: Final = (
     "SELECT log_time, publish_time, sequence, channel, start, length FROM messages "
     "WHERE log_time BETWEEN ? AND ? AND {wanted} ORDER BY log_time, number"
 )
+
+
+@contextmanager
+def _sorting(what: str) -> Iterator[None]:
+    """What the database refuses, in writing or in reading, as an error that names the folder of its files.
+
+    Raises:
+        TargetError: it refuses something, as where the disk is full or fails.
+    """
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise TargetError(refusal(what, "sorted", str(error))) from error
 
 
 class SortedMessages:
@@ -57,17 +73,16 @@ class _Store:
     """The bytes of messages and their order."""
 
     def __init__(self, what: str, messages: Iterable[Message]) -> None:
-        self._spool = Spool(what)
+        self._what, self._spool = what, Spool(what)
         self._channels: dict[int, Channel] = {}
         self._keys = sqlite3.connect("", isolation_level=None, check_same_thread=False)
         weakref.finalize(self, self._keys.close)
-        try:
-            for statement in (*_SETUP, "BEGIN"):
+        with _sorting(what):
+            folder = gettempdir().replace("'", "''")
+            for statement in (_PLACE.format(folder=folder), *_SETUP, "BEGIN"):
                 self._keys.execute(statement)
             self._keys.executemany(_ADD, self._stored(messages))
             self._keys.execute("COMMIT")
-        except sqlite3.Error as error:
-            raise TargetError(f"{what}: cannot be sorted in the folder that TMPDIR names: {error}") from error
         self._spool.finish()
 
     def _stored(self, messages: Iterable[Message]) -> Iterator[tuple[int, ...]]:
@@ -80,15 +95,19 @@ class _Store:
             yield log_time, number, publish_time, message.sequence, channel_id, start, length
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
-        """As ``reading.read``."""
+        """As ``reading.read``.
+
+        Raises:
+            TargetError: what is stored cannot be read.
+        """
         ids = [i for i, channel in self._channels.items() if topics is None or channel.topic in topics]
         wanted = "TRUE" if topics is None else f"channel IN ({', '.join(map(str, ids))})"
         first = max(start_ns or 0, 0)
         last = _LATEST_NS if end_ns is None else min(end_ns - 1, _LATEST_NS)
         if first > last:
             return
-        rows = self._keys.execute(_FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN))
-        with closing(rows):
+        with _sorting(self._what), storing(self._what), closing(self._keys.cursor()) as rows:
+            rows.execute(_FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN))
             for log_time, publish_time, sequence, channel_id, start, length in rows:
                 channel, data = self._channels[channel_id], self._spool.read(start, length)
                 yield Message(channel, log_time + _SIGN, publish_time + _SIGN, sequence, data)

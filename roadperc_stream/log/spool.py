@@ -1,14 +1,19 @@
 """Bytes on disk without a name: they are gone with the process, even with one that is killed."""
 
+import errno
 import io
 import os
+import shutil
 import tempfile
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import IO
+from typing import IO, Final
 
 from roadperc_stream.errors import TargetError
+
+_LEFT_FREE: Final = 0.1
+"""Part of the free space that stays free: a pipe without an end leaves others some."""
 
 
 @contextmanager
@@ -24,11 +29,18 @@ def storing(what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise TargetError(_refusal(what, error.strerror or str(error))) from error
+        raise TargetError(refusal(what, "stored", error.strerror or str(error))) from error
 
 
-def _refusal(what: str, reason: str) -> str:
-    return f"{what}: cannot be stored in {_folder()}: {reason}; TMPDIR names a folder with more space"
+def refusal(what: str, done: str, reason: str) -> str:
+    """That something cannot be done in the folder of temporary files, which is named.
+
+    Args:
+        what: is stored there.
+        done: what cannot be done with it there.
+        reason: why not.
+    """
+    return f"{what}: cannot be {done} in {_folder()}: {reason}; TMPDIR names a folder with more space"
 
 
 def _folder() -> str:
@@ -54,6 +66,7 @@ class Spool:
         self._what = what
         with storing(what):
             self._file = stored or tempfile.TemporaryFile()  # noqa: SIM115 - closed with this object
+            self._most_bytes = (1 - _LEFT_FREE) * shutil.disk_usage(tempfile.gettempdir()).free
             self.size_bytes = self._file.seek(0, os.SEEK_END)
         weakref.finalize(self, self._file.close)
 
@@ -64,9 +77,11 @@ class Spool:
             The byte they start at.
 
         Raises:
-            TargetError: the disk is full.
+            TargetError: the disk is full, or nearly so.
         """
         with storing(self._what):
+            if self.size_bytes + len(data) > self._most_bytes:
+                raise OSError(errno.ENOSPC, f"{1 - _LEFT_FREE:.0%} of the free space are used")
             self._file.write(data)
         start, self.size_bytes = self.size_bytes, self.size_bytes + len(data)
         return start

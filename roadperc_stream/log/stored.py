@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, Any, Final, Self
 
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.integrity import unopened
+from roadperc_stream.log.integrity import MAGIC, require_magic, unopened
 from roadperc_stream.log.spool import Spool
 
 STANDARD_INPUT: Final = Path("-")
@@ -43,7 +43,8 @@ def received(paths: Sequence[Path]) -> tuple[Path, ...]:
         paths: of logs; ``-`` is standard input.
 
     Raises:
-        LogError: there is none, one is given twice, or standard input is a terminal.
+        LogError: there is none, one is given twice, standard input is a terminal, or what comes through a pipe does
+            not start as a log: the rest of it is not waited for.
         TargetError: there is no space for what a pipe brings.
     """
     if not paths:
@@ -85,10 +86,18 @@ def _standard_input() -> IO[bytes]:
 
 
 def _stored(path: Path, stream: IO[bytes]) -> Spool:
-    """All that comes; a file that stands in for a pipe, as with ``< in.mcap``, is there already."""
+    """All that comes; a file that stands in for a pipe, as with ``< in.mcap``, is there already.
+
+    Raises:
+        LogError: what comes first is no log's.
+        TargetError: there is no space for all of it.
+    """
     if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) and stream.tell() == 0:
         return Spool(str(path), os.fdopen(os.dup(stream.fileno()), "rb"))
+    magic = stream.read(len(MAGIC))
+    require_magic(path, magic)
     spool = Spool(str(path))
+    spool.append(magic)
     while block := stream.read(_BLOCK_BYTES):
         spool.append(block)
     spool.finish()

@@ -1,10 +1,11 @@
 """Logs out: a file appears under its name only when complete."""
 
-from contextlib import suppress
+import os
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import IO, Self
 
 from mcap.writer import CompressionType, Writer
 
@@ -12,6 +13,7 @@ from roadperc_stream import __version__
 from roadperc_stream.core.files import partial_of, target_errors
 from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
+from roadperc_stream.log.spool import storing
 
 CHUNK_SIZE_BYTES = 1024 * 1024
 
@@ -36,9 +38,8 @@ class LogWriter:
         self._temporary = partial_of(self.path)
 
     def __enter__(self) -> Self:
-        with target_errors(self.path):
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = self._temporary.open("wb")
+        with self._errors():
+            self._stream = self._open()
         self._writer = Writer(
             self._stream,
             chunk_size=CHUNK_SIZE_BYTES,
@@ -49,6 +50,13 @@ class LogWriter:
         self._writer.start(profile=self.profile, library=f"roadperc_stream {__version__}")
         return self
 
+    def _open(self) -> IO[bytes]:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        return self._temporary.open("wb")
+
+    def _errors(self) -> AbstractContextManager[None]:
+        return target_errors(self.path)
+
     def write(self, message: Message) -> None:
         """Append a message; its channel and schema are registered at their first use.
 
@@ -57,7 +65,7 @@ class LogWriter:
         """
         self.register(message.channel)
         self.messages += 1
-        with target_errors(self.path):
+        with self._errors():
             self._writer.add_message(
                 channel_id=self._channel_ids[message.channel],
                 log_time=message.log_time_ns,
@@ -106,7 +114,7 @@ class LogWriter:
 
     def attach(self, attachment: Attachment) -> None:
         """Add an attachment."""
-        with target_errors(self.path):
+        with self._errors():
             self._writer.add_attachment(
                 create_time=attachment.create_time_ns,
                 log_time=attachment.log_time_ns,
@@ -118,7 +126,7 @@ class LogWriter:
 
     def describe(self, metadata: Metadata) -> None:
         """Add a metadata record."""
-        with target_errors(self.path):
+        with self._errors():
             self._writer.add_metadata(metadata.name, dict(metadata.values))
         self._end_byte = self._stream.tell()
 
@@ -129,7 +137,7 @@ class LogWriter:
             TargetError: it cannot be written.
         """
         if not self._stream.closed:
-            with target_errors(self.path):
+            with self._errors():
                 self._writer.finish()  # type: ignore[no-untyped-call]
                 self._stream.close()
 
@@ -139,7 +147,7 @@ class LogWriter:
         try:
             if kind is None:
                 self.complete()
-                with target_errors(self.path):
+                with self._errors():
                     self._name()
         finally:
             with suppress(OSError):  # closing flushes, and a full disk fails again
@@ -155,3 +163,22 @@ class LogWriter:
     def discard(self) -> None:
         """Remove what is not complete."""
         self._temporary.unlink(missing_ok=True)
+
+
+@dataclass
+class StoredLogWriter(LogWriter):
+    """Writes a log to a file without a name, which its caller keeps: ``path`` is what errors call it."""
+
+    file: IO[bytes] = field(kw_only=True)
+
+    def _open(self) -> IO[bytes]:
+        return os.fdopen(os.dup(self.file.fileno()), "wb")
+
+    def _errors(self) -> AbstractContextManager[None]:
+        return storing(str(self.path))
+
+    def _name(self) -> None:
+        """It gets none."""
+
+    def discard(self) -> None:
+        """It is gone with the file."""

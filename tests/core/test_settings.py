@@ -140,6 +140,8 @@ ELSEWHERE = {
     "limits.chunk_mb": "hostile/test_logs.py",
     "limits.chunk_messages": "hostile/test_logs.py",
     "limits.record_mb": "hostile/test_logs.py",
+    "limits.attachments_mb": "log/test_bounds.py",
+    "limits.gaps": "log/test_bounds.py",
     "limits.image_megapixels": "hostile/test_messages.py",
     "limits.points": "hostile/test_messages.py",
     "limits.message_mb": "hostile/test_messages.py",

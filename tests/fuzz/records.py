@@ -80,6 +80,12 @@ class Record:
         return struct.pack(f"<{kind}", value % (1 << (8 * struct.calcsize(f"<{kind}"))))
 
 
+def filled(opcode: int, fields: dict[str, Any]) -> dict[str, Any]:
+    """All fields of a kind of record: those given, and zeros."""
+    zeros = {name: b"" if kind in "sdDr" else 0 for name, kind in LAYOUTS.get(opcode, (("data", "r"),))}
+    return zeros | fields
+
+
 def taken_apart(data: bytes) -> list[Record]:
     """The records of a whole log."""
     return _records(data[len(MAGIC) : -len(MAGIC)])
@@ -291,13 +297,9 @@ def _move(scope: list[Record], at: int, choices: Choices) -> None:
 def _opcode(scope: list[Record], at: int, choices: Choices) -> None:
     body = scope[at].packed()[_HEAD.size :]
     opcode = choices.of("opcode", (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 15, 16, 0x7F, 0x80, 0xFF))
-    scope[at] = Record(opcode, _empty(opcode))
+    scope[at] = Record(opcode, filled(opcode, {}))
     with contextlib.suppress(struct.error):  # a body too short for it: the record is then one of zeros
         scope[at] = Record(opcode, _fields(opcode, body))
-
-
-def _empty(opcode: int) -> dict[str, Any]:
-    return {name: b"" if kind in "sdDr" else 0 for name, kind in LAYOUTS.get(opcode, (("data", "r"),))}
 
 
 def _garbage(scope: list[Record], at: int, choices: Choices) -> None:

@@ -115,7 +115,7 @@ def test_standard_input_that_is_closed_is_no_log(monkeypatch):
 def test_a_disk_too_small_for_a_pipe_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
     with pytest.raises(TargetError, match=rf"pipe: cannot be stored in {tmp_path}/none: .*TMPDIR names a folder"):
-        log.received([fed(tmp_path / "pipe", b"x")])
+        log.received([fed(tmp_path / "pipe", SAMPLE.read_bytes())])
 
 
 def test_a_disk_that_fills_up_while_a_pipe_is_stored_is_said(tmp_path):

@@ -22,6 +22,10 @@ class LimitsConfig(Section):
     """Most messages of a chunk; one of 8 MiB has 0.3 million of the shortest."""
     record_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
     """Largest record of the file: a compressed chunk, an attachment, a message without a chunk."""
+    attachments_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
+    """All attachments and metadata of a log together: they are held in memory."""
+    gaps: Annotated[int, Field(ge=1, le=1_000_000), unit("gaps")] = 10_000
+    """Most gaps that a repaired log says it has; one that has more gives those behind as one."""
     image_megapixels: Annotated[float, Field(ge=0.01, le=170.0), unit("megapixels")] = 40.0
     """Largest image, by its header and by its calibration; 8K has 33."""
     points: Annotated[int, Field(ge=1, le=1_000_000_000), unit("points")] = 10_000_000
@@ -44,6 +48,11 @@ class LimitsConfig(Section):
     def record_bytes(self) -> int:
         """Of the largest record."""
         return self.record_mb * _MIB
+
+    @property
+    def attachments_bytes(self) -> int:
+        """Of all attachments and metadata."""
+        return self.attachments_mb * _MIB
 
     @property
     def message_bytes(self) -> int:

@@ -1,0 +1,198 @@
+"""What hostile or broken input costs: time in proportion to its length, memory and disk up to a limit, and one line."""
+
+import json
+import os
+import shutil
+import struct
+import time
+from random import Random
+from types import SimpleNamespace
+
+import pytest
+
+from roadperc_stream import log
+from roadperc_stream.core.config import LimitsConfig
+from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.input.damage import LossTimes
+from roadperc_stream.log import Attachment, Channel, LogWriter, LostSpan, Message, Metadata, Recovery
+from roadperc_stream.log.sorting import SortedMessages
+from roadperc_stream.log.writing import StoredLogWriter
+from tests.log.test_pipes import fed
+from tests.test_sample import SAMPLE
+
+MIB = 1024**2
+A = Channel("/a", "x", source_id=1)
+
+
+def written(path, attachments=(), metadata=()):
+    with LogWriter(path) as writer:
+        for k in range(10):
+            writer.write(Message(A, k, k, 0, b"x" * 100))
+        for attachment in attachments:
+            writer.attach(attachment)
+        for record in metadata:
+            writer.describe(record)
+    return path
+
+
+def test_a_pipe_that_is_no_log_is_refused_by_its_first_bytes(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    writer = os.open(pipe, os.O_RDWR)  # open to the end: who waits for more waits for ever
+    os.write(writer, b"y\n" * 4)
+    with pytest.raises(LogError, match="pipe: not an MCAP log"):
+        log.received([pipe])
+    os.close(writer)
+
+
+def test_a_pipe_leaves_a_tenth_of_the_free_space(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=2 * MIB))
+    with pytest.raises(TargetError, match=r"pipe: cannot be stored in .*: 90% of the free space are used; TMPDIR"):
+        log.received([fed(tmp_path / "pipe", SAMPLE.read_bytes())])
+
+
+def test_a_repaired_copy_never_has_a_name(tmp_path, monkeypatch):
+    source = tmp_path / "cut.mcap"
+    source.write_bytes(SAMPLE.read_bytes()[:2_000_000])
+    temporary, seen = tmp_path / "temporary", []
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    complete = StoredLogWriter.complete
+
+    def watched(writer):
+        seen.append(list(temporary.iterdir()))
+        complete(writer)
+
+    monkeypatch.setattr(StoredLogWriter, "complete", watched)
+    copy = log.repaired_copy(source)
+    repaired = tmp_path / "repaired.mcap"
+    log.write_repaired(source, repaired)
+    assert seen == [[]]
+    assert (list(temporary.iterdir()), sorted(tmp_path.iterdir())) == ([], sorted([source, repaired, temporary]))
+    with copy.path.open("rb") as stream:
+        assert stream.read() == repaired.read_bytes()
+
+
+def test_an_error_of_reading_what_is_sorted_names_the_folder():
+    source = SortedMessages("a.mcap", lambda: [Message(A, k, k, 0, b"x") for k in (2, 1)])
+    assert [m.log_time_ns for m in source.messages(None, None, None)] == [1, 2]
+    source._store._keys.close()
+    with pytest.raises(TargetError, match=r"a\.mcap: cannot be sorted in /.*TMPDIR names a folder"):
+        list(source.messages(None, None, None))
+
+
+def chunk_like(length):
+    head = struct.pack("<QQQII", 0, 5, 100, 0, 0)
+    return (b"\x06" + struct.pack("<Q", 200) + head + struct.pack("<Q", 160)) * (length // 45)
+
+
+def message_like(length):
+    return (b"\x05" + struct.pack("<Q", 60) + b"\0\0") * (length // 11)
+
+
+@pytest.mark.parametrize(("junk", "length"), [(chunk_like, 4_000_000), (message_like, 20_000_000)])
+def test_what_looks_like_records_is_read_in_time_in_proportion(tmp_path, junk, length):
+    path = tmp_path / "junk.mcap"
+    path.write_bytes(SAMPLE.read_bytes()[:60_000] + junk(length))
+    salvage, started = log.Salvage(path), time.process_time()
+    salvage.run()
+    assert time.process_time() - started < 10
+    assert not salvage.whole
+
+
+def test_very_many_damages_are_counted_and_not_listed(tmp_path):
+    path = tmp_path / "junk.mcap"
+    path.write_bytes(SAMPLE.read_bytes()[:60_000] + chunk_like(600_000))
+    salvage = log.audited(path)
+    assert len(salvage.damages) == 1000
+    assert {damage.number for damage in salvage.damages[:-1]} == {1}
+    assert log.number_of(salvage.damages) == 999 + salvage.damages[-1].number > 1500
+    assert salvage.damages[-1].concerns(None, None)
+    with pytest.raises(LogError, match=rf"the first of {log.number_of(salvage.damages)} damages"):
+        log.summarise(path)
+
+
+def recovered(gaps):
+    return Recovery(5, {}, exact=True, gaps=tuple(gaps))
+
+
+def test_more_gaps_than_may_be_are_refused_before_they_are_decoded(tmp_path):
+    gaps = [LostSpan(k, k, {"/[a]": 1}) for k in range(20)]
+    path = written(tmp_path / "a.mcap", metadata=[recovered(gaps).to_record()])
+    assert Recovery.of_records(log.summarise(path, LimitsConfig(gaps=20)).metadata) == recovered(gaps)
+    with pytest.raises(LogError, match=r"a\.mcap: metadata roadperc\.recovery of 20 gaps: expected limits\.gaps 19"):
+        log.summarise(path, LimitsConfig(gaps=19))
+
+
+def test_two_million_gaps_are_one_line_at_once(tmp_path):
+    text = "[" + ",".join(["[0,9,{}]"] * 2_000_000) + "]"
+    values = {"version": "1", "saved": "5", "lost": "{}", "exact": json.dumps(True), "gaps": text}
+    path = written(tmp_path / "a.mcap", metadata=[Metadata("roadperc.recovery", tuple(values.items()))])
+    started = time.process_time()
+    with pytest.raises(LogError, match=r"of 2000000 gaps: expected limits\.gaps 10000 at most"):
+        log.summarise(path)
+    assert time.process_time() - started < 5
+
+
+def test_the_last_gap_stands_for_those_behind_it():
+    gaps = (LostSpan(1, 2, {}), LostSpan(7, 9, {"/a": 1}), LostSpan(5, 6, {"/a": 2, "/b": 1}))
+    assert recovered(gaps).of_at_most(3) == recovered(gaps)
+    assert recovered(gaps).of_at_most(2).gaps == (gaps[0], LostSpan(5, 9, {"/a": 3, "/b": 1}))
+    assert recovered([*gaps, LostSpan(None, None, {})]).of_at_most(1).gaps == (
+        LostSpan(None, None, {"/a": 3, "/b": 1}),
+    )
+
+
+def test_a_repair_names_no_more_gaps_than_may_be(tmp_path):
+    content = bytearray(SAMPLE.read_bytes())
+    for at in range(1_000_000, len(content) - 1_000_000, 1_000_000):
+        content[at] ^= 1
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    _, all_gaps = log.write_repaired(path, tmp_path / "all.mcap")
+    _, few = log.write_repaired(path, tmp_path / "few.mcap", LimitsConfig(gaps=2))
+    assert len(all_gaps.gaps) > len(few.gaps) == 2
+    assert (few.gaps[0], few.lost) == (all_gaps.gaps[0], all_gaps.lost)
+    assert few.gaps[1].last_ns == max(gap.last_ns for gap in all_gaps.gaps)
+
+
+def plain_reason(gaps, since_ns, until_ns):
+    """The same by looking at every gap."""
+    found = [
+        (float("-inf") if g.first_ns is None else g.first_ns, float("inf") if g.last_ns is None else g.last_ns)
+        for g in gaps
+    ]
+    found = [(first, last) for first, last in found if first <= until_ns and (since_ns is None or last > since_ns)]
+    return (min(first for first, _ in found), max(last for _, last in found)) if found else None
+
+
+def test_gaps_that_overlap_are_found_as_by_looking_at_all():
+    random = Random(3)
+    for _ in range(300):
+        gaps = [
+            LostSpan(random.choice([None, first]), random.choice([None, last, last, last]), {})
+            for first, last in (sorted(random.choices(range(30), k=2)) for _ in range(random.randrange(6)))
+        ]
+        since = random.choice([None, *range(30)])
+        until = random.randrange(since or 0, 31)
+        reason, expected = LossTimes(gaps).reason(since, until), plain_reason(gaps, since, until)
+        assert (reason is None) == (expected is None)
+        if reason is not None:
+            assert reason.values == tuple(ns for ns in expected if abs(ns) < float("inf"))
+
+
+def test_attachments_have_a_limit_together(tmp_path):
+    half = [Attachment(name, "x", bytes([k]) * (MIB * 6 // 10)) for k, name in enumerate("ab")]
+    one, other = written(tmp_path / "1.mcap", half[:1]), written(tmp_path / "2.mcap", half[1:])
+    both = written(tmp_path / "both.mcap", half)
+    limits = LimitsConfig(attachments_mb=1)
+    assert log.summarise(one, limits).attachments == (half[0],)
+    assert len(log.summarise(both, LimitsConfig(attachments_mb=2)).attachments) == 2
+    expected = r"attachments and metadata of 1 MiB: expected limits\.attachments_mb 1 at most"
+    with pytest.raises(LogError, match=rf"both\.mcap: {expected}"):
+        log.summarise(both, limits)
+    with pytest.raises(LogError, match=rf"2\.mcap: {expected}"):
+        log.summarise([one, other], limits)
+    described = [Metadata(f"m{k}", (("k", "x" * (MIB * 6 // 10)),)) for k in range(2)]
+    with pytest.raises(LogError, match=expected):
+        log.summarise(written(tmp_path / "m.mcap", metadata=described), limits)
