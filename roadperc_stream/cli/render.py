@@ -48,6 +48,11 @@ def _parser() -> argparse.ArgumentParser:
     add("--force", action="store_true", help="replace an earlier dump in the folder")
     _add_drive(parser.add_argument_group("the drive"), facts.SCENES, defaults)
     _add_noise(parser.add_argument_group("noise and drops"))
+    _add_lane_changes(parser.add_argument_group("changes of lane"))
+    _add_road(parser.add_argument_group("the road"))
+    _add_camera(parser.add_argument_group("the camera and how the car rocks"), defaults)
+    _add_car_before(parser.add_argument_group("the car before"))
+    _add_truth(parser.add_argument_group("truth"))
     completed_by(dump, files())
     return parser
 
@@ -76,6 +81,55 @@ def _add_noise(group: argparse._ArgumentGroup) -> None:
         group.add_argument(name, type=float, default=0.0, metavar=metavar, help=text)
 
 
+def _add_lane_changes(group: argparse._ArgumentGroup) -> None:
+    side = "after 2 s, over 3 s; the road has another lane of the car's own direction on that side"
+    group.add_argument("--change-lane", choices=("left", "right"), help=side)
+    group.add_argument("--change-back", action="store_true", help="and back again after 2 s, over 3 s")
+    group.add_argument("--change-broken-off", action="store_true", help="back before the line is crossed, in all 3 s")
+
+
+def _add_road(group: argparse._ArgumentGroup) -> None:
+    turn = "a 90 degree bend of 12 m radius at a crossing without markings, on level ground (left)"
+    group.add_argument("--turn", nargs="?", const="left", choices=("left", "right"), help=turn)
+    lane = "a second lane on the right does so after 4 s, over 30 m"
+    group.add_argument("--lane", choices=("begins", "ends", "splits", "merges"), help=lane)
+    group.add_argument("--crossing-cars", action="store_true", help="a crossing on which cars cross close before")
+    group.add_argument("--parked-rows", action="store_true", help="rows of parked cars without gaps, on both sides")
+    for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):
+        group.add_argument(name, type=_stretch, metavar="FROM,TO", help=f"metres of road where markings are {text}")
+
+
+def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:
+    add, fov, mount = group.add_argument, defaults.fov_deg, defaults.mount
+    add("--fov", type=float, default=fov, dest="fov_deg", metavar="DEG", help=f"horizontal field of view ({fov:g})")
+    add(
+        "--mount",
+        type=_mount,
+        default=mount,
+        metavar="X,Y,Z,ROLL,PITCH,YAW",
+        help="the front camera as CARLA places it: metres forward, right, up; degrees of roll, pitch up, yaw right "
+        f"({','.join(f'{v:g}' for v in mount)})",
+    )
+    text = "standard deviation of a pitching of the car, degrees (0)"
+    add("--pitch-std", type=float, default=0.0, dest="pitch_std_deg", metavar="DEG", help=text)
+    add("--bumps", action="store_true", help="a speed bump every 30 m, 10 cm high")
+
+
+def _add_car_before(group: argparse._ArgumentGroup) -> None:
+    hard = "it brakes hard after 2 s, the ego car late: they nearly collide"
+    group.add_argument("--lead-brakes", action="store_true", help=hard)
+    group.add_argument("--stop-and-go", action="store_true", help="both drive, brake, stand and drive off, in a queue")
+
+
+def _add_truth(group: argparse._ArgumentGroup) -> None:
+    text = "truth.json also says what is in the path, its time to impact, and lane changes"
+    whole = "boxes of whole objects, hidden parts included, as CARLA's own 2D boxes are"
+    group.add_argument("--whole-boxes", action="store_true", help=f"{whole}, in truth.json and detections.json")
+    coding = "instance_segmentation/ in CARLA's coding: red the tag, green and blue the id's low and high byte"
+    group.add_argument("--instances", action="store_true", help=coding)
+    group.add_argument("--path-truth", action="store_true", help=f"{text}; implied where the drive is no plain one")
+
+
 def _options(arguments: argparse.Namespace) -> Any:
     """The arguments as ``tools.scene.options.RenderOptions``."""
     width, height = arguments.size
@@ -83,6 +137,25 @@ def _options(arguments: argparse.Namespace) -> Any:
     return part("tools.scene.options").RenderOptions(
         width=width, height=height, without=tuple(arguments.without), **own
     )
+
+
+def _mount(text: str) -> tuple[float, ...]:
+    return _numbers(text, "X,Y,Z,ROLL,PITCH,YAW", "1.5,0,1.4,0,-3,0")
+
+
+def _stretch(text: str) -> tuple[float, ...]:
+    return _numbers(text, "FROM,TO", "20,50")
+
+
+def _numbers(text: str, form: str, example: str) -> tuple[float, ...]:
+    """As many numbers as the form has words."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != len(form.split(",")):
+        raise argparse.ArgumentTypeError(f"{text!r} is not {form}, such as {example}")
+    return values
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -14,6 +14,7 @@ from roadperc_stream.core.datatypes import (
     DepthImage,
     Frame,
     FrameAnchor,
+    InstanceImage,
     Lanes,
     Objects,
     PointCloud,
@@ -78,6 +79,7 @@ def sample_of(
         right_camera=latched.cameras.get("right_calibration"),
         depth=depth,
         segmentation=_payload(parts, "segmentation", TagImage),
+        instances=_payload(parts, "instances", InstanceImage),
         detections=detections.payload if detections else None,  # type: ignore[arg-type]
         points=points,
         ego_T_lidar=None if points is None else _lidar_mounting(tree, ego_T_camera, camera, points.frame_id),

@@ -4,7 +4,7 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import EarlierTruth, FrameResult, Sample
 from roadperc_stream.core.reasons import frame_reasons
 from roadperc_stream.metrics.lanes import lane_benchmarks, lane_columns, lane_errors, true_lane_columns
-from roadperc_stream.metrics.objects import object_columns, object_errors
+from roadperc_stream.metrics.objects import object_columns, object_errors, true_impact
 from roadperc_stream.metrics.odometry import odometry_columns, odometry_errors, true_pose_columns
 from roadperc_stream.metrics.stereo import stereo_columns, stereo_errors_of
 from roadperc_stream.metrics.surface import surface_columns, surface_errors
@@ -29,6 +29,7 @@ def frame_metrics(
         true_lane_columns(truth.lanes),
         lane_benchmarks(result.lanes, truth.lanes, frame.camera, frame.ego_T_camera),
         object_errors(result.objects, truth.objects),
+        true_impact(truth.objects),
         stereo_errors_of(result.stereo, sample),
         odometry_errors(result.odometry, sample, previous),
         true_pose_columns(truth),

@@ -67,7 +67,8 @@ def true_lane_columns(truth: Lanes | None) -> TrueLaneColumns:
     """Where the true boundaries are at the ego origin, for the smoothed ones' jitter and lag."""
     if truth is None:
         return TrueLaneColumns()
-    return TrueLaneColumns(truth.side("left").offset_m, truth.side("right").offset_m)
+    offsets = truth.side("left").offset_m, truth.side("right").offset_m
+    return TrueLaneColumns(*offsets, truth.lane_change, truth.lane_changes)
 
 
 def lane_benchmarks(

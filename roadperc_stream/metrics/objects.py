@@ -7,7 +7,7 @@ import numpy as np
 from roadperc_stream.core.datatypes import Absent, FrameResult, Object, Objects, Sample
 from roadperc_stream.core.semantics import classes_of_label
 from roadperc_stream.schemas.columns import ObjectMetrics
-from roadperc_stream.schemas.columns.errors import ObjectErrorColumns
+from roadperc_stream.schemas.columns.errors import ObjectErrorColumns, TrueImpactColumns
 from roadperc_stream.schemas.columns.estimates import ObjectColumns
 
 MATCH_OVERLAP = 0.5
@@ -55,11 +55,18 @@ def _object_row(
         true_distance_m=None if partner is None else partner.distance_m,
         true_closing_speed_mps=None if partner is None else partner.closing_speed_mps,
         true_time_to_impact_s=None if partner is None else true_time_to_impact_s(partner),
+        true_lateral_m=None if partner is None else partner.lateral_m,
+        true_in_path=None if partner is None else partner.in_path,
     )
 
 
 def true_time_to_impact_s(true: Object) -> float | None:
-    """What the truth says, else its distance over its closing speed; None where it does not come nearer."""
+    """What the truth says, else its distance over its closing speed.
+
+    None where it does not come nearer; where the truth says what is in the path it says all there is to say.
+    """
+    if true.in_path is not None:
+        return true.time_to_impact_s
     if true.time_to_impact_s is not None or true.distance_m is None or true.closing_speed_mps is None:
         return true.time_to_impact_s
     return true.distance_m / true.closing_speed_mps if true.closing_speed_mps > 0 else None
@@ -106,6 +113,13 @@ def object_errors(objects: Objects | Absent, truth: Objects | None) -> ObjectErr
         filter_precision=tp / (tp + fp) if tp + fp else None,
         filter_recall=tp / (tp + fn) if tp + fn else None,
     )
+
+
+def true_impact(truth: Objects | None) -> TrueImpactColumns:
+    """The smallest true time to impact of what is in the path; none where the truth does not say what is in it."""
+    ahead = () if truth is None else (item for item in truth.objects if item.in_path)
+    impacts = [impact for item in ahead if (impact := true_time_to_impact_s(item)) is not None]
+    return TrueImpactColumns(min(impacts, default=None))
 
 
 def true_partners(objects: Sequence[Object], truth: Objects | None) -> list[Object | None]:

@@ -183,6 +183,8 @@ def encode_lanes(stamp_ns: int, frame_id: str, lanes: Lanes) -> bytes:
         boundaries=[_boundary(b) for b in lanes.boundaries],
         proposals_px=[_line(row) for row in lanes.proposals_px.tolist()],
         merged_px=[_line(row) for row in lanes.merged_px.tolist()],
+        lane_change=lanes.lane_change or "",
+        lane_changes=lanes.lane_changes,
     )
     set_stamp(message, stamp_ns)
     return message.SerializeToString()
@@ -253,6 +255,8 @@ def _object(item: Object) -> pb.Object:
         beyond_range=item.beyond_range,
         status=pb.Object.Status.Value(item.status.upper()),
         track_id=item.track_id,
+        lateral_m=item.lateral_m,
+        in_path=item.in_path,
     )
 
 

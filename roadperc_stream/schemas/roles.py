@@ -8,7 +8,18 @@ from roadperc_stream.errors import ChannelError
 from roadperc_stream.schemas.names import CALIBRATION_SCHEMA, IMAGE_SCHEMA, POINTS_SCHEMA, ROS_IMAGE_SCHEMA
 
 Kind = Literal[
-    "image", "tags", "depth", "points", "calibration", "detections", "tf", "pose", "surface", "lanes", "objects"
+    "image",
+    "tags",
+    "instances",
+    "depth",
+    "points",
+    "calibration",
+    "detections",
+    "tf",
+    "pose",
+    "surface",
+    "lanes",
+    "objects",
 ]
 
 
@@ -51,6 +62,13 @@ ROLES: Final = {
             "tags",
             IMAGE_SCHEMA,
             elsewhere=("/carla/*/semantic_segmentation_front/image",),
+        ),
+        Role(
+            "instances",
+            "/camera/front/instances",
+            "instances",
+            IMAGE_SCHEMA,
+            elsewhere=("/carla/*/instance_segmentation_front/image",),
         ),
         Role("detections", "/camera/front/detections", "detections", "roadperc.Detections"),
         Role("left", "/camera/left/image", "image", IMAGE_SCHEMA),

@@ -6,7 +6,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
+import numpy as np
+
 from roadperc_stream.core.datatypes import EGO
+from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.output import encoding
@@ -122,7 +125,7 @@ def _encoders(plan: Plan) -> dict[str, Encode]:
     cameras = {"image": _image, "left": _image, "right": _image}
     depths = {"depth": _depth, "truth_depth": _depth}
     tags = {"segmentation": _tags, "truth_segmentation": _tags}
-    of_files = {**cameras, **depths, **tags, "lidar": _points}
+    of_files = {**cameras, **depths, **tags, "instances": _instances, "lidar": _points}
     found: dict[str, Encode] = {role: of_files[role](plan, role) for role in plan.surveys}
     if plan.detections:
         found["detections"] = _each(plan.detections, lambda ns, d: encoding.encode_detections(ns, FRONT, d))
@@ -151,6 +154,21 @@ def _image(plan: Plan, role: str) -> Encode:
             return None
         data = read_bytes(files[number])
         return encoding.encode_image(stamp_ns, frame_id, require_whole(files[number], data), data)
+
+    return encode
+
+
+def _instances(plan: Plan, role: str) -> Encode:
+    """Masks pass through byte for byte: they are PNG, as colours with eight bits each."""
+    files = plan.surveys[role].sensor.files
+
+    def encode(number: int, stamp_ns: int) -> bytes | None:
+        pixels = _pixels(plan, role, number)
+        if pixels is None:
+            return None
+        if pixels.container != "png" or pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
+            raise DumpError(f"{pixels.path}: expected masks as a PNG of red, green and blue, as CARLA saves them")
+        return encoding.encode_image(stamp_ns, FRONT, "png", read_bytes(files[number]))
 
     return encode
 

@@ -7,6 +7,7 @@ ROLES: Final = (
     "image",
     "depth",
     "segmentation",
+    "instances",
     "left",
     "right",
     "detections",
@@ -22,10 +23,17 @@ _IMAGE_WORDS: Final = frozenset(
 _CAMERA: Final = _IMAGE_WORDS | {"camera", "cam", "sensor", "front"}
 _DEPTH: Final = frozenset(["depth", "depths", "depthmap"])
 _TAGS: Final = frozenset(["segmentation", "seg", "sem", "semantic", "semantics", "semseg", "labels", "tags"])
+_INSTANCES: Final = frozenset(["instance", "instances"])
 _DETECTIONS: Final = frozenset(["detections", "detection", "boxes", "bboxes"])
 _LIDAR: Final = frozenset(["lidar", "velodyne", "pointcloud", "pointclouds", "point", "points", "cloud", "clouds"])
 _FILLERS: Final = frozenset(["map", "maps", "raw", "png", "gt"])
-_WORDS_OF: Final = {"depth": _DEPTH, "segmentation": _TAGS, "detections": _DETECTIONS, "lidar": _LIDAR}
+_WORDS_OF: Final = {
+    "instances": _INSTANCES,
+    "depth": _DEPTH,
+    "segmentation": _TAGS,
+    "detections": _DETECTIONS,
+    "lidar": _LIDAR,
+}
 _KITTI: Final = {("image", 2): "image", ("image", 3): "right", ("label", 2): "detections"}
 """KITTI numbers its cameras: 2 is the left colour camera, 3 the right one."""
 
@@ -34,7 +42,7 @@ def role_of(name: str) -> str | None:
     """Role that a folder's or file's name stands for; None where it says none, or something else as well.
 
     Upper and lower case, underscores and CamelCase do not matter. Every word must be known: ``depth_rear`` and
-    ``instance_segmentation`` are other sensors.
+    ``semantic_lidar`` are other sensors.
     """
     words, numbers = _words(name)
     if len(words) == 1 and len(numbers) == 1:
@@ -48,6 +56,9 @@ def _words(name: str) -> tuple[list[str], list[int]]:
 
 
 def _role_of_words(words: frozenset[str]) -> str | None:
+    if words & _INSTANCES:
+        # CARLA's sensor is called instance_segmentation.
+        words -= _TAGS
     named = [role for role, known in _WORDS_OF.items() if words & known]
     sides = sorted(words & {"left", "right"})
     rest = words.difference(*_WORDS_OF.values(), {"left", "right"})

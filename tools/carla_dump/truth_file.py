@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, PositiveInt, TypeAdapter
 
 from roadperc_stream.core.datatypes import SIDES, Boundary, Detection, HeightGrid, Lanes, Object, Objects, Side, Surface
+from roadperc_stream.core.datatypes.results import LaneChange
 from roadperc_stream.core.geometry import Plane
 from roadperc_stream.errors import DumpError
 
@@ -28,6 +29,8 @@ class _Boundary(Document):
 class _Lanes(Document):
     left: _Boundary | None = None
     right: _Boundary | None = None
+    lane_change: LaneChange | None = None
+    lane_changes: Annotated[int, Field(ge=0)] | None = None
 
 
 class _HeightGrid(Document):
@@ -56,6 +59,9 @@ class _Object(Document):
     box_px: Numbers4
     distance_m: float | None = None
     closing_speed_mps: float | None = None
+    time_to_impact_s: float | None = None
+    lateral_m: float | None = None
+    in_path: bool | None = None
 
 
 class _Truth(Document):
@@ -93,7 +99,11 @@ def load_truth(path: Path, surface_frame_id: str) -> TruthTables:
 
 def _lanes(lanes: _Lanes) -> Lanes:
     sides: dict[Side, _Boundary | None] = {"left": lanes.left, "right": lanes.right}
-    return Lanes(tuple(_boundary(side, entry) for side in SIDES if (entry := sides[side]) is not None))
+    return Lanes(
+        tuple(_boundary(side, entry) for side in SIDES if (entry := sides[side]) is not None),
+        lane_change=lanes.lane_change,
+        lane_changes=lanes.lane_changes,
+    )
 
 
 def _boundary(side: Side, entry: _Boundary) -> Boundary:
@@ -144,5 +154,8 @@ def _object(where: str, entry: _Object) -> Object:
         kept=True,
         distance_m=entry.distance_m,
         closing_speed_mps=entry.closing_speed_mps,
+        time_to_impact_s=entry.time_to_impact_s,
         track_id=str(entry.id),
+        lateral_m=entry.lateral_m,
+        in_path=entry.in_path,
     )

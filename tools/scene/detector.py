@@ -9,7 +9,7 @@ import numpy as np
 from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
 
 from .drive import SceneMoment, Thing
-from .truth import ObjectTruth
+from .object_truth import ObjectTruth
 
 MISSED: Final = 0.05
 JITTER: Final = 0.03

@@ -2,41 +2,21 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
 
-import numpy as np
-
-from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, Float, rigid
+from roadperc_stream.core.geometry import Float
 
 from .drawings import CAR_M, CAR_WIDTH_M
+from .ego import Ego, LaneChangeState
 from .faces import Faces, together
 from .layout import Fixtures
+from .manoeuvre import lane_changes
+from .options import RenderOptions
+from .scenario import pair_of
 from .shade import Shadow
-from .traffic import Ego, Traffic
+from .shake import shake_of
+from .traffic import Traffic
 from .view import Scenery
 from .world import World
-
-MOUNT_X_M: Final = 1.5
-MOUNT_Z_M: Final = 1.4
-BASELINE_M: Final = 0.5
-
-
-@dataclass(frozen=True)
-class CameraPair:
-    """The front camera and its fellow on the right: the same pinhole twice, 90 degrees wide, level on the car."""
-
-    camera: Camera
-    ego_T_left: Float
-    ego_T_right: Float
-
-
-def make_rig(width: int, height: int) -> CameraPair:
-    """Cameras of a size in pixels; their centre is CARLA's w / 2 counted from the corner of the first pixel."""
-    half = width / 2
-    camera = Camera("front", width, height, half, half, half - 0.5, height / 2 - 0.5)
-    left = rigid(EGO_R_OPTICAL, np.array([MOUNT_X_M, 0.0, MOUNT_Z_M]))
-    right = rigid(EGO_R_OPTICAL, np.array([MOUNT_X_M, -BASELINE_M, MOUNT_Z_M]))
-    return CameraPair(camera, left, right)
 
 
 @dataclass(frozen=True)
@@ -57,6 +37,9 @@ class SceneMoment:
     world_T_ego: Float
     scenery: Scenery
     things: tuple[Thing, ...]
+    d_m: float
+    """How far the ego car is to the left of the road's middle."""
+    lane_change: LaneChangeState
 
 
 @dataclass(frozen=True)
@@ -67,12 +50,16 @@ class Drive:
     layout: Fixtures
     traffic: Traffic
     seed: int
+    camera_height_m: float
 
     @classmethod
-    def of(cls, world: World, speed_mps: float, weave_m: float, seed: int, *, static: bool = False) -> "Drive":
-        """A drive whose things are drawn from the seed."""
-        ego = Ego(world, speed_mps, weave_m, static)
-        return cls(ego, Fixtures(world, seed), Traffic(ego, seed), seed)
+    def of(cls, world: World, options: RenderOptions) -> "Drive":
+        """The drive that the options ask for; its things are drawn from the seed."""
+        changes = lane_changes(options, world.road.lanes)
+        pair, shake = pair_of(options), shake_of(options.pitch_std_deg, options.seed)
+        ego = Ego(world, options.speed_mps, options.weave_m, options.static, changes, pair.ego, shake)
+        traffic = Traffic(ego, options.seed, pair.leader, crossing_cars=options.crossing_cars)
+        return cls(ego, Fixtures(world, options.seed, options.parked_rows), traffic, options.seed, options.mount[2])
 
     def at(self, time_s: float) -> SceneMoment:
         """The moment at a time since the start."""
@@ -86,8 +73,9 @@ class Drive:
         shadows = tuple(
             Shadow(thing.pose(time_s), CAR_M[0] / 2, CAR_WIDTH_M / 2) for thing in things if thing.label == "Car"
         )
-        scenery = Scenery(world, s, together(groups), shadows, MOUNT_Z_M, self.seed)
-        return SceneMoment(time_s, self.ego.pose(time_s), scenery, things)
+        scenery = Scenery(world, s, together(groups), shadows, self.camera_height_m, self.seed)
+        change = self.ego.lane_change(time_s, CAR_WIDTH_M / 2)
+        return SceneMoment(time_s, self.ego.pose(time_s), scenery, things, self.ego.d(time_s), change)
 
 
 def _standing(world_T_body: Float) -> Callable[[float], Float]:

@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.core.files import completing, completing_folder
-from roadperc_stream.core.geometry import Camera, Float, Float32
+from roadperc_stream.core.geometry import Float, Float32
 from roadperc_stream.errors import DumpError
 
-from .drive import BASELINE_M, MOUNT_X_M, MOUNT_Z_M
 from .ground import FAR_M
 from .options import SENSORS
+from .rig import BASELINE_M, CameraPair, carla_mountings
 from .scanner import MOUNT_Z_M as LIDAR_Z_M
 
 JPEG_QUALITY: Final = 90
 CARLA_VERSION: Final = "0.9.15"
 DEPTH_CODES: Final = 2**24 - 1
 LIDAR: Final = "lidar"
+INSTANCES: Final = "instance_segmentation"
 FILES: Final = (
     "calibration.json",
     "detections.json",
@@ -35,7 +36,7 @@ FILES: Final = (
 
 MARK = "truth.json"
 """The file by which an earlier dump of this renderer is known."""
-_OWN: Final = frozenset((*SENSORS, LIDAR, "truth", *FILES))
+_OWN: Final = frozenset((*SENSORS, LIDAR, INSTANCES, "truth", *FILES))
 
 
 @contextmanager
@@ -125,14 +126,22 @@ def tags_picture(tags: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return picture
 
 
-def calibration(camera: Camera, rate_hz: float, *, lidar: bool) -> dict[str, Any]:
+def instance_picture(tags: NDArray[np.uint8], ids: NDArray[np.int32]) -> NDArray[np.uint8]:
+    """(H, W, 3) blue, green, red as CARLA's instance segmentation has it: the tag in red, the id in green and blue.
+
+    Green holds the id's low byte, blue its high one; where no object is, it is 0.
+    """
+    return np.dstack((ids >> 8 & 255, ids & 255, tags)).astype(np.uint8)
+
+
+def calibration(rig: CameraPair, rate_hz: float, *, lidar: bool) -> dict[str, Any]:
     """The calibration file: K as CARLA has it, its centre counted from the corner of the first pixel."""
-    K = camera.K
+    camera, K = rig.camera, rig.camera.K
     K[:2, 2] += 0.5
-    mounting = {"x": MOUNT_X_M, "y": 0.0, "z": MOUNT_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
-    mountings = {sensor: {**mounting, "y": BASELINE_M if sensor == "right" else 0.0} for sensor in SENSORS}
+    of_cameras = carla_mountings(rig)
+    mountings = {sensor: of_cameras["right" if sensor == "right" else "front"] for sensor in SENSORS}
     if lidar:
-        mountings[LIDAR] = {**mounting, "x": 0.0, "z": LIDAR_Z_M}
+        mountings[LIDAR] = {"x": 0.0, "y": 0.0, "z": LIDAR_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
     return {
         "width": camera.width,
         "height": camera.height,

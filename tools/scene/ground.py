@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from roadperc_stream.core.geometry import Camera, Float, Float32
 
-from .path import LocalPath
+from .crossing import LocalCrossing
+from .path import LocalPath, Real
 from .section import CURB_HEIGHT_M
 from .world import World
 
@@ -30,6 +31,9 @@ class Ground:
     s_m: Float32
     """Along the road, counted from ``road.s_origin_m``."""
     d_m: Float32
+    """Across the road, as the cross-section has it."""
+    across_m: Float32
+    """Across the road, where it is; the same array where the road is no wider than the cross-section says."""
     x_m: Float32
     """World x and y, counted from ``road.origin_m``."""
     y_m: Float32
@@ -37,7 +41,7 @@ class Ground:
     """Where a curb's upright face is seen."""
     line_gap: NDArray[np.bool_]
     """Where the ego lane's right line, if it were there, is interrupted."""
-    road: LocalPath
+    road: LocalPath | LocalCrossing
 
 
 @dataclass(frozen=True)
@@ -52,14 +56,14 @@ class _Rays:
 
 def trace_ground(camera: Camera, world_T_camera: Float, world: World, s_m: float) -> Ground:
     """The ground as the camera sees it; ``s_m`` is where along the road the camera is."""
-    road = world.path.around(s_m)
+    road = world.ground_path.around(s_m)
     top_row, rays = _rays(camera, world_T_camera, world.terrain.steepest)
     depth = np.minimum(world.terrain.first_hits(rays.centre_m, rays.dx, rays.dz, 0.0), FAR_M)
     start = rays.centre_m[:2] - road.origin_m
     x, y = _at(start, rays, depth)
-    s, d = road.coordinates(x, y)
+    s, across, d = _places(road, world, x, y)
     gap = world.section.gap(s, road.s_origin_m)
-    ground = Ground(top_row, depth.astype(np.float32), s, d, x, y, np.zeros(depth.shape, np.bool_), gap, road)
+    ground = Ground(top_row, depth.astype(np.float32), s, d, across, x, y, np.zeros(depth.shape, np.bool_), gap, road)
     _raise_beyond_curbs(ground, depth, rays, start, world)
     return ground
 
@@ -95,32 +99,41 @@ def _raise_beyond_curbs(ground: Ground, depth_m: Float, rays: _Rays, start: Floa
     picked = _Rays(rays.centre_m, *(a.ravel()[chosen] for a in (rays.dx, rays.dy, rays.dz)))
     upper = np.minimum(world.terrain.first_hits(rays.centre_m, picked.dx, picked.dz, CURB_HEIGHT_M), FAR_M)
     x, y = _at(start, picked, upper)
-    s, d = ground.road.coordinates(x, y)
+    s, across, d = _places(ground.road, world, x, y)
     raised = (np.abs(d) >= curb_m) & (upper < FAR_M)
     # A rounding off the border, or the table of tags would call the curb's very edge road.
     d = np.copysign(np.maximum(np.abs(d), np.float32(curb_m + 1e-4)), d)
-    _put(ground, chosen[raised], *(a[raised] for a in (upper.astype(np.float32), s, d, x, y)))
+    _put(ground, chosen[raised], *(a[raised] for a in (upper.astype(np.float32), s, across, d, x, y)))
     lower = depth_m.ravel()[chosen]
     faced = ~raised & (np.abs(ground.d_m.ravel()[chosen]) >= curb_m) & (lower < FAR_M)
     picked = _Rays(rays.centre_m, *(a[faced] for a in (picked.dx, picked.dy, picked.dz)))
-    depth = _curb_depth(ground.road, start, picked, upper[faced], lower[faced], curb_m)
+    depth = _curb_depth(ground.road, start, picked, upper[faced], lower[faced], world)
     x, y = _at(start, picked, depth)
-    s, d = ground.road.coordinates(x, y)
-    _put(ground, chosen[faced], depth.astype(np.float32), s, np.copysign(np.float32(curb_m + 0.01), d), x, y)
+    s, across, d = _places(ground.road, world, x, y)
+    _put(ground, chosen[faced], depth.astype(np.float32), s, across, np.copysign(np.float32(curb_m + 0.01), d), x, y)
     ground.curb.ravel()[chosen[faced]] = True
 
 
 def _put(ground: Ground, where: NDArray[np.intp], *values: Float32) -> None:
-    for target, value in zip((ground.depth_m, ground.s_m, ground.d_m, ground.x_m, ground.y_m), values, strict=True):
+    targets = (ground.depth_m, ground.s_m, ground.across_m, ground.d_m, ground.x_m, ground.y_m)
+    for target, value in zip(targets, values, strict=True):
         target.ravel()[where] = value
 
 
-def _curb_depth(road: LocalPath, start: Float, rays: _Rays, near_m: Float, far_m: Float, curb_m: float) -> Float:
-    """Depth between two bounds at which rays cross |d| = curb_m, by regula falsi (Illinois)."""
+def _places(road: LocalPath | LocalCrossing, world: World, x_m: Real, y_m: Real) -> tuple[Real, Real, Real]:
+    """S, and d both as it is and as the cross-section has it, of local points."""
+    s, across = road.coordinates(x_m, y_m)
+    return s, across, world.road.section_d(s + road.s_origin_m, across)
+
+
+def _curb_depth(
+    road: LocalPath | LocalCrossing, start: Float, rays: _Rays, near_m: Float, far_m: Float, world: World
+) -> Float:
+    """Depth between two bounds at which rays cross the curbs, by regula falsi (Illinois)."""
 
     def beyond(depth_m: Float) -> Float:
-        _, d = road.coordinates(start[0] + depth_m * rays.dx, start[1] + depth_m * rays.dy)
-        excess: Float = np.abs(d) - curb_m
+        _, _, d = _places(road, world, start[0] + depth_m * rays.dx, start[1] + depth_m * rays.dy)
+        excess: Float = np.abs(d) - world.section.curb_m
         return excess
 
     low, high = near_m, far_m

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from . import dump, noise
 from .detector import detect
-from .drive import CameraPair, Drive, SceneMoment, make_rig
+from .drive import Drive, SceneMoment
+from .object_truth import ObjectTruth, objects_truth
 from .options import SENSORS, RenderOptions
+from .rig import CameraPair, make_rig
 from .scanner import scan
-from .truth import ObjectTruth, lanes_truth, objects_truth, surface_truth
+from .truth import lanes_truth, surface_truth
 from .view import RenderedView, photograph, render
 from .world import make_world
 
@@ -31,6 +33,15 @@ class _Records:
     lanes: dict[str, Any] = field(default_factory=dict)
     surface: dict[str, Any] = field(default_factory=dict)
     objects: dict[str, Any] = field(default_factory=dict)
+    ids: dict[str, int] = field(default_factory=dict)
+    """Number of each thing that has come into view, by its name."""
+
+    def instances(self, moment: SceneMoment, view: RenderedView) -> NDArray[np.int32]:
+        """(H, W) number of the thing in each pixel through all of the drive, 0 for none."""
+        of_owner = np.zeros(len(moment.things) + 1, np.int32)
+        for owner in np.unique(view.owner[view.owner > 0]):
+            of_owner[owner] = self.ids.setdefault(moment.things[owner - 1].name, len(self.ids) + 1)
+        return of_owner[view.owner]
 
 
 def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: Callable[[], None]) -> None:
@@ -52,15 +63,18 @@ def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: 
 
 
 def _render(folder: Path, options: RenderOptions, on_frame: Callable[[], None]) -> None:
-    world = make_world(options.scene, 0.0 if options.static else options.speed_mps * options.seconds)
-    drive = Drive.of(world, options.speed_mps, options.weave_m, options.seed, static=options.static)
-    rig = make_rig(options.width, options.height)
+    world = make_world(options, 0.0 if options.static else options.speed_mps * options.seconds)
+    drive = Drive.of(world, options)
+    rig = make_rig(options.width, options.height, options.fov_deg, options.mount)
     records = _Records()
     for frame in range(options.frames):
         moment = drive.at(frame / options.rate_hz)
         left = render(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_left)
-        objects = objects_truth(drive, moment, rig, left)
+        objects = objects_truth(drive, moment, rig, left, whole=options.whole_boxes)
         _write_frame(folder, options, frame, moment, rig, left)
+        if options.instances:
+            picture = dump.instance_picture(left.tags, records.instances(moment, left))
+            dump.write_picture(folder / dump.INSTANCES / f"{frame_name(frame)}.png", picture)
         _record(records, options, frame, moment, rig, objects)
         on_frame()
     _write_records(folder, options, rig, records)
@@ -127,14 +141,17 @@ def _record(
     records.detections[name] = [detection.to_json() for detection in found]
     records.poses[name] = dump.carla_transform(moment.world_T_ego)
     records.stamps.append(f"{name} {moment.time_s:.9f}\n")
-    records.lanes[name] = lanes_truth(moment)
+    records.lanes[name] = lanes_truth(moment, with_change=options.knows_path)
     records.surface[name] = surface_truth(moment, rig)
-    records.objects[name] = [truth.to_json() for truth in objects]
+    records.objects[name] = [truth.to_json(with_path=options.knows_path) for truth in objects]
+    if options.instances:
+        for truth, entry in zip(objects, records.objects[name], strict=True):
+            entry["instance_id"] = records.ids[truth.name]
 
 
 def _write_records(folder: Path, options: RenderOptions, rig: CameraPair, records: _Records) -> None:
     truth = {"lanes": records.lanes, "surface": records.surface, "objects": records.objects}
-    dump.write_json(folder / "calibration.json", dump.calibration(rig.camera, options.rate_hz, lidar=options.lidar))
+    dump.write_json(folder / "calibration.json", dump.calibration(rig, options.rate_hz, lidar=options.lidar))
     dump.write_json(folder / "detections.json", records.detections)
     dump.write_json(folder / "poses.json", records.poses)
     dump.write_json(folder / "truth.json", truth)

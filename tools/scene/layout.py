@@ -21,6 +21,9 @@ HOUSE_SLOT_M: Final = 16.0
 POST_SLOT_M: Final = 34.0
 TREE_SLOT_M: Final = 23.0
 PARKING_SLOT_M: Final = 7.5
+ROW_SLOT_M: Final = 5.4
+"""The same where they stand in rows without gaps."""
+ROW_SWAY_M: Final = 0.3
 PARKED_M: Final = 1.2
 """Distance of a parked car's middle from the curb."""
 
@@ -41,6 +44,8 @@ class Fixtures:
 
     world: World
     seed: int
+    parked_rows: bool = False
+    """Whether cars are parked without gaps."""
 
     def near(self, s_m: float) -> list[Fixture]:
         """Everything that may be seen from s, in a fixed order."""
@@ -48,15 +53,30 @@ class Fixtures:
             (self._house, HOUSE_SLOT_M, -25.0, 230.0),
             (self._post, POST_SLOT_M, -5.0, 130.0),
             (self._tree, TREE_SLOT_M, -8.0, 120.0),
-            (self._parked, PARKING_SLOT_M, -6.0, 100.0),
+            (self._parked, self._parking_slot_m, -6.0, 100.0),
         )
         return [
             fixture
             for place, slot_m, behind_m, ahead_m in kinds
             for slot in _slots(s_m + behind_m, s_m + ahead_m, slot_m)
             for side in (1, -1)
-            if (fixture := place(slot, side)) is not None
+            if (fixture := place(slot, side)) is not None and self._is_free(fixture, place == self._house)
         ]
+
+    def _is_free(self, fixture: Fixture, is_house: bool) -> bool:
+        """Whether no other road runs where the fixture stands."""
+        crossing = self.world.road.crossing
+        if crossing is None:
+            return True
+        x, y = fixture.world_T_body[:2, 3]
+        distances = np.abs(crossing.arm_distances(np.array([x]), np.array([y])))
+        own = self.world.section.walk_m if is_house else self.world.section.curb_m - 2 * PARKED_M
+        other = own + HOUSE_SLOT_M if is_house else crossing.curb_m + crossing.corner_m
+        return bool(distances.min() > own - 0.5 and distances.max() > other)
+
+    @property
+    def _parking_slot_m(self) -> float:
+        return ROW_SLOT_M if self.parked_rows else PARKING_SLOT_M
 
     def _rng(self, slot: int, side: int, kind: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 101, kind, side + 1, slot + 1_000_000))
@@ -86,13 +106,15 @@ class Fixtures:
         faces = prefabs.building(int(rng.integers(100)), length, depth, 3.2 * floors + 0.5, tint)
         setback = self.world.section.walk_m + rng.uniform(0.2, 2.0)
         turn = np.pi if side > 0 else 0.0
-        return self._upright(f"house{side}:{slot}", faces, (slot + 0.5) * HOUSE_SLOT_M, side * setback, turn)
+        s = (slot + 0.5) * HOUSE_SLOT_M
+        return self._upright(f"house{side}:{slot}", faces, s, self.world.road.aside(side, s, setback), turn)
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _post(self, slot: int, side: int) -> Fixture:
         s = (slot + (0.3 if side > 0 else 0.75)) * POST_SLOT_M
         faces = prefabs.lamp_post(-side)
-        return self._upright(f"post{side}:{slot}", faces, s, side * (self.world.section.curb_m + 0.5), 0.0)
+        d = self.world.road.aside(side, s, self.world.section.curb_m + 0.5)
+        return self._upright(f"post{side}:{slot}", faces, s, d, 0.0)
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _tree(self, slot: int, side: int) -> Fixture | None:
@@ -100,14 +122,16 @@ class Fixtures:
         s, d = (slot + rng.uniform(0.2, 0.8)) * TREE_SLOT_M, self.world.section.walk_m - rng.uniform(0.3, 0.8)
         if rng.random() < 0.45:
             return None
-        return self._upright(f"tree{side}:{slot}", prefabs.tree(), s, side * d, float(rng.uniform(0, 6)))
+        d = self.world.road.aside(side, s, d)
+        return self._upright(f"tree{side}:{slot}", prefabs.tree(), s, d, float(rng.uniform(0, 6)))
 
     @lru_cache(maxsize=256)  # noqa: B019
     def _parked(self, slot: int, side: int) -> Fixture | None:
         rng = self._rng(slot, side, 2)
-        s = (slot + 0.5) * PARKING_SLOT_M + rng.uniform(-0.8, 0.8)
-        d = side * (self.world.section.curb_m - PARKED_M - rng.uniform(-0.1, 0.1))
-        taken = self.world.section.outside_right == "road" and rng.random() < 0.42
+        sway_m = ROW_SWAY_M if self.parked_rows else 0.8
+        s = (slot + 0.5) * self._parking_slot_m + rng.uniform(-sway_m, sway_m)
+        d = self.world.road.aside(side, s, self.world.section.curb_m - PARKED_M - rng.uniform(-0.1, 0.1))
+        taken = self.world.section.outside_right == "road" and (rng.random() < 0.42 or self.parked_rows)
         if not taken:
             return None
         turn = (np.pi if side > 0 else 0.0) + rng.uniform(-0.03, 0.03)

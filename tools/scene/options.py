@@ -3,12 +3,37 @@
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
+import numpy as np
+
 from roadperc_stream.errors import DumpError
 
+Mount = tuple[float, float, float, float, float, float]
+Stretch = tuple[float, float]
+LaneEvent = Literal["begins", "ends", "splits", "merges"]
+LaneSide = Literal["left", "right"]
 SceneName = Literal["straight", "bend", "hill", "town"]
 SCENES: Final[tuple[str, ...]] = get_args(SceneName)
 SENSORS: Final = ("rgb", "depth", "segmentation", "right")
 """Cameras; each has a folder of its name."""
+
+
+MOUNT_NAMES: Final = tuple(f"--mount {axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
+MOST_ASIDE_DEG: Final = 80.0
+"""So far to the side a camera may look over hills: they are followed along the world's x alone."""
+WINDING_ASIDE_DEG: Final = 56.0
+"""The same where the road winds by 30 degrees to either side."""
+PATH_OPTIONS: Final = (
+    "path_truth",
+    "change_lane",
+    "lead_brakes",
+    "stop_and_go",
+    "lane",
+    "turn",
+    "crossing_cars",
+    "worn_lines",
+    "missing_lines",
+)
+"""Options with any of which the truth says what is in the path, and when the lane is changed."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +57,33 @@ class RenderOptions:
     without: tuple[str, ...] = ()
     """Sensors whose files are left out, of ``SENSORS``."""
     seed: int = 0
+    path_truth: bool = False
+    """Whether the truth says what is in the path and when a lane is changed; what follows implies it."""
+    change_lane: LaneSide | None = None
+    change_back: bool = False
+    change_broken_off: bool = False
+    lead_brakes: bool = False
+    stop_and_go: bool = False
+    lane: LaneEvent | None = None
+    turn: LaneSide | None = None
+    crossing_cars: bool = False
+    parked_rows: bool = False
+    whole_boxes: bool = False
+    instances: bool = False
+    worn_lines: Stretch | None = None
+    """From and to, metres along the road."""
+    missing_lines: Stretch | None = None
+    fov_deg: float = 90.0
+    mount: Mount = (1.5, 0.0, 1.4, 0.0, 0.0, 0.0)
+    """The front camera's place as CARLA has it: metres forward, right, up; degrees of roll, pitch up, yaw right."""
+    pitch_std_deg: float = 0.0
+    bumps: bool = False
+
+    @property
+    def knows_path(self) -> bool:
+        """Whether the truth says what is in the path and when a lane is changed."""
+        ordinary = RenderOptions()
+        return any(getattr(self, name) != getattr(ordinary, name) for name in PATH_OPTIONS)
 
     @property
     def frames(self) -> int:
@@ -56,6 +108,9 @@ class RenderOptions:
             ("--rgb-noise", self.rgb_noise, 0, 100),
             ("--drop", self.drop, 0, 0.95),
             ("--seed", self.seed, 0, 2**32),
+            ("--fov", self.fov_deg, 20, 140),
+            ("--pitch-std", self.pitch_std_deg, 0, 5),
+            *zip(MOUNT_NAMES, self.mount, (-2, -1.5, 0.3, -45, -45, -60), (4, 1.5, 5, 45, 45, 60), strict=True),
         )
         for name, value, low, high in limits:
             if not low <= value <= high:
@@ -64,3 +119,52 @@ class RenderOptions:
             raise DumpError(f"--scene {self.scene}: expected one of {', '.join(SCENES)}")
         if not set(SENSORS) - set(self.without):
             raise DumpError("--without: no camera is left")
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Refuses options that do not go with others."""
+        follows = self.lead_brakes or self.stop_and_go
+        crosses = self.turn is not None or self.crossing_cars
+        back = self.change_back or self.change_broken_off
+        refused = (
+            (
+                back and self.change_lane is None,
+                "--change-back and --change-broken-off: expected --change-lane as well",
+            ),
+            (
+                self.change_back and self.change_broken_off,
+                "--change-back: a change that is broken off is no change to go back from",
+            ),
+            (self.lead_brakes and self.stop_and_go, "--lead-brakes and --stop-and-go: the car before does one of them"),
+            (
+                self.static and (follows or crosses or self.change_lane is not None),
+                "--static: a car that stands neither follows one nor changes its lane nor comes to a crossing",
+            ),
+            (self.turn is not None and follows, "--turn: not with --lead-brakes or --stop-and-go"),
+            (crosses and self.change_lane is not None, "--turn and --crossing-cars: not with --change-lane"),
+            (
+                self.lane is not None and (crosses or self.change_lane is not None),
+                "--lane: not with --change-lane, --turn or --crossing-cars",
+            ),
+            (crosses and self.bumps, "--turn and --crossing-cars: not with --bumps"),
+            (self.bumps and self.scene == "bend", "--bumps: not in the scene bend, whose road turns back"),
+        )
+        for wrong, why in refused:
+            if wrong:
+                raise DumpError(why)
+        self._check_stretches()
+        self._check_sight(level=crosses or (self.scene in ("straight", "bend") and not self.bumps))
+
+    def _check_stretches(self) -> None:
+        for name, stretch in (("--worn-lines", self.worn_lines), ("--missing-lines", self.missing_lines)):
+            if stretch is not None and not 0 <= stretch[0] < stretch[1] < np.inf:
+                raise DumpError(f"{name} {stretch[0]:g},{stretch[1]:g}: expected FROM,TO, the nearer place first")
+
+    def _check_sight(self, *, level: bool) -> None:
+        beside = self.fov_deg / 2 + abs(self.mount[5])
+        most = WINDING_ASIDE_DEG if self.scene == "town" else MOST_ASIDE_DEG
+        if not level and beside > most:
+            raise DumpError(
+                f"--fov and --mount: the camera looks {beside:g} degrees aside, at most {most:g} where the ground is "
+                "not level: choose --scene straight or bend"
+            )

@@ -59,6 +59,8 @@ class RoadSection:
     outside_right: str
     broken: bool
     """Whether the ego lane's right line is dashed for stretches."""
+    lane_m: float
+    """Width of half the carriageway, the lanes without the parking strips."""
 
     @property
     def lane_centre_m(self) -> float:
@@ -85,9 +87,14 @@ class RoadSection:
         """Where the right line is interrupted; s counts from ``s_origin_m``."""
         if not self.broken:
             return np.zeros(s_m.shape, np.bool_)
-        period = round(STRETCH_M / GAP_BIN_M)
-        index = ((s_m + np.float32(s_origin_m % STRETCH_M + STRETCH_M)) * np.float32(1 / GAP_BIN_M)).astype(np.int32)
-        return _gap_table()[index % period]
+        return line_gap(s_m, s_origin_m)
+
+
+def line_gap(s_m: Float32, s_origin_m: float) -> NDArray[np.bool_]:
+    """Where a line that is dashed for stretches is interrupted; s counts from ``s_origin_m``."""
+    period = round(STRETCH_M / GAP_BIN_M)
+    index = ((s_m + np.float32(s_origin_m % STRETCH_M + STRETCH_M)) * np.float32(1 / GAP_BIN_M)).astype(np.int32)
+    return _gap_table()[index % period]
 
 
 @cache
@@ -108,22 +115,26 @@ def bins(d_m: Float32) -> NDArray[np.int32]:
     return index.astype(np.int32)
 
 
-def street(*, parking: bool, broken: bool) -> RoadSection:
-    """Two lanes of 3.6 m about a double yellow line; with parking also white edge lines and a strip beyond them."""
+def street(*, parking: bool, broken: bool, lines: bool = True) -> RoadSection:
+    """Two lanes of 3.6 m about a double yellow line; with parking also white edge lines and a strip beyond them.
+
+    Without ``lines`` the asphalt is bare: what is painted on it is then a matter of ``markings``.
+    """
     lane, curb = 3.6, 6.0 if parking else 3.6
     zones = [
         Zone(-REACH_M, REACH_M, "terrain", GRASS, 0.6),
         Zone(-curb - 3.5, curb + 3.5, "sidewalk", PAVING, 0.45),
         Zone(-curb, curb, "road", STRIP, 0.2),
         Zone(-lane, lane, "road", ASPHALT, 0.2),
-        Zone(-0.225, -0.075, "road_line", YELLOW, 0.3),
-        Zone(0.075, 0.225, "road_line", YELLOW, 0.3),
     ]
-    if parking:
+    if lines:
+        zones.append(Zone(-0.225, -0.075, "road_line", YELLOW, 0.3))
+        zones.append(Zone(0.075, 0.225, "road_line", YELLOW, 0.3))
+    if lines and parking:
         zones.append(Zone(-lane - LINE_M, -lane, "road_line", WHITE, 0.3))
         zones.append(Zone(lane, lane + LINE_M, "road_line", WHITE, 0.3))
     outside = "road" if parking else "sidewalk"
-    return RoadSection(tuple(zones), curb, curb + 3.5, -0.225, -lane, "road", outside, broken and parking)
+    return RoadSection(tuple(zones), curb, curb + 3.5, -0.225, -lane, "road", outside, broken and parking, lane)
 
 
 def _bin(d_m: float) -> int:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ from roadperc_stream.core.geometry import Camera, Float, Float32, inverse, trans
 from .grain import GRAIN_STD, ROWS, TEXEL_M, Grain, depth_level, level_depth_m, pink_noise
 from .grain import LEVELS as GRAIN_LEVELS
 from .ground import Ground
+from .paint import PAINT_CONTRAST, Paint
 from .raster import Drawn, pixel_boxes
 from .section import REACH_M, RoadSection, Zone
 from .sheet import LEVELS as SHEET_LEVELS
@@ -84,7 +85,9 @@ def _seen_from(row: Float32, depth_m: float, focal_px: float) -> Float32:
     return row
 
 
-def shade_ground(ground: Ground, section: RoadSection, grain: Grain, brightness: Float32) -> Picture:
+def shade_ground(
+    ground: Ground, section: RoadSection, grain: Grain, brightness: Float32, paint: Paint | None
+) -> Picture:
     """(rows, W, 3) colours of the ground's rows in a brightness of (rows, W); arbitrary where there is no ground."""
     level = depth_level(ground.depth_m)
     column = (ground.d_m + np.float32(REACH_M)) * np.float32(1 / PROFILE_TEXEL_M) - np.float32(0.5)
@@ -95,7 +98,9 @@ def shade_ground(ground: Ground, section: RoadSection, grain: Grain, brightness:
         ground_profile(section, grain.focal_px), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
     s = ground.s_m + np.float32(ground.road.s_origin_m % GRAIN_PERIOD_M)
-    noise = grain.sample(s, ground.d_m, level, np.abs(ground.d_m) >= section.curb_m)
+    if paint is not None:
+        base = _with_paint(base, paint, ground.depth_m)
+    noise = grain.sample(s, ground.across_m, level, np.abs(ground.d_m) >= section.curb_m)
     *colours, contrast = cv2.split(base)
     gain = noise.astype(np.float32)
     gain -= 128
@@ -105,6 +110,16 @@ def shade_ground(ground: Ground, section: RoadSection, grain: Grain, brightness:
     gain *= brightness
     gain[ground.curb] *= np.float32(CURB_SHADE)
     return np.asarray(cv2.convertScaleAbs(cv2.merge([colour * gain for colour in colours])), np.uint8)
+
+
+def _with_paint(base: NDArray[Any], paint: Paint, depth_m: Float32) -> Float32:
+    """(rows, W, 4) haze-veiled colours and grain strength, with the paint over them."""
+    clear = np.exp(-depth_m / np.float32(HAZE_M))[..., None]
+    for colour, cover in paint.layers:
+        veiled = HAZE + (np.array(colour, np.float32) - HAZE) * clear
+        coat = np.concatenate((veiled, clear * np.float32(PAINT_CONTRAST * GRAIN_SHARE)), axis=-1)
+        base = base + (coat - base) * cover[..., None]
+    return np.asarray(base, np.float32)
 
 
 def cast_shadows(

@@ -11,6 +11,12 @@ from roadperc_stream.core.geometry import Float
 VIEW_M: Final = 1100.0
 """How far rays are followed: somewhat beyond CARLA's far plane."""
 
+BUMP_M: Final = 3.7
+BUMP_HEIGHT_M: Final = 0.1
+BUMP_KNOT_M: Final = 0.1
+BUMP_FIRST_M: Final = 22.0
+BUMP_EVERY_M: Final = 30.0
+
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
@@ -18,6 +24,8 @@ class Terrain:
 
     x_m: Float
     z_m: Float
+    rough: bool = False
+    """Whether there is anything as short as a car."""
 
     @property
     def flat(self) -> bool:
@@ -37,6 +45,12 @@ class Terrain:
         """Mean dz/dx between ``reach_m`` behind and before x."""
         low, high = self.height(np.array([x_m - reach_m, x_m + reach_m]))
         return float(high - low) / (2 * reach_m)
+
+    def carried_height(self, x_m: float, reach_m: float) -> float:
+        """Height of a body at x on wheels ``reach_m`` behind and before it; on smooth ground that of the ground."""
+        if self.rough:
+            return float(self.height(np.array([x_m - reach_m, x_m + reach_m])).mean())
+        return float(self.height(np.array([x_m]))[0])
 
     def first_hits(self, centre_m: Float, dx: Float, dz: Float, lift_m: float) -> Float:
         """How many times their direction rays travel until they meet the ground lifted by ``lift_m``; inf for never.
@@ -80,3 +94,15 @@ def rolling_ground(length_m: float, wave_m: float, max_grade: float, knot_m: flo
     x = np.arange(-200.0, length_m + wave_m, knot_m)
     z = max_grade * wave_m / (2 * np.pi) * (1 - np.cos(2 * np.pi * x / wave_m))
     return Terrain(x, z)
+
+
+def with_bumps(terrain: Terrain, length_m: float) -> Terrain:
+    """The same ground with speed bumps across it, round ones as Watts' hump is: 3.7 m long and 10 cm high."""
+    middles = np.arange(BUMP_FIRST_M, length_m, BUMP_EVERY_M)
+    u = np.linspace(-1, 1, round(BUMP_M / BUMP_KNOT_M) + 1)
+    bumps_x = (middles[:, None] + BUMP_M / 2 * u).ravel()
+    bumps_z = np.tile(BUMP_HEIGHT_M * (1 - u * u), len(middles))
+    # Level ground has one knot; it needs an end on either side.
+    ends = (-200.0, length_m + 200.0)
+    x = np.union1d(np.append(terrain.x_m, ends), bumps_x)
+    return Terrain(x, terrain.height(x) + np.interp(x, bumps_x, bumps_z), rough=True)

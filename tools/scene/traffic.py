@@ -1,7 +1,8 @@
-"""What moves: the ego car along its lane, cars before and towards it, people on the sidewalks and across the road."""
+"""What moves beside the ego car: cars before and towards it, people on the sidewalks and across the road."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -9,19 +10,21 @@ import numpy as np
 from roadperc_stream.core.geometry import Float, rigid, rotation_from_rpy
 
 from . import prefabs
+from .ego import Ego
 from .faces import Faces
+from .motion import SpeedProfile
 from .section import CURB_HEIGHT_M
 from .world import World
 
-WEAVE_S: Final = 6.0
-MAX_WEAVE_SLOPE: Final = 0.15
-"""How far the car turns out of its lane's direction at most: a slow car weaves more slowly."""
-NOD_S: Final = 1.1
-NOD_RAD: Final = float(np.radians(0.3))
 HEADWAY_S: Final = 2.8
 HEADWAY_MIN_M: Final = 14.0
 ONCOMING_SPEED_MPS: Final = 9.0
 ONCOMING_SPACING_M: Final = 42.0
+ACROSS_MPS: Final = 8.0
+CROSSES_BEFORE_S: Final = ((1.6, 1), (2.6, -1), (4.5, 1))
+"""How long before the ego car is at the crossing others cross its road, and whereto."""
+CLEAR_S: Final = 2.0
+LATEST_S: Final = 120.0
 CAR_RANGE_M: Final = 140.0
 WALKER_SLOT_M: Final = 19.0
 WALKER_RANGE_M: Final = 90.0
@@ -30,33 +33,6 @@ WALK_TURN_S: Final = 14.0
 CROSSING_SLOT_M: Final = 95.0
 RUN_MPS: Final = 2.6
 STRIDE_M: Final = 0.22
-
-
-@dataclass(frozen=True)
-class Ego:
-    """The ego car's motion: constant speed along the road's centre line, weaving about the lane's middle."""
-
-    world: World
-    speed_mps: float
-    weave_m: float
-    static: bool
-
-    def s(self, time_s: float) -> float:
-        """Metres along the road."""
-        return 0.0 if self.static else self.speed_mps * time_s
-
-    def pose(self, time_s: float) -> Float:
-        """world_T_ego: on its wheels, headed where it goes, nodding a little."""
-        if self.static:
-            return self.world.ground_pose(0.0, self.world.section.lane_centre_m)
-        period_s = max(WEAVE_S, 2 * np.pi * self.weave_m / (MAX_WEAVE_SLOPE * self.speed_mps))
-        phase = 2 * np.pi * time_s / period_s
-        s, d = self.s(time_s), self.world.section.lane_centre_m + self.weave_m * np.sin(phase)
-        sideways = self.weave_m * 2 * np.pi / period_s * np.cos(phase)
-        onwards = self.speed_mps * (1 - self.world.path.curvature(s) * d)
-        turn = float(np.arctan2(sideways, onwards))
-        nod = NOD_RAD * np.sin(2 * np.pi * time_s / NOD_S)
-        return self.world.ground_pose(s, d, turn) @ rigid(rotation_from_rpy(0.0, nod, 0.0), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -75,6 +51,9 @@ class Traffic:
 
     ego: Ego
     seed: int
+    leader: SpeedProfile | None = None
+    """The motion of the car before the ego car, where it is a special one."""
+    crossing_cars: bool = False
 
     @property
     def world(self) -> World:
@@ -83,7 +62,11 @@ class Traffic:
 
     def at(self, time_s: float) -> list[Mover]:
         """Those that may be seen at a time, in a fixed order."""
-        return [*self._leaders(), *self._oncoming(time_s), *self._walkers(time_s), *self._crossing(time_s)]
+        leaders = self._leaders() if self.leader is None else self._led(self.leader)
+        # People run across before a car whose speed is constant; before another they would be run over.
+        crossing = self._crossing(time_s) if self.ego.motion is None else ()
+        across = self._across() if self.crossing_cars else ()
+        return [*leaders, *self._oncoming(time_s), *across, *self._walkers(time_s), *crossing]
 
     def _rng(self, kind: int, slot: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 202, kind, slot + 1_000_000))
@@ -97,9 +80,19 @@ class Traffic:
                 ahead = gap * (1 + swing * np.sin(2 * np.pi * time_s / period))
                 if self.ego.static:
                     ahead = gap + self.ego.speed_mps * time_s
-                return self.world.ground_pose(self.ego.s(time_s) + ahead, self.world.section.lane_centre_m)
+                s = self.ego.s(time_s) + ahead
+                return self.world.ground_pose(s, self.world.road.lanes.start.way_m(s))
 
             yield Mover(f"leader:{i}", "Car", prefabs.car(int(self._rng(0, i).integers(100))), pose)
+
+    def _led(self, motion: SpeedProfile) -> Iterator[Mover]:
+        """One car in the ego's lane with a motion of its own."""
+
+        def pose(time_s: float) -> Float:
+            s = motion.at(time_s)[0]
+            return self.world.ground_pose(s, self.world.road.lanes.start.way_m(s))
+
+        yield Mover("leader:0", "Car", prefabs.car(int(self._rng(0, 0).integers(100))), pose)
 
     def _oncoming(self, time_s: float) -> Iterator[Mover]:
         """An endless row of cars in the other lane, numbered by where they were at time 0."""
@@ -108,11 +101,45 @@ class Traffic:
             rng = self._rng(1, k)
             first = (k + 0.5 + rng.uniform(-0.3, 0.3)) * ONCOMING_SPACING_M
             d = -self.world.section.lane_centre_m + rng.uniform(-0.15, 0.15)
+            if self._meets_crossing_car(first):
+                continue
 
             def pose(time_s: float, first: float = first, d: float = d) -> Float:
                 return self.world.ground_pose(first - ONCOMING_SPEED_MPS * time_s, d, np.pi)
 
             yield Mover(f"oncoming:{k}", "Car", prefabs.car(int(rng.integers(100))), pose)
+
+    def _meets_crossing_car(self, first_m: float) -> bool:
+        """Whether an oncoming car that was at s at time 0 would run into one that crosses."""
+        crossing = self.world.road.crossing
+        if crossing is None or not self.crossing_cars:
+            return False
+        passes_s = (first_m - crossing.x_m) / ONCOMING_SPEED_MPS
+        return any(abs(passes_s - time_s) < CLEAR_S for time_s, _ in self._crossing_times)
+
+    @cached_property
+    def _crossing_times(self) -> tuple[tuple[float, int], ...]:
+        """When cars cross the ego car's road, and where to: to the left 1, to the right -1."""
+        crossing = self.world.road.crossing
+        if crossing is None:
+            return ()
+        times = np.arange(0.0, LATEST_S, 0.05)
+        target = crossing.begins_m if crossing.turn else crossing.x_m
+        reached = np.array([self.ego.s(float(t)) >= target for t in times])
+        arrives = float(times[int(reached.argmax())]) if reached.any() else LATEST_S
+        return tuple((arrives - before, towards) for before, towards in CROSSES_BEFORE_S)
+
+    def _across(self) -> Iterator[Mover]:
+        """Cars on the other road, close before the ego car."""
+        crossing = self.world.road.crossing
+        for k, (crosses_s, towards) in enumerate(self._crossing_times if crossing else ()):
+            x = crossing.x_m - towards * self.world.section.lane_centre_m if crossing else 0.0
+
+            def pose(time_s: float, x: float = x, crosses_s: float = crosses_s, towards: int = towards) -> Float:
+                y = towards * ACROSS_MPS * (time_s - crosses_s)
+                return rigid(rotation_from_rpy(0.0, 0.0, towards * np.pi / 2), np.array([x, y, 0.0]))
+
+            yield Mover(f"across:{k}", "Car", prefabs.car(int(self._rng(4, k).integers(100))), pose)
 
     def _walkers(self, time_s: float) -> Iterator[Mover]:
         """People who walk to and fro on the sidewalks."""
@@ -121,7 +148,7 @@ class Traffic:
             rng = self._rng(2, k)
             side = 1 if rng.random() < 0.5 else -1
             middle, late = (k + rng.random()) * WALKER_SLOT_M, rng.uniform(0, WALK_TURN_S)
-            d = side * (self.world.section.curb_m + rng.uniform(0.9, 2.3))
+            d = self.world.road.aside(side, middle, self.world.section.curb_m + rng.uniform(0.9, 2.3))
 
             def pose(time_s: float, middle: float = middle, late: float = late, d: float = d) -> Float:
                 along, turn = _to_and_fro(time_s + late)
@@ -133,16 +160,17 @@ class Traffic:
     def _crossing(self, time_s: float) -> Iterator[Mover]:
         """People who run across the road from the right, between the ego car and the one before it."""
         s, speed = self.ego.s(time_s), max(self.ego.speed_mps, 1.0)
-        edge = self.world.section.curb_m + 1.0
+        left = self.world.section.curb_m + 1.0
         for k in range(int((s - 5) // CROSSING_SLOT_M), int((s + WALKER_RANGE_M) // CROSSING_SLOT_M) + 1):
             place = (k + 0.4) * CROSSING_SLOT_M
-            start = place / speed - 0.5 - edge / RUN_MPS if not self.ego.static else 1.5 + 3 * k
+            right = -self.world.road.aside(-1, place, left)
+            start = place / speed - 0.5 - right / RUN_MPS if not self.ego.static else 1.5 + 3 * k
 
-            def pose(time_s: float, place: float = place, start: float = start) -> Float:
-                d = float(np.clip(RUN_MPS * (time_s - start) - edge, -edge, edge))
+            def pose(time_s: float, place: float = place, start: float = start, right: float = right) -> Float:
+                d = float(np.clip(RUN_MPS * (time_s - start) - right, -right, left))
                 return self._on_foot(place, d, np.pi / 2)
 
-            moving = 0 < time_s - start < 2 * edge / RUN_MPS
+            moving = 0 < time_s - start < (left + right) / RUN_MPS
             yield self._person(f"crossing:{k}", 3 * k + 1, time_s if moving else 0.0, RUN_MPS, pose)
 
     def _person(self, name: str, clothes: int, walked_s: float, speed: float, pose: Callable[[float], Float]) -> Mover:
@@ -153,7 +181,8 @@ class Traffic:
         """Pose of somebody upright on the road or, beyond the curb, on the sidewalk."""
         x, y, heading = (float(v[0]) for v in self.world.path.pose(np.array([s_m])))
         x, y = x - d_m * np.sin(heading), y + d_m * np.cos(heading)
-        step = CURB_HEIGHT_M if abs(d_m) > self.world.section.curb_m else 0.0
+        beyond = abs(float(self.world.road.section_d(np.array([s_m]), np.array([d_m]))[0])) > self.world.section.curb_m
+        step = CURB_HEIGHT_M if beyond else 0.0
         height = float(self.world.terrain.height(np.array([x]))[0]) + step
         return rigid(rotation_from_rpy(0.0, 0.0, heading + turn), np.array([x, y, height]))
 

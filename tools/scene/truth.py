@@ -1,10 +1,9 @@
-"""What is true of a frame: the ego lane's boundaries, the road's surface, the objects in view."""
+"""What is true of a frame's road: the ego lane's boundaries and the surface."""
 
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy import ndimage
+from numpy.typing import NDArray
 
 from roadperc_stream.core.geometry import (
     Float,
@@ -12,15 +11,14 @@ from roadperc_stream.core.geometry import (
     facing,
     fit_plane,
     inverse,
-    rays,
     transform,
     transform_plane,
 )
 
-from .drive import CameraPair, Drive, SceneMoment
-from .path import Path
+from .drive import SceneMoment
+from .lanes import Edge
+from .rig import CameraPair
 from .terrain import Terrain
-from .view import RenderedView
 from .world import World
 
 LINE_LENGTH_M: Final = 60
@@ -30,77 +28,64 @@ PLANE_AHEAD_M: Final = (3.0, 15.0)
 PLANE_ASIDE_M: Final = 4.0
 PLANE_STEP_M: Final = 0.5
 DERIVATIVE_STEP_M: Final = 0.5
-DERIVATIVE_STEP_S: Final = 1e-3
-MIN_PIXELS: Final = 30
-"""Objects with fewer visible pixels are not among the truth."""
+FOUND_M: Final = 1e-4
+"""So near a point of an edge is found where it is there."""
 
 
-@dataclass(frozen=True)
-class ObjectTruth:
-    """A visible object: the tight half-open box of its visible pixels, and its nearest visible point."""
+def lanes_truth(moment: SceneMoment, *, with_change: bool) -> dict[str, Any]:
+    """Both boundaries of the lane that the car's reference point is in: the edges that face it, in the ego frame.
 
-    name: str
-    label: str
-    box_px: tuple[int, int, int, int]
-    distance_m: float
-    closing_speed_mps: float
-
-    def to_json(self) -> dict[str, Any]:
-        """As ``truth.json`` holds it."""
-        return {
-            "id": self.name,
-            "label": self.label,
-            "box_px": list(self.box_px),
-            "distance_m": round(self.distance_m, 5),
-            "closing_speed_mps": round(self.closing_speed_mps, 5),
-        }
+    None for an edge that is not there. ``with_change`` adds whether the lane is being changed.
+    """
+    lane = moment.scenery.world.road.lanes.at(moment.scenery.s_m, moment.d_m)
+    edges = {"left": None, "right": None} if lane is None else {"left": lane.left, "right": lane.right}
+    sides: dict[str, Any] = {side: None if edge is None else _boundary(moment, edge) for side, edge in edges.items()}
+    if with_change:
+        sides |= {"lane_change": moment.lane_change.direction, "lane_changes": moment.lane_change.count}
+    return sides
 
 
-def lanes_truth(moment: SceneMoment) -> dict[str, Any]:
-    """Both boundaries of the ego lane in the ego frame: the edges that face the lane."""
-    world = moment.scenery.world
-    section = world.section
-    sides = {
-        "left": (section.left_edge_m, section.outside_left),
-        "right": (section.right_edge_m, section.outside_right),
-    }
-    return {
-        side: {**_boundary(world, moment, edge), "inside": "road", "outside": outside}
-        for side, (edge, outside) in sides.items()
-    }
-
-
-def _boundary(world: World, moment: SceneMoment, d_m: float) -> dict[str, Any]:
+def _boundary(moment: SceneMoment, edge: Edge) -> dict[str, Any] | None:
     step = DERIVATIVE_STEP_M
-    around = line_at(world, moment, d_m, np.array([-step, 0.0, step]))[:, 1]
-    line = line_at(world, moment, d_m, np.arange(LINE_LENGTH_M + 1.0))
-    slope, bend = (around[2] - around[0]) / (2 * step), (around[0] - 2 * around[1] + around[2]) / step**2
+    around, there = line_at(moment, edge, np.array([-step, 0.0, step]))
+    if not there[1]:
+        return None
+    y = around[:, 1]
+    slope, bend = (y[2] - y[0]) / (2 * step), (y[0] - 2 * y[1] + y[2]) / step**2
+    line, there = line_at(moment, edge, np.arange(LINE_LENGTH_M + 1.0))
+    # As far as the edge runs on from the car.
+    line = line[: int(np.append(there, False).argmin())]
     return {
-        "offset_m": round(float(around[1]), 6),
+        "offset_m": round(float(y[1]), 6),
         "heading": round(float(slope), 7),
         "curvature_per_m": round(float(bend), 7),
         "line_ego_m": line.round(5).tolist(),
+        "inside": "road",
+        "outside": edge.outside,
     }
 
 
-def line_at(world: World, moment: SceneMoment, d_m: float, x_ego_m: Float) -> Float:
-    """(N, 3) points in the ego frame of the line at lateral d where ego x has the (N,) values given.
+def line_at(moment: SceneMoment, edge: Edge, x_ego_m: Float) -> tuple[Float, NDArray[np.bool_]]:
+    """(N, 3) points in the ego frame of an edge where ego x has the (N,) values given, and where it is there at all.
 
     Found by Newton's method along s; the line runs at most 45 degrees askew within the first 60 m.
     """
-    ego_T_world = inverse(moment.world_T_ego)
+    world, ego_T_world = moment.scenery.world, inverse(moment.world_T_ego)
     s = moment.scenery.s_m + x_ego_m
-    points = _on_road(world.path, world.terrain, s, d_m, ego_T_world)
+    points = _on_road(world, s, edge, ego_T_world)
+    low, high = edge.from_m, edge.to_m
     for _ in range(20):
-        ahead = _on_road(world.path, world.terrain, s + 0.01, d_m, ego_T_world)
-        s = s + (x_ego_m - points[:, 0]) / ((ahead[:, 0] - points[:, 0]) / 0.01)
-        points = _on_road(world.path, world.terrain, s, d_m, ego_T_world)
-    return points
+        ahead = _on_road(world, s + 0.01, edge, ego_T_world)
+        # What is not there is not looked for: beyond a crossing the road may turn away for good.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = np.clip(s + (x_ego_m - points[:, 0]) / ((ahead[:, 0] - points[:, 0]) / 0.01), low, high)
+        points = _on_road(world, s, edge, ego_T_world)
+    return points, np.abs(points[:, 0] - x_ego_m) < FOUND_M
 
 
-def _on_road(path: Path, terrain: Terrain, s_m: Float, d_m: float, ego_T_world: Float) -> Float:
-    x, y = path.point(s_m, d_m)
-    return transform(ego_T_world, np.stack((x, y, terrain.height(x)), axis=-1))
+def _on_road(world: World, s_m: Float, edge: Edge, ego_T_world: Float) -> Float:
+    x, y = world.path.point(s_m, edge.d_m.at(s_m))
+    return transform(ego_T_world, np.stack((x, y, world.terrain.height(x)), axis=-1))
 
 
 def surface_truth(moment: SceneMoment, rig: CameraPair) -> dict[str, Any]:
@@ -153,34 +138,3 @@ def height_in_ego(terrain: Terrain, world_T_ego: Float, x_m: Float, y_m: Float) 
         world = transform(world_T_ego, np.stack((x_m, y_m, z), axis=-1))
         z = z + (terrain.height(world[..., 0]) - world[..., 2]) / world_T_ego[2, 2]
     return z
-
-
-def objects_truth(drive: Drive, moment: SceneMoment, rig: CameraPair, view: RenderedView) -> list[ObjectTruth]:
-    """Every object with enough visible pixels, from the clean front view."""
-    boxes = ndimage.find_objects(view.owner, len(moment.things))
-    found = (_object(drive, moment, rig, view, i + 1, box) for i, box in enumerate(boxes) if box is not None)
-    return [truth for truth in found if truth is not None]
-
-
-def _object(
-    drive: Drive, moment: SceneMoment, rig: CameraPair, view: RenderedView, number: int, box: tuple[slice, slice]
-) -> ObjectTruth | None:
-    rows, columns = np.nonzero(view.owner[box] == number)
-    if len(rows) < MIN_PIXELS:
-        return None
-    y0, x0 = box[0].start, box[1].start
-    directions = rays(rig.camera, np.column_stack((columns + x0, rows + y0)).astype(np.float64))
-    points = directions * view.depth_m[box][rows, columns, None].astype(np.float64)
-    distances = np.linalg.norm(points, axis=1)
-    nearest = int(distances.argmin())
-    thing = moment.things[number - 1]
-    world_point = transform(moment.world_T_ego @ rig.ego_T_left, points[nearest])
-    body_point = transform(inverse(thing.pose(moment.time_s)), world_point)
-
-    def distance(time_s: float) -> float:
-        camera = drive.ego.pose(time_s) @ rig.ego_T_left
-        return float(np.linalg.norm(transform(thing.pose(time_s), body_point) - camera[:3, 3]))
-
-    step = DERIVATIVE_STEP_S
-    speed = (distance(moment.time_s - step) - distance(moment.time_s + step)) / (2 * step)
-    return ObjectTruth(thing.name, thing.label, (x0, y0, box[1].stop, box[0].stop), float(distances[nearest]), speed)

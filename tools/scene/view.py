@@ -12,6 +12,7 @@ from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from .faces import Faces
 from .grain import make_grain
 from .ground import FAR_M, Ground, trace_ground
+from .paint import Paint, paint_on
 from .raster import Drawn, draw_faces
 from .section import RoadSection, bins
 from .shade import (
@@ -25,7 +26,7 @@ from .shade import (
 from .sheet import load_sheet
 from .world import World
 
-ROAD, SKY = (CARLA_FROM_0_9_14.names.index(name) for name in ("road", "sky"))
+ROAD, ROAD_LINE, SKY = (CARLA_FROM_0_9_14.names.index(name) for name in ("road", "road_line", "sky"))
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,8 @@ class _Sight:
     world_T_camera: Float
     ground: Ground
     drawn: Drawn
+    paint: Paint | None
+    """Lines that are not in the road's cross-section."""
 
 
 def render(scenery: Scenery, camera: Camera, world_T_camera: Float) -> RenderedView:
@@ -68,9 +71,7 @@ def render(scenery: Scenery, camera: Camera, world_T_camera: Float) -> RenderedV
     ground, drawn = sight.ground, sight.drawn
     # Index -1, no face, takes the last entry.
     owner = np.append(drawn.faces.owner, 0)[drawn.face].astype(np.int32)
-    return RenderedView(
-        _colours(scenery, sight), _depth(ground, drawn), _tags(ground, drawn, scenery.world.section), owner
-    )
+    return RenderedView(_colours(scenery, sight), _depth(ground, drawn), _tags(sight, scenery.world.section), owner)
 
 
 def photograph(scenery: Scenery, camera: Camera, world_T_camera: Float) -> NDArray[np.uint8]:
@@ -89,7 +90,8 @@ def _look(scenery: Scenery, camera: Camera, world_T_camera: Float) -> _Sight:
     nearness = np.full(camera.size, 1 / FAR_M, np.float32)
     nearness[ground.top_row :] = np.float32(1) / ground.depth_m
     drawn = draw_faces(camera, world_T_camera, scenery.faces, nearness, load_sheet().outline)
-    return _Sight(camera, world_T_camera, ground, drawn)
+    markings = scenery.world.road.markings
+    return _Sight(camera, world_T_camera, ground, drawn, paint_on(markings, ground, camera.fx) if markings else None)
 
 
 def _depth(ground: Ground, drawn: Drawn) -> Float32:
@@ -101,12 +103,15 @@ def _depth(ground: Ground, drawn: Drawn) -> Float32:
     return depth
 
 
-def _tags(ground: Ground, drawn: Drawn, section: RoadSection) -> NDArray[np.uint8]:
+def _tags(sight: _Sight, section: RoadSection) -> NDArray[np.uint8]:
+    ground, drawn = sight.ground, sight.drawn
     tags = np.full(drawn.face.shape, SKY, np.uint8)
     index = bins(ground.d_m)
     below = section.tag_table[index]
     if section.broken:
         below[section.right_line_table[index] & ground.line_gap] = ROAD
+    if sight.paint is not None:
+        below[sight.paint.line] = ROAD_LINE
     tags[ground.top_row :] = np.where(ground.depth_m < FAR_M, below, SKY)
     faced = drawn.face >= 0
     tags[faced] = drawn.faces.tag[drawn.face[faced]]
@@ -123,7 +128,7 @@ def _colours(scenery: Scenery, sight: _Sight) -> NDArray[np.uint8]:
     picture[:sky_rows] = shade_sky(camera, R, sky_rows, scenery.seed)
     brightness = np.ones(on_ground.shape, np.float32)
     cast_shadows(brightness, ground, scenery.shadows, camera, world_T_camera)
-    below = shade_ground(ground, scenery.world.section, grain, brightness)
+    below = shade_ground(ground, scenery.world.section, grain, brightness, sight.paint)
     cv2.copyTo(below, on_ground.view(np.uint8), picture[ground.top_row :])
     pixels = np.flatnonzero(drawn.face >= 0)
     if len(pixels):

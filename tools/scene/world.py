@@ -9,10 +9,12 @@ import numpy as np
 
 from roadperc_stream.core.geometry import Float, rigid
 
-from .options import SceneName
+from .crossing import Crossing
+from .options import RenderOptions, SceneName
 from .path import Element, Path, chain
-from .section import RoadSection, street
-from .terrain import Terrain, level_ground, rolling_ground
+from .roads import Road, road_of
+from .section import RoadSection
+from .terrain import Terrain, level_ground, rolling_ground, with_bumps
 
 RADIUS_M: Final = 150.0
 MARGIN_M: Final = 1200.0
@@ -27,7 +29,17 @@ class World:
     name: SceneName
     path: Path
     terrain: Terrain
-    section: RoadSection
+    road: Road
+
+    @property
+    def ground_path(self) -> Path | Crossing:
+        """The roads that there are to see; the path is the ego car's way on them."""
+        return self.road.crossing or self.path
+
+    @property
+    def section(self) -> RoadSection:
+        """The road's cross-section."""
+        return self.road.section
 
     def ground_pose(self, s_m: float, d_m: float, turn: float = 0.0) -> Float:
         """world_T_body of a body on its wheels at (s, d), turned by ``turn`` radians against the road.
@@ -42,14 +54,20 @@ class World:
         up = np.array([-slope, 0.0, 1.0])
         forward, up = forward / np.linalg.norm(forward), up / np.linalg.norm(up)
         rotation = np.column_stack((forward, np.cross(up, forward), up))
-        return rigid(rotation, np.array([x, y, float(self.terrain.height(np.array([x]))[0])]))
+        return rigid(rotation, np.array([x, y, self.terrain.carried_height(x, WHEELBASE_M / 2)]))
 
 
-def make_world(name: SceneName, length_m: float) -> World:
+def make_world(options: RenderOptions, length_m: float) -> World:
     """The world for a drive of ``length_m`` along the road, which starts at s = 0."""
+    name = options.scene
     wave_m = _WAVES_M.get(name)
     terrain = rolling_ground(length_m + MARGIN_M, wave_m, _MAX_GRADE) if wave_m else level_ground()
-    return World(name, _PATHS[name](length_m), terrain, street(parking=name != "hill", broken=name in ("bend", "town")))
+    road = road_of(options)
+    if road.crossing is not None:
+        return World(name, road.crossing.path, level_ground(), road)
+    if options.bumps:
+        terrain = with_bumps(terrain, length_m + MARGIN_M)
+    return World(name, _PATHS[name](length_m), terrain, road)
 
 
 def _straight(length_m: float) -> Path:

@@ -1,7 +1,16 @@
 """What one frame is made of, and what each stage makes of it: frozen dataclasses, arrays read-only."""
 
-from roadperc_stream.core.datatypes.arrays import Image, Mask, read_only
-from roadperc_stream.core.datatypes.frame import Box, CameraImage, DepthImage, Detection, Frame, PointCloud, TagImage
+from roadperc_stream.core.datatypes.arrays import Ids, Image, Mask, read_only
+from roadperc_stream.core.datatypes.frame import (
+    Box,
+    CameraImage,
+    DepthImage,
+    Detection,
+    Frame,
+    InstanceImage,
+    PointCloud,
+    TagImage,
+)
 from roadperc_stream.core.datatypes.reason import (
     MISSING_ROLES,
     TEMPLATES,
@@ -66,7 +75,9 @@ __all__ = [
     "FrameAnchor",
     "FrameResult",
     "HeightGrid",
+    "Ids",
     "Image",
+    "InstanceImage",
     "Lanes",
     "Line",
     "Mask",

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
+Ids = NDArray[np.uint16]
 
 
 def read_only(array: NDArray[Any], dtype: type[np.generic], shape: tuple[int | None, ...], name: str) -> None:

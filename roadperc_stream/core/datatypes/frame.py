@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from roadperc_stream.core.datatypes.arrays import Image, read_only
+from roadperc_stream.core.datatypes.arrays import Ids, Image, read_only
 from roadperc_stream.core.geometry import Camera, Float, Float32
 from roadperc_stream.core.semantics import TagTable
 
@@ -145,6 +145,26 @@ class TagImage:
 
 
 @dataclass(frozen=True)
+class InstanceImage:
+    """The objects' masks, decoded when first used."""
+
+    frame_id: str
+    decode_ids: Callable[[], Ids] = field(repr=False)
+
+    @cached_property
+    def ids(self) -> Ids:
+        """(H, W) uint16 number of the object in each pixel, 0 for none.
+
+        Raises:
+            DecodeError: the bytes are no instance masks.
+
+        """
+        numbers = self.decode_ids()
+        read_only(numbers, np.uint16, (None, None), "instances")
+        return numbers
+
+
+@dataclass(frozen=True)
 class Box:
     """Half-open box in pixels: columns x_min to x_max and rows y_min to y_max, the maxima excluded."""
 
@@ -215,6 +235,7 @@ class Frame:
     right_camera: Camera | None = None
     depth: DepthImage | None = None
     segmentation: TagImage | None = None
+    instances: InstanceImage | None = None
     detections: tuple[Detection, ...] | None = None
     points: PointCloud | None = None
     ego_T_lidar: Float | None = None

@@ -15,6 +15,7 @@ from roadperc_stream.core.geometry import Float, Float32, Plane
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "assumed", "truth"]
+LaneChange = Literal["none", "left", "right"]
 BoundaryStatus = Literal["measured", "held", "lost"]
 ObjectStatus = Literal["measured", "tracked", "lost"]
 Verdict = Literal["kept", "unverified", "dropped"]
@@ -186,12 +187,16 @@ class Lanes:
     """The ego lane's two boundaries, and the lines they were chosen from as (N, 4) x1, y1, x2, y2 in pixels.
 
     ``edges`` are the (H, W) edge pixels along which the lines were proposed, None where none were computed.
+    ``lane_change`` is the side on which part of the car is over the line on its way into another lane;
+    ``lane_changes`` counts how often its reference point has come into another one; None where unknown.
     """
 
     boundaries: tuple[Boundary, ...]
     proposals_px: Float = field(default_factory=lambda: np.empty((0, 4)), repr=False)
     merged_px: Float = field(default_factory=lambda: np.empty((0, 4)), repr=False)
     edges: Mask | None = field(default=None, repr=False)
+    lane_change: LaneChange | None = None
+    lane_changes: int | None = None
 
     def __post_init__(self) -> None:
         if self.edges is not None:
@@ -206,7 +211,11 @@ class Lanes:
 
 @dataclass(frozen=True)
 class Object:
-    """A detection filtered by the segmentation, with its distance."""
+    """A detection filtered by the segmentation, with its distance.
+
+    ``lateral_m`` is how far its middle is to the left of the middle of the car's path; ``in_path`` whether any of it
+    is in the path.
+    """
 
     detection: Detection
     kept: bool
@@ -220,6 +229,8 @@ class Object:
     beyond_range: bool = False
     status: ObjectStatus = "measured"
     track_id: str = ""
+    lateral_m: float | None = None
+    in_path: bool | None = None
 
     @property
     def verdict(self) -> Verdict:

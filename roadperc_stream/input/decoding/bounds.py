@@ -9,7 +9,7 @@ from roadperc_stream.formats.images import require_pixels
 from roadperc_stream.input.decoding.payload import Payload, names_in
 from roadperc_stream.schemas.roles import Kind
 
-_LARGE: Final[frozenset[Kind]] = frozenset(("image", "tags", "depth", "points"))
+_LARGE: Final[frozenset[Kind]] = frozenset(("image", "tags", "instances", "depth", "points"))
 """Kinds whose messages are read as a whole; those of others item by item."""
 
 

@@ -47,6 +47,16 @@ def _raw_tags(message: Any, context: Context) -> Decoded:
     return Decoded(stamp_ns(message.timestamp), tags)
 
 
+def _compressed_instances(message: Any, context: Context) -> Decoded:
+    instances = pictures.encoded_instances(message.frame_id, message.data, context.limits)
+    return Decoded(stamp_ns(message.timestamp), instances)
+
+
+def _raw_instances(message: Any, context: Context) -> Decoded:
+    instances = pictures.raw_instances(message.frame_id, _raster(message), context.limits)
+    return Decoded(stamp_ns(message.timestamp), instances)
+
+
 def _raster(message: Any) -> Raster:
     return Raster(message.encoding, message.width, message.height, message.step, message.data)
 
@@ -96,6 +106,8 @@ DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = 
     ("image", RawImage): _raw_image,
     ("tags", CompressedImage): _compressed_tags,
     ("tags", RawImage): _raw_tags,
+    ("instances", CompressedImage): _compressed_instances,
+    ("instances", RawImage): _raw_instances,
     ("depth", RawImage): _raw_depth,
     ("points", PointCloudProto): _point_cloud,
     ("calibration", CameraCalibration): _calibration,

@@ -17,7 +17,7 @@ from roadperc_stream.core.datatypes import (
     Side,
     Surface,
 )
-from roadperc_stream.core.datatypes.results import BoundaryStatus, ObjectStatus
+from roadperc_stream.core.datatypes.results import BoundaryStatus, LaneChange, ObjectStatus
 from roadperc_stream.core.geometry import Float, Plane
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding.bounds import require_count
@@ -29,6 +29,7 @@ from roadperc_stream.schemas.roadperc_pb2 import Lanes as LanesProto
 from roadperc_stream.schemas.roadperc_pb2 import Objects as ObjectsProto
 from roadperc_stream.schemas.roadperc_pb2 import Surface as SurfaceProto
 
+_LANE_CHANGE_OF: Final[Mapping[str, LaneChange]] = {"none": "none", "left": "left", "right": "right"}
 _SIDE_OF: Final[Mapping[int, Side]] = {1: "left", 2: "right"}
 _BOUNDARY_STATUS_OF: Final[Mapping[int, BoundaryStatus]] = {1: "measured", 2: "held", 3: "lost"}
 _OBJECT_STATUS_OF: Final[Mapping[int, ObjectStatus]] = {1: "measured", 2: "tracked", 3: "lost"}
@@ -91,9 +92,12 @@ def _height_grid(grid: Any) -> HeightGrid:
 def lanes(data: bytes, _: Context) -> Decoded:
     """roadperc.Lanes: true ones, or those a replay has found; boundaries of no known side are left out."""
     message = LanesProto.FromString(data)
-    return Decoded(
-        stamp_ns(message.timestamp), Lanes(tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF))
+    found = Lanes(
+        tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF),
+        lane_change=_LANE_CHANGE_OF.get(message.lane_change),
+        lane_changes=optional(message, "lane_changes"),
     )
+    return Decoded(stamp_ns(message.timestamp), found)
 
 
 def _boundary(message: Any) -> Boundary:
@@ -138,6 +142,7 @@ _OPTIONAL_NUMBERS: Final = (
     "closing_speed_std_mps",
     "time_to_impact_s",
     "time_to_impact_std_s",
+    "lateral_m",
 )
 
 
@@ -157,5 +162,6 @@ def _object(message: Any) -> Object:
         beyond_range=message.beyond_range,
         status=_OBJECT_STATUS_OF.get(message.status, "measured"),
         track_id=message.track_id,
+        in_path=optional(message, "in_path"),
         **numbers,
     )

@@ -11,6 +11,7 @@ from roadperc_stream.core.datatypes import (
     CameraImage,
     DepthImage,
     Detection,
+    InstanceImage,
     Lanes,
     Objects,
     PointCloud,
@@ -26,6 +27,7 @@ from roadperc_stream.schemas.fields import require_finite
 Payload = (
     CameraImage
     | TagImage
+    | InstanceImage
     | DepthImage
     | PointCloud
     | Camera
@@ -41,7 +43,7 @@ Payload = (
 def names_in(payload: Payload | Transform | Detection) -> Iterator[str]:
     """What a message calls frames and things."""
     match payload:
-        case CameraImage() | TagImage() | DepthImage() | PointCloud() | Camera() | Surface():
+        case CameraImage() | TagImage() | InstanceImage() | DepthImage() | PointCloud() | Camera() | Surface():
             yield payload.frame_id
         case Transform():
             yield from (payload.parent, payload.child)

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.core.config import LimitsConfig
-from roadperc_stream.core.datatypes import CameraImage, DepthImage, TagImage
+from roadperc_stream.core.datatypes import CameraImage, DepthImage, Ids, Image, InstanceImage, TagImage
 from roadperc_stream.core.geometry import Float32
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
@@ -81,6 +81,37 @@ def encoded_tags(frame_id: str, content: bytes, context: Context) -> TagImage:
         return TagImage(frame_id, known, lambda: tags_of_colours(images.decode_bgr(content, limits), known))
     known = _table_of(context.tag_table, indexed=True)
     return TagImage(frame_id, known, lambda: images.decode_indices(content, limits))
+
+
+def encoded_instances(frame_id: str, content: bytes, limits: LimitsConfig) -> InstanceImage:
+    """Masks of a PNG in CARLA's coding.
+
+    Raises:
+        DecodeError: another file, whose numbers are not exact.
+    """
+    if not content.startswith(images.PNG_MAGIC):
+        raise DecodeError("instance masks that are no PNG: expected CARLA's coding, which no lossy file keeps")
+    return InstanceImage(frame_id, lambda: _instance_ids(images.decode_bgr(content, limits)))
+
+
+def raw_instances(frame_id: str, raster: Raster, limits: LimitsConfig) -> InstanceImage:
+    """Masks of raw pixels in CARLA's coding.
+
+    Raises:
+        DecodeError: beyond the limits.
+    """
+    _require_pixels("instances", raster, limits)
+    return InstanceImage(frame_id, lambda: _instance_ids(raster.bgr()))
+
+
+def _instance_ids(bgr: Image) -> Ids:
+    """(H, W) numbers of CARLA's coding: green is the low byte, blue the high one; red, the tag, is left to others.
+
+    Source: CARLA's documentation, "Instance segmentation camera".
+    """
+    green, blue = bgr[..., 1].astype(np.uint16), bgr[..., 0].astype(np.uint16)
+    ids: Ids = green + blue * np.uint16(256)
+    return ids
 
 
 def _table_of(table: TagTable | None, *, indexed: bool) -> TagTable:

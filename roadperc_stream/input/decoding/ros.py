@@ -65,6 +65,15 @@ def _compressed_tags(message: Any, context: Context) -> Decoded:
     return _stamped(message, pictures.encoded_tags(_frame_id(message), content, context))
 
 
+def _instances(message: Any, context: Context) -> Decoded:
+    return _stamped(message, pictures.raw_instances(_frame_id(message), Raster.of_ros(message), context.limits))
+
+
+def _compressed_instances(message: Any, context: Context) -> Decoded:
+    content = message.data.tobytes()
+    return _stamped(message, pictures.encoded_instances(_frame_id(message), content, context.limits))
+
+
 def _calibration(message: Any, context: Context) -> Decoded:
     """A CameraInfo of the image as it is published.
 
@@ -197,6 +206,8 @@ def unpack_image(data: bytes) -> ros2.RosImage:
 DECODERS: Final[Mapping[tuple[Kind, str], Callable[[Any, Context], Decoded]]] = {
     ("image", ros2.IMAGE): _image,
     ("image", "sensor_msgs/msg/CompressedImage"): _compressed_image,
+    ("instances", ros2.IMAGE): _instances,
+    ("instances", "sensor_msgs/msg/CompressedImage"): _compressed_instances,
     ("tags", ros2.IMAGE): _tags,
     ("tags", "sensor_msgs/msg/CompressedImage"): _compressed_tags,
     ("depth", ros2.IMAGE): _depth,

@@ -19,6 +19,7 @@ CAMERA_OF: Final = {
 _WORDS: Final = {
     "depth": ("depth",),
     "segmentation": ("seg", "semantic", "label"),
+    "instances": ("instance",),
     "left": ("left",),
     "right": ("right",),
     "truth": ("truth",),
@@ -86,8 +87,9 @@ def _parts(topic: str) -> list[str]:
 
 
 def _spoken(name: str) -> set[str]:
-    """The roles, or sides, that a name speaks of."""
-    return {word for word, signs in _WORDS.items() if any(sign in name.lower() for sign in signs)}
+    """The roles, or sides, that a name speaks of; an ``instance_segmentation`` is none of classes."""
+    words = {word for word, signs in _WORDS.items() if any(sign in name.lower() for sign in signs)}
+    return words - {"segmentation"} if "instances" in words else words
 
 
 def _own_words(role: Role) -> set[str]:

@@ -88,6 +88,14 @@ class TrueLaneColumns:
 
     lane_left_true_offset_m: Annotated[float | None, _TRUE_OFFSET] = None
     lane_right_true_offset_m: Annotated[float | None, _TRUE_OFFSET] = None
+    true_lane_change: Annotated[
+        str | None,
+        Column("`left` or `right` while part of the car is truly over the line, else `none`", null="the log says none"),
+    ] = None
+    true_lane_changes: Annotated[
+        int | None,
+        Column("how often the car's reference point has truly come into another lane", COUNT, "the log says none"),
+    ] = None
 
 
 def _culane(what: str, threshold: str) -> Column:
@@ -165,6 +173,20 @@ class ObjectErrorColumns:
             label="filter recall",
             decimals=3,
             better="high",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class TrueImpactColumns:
+    """What the truth says of the path ahead."""
+
+    true_time_to_impact_s: Annotated[
+        float | None,
+        Column(
+            "smallest true time to impact of what is in the path: range over range rate",
+            "s",
+            "nothing in the path comes nearer, or the log does not say what is in it",
         ),
     ] = None
 

@@ -47,6 +47,7 @@ class FrameMetrics(
     errors.TruePoseColumns,
     errors.OdometryErrorColumns,
     errors.StereoErrorColumns,
+    errors.TrueImpactColumns,
     errors.ObjectErrorColumns,
     errors.LaneScoreColumns,
     errors.TrueLaneColumns,

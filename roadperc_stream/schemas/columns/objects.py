@@ -55,6 +55,10 @@ class ObjectMetrics(FrameKey):
         Column(
             "what the truth says, else its distance / its closing speed",
             "s",
-            "no true object, or it does not come nearer",
+            "no true object, it does not come nearer, or is truly beside the path",
         ),
     ]
+    true_lateral_m: Annotated[
+        float | None, Column("how far its middle is truly to the left of the path's", "m", "the log does not say")
+    ]
+    true_in_path: Annotated[bool | None, Column("whether any of it is truly in the path", null="the log does not say")]

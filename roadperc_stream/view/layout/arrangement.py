@@ -132,6 +132,7 @@ def _other_pictures(has: LogContents) -> Node | None:
         _named(
             {
                 ("Tags", "depth"): (tags, _depth(has, "depth", "Depth")),
+                ("Instances",): (picture("instances", "Instances", roles.get("instances")),),
                 ("Drivable", "stereo"): (drivable, stereo),
                 ("True tags", "true depth"): (true_tags, _depth(has, "truth_depth", "True depth")),
             }

@@ -47,6 +47,7 @@ Drawer = Callable[[Message], Iterator[Entry]]
 _KINDS: Final[Mapping[Kind, Callable[[str, str, Any, SceneState], Iterator[Entry]]]] = {
     "image": pictures.image,
     "tags": pictures.tags,
+    "instances": pictures.instances,
     "depth": pictures.depth,
     "calibration": pictures.calibration,
     "points": scene.points,

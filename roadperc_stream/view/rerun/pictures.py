@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.core.datatypes import CameraImage, DepthImage, TagImage
+from roadperc_stream.core.datatypes import CameraImage, DepthImage, InstanceImage, TagImage
 from roadperc_stream.core.geometry import Camera
 from roadperc_stream.formats.images import depth_to_mm, encode_jpeg
 from roadperc_stream.view.rerun.entry import Entry, SceneState, annotation_context, image_plane
@@ -36,6 +36,11 @@ def tags(entity: str, role: str, payload: TagImage, world: SceneState) -> Iterat
     """Class ids, and the names and colours of their table."""
     yield Entry(entity, annotation_context(payload.table.names, payload.table.colours))
     yield Entry(entity, rr.SegmentationImage(payload.tags), world.image_frame(role, payload.frame_id))
+
+
+def instances(entity: str, role: str, payload: InstanceImage, world: SceneState) -> Iterator[Entry]:
+    """The objects' numbers, each in a colour of its own."""
+    yield Entry(entity, rr.SegmentationImage(payload.ids), world.image_frame(role, payload.frame_id))
 
 
 def depth(entity: str, role: str, payload: DepthImage, world: SceneState) -> Iterator[Entry]:

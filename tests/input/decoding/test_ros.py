@@ -96,6 +96,13 @@ def test_tags_are_numbers_of_a_table_or_its_colours():
     assert [before.table.name_of(tag) for tag in before.tags[0]] == ["road", "vehicle", "road_line"]
 
 
+def test_instance_masks_are_numbers_in_green_and_blue():
+    pixels = np.array([[(2, 1, 14, 255), (0, 7, 12, 255)]], np.uint8)
+    found = read("instances", ros2.IMAGE, image("bgra8", pixels)).payload
+    np.testing.assert_array_equal(found.ids, np.array([[513, 7]], np.uint16))
+    assert found.ids.dtype == np.uint16
+
+
 def test_tags_of_no_known_table_or_colour_are_an_error():
     with pytest.raises(DecodeError, match="does not say its tag table"):
         read("tags", ros2.IMAGE, image("mono8", GREY))

@@ -13,6 +13,7 @@ from roadperc_stream.tools.carla_dump.role_names import role_of
         *((name, "segmentation") for name in ("semantic_segmentation_front", "CameraSeg", "labels", "tags")),
         *((name, "left") for name in ("left", "CameraLeft", "image_left", "Left")),
         *((name, "right") for name in ("right", "CameraRight", "image_right", "image_3", "image_03")),
+        *((name, "instances") for name in ("instances", "instance_segmentation", "CameraInstanceSegmentation")),
         *((name, "detections") for name in ("detections", "label_2", "boxes")),
         *(
             (name, "lidar")
@@ -30,7 +31,6 @@ def test_folder_names_people_use(name, role):
         "",
         "misc",
         "depth_rear",
-        "instance_segmentation",
         "left_depth",
         "image_0",
         "lidar_rear",

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.tools.scene.traffic import Ego
+from roadperc_stream.tools.scene.ego import Ego
+from roadperc_stream.tools.scene.options import RenderOptions
 from roadperc_stream.tools.scene.world import make_world
 
-WORLD = make_world("straight", 300.0)
+WORLD = make_world(RenderOptions(scene="straight"), 300.0)
 MIDDLE_M = WORLD.section.lane_centre_m
 
 

@@ -1,0 +1,22 @@
+"""Dumps rendered for tests."""
+
+from functools import cache
+
+import pytest
+
+from roadperc_stream.cli.render import main
+from tests.tools.rendered import Dump
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """Renders with the options given, once."""
+
+    @cache
+    def render(*options):
+        folder = tmp_path_factory.mktemp("render") / "dump"
+        size = () if "--size" in options else ("--size", "160x120")
+        assert main([str(folder), *size, "--rate", "1", *options]) == 0
+        return Dump(folder)
+
+    return render

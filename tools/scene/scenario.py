@@ -1,0 +1,82 @@
+"""How the ego car and the one before it drive on, brake, stand and drive off."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from .crossing import AFTER_S, TURN_BRAKING_MPS2, TURN_MPS, TURN_RADIUS_M
+from .drawings import CAR_M
+from .motion import Phase, SpeedProfile, repeated, starting, stopping
+from .options import RenderOptions
+
+BRAKES_AFTER_S: Final = 2.0
+HARD_MPS2: Final = 6.0
+"""How hard the car before brakes."""
+HARDER_MPS2: Final = 8.0
+"""How hard the ego car brakes, late."""
+NEAR_MISS_M: Final = 0.8
+"""What is left between the two cars."""
+GAP_S: Final = 1.6
+"""Headway between the cars' middles before the car ahead brakes hard."""
+STAND_S: Final = 2.0
+DRIVE_OFF_MPS2: Final = 2.0
+DRIVE_OFF_LATER_S: Final = 1.5
+
+CRUISE_S: Final = 2.0
+"""How long the queue's cars drive at their speed before they brake again."""
+QUEUE_MPS2: Final = 2.5
+QUEUE_GAP_M: Final = 2.0
+"""Between cars that stand in the queue."""
+REACTION_S: Final = 0.8
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The motions of the ego car and of the car before it."""
+
+    ego: SpeedProfile | None = None
+    leader: SpeedProfile | None = None
+
+
+def pair_of(options: RenderOptions) -> Pair:
+    """The motions the options ask for; None where a car keeps its plain way of driving."""
+    if options.lead_brakes:
+        return hard_braking(options.speed_mps)
+    if options.stop_and_go:
+        return queue(options.speed_mps, options.seconds)
+    if options.turn is not None:
+        return Pair(slow_turn(options.speed_mps))
+    return Pair()
+
+
+def hard_braking(speed_mps: float) -> Pair:
+    """The car before brakes hard to a standstill, the ego car brakes late, and both drive off again."""
+    gap = max(GAP_S * speed_mps, CAR_M[0] + 2.0)
+    off = starting(speed_mps, DRIVE_OFF_MPS2)
+    leader = SpeedProfile(gap, speed_mps, ((BRAKES_AFTER_S, 0.0), stopping(speed_mps, HARD_MPS2), (STAND_S, 0.0), off))
+    ego_stop = stopping(speed_mps, HARDER_MPS2)
+    leader_stops_m = leader.at(BRAKES_AFTER_S + speed_mps / HARD_MPS2)[0]
+    room = leader_stops_m - CAR_M[0] - NEAR_MISS_M - speed_mps * ego_stop[0] / 2
+    brakes_s = room / speed_mps
+    drives_off_s = BRAKES_AFTER_S + speed_mps / HARD_MPS2 + STAND_S + DRIVE_OFF_LATER_S
+    stands_s = max(drives_off_s - brakes_s - ego_stop[0], 0.5)
+    return Pair(SpeedProfile(0.0, speed_mps, ((brakes_s, 0.0), ego_stop, (stands_s, 0.0), off)), leader)
+
+
+def slow_turn(speed_mps: float) -> SpeedProfile:
+    """Slower to a crossing's corner, round it and on at the speed before."""
+    slower = max(speed_mps - TURN_MPS, 0.0) / TURN_BRAKING_MPS2
+    round_s = TURN_RADIUS_M * np.pi / 2 / min(speed_mps, TURN_MPS)
+    brake, off = (slower, -TURN_BRAKING_MPS2), (slower, TURN_BRAKING_MPS2)
+    return SpeedProfile(0.0, speed_mps, ((AFTER_S, 0.0), brake, (round_s, 0.0), off))
+
+
+def queue(speed_mps: float, seconds: float) -> Pair:
+    """Both drive off, drive, brake and stand, again and again; the ego car does all of it a little later."""
+    brake, off = stopping(speed_mps, QUEUE_MPS2), starting(speed_mps, DRIVE_OFF_MPS2)
+    wave: tuple[Phase, ...] = ((CRUISE_S, 0.0), brake, (STAND_S, 0.0), off)
+    times = int(seconds / sum(phase[0] for phase in wave)) + 2
+    gap = CAR_M[0] + QUEUE_GAP_M + speed_mps * REACTION_S
+    leader = SpeedProfile(gap, speed_mps, repeated(wave, times))
+    return Pair(SpeedProfile(0.0, speed_mps, ((REACTION_S, 0.0), *repeated(wave, times))), leader)
