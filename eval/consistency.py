@@ -22,11 +22,12 @@ from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX
 from roadperc_stream.core.geometry import Float
 
 from .collecting import collect
-from .comparison.bootstrap import block_length
+from .comparison.bootstrap import LEVEL, block_length
 from .runs import Run
 from .scan import rows_of
 
-LEVEL: Final = 0.99
+_FARTHEST: Final = 1e6
+"""Normalised errors count as this at most: whoever is farther off is no better known, and sums stay finite."""
 _FEWEST_BLOCKS: Final = 8
 """Below, an interval says more of the few blocks than of the errors."""
 
@@ -174,10 +175,11 @@ class Errors:
 def errors_of(table: pl.DataFrame, judged: Judged) -> Errors:
     """Estimate minus truth in the rows of a table that has both; no rows where it lacks either column."""
     estimate, truth, std = (_values(table, name) for name in (judged.estimate, judged.truth, judged.std))
-    error = estimate - truth
+    with np.errstate(over="ignore", invalid="ignore"):  # tables may hold any number
+        error = estimate - truth
+        normalised = error / np.where(std > 0, std, np.nan)
     rows = np.flatnonzero(np.isfinite(error))
-    usable_std = np.where(std[rows] > 0, std[rows], np.nan)
-    return Errors(rows, error[rows], error[rows] / usable_std)
+    return Errors(rows, error[rows], np.clip(normalised[rows], -_FARTHEST, _FARTHEST))
 
 
 def kept_objects(path: Path, end_frame: int | None = None) -> pl.DataFrame:
@@ -188,8 +190,9 @@ def kept_objects(path: Path, end_frame: int | None = None) -> pl.DataFrame:
     Raises:
         TableError: the data cannot be read.
     """
-    keys = cs.by_name("frame", "kept", "track_id", require_all=False)
-    table = collect(pl.scan_parquet(path, glob=False).select(keys, _columns(OBJECT_QUANTITIES)), str(path))
+    kinds = {"frame": pl.Int64, "kept": pl.Boolean, "track_id": pl.String}
+    keys = [cs.by_name(name, require_all=False).cast(kind) for name, kind in kinds.items()]
+    table = collect(pl.scan_parquet(path, glob=False).select(*keys, _columns(OBJECT_QUANTITIES)), str(path))
     limits = [pl.col("kept")] if "kept" in table.columns else []
     limits += [pl.col("frame") < end_frame] if end_frame is not None and "frame" in table.columns else []
     return table.filter(*limits)
@@ -199,7 +202,7 @@ def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:
     """(N,) numbers of the objects that the rows of a table are of, from 0; a row without a track is one of its own."""
     if "track_id" not in table.columns:
         return np.arange(table.height)
-    ranks = table["track_id"].cast(pl.String).rank("dense").to_numpy().astype(float)
+    ranks = table["track_id"].rank("dense").to_numpy().astype(float)
     untracked = np.isnan(ranks)
     alone = table.height + np.cumsum(untracked)
     return np.where(untracked, alone, np.nan_to_num(ranks) - 1).astype(np.int64)

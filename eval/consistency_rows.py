@@ -5,7 +5,8 @@ from typing import Final
 
 from roadperc_stream.output.text_table import TextRow
 
-from .consistency import JUDGED, LEVEL, Consistency
+from .comparison.bootstrap import LEVEL
+from .consistency import JUDGED, Consistency
 from .grid import percent
 from .summary import Summary
 

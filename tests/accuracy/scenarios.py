@@ -4,6 +4,7 @@ import os
 from dataclasses import dataclass
 
 from tests.accuracy.drives import ROOT, Drive, Noise, drive
+from tests.conftest import DEFAULT_DATA
 
 CLEAN, MODEST, HEAVY = Noise(), Noise(0.02, 0.01), Noise(0.05, 0.02)
 LANES = "surface,odometry,lanes"
@@ -12,7 +13,7 @@ TAG_NOISES = {percent: Noise(percent / 100, 0.01) for percent in (0, 5, 10, 20, 
 JPEGS = {quality: Noise(jpeg_quality=quality) for quality in (95, 75)}
 BLIND = Noise(0.02, 0.3)
 MODELS = ("plane", "spline", "auto")
-DATA = os.environ.get("ROADPERC_DATA", str(ROOT.parent / "shared" / "data"))
+DATA = os.environ.get("ROADPERC_DATA", str(DEFAULT_DATA))
 
 
 @dataclass(frozen=True)

@@ -171,5 +171,14 @@ def test_damaged_detections_are_an_error_that_names_them(tmp_path, capsys):
     assert target.name in capsys.readouterr().err
 
 
+def test_any_number_in_a_table_is_borne(tmp_path, recwarn):
+    path = frames(tmp_path / "drive.metrics.parquet", [1e99, 0.1, -0.1], [1e-300, 0.1, np.nan])
+    objects(path, kept=[1, 0], distance_m=[1e308, 1.0], true_distance_m=[-1e308, 1.0], distance_std_m=[1.0, 1.0])
+    found = only_run(path)
+    assert list(found) == ["step"]
+    assert found["step"].nees == pytest.approx(5e11)
+    assert not recwarn.list
+
+
 def test_nothing_has_no_shares():
     assert Consistency() + of(1.0) == of(1.0)
