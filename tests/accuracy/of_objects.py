@@ -42,7 +42,7 @@ def recall(replays):
 def false_alarms(replays):
     """Frames with an alarm where there is nothing to hit."""
     flags = np.concatenate([measures.false_alarms(replay.frames) for replay in replays])
-    return Value(float(flags.sum()), None, f"of {len(flags)} frames")
+    return Value(float(flags.sum()), None, f"of {len(flags)}")
 
 
 def impact_known(replays):
