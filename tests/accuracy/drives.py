@@ -51,9 +51,9 @@ def drive(name, seeds=1.0, **options):
     return Drive(name, RenderOptions(**(usual | options)), seeds)
 
 
-def sources_digest():
-    """Of all that decides a rendered log's bytes, so that no log is older than what renders it."""
-    digest = hashlib.sha256()
+def digest_of(options):
+    """Of all that decides a rendered log's bytes, so that no log is older than what it is rendered by."""
+    digest = hashlib.sha256(repr(options).encode())
     for path in sorted((ROOT / "tools").rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:8]
@@ -61,7 +61,8 @@ def sources_digest():
 
 def make_logs(cache, of, seed, noises):
     """The log of a drive under each of several kinds of noise, by noise; what is there is not made again."""
-    targets = {kind: cache / sources_digest() / f"{of.name}-{seed}-{kind.name}.mcap" for kind in noises}
+    folder = cache / f"{of.name}-{digest_of(of.options)}"
+    targets = {kind: folder / f"{seed}-{kind.name}.mcap" for kind in noises}
     wanted = {kind: target for kind, target in targets.items() if not target.exists()}
     clean = cache / f"{of.name}-{seed}-dump"
     if wanted:

@@ -99,7 +99,7 @@ def of_hard_inputs():
         line = partial(bounded, "Lanes and noise", scenarios=scenarios)
         yield from off_by_more(prefix, line)
         yield line(f"{prefix}boundaries measured", REPORTED, value=of_lanes.covered)
-        yield line(f"{prefix}lost without a reason", at_most(0, "%"), value=of_lanes.silent)
+        yield line(f"{prefix}neither measured nor held, without a reason", at_most(0, "%"), value=of_lanes.silent)
 
 
 def of_surface():

@@ -89,11 +89,11 @@ def implausible(frames, narrowest_m=2.0, widest_m=6.0):
     return ~((left > 0) & (right < 0) & (width_m >= narrowest_m) & (width_m <= widest_m))
 
 
-def lost_without_reason(frames):
-    """(N,) of the lost boundaries: whether their frame gives no reason of the lanes'."""
-    lost = sum(frames[f"lane_{side}_status"].eq_missing("lost").cast(pl.Int64) for side in SIDES)
+def absent_without_reason(frames):
+    """(N,) of the boundaries that are neither measured nor held: whether their frame gives no reason of the lanes'."""
+    there = sum(frames[f"lane_{side}_status"].is_in(["measured", "held"]).fill_null(value=False) for side in SIDES)
     silent = [not any(text.startswith("lanes") for text in reasons) for reasons in frames["reasons"].to_list()]
-    return np.repeat(np.array(silent, bool), lost.to_numpy())
+    return np.repeat(np.array(silent, bool), len(SIDES) - there.to_numpy())
 
 
 def share_by_object(wrong, objects, seed=20):

@@ -40,9 +40,9 @@ def implausible(replays):
 
 
 def silent(replays):
-    """Share of lost boundaries without a reason; none where none is lost."""
-    flags = _over_frames(replays, measures.lost_without_reason)
-    return _share(flags, f"{len(flags)} lost") if len(flags) else Value(0.0, None, "none lost")
+    """Share of the boundaries that are absent without a reason; none where none is absent."""
+    flags = _over_frames(replays, measures.absent_without_reason)
+    return _share(flags, f"{len(flags)} absent") if len(flags) else Value(0.0, None, "none absent")
 
 
 def covered(replays):

@@ -35,8 +35,8 @@ CHANGES = (
 SWEPT = (CHANGES[1], drive("bend", scene="bend", weave_m=0.5, seconds=4.0))
 TWO_HZ = drive("two-hz", scene="bend", weave_m=0.5, rate_hz=2.0, seconds=15.0)
 HILL = drive("hill", scene="hill", rate_hz=2.0, seconds=8.0)
-TOWN = drive("town", 2.5, scene="town", path_truth=True, seconds=4.0)
-WHOLE = drive("town-whole", 2.0, scene="town", path_truth=True, whole_boxes=True, seconds=4.0)
+TOWN = drive("town", 2.5, scene="town", path_truth=True, rate_hz=5.0, seconds=8.0)
+WHOLE = drive("town-whole", 2.0, scene="town", path_truth=True, whole_boxes=True, rate_hz=5.0, seconds=8.0)
 LEADS = tuple(drive(f"lead-{scene}", scene=scene, lead_brakes=True, seconds=5.0) for scene in ("straight", "bend"))
 SAMPLE = str(ROOT / "logs" / "sample.mcap")
 KITTI = f"{DATA}/kitti_odometry"

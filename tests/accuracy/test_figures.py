@@ -46,7 +46,7 @@ def test_the_renderer_takes_every_drive():
     [
         (at_most(1, "%"), 1.0, ("≤ 1 %", "1.0 %", True)),
         (at_most(1, "%"), 1.01, ("≤ 1 %", "1.0 %", False)),
-        (at_least(0.995, ""), 0.994, ("≥ 0.995", "0.994", False)),
+        (at_least(0.995, ""), 0.994, ("≥ 0.995", "0.9940", False)),
         (at_most(None, "cm"), 3.0, ("", "3.00 cm", None)),
         (None, 3.0, (None, "3.0 %", None)),
     ],

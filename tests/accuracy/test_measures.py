@@ -77,10 +77,10 @@ def test_lanes_that_are_too_narrow_too_wide_or_beside_the_car_are_implausible():
     assert measures.implausible(frames).tolist() == [False, True, True, True]
 
 
-def test_a_lost_boundary_wants_a_reason_of_the_lanes():
-    frames = lanes(["lost", "lost", "measured"], [0.0] * 3, [0] * 3)
-    frames = frames.with_columns(reasons=pl.Series([["lanes left: too few edges"], ["stereo: no right image"], []]))
-    assert measures.lost_without_reason(frames).tolist() == [False, True]
+def test_an_absent_boundary_wants_a_reason_of_the_lanes():
+    frames = lanes(["lost", "held", None, "measured"], [0.0] * 4, [0] * 4)
+    reasons = [["lanes left: too few edges"], [], ["stereo: no right image"], []]
+    assert measures.absent_without_reason(frames.with_columns(reasons=pl.Series(reasons))).tolist() == [False, True]
 
 
 def test_one_car_seen_for_forty_frames_is_one_car():
