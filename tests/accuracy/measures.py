@@ -91,9 +91,10 @@ def implausible(frames, narrowest_m=2.0, widest_m=6.0):
 
 def absent_without_reason(frames):
     """(N,) of the boundaries that are neither measured nor held: whether their frame gives no reason of the lanes'."""
-    there = sum(frames[f"lane_{side}_status"].is_in(["measured", "held"]).fill_null(value=False) for side in SIDES)
+    statuses = [frames[f"lane_{side}_status"].is_in(["measured", "held"]) for side in SIDES]
+    there = sum(found.fill_null(value=False).to_numpy().astype(int) for found in statuses)
     silent = [not any(text.startswith("lanes") for text in reasons) for reasons in frames["reasons"].to_list()]
-    return np.repeat(np.array(silent, bool), len(SIDES) - there.to_numpy())
+    return np.repeat(np.array(silent, bool), len(SIDES) - there)
 
 
 def share_by_object(wrong, objects, seed=20):
