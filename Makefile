@@ -8,7 +8,7 @@ PICTURES := logs/runs/pictures
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test test-hostile mutants accuracy kills parts bench bench-report fuzz lint pages proto sample pictures docs clean
+.PHONY: demo test test-hostile mutants accuracy accuracy-long kills parts bench bench-report fuzz lint pages proto sample pictures docs clean
 
 $(VENV)/.installed: pyproject.toml
 	@echo "installing into $(VENV): about a minute"
@@ -43,7 +43,12 @@ fuzz: N = 2000
 fuzz: $(VENV)/.installed  # inputs that are wrong in some place, to every command: make fuzz N=20000 SEED=2
 	$(BIN)/python -m tests.fuzz --count $(N) --seed $(SEED) --jobs $(JOBS)
 
-accuracy: $(VENV)/.installed
+SEEDS ?= 4
+PAGE ?=
+accuracy: $(VENV)/.installed  # every figure, required beside measured: make accuracy SEEDS=2, PAGE=docs/accuracy.md writes it
+	$(BIN)/python -m tests.accuracy --seeds $(SEEDS) --jobs $(JOBS) $(if $(PAGE),--page $(PAGE))
+
+accuracy-long: $(VENV)/.installed  # the tests of accuracy at full size
 	$(BIN)/python -m pytest -m accuracy -s
 
 KILLS ?= 100

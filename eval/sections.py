@@ -10,6 +10,7 @@ from roadperc_stream.core.datatypes import ReasonKind
 from roadperc_stream.core.reasons import merged, ranked
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
+from .consistency_rows import CONSISTENCY_HEADERS, consistency_notes, consistency_rows
 from .grid import percent, rounded
 from .quantities import CATEGORIES, SEEN, SIDES, STAGE_TIMES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
 from .scores import Score
@@ -37,6 +38,7 @@ def sections(summaries: Summaries) -> Iterator[TextTable]:
     yield lane_boundaries(summaries)
     yield missing_outputs(summaries)
     yield accuracy(summaries)
+    yield consistency_table(summaries)
     yield detection_counts(summaries)
     yield latency(summaries)
 
@@ -78,6 +80,12 @@ def accuracy(summaries: Summaries) -> TextTable:
     absent = [q.label for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
     notes = (_ERRORS, _COVERAGE, *([f"No frame has a truth for: {'; '.join(absent)}."] if absent else []))
     return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,))
+
+
+def consistency_table(summaries: Summaries) -> TextTable:
+    """Errors in units of the standard deviations that the chain gives, where truth is known."""
+    rows, notes = consistency_rows(summaries), consistency_notes(summaries)
+    return _table("Consistency", CONSISTENCY_HEADERS, rows, summaries, notes, label_columns=17)
 
 
 def detection_counts(summaries: Summaries) -> TextTable:

@@ -19,6 +19,7 @@ from roadperc_stream.core.reasons import ReasonCounts, grouped, merged
 
 from .collecting import collect
 from .configurations import Group
+from .consistency import Consistency, added, consistency_of_run
 from .distribution import Distribution, Sketch, exactly, thinned
 from .quantities import CATEGORIES, NUMBERS, SUSPECT, TRUTH, Quantity
 from .runs import Run
@@ -59,7 +60,8 @@ class Summary:
     ``statistics`` holds the numeric columns that have values; ``categories`` counts the values of each text column;
     ``missing`` counts frames per role without a message, ``incomplete`` frames where any role is without, ``reasons``
     say why something is absent; ``worst`` holds the worst frames, the worst first. ``totals`` are the sums of the
-    counting columns that have values, ``correlations`` per side those of the smoothed offset with its truth, by shift.
+    counting columns that have values, ``correlations`` per side those of the smoothed offset with its truth, by shift;
+    ``consistency`` holds the quantities whose truth is known, with their errors in units of their standard deviations.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Summary:
     reasons: ReasonCounts
     totals: Mapping[str, int]
     correlations: Mapping[str, tuple[float | None, ...]]
+    consistency: Mapping[str, Consistency]
     worst: Mapping[str, tuple[WorstFrame, ...]] = field(repr=False)
 
     @property
@@ -193,6 +196,7 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
         grouped(_counter(found["reasons"])),
         {name: found[name] for name in COUNTS if found[name] is not None},
         {side: tuple(found[f"correlations {side}"]) for side in TRACED},
+        consistency_of_run(run),
         {q.column: _ranking(run, found[f"worst {q.column}"]) for q in _RANKED if q.column in present},
     )
     return summary, {name: thinned(distribution, points) for name, distribution in distributions.items()}
@@ -216,6 +220,7 @@ def _together(summaries: Sequence[Summary], sketches: Mapping[str, Sketch], wors
         merged(summary.reasons for summary in summaries),
         _added(summary.totals for summary in summaries),
         {side: averaged((summary.frames, summary.correlations[side]) for summary in summaries) for side in TRACED},
+        added(summary.consistency for summary in summaries),
         {q.column: ranking for q in _RANKED if (ranking := _merged(summaries, q, worst))},
     )
 

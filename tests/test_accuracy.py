@@ -1,6 +1,6 @@
 """What the chain gets right on rendered drives, where the truth is known; accuracy beside coverage.
 
-The long forms, at full size and over several seeds, run with ``make accuracy``; a short form of each runs always.
+The long forms, at full size and over several seeds, run with ``make accuracy-long``; a short form of each runs always.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """How far odometry errs in whole replays of a rendered town, by what the log has to measure depth with.
 
 The poses are those of the results' topic, the truth is the input's; stereo's depth is matched in the same replay. The
-long forms, at full size over 20 s, run with ``make accuracy``; a short form runs always.
+long forms, at full size over 20 s, run with ``make accuracy-long``; a short form runs always.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The height field on rendered hills, whose heights are known. The long form runs with ``make accuracy``."""
+"""The height field on rendered hills, whose heights are known. The long form runs with ``make accuracy-long``."""
 
 from pathlib import Path
 

@@ -26,7 +26,7 @@ def frame_metrics(
         odometry_columns(result.odometry),
         surface_errors(cfg, result, sample),
         lane_errors(result.lanes, truth.lanes),
-        true_lane_columns(truth.lanes),
+        true_lane_columns(result.lanes, truth.lanes),
         lane_benchmarks(result.lanes, truth.lanes, frame.camera, frame.ego_T_camera),
         object_errors(result.objects, truth.objects),
         true_impact(truth.objects),

@@ -63,12 +63,21 @@ def lane_error_m(boundary: Boundary, truth: Boundary) -> float | None:
     return float(y - np.interp(x, line[:, 0], line[:, 1]))
 
 
-def true_lane_columns(truth: Lanes | None) -> TrueLaneColumns:
-    """Where the true boundaries are at the ego origin, for the smoothed ones' jitter and lag."""
+def true_lane_columns(lanes: Lanes | Absent, truth: Lanes | None) -> TrueLaneColumns:
+    """Where the true boundaries are at the ego origin, for the smoothed ones' jitter and lag, and their heading."""
     if truth is None:
         return TrueLaneColumns()
     offsets = truth.side("left").offset_m, truth.side("right").offset_m
-    return TrueLaneColumns(*offsets, truth.lane_change, truth.lane_changes)
+    return TrueLaneColumns(*offsets, truth.lane_change, truth.lane_changes, _true_heading_deg(lanes, truth))
+
+
+def _true_heading_deg(lanes: Lanes | Absent, truth: Lanes) -> float | None:
+    """The mean true heading of the boundaries whose mean heading the row has; in a bend the two sides differ."""
+    if isinstance(lanes, Absent):
+        return None
+    headings = [truth.side(side).heading for side in SIDES if lanes.side(side).heading is not None]
+    known = [heading for heading in headings if heading is not None]
+    return float(np.degrees(np.mean(known))) if known and len(known) == len(headings) else None
 
 
 def lane_benchmarks(

@@ -43,16 +43,19 @@ def _position_and_quaternion(odom_T_ego: Float) -> tuple[float, ...]:
 
 
 def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: EarlierTruth | None) -> OdometryErrorColumns:
-    """What is left of the step when the true one is undone: its length and its angle."""
+    """What is left of the step when the true one is undone, its length and its angle, and those of the true step."""
     if isinstance(odometry, Absent) or odometry.step is None or previous is None:
         return OdometryErrorColumns()
     before, now = previous.odom_T_ego, sample.truth.odom_T_ego
     if before is None or now is None or odometry.since_ns != previous.stamp_ns:
         return OdometryErrorColumns()
-    remainder = inverse(inverse(before) @ now) @ odometry.step
+    true_step = inverse(before) @ now
+    remainder = inverse(true_step) @ odometry.step
     return OdometryErrorColumns(
         step_error_m=None if odometry.up_to_scale else _length_m(remainder),
         turn_error_deg=rotation_angle_deg(remainder),
+        true_step_m=_length_m(true_step),
+        true_turn_deg=rotation_angle_deg(true_step),
     )
 
 

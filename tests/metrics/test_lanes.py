@@ -119,5 +119,19 @@ def test_columns_at_rows():
 
 
 def test_true_offsets_are_those_of_the_truth():
-    assert true_lane_columns(TRUTH) == TrueLaneColumns(1.8, -1.9)
-    assert true_lane_columns(None) == TrueLaneColumns()
+    assert true_lane_columns(NOTHING, TRUTH) == TrueLaneColumns(1.8, -1.9)
+    assert true_lane_columns(NOTHING, None) == TrueLaneColumns()
+
+
+@pytest.mark.parametrize(
+    ("lost", "expected"), [((), 2.0), (("left",), 3.0), (("right",), 1.0), (("left", "right"), None)]
+)
+def test_the_true_heading_is_that_of_the_boundaries_that_are_found(lost, expected):
+    truth = Lanes((boundary(1.8, np.radians(1.0)), boundary(-1.9, np.radians(3.0), side="right")))
+    found = Lanes(tuple(Boundary(b.side, "lost") if b.side in lost else b for b in TRUTH.boundaries))
+    assert true_lane_columns(found, truth).lane_true_heading_deg == (expected and pytest.approx(expected))
+
+
+def test_without_one_of_the_true_headings_there_is_none():
+    truth = Lanes((TRUTH.side("left"), replace(TRUTH.side("right"), heading=None)))
+    assert true_lane_columns(TRUTH, truth).lane_true_heading_deg is None

@@ -34,6 +34,11 @@ def test_a_turn_that_is_off():
     assert row_of(moved(1.0, 0.0, 3.0), moved(1.0, 0.0, 1.0)).turn_error_deg == pytest.approx(2.0)
 
 
+def test_the_true_step_stands_beside_the_estimated_one():
+    row = row_of(moved(13.0, 4.0), moved(3.0, 4.0, 2.0))
+    assert (row.true_step_m, row.true_turn_deg) == (pytest.approx(5.0), pytest.approx(2.0))
+
+
 def test_the_true_step_has_no_error_and_the_true_pose_is_in_the_row():
     row = row_of(moved(1.0, 0.0), moved(1.0, 0.0))
     assert (row.step_error_m, row.turn_error_deg) == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.0, abs=1e-6))
@@ -51,4 +56,4 @@ def test_a_step_without_scale_has_no_length_error():
 def test_without_truth_there_is_no_true_pose():
     sample, result = sample_and_result()
     row = frame_metrics(CFG, "id", sample, result)
-    assert (row.true_x_m, row.true_qw, row.step_error_m) == (None, None, None)
+    assert (row.true_x_m, row.true_qw, row.step_error_m, row.true_step_m) == (None, None, None, None)

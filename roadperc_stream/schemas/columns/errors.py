@@ -96,6 +96,14 @@ class TrueLaneColumns:
         int | None,
         Column("how often the car's reference point has truly come into another lane", COUNT, "the log says none"),
     ] = None
+    lane_true_heading_deg: Annotated[
+        float | None,
+        Column(
+            "true heading, the mean over the boundaries that `lane_heading_deg` is the mean of",
+            "deg",
+            "both boundaries are lost, or one of them has no true heading",
+        ),
+    ] = None
 
 
 def _culane(what: str, threshold: str) -> Column:
@@ -250,6 +258,14 @@ class OdometryErrorColumns:
             decimals=4,
             better="low",
         ),
+    ] = None
+    true_step_m: Annotated[
+        float | None,
+        Column("true length of the step that `step_m` is the length of", "m", "no step, or no true pose at either end"),
+    ] = None
+    true_turn_deg: Annotated[
+        float | None,
+        Column("true angle of the turn that `turn_deg` is the angle of", "deg", "the same"),
     ] = None
 
 

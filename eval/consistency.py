@@ -1,0 +1,238 @@
+"""Whether the chain's standard deviations can be believed: errors against truth in units of their own deviation.
+
+The mean of the squares is the normalised estimation error squared (NEES; Bar-Shalom, Li and Kirubarajan, "Estimation
+with Applications to Tracking and Navigation", 2001, section 5.4): 1 for a deviation that is right, more where it
+claims too much. The chi-squared bounds of the book want independent errors, which neighbouring frames do not have, nor
+the rows of one object: the interval is that of a ratio of sums over blocks (Cochran, "Sampling Techniques", 1977, 6.3)
+that may be taken as independent: stretches of frames as long as the errors' own correlation asks for, or objects.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import polars as pl
+import polars.selectors as cs
+from numpy.typing import NDArray
+from scipy import stats
+
+from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX
+from roadperc_stream.core.geometry import Float
+
+from .collecting import collect
+from .comparison.bootstrap import LEVEL, block_length
+from .runs import Run
+from .scan import rows_of
+
+_FARTHEST: Final = 1e6
+"""Normalised errors count as this at most: whoever is farther off is no better known, and sums stay finite."""
+_FEWEST_BLOCKS: Final = 8
+"""Below, an interval says more of the few blocks than of the errors."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A quantity with its truth and its standard deviation: three columns of a table, in one unit."""
+
+    name: str
+    estimate: str
+    truth: str
+    std: str
+
+
+FRAME_QUANTITIES: Final = (
+    *(
+        Judged(
+            f"lane {side} offset", f"lane_{side}_offset_m", f"lane_{side}_true_offset_m", f"lane_{side}_offset_std_m"
+        )
+        for side in ("left", "right")
+    ),
+    Judged("lane heading", "lane_heading_deg", "lane_true_heading_deg", "lane_heading_std_deg"),
+    Judged("step", "step_m", "true_step_m", "step_std_m"),
+    Judged("turn", "turn_deg", "true_turn_deg", "turn_std_deg"),
+)
+"""Of the table with a row per frame."""
+OBJECT_QUANTITIES: Final = (
+    Judged("distance", "distance_m", "true_distance_m", "distance_std_m"),
+    Judged("closing speed", "closing_speed_mps", "true_closing_speed_mps", "closing_speed_std_mps"),
+    Judged("time to impact", "time_to_impact_s", "true_time_to_impact_s", "time_to_impact_std_s"),
+)
+"""Of the table with a row per detection; those that were kept count."""
+JUDGED: Final = (*FRAME_QUANTITIES, *OBJECT_QUANTITIES)
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Sums over normalised errors, from which those over several tables follow by adding.
+
+    ``errors`` counts the values whose truth is known, ``values`` those of them with a standard deviation above zero;
+    ``within_1`` to ``within_3`` how many of these are off by at most so many of it. With S the sum of the squared
+    normalised errors of a block and N its number of values, the others are sums over the ``blocks``: of S, of S², S N
+    and N².
+    """
+
+    errors: int = 0
+    values: int = 0
+    within_1: int = 0
+    within_2: int = 0
+    within_3: int = 0
+    blocks: int = 0
+    squares: float = 0.0
+    s_s: float = 0.0
+    s_n: float = 0.0
+    n_n: float = 0.0
+
+    def __add__(self, other: "Consistency") -> "Consistency":
+        """Both together."""
+        return Consistency(*(getattr(self, field.name) + getattr(other, field.name) for field in fields(self)))
+
+    def within(self, sigmas: int) -> float:
+        """Share of the values that are off by at most 1, 2 or 3 standard deviations."""
+        counted = (self.within_1, self.within_2, self.within_3)
+        return counted[sigmas - 1] / self.values
+
+    @property
+    def nees(self) -> float:
+        """Mean of the squared normalised errors."""
+        return self.squares / self.values
+
+    @property
+    def nees_interval(self) -> tuple[float, float] | None:
+        """Interval of the mean at ``LEVEL``, by blocks; None where there are too few.
+
+        The mean is positive and its distribution skewed: the interval is symmetric in the logarithm.
+        """
+        if self.blocks < _FEWEST_BLOCKS or self.squares == 0:
+            return None
+        mean = self.nees
+        scatter = max(self.s_s - 2 * mean * self.s_n + mean**2 * self.n_n, 0.0)
+        error = np.sqrt(scatter * self.blocks / (self.blocks - 1)) / self.values
+        factor = float(np.exp(stats.t.ppf((1 + LEVEL) / 2, self.blocks - 1) * error / mean))
+        return mean / factor, mean * factor
+
+
+def consistency(normalised: Float, blocks: NDArray[np.int64], errors: int) -> Consistency:
+    """The sums over (N,) normalised errors with the block (N,) that each is of, from 0; ``errors`` is at least N."""
+    sizes = np.abs(normalised)
+    squares = np.bincount(blocks, sizes**2)
+    numbers = np.bincount(blocks)
+    within_1, within_2, within_3 = (int(np.count_nonzero(sizes <= sigmas)) for sigmas in (1, 2, 3))
+    return Consistency(
+        errors=errors,
+        values=len(sizes),
+        within_1=within_1,
+        within_2=within_2,
+        within_3=within_3,
+        blocks=int(np.count_nonzero(numbers)),
+        squares=float(squares.sum()),
+        s_s=float(squares @ squares),
+        s_n=float(squares @ numbers),
+        n_n=float(numbers @ numbers),
+    )
+
+
+def consistency_of_frames(normalised: Float, errors: int) -> Consistency:
+    """The same of errors in the order of the frames: a block is as long as the squares' correlation asks for."""
+    length = block_length(normalised**2) if len(normalised) else 1
+    return consistency(normalised, np.arange(len(normalised)) // length, errors)
+
+
+def consistency_of_run(run: Run) -> dict[str, Consistency]:
+    """Of each quantity whose truth is known anywhere in a run, by name; without a standard deviation it is empty.
+
+    Raises:
+        TableError: the data of a table cannot be read.
+    """
+    frames = collect(rows_of(run).select(_columns(FRAME_QUANTITIES)), run.source_name)
+    found = {judged.name: _of_frames(errors_of(frames, judged)) for judged in FRAME_QUANTITIES}
+    for objects in (kept_objects(path, end_frame) for path, end_frame in _objects_tables(run)):
+        for judged in OBJECT_QUANTITIES:
+            part = _of_objects(errors_of(objects, judged), objects)
+            found[judged.name] = found.get(judged.name, Consistency()) + part
+    return {name: sums for name, sums in found.items() if sums.errors}
+
+
+def added(parts: Iterable[Mapping[str, Consistency]]) -> dict[str, Consistency]:
+    """Those of several runs together."""
+    total: dict[str, Consistency] = {}
+    for part in parts:
+        for name, sums in part.items():
+            total[name] = total.get(name, Consistency()) + sums
+    return total
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of the (N,) rows whose truth is known, ``normalised`` by their deviation: NaN where there is none."""
+
+    rows: NDArray[np.int64]
+    error: Float
+    normalised: Float
+
+
+def errors_of(table: pl.DataFrame, judged: Judged) -> Errors:
+    """Estimate minus truth in the rows of a table that has both; no rows where it lacks either column."""
+    estimate, truth, std = (_values(table, name) for name in (judged.estimate, judged.truth, judged.std))
+    with np.errstate(over="ignore", invalid="ignore"):  # tables may hold any number
+        error = estimate - truth
+        normalised = error / np.where(std > 0, std, np.nan)
+    rows = np.flatnonzero(np.isfinite(error))
+    return Errors(rows, error[rows], np.clip(normalised[rows], -_FARTHEST, _FARTHEST))
+
+
+def kept_objects(path: Path, end_frame: int | None = None) -> pl.DataFrame:
+    """The rows of kept detections in a table of them, with what they are judged by, those columns that it has.
+
+    Frames from ``end_frame`` on do not count.
+
+    Raises:
+        TableError: the data cannot be read.
+    """
+    kinds = {"frame": pl.Int64, "kept": pl.Boolean, "track_id": pl.String}
+    keys = [cs.by_name(name, require_all=False).cast(kind) for name, kind in kinds.items()]
+    table = collect(pl.scan_parquet(path, glob=False).select(*keys, _columns(OBJECT_QUANTITIES)), str(path))
+    limits = [pl.col("kept")] if "kept" in table.columns else []
+    limits += [pl.col("frame") < end_frame] if end_frame is not None and "frame" in table.columns else []
+    return table.filter(*limits)
+
+
+def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:
+    """(N,) numbers of the objects that the rows of a table are of, from 0; a row without a track is one of its own."""
+    if "track_id" not in table.columns:
+        return np.arange(table.height)
+    ranks = table["track_id"].rank("dense").to_numpy().astype(float)
+    untracked = np.isnan(ranks)
+    alone = table.height + np.cumsum(untracked)
+    return np.where(untracked, alone, np.nan_to_num(ranks) - 1).astype(np.int64)
+
+
+def _of_frames(found: Errors) -> Consistency:
+    known = found.normalised[np.isfinite(found.normalised)]
+    return consistency_of_frames(known, len(found.error))
+
+
+def _of_objects(found: Errors, objects: pl.DataFrame) -> Consistency:
+    known = np.isfinite(found.normalised)
+    return consistency(found.normalised[known], object_numbers(objects)[found.rows[known]], len(found.error))
+
+
+def _objects_tables(run: Run) -> Iterator[tuple[Path, int | None]]:
+    """The tables of detections beside those of frames, where there are any, and where their part of a drive ends."""
+    for table in run.tables:
+        path = table.path.with_name(table.path.name.removesuffix(METRICS_SUFFIX) + OBJECTS_SUFFIX)
+        if table.path.name.endswith(METRICS_SUFFIX) and path.is_file():
+            yield path, table.end_frame
+
+
+def _columns(judged: Sequence[Judged]) -> pl.Expr:
+    names = dict.fromkeys(name for item in judged for name in (item.estimate, item.truth, item.std))
+    return cs.by_name(*names, require_all=False).cast(pl.Float64)
+
+
+def _values(table: pl.DataFrame, name: str) -> Float:
+    """(N,) values of a column, NaN where null, or where the table lacks it."""
+    if name not in table.columns:
+        return np.full(table.height, np.nan)
+    return table[name].to_numpy().astype(float)

@@ -1,0 +1,209 @@
+"""The list of figures: what each is measured on, and what is required of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from tests.accuracy import of_lanes, of_motion, of_objects, of_uncertainty
+from tests.accuracy.running import Results
+from tests.accuracy.scenarios import (
+    AT_TWO_HZ,
+    BRAKING,
+    BY_JPEG,
+    BY_MODEL,
+    BY_TAG_NOISE,
+    CHANGED,
+    KITTI_DRIVE,
+    MODELS,
+    ROADS,
+    STANDARD,
+    TOWNS,
+    WHOLE_BOXES,
+    WITHOUT_DEPTH,
+    Scenario,
+)
+from tests.accuracy.values import Bound, Measured, at_least, at_most, judged, nothing
+
+Measure = Callable[[Results], Measured]
+REPORTED = None
+"""A figure that nothing is required of."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A line of the table: ``required`` in words, and what measures it, which judges as well."""
+
+    section: str
+    name: str
+    required: str
+    scenarios: tuple[Scenario, ...]
+    measure: Measure
+
+    def measured(self, results):
+        """What is measured; where a replay or a column is absent, why it is not."""
+        try:
+            return self.measure(results)
+        except LookupError as absent:
+            return nothing(str(absent))
+
+
+def bounded(section, name, bound: Bound | None, scenarios, value):
+    """A figure whose value, a function of the replays, has to keep a bound."""
+
+    def measure(results):
+        return judged(bound, value(results.of(scenarios)))
+
+    return Figure(section, name, bound.text if bound else "", scenarios, measure)
+
+
+def of_changes():
+    """Changes of lane: left, back, right and broken off, dashed lines."""
+    line = partial(bounded, "Changes of lane", scenarios=CHANGED)
+    return (
+        line("new lane measured and right within 0.3 s of the crossing", at_least(100, "%"), value=of_lanes.handed),
+        line("`lane_changes` as often as it was", at_least(100, "%"), value=of_lanes.counted),
+        line("both measured, but not left > 0 > right or 2 to 6 m wide", at_most(0, "%"), value=of_lanes.implausible),
+        *off_by_more("", line),
+        line("offset at the car, median", at_most(2, "cm"), value=of_lanes.median_at_car),
+        line("offset at the car, 95 %", at_most(6, "cm"), value=of_lanes.p95_at_car),
+    )
+
+
+def off_by_more(prefix, line):
+    """What is required of measured boundaries at any noise."""
+    return (
+        line(f"{prefix}measured, off by more than 0.3 m at the car", at_most(1, "%"), value=of_lanes.gross_at_car),
+        line(f"{prefix}measured, off by more than 0.3 m 10 m ahead", at_most(1, "%"), value=of_lanes.gross_ahead),
+    )
+
+
+COVERED = {0: REPORTED, 5: REPORTED, 10: at_least(90, "%"), 20: at_least(60, "%"), 40: at_least(25, "%")}
+PRECISE = {5: (2, 6), 10: (4, 15)}
+
+
+def of_tag_noise():
+    """The same drives at five levels of noise."""
+    for percent, scenarios in BY_TAG_NOISE.items():
+        line, prefix = partial(bounded, "Lanes and noise", scenarios=scenarios), f"tag noise {percent} %: "
+        yield from off_by_more(prefix, line)
+        yield line(f"{prefix}boundaries measured", COVERED[percent], value=of_lanes.covered)
+        median_cm, p95_cm = PRECISE.get(percent, (None, None))
+        yield line(f"{prefix}offset at the car, median", at_most(median_cm, "cm"), value=of_lanes.median_at_car)
+        yield line(f"{prefix}offset at the car, 95 %", at_most(p95_cm, "cm"), value=of_lanes.p95_at_car)
+
+
+def of_hard_inputs():
+    """JPEG tags, depth that fails, few frames a second."""
+    kinds = {f"tags as JPEG {quality}: ": scenarios for quality, scenarios in BY_JPEG.items()}
+    for prefix, scenarios in (kinds | {"depth noise 30 %: ": WITHOUT_DEPTH, "2 Hz: ": AT_TWO_HZ}).items():
+        line = partial(bounded, "Lanes and noise", scenarios=scenarios)
+        yield from off_by_more(prefix, line)
+        yield line(f"{prefix}boundaries measured", REPORTED, value=of_lanes.covered)
+        yield line(f"{prefix}neither measured nor held, without a reason", at_most(0, "%"), value=of_lanes.silent)
+
+
+def of_surface():
+    """The model that is chosen by evidence, against the two it chooses from."""
+    for road in ROADS:
+        for name, column in (
+            ("road height 5 to 40 m ahead", "surface_height_error_m"),
+            ("left boundary 10 m ahead", "lane_left_error_m"),
+        ):
+            measure = partial(of_motion.by_model, road, column)
+            scenarios = tuple(scenario for model in MODELS for scenario in BY_MODEL[road, model])
+            title = f"{road}: {name}, median, plane / spline / auto"
+            yield Figure("Surface", title, "auto ≤ 1.1 of the better", scenarios, measure)
+
+
+def of_odometry():
+    """One camera at a known height, on real images."""
+    line = partial(bounded, "One camera, KITTI", scenarios=KITTI_DRIVE)
+    return (
+        line("step, median error", at_most(2, "%"), value=of_motion.step_error),
+        line("length of the path", at_most(2, "%"), value=of_motion.length_error),
+        line("steps with scale", at_least(95, "%"), value=of_motion.with_scale),
+    )
+
+
+DISTANCES = ((0, 10), (10, 20), (20, 40), (40, 80))
+OFF_BY_A_METRE = {"1+2 %": (1, 3, 4, 5), "2+5 %": (1, 5, 12, 15)}
+
+
+def of_distances():
+    """Kept detections whose distance is off by more than a metre, by their true distance."""
+    cases = [(f"noise {level}: ", TOWNS[level], limits) for level, limits in OFF_BY_A_METRE.items()]
+    cases.append(("boxes of whole objects: ", WHOLE_BOXES, tuple(2 * limit for limit in OFF_BY_A_METRE["1+2 %"])))
+    for prefix, scenarios, limits in cases:
+        for (nearest_m, farthest_m), limit in zip(DISTANCES, limits, strict=True):
+            value = partial(of_objects.off_by_a_metre, nearest_m=nearest_m, farthest_m=farthest_m)
+            name = f"{prefix}off by over 1 m, {nearest_m} to {farthest_m} m"
+            yield bounded("Distances, town", name, at_most(limit, "%"), scenarios, value)
+
+
+def of_filter():
+    """Detections kept and dropped."""
+    for name, scenarios, precision in (("sample", STANDARD, 0.82), ("town", TOWNS["1+2 %"], 0.93)):
+        line = partial(bounded, "Filter", scenarios=scenarios)
+        yield line(f"{name}: precision", at_least(precision, ""), value=of_objects.precision)
+        yield line(f"{name}: recall", at_least(0.995, ""), value=of_objects.recall)
+
+
+def of_impact():
+    """Time to impact, with and without one."""
+    for name, scenarios in (("sample", STANDARD), ("town", TOWNS["1+2 %"]), ("braking lead car", BRAKING["1+2 %"])):
+        title = f"{name}: below 1.5 s where the true one is above 2 s or absent"
+        yield bounded("Impact", title, at_most(0, "frames"), scenarios, of_objects.false_alarms)
+    line = partial(bounded, "Impact", scenarios=BRAKING["1+2 %"])
+    yield line("braking lead car, 0.5 to 3 s: frames with a value", at_least(95, "%"), value=of_objects.impact_known)
+    yield line("braking lead car, 0.5 to 3 s: error, median", at_most(0.2, "s"), value=of_objects.impact_median)
+    yield line("braking lead car, 0.5 to 3 s: error, 95 %", at_most(0.5, "s"), value=of_objects.impact_p95)
+
+
+def of_deviations():
+    """Within one and two standard deviations, and beyond three."""
+    for level, towns in TOWNS.items():
+        for quantity, beyond in of_uncertainty.QUANTITIES.items():
+            scenarios = (*towns, *BRAKING[level])
+            measure = partial(of_uncertainty.shares, quantity, scenarios, beyond)
+            required = f"50 to 85 / ≥ 90 / ≤ {beyond} %"
+            yield Figure(
+                "Uncertainty",
+                f"noise {level}: {quantity}, within 1 and 2 deviations, beyond 3",
+                required,
+                scenarios,
+                measure,
+            )
+
+
+STANDARD_TODAY = (
+    ("lane left 10 m ahead", "lane_left_error_m", 100, "cm", 0.62, 1.37),
+    ("lane right 10 m ahead", "lane_right_error_m", 100, "cm", 0.42, 0.85),
+    ("road height 5 to 40 m ahead", "surface_height_error_m", 100, "cm", 13.04, 15.31),
+    ("step", "step_error_m", 1000, "mm", 1.34, 3.98),
+    ("turn", "turn_error_deg", 1, "°", 0.0077, 0.0151),
+    ("stereo disparity", "stereo_epe_px", 1, "px", 0.404, 0.471),
+)
+"""What version 0.1.0 measures on ``logs/sample.mcap``, median and 95 %: never worse."""
+
+
+def of_standard():
+    """The drive of ``make demo``."""
+    for name, column, factor, unit, median, p95 in STANDARD_TODAY:
+        for share, limit in ((0.5, median), (0.95, p95)):
+            value = partial(of_motion.error_quantile, column=column, factor=factor, share=share)
+            title = f"{name}, {'median' if share == 0.5 else '95 %'}"
+            yield bounded("Sample", title, at_most(limit, unit), STANDARD, value)
+
+
+FIGURES = (
+    *of_changes(),
+    *of_tag_noise(),
+    *of_hard_inputs(),
+    *of_surface(),
+    *of_odometry(),
+    *of_distances(),
+    *of_filter(),
+    *of_impact(),
+    *of_deviations(),
+    *of_standard(),
+)

@@ -1,0 +1,151 @@
+"""The arithmetic of the figures: pure functions of the tables of replays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+
+SIDES = ("left", "right")
+CROSSING_S = 0.3
+"""From so long before a crossing until so long after it which lane is the car's own is not to be asked."""
+RESAMPLES = 2000
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Boundaries:
+    """Boundaries with a truth, both sides of all frames: ``measured`` (N,), errors of the measured ones, metres."""
+
+    measured: np.ndarray
+    at_car_m: np.ndarray
+    ahead_m: np.ndarray
+
+    @property
+    def coverage(self):
+        """Share that is measured."""
+        return float(self.measured.mean()) if len(self.measured) else None
+
+
+def crossings_ns(frames):
+    """Stamps of the frames in which the car has come into another lane."""
+    if frames["true_lane_changes"].null_count() == frames.height:
+        return np.array([], np.int64)
+    steps = np.diff(frames["true_lane_changes"].to_numpy())
+    return frames["stamp_ns"].to_numpy()[1:][steps > 0]
+
+
+def away_from(stamps_ns, instants_ns, margin_s=CROSSING_S):
+    """(N,) whether each stamp is farther than a margin from every instant."""
+    away = np.ones(len(stamps_ns), bool)
+    for instant in instants_ns:
+        away &= np.abs(stamps_ns - instant) > round(margin_s * 1e9)
+    return away
+
+
+def boundaries(replays):
+    """The boundaries of several replays, those of frames near a crossing left out."""
+    parts = [_boundaries(replay.frames, side) for replay in replays for side in SIDES]
+    return Boundaries(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _boundaries(frames, side):
+    away = away_from(frames["stamp_ns"].to_numpy(), crossings_ns(frames))
+    rows = frames.filter(pl.Series(away) & pl.col(f"lane_{side}_true_offset_m").is_not_null())
+    measured = rows[f"lane_{side}_status"].eq_missing("measured").to_numpy()
+    found = rows.filter(pl.Series(measured, dtype=pl.Boolean))
+    at_car_m = found[f"lane_{side}_offset_m"] - found[f"lane_{side}_true_offset_m"]
+    return measured, _known(at_car_m), _known(found[f"lane_{side}_error_m"])
+
+
+def share_above(errors, limit):
+    """Share of errors whose size is above a limit; None of none."""
+    return float(np.mean(np.abs(errors) > limit)) if len(errors) else None
+
+
+def quantile(errors, share):
+    """Quantile of the errors' sizes; None of none."""
+    return float(np.quantile(np.abs(errors), share)) if len(errors) else None
+
+
+def handed_over(frames, within_s=CROSSING_S, tolerance_m=0.3):
+    """For each crossing, whether both boundaries of the new lane are measured, and right, in time after it."""
+    stamps_ns = frames["stamp_ns"].to_numpy()
+    right = np.ones(frames.height, bool)
+    for side in SIDES:
+        error_m = (frames[f"lane_{side}_offset_m"] - frames[f"lane_{side}_true_offset_m"]).to_numpy().astype(float)
+        measured = frames[f"lane_{side}_status"].eq_missing("measured").to_numpy()
+        right &= measured & (np.abs(np.nan_to_num(error_m, nan=np.inf)) <= tolerance_m)
+    return [
+        bool(right[(stamps_ns >= instant) & (stamps_ns <= instant + round(within_s * 1e9))].any())
+        for instant in crossings_ns(frames)
+    ]
+
+
+def implausible(frames, narrowest_m=2.0, widest_m=6.0):
+    """(N,) of the frames with both boundaries measured: whether these cannot be those of the car's lane."""
+    both = frames.filter(pl.all_horizontal(pl.col(f"lane_{side}_status") == "measured" for side in SIDES))
+    left, right = (both[f"lane_{side}_offset_m"].to_numpy() for side in SIDES)
+    width_m = left - right
+    return ~((left > 0) & (right < 0) & (width_m >= narrowest_m) & (width_m <= widest_m))
+
+
+def absent_without_reason(frames):
+    """(N,) of the boundaries that are neither measured nor held: whether their frame gives no reason of the lanes'."""
+    statuses = [frames[f"lane_{side}_status"].is_in(["measured", "held"]) for side in SIDES]
+    there = sum(found.fill_null(value=False).to_numpy().astype(int) for found in statuses)
+    silent = [not any(text.startswith("lanes") for text in reasons) for reasons in frames["reasons"].to_list()]
+    return np.repeat(np.array(silent, bool), len(SIDES) - there)
+
+
+def share_by_object(wrong, objects, seed=20):
+    """A share of rows with its interval, by resampling objects: one car seen for 40 frames is one car.
+
+    Args:
+        wrong: (N,) bool.
+        objects: (N,) numbers of the objects that the rows are of.
+        seed: of the resampling.
+
+    Returns:
+        The share, and the ends of its interval at LEVEL; None of no rows.
+    """
+    if not len(wrong):
+        return None
+    _, places = np.unique(objects, return_inverse=True)
+    sums, counts = np.bincount(places, wrong), np.bincount(places)
+    picks = np.random.default_rng(seed).integers(len(counts), size=(RESAMPLES, len(counts)))
+    shares = sums[picks].sum(axis=1) / counts[picks].sum(axis=1)
+    low, high = np.quantile(shares, ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    return float(np.mean(wrong)), float(low), float(high)
+
+
+def kept_true(replays, nearest_m, farthest_m):
+    """Rows of kept detections of true objects at such a distance, with a number of their object over all replays."""
+    parts, total = [], 0
+    for replay in replays:
+        rows = replay.objects.filter(
+            pl.col("kept"), pl.col("true_distance_m") >= nearest_m, pl.col("true_distance_m") < farthest_m
+        )
+        names = rows["track_id"].fill_null("none").to_numpy() if rows.height else np.array([], str)
+        numbers = total + np.unique(names, return_inverse=True)[1].reshape(-1)
+        total += len(set(names))
+        parts.append(
+            rows.select("distance_m", "true_distance_m").with_columns(object=pl.Series(numbers, dtype=pl.Int64))
+        )
+    return pl.concat(parts)
+
+
+def false_alarms(frames, alarm_s=1.5, calm_s=2.0):
+    """(N,) of the frames without a true impact before ``calm_s``: whether one is said to come before ``alarm_s``."""
+    calm = frames.filter(pl.col("true_time_to_impact_s").is_null() | (pl.col("true_time_to_impact_s") > calm_s))
+    return (calm["time_to_impact_s"] < alarm_s).fill_null(value=False).to_numpy()
+
+
+def impacts(replays, soonest_s=0.5, latest_s=3.0):
+    """(N, 2) time to impact, estimated (NaN where none) and true, of the frames whose true one is in such a span."""
+    rows = pl.concat([replay.frames.select("time_to_impact_s", "true_time_to_impact_s") for replay in replays])
+    near = rows.filter(pl.col("true_time_to_impact_s").is_between(soonest_s, latest_s))
+    return near.to_numpy().astype(float)
+
+
+def _known(values):
+    return values.drop_nulls().to_numpy().astype(float)

@@ -1,0 +1,83 @@
+"""Values of the lanes' figures."""
+
+import numpy as np
+import polars as pl
+
+from tests.accuracy import measures
+from tests.accuracy.values import Value
+
+
+def _over_frames(replays, function):
+    return np.concatenate([np.asarray(function(replay.frames), bool) for replay in replays])
+
+
+def _share(flags, detail=""):
+    return Value(100 * float(flags.mean()) if len(flags) else None, None, detail)
+
+
+def handed(replays):
+    """Share of crossings after which the lane is handed over in time."""
+    flags = _over_frames(replays, measures.handed_over)
+    return _share(flags, f"{flags.sum()} of {len(flags)} crossings")
+
+
+def counted(replays):
+    """Share of drives that end with the right count of lane changes.
+
+    Raises:
+        LookupError: the chain does not count them.
+    """
+    if any("lane_changes" not in replay.frames.columns for replay in replays):
+        raise LookupError("no column lane_changes")
+    ends = pl.concat([replay.frames.select("lane_changes", "true_lane_changes").tail(1) for replay in replays])
+    return _share(ends["lane_changes"].eq_missing(ends["true_lane_changes"]).to_numpy(), f"{ends.height} drives")
+
+
+def implausible(replays):
+    """Share of frames whose two measured boundaries cannot be the car's lane."""
+    flags = _over_frames(replays, measures.implausible)
+    return Value(_share(flags).number, len(flags) / sum(replay.frames.height for replay in replays))
+
+
+def silent(replays):
+    """Share of the boundaries that are absent without a reason; none where none is absent."""
+    flags = _over_frames(replays, measures.absent_without_reason)
+    return _share(flags, f"{len(flags)} absent") if len(flags) else Value(0.0, None, "none absent")
+
+
+def covered(replays):
+    """Share of boundaries that are measured."""
+    coverage = measures.boundaries(replays).coverage
+    return Value(None if coverage is None else 100 * coverage)
+
+
+def gross_at_car(replays):
+    """Share of the measured ones that are off by more than 0.3 m at the car."""
+    found = measures.boundaries(replays)
+    return _gross(found.at_car_m, found)
+
+
+def gross_ahead(replays):
+    """The same 10 m ahead."""
+    found = measures.boundaries(replays)
+    return _gross(found.ahead_m, found)
+
+
+def median_at_car(replays):
+    """Median error of the measured offsets, cm."""
+    return _quantile(measures.boundaries(replays), 0.5)
+
+
+def p95_at_car(replays):
+    """95 % quantile of it, cm."""
+    return _quantile(measures.boundaries(replays), 0.95)
+
+
+def _gross(errors_m, found):
+    share = measures.share_above(errors_m, 0.3)
+    return Value(None if share is None else 100 * share, found.coverage)
+
+
+def _quantile(found, share):
+    error_m = measures.quantile(found.at_car_m, share)
+    return Value(None if error_m is None else 100 * error_m, found.coverage)

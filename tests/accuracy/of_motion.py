@@ -1,0 +1,66 @@
+"""Values of the figures of surface and odometry, and of errors as the tables have them."""
+
+import polars as pl
+
+from tests.accuracy import measures
+from tests.accuracy.scenarios import BY_MODEL, MODELS
+from tests.accuracy.values import Measured, Value, percent
+
+SLACK = 1.1
+
+
+def errors(replays, column):
+    """The errors of a column that are known, and the share of frames where they are."""
+    values = pl.concat([replay.frames[column] for replay in replays])
+    return values.drop_nulls().to_numpy().astype(float), values.count() / len(values)
+
+
+def error_quantile(replays, column, factor, share):
+    """A quantile of the sizes of a column's errors, in another unit."""
+    found, coverage = errors(replays, column)
+    size = measures.quantile(found, share)
+    return Value(None if size is None else factor * size, coverage)
+
+
+def by_model(road, column, results):
+    """Median errors with each model, and whether the one that is chosen is hardly worse than the better one."""
+    texts, found = [], {}
+    for model in MODELS:
+        try:
+            found[model] = error_quantile(results.of(BY_MODEL[road, model]), column, 100, 0.5)
+            texts.append(f"{found[model].number:.2f}")
+        except LookupError:
+            texts.append("absent")
+    if "auto" not in found:
+        return Measured(f"{' / '.join(texts)} cm", percent(found["plane"].coverage if found else None), None)
+    best = min(found[model].number for model in MODELS[:2])
+    return Measured(f"{' / '.join(texts)} cm", percent(found["auto"].coverage), found["auto"].number <= SLACK * best)
+
+
+def _steps(replays):
+    rows = pl.concat([replay.frames.select("step_m", "true_step_m") for replay in replays])
+    truly = rows.filter(pl.col("true_step_m") > 0)
+    return truly.drop_nulls(), truly.height
+
+
+def step_error(replays):
+    """Median of the relative errors of steps, percent."""
+    steps, total = _steps(replays)
+    if not steps.height:
+        return Value(None, 0.0)
+    relative = (steps["step_m"] / steps["true_step_m"] - 1).abs().median()
+    return Value(100 * relative, steps.height / total)
+
+
+def length_error(replays):
+    """How much the sum of the steps with scale is off from that of their true ones, percent."""
+    steps, total = _steps(replays)
+    if not steps.height:
+        return Value(None, 0.0)
+    return Value(100 * abs(steps["step_m"].sum() / steps["true_step_m"].sum() - 1), steps.height / total)
+
+
+def with_scale(replays):
+    """Share of the steps whose length is known, percent."""
+    steps, total = _steps(replays)
+    return Value(100 * steps.height / total)

@@ -1,0 +1,69 @@
+"""Values of the figures of objects."""
+
+import numpy as np
+import polars as pl
+
+from tests.accuracy import measures
+from tests.accuracy.values import Value
+
+
+def off_by_a_metre(replays, nearest_m, farthest_m):
+    """Share of kept true detections, at such a distance, that are off by more than a metre, with its interval."""
+    rows = measures.kept_true(replays, nearest_m, farthest_m)
+    known = rows.drop_nulls("distance_m")
+    wrong = ((known["distance_m"] - known["true_distance_m"]).abs() > 1.0).to_numpy()
+    found = measures.share_by_object(wrong, known["object"].to_numpy())
+    if found is None:
+        return Value(None)
+    share, low, high = (100 * part for part in found)
+    detail = f"{low:.1f} to {high:.1f}, {known['object'].n_unique()} objects"
+    return Value(share, known.height / rows.height, detail)
+
+
+def _counts(replays):
+    names = ("filter_tp", "filter_fp", "filter_fn")
+    frames = pl.concat([replay.frames.select(names) for replay in replays])
+    coverage = frames["filter_tp"].count() / frames.height
+    return *(int(frames[name].sum()) for name in names), coverage
+
+
+def precision(replays):
+    """Kept detections that stand for a true object / kept ones."""
+    tp, fp, _, coverage = _counts(replays)
+    return Value(tp / (tp + fp) if tp + fp else None, coverage)
+
+
+def recall(replays):
+    """Kept detections that stand for a true object / all that do."""
+    tp, _, fn, coverage = _counts(replays)
+    return Value(tp / (tp + fn) if tp + fn else None, coverage)
+
+
+def false_alarms(replays):
+    """Frames with an alarm where there is nothing to hit."""
+    flags = np.concatenate([measures.false_alarms(replay.frames) for replay in replays])
+    return Value(float(flags.sum()), None, f"of {len(flags)}")
+
+
+def impact_known(replays):
+    """Share of the frames before a true impact that have a time to it, percent."""
+    times_s = measures.impacts(replays)
+    return Value(
+        100 * float(np.isfinite(times_s[:, 0]).mean()) if len(times_s) else None, None, f"{len(times_s)} frames"
+    )
+
+
+def impact_median(replays):
+    """Median error of it, seconds."""
+    return _impact_quantile(replays, 0.5)
+
+
+def impact_p95(replays):
+    """95 % quantile of its error, seconds."""
+    return _impact_quantile(replays, 0.95)
+
+
+def _impact_quantile(replays, share):
+    times_s = measures.impacts(replays)
+    errors_s = (times_s[:, 0] - times_s[:, 1])[np.isfinite(times_s[:, 0])]
+    return Value(measures.quantile(errors_s, share), len(errors_s) / len(times_s) if len(times_s) else None)

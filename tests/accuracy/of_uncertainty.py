@@ -1,0 +1,39 @@
+"""Values of the figures of uncertainty: the report's own table of consistency, over several replays."""
+
+from functools import cache
+
+from roadperc_stream.eval.consistency import Consistency, added, consistency_of_run
+from roadperc_stream.eval.runs import open_run
+from tests.accuracy.values import Measured, nothing, percent
+
+QUANTITIES = {
+    "lane offset": 2,
+    "lane heading": 2,
+    "step": 2,
+    "turn": 2,
+    "distance": 4,
+    "closing speed": 4,
+    "time to impact": 4,
+}
+"""The most of each, in percent, that may lie beyond three standard deviations."""
+PARTS = {"lane offset": ("lane left offset", "lane right offset")}
+
+
+@cache
+def of_replay(path):
+    """The quantities of one replay."""
+    return consistency_of_run(open_run(path, path.name))
+
+
+def shares(quantity, scenarios, beyond_percent, results):
+    """Shares within one and two standard deviations and beyond three, with NEES, pooled over replays."""
+    total = added(of_replay(replay.path) for replay in results.of(scenarios))
+    found = sum((total.get(name, Consistency()) for name in PARTS.get(quantity, (quantity,))), Consistency())
+    if not found.values:
+        return nothing("no standard deviation in the tables" if found.errors else "no truth")
+    within_1, within_2, beyond_3 = found.within(1), found.within(2), 1 - found.within(3)
+    interval = found.nees_interval
+    nees = f"NEES {found.nees:.3g}" + (f", {interval[0]:.3g} to {interval[1]:.3g}" if interval else "")
+    met = 0.5 <= within_1 <= 0.85 and within_2 >= 0.9 and 100 * beyond_3 <= beyond_percent
+    text = f"{100 * within_1:.1f} / {100 * within_2:.1f} / {100 * beyond_3:.1f} % ({nees})"
+    return Measured(text, percent(found.values / found.errors), met)

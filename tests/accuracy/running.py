@@ -1,0 +1,152 @@
+"""Renders and replays what the figures need, some drives at a time, and gives the tables."""
+
+import contextlib
+import io
+import shutil
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import polars as pl
+
+from roadperc_stream.cli import convert
+from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.output.tables import sidecar_path
+from tests.accuracy import kitti
+from tests.accuracy.drives import Drive, make_logs
+from tests.accuracy.scenarios import Scenario
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """The tables of one replay: a row per frame, and a row per detection."""
+
+    scenario: str
+    seed: int
+    path: Path
+    frames: pl.DataFrame
+    objects: pl.DataFrame
+
+
+@dataclass(frozen=True)
+class Results:
+    """The replays of each scenario by its name, and what prevented others."""
+
+    replays: Mapping[str, Sequence[Replayed]]
+    failures: Mapping[str, str]
+
+    def of(self, scenarios):
+        """The replays of several scenarios.
+
+        Raises:
+            LookupError: there is none of one of them; it says why.
+        """
+        for scenario in scenarios:
+            if scenario.name not in self.replays:
+                raise LookupError(self.failures.get(scenario.name, "not run"))
+        return [replay for scenario in scenarios for replay in self.replays[scenario.name]]
+
+
+def seeds_of(source, first, count):
+    """The seeds of a drive of which ``count`` are the usual number; a recording has one."""
+    return range(first, first + max(round(count * source.seeds), 1)) if isinstance(source, Drive) else (first,)
+
+
+def run(scenarios, folder, *, first, count, jobs, said):
+    """Replay scenarios in processes; ``said`` is called with each drive that is done.
+
+    Args:
+        scenarios: what is replayed.
+        folder: of rendered logs, which later runs use again, and of the tables.
+        first: the first seed.
+        count: the usual number of seeds.
+        jobs: processes.
+        said: takes a line of text.
+    """
+    by_source = defaultdict(list)
+    for scenario in scenarios:
+        by_source[scenario.source].append(scenario)
+    replays, failures = defaultdict(list), {}
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        waiting = {
+            pool.submit(replay_source, source, seed, tuple(wanted), folder): (wanted, seed)
+            for source, wanted in by_source.items()
+            for seed in seeds_of(source, first, count)
+        }
+        for number, done in enumerate(as_completed(waiting), 1):
+            wanted, seed = waiting[done]
+            problems = done.result()
+            failures |= problems
+            for scenario in wanted:
+                if scenario.name not in problems:
+                    replays[scenario.name].append(load(scenario, seed, folder))
+            said(f"{number} of {len(waiting)}: {', '.join(scenario.name for scenario in wanted)}, seed {seed}")
+    return Results(replays, failures)
+
+
+def target_of(scenario, seed, folder):
+    """Where the replay of a scenario is written."""
+    return folder / "replays" / f"{scenario.name.replace(' ', '').replace('%', '')}-{seed}.mcap"
+
+
+def load(scenario, seed, folder):
+    """The tables of a scenario's replay."""
+    target = target_of(scenario, seed, folder)
+    path = sidecar_path(target, "metrics")
+    return Replayed(scenario.name, seed, path, pl.read_parquet(path), pl.read_parquet(sidecar_path(target, "objects")))
+
+
+def replay_source(source, seed, scenarios: Sequence[Scenario], folder):
+    """Replay all scenarios of one drive, and say why those that could not be replayed were not, by name."""
+    try:
+        if isinstance(source, Drive):
+            logs = make_logs(folder, source, seed, {scenario.noise for scenario in scenarios})
+        else:
+            logs = {scenario.noise: recording(Path(source), folder) for scenario in scenarios}
+    except (LookupError, RuntimeError) as error:
+        return {scenario.name: str(error) for scenario in scenarios}
+    problems = {scenario.name: replay(scenario, logs[scenario.noise], seed, folder) for scenario in scenarios}
+    return {name: problem for name, problem in problems.items() if problem}
+
+
+def recording(source, folder):
+    """A recording as a log.
+
+    Raises:
+        LookupError: it is not there.
+        RuntimeError: it cannot be converted.
+    """
+    if not source.exists():
+        raise LookupError(f"no recording {source.name}")
+    if source.is_file():
+        return source
+    target = folder / f"{source.name}.mcap"
+    if (source / "image_0").is_dir():
+        kitti.write_dump(source, folder / f"{source.name}-dump")
+        source = folder / f"{source.name}-dump"
+    if convert.main([str(source), str(target), "--quiet", "--force"]) != 0:
+        raise RuntimeError(f"{source.name} cannot be converted")
+    return target
+
+
+def replay(scenario, log, seed, folder):
+    """Replay a log, and keep the tables alone; what went wrong in a line, or nothing."""
+    target = target_of(scenario, seed, folder)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    stages = ["--only", scenario.only] if scenario.only else []
+    settings = [part for setting in scenario.settings for part in ("--set", setting)]
+    errors = io.StringIO()
+    options = ["--quiet", "--force", "--results-only", *stages, *settings]
+    with contextlib.redirect_stderr(errors):
+        code = replay_main([str(log), str(target), *options])
+    target.unlink(missing_ok=True)
+    lines = errors.getvalue().strip().splitlines()
+    return "" if code == 0 else (lines[-1] if lines else f"exit code {code}")
+
+
+def remove_replays(folder):
+    """Begin anew, so that no table of an earlier run is read."""
+    shutil.rmtree(folder / "replays", ignore_errors=True)

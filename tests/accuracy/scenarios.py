@@ -1,0 +1,72 @@
+"""The drives that are measured on, and how each is replayed."""
+
+import os
+from dataclasses import dataclass
+
+from tests.accuracy.drives import ROOT, Drive, Noise, drive
+from tests.conftest import DEFAULT_DATA
+
+CLEAN, MODEST, HEAVY = Noise(), Noise(0.02, 0.01), Noise(0.05, 0.02)
+LANES = "surface,odometry,lanes"
+OBJECTS = "surface,odometry,lanes,objects"
+TAG_NOISES = {percent: Noise(percent / 100, 0.01) for percent in (0, 5, 10, 20, 40)}
+JPEGS = {quality: Noise(jpeg_quality=quality) for quality in (95, 75)}
+BLIND = Noise(0.02, 0.3)
+MODELS = ("plane", "spline", "auto")
+DATA = os.environ.get("ROADPERC_DATA", str(DEFAULT_DATA))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A drive under a kind of noise, or a recording (a log, or a folder to convert), replayed with some stages."""
+
+    name: str
+    source: Drive | str
+    noise: Noise = CLEAN
+    only: str = ""
+    settings: tuple[str, ...] = ()
+
+
+CHANGES = (
+    drive("change-left-back", scene="bend", change_lane="left", change_back=True, seconds=11.0),
+    drive("change-right", scene="town", change_lane="right", seconds=6.5),
+    drive("change-broken-off", scene="straight", change_lane="left", change_broken_off=True, seconds=6.0),
+)
+SWEPT = (CHANGES[1], drive("bend", scene="bend", weave_m=0.5, seconds=4.0))
+TWO_HZ = drive("two-hz", scene="bend", weave_m=0.5, rate_hz=2.0, seconds=15.0)
+HILL = drive("hill", scene="hill", rate_hz=2.0, seconds=8.0)
+TOWN = drive("town", 2.5, scene="town", path_truth=True, rate_hz=5.0, seconds=8.0)
+WHOLE = drive("town-whole", 2.0, scene="town", path_truth=True, whole_boxes=True, rate_hz=5.0, seconds=8.0)
+LEADS = tuple(drive(f"lead-{scene}", scene=scene, lead_brakes=True, seconds=5.0) for scene in ("straight", "bend"))
+SAMPLE = str(ROOT / "logs" / "sample.mcap")
+KITTI = f"{DATA}/kitti_odometry"
+
+
+def swept(prefix, noise):
+    """The drives of the sweep over noise, under one kind of it."""
+    return tuple(Scenario(f"{prefix}, {of.name}", of, noise, LANES) for of in SWEPT)
+
+
+CHANGED = tuple(Scenario(of.name, of, MODEST, LANES) for of in CHANGES)
+BY_TAG_NOISE = {percent: swept(f"tags {percent} %", noise) for percent, noise in TAG_NOISES.items()}
+BY_JPEG = {quality: swept(f"jpeg {quality}", noise) for quality, noise in JPEGS.items()}
+WITHOUT_DEPTH = swept("depth 30 %", BLIND)
+AT_TWO_HZ = (Scenario("2 Hz", TWO_HZ, MODEST, LANES),)
+ROADS = {"hill": HILL, "bend": SWEPT[1], "sample": SAMPLE}
+BY_MODEL = {
+    (road, model): (
+        Scenario(f"{road}, {model}", of, CLEAN if of == SAMPLE else MODEST, LANES, (f"surface.model={model}",)),
+    )
+    for road, of in ROADS.items()
+    for model in MODELS
+}
+TOWNS = {
+    level: (Scenario(f"town, {level}", TOWN, noise, OBJECTS),) for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
+}
+WHOLE_BOXES = (Scenario("town, whole boxes", WHOLE, MODEST, OBJECTS),)
+BRAKING = {
+    level: tuple(Scenario(f"{of.name}, {level}", of, noise, OBJECTS) for of in LEADS)
+    for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
+}
+STANDARD = (Scenario("sample", SAMPLE),)
+KITTI_DRIVE = (Scenario("kitti", KITTI, only="surface,odometry"),)

@@ -1,0 +1,184 @@
+"""Errors in units of their standard deviations: shares, NEES and its interval, with answers worked out by hand."""
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream.cli.report import main
+from roadperc_stream.eval.consistency import (
+    Consistency,
+    added,
+    consistency,
+    consistency_of_frames,
+    consistency_of_run,
+    object_numbers,
+)
+from roadperc_stream.eval.runs import find_runs
+from tests.eval.tables import row, write
+
+ALONE = np.arange
+
+
+def of(*normalised):
+    return consistency(np.array(normalised), ALONE(len(normalised)), len(normalised))
+
+
+def frames(path, errors_m, stds_m):
+    """A metrics table of steps; the deviation's column is put in beside those that a replay writes today."""
+    write(path, [row(k, step_m=1 + e, true_step_m=1.0) for k, e in enumerate(errors_m)])
+    column = pl.Series("step_std_m", stds_m, pl.Float64)
+    pl.read_parquet(path).with_columns(column).write_parquet(path)
+    return path
+
+
+def objects(path, **columns):
+    """The table of detections beside a table of frames."""
+    target = path.with_name(path.name.replace("metrics", "objects"))
+    pl.DataFrame(columns).write_parquet(target)
+    return target
+
+
+def only_run(path):
+    (run,) = find_runs([str(path)])
+    return consistency_of_run(run)
+
+
+def test_shares_and_nees_by_hand():
+    found = of(0.5, -1.0, 1.5, -2.5, 4.0)
+    assert [found.within(k) for k in (1, 2, 3)] == [0.4, 0.6, 0.8]
+    assert found.nees == pytest.approx((0.25 + 1 + 2.25 + 6.25 + 16) / 5)
+
+
+def test_errors_of_their_own_deviation_have_a_nees_of_one():
+    found = consistency_of_frames(np.random.default_rng(1).normal(size=20_000), 20_000)
+    assert [found.within(k) for k in (1, 2, 3)] == pytest.approx([0.683, 0.954, 0.997], abs=0.01)
+    low, high = found.nees_interval
+    assert low < 1 < high
+    assert high / low < 1.15
+
+
+def test_the_interval_of_blocks_of_one_is_that_of_the_mean():
+    squares = np.array([1.0, 4.0, 0.25, 2.25, 1.0, 0.01, 0.49, 3.0, 1.5, 0.8])
+    found = of(*np.sqrt(squares))
+    error = squares.std(ddof=1) / np.sqrt(10)
+    low, high = found.nees_interval
+    assert np.log(high / found.nees) == pytest.approx(3.2498 * error / squares.mean(), rel=1e-4)  # Student's t, 9
+    assert low * high == pytest.approx(found.nees**2)
+
+
+def test_rows_of_one_object_do_not_narrow_the_interval():
+    """One car seen for 40 frames is one car."""
+    values = np.random.default_rng(2).normal(size=12)
+    once = consistency(values, np.arange(12), 12)
+    often = consistency(np.repeat(values, 40), np.repeat(np.arange(12), 40), 480)
+    assert often.nees_interval == pytest.approx(once.nees_interval)
+    assert often.nees == pytest.approx(once.nees)
+
+
+def test_the_interval_holds_the_truth_of_correlated_frames():
+    """Of 200 drives whose neighbouring errors correlate by 0.9 few intervals of 99 % miss; as if independent, many."""
+    random = np.random.default_rng(3)
+    missed = alone_missed = 0
+    for _ in range(200):
+        errors = [random.normal()]
+        for kick in random.normal(size=399):
+            errors.append(0.9 * errors[-1] + np.sqrt(1 - 0.81) * kick)
+        low, high = consistency_of_frames(np.array(errors), 400).nees_interval
+        missed += not low < 1 < high
+        low, high = of(*errors).nees_interval
+        alone_missed += not low < 1 < high
+    assert missed < 30
+    assert alone_missed > 60
+
+
+def test_few_blocks_have_no_interval():
+    assert of(*np.ones(7)).nees_interval is None
+    assert of(*np.ones(8)).nees_interval == pytest.approx((1, 1))
+
+
+@given(st.lists(st.lists(st.floats(-9, 9), min_size=1, max_size=9), min_size=1, max_size=4))
+def test_tables_add_up(parts):
+    """The sums of several tables are those of one that holds all."""
+    numbers = np.concatenate([100 * k + np.arange(len(part)) for k, part in enumerate(parts)])
+    whole = consistency(np.concatenate(parts), numbers, len(numbers))
+    total = added({"step": of(*part)} for part in parts)["step"]
+    assert total.nees == pytest.approx(whole.nees)
+    assert [total.within(k) for k in (1, 2, 3)] == [whole.within(k) for k in (1, 2, 3)]
+    assert (total.nees_interval is None) == (whole.nees_interval is None)
+    if whole.nees_interval:
+        assert total.nees_interval == pytest.approx(whole.nees_interval, rel=1e-6)
+
+
+def test_rows_without_a_track_are_objects_of_their_own():
+    numbers = object_numbers(pl.DataFrame({"track_id": ["2", None, "2", "7", None]}))
+    assert numbers[0] == numbers[2]
+    assert len(set(numbers)) == 4
+
+
+def test_a_run_is_read_from_both_tables(tmp_path):
+    path = frames(tmp_path / "drive.metrics.parquet", [0.1, -0.3, 0.2, 0.1], [0.1, 0.1, None, 0.0])
+    objects(
+        path,
+        frame=[0, 0, 1],
+        kept=[True, False, True],
+        track_id=["1", "2", "1"],
+        distance_m=[11.0, 50.0, 12.0],
+        true_distance_m=[10.0, 10.0, 10.0],
+        distance_std_m=[1.0, 1.0, 1.0],
+    )
+    found = only_run(path)
+    assert list(found) == ["step", "distance"]
+    assert (found["step"].errors, found["step"].values) == (4, 2)  # null, and a deviation of nothing
+    assert found["step"].nees == pytest.approx(5.0)
+    assert (found["distance"].values, found["distance"].blocks) == (2, 1)  # what was dropped does not count
+    assert found["distance"].nees == pytest.approx(2.5)
+
+
+def test_a_column_that_is_absent_is_stated(tmp_path, capsys):
+    path = tmp_path / "drive.metrics.parquet"
+    write(path, [row(k, step_m=1.0, true_step_m=1.1) for k in range(4)])
+    assert main([str(path)]) == 0
+    text = capsys.readouterr().out
+    assert "Consistency" in text
+    assert "no standard deviation: step" in text
+    assert "NEES" not in text.replace("\n", " ").partition("no standard deviation")[0].rpartition("Consistency")[2]
+
+
+def test_without_truth_there_is_no_table(tmp_path, capsys):
+    path = write(tmp_path / "drive.metrics.parquet", [row(k, step_m=1.0) for k in range(4)])
+    assert main([str(path)]) == 0
+    assert "Consistency" not in capsys.readouterr().out
+
+
+def test_the_report_and_its_page_have_the_table(tmp_path, capsys):
+    errors = np.random.default_rng(4).normal(size=200)
+    path = frames(tmp_path / "drive.metrics.parquet", 0.1 * errors, np.full(200, 0.1))
+    assert main([str(path), "--html", str(tmp_path / "page.html")]) == 0
+    text = capsys.readouterr().out
+    line = next(line for line in text.partition("Consistency")[2].splitlines() if line.startswith("step")).split()
+    assert line[1:3] == ["200", "100.0"]
+    assert float(line[3]) == pytest.approx(100 * np.mean(np.abs(errors) <= 1), abs=0.06)
+    assert float(line[6]) == pytest.approx(np.mean(errors**2), abs=0.006)
+    assert "<h2>Consistency</h2>" in (tmp_path / "page.html").read_text()
+
+
+def test_damaged_detections_are_an_error_that_names_them(tmp_path, capsys):
+    path = frames(tmp_path / "drive.metrics.parquet", [0.1], [0.1])
+    target = objects(path, kept=[True], distance_m=["far"], true_distance_m=[1.0])
+    assert main([str(path)]) == 1
+    assert target.name in capsys.readouterr().err
+
+
+def test_any_number_in_a_table_is_borne(tmp_path, recwarn):
+    path = frames(tmp_path / "drive.metrics.parquet", [1e99, 0.1, -0.1], [1e-300, 0.1, np.nan])
+    objects(path, kept=[1, 0], distance_m=[1e308, 1.0], true_distance_m=[-1e308, 1.0], distance_std_m=[1.0, 1.0])
+    found = only_run(path)
+    assert list(found) == ["step"]
+    assert found["step"].nees == pytest.approx(5e11)
+    assert not recwarn.list
+
+
+def test_nothing_has_no_shares():
+    assert Consistency() + of(1.0) == of(1.0)
