@@ -54,7 +54,7 @@ def followed(
                 return measured(cfg, replace(before, track=updated), side, candidate, observation)
         if not tracking.expired(cfg, before.track):
             return before
-    if observation is None or curve is None:
+    if observation is None or curve is None or not curve.is_sure:
         return None
     return begun(cfg, side, curve, observation, stamp_ns)
 
@@ -88,15 +88,17 @@ def _is_other(curve: Curve, other: TrackedBoundary) -> bool:
 def _candidates(
     cfg: LanesConfig, side: Side, before: TrackedBoundary, observation: Observation | None, curve: Curve | None
 ) -> Iterator[Curve]:
-    """What may be the boundary: the closest line's curve, then the edges along the prediction.
+    """What may be the boundary: the edges along the prediction, then the closest line's curve.
 
-    The dashes in sight are often too short for a Hough line, and the closest line is then one farther out. A line
+    The dashes in sight are often too short for a Hough line, and the closest line is then one farther out. A clear line
     closer than the prediction, though, contradicts it: then edges along the prediction are no evidence.
     """
+    closer = curve is not None and outward(side) * (before.offset_m - float(curve.state[0])) > _SAME_M
+    if curve is not None and closer and curve.is_clear:
+        yield curve
+        return
+    along = None if observation is None else observation.curve_along(cfg, side, before.track.state)
+    if along is not None:
+        yield along
     if curve is not None:
         yield curve
-    closer = curve is not None and outward(side) * (before.offset_m - float(curve.state[0])) > 0
-    if observation is not None and not closer:
-        along = observation.curve_along(cfg, side, before.track.state)
-        if along is not None:
-            yield along

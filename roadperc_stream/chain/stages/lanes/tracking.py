@@ -24,6 +24,9 @@ _CURVATURE_WALK_PER_M = 0.003
 """Per metre and root second."""
 _SIDEWAYS = [1, 5]
 """y and yaw among x, y, z, roll, pitch, yaw of a step's covariance."""
+_ROUGH_OFFSET_ROOT_M = 0.005
+_ROUGH_HEADING_PER_ROOT_M = 0.0015
+"""Metres and radians per root metre driven: how fast the road leaves the plane or field that stands for it."""
 _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.001
 """Per metre and root metre driven: how fast roads change their curvature."""
@@ -112,7 +115,7 @@ def _moved(track: BoundaryTrack, stamp_ns: int, dt: float, last_T_this: Float, s
 
 
 def _road_ahead(walked_m: float, direction: float) -> Float:
-    """(3, 3) covariance of offset, heading and curvature after a way along which the curvature walked at random."""
+    """(3, 3) covariance of offset, heading and curvature after a way along which all three walked at random."""
     w, d = walked_m, direction
     walk = np.array(
         [
@@ -121,7 +124,10 @@ def _road_ahead(walked_m: float, direction: float) -> Float:
             [w**3 / 6, d * w**2 / 2, w],
         ]
     )
-    result: Float = _CURVATURE_WALK_ROOT_M**2 * walk
+    rough = np.zeros((3, 3))
+    rough[:2, :2] = _ROUGH_HEADING_PER_ROOT_M**2 * np.array([[w**3 / 3, d * w**2 / 2], [d * w**2 / 2, w]])
+    rough[0, 0] += _ROUGH_OFFSET_ROOT_M**2 * w
+    result: Float = _CURVATURE_WALK_ROOT_M**2 * walk + rough
     return result
 
 
