@@ -26,7 +26,7 @@ from roadperc_stream.core.datatypes import (
     StereoDepth,
     Surface,
 )
-from roadperc_stream.core.geometry import Float, inverse, transform_plane
+from roadperc_stream.core.geometry import inverse, transform_plane
 from roadperc_stream.core.scene import DepthMap, Scene
 
 Timer = Callable[[str], AbstractContextManager[object]]
@@ -174,8 +174,7 @@ def _lanes(
 ) -> tuple[LanesState, Lanes | Absent]:
     if not cfg.lanes.enabled:
         return state.lanes, _off("lanes")
-    last_T_this = _metric_step(motion, state.stamp_ns)
-    return lanes.step(cfg.lanes, state.lanes, scene, front_road, drivable, last_T_this)
+    return lanes.step(cfg.lanes, state.lanes, scene, front_road, drivable, _since(motion, state.stamp_ns))
 
 
 def _objects(cfg: ReplayConfig, state: ChainState, scene: Scene) -> tuple[ObjectsState, Objects | Absent]:
@@ -207,11 +206,11 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
     return front_road
 
 
-def _metric_step(motion: Odometry | Absent, since_ns: int | None) -> Float | None:
-    """last_T_this of a tracked motion in metres that begins at the last frame; None of any other."""
-    if isinstance(motion, Absent) or motion.status != "tracked" or motion.up_to_scale or motion.since_ns != since_ns:
+def _since(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
+    """A motion in metres that begins at the last frame, or that it is lost; None of any other."""
+    if isinstance(motion, Absent) or motion.status == "first" or motion.up_to_scale:
         return None
-    return motion.step
+    return motion if motion.status == "lost" or motion.since_ns == since_ns else None
 
 
 def _needs_grey(cfg: ReplayConfig, state: ChainState, frame: Frame) -> bool:

@@ -36,9 +36,24 @@ def lane_columns(lanes: Lanes | Absent) -> LaneColumns:
         lane_right_boundary_class=right.outside or None,
         lane_width_m=width_m,
         lane_heading_deg=float(np.degrees(np.mean(headings))) if headings else None,
+        lane_left_offset_std_m=_offset_std_m(left),
+        lane_right_offset_std_m=_offset_std_m(right),
+        lane_heading_std_deg=_heading_std_deg(left, right),
+        lane_change=lanes.lane_change,
+        lane_changes=lanes.lane_changes,
         lane_proposals=len(lanes.proposals_px),
         lane_merged=len(lanes.merged_px),
     )
+
+
+def _offset_std_m(boundary: Boundary) -> float | None:
+    return float(np.sqrt(boundary.covariance[0])) if boundary.covariance else None
+
+
+def _heading_std_deg(*boundaries: Boundary) -> float | None:
+    """Of the mean of headings that err independently."""
+    variances = [boundary.covariance[4] for boundary in boundaries if boundary.covariance]
+    return float(np.degrees(np.sqrt(sum(variances)) / len(variances))) if variances else None
 
 
 def lane_errors(lanes: Lanes | Absent, truth: Lanes | None) -> LaneErrorColumns:

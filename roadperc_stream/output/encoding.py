@@ -238,6 +238,7 @@ def _boundary(boundary: Boundary) -> pb.Boundary:
         outside=boundary.outside,
         line_ego_m=[pb.Vector3(x=x, y=y, z=z) for x, y, z in boundary.line_ego_m.tolist()],
         line_px=[pb.Point2(x=x, y=y) for x, y in boundary.line_px.tolist()],
+        reason="" if boundary.reason is None else str(boundary.reason),
     )
 
 

@@ -76,6 +76,10 @@ LANES = {
     "lanes.fit_huber": "0.5",
     "lanes.gate": "0.01",
     "lanes.process_noise": "5",
+    "lanes.min_width_m": "5",
+    "lanes.max_width_m": "2.5",
+    "lanes.max_std_m": "0.001",
+    "lanes.car_width_m": "10",
 }
 LINES = {"lanes.offset_std_m": "0.2", "lanes.heading_std": "0.1", "lanes.curvature_std_per_m": "0.02"}
 OBJECTS = {

@@ -154,12 +154,20 @@ class LanesConfig(Section):
     """Distance beyond which an edge counts less and less (Huber's constant)."""
     gate: Annotated[Positive, unit("standard deviations, squared")] = 16.27
     """Squared Mahalanobis distance beyond which a measurement is rejected (99.9 % of chi squared, 3 degrees)."""
+    min_width_m: Positive = 2.0
+    """Narrowest lane: boundaries closer together are none."""
+    max_width_m: Positive = 7.0
+    """Widest lane: boundaries farther apart are not those of one lane."""
+    max_std_m: Positive = 0.16
+    """Standard deviation, 10 m ahead, beyond which a boundary is lost: it might be anywhere."""
+    car_width_m: Positive = 1.8
+    """Width of the car: while a boundary is under it, the car is changing lanes."""
     hold_s: Seconds = 0.5
     """How long an unseen boundary is held before it is lost; also the window of the vote on the classes beside it."""
     use_odometry: bool = True
     """Whether odometry, where it is metric, predicts the boundaries from frame to frame."""
-    process_noise: Annotated[float, Field(ge=1e-3, le=100.0), unit("m/s^2")] = 0.5
-    """Standard deviation of the car's sideways acceleration, where no odometry predicts the boundaries."""
+    process_noise: Annotated[float, Field(ge=1e-3, le=100.0), unit("m/s")] = 0.5
+    """Standard deviation by which the car's sideways speed changes within a second, where no odometry predicts it."""
     offset_std_m: Positive = 0.05
     """Standard deviation of a measured boundary's offset with ``model`` ``line``."""
     heading_std: Annotated[Positive, unit("rad")] = 0.01

@@ -161,6 +161,7 @@ class Boundary:
 
     ``covariance`` is the state's, 3x3 row by row. ``inside`` and ``outside`` are the classes to either side, such as
     ``road`` and ``sidewalk``, empty where unknown. ``line_ego_m`` and ``line_px`` are points of the smoothed boundary.
+    ``reason`` says why a boundary is ``lost``.
     """
 
     side: Side
@@ -176,6 +177,7 @@ class Boundary:
     outside: str = ""
     line_ego_m: Float = field(default_factory=lambda: np.empty((0, 3)), repr=False)
     line_px: Float = field(default_factory=lambda: np.empty((0, 2)), repr=False)
+    reason: Reason | None = None
 
     def __post_init__(self) -> None:
         read_only(self.line_ego_m, np.float64, (None, 3), "line_ego_m")
@@ -203,6 +205,11 @@ class Lanes:
             read_only(self.edges, np.bool_, (None, None), "edges")
         read_only(self.proposals_px, np.float64, (None, 4), "proposals_px")
         read_only(self.merged_px, np.float64, (None, 4), "merged_px")
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why boundaries are lost."""
+        return tuple(boundary.reason for boundary in self.boundaries if boundary.reason is not None)
 
     def side(self, side: Side) -> Boundary:
         """The boundary of one side; ``lost`` where the lanes hold none."""
@@ -333,4 +340,5 @@ class FrameResult:
         )
         absent = tuple(out.reason for out in stages if isinstance(out, Absent))
         lost = self.odometry.reason if isinstance(self.odometry, Odometry) else None
-        return absent + (() if lost is None else (Reason("odometry", "lost", cause=lost),)) + self.problems
+        unbounded = () if isinstance(self.lanes, Absent) else self.lanes.reasons
+        return absent + (() if lost is None else (Reason("odometry", "lost", cause=lost),)) + unbounded + self.problems

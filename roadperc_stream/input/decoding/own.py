@@ -16,6 +16,7 @@ from roadperc_stream.core.datatypes import (
     Objects,
     Side,
     Surface,
+    parse_reason,
 )
 from roadperc_stream.core.datatypes.results import BoundaryStatus, LaneChange, ObjectStatus
 from roadperc_stream.core.geometry import Float, Plane
@@ -118,6 +119,7 @@ def _boundary(message: Any) -> Boundary:
         outside=message.outside,
         line_ego_m=line_ego_m,
         line_px=line_px,
+        reason=parse_reason(message.reason) if message.reason else None,
     )
 
 

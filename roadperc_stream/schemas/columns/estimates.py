@@ -88,6 +88,13 @@ def _boundary_class() -> Column:
     return Column("class of the pixels beyond the boundary, such as `sidewalk`", null="boundary lost, or not known")
 
 
+_BOTH_LOST = "both boundaries are lost"
+
+
+def _offset_std() -> Column:
+    return Column("standard deviation of the smoothed offset, by the filter's own covariance", "m", "boundary lost")
+
+
 @dataclass(frozen=True)
 class LaneColumns:
     """The two boundaries of the ego lane."""
@@ -116,10 +123,29 @@ class LaneColumns:
         Column(
             "mean heading of the boundaries against the car's axis, positive to the left",
             "deg",
-            "both boundaries are lost",
+            _BOTH_LOST,
             label="lane heading",
             decimals=3,
             compares_coverage=False,
+        ),
+    ] = None
+    lane_left_offset_std_m: Annotated[float | None, _offset_std()] = None
+    lane_right_offset_std_m: Annotated[float | None, _offset_std()] = None
+    lane_heading_std_deg: Annotated[
+        float | None,
+        Column("standard deviation of `lane_heading_deg`, by the filter's own covariance", "deg", _BOTH_LOST),
+    ] = None
+    lane_change: Annotated[
+        str | None,
+        Column(
+            "`left` or `right` while part of the car is over the line on its way into another lane, else `none`",
+            null="the stage did not run",
+        ),
+    ] = None
+    lane_changes: Annotated[
+        int | None,
+        Column(
+            "lines that the car's reference point has crossed since the first frame", COUNT, "the stage did not run"
         ),
     ] = None
     lane_proposals: Annotated[

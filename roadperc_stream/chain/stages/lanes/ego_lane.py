@@ -1,45 +1,22 @@
 """One frame of the ego lane: observe both boundaries, then track them over time."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from roadperc_stream.chain.stages.lanes import lines, tracking
-from roadperc_stream.chain.stages.lanes.class_history import ClassHistory
-from roadperc_stream.chain.stages.lanes.curves import Curve, lateral
-from roadperc_stream.chain.stages.lanes.observe import Observation, ObservedBoundary, RoadProjection, observe
-from roadperc_stream.chain.stages.lanes.tracking import BoundaryTrack
+from roadperc_stream.chain.stages.lanes import lane_change, lines, plausibility
+from roadperc_stream.chain.stages.lanes.drawing import boundary_of
+from roadperc_stream.chain.stages.lanes.following import followed, predicted
+from roadperc_stream.chain.stages.lanes.memory import LanesState, other_side
+from roadperc_stream.chain.stages.lanes.observe import Observation, RoadProjection, observe
 from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import SIDES, Absent, Boundary, Lanes, Line, Mask, Reason, Side, Surface
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.datatypes import SIDES, Absent, Boundary, Lanes, Mask, Odometry, Reason, Side, Surface
 from roadperc_stream.core.scene import Scene
+from roadperc_stream.core.time import NS_PER_S
 
-_CHORD_AHEAD_M = 15.0
-_SHORTEST_DRAWN_M = 10.0
-_LEVEL_PX = 1e-6
-
-
-@dataclass(frozen=True)
-class TrackedBoundary:
-    """A boundary that is tracked, and the classes on either side of it in the last frames."""
-
-    track: BoundaryTrack
-    reach_m: float
-    inside: ClassHistory = field(default_factory=ClassHistory)
-    outside: ClassHistory = field(default_factory=ClassHistory)
-
-
-@dataclass(frozen=True)
-class LanesState:
-    """What the lanes remember from one frame to the next."""
-
-    left: TrackedBoundary | None = None
-    right: TrackedBoundary | None = None
-
-    def side(self, side: Side) -> TrackedBoundary | None:
-        """The boundary of that side; None where none is tracked."""
-        return self.left if side == "left" else self.right
+_ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"))
+"""Why odometry is lost where the image, as far as anyone knows, shows another scene than the last one."""
 
 
 def step(
@@ -48,7 +25,7 @@ def step(
     scene: Scene,
     surface: Surface | Absent,
     drivable: Mask | Absent,
-    last_T_this: Float | None,
+    motion: Odometry | None,
 ) -> tuple[LanesState, Lanes | Absent]:
     """Measure the ego lane in one frame and filter it over time.
 
@@ -58,24 +35,80 @@ def step(
         scene: the frame; without tags what is known is held.
         surface: the road in the front camera's frame.
         drivable: (H, W) drivable surface.
-        last_T_this: (4, 4) motion of the ego frame since the last frame; None where it is not known.
+        motion: of the ego frame since the last frame, in metres, or that it is lost; None where it is not known.
 
     Returns:
         The new state, and the lanes: absent where nothing could be observed and nothing is held.
     """
     found = _observed(cfg, scene, surface, drivable)
     observation = None if isinstance(found, Absent) else found
-    left, right = (_tracked(cfg, side, state.side(side), observation, last_T_this, scene.stamp_ns) for side in SIDES)
-    after = LanesState(left, right)
-    if isinstance(found, Absent) and left is None and right is None:
+    after = _followed(cfg, _remembered(cfg, state, motion, scene.stamp_ns), motion, observation, scene.stamp_ns)
+    after = lane_change.handed_over(cfg, after, observation, scene.stamp_ns)
+    after, implausible = plausibility.without_implausible(cfg, after)
+    after = replace(after, lane_change=lane_change.change_of(cfg, after.lane_change, after))
+    if isinstance(found, Absent) and after.left is None and after.right is None:
         return after, found
+    reasons = implausible | plausibility.unusable(cfg, after)
     projection = None if isinstance(surface, Absent) else RoadProjection(scene.camera, scene.ego_T_camera, surface)
-    boundaries = tuple(_boundary(side, after.side(side), observation, projection) for side in SIDES)
+    boundaries = _boundaries(after, found, reasons, projection)
+    lanes = Lanes(boundaries, lane_change=after.lane_change, lane_changes=after.lane_changes)
     if observation is None:
-        return after, Lanes(boundaries)
+        return after, lanes
     merged = [lines.drawn(group, float(scene.camera.height), observation.far) for group in observation.groups]
     merged_px = np.array(merged).reshape(-1, 4)
-    return after, Lanes(boundaries, observation.proposals, merged_px, observation.edge_pixels)
+    return after, replace(lanes, proposals_px=observation.proposals, merged_px=merged_px, edges=observation.edge_pixels)
+
+
+def _remembered(cfg: LanesConfig, state: LanesState, motion: Odometry | None, stamp_ns: int) -> LanesState:
+    """What still holds: of another scene, and after seconds in which nobody knows how the car moved, nothing."""
+    known = [boundary.track.stamp_ns for side in SIDES if (boundary := state.side(side)) is not None]
+    gap_s = (stamp_ns - max(known)) / NS_PER_S if known else 0.0
+    elsewhere = motion is not None and motion.reason is not None and motion.reason.code in _ELSEWHERE
+    if elsewhere or (_tracked(motion) is None and gap_s > cfg.hold_s):
+        return LanesState(lane_changes=state.lane_changes)
+    return state
+
+
+def _tracked(motion: Odometry | None) -> Odometry | None:
+    """A motion that can be used: one with its covariance."""
+    return motion if motion is not None and motion.step is not None and motion.covariance else None
+
+
+def _followed(
+    cfg: LanesConfig, state: LanesState, motion: Odometry | None, observation: Observation | None, stamp_ns: int
+) -> LanesState:
+    """Both boundaries at this frame's time."""
+    moved = _tracked(motion) if cfg.use_odometry else None
+    before = {side: predicted(cfg, state.side(side), moved, stamp_ns) for side in SIDES}
+    left, right = (followed(cfg, side, before[side], before[other_side(side)], observation, stamp_ns) for side in SIDES)
+    return replace(state, left=left, right=right)
+
+
+def _boundaries(
+    state: LanesState,
+    found: Observation | Absent,
+    reasons: Mapping[Side, Reason],
+    projection: RoadProjection | None,
+) -> tuple[Boundary, ...]:
+    """Both as the result has them, lost ones with their reason."""
+    observation = None if isinstance(found, Absent) else found
+    boundaries = []
+    for side in SIDES:
+        tracked = state.side(side)
+        reason = reasons.get(side)
+        if reason is None and tracked is None:
+            reason = Reason("lanes", "boundary_lost", (side,), _why_unseen(side, found))
+        given = reason if reason is not None else tracked
+        assert given is not None
+        boundaries.append(boundary_of(side, given, observation, projection))
+    return tuple(boundaries)
+
+
+def _why_unseen(side: Side, found: Observation | Absent) -> Reason:
+    """Why a frame shows no boundary on a side."""
+    if isinstance(found, Absent):
+        return found.reason
+    return Reason("lanes", "edges_disagree" if side in found.boundaries else "no_line_near")
 
 
 def _observed(
@@ -89,120 +122,3 @@ def _observed(
         return Absent(Reason("lanes", "no_drivable_surface", cause=drivable.reason))
     projection = RoadProjection(scene.camera, scene.ego_T_camera, surface)
     return observe(cfg, projection, scene.tags, scene.table, drivable)
-
-
-def _tracked(
-    cfg: LanesConfig,
-    side: Side,
-    before: TrackedBoundary | None,
-    observation: Observation | None,
-    last_T_this: Float | None,
-    stamp_ns: int,
-) -> TrackedBoundary | None:
-    """The boundary at this frame's time; None where there is none yet or it has not been measured for too long."""
-    observed = observation.boundaries.get(side) if observation else None
-    curve = observed.curve if observed else None
-    if before is not None:
-        track = tracking.predict(cfg, before.track, stamp_ns, last_T_this if cfg.use_odometry else None)
-        for candidate in _candidates(cfg, side, track, observation, curve):
-            updated = tracking.update(cfg, track, candidate.state, candidate.covariance)
-            if updated is not None and observation is not None:
-                return _measured(cfg, replace(before, track=updated), side, candidate, observation)
-        if not tracking.expired(cfg, track):
-            return replace(before, track=track)
-    if observation is None or curve is None:
-        return None
-    track = tracking.start(curve.state, curve.covariance, stamp_ns)
-    return _measured(cfg, TrackedBoundary(track, curve.reach_m), side, curve, observation)
-
-
-def _measured(
-    cfg: LanesConfig, tracked: TrackedBoundary, side: Side, curve: Curve, observation: Observation
-) -> TrackedBoundary:
-    """The boundary with this frame's curve and the classes on either side of it."""
-    inside, outside = observation.classes_beside(side, curve)
-    stamp_ns = tracked.track.stamp_ns
-    return replace(
-        tracked,
-        reach_m=curve.reach_m,
-        inside=tracked.inside.add(cfg, stamp_ns, inside),
-        outside=tracked.outside.add(cfg, stamp_ns, outside),
-    )
-
-
-def _candidates(
-    cfg: LanesConfig, side: Side, track: BoundaryTrack, observation: Observation | None, curve: Curve | None
-) -> Iterator[Curve]:
-    """What may be the boundary: the closest line's curve, then the edges along the prediction.
-
-    The dashes in sight are often too short for a Hough line, and the closest line is then one farther out. A line
-    closer than the prediction, though, contradicts it: then edges along the prediction are no evidence.
-    """
-    if curve is not None:
-        yield curve
-    inward = -1.0 if side == "left" else 1.0
-    closer = curve is not None and inward * float(curve.state[0] - track.state[0]) > 0
-    if observation is not None and not closer:
-        along = observation.curve_along(cfg, side, track.state)
-        if along is not None:
-            yield along
-
-
-def _boundary(
-    side: Side, tracked: TrackedBoundary | None, observation: Observation | None, projection: RoadProjection | None
-) -> Boundary:
-    observed = observation.boundaries.get(side) if observation else None
-    raw_px = _raw_line(observed, observation)
-    raw_offset_m = float(observed.curve.state[0]) if observed and observed.curve else None
-    if tracked is None:
-        return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m)
-    track = tracked.track
-    offset, heading, curvature = (float(value) for value in track.state)
-    ahead, pixels = _drawn_curve(track.state, tracked.reach_m, projection)
-    return Boundary(
-        side,
-        "measured" if track.measured_ns == track.stamp_ns else "held",
-        raw_px,
-        _chord(track.state, projection, observation.far if observation else None),
-        offset,
-        heading,
-        curvature,
-        raw_offset_m,
-        tuple(track.state_covariance.ravel().tolist()),
-        tracked.inside.majority,
-        tracked.outside.majority,
-        ahead,
-        pixels,
-    )
-
-
-def _raw_line(observed: ObservedBoundary | None, observation: Observation | None) -> Line | None:
-    if observed is None or observation is None:
-        return None
-    return lines.drawn(observed.group, float(observation.projection.camera.height), observation.far)
-
-
-def _drawn_curve(state: Float, reach_m: float, projection: RoadProjection | None) -> tuple[Float, Float]:
-    """(N, 3) ego points a metre apart on the road, and (M, 2) pixels of those that are in front of the camera."""
-    if projection is None:
-        return np.empty((0, 3)), np.empty((0, 2))
-    x = np.arange(max(reach_m, _SHORTEST_DRAWN_M) + 1)
-    points = projection.on_road(x, lateral(state, x))
-    pixels = projection.pixels(points)
-    return points, pixels[np.isfinite(pixels).all(axis=1) & (pixels[:, 1] <= 2 * projection.camera.height)]
-
-
-def _chord(state: Float, projection: RoadProjection | None, far: float | None) -> Line | None:
-    """The smoothed line drawn straight from the image's bottom edge to the road's far end."""
-    if projection is None or far is None:
-        return None
-    bottom = float(projection.camera.height)
-    nearest = projection.ground(np.array([[projection.camera.cx, bottom]]))[0, 0]
-    if not np.isfinite(nearest):
-        return None
-    x = np.array([nearest, max(nearest + 1.0, _CHORD_AHEAD_M)])
-    (u1, v1), (u2, v2) = projection.pixels(projection.on_road(x, lateral(state, x)))
-    if not abs(v2 - v1) > _LEVEL_PX:
-        return None
-    slope = (u2 - u1) / (v2 - v1)
-    return float(u1 + slope * (bottom - v1)), bottom, float(u1 + slope * (far - v1)), far

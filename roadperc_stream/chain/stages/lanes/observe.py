@@ -81,6 +81,14 @@ class Observation:
     groups: tuple[LineGroup, ...] = ()
     edges: dict[Side, Edges] = field(default_factory=dict)
     boundaries: dict[Side, ObservedBoundary] = field(default_factory=dict)
+    near: dict[Side, tuple[LineGroup, ...]] = field(default_factory=dict)
+    """The lines on either side with support near the car, the closest one first."""
+
+    def curve_beyond(self, cfg: LanesConfig, side: Side, least_m: float) -> Curve | None:
+        """The curve of the closest line that lies so far out at the ego origin."""
+        outward = 1.0 if side == "left" else -1.0
+        curves = (_curve(cfg, self, side, group) for group in self.near.get(side, ()))
+        return next((c for c in curves if c is not None and outward * float(c.state[0]) > least_m), None)
 
     def curve_along(self, cfg: LanesConfig, side: Side, line: Float) -> Curve | None:
         """The boundary as the edges near a (3,) state have it; None where too few do."""
@@ -129,9 +137,10 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     if cfg.model == "curve":
         edges = {side: _edges(projection, separators[far:], drivable, side, far) for side in SIDES}
     found = Observation(projection, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
-    chosen = _ego_lane(cfg, projection, groups)
-    curves = {side: _curve(cfg, found, side, group) for side, group in chosen.items()}
-    return replace(found, boundaries={side: ObservedBoundary(group, curves[side]) for side, group in chosen.items()})
+    near = _near_lines(cfg, projection, groups)
+    curves = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
+    boundaries = {side: ObservedBoundary(near[side][0], curves[side]) for side in near}
+    return replace(found, boundaries=boundaries, near=near)
 
 
 def _edges(projection: RoadProjection, separators: Image, drivable: Mask, side: Side, top: int) -> Edges:
@@ -141,8 +150,10 @@ def _edges(projection: RoadProjection, separators: Image, drivable: Mask, side: 
     return Edges(points[known], pixels[known, 1])
 
 
-def _ego_lane(cfg: LanesConfig, projection: RoadProjection, groups: tuple[LineGroup, ...]) -> dict[Side, LineGroup]:
-    """The closest line on each side of the car's path at the image's bottom, among those with near support.
+def _near_lines(
+    cfg: LanesConfig, projection: RoadProjection, groups: tuple[LineGroup, ...]
+) -> dict[Side, tuple[LineGroup, ...]]:
+    """The lines on each side of the car's path at the image's bottom, among those with near support, closest first.
 
     A short fragment far away would otherwise extrapolate to the closest position.
     """
@@ -150,12 +161,12 @@ def _ego_lane(cfg: LanesConfig, projection: RoadProjection, groups: tuple[LineGr
     near = [group for group in groups if _nearest_x(projection, group) <= cfg.near_m]
     left = [group for group in near if group.x(bottom) < path and group.slope < 0]
     right = [group for group in near if group.x(bottom) >= path and group.slope > 0]
-    chosen: dict[Side, LineGroup] = {}
+    found: dict[Side, tuple[LineGroup, ...]] = {}
     if left:
-        chosen["left"] = max(left, key=lambda group: group.x(bottom))
+        found["left"] = tuple(sorted(left, key=lambda group: -group.x(bottom)))
     if right:
-        chosen["right"] = min(right, key=lambda group: group.x(bottom))
-    return chosen
+        found["right"] = tuple(sorted(right, key=lambda group: group.x(bottom)))
+    return found
 
 
 def _nearest_x(projection: RoadProjection, group: LineGroup) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import read_only
+from roadperc_stream.core.datatypes import Odometry, read_only
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.time import NS_PER_S
 
@@ -22,9 +22,11 @@ _HEADING_WALK = 0.02
 """Radians per root second."""
 _CURVATURE_WALK_PER_M = 0.003
 """Per metre and root second."""
-_STEP_STD_M = 0.005
-_TURN_STD = 0.0015
-"""How well a step and a turn are known, metres and radians; the road's own roughness included."""
+_SIDEWAYS = [1, 5]
+"""y and yaw among x, y, z, roll, pitch, yaw of a step's covariance."""
+_ROUGH_OFFSET_ROOT_M = 0.005
+_ROUGH_HEADING_PER_ROOT_M = 0.0015
+"""Metres and radians per root metre driven: how fast the road leaves the plane or field that stands for it."""
 _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.001
 """Per metre and root metre driven: how fast roads change their curvature."""
@@ -49,6 +51,11 @@ class BoundaryTrack:
         return self.mean[_MEASURED]
 
     @property
+    def rate_mps(self) -> float:
+        """How fast the offset grows."""
+        return float(self.mean[_RATE])
+
+    @property
     def state_covariance(self) -> Float:
         """(3, 3) covariance of ``state``."""
         return self.covariance[np.ix_(_MEASURED, _MEASURED)]
@@ -64,33 +71,33 @@ def start(state: Float, covariance: Float, stamp_ns: int) -> BoundaryTrack:
     return BoundaryTrack(mean, P, stamp_ns, stamp_ns)
 
 
-def predict(cfg: LanesConfig, track: BoundaryTrack, stamp_ns: int, last_T_this: Float | None) -> BoundaryTrack:
+def predict(cfg: LanesConfig, track: BoundaryTrack, stamp_ns: int, moved: Odometry | None) -> BoundaryTrack:
     """The track at a later stamp, by how the car moved since, or without that by its own rate.
+
+    The noise is that of continuous random walks, so that it does not matter in how many steps a time passes.
 
     Args:
         cfg: noise of the sideways motion.
         track: at the last stamp.
         stamp_ns: the later one.
-        last_T_this: (4, 4) motion of the ego frame between the stamps; None where it is not known.
+        moved: the car's motion between the stamps, in metres and with its covariance; None where it is not known.
     """
-    if last_T_this is not None:
-        return _moved(track, stamp_ns, last_T_this)
     dt = (stamp_ns - track.stamp_ns) / NS_PER_S
+    if moved is not None and moved.step is not None:
+        return _moved(track, stamp_ns, dt, moved.step, np.reshape(moved.covariance, (6, 6)))
     F = np.eye(4)
     F[_OFFSET, _RATE] = dt
-    pull = np.array([dt**2 / 2, dt])
     Q = np.zeros((4, 4))
-    Q[:2, :2] = cfg.process_noise**2 * np.outer(pull, pull)
+    Q[:2, :2] = cfg.process_noise**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     Q[_HEADING, _HEADING] = _HEADING_WALK**2 * dt
     Q[_CURVATURE, _CURVATURE] = _CURVATURE_WALK_PER_M**2 * dt
     return BoundaryTrack(F @ track.mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
 
 
-def _moved(track: BoundaryTrack, stamp_ns: int, last_T_this: Float) -> BoundaryTrack:
+def _moved(track: BoundaryTrack, stamp_ns: int, dt: float, last_T_this: Float, step_covariance: Float) -> BoundaryTrack:
     """The track in the frame of the moved car: to first order in the angles between car and boundary."""
     dx, dy = float(last_T_this[0, 3]), float(last_T_this[1, 3])
     turn = float(np.arctan2(last_T_this[1, 0], last_T_this[0, 0]))
-    dt = (stamp_ns - track.stamp_ns) / NS_PER_S
     F = np.zeros((4, 4))
     F[_OFFSET, [_OFFSET, _HEADING, _CURVATURE]] = 1.0, dx, dx**2 / 2
     F[_HEADING, [_HEADING, _CURVATURE]] = 1.0, dx
@@ -100,9 +107,28 @@ def _moved(track: BoundaryTrack, stamp_ns: int, last_T_this: Float) -> BoundaryT
     mean[_HEADING] -= turn
     # Should the next motion not be known, the rate is that of this step.
     mean[_RATE] = (mean[_OFFSET] - track.mean[_OFFSET]) / dt
-    walked = abs(dx)
-    Q = np.diag([_STEP_STD_M**2, _MOVED_RATE_STD_MPS**2, _TURN_STD**2, _CURVATURE_WALK_ROOT_M**2 * walked])
+    Q = np.zeros((4, 4))
+    Q[_RATE, _RATE] = _MOVED_RATE_STD_MPS**2
+    Q[np.ix_(_MEASURED, _MEASURED)] = _road_ahead(abs(dx), np.sign(dx))
+    Q[np.ix_([_OFFSET, _HEADING], [_OFFSET, _HEADING])] += step_covariance[np.ix_(_SIDEWAYS, _SIDEWAYS)]
     return BoundaryTrack(mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
+
+
+def _road_ahead(walked_m: float, direction: float) -> Float:
+    """(3, 3) covariance of offset, heading and curvature after a way along which all three walked at random."""
+    w, d = walked_m, direction
+    walk = np.array(
+        [
+            [w**5 / 20, d * w**4 / 8, w**3 / 6],
+            [d * w**4 / 8, w**3 / 3, d * w**2 / 2],
+            [w**3 / 6, d * w**2 / 2, w],
+        ]
+    )
+    rough = np.zeros((3, 3))
+    rough[:2, :2] = _ROUGH_HEADING_PER_ROOT_M**2 * np.array([[w**3 / 3, d * w**2 / 2], [d * w**2 / 2, w]])
+    rough[0, 0] += _ROUGH_OFFSET_ROOT_M**2 * w
+    result: Float = _CURVATURE_WALK_ROOT_M**2 * walk + rough
+    return result
 
 
 def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Float) -> BoundaryTrack | None:
@@ -116,6 +142,20 @@ def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Flo
     # Joseph's form keeps the covariance symmetric and positive over thousands of frames.
     P = rest @ track.covariance @ rest.T + gain @ covariance @ gain.T
     return BoundaryTrack(track.mean + gain @ innovation, P, track.stamp_ns, track.stamp_ns)
+
+
+def shifted(track: BoundaryTrack, aside_m: float, std_m: float) -> BoundaryTrack:
+    """The line that runs beside the track, so far to the left of it, give or take a standard deviation."""
+    mean, covariance = track.mean.copy(), track.covariance.copy()
+    mean[_OFFSET] += aside_m
+    covariance[_OFFSET, _OFFSET] += std_m**2
+    return BoundaryTrack(mean, covariance, track.stamp_ns, track.measured_ns)
+
+
+def std_at(track: BoundaryTrack, x_m: float) -> float:
+    """Standard deviation of the lateral position so far ahead, metres."""
+    design = np.array([1.0, x_m, x_m**2 / 2])
+    return float(np.sqrt(design @ track.state_covariance @ design))
 
 
 def expired(cfg: LanesConfig, track: BoundaryTrack) -> bool:

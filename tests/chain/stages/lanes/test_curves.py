@@ -78,6 +78,17 @@ def test_edges_towards_no_road_do_not_count():
     assert len(curves.facing_edges(separators, np.zeros((4, 20), bool), "left", 0)) == 0
 
 
+@pytest.mark.parametrize(("fringe_px", "found"), [(0, True), (1, True), (4, True), (5, False)])
+def test_edges_face_each_other_across_a_fringe_of_foreign_pixels(fringe_px, found):
+    separators = np.zeros((4, 40), np.uint8)
+    separators[:, 10:14] = 1
+    road = np.ones((4, 40), bool)
+    road[:, 10 - fringe_px : 14 + fringe_px] = False
+    for side, middle in (("left", 13.5 + fringe_px / 2), ("right", 9.5 - fringe_px / 2)):
+        edges = curves.facing_edges(separators, road, side, 0)
+        assert set(edges[:, 0]) == ({middle} if found else set())
+
+
 def test_line_on_ground_of_a_straight_line():
     cloud = np.concatenate((points((1.7, 0.1, 0.0)), np.zeros((320, 1))), axis=1)
     np.testing.assert_allclose(curves.line_on_ground(cloud), (1.7, 0.1, 0.0), atol=1e-9)

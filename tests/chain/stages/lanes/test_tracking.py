@@ -5,6 +5,7 @@ import pytest
 
 from roadperc_stream.chain.stages.lanes import tracking
 from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.core.datatypes import Odometry
 
 CFG = LanesConfig()
 R = np.diag([0.03, 0.005, 0.001]) ** 2
@@ -66,8 +67,13 @@ def test_held_for_half_a_second(missing, expired):
     assert tracking.expired(CFG, track) == expired
 
 
-def moved(dx, dy=0.0, turn=0.0):
-    """The ego frame a step later, in the last one."""
+def moved(dx, dy=0.0, turn=0.0, y_std_m=0.005, yaw_std=0.0015):
+    """The ego frame a step later, in the last one, as odometry has it."""
+    covariance = np.diag([9.0, y_std_m, 9.0, 9.0, 9.0, yaw_std]) ** 2
+    return Odometry("tracked", np.eye(4), last_T_this(dx, dy, turn), covariance=tuple(covariance.ravel()))
+
+
+def last_T_this(dx, dy, turn):
     T = np.eye(4)
     T[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     T[:2, 3] = dx, dy
@@ -94,13 +100,32 @@ def exactly_known(state, rate=0.0):
     return tracking.BoundaryTrack(mean, np.zeros((4, 4)), 0, 0)
 
 
-def test_without_odometry_the_noise_is_a_random_sideways_acceleration():
-    """After 0.5 s of a constant acceleration with 2 m/s^2 deviation: 0.25 m and 1 m/s, fully correlated."""
+def test_without_odometry_the_sideways_speed_walks_at_random():
+    """2 m/s more or less within a second: after 0.5 s q^2 (t^3 / 3, t^2 / 2, t) of offset, both, and speed."""
     cfg = CFG.model_copy(update={"process_noise": 2.0})
     covariance = tracking.predict(cfg, exactly_known((1.7, 0.0, 0.0)), 10 * DT_NS, None).covariance
-    np.testing.assert_allclose(covariance[:2, :2], [[0.25**2, 0.25], [0.25, 1.0]])
+    np.testing.assert_allclose(covariance[:2, :2], [[4 * 0.125 / 3, 0.5], [0.5, 2.0]])
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)[2:] / 0.5), [0.02, 0.003])
     np.testing.assert_array_equal(covariance[2:, :2], 0.0)
+
+
+def test_it_does_not_matter_in_how_many_steps_a_time_passes():
+    once = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0), rate=0.3), 10 * DT_NS, None)
+    often = exactly_known((1.7, 0.0, 0.0), rate=0.3)
+    for k in range(1, 11):
+        often = tracking.predict(CFG, often, k * DT_NS, None)
+    np.testing.assert_allclose(often.mean, once.mean)
+    np.testing.assert_allclose(often.covariance, once.covariance, atol=1e-15)
+
+
+def test_it_does_not_matter_in_how_many_steps_a_way_is_driven():
+    exact = {"y_std_m": 0.0, "yaw_std": 0.0}
+    once = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.01)), 10 * DT_NS, moved(5.0, **exact))
+    often = exactly_known((1.7, 0.0, 0.01))
+    for k in range(1, 11):
+        often = tracking.predict(CFG, often, k * DT_NS, moved(0.5, **exact))
+    np.testing.assert_allclose(often.state, once.state)
+    np.testing.assert_allclose(often.state_covariance, once.state_covariance, atol=1e-15)
 
 
 def test_without_odometry_the_offset_goes_on_at_its_rate():
@@ -109,9 +134,13 @@ def test_without_odometry_the_offset_goes_on_at_its_rate():
 
 
 @pytest.mark.parametrize("dx", [4.0, -4.0])
-def test_with_odometry_the_noise_is_that_of_a_step_and_of_the_road_driven(dx):
-    covariance = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0)), DT_NS, moved(dx)).covariance
-    np.testing.assert_allclose(covariance, np.diag([0.005, 0.3, 0.0015, 0.001 * np.sqrt(4.0)]) ** 2)
+def test_with_odometry_the_noise_is_its_own_and_that_of_the_road_driven(dx):
+    """Per root metre curvature walks by 0.001 / m, heading by 0.0015, offset by 0.005 m; and the step's y and yaw."""
+    covariance = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0)), DT_NS, moved(dx, y_std_m=0.02)).covariance
+    of_road = 1e-6 * np.array([4.0**5 / 20, 4.0**3 / 3, 4.0])
+    of_road += [0.0015**2 * 4.0**3 / 3 + 0.005**2 * 4.0, 0.0015**2 * 4.0, 0.0]
+    np.testing.assert_allclose(np.diag(covariance)[[0, 2, 3]], of_road + np.array([0.02**2, 0.0015**2, 0.0]))
+    np.testing.assert_allclose(covariance[2, 3], 1e-6 * dx * 4.0 / 2)
 
 
 def test_with_odometry_what_was_uncertain_is_seen_from_further_on():

@@ -1,0 +1,141 @@
+"""Changes of lane, and what cannot be a lane, on roads computed by hand."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.stages.lanes import LanesState, step
+from roadperc_stream.chain.stages.surface.road import assumed_surface
+from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.core.datatypes import Odometry, Reason
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from tests.analytic import LINE, OTHER, ROAD, STEP_NS, Road
+from tests.scenes import scene_of
+
+CFG = LanesConfig()
+LANE_M, MARKING_M = 3.5, 0.15
+LINES_M = (5.25, 1.75, -1.75)
+"""Middles of the markings of two lanes, the car in the right one."""
+
+
+def markings(car_m, dashed=False, double=False, size=(640, 480)):
+    """Tags of the two lanes as the car sees them so far to the left of its first lane's middle."""
+    road = Road(width=size[0], height=size[1])
+    x, y, _ = np.moveaxis(road.ground()[1], -1, 0)
+    tags = np.where(x < 150, ROAD, OTHER).astype(np.uint8)
+    for k, line_m in enumerate(LINES_M):
+        aside = y - (line_m - car_m)
+        on_line = np.abs(aside) < MARKING_M / 2
+        if k == 1 and double:
+            on_line = np.abs(np.abs(aside) - 0.15) < MARKING_M / 2
+        if k == 1 and dashed:
+            on_line &= (x % 6.0) < 3.0
+        tags[on_line & (x < 150)] = LINE
+    return road, tags
+
+
+def look(road, tags, state, index, motion=None):
+    surface = assumed_surface(road.camera, road.ego_T_camera)
+    drivable = TABLE.lookup(("road", "road_line"))[tags].view(bool)
+    scene = scene_of(road.camera, road.ego_T_camera, tags=tags, stamp_ns=1_000_000_000 + index * STEP_NS)
+    return step(CFG, state, scene, surface, drivable, motion)
+
+
+def moved(sideways_m, index):
+    """Half a metre ahead and so far to the left, as odometry has it."""
+    T = np.eye(4)
+    T[:2, 3] = 0.5, sideways_m
+    covariance = np.diag([0.01, 0.005, 0.01, 1e-3, 1e-3, 1e-3]) ** 2
+    return Odometry("tracked", np.eye(4), T, covariance=tuple(covariance.ravel())) if index else None
+
+
+def drive(places_m, **kind):
+    state, seen, before_m = LanesState(), [], places_m[0]
+    for index, car_m in enumerate(places_m):
+        state, lanes = look(*markings(car_m, **kind), state, index, moved(car_m - before_m, index))
+        seen.append(lanes)
+        before_m = car_m
+    return seen
+
+
+ACROSS = [0.0] * 3 + list(np.linspace(0.0, LANE_M, 30)) + [LANE_M] * 3
+
+
+@pytest.mark.parametrize("kind", [{}, {"dashed": True}, {"double": True}], ids=["solid", "dashed", "double"])
+def test_the_crossed_line_becomes_the_other_boundary(kind):
+    seen = drive(ACROSS, **kind)
+    assert [lanes.lane_changes for lanes in seen] == sorted(lanes.lane_changes for lanes in seen)
+    crossed = next(k for k, lanes in enumerate(seen) if lanes.lane_changes == 1)
+    assert abs(ACROSS[crossed] - 1.75) < 0.3
+    half = 0.15 + MARKING_M / 2 if "double" in kind else MARKING_M / 2
+    for lanes, car_m in zip(seen[crossed + 6 :], ACROSS[crossed + 6 :], strict=True):
+        left, right = lanes.boundaries
+        assert (left.status, right.status) == ("measured", "measured")
+        assert left.offset_m == pytest.approx(5.25 - car_m - MARKING_M / 2, abs=0.05)
+        assert right.offset_m == pytest.approx(1.75 - car_m + half, abs=0.08)
+    assert seen[-1].lane_changes == 1
+
+
+def test_the_change_lasts_while_the_car_is_over_the_line():
+    states = [lanes.lane_change for lanes in drive(ACROSS)]
+    first, last = states.index("left"), len(states) - 1 - states[::-1].index("left")
+    assert set(states[first : last + 1]) == {"left"}
+    assert set(states[:first]) == set(states[last + 1 :]) == {"none"}
+    half_car = CFG.car_width_m / 2
+    assert ACROSS[first] == pytest.approx(1.75 - half_car, abs=0.25)
+    assert ACROSS[last] == pytest.approx(1.75 + half_car, abs=0.25)
+
+
+def test_a_change_that_is_broken_off_is_none():
+    there = list(np.linspace(0.0, 1.4, 14))
+    seen = drive([0.0, 0.0, *there, *there[::-1], 0.0])
+    assert {lanes.lane_change for lanes in seen} == {"none", "left"}
+    assert seen[-1].lane_change == "none"
+    assert {lanes.lane_changes for lanes in seen} == {0}
+    assert seen[-1].side("left").offset_m == pytest.approx(1.75 - MARKING_M / 2, abs=0.05)
+
+
+def test_nothing_is_given_of_the_line_that_the_car_stands_on():
+    seen = drive([0.0, 0.0, *np.linspace(0.0, 1.72, 15)])
+    left = seen[-1].side("left")
+    assert (left.status, left.offset_m) == ("lost", None)
+    assert left.reason == Reason("lanes", "car_on_boundary", ("left",))
+    assert left.reason in seen[-1].reasons
+
+
+def test_a_lane_too_narrow_is_none_and_says_so():
+    road = Road(left_m=0.7, right_m=-0.9)
+    _, lanes = look(road, road.tags(), LanesState(), 0)
+    (lost,) = (boundary for boundary in lanes.boundaries if boundary.status == "lost")
+    assert lost.reason.code == "lane_width"
+    assert lost.reason.values[1:] == (pytest.approx(1.6, abs=0.05), CFG.min_width_m, CFG.max_width_m)
+
+
+def test_a_line_across_the_lane_is_no_boundary():
+    road = Road(width=1280, height=960)
+    tags = road.tags()
+    x, y, _ = np.moveaxis(road.ground()[1], -1, 0)
+    tags[tags == LINE] = ROAD
+    tags[(np.abs(y - (2.0 - 0.6 * x)) < 0.1) & (y > -1.8) & (x > 0)] = LINE
+    _, lanes = look(road, tags, LanesState(), 0)
+    left, right = lanes.boundaries
+    assert (left.status, right.status) == ("lost", "measured")
+    assert left.reason is not None
+
+
+def test_another_scene_does_not_inherit_the_lanes():
+    near, far = Road(left_m=1.2, right_m=-2.4), Road(left_m=1.6, right_m=-2.0)
+    state, _ = look(near, near.tags(), LanesState(), 0)
+    lost = Odometry("lost", np.eye(4), reason=Reason("odometry", "too_few_inliers"))
+    _, lanes = look(far, far.tags(), state, 1, lost)
+    assert [boundary.offset_m for boundary in lanes.boundaries] == [b.raw_offset_m for b in lanes.boundaries]
+    _, later = look(far, far.tags(), state, 100)
+    assert [boundary.offset_m for boundary in later.boundaries] == [b.raw_offset_m for b in later.boundaries]
+
+
+def test_a_frame_without_an_image_inherits_them():
+    road = Road()
+    state, _ = look(road, road.tags(), LanesState(), 0)
+    lost = Odometry("lost", np.eye(4), reason=Reason("odometry", "no_image"))
+    after, lanes = look(road, np.full_like(road.tags(), ROAD), state, 1, lost)
+    assert [boundary.status for boundary in lanes.boundaries] == ["held", "held"]
+    assert after.left is not None
