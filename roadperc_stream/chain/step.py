@@ -75,7 +75,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     with timed("lanes"):
         lanes_state, ego_lane = _lanes(cfg, state, scene, front_road, drivable, motion)
     with timed("objects"):
-        objects_state, tracked = _objects(cfg, state, scene)
+        objects_state, tracked = _objects(cfg, state, scene, ego_lane, motion)
     with timed("occupancy"):
         grid = _occupancy(cfg, scene, front_road, drivable)
     problems += _missing_inputs(scene, tracked)
@@ -178,10 +178,13 @@ def _lanes(
     return lanes.step(cfg.lanes, state.lanes, scene, front_road, drivable, last_T_this)
 
 
-def _objects(cfg: ReplayConfig, state: ChainState, scene: Scene) -> tuple[ObjectsState, Objects | Absent]:
+def _objects(
+    cfg: ReplayConfig, state: ChainState, scene: Scene, ego_lane: Lanes | Absent, motion: Odometry | Absent
+) -> tuple[ObjectsState, Objects | Absent]:
     if not cfg.objects.enabled:
         return state.objects, _off("objects")
-    return objects.step(cfg.objects, state.objects, scene)
+    known_lane = None if isinstance(ego_lane, Absent) else ego_lane
+    return objects.step(cfg.objects, state.objects, scene, known_lane, _metric_step(motion, state.stamp_ns))
 
 
 def _occupancy(
