@@ -221,7 +221,8 @@ def _needs_grey(cfg: ReplayConfig, state: ChainState, frame: Frame) -> bool:
     """Whether any stage needs the front camera's pixels."""
     matches = cfg.stereo.enabled and frame.right is not None and _left_is_front(frame)
     searches = cfg.objects.enabled and cfg.objects.template_search and bool(frame.detections or state.objects.tracks)
-    return cfg.odometry.enabled or matches or searches
+    shown = cfg.objects.enabled and bool(cfg.objects.template_png)
+    return cfg.odometry.enabled or matches or searches or shown
 
 
 def _left_is_front(frame: Frame) -> bool:

@@ -141,6 +141,8 @@ ELSEWHERE = {
     "sync.max_wait_s": "input/test_sync.py",
     "surface.assumed_height_m": "below",
     "lanes.hold_s": "chain/stages/lanes/test_class_history.py",
+    "objects.template_png": "chain/stages/objects/test_obstacle.py",
+    "objects.template_distance": "chain/stages/objects/test_obstacle.py",
     "objects.cut_in_mps": "chain/stages/objects/test_impact.py",
     "objects.restart_s": "chain/stages/objects/test_tracker.py",
     "limits.chunk_mb": "hostile/test_logs.py",

@@ -11,6 +11,8 @@ from roadperc_stream.core.config.fields import Classes, Count, OddCount, Pixels,
 
 _MOST_DISTANCES = 10_000_000
 """Distances of points to planes that RANSAC may have in memory together: some 100 MB."""
+_PNG_IN_BASE64 = "^(iVBORw0KGgo[A-Za-z0-9+/]*={0,2})?$"
+"""What the eight bytes that begin a PNG are in base 64, and its characters."""
 
 
 class SyncConfig(Section):
@@ -187,6 +189,10 @@ class ObjectsConfig(Section):
     """How long an object must have been seen without a gap to be searched for: stray detections are not carried on."""
     template_min_score: Ratio = 0.7
     """Normalised cross-correlation from which the patch counts as found."""
+    template_png: Annotated[str, Field(max_length=1_000_000, pattern=_PNG_IN_BASE64)] = ""
+    """An obstacle's picture, a PNG in base 64, that is searched for in every frame; ``--template`` fills it in."""
+    template_distance: Literal["ray", "depth"] = "ray"
+    """How far that obstacle is: straight from the camera, or its depth along the camera's axis."""
     min_overlap: Ratio = 0.2
     """Intersection over union with an object's predicted box from which a detection may be the same object."""
     distance_penalty: Ratio = 0.3

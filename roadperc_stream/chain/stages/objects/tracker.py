@@ -9,6 +9,7 @@ from roadperc_stream.chain.stages.objects.approach import motion_of_camera
 from roadperc_stream.chain.stages.objects.association import assign, similarities
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
 from roadperc_stream.chain.stages.objects.impact import judged
+from roadperc_stream.chain.stages.objects.obstacle import find_obstacle
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, path_of
 from roadperc_stream.chain.stages.objects.placing import extent
 from roadperc_stream.chain.stages.objects.template import cut
@@ -80,7 +81,8 @@ def step(
         The new state, and the objects: the detector's own in its order, the kept ones with track id, place beside the
         path, closing speed and time to impact; then, with status ``tracked``, those that were found by their template
         alone, the oldest first. Distances are this frame's own; place, speed and time to impact come from the filters.
-        Absent where there are neither detections nor objects tracked without them.
+        Last is the obstacle that ``objects.template_png`` shows. Absent where there are neither detections nor objects
+        found without them.
     """
     arc = state.arc.after(cfg, last_T_this)
     path = path_of(cfg, ego_lane, arc)
@@ -99,10 +101,12 @@ def step(
     found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
     tracks = _remembered([*detected.values(), *(s.track for s in searched)])
     after = ObjectsState(tracks, state.next_number + len(kept.items) - len(pairs), path, arc)
+    obstacle, correlation = find_obstacle(cfg, scene)
+    found += () if obstacle is None else (obstacle,)
     if isinstance(filtered, Absent) and not found:
         return after, filtered
     tracked = tuple(judged(cfg, path, item, detected[k]) if k in detected else item for k, item in enumerate(own))
-    correlations = tuple(s.correlation for s in searched if s.correlation is not None)
+    correlations = tuple(c for c in (*(s.correlation for s in searched), correlation) if c is not None)
     return after, Objects(tracked + found, correlations, path.source)
 
 
