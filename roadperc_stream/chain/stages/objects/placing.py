@@ -1,17 +1,18 @@
 """Where an object is beside the path: how far its pixels reach to the left and to the right of the path's middle."""
 
 from dataclasses import dataclass
+from math import ceil, sqrt
 
 import numpy as np
 
 from roadperc_stream.chain.stages.objects.path import EgoPath
 from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Box, Object
-from roadperc_stream.core.geometry import Float, Float32, rays, transform
+from roadperc_stream.core.datatypes import Object
+from roadperc_stream.core.geometry import Float, Float32, transform
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.semantics import label_lookup
 
-_MOST_PIXELS = 2000
+_MOST_PIXELS = 1000
 """A place needs no more."""
 _FEWEST_PIXELS = 5
 _NEARER_SHARE = 0.05
@@ -56,37 +57,39 @@ def extent(cfg: ObjectsConfig, scene: Scene, path: EgoPath, item: Object) -> Ext
     if len(points) < _FEWEST_PIXELS:
         return None
     lateral = path.lateral(transform(scene.ego_T_camera, points)[:, :2])
-    right, left = np.quantile(lateral, (_OUTERMOST, 1.0 - _OUTERMOST))
-    return Extent(float(right), float(left), cfg.lateral_std_m + _STD_SHARE * item.distance_m, _nearest_ray(points))
+    right, left = _ranked(lateral, _OUTERMOST, 1.0 - _OUTERMOST)
+    return Extent(right, left, cfg.lateral_std_m + _STD_SHARE * item.distance_m, _nearest_ray(points))
 
 
 def _nearest_ray(points: Float) -> tuple[float, float, float]:
     """The mean direction of the nearest of (N, 3) points."""
     ranges = np.linalg.norm(points, axis=1)
-    nearest = points[ranges <= np.quantile(ranges, _NEAREST)]
+    nearest = points[ranges <= _ranked(ranges, _NEAREST)[0]]
     x, y = (nearest[:, :2] / nearest[:, 2:]).mean(axis=0).tolist()
     return x, y, 1.0
 
 
+def _ranked(values: Float, *quantiles: float) -> list[float]:
+    """Quantiles of values, each one of them: what NumPy's own costs ten times as much for."""
+    ranks = [int(quantile * (len(values) - 1)) for quantile in quantiles]
+    found: list[float] = np.partition(values, ranks)[ranks].tolist()
+    return found
+
+
 def _points(cfg: ObjectsConfig, scene: Scene, depth_m: Float32, item: Object, distance_m: float) -> Float:
-    """(N, 3) points of the object in the camera's frame."""
-    camera, box = scene.camera, item.detection.box_px
-    rows, columns = _grid(box, camera.width, camera.height)
-    depths = depth_m[rows, columns]
-    points = rays(camera, np.stack((columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)) * depths.reshape(-1, 1)
-    with np.errstate(invalid="ignore"):
-        behind_m = np.linalg.norm(points, axis=1) - distance_m
+    """(N, 3) points of the object in the camera's frame, at pixels spread over its box: every one of a small box."""
+    camera = scene.camera
+    x0, y0, x1, y1 = item.detection.box_px.rounded(camera.width, camera.height)
+    step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
+    part = slice(y0, y1, step), slice(x0, x1, step)
+    x = (np.arange(x0, x1, step) - camera.cx) / camera.fx
+    y = (np.arange(y0, y1, step) - camera.cy) / camera.fy
+    depths = depth_m[part].astype(np.float64)
+    behind_m = depths * np.sqrt(x**2 + (y**2 + 1.0)[:, None]) - distance_m
     chosen = (behind_m > -_NEARER_M - _NEARER_SHARE * distance_m) & (behind_m < cfg.object_length_m)
-    if scene.tags is not None and scene.table is not None:
-        lookup = label_lookup(scene.table, item.detection.label)
-        if lookup is not None:
-            chosen &= lookup[scene.tags[rows, columns]].astype(bool).ravel()
-    return np.asarray(points[chosen], np.float64)
-
-
-def _grid(box: Box, width: int, height: int) -> tuple[Float, Float]:
-    """(h, w) rows and (h, w) columns of pixels spread over a box, every one of a small box."""
-    x0, y0, x1, y1 = box.rounded(width, height)
-    step = max(int(np.ceil(np.sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS))), 1)
-    rows, columns = np.mgrid[y0:y1:step, x0:x1:step]
-    return rows, columns
+    lookup = None if scene.table is None else label_lookup(scene.table, item.detection.label)
+    if scene.tags is not None and lookup is not None:
+        chosen &= lookup[scene.tags[part]] > 0
+    rows, columns = np.nonzero(chosen)
+    z = depths[chosen]
+    return np.stack((x[columns] * z, y[rows] * z, z), axis=-1)
