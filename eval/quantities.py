@@ -60,6 +60,7 @@ TRUTH: Final = _quantities(
     errors.SurfaceErrorColumns,
     errors.LaneErrorColumns,
     errors.LaneScoreColumns,
+    errors.TrueImpactColumns,
     errors.ObjectErrorColumns,
     errors.StereoErrorColumns,
     errors.OdometryErrorColumns,

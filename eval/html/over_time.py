@@ -60,7 +60,15 @@ CHARTS: Final = (
         ),
         "The nearest kept object, and the nearest point of stereo.",
     ),
-    TimeChart("Time to impact", "s", (Kind("time_to_impact_s", "shortest"),), "The shortest of the frame's objects."),
+    TimeChart(
+        "Time to impact",
+        "s",
+        (
+            Kind("time_to_impact_s", "shortest"),
+            Kind("true_time_to_impact_s", "truth", 1.6, "dash", truth=True),
+        ),
+        "The shortest of the objects in the car's path.",
+    ),
     TimeChart(
         "Surface inliers",
         "share",

@@ -26,7 +26,7 @@ from roadperc_stream.core.datatypes import (
     StereoDepth,
     Surface,
 )
-from roadperc_stream.core.geometry import inverse, transform_plane
+from roadperc_stream.core.geometry import Float, inverse, transform_plane
 from roadperc_stream.core.scene import DepthMap, Scene
 
 Timer = Callable[[str], AbstractContextManager[object]]
@@ -75,7 +75,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     with timed("lanes"):
         lanes_state, ego_lane = _lanes(cfg, state, scene, front_road, drivable, motion)
     with timed("objects"):
-        objects_state, tracked = _objects(cfg, state, scene)
+        objects_state, tracked = _objects(cfg, state, scene, ego_lane, motion)
     with timed("occupancy"):
         grid = _occupancy(cfg, scene, front_road, drivable)
     problems += _missing_inputs(scene, tracked)
@@ -177,10 +177,13 @@ def _lanes(
     return lanes.step(cfg.lanes, state.lanes, scene, front_road, drivable, _since(motion, state.stamp_ns))
 
 
-def _objects(cfg: ReplayConfig, state: ChainState, scene: Scene) -> tuple[ObjectsState, Objects | Absent]:
+def _objects(
+    cfg: ReplayConfig, state: ChainState, scene: Scene, ego_lane: Lanes | Absent, motion: Odometry | Absent
+) -> tuple[ObjectsState, Objects | Absent]:
     if not cfg.objects.enabled:
         return state.objects, _off("objects")
-    return objects.step(cfg.objects, state.objects, scene)
+    known_lane = None if isinstance(ego_lane, Absent) else ego_lane
+    return objects.step(cfg.objects, state.objects, scene, known_lane, _metric_step(motion, state.stamp_ns))
 
 
 def _occupancy(
@@ -213,11 +216,18 @@ def _since(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
     return motion if motion.status == "lost" or motion.since_ns == since_ns else None
 
 
+def _metric_step(motion: Odometry | Absent, since_ns: int | None) -> Float | None:
+    """last_T_this of a motion in metres that begins at the last frame; None of any other."""
+    moved = _since(motion, since_ns)
+    return None if moved is None else moved.step
+
+
 def _needs_grey(cfg: ReplayConfig, state: ChainState, frame: Frame) -> bool:
     """Whether any stage needs the front camera's pixels."""
     matches = cfg.stereo.enabled and frame.right is not None and _left_is_front(frame)
     searches = cfg.objects.enabled and cfg.objects.template_search and bool(frame.detections or state.objects.tracks)
-    return cfg.odometry.enabled or matches or searches
+    shown = cfg.objects.enabled and bool(cfg.objects.template_png)
+    return cfg.odometry.enabled or matches or searches or shown
 
 
 def _left_is_front(frame: Frame) -> bool:

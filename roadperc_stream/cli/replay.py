@@ -82,6 +82,12 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--debug", action="store_true", help="write /perception/debug/...: proposed lines, matches, template, disparity"
     )
+    template = add(
+        "--template",
+        metavar="IMAGE|FRAME:X0,Y0,X1,Y1",
+        help="search every frame for the obstacle that a picture, or a box in a frame of IN.mcap, shows: "
+        "its place, distance and correlation are an object of label template",
+    )
     add("--recover", action="store_true", help="replay what can be read of a damaged log, and say what was lost")
     add("--strict", action="store_true", help="stop at the first message that cannot be used")
     add("--force", action="store_true", help="replace an existing OUT.mcap, but no recording")
@@ -91,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_settings_arguments(parser)
     completed_by(logs, files(*LOGS))
     completed_by(only, words(STAGES))
+    completed_by(template, files(".png", ".jpg"))
     return parser
 
 

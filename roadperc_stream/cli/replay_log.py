@@ -6,6 +6,7 @@ from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
 from roadperc_stream.cli.arguments import config_of, time_range_of
+from roadperc_stream.cli.template import with_template
 from roadperc_stream.core.process import optional_output
 from roadperc_stream.core.text import print_line
 from roadperc_stream.input import ReplaySource
@@ -39,7 +40,7 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
             summary = replay(
                 _source(arguments),
                 target,
-                config_of(arguments),
+                with_template(config_of(arguments), arguments.template, _source(arguments)),
                 beginning=Beginning(arguments.continued, arguments.warm_up or 0.0),
                 checkpoints=CheckpointOptions(arguments.checkpoint_every, arguments.resume),
                 watcher=Watcher(progress, live.start if live else unwatched),

@@ -29,7 +29,7 @@ def frame_metrics(
         true_lane_columns(result.lanes, truth.lanes),
         lane_benchmarks(result.lanes, truth.lanes, frame.camera, frame.ego_T_camera),
         object_errors(result.objects, truth.objects),
-        true_impact(truth.objects),
+        true_impact(result.objects, truth.objects),
         stereo_errors_of(result.stereo, sample),
         odometry_errors(result.odometry, sample, previous),
         true_pose_columns(truth),

@@ -49,6 +49,9 @@ def _object_row(
         closing_speed_std_mps=item.closing_speed_std_mps,
         time_to_impact_s=item.time_to_impact_s,
         time_to_impact_std_s=item.time_to_impact_std_s,
+        lateral_m=item.lateral_m,
+        in_path=item.in_path,
+        cut_in=item.cut_in,
         status=item.status,
         beyond_range=item.beyond_range,
         is_true=is_true,
@@ -87,6 +90,9 @@ def object_columns(objects: Objects | Absent) -> ObjectColumns:
         nearest_object_class=None if nearest is None else nearest.detection.label,
         time_to_impact_s=None if urgent is None else urgent.time_to_impact_s,
         time_to_impact_std_s=None if urgent is None else urgent.time_to_impact_std_s,
+        path_source=objects.path_source,
+        objects_in_path=sum(bool(item.in_path) for item in kept),
+        cut_ins=sum(bool(item.cut_in) for item in kept) if objects.path_source == "lane" else None,
     )
 
 
@@ -115,11 +121,16 @@ def object_errors(objects: Objects | Absent, truth: Objects | None) -> ObjectErr
     )
 
 
-def true_impact(truth: Objects | None) -> TrueImpactColumns:
-    """The smallest true time to impact of what is in the path; none where the truth does not say what is in it."""
+def true_impact(objects: Objects | Absent, truth: Objects | None) -> TrueImpactColumns:
+    """The smallest true time to impact of what is in the path, and the estimate's error.
+
+    None where the truth does not say what is in the path.
+    """
     ahead = () if truth is None else (item for item in truth.objects if item.in_path)
-    impacts = [impact for item in ahead if (impact := true_time_to_impact_s(item)) is not None]
-    return TrueImpactColumns(min(impacts, default=None))
+    true_s = min((impact for item in ahead if (impact := true_time_to_impact_s(item)) is not None), default=None)
+    urgent = None if isinstance(objects, Absent) else objects.most_urgent
+    impact_s = None if urgent is None else urgent.time_to_impact_s
+    return TrueImpactColumns(true_s, None if impact_s is None or true_s is None else impact_s - true_s)
 
 
 def true_partners(objects: Sequence[Object], truth: Objects | None) -> list[Object | None]:

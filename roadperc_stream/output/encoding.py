@@ -258,6 +258,7 @@ def _object(item: Object) -> pb.Object:
         track_id=item.track_id,
         lateral_m=item.lateral_m,
         in_path=item.in_path,
+        cut_in=item.cut_in,
     )
 
 

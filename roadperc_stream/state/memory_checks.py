@@ -12,6 +12,7 @@ from roadperc_stream.chain.stages.lanes.class_history import MOST_OBSERVED
 from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
 from roadperc_stream.chain.stages.objects.template import LARGEST_PX
 from roadperc_stream.chain.stages.objects.tracker import MOST_TRACKS, ObjectsState
+from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
 from roadperc_stream.chain.stages.odometry import OdometryState
 from roadperc_stream.chain.step import ChainState
 from roadperc_stream.core.config import LimitsConfig, OdometryConfig, ReplayConfig
@@ -44,6 +45,7 @@ def require_chain(chain: ChainState, cfg: ReplayConfig, most_objects: int) -> No
     _require_objects(chain.objects, most_objects)
     _require_finite(chain.lanes, _LARGEST)
     _require_finite(chain.objects)
+    _require_finite((chain.objects.path, chain.objects.arc), _LARGEST)
     for side in (chain.lanes.left, chain.lanes.right):
         if side is not None:
             _require_covariance(side.track.covariance)
@@ -116,9 +118,22 @@ def _require_objects(objects: ObjectsState, most_objects: int) -> None:
     for track in objects.tracks:
         if track.template is not None:
             _require_template(track.template.grey)
-        for motion in (track.x_px, track.y_px, track.distance_m, track.rival_m):
+        _require_approach(track)
+        for motion in (track.x_px, track.y_px, track.distance_m, track.rival_m, track.right_m, track.left_m):
             if motion is not None:
                 _require_filter(motion)
+
+
+def _require_approach(track: ObjectTrack) -> None:
+    """Check what divides something in the prediction of a distance."""
+    _require_finite((track.ego_rate, track.nearest_ray, track.jitter), _LARGEST)
+    rate, ray, jitter = track.ego_rate, track.nearest_ray, track.jitter
+    if rate is not None and rate.dt_s <= 0:
+        raise ValueError("a distance's rate over no time")
+    if ray is not None and (len(ray) != len("xyz") or ray[-1] != 1):
+        raise ValueError("a direction that is none")
+    if jitter is not None and min(jitter.weight, jitter.variance) < 0:
+        raise ValueError("a jitter that is none")
 
 
 def _require_template(grey: Image) -> None:

@@ -97,9 +97,14 @@ OBJECTS = {
     "objects.min_distance_std_m": "1",
     "objects.process_noise": "20",
     "objects.max_speed_std_mps": "0.5",
-    "objects.min_closing_mps": "10",
-    "objects.min_closing_sigmas": "10",
+    "objects.car_width_m": "6",
+    "objects.path_margin_m": "3",
+    "objects.object_length_m": "0.05",
+    "objects.lateral_std_m": "2",
+    "objects.lateral_noise": "20",
 }
+IMPACTS = {"objects.min_closing_mps": "10", "objects.min_closing_sigmas": "10"}
+LANE_PATH = {"objects.lane_width_min_m": "4.5", "objects.lane_width_max_m": "2.5"}
 ODOMETRY = {
     "odometry.enabled": "false",
     "odometry.features": "orb",
@@ -140,6 +145,9 @@ ELSEWHERE = {
     "sync.max_wait_s": "input/test_sync.py",
     "surface.assumed_height_m": "below",
     "lanes.hold_s": "chain/stages/lanes/test_class_history.py",
+    "objects.template_png": "chain/stages/objects/test_obstacle.py",
+    "objects.template_distance": "chain/stages/objects/test_obstacle.py",
+    "objects.cut_in_mps": "chain/stages/objects/test_impact.py",
     "objects.restart_s": "chain/stages/objects/test_tracker.py",
     "limits.chunk_mb": "hostile/test_logs.py",
     "limits.chunk_messages": "hostile/test_logs.py",
@@ -163,6 +171,9 @@ GROUPS = (
     (LINES, ("surface", "lanes"), ("lanes.model=line",)),
     ({"lanes.use_odometry": "false"}, ("surface", "lanes", "odometry"), ()),
     (OBJECTS, ("objects",), ()),
+    (IMPACTS, ("objects",), ("objects.path_margin_m=5",)),
+    (LANE_PATH, ("surface", "lanes", "objects"), ()),
+    ({"objects.path_memory_m": "0.5"}, ("surface", "odometry", "objects"), ()),
     (ODOMETRY, ("odometry",), ()),
     (DESCRIPTORS, ("odometry",), ("odometry.features=sift",)),
     (MONO, ("odometry",), ("mono",)),

@@ -11,6 +11,8 @@ from roadperc_stream.core.config.fields import Classes, Count, OddCount, Pixels,
 
 _MOST_DISTANCES = 10_000_000
 """Distances of points to planes that RANSAC may have in memory together: some 100 MB."""
+_PNG_IN_BASE64 = "^(iVBORw0KGgo[A-Za-z0-9+/]*={0,2})?$"
+"""What the eight bytes that begin a PNG are in base 64, and its characters."""
 
 
 class SyncConfig(Section):
@@ -195,6 +197,10 @@ class ObjectsConfig(Section):
     """How long an object must have been seen without a gap to be searched for: stray detections are not carried on."""
     template_min_score: Ratio = 0.7
     """Normalised cross-correlation from which the patch counts as found."""
+    template_png: Annotated[str, Field(max_length=1_000_000, pattern=_PNG_IN_BASE64)] = ""
+    """An obstacle's picture, a PNG in base 64, that is searched for in every frame; ``--template`` fills it in."""
+    template_distance: Literal["ray", "depth"] = "ray"
+    """How far that obstacle is: straight from the camera, or its depth along the camera's axis."""
     min_overlap: Ratio = 0.2
     """Intersection over union with an object's predicted box from which a detection may be the same object."""
     distance_penalty: Ratio = 0.3
@@ -205,7 +211,7 @@ class ObjectsConfig(Section):
     """How long distances beyond the gate must follow each other until they are believed."""
     min_distance_std_m: Positive = 0.1
     """Least standard deviation of a measured distance: the quantile moves with the box."""
-    process_noise: Annotated[Positive, unit("m/s")] = 2.0
+    process_noise: Annotated[Positive, unit("m/s")] = 1.5
     """Standard deviation by which an object's closing speed changes within a second."""
     max_speed_std_mps: Positive = 2.0
     """Largest standard deviation at which a closing speed is given."""
@@ -213,6 +219,24 @@ class ObjectsConfig(Section):
     """Least closing speed at which a time to impact is given."""
     min_closing_sigmas: Annotated[float, Field(ge=0.0, le=1e4), unit("standard deviations")] = 2.0
     """Least closing speed, in its own standard deviations, at which a time to impact is given."""
+    car_width_m: Positive = 1.8
+    """Width of the car: its path is as wide, and ``path_margin_m`` wider on either side."""
+    path_margin_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
+    """What is beside the car by no more than this is in its path."""
+    path_memory_m: Positive = 5.0
+    """Way over which the path's curvature by odometry is averaged, the latest metres counting most."""
+    lane_width_min_m: Positive = 2.0
+    """A narrower lane is none that the car drives in."""
+    lane_width_max_m: Positive = 5.0
+    """In a wider lane the path runs along its boundaries, but where the car is, not in the middle."""
+    object_length_m: Positive = 5.0
+    """Pixels so far behind an object's nearest point count for its place beside the path."""
+    lateral_std_m: Positive = 0.1
+    """Least standard deviation of where an object's edges are beside the path."""
+    lateral_noise: Annotated[Positive, unit("m/s")] = 1.0
+    """Standard deviation by which the speed of an object's edges across the path changes within a second."""
+    cut_in_mps: Positive = 0.3
+    """Least speed, towards the path, of an object over the lane's line that cuts in."""
 
 
 class OdometryConfig(Section):

@@ -19,6 +19,7 @@ LaneChange = Literal["none", "left", "right"]
 BoundaryStatus = Literal["measured", "held", "lost"]
 ObjectStatus = Literal["measured", "tracked", "lost"]
 Verdict = Literal["kept", "unverified", "dropped"]
+PathSource = Literal["lane", "boundary", "odometry", "straight"]
 OdometryStatus = Literal["first", "tracked", "lost"]
 Line = tuple[float, float, float, float]
 """x1, y1, x2, y2 in pixels: from the image's bottom edge (y1 = height) to the road's far end."""
@@ -221,7 +222,8 @@ class Object:
     """A detection filtered by the segmentation, with its distance.
 
     ``lateral_m`` is how far its middle is to the left of the middle of the car's path; ``in_path`` whether any of it
-    is in the path.
+    is in the path, and ``cut_in`` whether it is not yet, but is over the lane's line on its way in. A time to impact
+    has only what is in the path.
     """
 
     detection: Detection
@@ -238,6 +240,7 @@ class Object:
     track_id: str = ""
     lateral_m: float | None = None
     in_path: bool | None = None
+    cut_in: bool | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -281,11 +284,13 @@ class Correlation:
 class Objects:
     """All detections of a frame, kept and dropped, in the detector's order, then those tracked by their template alone.
 
-    ``searches`` are the correlations of that template matching.
+    ``searches`` are the correlations of that template matching. ``path_source`` says what the path was taken from:
+    the ``lane``, one ``boundary`` alone, the circle by ``odometry``, or nothing, ``straight`` ahead.
     """
 
     objects: tuple[Object, ...]
     searches: tuple[Correlation, ...] = field(default=(), repr=False)
+    path_source: PathSource | None = None
 
     @property
     def nearest(self) -> Object | None:
@@ -294,7 +299,7 @@ class Objects:
 
     @property
     def most_urgent(self) -> Object | None:
-        """The kept object with the least time to impact; None where none is known."""
+        """The kept object with the least time to impact, which is in the path; None where none is known."""
         return self._first_kept([item.time_to_impact_s for item in self.objects])
 
     def _first_kept(self, values: Sequence[float | None]) -> Object | None:

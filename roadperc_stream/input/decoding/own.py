@@ -165,5 +165,6 @@ def _object(message: Any) -> Object:
         status=_OBJECT_STATUS_OF.get(message.status, "measured"),
         track_id=message.track_id,
         in_path=optional(message, "in_path"),
+        cut_in=optional(message, "cut_in"),
         **numbers,
     )

@@ -187,7 +187,7 @@ class ObjectErrorColumns:
 
 @dataclass(frozen=True)
 class TrueImpactColumns:
-    """What the truth says of the path ahead."""
+    """What the truth says of the path ahead, and how far the time to impact is from it."""
 
     true_time_to_impact_s: Annotated[
         float | None,
@@ -195,6 +195,17 @@ class TrueImpactColumns:
             "smallest true time to impact of what is in the path: range over range rate",
             "s",
             "nothing in the path comes nearer, or the log does not say what is in it",
+        ),
+    ] = None
+    time_to_impact_error_s: Annotated[
+        float | None,
+        Column(
+            "t - t*, the smallest time to impact of what is in the path",
+            "s",
+            "either is not known",
+            label="time to impact",
+            decimals=3,
+            better="near 0",
         ),
     ] = None
 

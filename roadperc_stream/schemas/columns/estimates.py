@@ -228,15 +228,45 @@ class ObjectColumns:
     time_to_impact_s: Annotated[
         float | None,
         Column(
-            "smallest time to impact of the kept objects: distance over closing speed",
+            "smallest time to impact of the kept objects in the path: distance over closing speed",
             "s",
-            "none comes nearer",
+            "none in the path comes nearer",
             label="time to impact",
             decimals=2,
             compares_coverage=False,
         ),
     ] = None
     time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")] = None
+    path_source: Annotated[
+        str | None,
+        Column(
+            "what the car's path was taken from: `lane` (its middle), `boundary` (along the one that is known), "
+            "`odometry` (the circle on which the car drives) or `straight` (nothing is known)",
+            null=_NO_OBJECTS,
+        ),
+    ] = None
+    objects_in_path: Annotated[
+        int | None,
+        Column(
+            "kept objects in the path",
+            COUNT,
+            _NO_OBJECTS,
+            label="objects in the path",
+            decimals=1,
+            compares_coverage=False,
+        ),
+    ] = None
+    cut_ins: Annotated[
+        int | None,
+        Column(
+            "kept objects beside the path, over the lane's line and moving in",
+            COUNT,
+            "the stage did not run, or no lane is known",
+            label="cut-ins",
+            decimals=1,
+            compares_coverage=False,
+        ),
+    ] = None
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from roadperc_stream.schemas.columns.column import RATIO, Column
 from roadperc_stream.schemas.columns.frame import FrameKey
 
 _NOT_TRACKED = "too few distances so far, or contradicting ones"
+_NO_PLACE = "not tracked, or no distance"
 _NO_TRUTH = "no true object"
 
 
@@ -40,9 +41,18 @@ class ObjectMetrics(FrameKey):
     ]
     closing_speed_std_mps: Annotated[float | None, Column("its standard deviation", "m/s", "the same")]
     time_to_impact_s: Annotated[
-        float | None, Column("distance over closing speed", "s", "does not come nearer, or no closing speed")
+        float | None,
+        Column("distance over closing speed", "s", "not in the path, does not come nearer, or no closing speed"),
     ]
     time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")]
+    lateral_m: Annotated[
+        float | None, Column("how far its middle is to the left of the middle of the car's path", "m", _NO_PLACE)
+    ]
+    in_path: Annotated[bool | None, Column("whether any of it is in the car's path", null=_NO_PLACE)]
+    cut_in: Annotated[
+        bool | None,
+        Column("whether it is not in the path, but over the lane's line and moving in", null="the same, or no lane"),
+    ]
     status: Annotated[
         str, Column("`measured` (detected), `tracked` (carried by its image patch without a detection) or `lost`")
     ]

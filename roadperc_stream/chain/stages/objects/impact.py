@@ -1,32 +1,65 @@
-"""Closing speed and time to impact, with their standard deviations, as far as they are known."""
+"""What an object's track says of it: its place beside the path, closing speed and time to impact, as far as known.
+
+Terms of forward collision warning (GB/T 33577-2017, after ISO 15623): the time to collision is the distance over the
+relative speed, of a vehicle on the subject vehicle's trajectory; a vehicle cuts in that is beside it and moves
+towards it.
+"""
 
 from dataclasses import replace
 from math import sqrt
 
+from roadperc_stream.chain.stages.objects.path import EgoPath
 from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Object
 
+_VAGUE_M = 1.0
+"""Standard deviation of an edge beyond which nobody can say whether it is in the path."""
+_SURE_SIGMAS = 2.0
 
-def with_motion(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
-    """An object with its track's id, and its closing speed and time to impact by the track's distances.
+
+def judged(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
+    """An object with its track's id, its place beside the path, its closing speed and its time to impact."""
+    return _with_motion(cfg, _with_place(cfg, path, replace(item, track_id=track.id), track), track)
+
+
+def _with_place(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
+    """The object with its middle beside the path, whether any of it is in the path, and whether it cuts in."""
+    right, left = track.right_m, track.left_m
+    if right is None or left is None or sqrt(max(right.value_var, left.value_var)) > _VAGUE_M:
+        return item
+    half_m = cfg.car_width_m / 2 + cfg.path_margin_m
+    in_path = right.value < half_m and left.value > -half_m
+    nearer = right if right.value + left.value > 0 else replace(left, value=-left.value, rate=-left.rate)
+    cut_in = None if path.lane_half_m is None else not in_path and _cuts_in(cfg, nearer, path.lane_half_m)
+    return replace(item, lateral_m=(right.value + left.value) / 2, in_path=in_path, cut_in=cut_in)
+
+
+def _cuts_in(cfg: ObjectsConfig, edge: RateFilter, lane_half_m: float) -> bool:
+    """Whether the edge that faces the path, metres beside its middle, is over the lane's line and surely moves in."""
+    inward = -edge.rate
+    return edge.value < lane_half_m and inward > max(cfg.cut_in_mps, _SURE_SIGMAS * sqrt(edge.rate_var))
+
+
+def _with_motion(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
+    """The object with its closing speed and time to impact by the track's distances.
 
     The speed is that of the distance to the camera, positive when coming nearer. A speed that is not known well is
-    not given. A time to impact is given only for what surely comes nearer, and not while the distances contradict
-    the filtered one: either may be another object's.
+    not given. A time to impact is given only for what is in the path and surely comes nearer, and not while the
+    distances contradict the filtered one: either may be another object's.
     """
-    named = replace(item, track_id=track.id)
     distance = track.distance_m
     if distance is None or sqrt(distance.rate_var) > cfg.max_speed_std_mps:
-        return named
+        return item
     closing, std = -distance.rate, sqrt(distance.rate_var)
-    named = replace(named, closing_speed_mps=closing, closing_speed_std_mps=std)
+    moving = replace(item, closing_speed_mps=closing, closing_speed_std_mps=std)
     contradicted = track.rival_m is not None or distance.value <= 0
-    if contradicted or closing < cfg.min_closing_mps or closing < cfg.min_closing_sigmas * std:
-        return named
+    nears = closing >= cfg.min_closing_mps and closing >= cfg.min_closing_sigmas * std
+    if not item.in_path or contradicted or not nears:
+        return moving
     return replace(
-        named, time_to_impact_s=distance.value / closing, time_to_impact_std_s=_time_to_impact_std_s(distance)
+        moving, time_to_impact_s=distance.value / closing, time_to_impact_std_s=_time_to_impact_std_s(distance)
     )
 
 

@@ -4,7 +4,7 @@ The rate is a random walk (continuous white noise acceleration: Bar-Shalom, Li a
 section 6.2.2), so that one step of 0.2 s equals two of 0.1 s. Two numbers need no matrices: plain floats are faster.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,14 @@ class RateFilter:
             self.cross_var + dt_s * self.rate_var + noise * dt_s / 2,
             self.rate_var + noise,
         )
+
+    def shifted(self, value: float, rate: float) -> "RateFilter":
+        """With a known change of value and rate: an input, which adds no uncertainty."""
+        return replace(self, value=self.value + value, rate=self.rate + rate)
+
+    def at(self, value: float, std: float) -> "RateFilter":
+        """At a value that says nothing of the rate."""
+        return RateFilter(value, self.rate, std**2, 0.0, self.rate_var)
 
     def update(self, measured: float, std: float) -> "RateFilter":
         """After a measurement of the value with its standard deviation."""

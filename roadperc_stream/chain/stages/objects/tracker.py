@@ -1,18 +1,22 @@
 """One frame of the objects: filter the detections, associate them with tracks, and search for tracks without one."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import sqrt
 
 from roadperc_stream.chain.stages.objects import tracking
+from roadperc_stream.chain.stages.objects.approach import motion_of_camera
 from roadperc_stream.chain.stages.objects.association import assign, similarities
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
-from roadperc_stream.chain.stages.objects.impact import with_motion
+from roadperc_stream.chain.stages.objects.impact import judged
+from roadperc_stream.chain.stages.objects.obstacle import find_obstacle
+from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, path_of
+from roadperc_stream.chain.stages.objects.placing import extent
 from roadperc_stream.chain.stages.objects.template import cut
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
 from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent, Box, Correlation, Object, Objects
-from roadperc_stream.core.geometry import Camera
+from roadperc_stream.core.datatypes import Absent, Box, Correlation, Lanes, Object, Objects
+from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.core.scene import Scene
 
 MOST_TRACKS = 256
@@ -21,13 +25,21 @@ _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0
 """Most that is searched to each side of the predicted centre, in box sides."""
 
+_BORDER_PX = 1.5
+"""A box that comes as near to the image's side goes on beyond it."""
+
 
 @dataclass(frozen=True)
 class ObjectsState:
-    """What the objects remember from one frame to the next; ``next_number`` names the next new object."""
+    """What the objects remember from one frame to the next; ``next_number`` names the next new object.
+
+    ``path`` is the last frame's, beside which the tracks' edges are, and ``arc`` what odometry said of it.
+    """
 
     tracks: tuple[ObjectTrack, ...] = ()
     next_number: int = 1
+    path: EgoPath = field(default_factory=lambda: EgoPath("straight"))
+    arc: DrivenArc = field(default_factory=DrivenArc)
 
 
 @dataclass(frozen=True)
@@ -48,7 +60,13 @@ class _Searched:
     correlation: Correlation | None = None
 
 
-def step(cfg: ObjectsConfig, state: ObjectsState, scene: Scene) -> tuple[ObjectsState, Objects | Absent]:
+def step(
+    cfg: ObjectsConfig,
+    state: ObjectsState,
+    scene: Scene,
+    ego_lane: Lanes | None = None,
+    last_T_this: Float | None = None,
+) -> tuple[ObjectsState, Objects | Absent]:
     """Filter a frame's detections and track the kept ones over time.
 
     Args:
@@ -56,30 +74,40 @@ def step(cfg: ObjectsConfig, state: ObjectsState, scene: Scene) -> tuple[Objects
         state: what the last frame left.
         scene: the frame, later than the last one; without tags every detection is kept, without a grey image tracks
             without a detection are not searched for.
+        ego_lane: the lane the car is in, None where it is not known.
+        last_T_this: (4, 4) metric motion since the last frame, ego frame; None where it is not known.
 
     Returns:
-        The new state, and the objects: the detector's own in its order, the kept ones with track id, closing speed
-        and time to impact; then, with status ``tracked``, those that were found by their template alone, the oldest
-        first. Distances are this frame's own; speed and time to impact come from the filter. Absent where there are
-        neither detections nor objects tracked without them.
+        The new state, and the objects: the detector's own in its order, the kept ones with track id, place beside the
+        path, closing speed and time to impact; then, with status ``tracked``, those that were found by their template
+        alone, the oldest first. Distances are this frame's own; place, speed and time to impact come from the filters.
+        Last is the obstacle that ``objects.template_png`` shows. Absent where there are neither detections nor objects
+        found without them.
     """
+    arc = state.arc.after(cfg, last_T_this)
+    path = path_of(cfg, ego_lane, arc)
     filtered = filter_detections(cfg, scene, scene.detections)
     own = () if isinstance(filtered, Absent) else filtered.objects
     kept = _kept(scene.camera, own)
-    known = [tracking.predict(cfg, track, scene.stamp_ns) for track in state.tracks]
+    now_T_last = motion_of_camera(scene, last_T_this)
+    known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in state.tracks]
     known = [track for track in known if not tracking.expired(cfg, track)]
+    known = known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
     pairs = assign(cfg, known, kept.items, kept.boxes)
     detected = _detected(cfg, state.next_number, scene, known, kept, pairs)
+    detected = {k: tracking.placed(track, extent(cfg, scene, path, own[k])) for k, track in detected.items()}
     missed = [track for k, track in enumerate(known) if k not in pairs]
-    searched = [_searched(cfg, scene, track, kept) for track in missed]
-    found = tuple(with_motion(cfg, s.item, s.track) for s in searched if s.item is not None)
+    searched = [_searched(cfg, scene, path, track, kept) for track in missed]
+    found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
     tracks = _remembered([*detected.values(), *(s.track for s in searched)])
-    started = len(kept.items) - len(pairs)
-    after = ObjectsState(tracks, state.next_number + started)
+    after = ObjectsState(tracks, state.next_number + len(kept.items) - len(pairs), path, arc)
+    obstacle, correlation = find_obstacle(cfg, scene)
+    found += () if obstacle is None else (obstacle,)
     if isinstance(filtered, Absent) and not found:
         return after, filtered
-    tracked = tuple(with_motion(cfg, item, detected[k]) if k in detected else item for k, item in enumerate(own))
-    return after, Objects(tracked + found, tuple(s.correlation for s in searched if s.correlation is not None))
+    tracked = tuple(judged(cfg, path, item, detected[k]) if k in detected else item for k, item in enumerate(own))
+    correlations = tuple(c for c in (*(s.correlation for s in searched), correlation) if c is not None)
+    return after, Objects(tracked + found, correlations, path.source)
 
 
 def _kept(camera: Camera, objects: Sequence[Object]) -> _Kept:
@@ -98,6 +126,11 @@ def _within(camera: Camera, box: Box) -> Box:
         min(max(box.x_max, 0.0), x),
         min(max(box.y_max, 0.0), y),
     )
+
+
+def _cut(camera: Camera, box: Box) -> bool:
+    """Whether one side of the image cuts off part of what is in a box within the image."""
+    return (box.x_min < _BORDER_PX) != (box.x_max > camera.width - _BORDER_PX)
 
 
 def _corners(box: Box) -> tuple[float, float, float, float]:
@@ -121,7 +154,7 @@ def _detected(
     tracks: dict[int, ObjectTrack] = {}
     for k, (item, box, position) in enumerate(zip(kept.items, kept.boxes, kept.positions, strict=True)):
         if k in track_of:
-            track = tracking.detected(cfg, known[track_of[k]], item, box)
+            track = tracking.detected(cfg, known[track_of[k]], item, box, cut=_cut(scene.camera, box))
         else:
             track = tracking.start(cfg, next_number, item, box, scene.stamp_ns)
             next_number += 1
@@ -137,7 +170,7 @@ def _with_template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Obje
     return replace(track, template=cut(scene.grey, track.box_px, distance_m))
 
 
-def _searched(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack, kept: _Kept) -> _Searched:
+def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrack, kept: _Kept) -> _Searched:
     """The track and its object where its template matches, filtered as detections are; no object if it does not match.
 
     A match that overlaps a kept detection is that object again, and one that the tags contradict is chance.
@@ -158,7 +191,9 @@ def _searched(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack, kept: _Kept)
     item = replace(filtered.objects[0], status="tracked")
     after = tracking.carried(cfg, track, item)
     detected = similarities(cfg, [after], kept.items, kept.boxes).any()
-    return lost if detected else _Searched(after, item, correlation)
+    if detected:
+        return lost
+    return _Searched(tracking.placed(after, extent(cfg, scene, path, item)), item, correlation)
 
 
 def _around(track: ObjectTrack) -> Box:

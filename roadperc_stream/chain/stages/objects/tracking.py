@@ -8,13 +8,19 @@ distance's filter, which replaces it when its distances have been consistent for
 from dataclasses import dataclass, replace
 
 from roadperc_stream.chain.stages.objects import rate_filter
+from roadperc_stream.chain.stages.objects.approach import EgoRate, Ray, change_of_distance_m
+from roadperc_stream.chain.stages.objects.jitter import Jitter
+from roadperc_stream.chain.stages.objects.placing import Extent
 from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
 from roadperc_stream.chain.stages.objects.template import Template
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Box, Detection, Object
+from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.time import NS_PER_S
 
 _FIRST_SPEED_STD_MPS = 20.0
+_FIRST_DRIFT_STD_MPS = 3.0
+"""Of an unknown motion across the path."""
 _SIDE_STD = 0.03
 """Of a detected box's centre, in box sides."""
 _LEAST_STD_PX = 0.5
@@ -35,7 +41,10 @@ class ObjectTrack:
     ``box_px`` is its box at ``stamp_ns``, observed or predicted; ``x_px`` and ``y_px`` are the filters of its centre.
     It was last detected at ``detected_ns``, last observed (detected or found by its template) at ``observed_ns``, and
     that in every frame since ``run_ns``; ``missed`` says whether a frame has gone by without it since. ``rival_m`` is
-    the filter of the distances beyond the gate since ``rival_ns``.
+    the filter of the distances beyond the gate since ``rival_ns``. ``right_m`` and ``left_m`` are the filters of its
+    edges, metres to the left of the path's middle. ``ego_rate`` is the part of the distance's rate that is the car's
+    own motion, None where that is not known, ``nearest_ray`` the direction of its nearest pixels, and ``jitter`` how
+    much its distances jitter.
     """
 
     number: int
@@ -52,6 +61,11 @@ class ObjectTrack:
     rival_m: RateFilter | None = None
     rival_ns: int = 0
     template: Template | None = None
+    right_m: RateFilter | None = None
+    left_m: RateFilter | None = None
+    ego_rate: EgoRate | None = None
+    nearest_ray: Ray | None = None
+    jitter: Jitter | None = None
 
     @property
     def id(self) -> str:
@@ -62,27 +76,41 @@ class ObjectTrack:
 def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: int) -> ObjectTrack:
     """A new track of a detected object; ``box_px`` is its box within the image."""
     (x, y), (width, height) = _centre(box_px), _sides(box_px)
-    return ObjectTrack(
+    track = ObjectTrack(
         number,
         item.detection,
         box_px,
         rate_filter.start(x, _centre_std(width), _FIRST_DRIFT_STD * width),
         rate_filter.start(y, _centre_std(height), _FIRST_DRIFT_STD * height),
-        None if item.distance_m is None else _first_distance(item.distance_m, distance_std_m(cfg, item)),
+        None,
         stamp_ns,
         stamp_ns,
         stamp_ns,
         stamp_ns,
     )
+    return track if item.distance_m is None else _measured(cfg, track, item.distance_m, distance_std_m(cfg, item))
 
 
-def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int) -> ObjectTrack:
-    """The track at a later stamp: the box moves on as its centre did and grows as the object comes nearer."""
+def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: Float | None = None) -> ObjectTrack:
+    """The track at a later stamp: the box moves on as its centre did and grows as the object comes nearer.
+
+    Args:
+        cfg: how much the motions wander.
+        track: at an earlier stamp.
+        stamp_ns: where to.
+        now_T_last: (4, 4) the camera's motion between the two, None where it is not known.
+    """
     dt_s = (stamp_ns - track.stamp_ns) / NS_PER_S
     width, height = _sides(track.box_px)
     x_px = track.x_px.predict(_DRIFT_WALK * width, dt_s)
     y_px = track.y_px.predict(_DRIFT_WALK * height, dt_s)
     distance_m, rival_m = (m.predict(cfg.process_noise, dt_s) if m else None for m in (track.distance_m, track.rival_m))
+    right_m, left_m = (m.predict(cfg.lateral_noise, dt_s) if m else None for m in (track.right_m, track.left_m))
+    ego_rate = _ego_rate(track, now_T_last, dt_s)
+    if ego_rate is not None and track.ego_rate is not None:
+        change_m = (ego_rate.mean_mps - track.ego_rate.end_mps) * dt_s
+        change_mps = ego_rate.end_mps - track.ego_rate.end_mps
+        distance_m, rival_m = (m.shifted(change_m, change_mps) if m else None for m in (distance_m, rival_m))
     scale = zoom(track.distance_m.value if track.distance_m else None, distance_m)
     box_px = _box((x_px.value, y_px.value), (width * scale, height * scale))
     return replace(
@@ -92,9 +120,20 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int) -> ObjectTrac
         y_px=y_px,
         distance_m=distance_m,
         rival_m=rival_m,
+        right_m=right_m,
+        left_m=left_m,
+        ego_rate=ego_rate,
         stamp_ns=stamp_ns,
         missed=track.observed_ns != track.stamp_ns,
     )
+
+
+def _ego_rate(track: ObjectTrack, now_T_last: Float | None, dt_s: float) -> EgoRate | None:
+    """How fast the distance would change if the object stood still; None where nobody knows."""
+    if now_T_last is None or track.distance_m is None or track.nearest_ray is None or dt_s <= 0:
+        return None
+    change_m = change_of_distance_m(now_T_last, track.nearest_ray, max(track.distance_m.value, 0.0))
+    return EgoRate.after(change_m, dt_s, track.ego_rate)
 
 
 def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
@@ -105,15 +144,28 @@ def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
     return min(max(before_m / after_m.value, least), most) if after_m.value > 0 else most
 
 
-def detected(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box) -> ObjectTrack:
-    """The predicted track after the detection that belongs to it."""
-    updated = _updated(cfg, track, item, box_px)
+def detected(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool = False) -> ObjectTrack:
+    """The predicted track after the detection that belongs to it; ``cut`` where the image's side cuts the object."""
+    updated = _updated(cfg, track, item, box_px, cut=cut)
     return replace(updated, detection=item.detection, detected_ns=track.stamp_ns)
 
 
 def carried(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> ObjectTrack:
     """The predicted track after its template was found in the image, which does not count as a detection."""
-    return _updated(cfg, track, item, item.detection.box_px)
+    return _updated(cfg, track, item, item.detection.box_px, cut=False)
+
+
+def placed(track: ObjectTrack, extent: Extent | None) -> ObjectTrack:
+    """The track after its edges were seen beside the path."""
+    if extent is None:
+        return track
+    if track.right_m is None or track.left_m is None:
+        edges = (rate_filter.start(m, extent.std_m, _FIRST_DRIFT_STD_MPS) for m in (extent.right_m, extent.left_m))
+        right_m, left_m = edges
+    else:
+        right_m = track.right_m.update(extent.right_m, extent.std_m)
+        left_m = track.left_m.update(extent.left_m, extent.std_m)
+    return replace(track, right_m=right_m, left_m=left_m, nearest_ray=extent.nearest_ray)
 
 
 def expired(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
@@ -133,7 +185,7 @@ def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
     return max(_UNKNOWN_STD_SHARE * (item.distance_m or 0.0), cfg.min_distance_std_m)
 
 
-def _updated(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box) -> ObjectTrack:
+def _updated(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool) -> ObjectTrack:
     (x, y), (width, height) = _centre(box_px), _sides(box_px)
     moved = replace(
         track,
@@ -145,23 +197,30 @@ def _updated(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box) 
     )
     if item.distance_m is None:
         return moved
-    return _measured(cfg, moved, item.distance_m, distance_std_m(cfg, item))
+    std_m = distance_std_m(cfg, item)
+    if cut and moved.distance_m is not None:
+        # What is nearest of it in the image is another point of it in each frame: that says nothing of its speed.
+        return replace(moved, distance_m=moved.distance_m.at(item.distance_m, std_m), rival_m=None)
+    return _measured(cfg, moved, item.distance_m, std_m)
 
 
 def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: float) -> ObjectTrack:
     """The track after a distance: it belongs to the filter or to its rival, whichever it fits, or to a new rival."""
+    new = Jitter.of_first(track.stamp_ns, distance_m, std_m)
     if track.distance_m is None:
-        return replace(track, distance_m=_first_distance(distance_m, std_m))
+        return replace(track, distance_m=_first_distance(distance_m, std_m), jitter=new)
     ours = track.distance_m.surprise(distance_m, std_m)
     theirs = track.rival_m.surprise(distance_m, std_m) if track.rival_m else cfg.gate
     if ours <= min(theirs, cfg.gate):
-        return replace(track, distance_m=track.distance_m.update(distance_m, std_m), rival_m=None)
+        jitter = track.jitter.after(track.stamp_ns, distance_m, std_m) if track.jitter else new
+        distance = track.distance_m.update(distance_m, jitter.std_m(track.distance_m, distance_m, std_m))
+        return replace(track, distance_m=distance, rival_m=None, jitter=jitter)
     if track.rival_m is None or theirs > cfg.gate:
         return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)
     rival_m = track.rival_m.update(distance_m, std_m)
     if (track.stamp_ns - track.rival_ns) / NS_PER_S < cfg.restart_s:
         return replace(track, rival_m=rival_m)
-    return replace(track, distance_m=rival_m, rival_m=None)
+    return replace(track, distance_m=rival_m, rival_m=None, jitter=new)
 
 
 def _first_distance(distance_m: float, std_m: float) -> RateFilter:

@@ -1,0 +1,59 @@
+"""``--template``: the picture of an obstacle, from a file or from a box in a frame of the log."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.chain.stages.objects.obstacle import png_of
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.core.config.loading import validated
+from roadperc_stream.core.datatypes import Image
+from roadperc_stream.errors import ConfigError, DecodeError
+from roadperc_stream.formats.images import decode_grey
+from roadperc_stream.input import ReplaySource, open_input
+
+_IN_FRAME: Final = re.compile(r"(\d+):(\d+),(\d+),(\d+),(\d+)")
+
+
+def with_template(cfg: ReplayConfig, option: str | None, source: ReplaySource) -> ReplayConfig:
+    """The configuration with the picture in ``objects.template_png``.
+
+    Args:
+        cfg: the other settings.
+        option: a file, or ``FRAME:X0,Y0,X1,Y1`` with frames counted from 0 and a half-open box; None changes nothing.
+        source: the log.
+
+    Raises:
+        ConfigError: there is no such picture.
+    """
+    if option is None:
+        return cfg
+    place = _IN_FRAME.fullmatch(option)
+    grey = _of_file(Path(option)) if place is None else _of_frame(cfg, source, *(int(n) for n in place.groups()))
+    settings = cfg.model_dump()
+    settings["objects"]["template_png"] = png_of(grey)
+    return validated(settings, "--template: ")
+
+
+def _of_file(path: Path) -> Image:
+    try:
+        return decode_grey(path.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"--template: {path}: {error.strerror}") from error
+    except DecodeError as error:
+        raise ConfigError(f"--template: {path}: {error}") from error
+
+
+def _of_frame(cfg: ReplayConfig, source: ReplaySource, frame: int, x0: int, y0: int, x1: int, y1: int) -> Image:
+    if Path("-") in source.files:
+        raise ConfigError("--template: a box in a frame needs a log in a file, for it is read twice")
+    first = replace(source.time_range, frames=frame + 1)
+    samples = open_input(replace(source, time_range=first), cfg).samples()
+    image = next((sample.frame.image for sample in samples if sample.index == frame), None)
+    if image is None:
+        raise ConfigError(f"--template: frame {frame} has no image")
+    height, width = image.grey.shape
+    if not (x0 < x1 <= width and y0 < y1 <= height):
+        raise ConfigError(f"--template: expected a box within {width}x{height} pixels, found {x0},{y0},{x1},{y1}")
+    return image.grey[y0:y1, x0:x1].copy()

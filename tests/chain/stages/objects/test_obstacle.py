@@ -1,0 +1,101 @@
+"""An obstacle searched for by its picture, and the course's own one."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.stages.objects import ObjectsState, step
+from roadperc_stream.chain.stages.objects.obstacle import LABEL, find_obstacle, picture, png_of
+from roadperc_stream.chain.stages.stereo import matching
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import ObjectsConfig, StereoConfig
+from roadperc_stream.core.datatypes import Absent, Box
+from tests.chain.stages.objects.frames import CAMERA, texture
+from tests.scenes import scene_of
+
+PLACE = Box(40.0, 60.0, 90.0, 95.0)
+
+
+def cfg_of(grey, **settings):
+    return ObjectsConfig(template_png=png_of(grey), **settings)
+
+
+def test_a_picture_is_the_same_pixels_in_base_64():
+    grey = texture()[:20, :30]
+    assert (picture(png_of(grey)) == grey).all()
+    assert picture("iVBORw0KGgo=") is None
+
+
+def test_it_is_found_where_it_is_however_far_it_has_moved():
+    image = texture()
+    scene = scene_of(CAMERA, grey=np.roll(image, (7, -31), (0, 1)))
+    item, correlation = find_obstacle(cfg_of(image[60:95, 40:90]), scene)
+    assert item.detection.box_px == Box(9.0, 67.0, 59.0, 102.0)
+    assert (item.detection.label, item.kept, item.distance_m) == (LABEL, True, None)
+    assert item.detection.score == pytest.approx(1.0, abs=1e-5)
+    assert correlation.peak[0] == item.detection.box_px
+
+
+def test_what_does_not_fit_well_enough_is_not_found():
+    cfg = cfg_of(texture(seed=1)[60:95, 40:90])
+    item, correlation = find_obstacle(cfg, scene_of(CAMERA, grey=texture()))
+    assert item is None
+    assert correlation.peak[1] < cfg.template_min_score
+    assert find_obstacle(cfg, scene_of(CAMERA)) == (None, None)
+    assert find_obstacle(ObjectsConfig(), scene_of(CAMERA, grey=texture())) == (None, None)
+
+
+def test_its_distance_is_along_the_ray_or_along_the_axis():
+    camera = g.Camera("camera", 320, 240, 200.0, 200.0, 159.5, 119.5)
+    depth_m = np.full(camera.size, 20.0, np.float32)
+    depth_m[62, 41] = 12.0
+    image = texture()
+    scene = scene_of(camera, grey=image, depth_m=depth_m)
+    ray, depth, low = (
+        find_obstacle(cfg_of(image[60:95, 40:90], **settings), scene)[0].distance_m
+        for settings in (
+            {"distance_quantile": 0},
+            {"distance_quantile": 0, "template_distance": "depth"},
+            {"template_distance": "depth"},
+        )
+    )
+    assert (depth, low) == (12.0, 20.0)
+    assert ray == pytest.approx(12.0 * np.sqrt(1 + (118.5 / 200) ** 2 + (57.5 / 200) ** 2))
+
+
+def test_it_stands_among_the_objects_without_any_detections():
+    image = texture()
+    scene = scene_of(CAMERA, grey=image)
+    _, out = step(cfg_of(image[60:95, 40:90]), ObjectsState(), scene)
+    assert [item.detection.box_px for item in out.objects] == [PLACE]
+    assert len(out.searches) == 1
+    assert isinstance(step(ObjectsConfig(), ObjectsState(), scene)[1], Absent)
+
+
+def test_the_courses_obstacle(data_dir):
+    """Its place and nearest depth by its public settings; the course reads the images with red and blue swapped."""
+    folder = data_dir / "course_stereo"
+    calibration, expected = (json.loads((folder / f"{n}.json").read_text()) for n in ("calibration", "expected"))
+    left, right = (
+        cv2.cvtColor(cv2.imread(str(folder / f"{side}.png")), cv2.COLOR_RGB2GRAY) for side in ("left", "right")
+    )
+    public = expected["sgbm"]
+    stereo = StereoConfig(
+        method="full",
+        disparities=public["numDisparities"],
+        block_px=public["blockSize"],
+        p1=public["P1"],
+        p2=public["P2"],
+        uniqueness_percent=0,
+        speckle_px=0,
+        refine_px=0,
+    )
+    camera = g.Camera("left", 1280, 960, 640.0, 480.0, 639.5, 479.5)
+    disparity = matching.disparity(stereo, stereo.disparities, left, right)
+    x0, y0, x1, y1 = calibration["obstacle_template_px"]
+    cfg = cfg_of(left[y0:y1, x0:x1], distance_quantile=0, template_distance="depth")
+    item, _ = find_obstacle(cfg, scene_of(camera, grey=left, depth_m=np.float32(640.0 * 0.5) / disparity))
+    assert [item.detection.box_px.x_min, item.detection.box_px.y_min] == expected["template_top_left_px"]
+    assert item.distance_m == pytest.approx(expected["nearest_depth_m"], abs=1e-4)

@@ -1,0 +1,77 @@
+"""``--template``: a box in a frame of the sample, or a picture of it, is found in the log's frames."""
+
+import cv2
+import polars as pl
+import pytest
+
+from roadperc_stream.cli import replay
+from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.input import ReplaySource, open_input
+from roadperc_stream.output.tables import sidecar_path
+from tests.test_sample import SAMPLE
+
+BOX = (150, 120, 200, 150)
+
+
+def found(tmp_path, template, *options):
+    """Rows of the template in three frames of the sample."""
+    out = tmp_path / "out.mcap"
+    arguments = [
+        str(SAMPLE),
+        str(out),
+        "--quiet",
+        "--only",
+        "objects",
+        "--frames",
+        "3",
+        "--template",
+        template,
+        *options,
+    ]
+    assert replay.main(arguments) == 0
+    return pl.read_parquet(sidecar_path(out, "objects")).filter(pl.col("label") == "template")
+
+
+def first_grey():
+
+    return next(iter(open_input(ReplaySource(SAMPLE), ReplayConfig()).samples())).frame.image.grey
+
+
+@pytest.mark.parametrize("as_file", [True, False])
+def test_the_box_and_the_picture_of_it_are_found_where_they_are(tmp_path, as_file):
+    x0, y0, x1, y1 = BOX
+    template = "0:150,120,200,150"
+    if as_file:
+        template = str(tmp_path / "obstacle.png")
+        cv2.imwrite(template, first_grey()[y0:y1, x0:x1])
+    rows = found(tmp_path, template, "--set", "objects.template_min_score=0")
+    assert rows["frame"].to_list() == [0, 1, 2]
+    first = rows.row(0, named=True)
+    assert tuple(first[f"{name}_px"] for name in ("x_min", "y_min", "x_max", "y_max")) == BOX
+    assert first["score"] == pytest.approx(1.0, abs=1e-5)
+    assert first["distance_m"] > 1.4
+    assert all(-1 < score < 1 for score in rows["score"][1:])
+
+
+@pytest.mark.parametrize(
+    ("template", "complaint"),
+    [
+        ("0:150,120,400,150", "expected a box within 360x270 pixels, found 150,120,400,150"),
+        ("0:50,60,50,80", "expected a box within 360x270 pixels, found 50,60,50,80"),
+        ("99:10,10,40,40", "frame 99 has no image"),
+        ("nowhere.png", "nowhere.png: No such file or directory"),
+        (str(SAMPLE), "bytes are no image"),
+    ],
+)
+def test_what_is_no_template(tmp_path, capsys, template, complaint):
+    arguments = [str(SAMPLE), str(tmp_path / "out.mcap"), "--quiet", "--only", "objects", "--template", template]
+    assert replay.main(arguments) == 1
+    said = capsys.readouterr().err
+    assert "--template: " in said
+    assert complaint in said
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_a_box_of_standard_input_cannot_be_had(tmp_path, capsys):
+    assert replay.main(["-", str(tmp_path / "out.mcap"), "--quiet", "--template", "0:1,2,30,40"]) == 1
+    assert "it is read twice" in capsys.readouterr().err
