@@ -70,8 +70,9 @@ class SurfaceConfig(Section):
 
     enabled: bool = True
     """Whether the surface is estimated; lanes, occupancy and the scale of odometry without depth need it."""
-    model: Literal["plane", "spline"] = "plane"
-    """``spline`` adds a smooth height field to the plane, for roads that climb and fall; it needs depth."""
+    model: Literal["auto", "plane", "spline"] = "auto"
+    """``spline`` adds a smooth height field to the plane, for roads that climb and fall; ``auto`` does so in frames
+    whose road leaves its plane by more than the field's own error. Both need depth."""
     classes: Classes = ("road", "road_line", "ground")
     """Classes one may drive on; a sidewalk stands higher than the road and is none."""
     inlier_m: Positive = 0.05

@@ -15,6 +15,7 @@ from roadperc_stream.core.geometry import Float, Float32, Plane
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "assumed", "truth"]
+SurfaceModel = Literal["plane", "spline"]
 LaneChange = Literal["none", "left", "right"]
 BoundaryStatus = Literal["measured", "held", "lost"]
 ObjectStatus = Literal["measured", "tracked", "lost"]
@@ -75,7 +76,7 @@ class Surface:
     pitch: float
     roll: float
     inlier_ratio: float | None = None
-    model: Literal["plane", "spline"] = "plane"
+    model: SurfaceModel = "plane"
     height_grid: HeightGrid | None = None
 
     @property

@@ -68,6 +68,10 @@ class SurfaceColumns:
             null=_NO_PLANE,
         ),
     ] = None
+    surface_model: Annotated[
+        str | None,
+        Column("`plane`, or `spline` where the road has a height field as well", null=_NO_PLANE),
+    ] = None
 
 
 def _status(side: str) -> Column:

@@ -6,8 +6,9 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from roadperc_stream.chain.stages.surface.evidence import leaves_plane
 from roadperc_stream.chain.stages.surface.plane import road_plane
-from roadperc_stream.chain.stages.surface.spline import fit_height_grid
+from roadperc_stream.chain.stages.surface.spline import fit_height_grid, road_cells
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.datatypes import Absent, Image, Mask, Reason, Surface, SurfaceSource
 from roadperc_stream.core.geometry import (
@@ -59,7 +60,7 @@ def find_surface(
 def fit_surface(
     cfg: SurfaceConfig, depth: DepthMap, drivable: Mask | None, rng: np.random.Generator
 ) -> Surface | Absent:
-    """The road from a depth image: its plane, and with the model ``spline`` its height field too.
+    """The road from a depth image: its plane, and its height field by the model ``spline``, or ``auto`` where it pays.
 
     Args:
         cfg: thresholds.
@@ -80,7 +81,10 @@ def fit_surface(
     surface = _surface(source, camera, ego_T_camera, *found)
     if cfg.model == "plane":
         return surface
-    grid = fit_height_grid(cfg, surface, camera, ego_T_camera, depth_m, usable)
+    cells = road_cells(cfg, surface, camera, ego_T_camera, depth_m, usable)
+    if cfg.model == "auto" and not leaves_plane(cells.points):
+        return surface
+    grid = fit_height_grid(cfg, surface, cells)
     return surface if grid is None else replace(surface, model="spline", height_grid=grid)
 
 
