@@ -295,7 +295,7 @@ class Surface(_message.Message):
     model: _builtins.str
     """plane | spline"""
     source: _builtins.str
-    """depth | stereo | lidar | lower_image | assumed | truth"""
+    """depth | stereo | lidar | lower_image | held | assumed | truth"""
     camera_height_m: _builtins.float
     """of the camera the depth belongs to"""
     pitch: _builtins.float

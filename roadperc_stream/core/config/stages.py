@@ -95,6 +95,9 @@ class SurfaceConfig(Section):
     """Largest angle between the plane and the road that the mounting implies; a wall is not a road."""
     assumed_height_m: Positive = 1.5
     """Height of the camera above the road where neither a mounting nor depth gives it."""
+    hold_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 30.0
+    """How far the car may drive on the plane of the frames before, by odometry, where a frame's depth does not
+    show the road; farther on the mounting's stands in."""
     spline_knot_m: Annotated[float, Field(ge=1.0, le=30.0)] = 5.0
     """Distance of the height field's knots along the road."""
     spline_curvature_per_m: Positive = 0.005
