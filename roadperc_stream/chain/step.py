@@ -267,6 +267,8 @@ def _missing_inputs(scene: Scene, tracked: Objects | Absent) -> list[Reason]:
     missing = []
     if scene.camera.lens is not None:
         missing.append(Reason("image", "not_rectified"))
+    if not scene.camera.square_pixels:
+        missing.append(Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy)))
     if scene.depth is None:
         missing.append(Reason("surface", "no_depth_plane_assumed", (scene.plane_source,)))
     elif scene.tags is None:

@@ -213,7 +213,7 @@ def test_another_value_gives_another_result(stages, settings, change):
 
 
 def test_the_tag_table_that_is_set_wins_over_the_logs(tmp_path):
-    """Read as another version's, whose 7 is a traffic light and no road, the log's tags show no road at all: the mounting's stands in."""
+    """Read as another version's, whose 7 is a traffic light and no road, the log's tags show no road."""
     source = logs.write(tmp_path / "in.mcap", logs.items(1))
     found = {}
     for name in ("auto", "0.9.15"):

@@ -29,6 +29,7 @@ ReasonCode = Literal[
     "lost_to_damage_after",
     "lost_to_damage_somewhere",
     "not_rectified",
+    "pixels_not_square",
     "no_image",
     "image_unusable",
     "no_segmentation",
@@ -91,6 +92,8 @@ TEMPLATES: Final[dict[ReasonCode, str]] = {
     "lost_to_damage_after": "messages from {first_ns:d} ns on were lost to damage",
     "lost_to_damage_somewhere": "messages were lost to damage at an unknown time",
     "not_rectified": "its camera is not rectified, and only stereo undoes the distortion",
+    "pixels_not_square": "fx {fx:g} and fy {fy:g} of its calibration differ by more than 5 %: the pixels of nearly "
+    "every camera are square, and heights and pitch are wrong where one of the two is",
     "no_image": "no image",
     "image_unusable": "its image cannot be used",
     "no_segmentation": "no segmentation",
