@@ -66,6 +66,8 @@ class Plan:
     poses: Mapping[int, Float]
     truth: TruthTables
     notes: tuple[str, ...]
+    pixel_origin: str
+    """Where the principal point counts from and how that is known; empty where no matrix gives one."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -90,7 +92,8 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     """
     layout = find_layout(dump, options.roles)
     notes = list(layout.notes)
-    calibration, calibration_path = _calibration(layout, options)
+    said, calibration_path = _calibration(layout, options)
+    calibration = _with_pixel_origin(layout, said)
     surveys = _surveys(layout, options, notes)
     rig = _rig(layout, calibration, calibration_path, surveys, notes)
     cameras = {role: rig.camera_of(role) for role in surveys}
@@ -123,6 +126,7 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
         poses=_of_frames("poses", poses, stamps_ns, notes),
         truth=_truth(layout, rig.frame_ids["truth_depth"]),
         notes=tuple(notes),
+        pixel_origin=_origin_in_words(layout, said, calibration),
     )
 
 
@@ -133,6 +137,28 @@ def _calibration(layout: DumpLayout, options: ConvertOptions) -> tuple[Calibrati
     if options.fov_deg is not None:
         calibration = calibration.model_copy(update={"fov_deg": options.fov_deg, "K": None})
     return calibration, path or layout.dump / "calibration.json"
+
+
+def _with_pixel_origin(layout: DumpLayout, calibration: CalibrationFile) -> CalibrationFile:
+    """The origin is a matter of the format: KITTI counts from the first pixel's centre, CARLA from its corner."""
+    if "pixel_origin" in calibration.model_fields_set or not _is_kitti(layout):
+        return calibration
+    return calibration.model_copy(update={"pixel_origin": "centre"})
+
+
+def _is_kitti(layout: DumpLayout) -> bool:
+    return any(layout.sensors[role].is_of_kitti for role in ("image", "left") if role in layout.sensors)
+
+
+def _origin_in_words(layout: DumpLayout, said: CalibrationFile, used: CalibrationFile) -> str:
+    matrices = [said.P_left, said.K, *(camera.K for camera in said.cameras.values())]
+    if all(matrix is None for matrix in matrices):
+        return ""
+    if "pixel_origin" in said.model_fields_set:
+        how = "as calibration.json says"
+    else:
+        how = "as KITTI has it" if _is_kitti(layout) else "as CARLA has it"
+    return f"the first pixel's {used.pixel_origin}, {how}"
 
 
 def _surveys(layout: DumpLayout, options: ConvertOptions, notes: list[str]) -> dict[str, SensorSurvey]:
