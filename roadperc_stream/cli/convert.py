@@ -58,6 +58,11 @@ def _parser() -> argparse.ArgumentParser:
         default="mm",
         help="written as millimetres or metres",
     )
+    parser.add_argument(
+        "--grey-depth",
+        choices=("linear", "linear-50", "logarithmic"),
+        help="coding of 8-bit depth; by default the one whose ground is level",
+    )
     parser.add_argument("--allow-lossy-tags", action="store_true", help="take the nearest tag of a JPEG")
     parser.add_argument("--force", action="store_true", help="replace an existing log")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
