@@ -86,6 +86,7 @@ JITTERS: Final = tuple(
 
 CATEGORIES: Final = (
     "surface_source",
+    "surface_model",
     *(f"lane_{side}_{what}" for side in SIDES for what in ("status", "boundary_class")),
     "odometry_status",
 )

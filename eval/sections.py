@@ -47,6 +47,7 @@ def coverage(summaries: Summaries) -> TextTable:
     """Coverage and typical values of what needs no truth, and which columns have no values."""
     rows = [
         *_states(summaries, "surface_source", "surface"),
+        *_states(summaries, "surface_model", "surface model"),
         *_states(summaries, "odometry_status", "odometry"),
         *_quantities(summaries, SEEN, _typical),
     ]

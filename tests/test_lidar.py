@@ -140,11 +140,21 @@ def test_points_beyond_the_range_leave_the_assumed_plane():
     assert result.problems[0].cause == Reason("surface", "too_few_road_points", (0,))
 
 
-def test_a_depth_camera_that_misses_the_road_still_gives_no_surface():
+@pytest.mark.parametrize("mounted", [True, False])
+def test_a_depth_camera_that_misses_the_road_leaves_the_mountings_plane_or_none(mounted):
     depth_m = np.full_like(ROAD.depth_m(), np.nan)
     depth_m[400:402, 320] = 3.0
-    result = run(lidar_frame(points=None, depth=DepthImage(CAMERA.frame_id, lambda: (depth_m, np.inf))))
-    assert result.surface == Absent(Reason("surface", "too_few_road_points", (2,)))
+    depth = DepthImage(CAMERA.frame_id, lambda: (depth_m, np.inf))
+    result = run(lidar_frame(points=None, depth=depth, mounted=mounted))
+    missed = Reason("surface", "too_few_road_points", (2,))
+    if mounted:
+        assert result.surface.source == "assumed"
+        assert result.lanes.side("left").status == "measured"
+        assert Reason("surface", "plane_assumed", ("the mounting",), missed) in result.problems
+        assert result.occupancy == Absent(Reason("occupancy", "heights_unknown"))
+    else:
+        assert result.surface == Absent(missed)
+        assert result.drivable == Absent(Reason("drivable", "no_surface", cause=missed))
 
 
 def test_the_drivable_pixels_are_no_dots():

@@ -18,6 +18,7 @@ from roadperc_stream.core.text import print_line
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata
 from roadperc_stream.output.terminal import PipeConsole, print_lines
+from roadperc_stream.schemas.record import CONVERSION_RECORD, PIXEL_ORIGIN_KEY
 
 from .carla_dump.messages import channels, messages
 from .carla_dump.plan import ConvertOptions, Plan, make_plan
@@ -43,6 +44,7 @@ def _options(arguments: argparse.Namespace) -> ConvertOptions:
         rate_hz=arguments.rate,
         depth_as_float=arguments.depth == "float",
         allow_lossy_tags=arguments.allow_lossy_tags,
+        grey_depth=arguments.grey_depth,
     )
 
 
@@ -114,4 +116,5 @@ def _description(plan: Plan) -> Metadata:
     encodings = {f"encoding.{role}": survey.encoding for role, survey in plan.surveys.items()}
     table = {"tag_table": plan.tag_table.name, "tag_table_known_by": plan.tag_table_source} if plan.tag_table else {}
     values = {"version": __version__, "frames": str(len(plan.frames)), "time": plan.timing, **encodings, **table}
-    return Metadata("roadperc_convert", tuple(sorted(values.items())))
+    origin = {PIXEL_ORIGIN_KEY: plan.pixel_origin} if plan.pixel_origin else {}
+    return Metadata(CONVERSION_RECORD, tuple(sorted({**values, **origin}.items())))

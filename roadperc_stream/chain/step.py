@@ -11,6 +11,7 @@ from roadperc_stream.chain.stages import lanes, objects, occupancy, odometry, st
 from roadperc_stream.chain.stages.lanes import LanesState
 from roadperc_stream.chain.stages.objects import ObjectsState
 from roadperc_stream.chain.stages.odometry import OdometryState
+from roadperc_stream.chain.stages.surface import SurfaceState
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import (
     Absent,
@@ -38,6 +39,7 @@ class ChainState:
     """What the chain remembers from one frame to the next."""
 
     stamp_ns: int | None = None
+    surface: SurfaceState = field(default_factory=SurfaceState)
     odometry: OdometryState = field(default_factory=OdometryState)
     lanes: LanesState = field(default_factory=LanesState)
     objects: ObjectsState = field(default_factory=ObjectsState)
@@ -69,9 +71,13 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         matched = _stereo(cfg, frame, grey, problems)
     with timed("surface"):
         scene = _scene(frame, tags, grey, _best_depth(frame, sensor, matched, problems))
-        road, front_road, drivable = _road(cfg, scene, rng, problems)
+        seen, failed = _seen_road(cfg, scene, rng)
     with timed("odometry"):
-        odometry_state, motion = _odometry(cfg, state, scene, front_road, rng)
+        odometry_state, motion = _odometry(cfg, state, scene, _in_front_camera(scene, seen), rng)
+    with timed("surface"):
+        surface_state, road = _road(cfg, state, scene, seen, failed, motion, problems)
+        front_road = _in_front_camera(scene, road)
+        drivable = _drivable(cfg, scene, front_road)
     with timed("lanes"):
         lanes_state, ego_lane = _lanes(cfg, state, scene, front_road, drivable, motion)
     with timed("objects"):
@@ -92,7 +98,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         grid,
         front_road,
     )
-    return ChainState(frame.stamp_ns, odometry_state, lanes_state, objects_state), result
+    return ChainState(frame.stamp_ns, surface_state, odometry_state, lanes_state, objects_state), result
 
 
 def counted_from_here(state: ChainState, result: FrameResult) -> tuple[ChainState, FrameResult]:
@@ -144,16 +150,33 @@ def _best_depth(
     return pixels.lidar_depth(frame, problems)
 
 
-def _road(
-    cfg: ReplayConfig, scene: Scene, rng: np.random.Generator, problems: list[Reason]
-) -> tuple[Surface | Absent, Surface | Absent, Mask | Absent]:
-    """The road in the frame of its depth's camera, the same in the front camera's frame, and the drivable pixels."""
+def _seen_road(cfg: ReplayConfig, scene: Scene, rng: np.random.Generator) -> tuple[Surface | Absent, Reason | None]:
+    """The road by this frame alone, and why its depth does not show it."""
     if not cfg.surface.enabled:
-        return _off("surface"), _off("surface"), _off("drivable")
-    road, why_assumed = surface.find_surface(cfg.surface, scene, rng)
-    problems += why_assumed
-    front_road = _in_front_camera(scene, road)
-    return road, front_road, surface.drivable_mask(cfg.surface, scene, front_road)
+        return _off("surface"), None
+    return surface.find_surface(cfg.surface, scene, rng)
+
+
+def _road(
+    cfg: ReplayConfig,
+    state: ChainState,
+    scene: Scene,
+    seen: Surface | Absent,
+    failed: Reason | None,
+    motion: Odometry | Absent,
+    problems: list[Reason],
+) -> tuple[SurfaceState, Surface | Absent]:
+    """The road in the frame of its depth's camera: the frame's own, else that of the frames before."""
+    if not cfg.surface.enabled:
+        return state.surface, seen
+    last_T_this = _metric_step(motion, state.stamp_ns)
+    surface_state, road, stood_in = surface.remember(cfg.surface, state.surface, scene, seen, failed, last_T_this)
+    problems += stood_in
+    return surface_state, road
+
+
+def _drivable(cfg: ReplayConfig, scene: Scene, front_road: Surface | Absent) -> Mask | Absent:
+    return surface.drivable_mask(cfg.surface, scene, front_road) if cfg.surface.enabled else _off("drivable")
 
 
 def _odometry(
@@ -253,6 +276,8 @@ def _missing_inputs(scene: Scene, tracked: Objects | Absent) -> list[Reason]:
     missing = []
     if scene.camera.lens is not None:
         missing.append(Reason("image", "not_rectified"))
+    if not scene.camera.square_pixels:
+        missing.append(Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy)))
     if scene.depth is None:
         missing.append(Reason("surface", "no_depth_plane_assumed", (scene.plane_source,)))
     elif scene.tags is None:

@@ -18,7 +18,8 @@ the dump:
   velodyne, ...) are CARLA's .ply or .npy, left-handed, or KITTI's .bin, right-handed. Beside them, where there are:
   calibration.json   K, or fov_deg; width, height; P_left and P_right, or baseline_m; carla_tags; rate_hz;
                      mounting {role: {x, y, z, roll, pitch, yaw}} as CARLA has it; cameras {role: {K, ...}} for those
-                     that differ; pixel_origin "corner" (c = w / 2, the default) or "centre"; mounting.lidar too
+                     that differ; pixel_origin "corner" (c = w / 2, as CARLA has it) or
+                     "centre" (as KITTI has it, the default in its layout); mounting.lidar too
   detections.json    {frame: [{label, box_px, score}]}, COCO results, or KITTI files in label_2/
   timestamps.txt     lines 'frame seconds', or a value a line
   poses.json         {frame: {location, rotation}}, or poses.csv; truth.json and truth/ as roadperc-render writes
@@ -56,6 +57,11 @@ def _parser() -> argparse.ArgumentParser:
         choices=("mm", "float"),
         default="mm",
         help="written as millimetres or metres",
+    )
+    parser.add_argument(
+        "--grey-depth",
+        choices=("linear", "linear-50", "logarithmic"),
+        help="coding of 8-bit depth; by default the one whose ground is level",
     )
     parser.add_argument("--allow-lossy-tags", action="store_true", help="take the nearest tag of a JPEG")
     parser.add_argument("--force", action="store_true", help="replace an existing log")

@@ -17,6 +17,7 @@ Float32 = NDArray[np.float32]
 
 EGO_R_OPTICAL: Final[Float] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation of a camera that looks along ego's x axis, level."""
+_SQUARE: Final = 0.05
 _SINGULAR: Final = 1e-9
 """Share of a matrix's or a position's size below which a number is rounding."""
 _FOCAL_LENGTHS: Final = (1e-3, 1e3)
@@ -74,6 +75,11 @@ class Camera:
     def size(self) -> tuple[int, int]:
         """Rows and columns, as an array's shape."""
         return (self.height, self.width)
+
+    @property
+    def square_pixels(self) -> bool:
+        """Whether fx and fy differ by no more than 5 %: those of real cameras and of CARLA's differ by far less."""
+        return abs(self.fx - self.fy) <= _SQUARE * max(self.fx, self.fy)
 
     def same_view(self, other: "Camera") -> bool:
         """Whether both cameras map a ray to the same pixel."""

@@ -1,6 +1,6 @@
 """A log's facts, from one pass over it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from roadperc_stream.core.geometry import Camera
@@ -12,8 +12,8 @@ from roadperc_stream.info.tally import Tally
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.input.roles import CAMERA_OF
-from roadperc_stream.log import Channel, Recovery, Salvage
-from roadperc_stream.schemas.record import PRODUCER, TAG_TABLE_KEY, log_id_of
+from roadperc_stream.log import Channel, Metadata, Recovery, Salvage
+from roadperc_stream.schemas.record import CONVERSION_RECORD, PRODUCER, TAG_TABLE_KEY, log_id_of
 
 
 def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:
@@ -66,7 +66,12 @@ def _file_facts(salvage: Salvage) -> FileFacts:
         absent=salvage.absent,
         attachments={item.name: len(item.data) for item in salvage.described.attachments},
         metadata=tuple(record.name for record in salvage.described.metadata),
+        conversion=_conversion(salvage.described.metadata),
     )
+
+
+def _conversion(metadata: Iterable[Metadata]) -> dict[str, str]:
+    return next((dict(record.values) for record in metadata if record.name == CONVERSION_RECORD), {})
 
 
 def _channel_facts(channel: Channel, scan: Scan, first_ns: int | None) -> ChannelFacts:

@@ -35,6 +35,8 @@ class FileFacts:
     """Bytes by name."""
     metadata: tuple[str, ...]
     """Names of its records."""
+    conversion: Mapping[str, str]
+    """What ``roadperc-convert`` says of how it made the log; empty of other logs."""
 
 
 @dataclass(frozen=True)

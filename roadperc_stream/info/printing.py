@@ -17,7 +17,7 @@ from roadperc_stream.info.text import listed, number, rounded, size
 from roadperc_stream.log import number_of
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
-from roadperc_stream.schemas.record import log_id_of
+from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY, log_id_of
 
 _DAMAGES_SHOWN: Final = 5
 _ODD_JITTER, _ODD_GAP = 0.2, 1.5
@@ -61,6 +61,8 @@ def _file_lines(facts: LogFacts) -> Iterator[str]:
     beside += [f"metadata {name}" for name in file.metadata]
     if beside:
         yield listed(beside)
+    if PIXEL_ORIGIN_KEY in file.conversion:
+        yield f"converted with a K that counts pixels from {shown(file.conversion[PIXEL_ORIGIN_KEY])}"
     yield from _damage_lines(facts)
     if file.absent:
         yield f"without {', without '.join(file.absent)}"

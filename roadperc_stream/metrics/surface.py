@@ -29,6 +29,7 @@ def surface_columns(result: FrameResult) -> SurfaceColumns:
         camera_roll_deg=float(np.degrees(surface.roll)),
         drivable_ratio=drivable_ratio,
         surface_source=surface.source,
+        surface_model=surface.model,
     )
 
 

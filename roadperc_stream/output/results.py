@@ -18,7 +18,7 @@ from roadperc_stream.core.datatypes import (
     Sample,
     Transform,
 )
-from roadperc_stream.core.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceSource
+from roadperc_stream.core.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceModel, SurfaceSource
 from roadperc_stream.core.geometry import Float, inverse
 from roadperc_stream.core.semantics import Colour
 from roadperc_stream.errors import DecodeError
@@ -54,6 +54,7 @@ DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
 _COLUMNS = {field.name for field in fields(FrameMetrics)}
 _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "surface_source": get_args(SurfaceSource),
+    "surface_model": get_args(SurfaceModel),
     "lane_left_status": get_args(BoundaryStatus),
     "lane_right_status": get_args(BoundaryStatus),
     "odometry_status": get_args(OdometryStatus),

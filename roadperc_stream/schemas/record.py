@@ -7,6 +7,9 @@ PRODUCER: Final = ("producer", "roadperc")
 TAG_TABLE_KEY: Final = "tag_table"
 """Names the table of a channel's tags: in the channel's metadata, or, where its recorder did not, in a result's record
 of how it came about."""
+CONVERSION_RECORD: Final = "roadperc_convert"
+"""Metadata record of a log that ``roadperc-convert`` wrote."""
+PIXEL_ORIGIN_KEY: Final = "pixel_origin"
 METADATA_RECORD: Final = "roadperc"
 """Metadata record of a result: how it came about."""
 VERSION_KEY: Final = "version"

@@ -14,6 +14,7 @@ from roadperc_stream.chain.stages.objects.template import LARGEST_PX
 from roadperc_stream.chain.stages.objects.tracker import MOST_TRACKS, ObjectsState
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
 from roadperc_stream.chain.stages.odometry import OdometryState
+from roadperc_stream.chain.stages.surface import SurfaceState
 from roadperc_stream.chain.step import ChainState
 from roadperc_stream.core.config import LimitsConfig, OdometryConfig, ReplayConfig
 from roadperc_stream.core.datatypes import Image
@@ -41,6 +42,7 @@ def require_chain(chain: ChainState, cfg: ReplayConfig, most_objects: int) -> No
     if chain.stamp_ns is not None and not 0 <= chain.stamp_ns < END_OF_TIME_NS:
         raise ValueError("a time out of its range")
     _require_earlier(chain, -1 if chain.stamp_ns is None else chain.stamp_ns)
+    _require_surface(chain.surface)
     _require_odometry(chain.odometry, cfg.odometry, cfg.limits)
     _require_objects(chain.objects, most_objects)
     _require_finite(chain.lanes, _LARGEST)
@@ -78,6 +80,13 @@ def require_transform(matrix: Float) -> None:
     is_whole = bool(np.isfinite(matrix).all()) and float(np.abs(rotation).max()) < 2
     if not (is_whole and np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROUNDING) and np.linalg.det(rotation) > 0):
         raise ValueError("a transform that is none")
+
+
+def _require_surface(surface: SurfaceState) -> None:
+    _require_finite(surface, _LARGEST)
+    normal = (0.0, 0.0, 1.0) if surface.ego_plane is None else surface.ego_plane.normal
+    if surface.driven_m < 0 or abs(np.linalg.norm(normal) - 1.0) > _ROUNDING:
+        raise ValueError("a plane that is none")
 
 
 def _require_odometry(odometry: OdometryState, cfg: OdometryConfig, limits: LimitsConfig) -> None:

@@ -205,6 +205,14 @@ def test_a_front_camera_that_is_not_rectified_is_reported_as_used_as_it_is():
     assert (not_rectified in plain.problems, not_rectified in through_lens.problems) == (False, True)
 
 
+@pytest.mark.parametrize(("fy_over_fx", "reported"), [(1.0, False), (1.04, False), (0.75, True), (1.06, True)])
+def test_pixels_that_are_not_square_are_reported(fy_over_fx, reported):
+    (frame,) = drive(1)
+    camera = replace(frame.camera, fy=frame.camera.fx * fy_over_fx)
+    _, (result,) = run([replace(frame, camera=camera)])
+    assert (Reason("image", "pixels_not_square", (camera.fx, camera.fy)) in result.reasons()) == reported
+
+
 @pytest.mark.parametrize(
     ("source", "mounted", "trusted"),
     [("depth", False, True), ("depth", True, True), ("assumed", False, False), ("assumed", True, True)],

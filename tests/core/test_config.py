@@ -3,6 +3,7 @@
 import pytest
 
 from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.core.semantics import CLASS_NAMES
 from roadperc_stream.errors import ConfigError
 
 
@@ -92,3 +93,9 @@ def test_every_number_refuses_what_is_not_finite():
                 for wild in ("inf", "nan", "-inf", "1e300"):
                     with pytest.raises(ConfigError, match=name):
                         load_config(None, (f"{section}.{name}={wild}",))
+
+
+@pytest.mark.parametrize("name", sorted(CLASS_NAMES))
+def test_every_class_of_the_tables_can_be_drivable_and_a_separator(name):
+    cfg = load_config(None, (f"surface.classes=road,{name}", f"lanes.separators={name}"))
+    assert (cfg.surface.classes, cfg.lanes.separators) == (("road", name), (name,))

@@ -24,7 +24,7 @@ FRAMES = 8
 SURFACE = {
     "seed": "1",
     "surface.enabled": "false",
-    "surface.model": "spline",
+    "surface.model": "plane",
     "surface.classes": "road",
     "surface.inlier_m": "0.005",
     "surface.drivable_m": "0.02",
@@ -144,6 +144,7 @@ ELSEWHERE = {
     "sync.tolerance_s": "input/test_sync.py",
     "sync.max_wait_s": "input/test_sync.py",
     "surface.assumed_height_m": "below",
+    "surface.hold_m": "tests/chain/stages/surface/test_memory.py",
     "lanes.hold_s": "chain/stages/lanes/test_class_history.py",
     "objects.template_png": "chain/stages/objects/test_obstacle.py",
     "objects.template_distance": "chain/stages/objects/test_obstacle.py",
@@ -227,13 +228,13 @@ def test_another_value_gives_another_result(stages, settings, change):
 
 
 def test_the_tag_table_that_is_set_wins_over_the_logs(tmp_path):
-    """Read as another version's, whose 7 is a traffic light and no road, the log's tags show no road at all."""
+    """Read as another version's, whose 7 is a traffic light and no road, the log's tags show no road."""
     source = logs.write(tmp_path / "in.mcap", logs.items(1))
     found = {}
     for name in ("auto", "0.9.15"):
         replay(source, tmp_path / f"{name}.mcap", load_config(None, (f"tag_table={name}",)))
         found[name] = pl.read_parquet(sidecar_path(tmp_path / f"{name}.mcap", "metrics"))["surface_source"].to_list()
-    assert found == {"auto": ["depth"], "0.9.15": [None]}
+    assert found == {"auto": ["depth"], "0.9.15": ["assumed"]}
 
 
 def test_without_mounting_and_depth_the_camera_has_the_assumed_height(tmp_path):

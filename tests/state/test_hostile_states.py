@@ -97,6 +97,10 @@ def keyframe(state):
     return state["memory"]["chain"]["odometry"]["keyframe"]
 
 
+def surface(state):
+    return state["memory"]["chain"]["surface"]
+
+
 def objects(state):
     return state["memory"]["chain"]["objects"]
 
@@ -161,6 +165,11 @@ CASES = {
     "variance": (lambda s: track(s)["x_px"].update(value_var=-1.0), "a covariance that is none"),
     "far too large": (lambda s: track(s)["x_px"].update(value=1e200), "far too large"),
     "track of the future": (lambda s: track(s).update(stamp_ns=2**62), "a time out of its range"),
+    "plane": (
+        lambda s: surface(s).update(ego_plane={"normal": [0.0, 0.0, 2.0], "offset_m": 0.0}),
+        "a plane that is none",
+    ),
+    "way driven": (lambda s: surface(s).update(driven_m=-1.0), "a plane that is none"),
     "2000 tracks": (many_tracks, "2000 tracks: expected 256 at most"),
     "next object 2^64 - 1": (lambda s: objects(s).update(next_number=2**64 - 1), "object 18446744073709551615"),
     "next object -1": (lambda s: objects(s).update(next_number=-1), "object -1"),

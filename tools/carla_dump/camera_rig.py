@@ -108,7 +108,12 @@ def build_rig(
         transforms += _right_edge(known, base, base_T, baseline_m)
     transforms += _edge(EGO, LIDAR, known.ego_T_lidar) if LIDAR in roles else ()
     frame_ids = {"depth": depth_frame, "truth_depth": depth_frame, "left": LEFT, "right": RIGHT, "lidar": LIDAR}
-    notes = (*_notes(known, front_T), *_stereo_notes(known, cameras), *_lidar_notes(known, roles))
+    notes = (
+        *_notes(known, front_T),
+        *_pixel_notes(known, cameras),
+        *_stereo_notes(known, cameras),
+        *_lidar_notes(known, roles),
+    )
     return Rig(cameras, frame_ids, transforms, notes)
 
 
@@ -202,6 +207,15 @@ def _notes(known: _Known, front_T: Float | None) -> list[str]:
     if "segmentation" in known.mountings and not _same(known.mountings["segmentation"], front_T):
         notes.append("the segmentation camera is not mounted where the front camera is: tags and image do not align")
     return notes
+
+
+def _pixel_notes(known: _Known, cameras: Mapping[str, Camera]) -> list[str]:
+    skewed = {(camera.fx, camera.fy): camera for camera in cameras.values() if not camera.square_pixels}
+    return [
+        f"{camera.frame_id}: fx {camera.fx:g} and fy {camera.fy:g} of {known.path.name} differ by more than 5 %: the "
+        "pixels of nearly every camera are square, and heights and pitch are wrong where one of the two is"
+        for camera in skewed.values()
+    ]
 
 
 def _lidar_notes(known: _Known, roles: Collection[str]) -> list[str]:

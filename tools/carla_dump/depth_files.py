@@ -1,10 +1,10 @@
 """Depth in metres from every encoding people store CARLA's depth in. Decided by content, once for a sensor.
 
 Sources: CARLA's documentation of the depth camera (24 bits, metres = (R + 256 G + 65536 B) / (2^24 - 1) * 1000) and its
-colour converter ``LogarithmicDepth`` (grey = 1 + ln(metres / 1000) / 5.70378).
+colour converters ``LogarithmicDepth`` (grey = 1 + ln(metres / 1000) / 5.70378) and ``Depth`` (grey = metres / 1000).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
@@ -17,17 +17,32 @@ from roadperc_stream.errors import DumpError
 
 from .pixel_files import Pixels, surveyed
 
-DepthEncoding = Literal["carla 24 bit", "millimetres", "metres", "metres / 1000", "logarithmic grey"]
+DepthEncoding = Literal[
+    "carla 24 bit",
+    "millimetres",
+    "metres",
+    "metres / 1000",
+    "logarithmic grey",
+    "linear grey to 1000 m",
+    "linear grey to 50 m",
+]
 
 FAR_PLANE_M: Final = 1000.0
+CLIPPED_M: Final = 50.0
+"""Far plane of TransFuser's 8-bit depth."""
 LOG_SCALE: Final = 5.70378
+GREY: Final[Mapping[DepthEncoding, str]] = {
+    "logarithmic grey": "known to about 2 %",
+    "linear grey to 1000 m": "known to 2 m",
+    "linear grey to 50 m": "known to 0.1 m, to 50 m",
+}
+"""How well the codings of 8 bits tell the depth."""
 _NUMBERS: Final = frozenset({"metres", "metres / 1000"})
 _LARGEST_CODE: Final = 2**24 - 1
-LOSSY_DEPTH: Final = "depth is logarithmic grey: known to about 2 %, converted all the same"
 
 
 def depth_encoding(files: Sequence[Path]) -> DepthEncoding:
-    """Encoding of a sensor's files, from the first that tells.
+    """Encoding of a sensor's files, from the first that tells; 8-bit grey counts as logarithmic (see ``grey_depth``).
 
     Raises:
         DumpError: no file can be read, or the content is no depth.
@@ -85,13 +100,16 @@ def depth_metres(pixels: Pixels, encoding: DepthEncoding) -> Float32:
 
     """
     own = _encoding(pixels)
-    if own not in (encoding, None) and not (own in _NUMBERS and encoding == "metres"):
+    same = own == encoding or (own in GREY and encoding in GREY)
+    if not same and own is not None and not (own in _NUMBERS and encoding == "metres"):
         raise DumpError(f"{pixels.path}: depth as {own}, the files before as {encoding}")
     match encoding:
         case "carla 24 bit":
             return carla_metres(pixels.values)
         case "logarithmic grey":
-            return logarithmic_metres(_grey(pixels))
+            return logarithmic_metres(grey_of(pixels))
+        case "linear grey to 1000 m" | "linear grey to 50 m":
+            return linear_metres(grey_of(pixels), FAR_PLANE_M if encoding == "linear grey to 1000 m" else CLIPPED_M)
         case "millimetres":
             return _known(pixels.values.astype(np.float32) * np.float32(0.001))
         case "metres":
@@ -118,7 +136,16 @@ def logarithmic_metres(grey: NDArray[np.uint8]) -> Float32:
     return result
 
 
-def _grey(pixels: Pixels) -> NDArray[np.uint8]:
+def linear_metres(grey: NDArray[np.uint8], far_m: float) -> Float32:
+    """(H, W) float32 metres of (H, W) grey; black is no depth, and so is white where it says that depth was cut off."""
+    depth_m = _known(grey.astype(np.float32) * np.float32(far_m / 255))
+    if far_m < FAR_PLANE_M:
+        depth_m[grey == np.iinfo(np.uint8).max] = np.nan
+    return depth_m
+
+
+def grey_of(pixels: Pixels) -> NDArray[np.uint8]:
+    """(H, W) grey levels of an image whose channels are equal."""
     if pixels.palette:
         levels = np.zeros(256, np.uint8)
         levels[: len(pixels.palette)] = [colour[0] for colour in pixels.palette]

@@ -29,6 +29,8 @@ _DOCUMENT_SUFFIXES: Final = frozenset({".json", ".txt", ".yaml", ".yml"})
 _DOCUMENT_NAMES: Final = frozenset(name for names in _DOCUMENTS.values() for name in names)
 _KNOWN_DOCUMENTS: Final = "documents are called " + ", ".join(names[0] for names in _DOCUMENTS.values())
 _TRUTH_FOLDER: Final = "truth"
+_KITTI_IMAGES: Final = re.compile(r"image_0?[0-3]")
+"""KITTI's folders: image_2 of objects, image_0 of odometry, image_02/data of raw drives."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,12 @@ class Sensor:
     def first(self) -> Path:
         """File of the smallest frame number."""
         return self.files[min(self.files)]
+
+    @property
+    def is_of_kitti(self) -> bool:
+        """Whether the images lie in one of KITTI's folders."""
+        folders = self.first.parent, self.first.parent.parent
+        return any(_KITTI_IMAGES.fullmatch(folder.name) for folder in folders)
 
 
 @dataclass(frozen=True)

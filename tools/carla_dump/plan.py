@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from roadperc_stream.core.datatypes import Detection
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.geometry import Camera, Float
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import DumpError
@@ -16,9 +16,10 @@ from roadperc_stream.schemas.roles import ROLES
 from .calibration_file import CalibrationFile, load_calibration
 from .camera_rig import CAMERA_ROLES, LIDAR, Rig, build_rig
 from .carla_poses import load_poses
-from .depth_files import LOSSY_DEPTH, DepthEncoding, depth_encoding
+from .depth_files import GREY, DepthEncoding, depth_encoding
 from .detection_files import load_detections, load_kitti_labels
 from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_names, stamps_of_rate
+from .grey_depth import GreyDepth, grey_encoding
 from .layout import DumpLayout, find_layout
 from .meeting import apart_ns, meeting_notes, reference_of
 from .survey import SensorSurvey, front_sensors, of_size, points_fault, survey
@@ -40,6 +41,7 @@ class ConvertOptions:
     rate_hz: float | None = None
     depth_as_float: bool = False
     allow_lossy_tags: bool = False
+    grey_depth: GreyDepth | None = None
 
 
 @dataclass(frozen=True)
@@ -66,13 +68,19 @@ class Plan:
     poses: Mapping[int, Float]
     truth: TruthTables
     notes: tuple[str, ...]
+    pixel_origin: str
+    """Where the principal point counts from and how that is known; empty where no matrix gives one."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is lost in the conversion."""
-        lossy_depth = "logarithmic grey" in self.depth_encodings.values()
+        lossy_depth = [
+            f"depth is {found}: {GREY[found]}, converted all the same"
+            for found in dict.fromkeys(self.depth_encodings.values())
+            if found in GREY
+        ]
         lossy_tags = self.options.allow_lossy_tags and self.tag_table is not None
-        return (*(LOSSY_DEPTH,) * lossy_depth, *(LOSSY_TAGS,) * lossy_tags)
+        return (*lossy_depth, *(LOSSY_TAGS,) * lossy_tags)
 
     @property
     def unreadable(self) -> tuple[str, ...]:
@@ -90,7 +98,8 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     """
     layout = find_layout(dump, options.roles)
     notes = list(layout.notes)
-    calibration, calibration_path = _calibration(layout, options)
+    said, calibration_path = _calibration(layout, options)
+    calibration = _with_pixel_origin(layout, said)
     surveys = _surveys(layout, options, notes)
     rig = _rig(layout, calibration, calibration_path, surveys, notes)
     cameras = {role: rig.camera_of(role) for role in surveys}
@@ -99,8 +108,10 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     frames, missing = _frames_and_missing(surveys, stamps_ns, notes, is_by_name=is_by_name)
     if LIDAR in surveys:
         _of_frames(LIDAR, surveys[LIDAR].sensor.files, stamps_ns, notes)
-    depth_encodings: dict[str, DepthEncoding] = {
-        role: depth_encoding(surveys[role].paths) for role in _DEPTH_ROLES if role in surveys
+    depth_encodings = {
+        role: _depth_encoding(surveys[role].paths, cameras[role], options, notes)
+        for role in _DEPTH_ROLES
+        if role in surveys
     }
     tags, table, table_source = _tags(surveys, options, calibration.carla_tags)
     detections, detections_source = _detections(layout, notes)
@@ -123,6 +134,7 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
         poses=_of_frames("poses", poses, stamps_ns, notes),
         truth=_truth(layout, rig.frame_ids["truth_depth"]),
         notes=tuple(notes),
+        pixel_origin=_origin_in_words(layout, said, calibration),
     )
 
 
@@ -133,6 +145,28 @@ def _calibration(layout: DumpLayout, options: ConvertOptions) -> tuple[Calibrati
     if options.fov_deg is not None:
         calibration = calibration.model_copy(update={"fov_deg": options.fov_deg, "K": None})
     return calibration, path or layout.dump / "calibration.json"
+
+
+def _with_pixel_origin(layout: DumpLayout, calibration: CalibrationFile) -> CalibrationFile:
+    """The origin is a matter of the format: KITTI counts from the first pixel's centre, CARLA from its corner."""
+    if "pixel_origin" in calibration.model_fields_set or not _is_kitti(layout):
+        return calibration
+    return calibration.model_copy(update={"pixel_origin": "centre"})
+
+
+def _is_kitti(layout: DumpLayout) -> bool:
+    return any(layout.sensors[role].is_of_kitti for role in ("image", "left") if role in layout.sensors)
+
+
+def _origin_in_words(layout: DumpLayout, said: CalibrationFile, used: CalibrationFile) -> str:
+    matrices = [said.P_left, said.K, *(camera.K for camera in said.cameras.values())]
+    if all(matrix is None for matrix in matrices):
+        return ""
+    if "pixel_origin" in said.model_fields_set:
+        how = "as calibration.json says"
+    else:
+        how = "as KITTI has it" if _is_kitti(layout) else "as CARLA has it"
+    return f"the first pixel's {used.pixel_origin}, {how}"
 
 
 def _surveys(layout: DumpLayout, options: ConvertOptions, notes: list[str]) -> dict[str, SensorSurvey]:
@@ -158,6 +192,16 @@ def _rig(
     rig = build_rig(calibration, path, list(surveys), sizes, front_name="left" if left_is_front else "image")
     notes += rig.notes
     return rig
+
+
+def _depth_encoding(files: Sequence[Path], camera: Camera, options: ConvertOptions, notes: list[str]) -> DepthEncoding:
+    """The encoding of a sensor's depth; what was decided of 8-bit grey is noted."""
+    found = depth_encoding(files)
+    if found not in GREY:
+        return found
+    found, why = grey_encoding(files, camera, options.grey_depth)
+    notes.append(why)
+    return found
 
 
 def _frames(layout: DumpLayout) -> list[int]:

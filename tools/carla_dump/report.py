@@ -53,6 +53,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     if plan.tag_table is not None:
         facts.append(("tags", f"{plan.tag_table.name} ({plan.tag_table_source})"))
     facts += [(role.replace("_", " "), _camera(camera)) for role, camera in plan.rig.cameras.items()]
+    facts += [("pixel origin", plan.pixel_origin)] if plan.pixel_origin else []
     facts.append(("mounting", _mounting(plan)))
     truth = {
         "poses": plan.poses,

@@ -49,6 +49,8 @@ def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivabl
     if isinstance(drivable, Absent):
         return Absent(Reason("occupancy", "no_drivable_surface", cause=drivable.reason))
     dense = scene.dense_depth_m is not None
+    if dense and not surface.measured:
+        return Absent(Reason("occupancy", "heights_unknown"))
     step = _pixel_step(cfg, scene.camera) if dense else 1
     x, y, z = ego_points(part(scene.camera, 0, step, step), scene.ego_T_camera, scene.depth_m[::step, ::step])
     height = height_above(surface, x, y, z)

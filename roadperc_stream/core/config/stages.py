@@ -72,8 +72,9 @@ class SurfaceConfig(Section):
 
     enabled: bool = True
     """Whether the surface is estimated; lanes, occupancy and the scale of odometry without depth need it."""
-    model: Literal["plane", "spline"] = "plane"
-    """``spline`` adds a smooth height field to the plane, for roads that climb and fall; it needs depth."""
+    model: Literal["auto", "plane", "spline"] = "auto"
+    """``spline`` adds a smooth height field to the plane, for roads that climb and fall; ``auto`` does so in frames
+    whose road leaves its plane by more than the field's own error. Both need depth."""
     classes: Classes = ("road", "road_line", "ground")
     """Classes one may drive on; a sidewalk stands higher than the road and is none."""
     inlier_m: Positive = 0.05
@@ -96,6 +97,9 @@ class SurfaceConfig(Section):
     """Largest angle between the plane and the road that the mounting implies; a wall is not a road."""
     assumed_height_m: Positive = 1.5
     """Height of the camera above the road where neither a mounting nor depth gives it."""
+    hold_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 30.0
+    """How far the car may drive on the plane of the frames before, by odometry, where a frame's depth does not
+    show the road; farther on the mounting's stands in."""
     spline_knot_m: Annotated[float, Field(ge=1.0, le=30.0)] = 5.0
     """Distance of the height field's knots along the road."""
     spline_curvature_per_m: Positive = 0.005

@@ -14,7 +14,8 @@ from roadperc_stream.core.geometry import Float, Float32, Plane
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
-SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "assumed", "truth"]
+SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "held", "assumed", "truth"]
+SurfaceModel = Literal["plane", "spline"]
 LaneChange = Literal["none", "left", "right"]
 BoundaryStatus = Literal["measured", "held", "lost"]
 ObjectStatus = Literal["measured", "tracked", "lost"]
@@ -76,8 +77,13 @@ class Surface:
     pitch: float
     roll: float
     inlier_ratio: float | None = None
-    model: Literal["plane", "spline"] = "plane"
+    model: SurfaceModel = "plane"
     height_grid: HeightGrid | None = None
+
+    @property
+    def measured(self) -> bool:
+        """Whether it is this frame's own, and not what stands in for one."""
+        return self.source not in ("held", "assumed")
 
     @property
     def abd(self) -> tuple[float, float, float]:

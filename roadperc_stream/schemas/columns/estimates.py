@@ -63,10 +63,14 @@ class SurfaceColumns:
     surface_source: Annotated[
         str | None,
         Column(
-            "what the plane comes from: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags) or `assumed` "
-            "(the mounting)",
+            "what the plane comes from: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags), `held` "
+            "(the frames before, where the depth does not show the road) or `assumed` (the mounting)",
             null=_NO_PLANE,
         ),
+    ] = None
+    surface_model: Annotated[
+        str | None,
+        Column("`plane`, or `spline` where the road has a height field as well", null=_NO_PLANE),
     ] = None
 
 

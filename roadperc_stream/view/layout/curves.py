@@ -159,6 +159,7 @@ SCORES: Final = Plot(
 STATES: Final = {
     "odometry_status": "odometry",
     "surface_source": "surface",
+    "surface_model": "surface model",
     "nearest_object_class": "nearest object",
 }
 BOUNDARY_STATES: Final = {

@@ -120,3 +120,13 @@ def test_contradictions_are_errors(content, fault):
 def test_an_unknown_size_is_an_error():
     with pytest.raises(DumpError, match="camera_front: its image size is not known"):
         build_rig(CalibrationFile.model_validate({"fov_deg": 90}), PATH, ("depth",), {})
+
+
+@pytest.mark.parametrize(("fy", "notes"), [(640, 0), (620, 0), (480, 1)])
+def test_pixels_that_are_not_square_are_noted_once(fy, notes):
+    found = rig(
+        roles=("image", "depth", "right"), K=((640, 0, 640), (0, fy, 480), (0, 0, 1)), fov_deg=None, baseline_m=0.5
+    )
+    said = [note for note in found.notes if "differ by more than 5 %" in note]
+    assert len(said) == notes
+    assert all("fx 640 and fy 480 of calibration.json" in note for note in said)

@@ -6,8 +6,9 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from roadperc_stream.chain.stages.surface.evidence import leaves_plane
 from roadperc_stream.chain.stages.surface.plane import road_plane
-from roadperc_stream.chain.stages.surface.spline import fit_height_grid
+from roadperc_stream.chain.stages.surface.spline import fit_height_grid, road_cells
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.datatypes import Absent, Image, Mask, Reason, Surface, SurfaceSource
 from roadperc_stream.core.geometry import (
@@ -33,33 +34,32 @@ _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
 """Ego x and y at which a height field's highest row in the image is searched: as far as heights are sampled."""
 
 
-def find_surface(
-    cfg: SurfaceConfig, scene: Scene, rng: np.random.Generator
-) -> tuple[Surface | Absent, tuple[Reason, ...]]:
+def find_surface(cfg: SurfaceConfig, scene: Scene, rng: np.random.Generator) -> tuple[Surface | Absent, Reason | None]:
     """The road of a frame: fitted to its depth, else the one that the mounting promises.
 
     Returns:
-        The surface, its plane in the frame of the camera the depth belongs to, or why there is none; and why an assumed
-        one stands in although there is depth. A lidar that misses the road says no more of it than no lidar; what it
-        hits is as far away as before.
+        The surface, its plane in the frame of the camera the depth belongs to, or why there is none; and why the depth
+        does not show the road, where it does not. Then the mounting's plane stands in; without a mounting there is
+        none, but that a lidar that misses the road says no more of it than no lidar.
     """
     if scene.depth is None:
-        return assumed_surface(scene.camera, scene.ego_T_camera), ()
+        return assumed_surface(scene.camera, scene.ego_T_camera), None
     labels = scene.labels(cfg.classes)
     drivable = None
     if labels is not None:
         drivable = scene.depth.labels_from(scene.camera, scene.ego_T_camera, labels).view(bool)
     surface = fit_surface(cfg, scene.depth, drivable, rng)
-    if isinstance(surface, Absent) and not scene.depth.dense:
-        why = Reason("surface", "plane_assumed", (scene.plane_source,), surface.reason)
-        return assumed_surface(scene.camera, scene.ego_T_camera), (why,)
-    return surface, ()
+    if not isinstance(surface, Absent):
+        return surface, None
+    if scene.depth.dense and not scene.mounted:
+        return surface, surface.reason
+    return assumed_surface(scene.depth.camera, scene.depth.ego_T_camera), surface.reason
 
 
 def fit_surface(
     cfg: SurfaceConfig, depth: DepthMap, drivable: Mask | None, rng: np.random.Generator
 ) -> Surface | Absent:
-    """The road from a depth image: its plane, and with the model ``spline`` its height field too.
+    """The road from a depth image: its plane, and its height field by the model ``spline``, or ``auto`` where it pays.
 
     Args:
         cfg: thresholds.
@@ -80,21 +80,29 @@ def fit_surface(
     surface = _surface(source, camera, ego_T_camera, *found)
     if cfg.model == "plane":
         return surface
-    grid = fit_height_grid(cfg, surface, camera, ego_T_camera, depth_m, usable)
+    cells = road_cells(cfg, surface, camera, ego_T_camera, depth_m, usable)
+    if cfg.model == "auto" and not leaves_plane(cells.points):
+        return surface
+    grid = fit_height_grid(cfg, surface, cells)
     return surface if grid is None else replace(surface, model="spline", height_grid=grid)
 
 
 def assumed_surface(camera: Camera, ego_T_camera: Float) -> Surface:
     """The ground by the mounting alone, for want of depth: ego's plane z = 0, marked ``assumed``."""
-    plane = transform_plane(inverse(ego_T_camera), Plane.of(_UP_EGO, 0.0))
-    return _surface("assumed", camera, ego_T_camera, plane, None)
+    return known_surface("assumed", camera, ego_T_camera, Plane.of(_UP_EGO, 0.0))
+
+
+def known_surface(source: SurfaceSource, camera: Camera, ego_T_camera: Float, ego_plane: Plane) -> Surface:
+    """The road by a plane that is known in the ego frame."""
+    return _surface(source, camera, ego_T_camera, transform_plane(inverse(ego_T_camera), ego_plane), None)
 
 
 def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -> Mask | Absent:
     """(H, W) pixels of a drivable class within ``drivable_m`` of the surface.
 
     The distance to a plane is measured at right angles, that to a height field vertically: on a slope of 10 % that is
-    half a percent more. Without dense depth the class alone decides, without segmentation the surface alone.
+    half a percent more. Without dense depth, or where it does not show the road, the class alone decides; without
+    segmentation the surface alone.
 
     Args:
         cfg: classes and thresholds.
@@ -108,6 +116,8 @@ def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -
         return Absent(Reason("drivable", "no_segmentation_sparse_depth" if scene.depth else "no_depth_no_segmentation"))
     if isinstance(surface, Absent):
         return Absent(Reason("drivable", "no_surface", cause=surface.reason))
+    if not surface.measured:
+        return Absent(Reason("drivable", "depth_misses_road")) if drivable is None else drivable.view(bool)
     if surface.height_grid is None:
         return _near(cfg, plane_distance(camera, depth_m, surface.plane), drivable)
     top = max(_horizon_row(surface, camera, scene.ego_T_camera), 0 if drivable is None else _first_row(drivable))

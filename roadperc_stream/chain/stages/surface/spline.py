@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dgbsv
 
+from roadperc_stream.chain.stages.surface.evidence import NORMAL_MAD
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.datatypes import HeightGrid, Mask, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32
@@ -45,8 +46,6 @@ _HUBER_ROUNDS, _TUKEY_ROUNDS = 4, 3
 _REACH_STEP_M = 10.0
 _GATE_M, _GATE_STDS = 0.3, 3.0
 """A cell is left out that is this far from the field found so far, and from where such a curvature would take it."""
-_NORMAL_MAD = 1.4826
-"""Standard deviation of normal errors over their median absolute one."""
 
 
 @dataclass(frozen=True)
@@ -69,44 +68,57 @@ class _Design:
         return result
 
 
-def fit_height_grid(
-    cfg: SurfaceConfig, surface: Surface, camera: Camera, ego_T_camera: Float, depth_m: Float32, usable: Mask
-) -> HeightGrid | None:
-    """The height field through the road's points, ``spline_half_width_m`` to either side and ``max_depth_m`` ahead.
+@dataclass(frozen=True)
+class RoadCells:
+    """(N, 3) x, y and height above the plane of one point for each square metre of the road, metres.
 
-    It ends at 200 m, beyond which no height is sampled.
+    ``counts`` (N,) are the points of each.
+    """
+
+    points: Float
+    counts: NDArray[np.intp]
+
+
+def road_cells(
+    cfg: SurfaceConfig, surface: Surface, camera: Camera, ego_T_camera: Float, depth_m: Float32, usable: Mask
+) -> RoadCells:
+    """The road's cells, ``spline_half_width_m`` to either side and ``max_depth_m`` ahead, at most 200 m.
 
     Args:
-        cfg: knots, smoothness and extent.
+        cfg: the extent.
         surface: the road's plane.
         camera: the camera of the depth.
         ego_T_camera: its mounting.
         depth_m: (H, W) metres, NaN unknown.
         usable: (H, W) pixels of the road with known depth.
-
-    Returns:
-        The field on a grid of 1 m, or None where too few points ahead of the car support one.
     """
-    points, counts = _cells(cfg, *_road_points(surface, camera, ego_T_camera, depth_m, usable))
-    if len(points) < _MIN_CELLS or np.ptp(points[:, 0]) < _MIN_LENGTH_KNOTS * cfg.spline_knot_m:
-        return None
-    certainty = np.minimum(counts, _POINTS_THAT_COUNT) / _POINTS_THAT_COUNT
-    return _grid(cfg, surface, _grow(cfg, points, certainty))
-
-
-def _road_points(
-    surface: Surface, camera: Camera, ego_T_camera: Float, depth_m: Float32, usable: Mask
-) -> tuple[Float32, Float32, Float32]:
-    """Ego x and y, and height above the road's plane, of (N,) points of the road, all in metres."""
     columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
     sampled = usable[:, ::columns]
     x, y, z = ego_points(part(camera, 0, 1, columns), ego_T_camera, depth_m[:, ::columns])
     x, y, z = x[sampled], y[sampled], z[sampled]
-    return x, y, height_above(surface, x, y, z)
+    return _cells(cfg, x, y, height_above(surface, x, y, z))
 
 
-def _cells(cfg: SurfaceConfig, x: Float32, y: Float32, height: Float32) -> tuple[Float, NDArray[np.intp]]:
-    """(M, 3) x, y and height of each cell's point of median height, and how many points each cell has.
+def fit_height_grid(cfg: SurfaceConfig, surface: Surface, cells: RoadCells) -> HeightGrid | None:
+    """The height field through the road's cells.
+
+    Args:
+        cfg: knots, smoothness and extent.
+        surface: the road's plane.
+        cells: of the road, over that plane.
+
+    Returns:
+        The field on a grid of 1 m, or None where too few cells ahead of the car support one.
+    """
+    points = cells.points
+    if len(points) < _MIN_CELLS or np.ptp(points[:, 0]) < _MIN_LENGTH_KNOTS * cfg.spline_knot_m:
+        return None
+    certainty = np.minimum(cells.counts, _POINTS_THAT_COUNT) / _POINTS_THAT_COUNT
+    return _grid(cfg, surface, _grow(cfg, points, certainty))
+
+
+def _cells(cfg: SurfaceConfig, x: Float32, y: Float32, height: Float32) -> RoadCells:
+    """Each cell's point of median height.
 
     A true point, not a mean of places and a median of heights: on a slope these do not belong together.
     """
@@ -120,7 +132,7 @@ def _cells(cfg: SurfaceConfig, x: Float32, y: Float32, height: Float32) -> tuple
     order = order[np.argsort(cell[order], kind="stable")]
     _, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
     median = order[first + (counts - 1) // 2]
-    return np.stack((x[median], y[median], height[median]), axis=-1).astype(float), counts
+    return RoadCells(np.stack((x[median], y[median], height[median]), axis=-1).astype(float), counts)
 
 
 def _length_m(cfg: SurfaceConfig) -> float:
@@ -200,14 +212,24 @@ def _robust_fit(design: _Design, heights: Float, certainty: Float, prior: Float,
     entries = ((_SUPPORT - 1 + indices[:, :, None] - indices[:, None, :]) * count + indices[:, None, :]).ravel()
     for i in range(_HUBER_ROUNDS + _TUKEY_ROUNDS):
         residual = np.abs(heights - design.heights(coefficients))
-        std = max(_NORMAL_MAD * float(np.median(residual)), _FINEST_STD_M)
+        std = max(NORMAL_MAD * float(np.median(residual)), _FINEST_STD_M)
         robust = _huber(residual / std) if i < _HUBER_ROUNDS else _tukey(residual / std)
         weights = robust * certainty / std**2
         left = np.bincount(entries, (weights[:, None] * products).ravel(), prior.size).reshape(prior.shape)
         right = np.bincount(indices.ravel(), ((weights * heights)[:, None] * design.values).ravel(), count)
-        solved = solve_banded((_SUPPORT - 1, _SUPPORT - 1), left + prior, right, overwrite_ab=True, check_finite=False)
-        coefficients = np.asarray(solved, float)
+        coefficients = _solved(left + prior, right.astype(float, copy=False), coefficients)
     return coefficients
+
+
+def _solved(band: Float, right: Float, otherwise: Float) -> Float:
+    """(P,) solution of equations given as a (15, P) band, by LU decomposition; ``otherwise`` where there is none.
+
+    LAPACK itself: what scipy's ``solve_banded`` does before it calls the same function takes longer than all the rest.
+    """
+    workspace = np.zeros((len(band) + _SUPPORT - 1, band.shape[1]), order="F")
+    workspace[_SUPPORT - 1 :] = band
+    _, _, solution, fault = dgbsv(_SUPPORT - 1, _SUPPORT - 1, workspace, right, overwrite_ab=True)
+    return otherwise if fault else np.asarray(solution, float)
 
 
 def _huber(residual: Float) -> Float:

@@ -1,0 +1,105 @@
+"""What stands in where depth does not show the road: the plane of the frames before, then the mounting's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.stages.surface import SurfaceState, find_surface, remember
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.config import SurfaceConfig
+from roadperc_stream.core.datatypes import Absent, Reason
+from roadperc_stream.core.scene import DepthMap
+from tests.analytic import Road
+from tests.scenes import scene_of
+
+CFG = SurfaceConfig()
+ROAD = Road(width=320, height=240, pitch=0.02, roll=-0.01)
+PLANE = g.Plane.of(np.array([0.02, 0.0, 1.0]), -0.03)
+STATE = SurfaceState(PLANE, 5.0)
+FAILED = Reason("surface", "no_plane", (900, 0.2))
+WITH_DEPTH = scene_of(ROAD.camera, ROAD.ego_T_camera, depth_m=ROAD.depth_m(), tags=ROAD.tags())
+NO_DEPTH = replace(WITH_DEPTH, depth=None)
+
+
+def motion(yaw=0.0, pitch=0.0, ahead_m=1.0, up_m=0.0):
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    nod = np.array([[np.cos(pitch), 0.0, np.sin(pitch)], [0.0, 1.0, 0.0], [-np.sin(pitch), 0.0, np.cos(pitch)]])
+    return g.rigid(turn @ nod, np.array([ahead_m, 0.0, up_m]))
+
+
+def noisy_scene(mounted=True):
+    """Depth with an error of 30 %, which shows no plane."""
+    factor = np.random.default_rng(0).normal(1, 0.3, ROAD.depth_m().shape).astype(np.float32)
+    depth = DepthMap(ROAD.depth_m() * factor, ROAD.camera, ROAD.ego_T_camera, np.inf, "depth")
+    return replace(WITH_DEPTH, depth=depth, mounted=mounted)
+
+
+def after(state, scene, last_T_this, cfg=CFG):
+    road, failed = find_surface(cfg, scene, np.random.default_rng(0))
+    return remember(cfg, state, scene, road, failed, last_T_this)
+
+
+def test_a_frame_that_shows_the_road_is_remembered():
+    state, road, reasons = after(STATE, WITH_DEPTH, motion())
+    assert (road.source, reasons) == ("depth", ())
+    assert state == SurfaceState(road.ego_plane, 0.0)
+
+
+def test_the_plane_kept_stands_in_and_says_so():
+    state, road, reasons = after(STATE, noisy_scene(), motion())
+    assert (road.source, road.model, road.inlier_ratio, road.measured) == ("held", "plane", None, False)
+    assert road.abd == pytest.approx((0.02, 0.0, 0.03), abs=1e-12)
+    assert [(reason.code, reason.cause.code) for reason in reasons] == [("plane_held", "no_plane")]
+    assert state.driven_m == STATE.driven_m + 1.0
+    pitch, roll = g.camera_pitch_roll(g.transform_plane(g.inverse(ROAD.ego_T_camera), PLANE))
+    assert (road.pitch, road.roll) == pytest.approx((pitch, roll))
+
+
+def test_the_plane_turns_with_the_car():
+    """What rose ahead lies to the right after a quarter turn to the left."""
+    _, road, _ = after(STATE, noisy_scene(), motion(yaw=np.pi / 2))
+    assert road.abd == pytest.approx((0.0, -0.02, 0.03), abs=1e-12)
+
+
+def test_what_a_noisy_step_says_of_pitch_and_height_does_not_tilt_the_plane():
+    _, road, _ = after(STATE, noisy_scene(), motion(pitch=0.01, up_m=0.2))
+    assert road.abd == pytest.approx((0.02, 0.0, 0.03), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("state", "last_T_this"),
+    [(SurfaceState(), motion()), (STATE, None), (SurfaceState(PLANE, 29.5), motion())],
+    ids=["nothing kept", "motion not known", "too far"],
+)
+def test_then_the_mountings_stands_in(state, last_T_this):
+    _, road, reasons = after(state, noisy_scene(), last_T_this)
+    assert (road.source, road.abd) == ("assumed", pytest.approx((0.0, 0.0, 0.0)))
+    assert [(reason.code, reason.values) for reason in reasons] == [("plane_assumed", ("the mounting",))]
+
+
+def test_without_a_mounting_there_is_no_surface():
+    state, road, reasons = after(SurfaceState(), noisy_scene(mounted=False), motion())
+    assert isinstance(road, Absent)
+    assert (state, reasons) == (SurfaceState(), ())
+    assert after(STATE, noisy_scene(mounted=False), motion())[1].source == "held"
+
+
+def test_a_car_that_stands_holds_it_for_ever():
+    state, scene = STATE, noisy_scene()
+    for _ in range(1000):
+        state, road, _ = remember(CFG, state, scene, Absent(FAILED), FAILED, motion(ahead_m=0.0))
+        assert (state.driven_m, road.source) == (STATE.driven_m, "held")
+    assert state.ego_plane.normal == pytest.approx(PLANE.normal)
+
+
+def test_none_is_held_where_the_settings_say_so():
+    assert after(STATE, noisy_scene(), motion(), SurfaceConfig(hold_m=0.0))[1].source == "assumed"
+
+
+def test_frames_without_depth_carry_the_plane_on():
+    state, road, reasons = after(STATE, NO_DEPTH, motion())
+    assert (state.driven_m, road.source, reasons) == (6.0, "assumed", ())
+    assert state.ego_plane.normal == pytest.approx(PLANE.normal)
+    assert after(STATE, NO_DEPTH, None)[0] == SurfaceState()
