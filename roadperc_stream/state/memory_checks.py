@@ -85,13 +85,14 @@ def _require_odometry(odometry: OdometryState, cfg: OdometryConfig, limits: Limi
         return
     require_transform(keyframe.odom_T_camera)
     _require_finite(keyframe.camera)
-    _require_finite((last.velocity, last.covariance), _LARGEST)
-    if last.covariance is not None:
-        _require_covariance(last.covariance)
+    _require_finite((last.velocity, last.influence, last.length_variance), _LARGEST)
+    if last.length_variance < 0:
+        raise ValueError("a variance that is none")
     _require_image_of(keyframe.camera, keyframe.grey, limits)
     landmarks = keyframe.landmarks
     features = landmarks.features
-    parts = (features.px, features.descriptors, landmarks.points_m, landmarks.slope, last.found_px)
+    pulls = () if last.influence is None else (last.influence,)
+    parts = (features.px, features.descriptors, landmarks.points_m, landmarks.slope, last.found_px, *pulls)
     if len({len(part) for part in parts}) > 1:
         raise ValueError(f"landmarks of {', '.join(str(len(part)) for part in parts)} points")
     if len(features.px) > cfg.max_points:

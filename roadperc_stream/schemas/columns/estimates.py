@@ -257,6 +257,10 @@ class OdometryColumns:
         float | None,
         Column("length of the step since the last frame", "m", "no step, or no scale", label="step", decimals=3),
     ] = None
+    step_std_m: Annotated[
+        float | None,
+        Column("standard deviation of `step_m`", "m", "no step, no scale, no covariance", label="step std", decimals=4),
+    ] = None
     turn_deg: Annotated[
         float | None,
         Column(
@@ -267,6 +271,10 @@ class OdometryColumns:
             decimals=3,
             compares_coverage=False,
         ),
+    ] = None
+    turn_std_deg: Annotated[
+        float | None,
+        Column("standard deviation of `turn_deg`", "deg", "no step, no covariance", label="turn std", decimals=4),
     ] = None
     odom_x_m: Annotated[float | None, _pose_of("position of the ego frame in odom, x", "as the status")] = None
     odom_y_m: Annotated[float | None, _pose_of("the same, y", "as the status")] = None

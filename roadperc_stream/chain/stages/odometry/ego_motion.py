@@ -13,6 +13,7 @@ from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, carry, is_
 from roadperc_stream.chain.stages.odometry.motion import Motion, motion_from_points, moved
 from roadperc_stream.chain.stages.odometry.patch_alignment import aligned, predicted_px
 from roadperc_stream.chain.stages.odometry.tracking_frame import TrackingFrame, tracking_frame
+from roadperc_stream.chain.stages.odometry.uncertainty import in_ego_axes, step_covariance
 from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Absent, Matches, Odometry, Reason, Surface, read_only
 from roadperc_stream.core.geometry import Float, Float32, inverse, project, transform
@@ -30,18 +31,20 @@ class LastFrame:
     """The last frame whose pose is known, or at which the odometry began anew.
 
     ``velocity`` is (6,) metres and radians per second in the ego frame, None before there are two frames. ``found_px``
-    is (N, 2), where the keyframe's features were found last. ``covariance`` is (6, 6), that of the pose against the
-    keyframe in ego's axes, None where it is not known.
+    is (N, 2), where the keyframe's features were found last. ``influence`` is (N, 6), how far each of them
+    pulls the pose against the keyframe, in ego's axes, None where that is not known; ``length_variance`` is that of the
+    distance from the keyframe, in square metres, beyond what they show.
     """
 
     stamp_ns: int
     velocity: Float | None
     found_px: Float32
-    covariance: Float | None
+    influence: Float | None
+    length_variance: float = 0.0
 
     def __post_init__(self) -> None:
         read_only(self.found_px, np.float32, (None, 2), "found_px")
-        for name, array, shape in (("velocity", self.velocity, (6,)), ("covariance", self.covariance, (6, 6))):
+        for name, array, shape in (("velocity", self.velocity, (6,)), ("influence", self.influence, (None, 6))):
             if array is not None:
                 read_only(array, np.float64, shape, name)
 
@@ -117,9 +120,8 @@ def _lost(odom_T_ego: Float, reason: Reason) -> Odometry:
 def _begun(cfg: OdometryConfig, odom_T_ego: Float, frame: TrackingFrame) -> OdometryState:
     """A frame as keyframe, at a pose that is given."""
     keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera)
-    return OdometryState(
-        odom_T_ego, keyframe, LastFrame(frame.stamp_ns, None, keyframe.landmarks.features.px, np.zeros((6, 6)))
-    )
+    px = keyframe.landmarks.features.px
+    return OdometryState(odom_T_ego, keyframe, LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6))))
 
 
 def _continued(
@@ -134,14 +136,17 @@ def _continued(
     motion = estimate.motion
     metric = keyframe.landmarks.metric and motion.scaled
     last_T_this = inverse(odom_T_last) @ estimate.odom_T_ego
-    covariance = _in_ego_axes(frame.ego_T_camera, motion.covariance)
+    influence, length_variance = in_ego_axes(frame.ego_T_camera, motion.influence), motion.length_variance
+    key_px = keyframe.landmarks.features.px
     out = Odometry(
         "tracked",
         estimate.odom_T_ego,
         last_T_this,
         int(np.sum(motion.inliers)),
         not metric,
-        _row_by_row(covariance, last.covariance),
+        step_covariance(
+            key_px, frame.camera.width, influence, last.influence, last_T_this, length_variance + last.length_variance
+        ),
         last.stamp_ns,
         matches=_matches(keyframe, frame, estimate),
     )
@@ -151,9 +156,11 @@ def _continued(
     if is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
         carried = carry(keyframe.landmarks, motion, estimate.px)
         keyframe = make_keyframe(cfg, frame, estimate.odom_T_ego @ frame.ego_T_camera, carried)
-        found_px, covariance = keyframe.landmarks.features.px, np.zeros((6, 6))
+        found_px = keyframe.landmarks.features.px
+        influence, length_variance = np.zeros((len(found_px), 6)), 0.0
     velocity = _velocity(last_T_this, (frame.stamp_ns - last.stamp_ns) / NS_PER_S)
-    return OdometryState(estimate.odom_T_ego, keyframe, LastFrame(frame.stamp_ns, velocity, found_px, covariance)), out
+    now = LastFrame(frame.stamp_ns, velocity, found_px, influence, length_variance)
+    return OdometryState(estimate.odom_T_ego, keyframe, now), out
 
 
 def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: _Estimate) -> Matches:
@@ -248,19 +255,3 @@ def _velocity(last_T_this: Float, seconds: float) -> Float:
     """(6,) metres and radians per second."""
     turned = Rotation.from_matrix(last_T_this[:3, :3]).as_rotvec()
     return np.concatenate((last_T_this[:3, 3], turned)) / seconds
-
-
-def _in_ego_axes(ego_T_camera: Float, covariance: Float | None) -> Float | None:
-    """(6, 6) covariance of a small motion of the camera as that of the ego frame fixed to it, by the adjoint."""
-    if covariance is None:
-        return None
-    R, lever = ego_T_camera[:3, :3], ego_T_camera[:3, 3]
-    adjoint = np.zeros((6, 6))
-    adjoint[:3, :3] = adjoint[3:, 3:] = R
-    adjoint[:3, 3:] = np.cross(lever, R, axisb=0, axisc=0)
-    return np.asarray(adjoint @ covariance @ adjoint.T)
-
-
-def _row_by_row(this: Float | None, last: Float | None) -> tuple[float, ...]:
-    """Covariance of the step between two poses measured against one keyframe; empty where one is not known."""
-    return () if this is None or last is None else tuple((this + last).ravel().tolist())
