@@ -23,6 +23,7 @@ from roadperc_stream.core.datatypes import (
     Occupancy,
     Odometry,
     Reason,
+    ReasonCode,
     StereoDepth,
     Surface,
 )
@@ -72,13 +73,14 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         road, front_road, drivable = _road(cfg, scene, rng, problems)
     with timed("odometry"):
         odometry_state, motion = _odometry(cfg, state, scene, front_road, rng)
+        road, front_road = (_with_pitch(scene, plane, odometry_state) for plane in (road, front_road))
     with timed("lanes"):
         lanes_state, ego_lane = _lanes(cfg, state, scene, front_road, drivable, motion)
     with timed("objects"):
         objects_state, tracked = _objects(cfg, state, scene)
     with timed("occupancy"):
         grid = _occupancy(cfg, scene, front_road, drivable)
-    problems += _missing_inputs(scene, tracked)
+    problems += _missing_inputs(scene, road, tracked)
     result = FrameResult(
         frame.stamp_ns,
         frame.camera.frame_id,
@@ -207,6 +209,13 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
     return front_road
 
 
+def _with_pitch(scene: Scene, road: Surface | Absent, memory: OdometryState) -> Surface | Absent:
+    """A road that is assumed, with the pitch that the drive has shown."""
+    if isinstance(road, Absent) or road.source != "assumed" or memory.pitch is None or not memory.pitch.measured:
+        return road
+    return surface.assumed_surface(scene.camera, scene.ego_T_camera, memory.pitch.offset)
+
+
 def _metric_step(motion: Odometry | Absent, since_ns: int | None) -> Float | None:
     """last_T_this of a tracked motion in metres that begins at the last frame; None of any other."""
     if isinstance(motion, Absent) or motion.status != "tracked" or motion.up_to_scale or motion.since_ns != since_ns:
@@ -239,13 +248,15 @@ def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[
     return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
-def _missing_inputs(scene: Scene, tracked: Objects | Absent) -> list[Reason]:
+def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Absent) -> list[Reason]:
     """What a stage that gave something had to do without."""
     missing = []
     if scene.camera.lens is not None:
         missing.append(Reason("image", "not_rectified"))
     if scene.depth is None:
-        missing.append(Reason("surface", "no_depth_plane_assumed", (scene.plane_source,)))
+        estimated = not isinstance(road, Absent) and road.source == "estimated"
+        code: ReasonCode = "no_depth_pitch_estimated" if estimated else "no_depth_plane_assumed"
+        missing.append(Reason("surface", code, (scene.plane_source,)))
     elif scene.tags is None:
         missing.append(Reason("surface", "no_segmentation_lower_image"))
     if isinstance(tracked, Objects) and tracked.objects:

@@ -63,8 +63,8 @@ class SurfaceColumns:
     surface_source: Annotated[
         str | None,
         Column(
-            "what the plane comes from: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags) or `assumed` "
-            "(the mounting)",
+            "what the plane comes from: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags), `estimated` "
+            "(the mounting, but its pitch by the drive) or `assumed` (the mounting)",
             null=_NO_PLANE,
         ),
     ] = None

@@ -22,7 +22,7 @@ from roadperc_stream.core.geometry import (
     transform,
     transform_plane,
 )
-from roadperc_stream.core.ground import ego_points, height_above, height_at, part
+from roadperc_stream.core.ground import ego_points, height_above, height_at, part, tilted_ground
 from roadperc_stream.core.scene import DepthMap, Scene
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
@@ -84,10 +84,13 @@ def fit_surface(
     return surface if grid is None else replace(surface, model="spline", height_grid=grid)
 
 
-def assumed_surface(camera: Camera, ego_T_camera: Float) -> Surface:
-    """The ground by the mounting alone, for want of depth: ego's plane z = 0, marked ``assumed``."""
-    plane = transform_plane(inverse(ego_T_camera), Plane.of(_UP_EGO, 0.0))
-    return _surface("assumed", camera, ego_T_camera, plane, None)
+def assumed_surface(camera: Camera, ego_T_camera: Float, pitch: float | None = None) -> Surface:
+    """The ground by the mounting, for want of depth: ego's plane z = 0, marked ``assumed``.
+
+    With the ``pitch`` by which the camera looks further down, radians, it is tilted, and marked ``estimated``.
+    """
+    plane = transform_plane(inverse(ego_T_camera), tilted_ground(ego_T_camera, pitch or 0.0))
+    return _surface("assumed" if pitch is None else "estimated", camera, ego_T_camera, plane, None)
 
 
 def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -> Mask | Absent:
