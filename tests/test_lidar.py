@@ -273,7 +273,7 @@ def test_the_transform_tree_places_the_points(tmp_path, edges, frame_id, ego_T_p
 
 def test_a_frame_the_tree_does_not_know_is_named(tmp_path):
     _, table = replayed(log_of(tmp_path / "in.mcap", EGO_T_LIDAR, "roof"))
-    assert set(table["surface_source"]) == {"assumed"}
+    assert table["surface_source"].to_list() == ["assumed"] + ["estimated"] * 3
     assert table["missing"].to_list() == [[]] * 4
     for reasons in table["reasons"].to_list():
         assert "lidar: no transform connects its frame 'roof' with ego" in reasons
@@ -291,7 +291,7 @@ def test_a_lidar_slower_than_the_camera_is_missing_in_between(tmp_path):
             writer.write(message)
     _, table = replayed(tmp_path / "half.mcap", "half_out.mcap")
     assert table["missing"].to_list() == [[], ["lidar"], [], ["lidar"]]
-    assert table["surface_source"].to_list() == ["lidar", "assumed", "lidar", "assumed"]
+    assert table["surface_source"].to_list() == ["lidar", "estimated", "lidar", "estimated"]
 
 
 def test_replaying_a_lidars_log_gives_the_same_bytes_and_its_output_too(tmp_path):
@@ -339,7 +339,7 @@ def test_points_nobody_asked_for_are_not_used_but_told(tmp_path):
     told = ", ".join(f"{topic} (foxglove.PointCloud)" for topic in ("/radar", "/rear", "/side"))
     assert summary.notes == (f"role lidar: not assigned; candidates: {told}, ...: --topic lidar=/radar",)
     table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
-    assert set(table["surface_source"]) == {"assumed"}
+    assert set(table["surface_source"]) == {"assumed", "estimated"}
     both = renamed(source, "both.mcap", ("/lidar/points", "/velodyne"))
     assert replay(both, tmp_path / "both_out.mcap", ReplayConfig()).notes == ()
 

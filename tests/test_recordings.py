@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -103,6 +104,34 @@ def test_carlas_principal_point_as_it_stands_is_a_tenth_of_a_degree_off(data_dir
     wrong = pl.read_parquet(tmp_path / "b.metrics.parquet")
     shift = wrong["camera_pitch_deg"].median() - right["camera_pitch_deg"].median()
     assert shift == pytest.approx(0.11, abs=0.01)
+
+
+def test_kittis_steps_have_their_length_by_one_camera_whose_height_alone_is_known(data_dir, tmp_path):
+    """The camera looks down by about a degree, which nobody says."""
+    folder, dump = data_dir / "kitti_odometry", tmp_path / "dump"
+    dump.mkdir()
+    (dump / "rgb").symlink_to(folder / "image_0")
+    P = np.array((folder / "calib.txt").read_text().splitlines()[0].split()[1:], float).reshape(3, 4)
+    known = {"width": 1226, "height": 370, "K": P[:, :3].tolist(), "pixel_origin": "centre", "rate_hz": 10}
+    known["mounting"] = {"rgb": {"x": 0, "y": 0, "z": 1.65, "roll": 0, "pitch": 0, "yaw": 0}}
+    (dump / "calibration.json").write_text(json.dumps(known))
+    assert convert.main([str(dump), str(tmp_path / "in.mcap"), "--quiet"]) == 0
+    options = ("--quiet", "--results-only", "--only", "surface,odometry")
+    assert replay_main([str(tmp_path / "in.mcap"), str(tmp_path / "out.mcap"), *options]) == 0
+    metrics = pl.read_parquet(tmp_path / "out.metrics.parquet")[1:]
+    places = np.loadtxt(folder / "poses.txt")[:, 3::4]
+    true_m, step_m = np.linalg.norm(np.diff(places, axis=0), axis=1), metrics["step_m"].to_numpy()
+    off = np.abs(step_m - true_m)
+    print(f"\nKITTI: {np.median(off / true_m):.2%} median, path {step_m.sum() / true_m.sum():.4f}")
+    assert np.isfinite(step_m).mean() >= 0.95
+    assert np.median(off / true_m) <= 0.02
+    assert step_m.sum() == pytest.approx(true_m.sum(), rel=0.02)
+    within = [float(np.mean(off <= sigmas * metrics["step_std_m"].to_numpy())) for sigmas in (1, 2, 3)]
+    assert within[0] >= 0.5
+    assert within[1] >= 0.9
+    assert within[2] >= 0.98
+    assert set(metrics["surface_source"]) == {"estimated"}
+    assert metrics["camera_pitch_deg"].median() == pytest.approx(1.07, abs=0.15)
 
 
 def test_a_foreign_log_without_images_is_refused(data_dir, tmp_path, capsys):

@@ -24,6 +24,7 @@ from roadperc_stream.core.datatypes import (
     Occupancy,
     Odometry,
     Reason,
+    ReasonCode,
     StereoDepth,
     Surface,
 )
@@ -76,6 +77,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         odometry_state, motion = _odometry(cfg, state, scene, _in_front_camera(scene, seen), rng)
     with timed("surface"):
         surface_state, road = _road(cfg, state, scene, seen, failed, motion, problems)
+        road = _with_pitch(scene, road, odometry_state)
         front_road = _in_front_camera(scene, road)
         drivable = _drivable(cfg, scene, front_road)
     with timed("lanes"):
@@ -84,7 +86,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         objects_state, tracked = _objects(cfg, state, scene, ego_lane, motion)
     with timed("occupancy"):
         grid = _occupancy(cfg, scene, front_road, drivable)
-    problems += _missing_inputs(scene, tracked)
+    problems += _missing_inputs(scene, road, tracked)
     result = FrameResult(
         frame.stamp_ns,
         frame.camera.frame_id,
@@ -232,6 +234,13 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
     return front_road
 
 
+def _with_pitch(scene: Scene, road: Surface | Absent, memory: OdometryState) -> Surface | Absent:
+    """A road that is assumed, with the pitch that the drive has shown."""
+    if isinstance(road, Absent) or road.source != "assumed" or memory.pitch is None or not memory.pitch.measured:
+        return road
+    return surface.estimated_surface(scene, memory.pitch.offset)
+
+
 def _since(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
     """A motion in metres that begins at the last frame, or that it is lost; None of any other."""
     if isinstance(motion, Absent) or motion.status == "first" or motion.up_to_scale:
@@ -271,7 +280,7 @@ def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[
     return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
-def _missing_inputs(scene: Scene, tracked: Objects | Absent) -> list[Reason]:
+def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Absent) -> list[Reason]:
     """What a stage that gave something had to do without."""
     missing = []
     if scene.camera.lens is not None:
@@ -279,7 +288,9 @@ def _missing_inputs(scene: Scene, tracked: Objects | Absent) -> list[Reason]:
     if not scene.camera.square_pixels:
         missing.append(Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy)))
     if scene.depth is None:
-        missing.append(Reason("surface", "no_depth_plane_assumed", (scene.plane_source,)))
+        estimated = not isinstance(road, Absent) and road.source == "estimated"
+        code: ReasonCode = "no_depth_pitch_estimated" if estimated else "no_depth_plane_assumed"
+        missing.append(Reason("surface", code, (scene.plane_source,)))
     elif scene.tags is None:
         missing.append(Reason("surface", "no_segmentation_lower_image"))
     if isinstance(tracked, Objects) and tracked.objects:

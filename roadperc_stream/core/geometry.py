@@ -182,6 +182,18 @@ def inverse(a_T_b: Float) -> Float:
     return rigid(R, -R @ a_T_b[:3, 3])
 
 
+def adjoint(a_T_b: Float) -> Float:
+    """(6, 6) matrix that brings a small translation and rotation, fixed to a body, from frame b's axes to frame a's.
+
+    Source: Murray, Li and Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 2.4.2.
+    """
+    R, lever = a_T_b[:3, :3], a_T_b[:3, 3]
+    result = np.zeros((6, 6))
+    result[:3, :3] = result[3:, 3:] = R
+    result[:3, 3:] = np.cross(lever, R, axisb=0, axisc=0)
+    return result
+
+
 def transform(a_T_b: Float, points_b: Float) -> Float:
     """(..., 3) points in frame a."""
     result: Float = points_b @ a_T_b[:3, :3].T + a_T_b[:3, 3]

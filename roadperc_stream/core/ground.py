@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from roadperc_stream.core.datatypes import HeightGrid, Surface
-from roadperc_stream.core.geometry import Camera, Float, Float32, intersect_plane, rays, transform
+from roadperc_stream.core.geometry import Camera, Float, Float32, Plane, intersect_plane, rays, transform
 
 REACH_M: Final = 200.0
 """Depth to which a ray is followed to the height field; what is straight beyond the grid ends somewhere."""
@@ -22,6 +22,18 @@ _REFINEMENTS: Final = 2
 """Parts into which the stretch where it dipped is cut, twice: the last is 2 % long, straight enough to interpolate."""
 _LOOKUP_X_M: Final = (-20.0, REACH_M)
 _LOOKUP_Y_M: Final = (-80.0, 80.0)
+
+
+def tilted_ground(ego_T_camera: Float, pitch: float) -> Plane:
+    """The road in the ego frame if the camera looks further down than the mounting says, from the same height.
+
+    Args:
+        ego_T_camera: the mounting, over the plane z = 0.
+        pitch: radians; 0 gives that plane.
+    """
+    normal = np.array([0.0 - np.sin(pitch), 0.0, np.cos(pitch)])
+    centre = ego_T_camera[:3, 3]
+    return Plane.of(normal, float(centre[2] - normal @ centre))
 
 
 def height_at(surface: Surface, x: Float, y: Float) -> Float:

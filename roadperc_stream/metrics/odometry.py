@@ -19,7 +19,9 @@ def odometry_columns(odometry: Odometry | Absent) -> OdometryColumns:
         odometry_status=odometry.status,
         odometry_inliers=odometry.inliers,
         step_m=None if step is None or odometry.up_to_scale else _length_m(step),
+        step_std_m=None if step is None or odometry.up_to_scale else _step_std_m(step, odometry.covariance),
         turn_deg=None if step is None else rotation_angle_deg(step),
+        turn_std_deg=None if step is None else _turn_std_deg(step, odometry.covariance),
         odom_x_m=x,
         odom_y_m=y,
         odom_z_m=z,
@@ -57,6 +59,26 @@ def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: Earli
         true_step_m=_length_m(true_step),
         true_turn_deg=rotation_angle_deg(true_step),
     )
+
+
+def _step_std_m(step: Float, covariance: tuple[float, ...]) -> float | None:
+    """Standard deviation of a (4, 4) step's length; its covariance is in the axes of the frame it leads to."""
+    return _std_along(inverse(step)[:3, 3], covariance, 0)
+
+
+def _turn_std_deg(step: Float, covariance: tuple[float, ...]) -> float | None:
+    """Standard deviation of the angle of a (4, 4) step's rotation, degrees."""
+    std = _std_along(Rotation.from_matrix(step[:3, :3]).as_rotvec(), covariance, 3)
+    return None if std is None else float(np.degrees(std))
+
+
+def _std_along(direction: Float, covariance: tuple[float, ...], first: int) -> float | None:
+    """That along a direction, of three of the six numbers from the ``first`` on; None where one is not known."""
+    length = float(np.linalg.norm(direction))
+    if not covariance or length == 0:
+        return None
+    part = np.reshape(covariance, (6, 6))[first : first + 3, first : first + 3]
+    return float(np.sqrt(direction @ part @ direction)) / length
 
 
 def _length_m(transform: Float) -> float:

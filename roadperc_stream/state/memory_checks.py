@@ -14,6 +14,7 @@ from roadperc_stream.chain.stages.objects.template import LARGEST_PX
 from roadperc_stream.chain.stages.objects.tracker import MOST_TRACKS, ObjectsState
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
 from roadperc_stream.chain.stages.odometry import OdometryState
+from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.surface import SurfaceState
 from roadperc_stream.chain.step import ChainState
 from roadperc_stream.core.config import LimitsConfig, OdometryConfig, ReplayConfig
@@ -24,6 +25,7 @@ from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.output.writing import TRAJECTORY_POSES, Shown
 
 _ROUNDING: Final = 1e-6
+_STEEPEST: Final = np.pi / 2
 _LARGEST: Final = 1e30
 """No length, angle, pixel or variance is as large; the fourth power of one that is is still a number."""
 
@@ -91,22 +93,31 @@ def _require_surface(surface: SurfaceState) -> None:
 
 def _require_odometry(odometry: OdometryState, cfg: OdometryConfig, limits: LimitsConfig) -> None:
     require_transform(odometry.odom_T_ego)
+    if odometry.pitch is not None:
+        _require_pitch(odometry.pitch)
     keyframe, last = odometry.keyframe, odometry.last
     if keyframe is None or last is None:
         return
     require_transform(keyframe.odom_T_camera)
     _require_finite(keyframe.camera)
-    _require_finite((last.velocity, last.covariance), _LARGEST)
-    if last.covariance is not None:
-        _require_covariance(last.covariance)
+    _require_finite((last.velocity, last.influence, last.length_variance, last.speed_variance), _LARGEST)
+    if min(last.length_variance, last.speed_variance or 0.0) < 0:
+        raise ValueError("a variance that is none")
     _require_image_of(keyframe.camera, keyframe.grey, limits)
     landmarks = keyframe.landmarks
     features = landmarks.features
-    parts = (features.px, features.descriptors, landmarks.points_m, landmarks.slope, last.found_px)
+    pulls = () if last.influence is None else (last.influence,)
+    parts = (features.px, features.descriptors, landmarks.points_m, landmarks.slope, last.found_px, *pulls)
     if len({len(part) for part in parts}) > 1:
         raise ValueError(f"landmarks of {', '.join(str(len(part)) for part in parts)} points")
     if len(features.px) > cfg.max_points:
         raise ValueError(f"{len(features.px)} landmarks: expected odometry.max_points {cfg.max_points} at most")
+
+
+def _require_pitch(pitch: CameraPitch) -> None:
+    _require_finite(pitch)
+    if pitch.variance < 0 or abs(pitch.offset) > _STEEPEST:
+        raise ValueError("a pitch that is none")
 
 
 def _require_image_of(camera: Camera, grey: Image, limits: LimitsConfig) -> None:

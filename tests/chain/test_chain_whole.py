@@ -126,8 +126,8 @@ def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):
 @pytest.mark.parametrize("missing", ["image", "segmentation", "detections", "points"])
 def test_any_input_beside_a_lidar_may_be_missing(lidar_frames, missing):
     _, results = run([replace(frame, **{missing: None}) for frame in lidar_frames[:3]])
-    expected = {"segmentation": "lower_image", "points": "assumed"}.get(missing, "lidar")
-    assert {result.surface.source for result in results} == {expected}
+    expected = {"segmentation": ["lower_image"] * 3, "points": ["assumed", "estimated", "estimated"]}
+    assert [result.surface.source for result in results] == expected.get(missing, ["lidar"] * 3)
 
 
 def test_one_camera_a_lidar_and_tags_are_enough_for_everything(lidar_frames, whole):

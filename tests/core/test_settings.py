@@ -125,7 +125,7 @@ ODOMETRY = {
     "odometry.keyframe_flow_px": "1",
 }
 DESCRIPTORS = {"odometry.matcher": "flann", "odometry.match_ratio": "0.5"}
-MONO = {"odometry.min_parallax_px": "50"}
+MONO = {"odometry.min_parallax_px": "50", "odometry.pitch_std_deg": "0"}
 OCCUPANCY = {
     "occupancy.enabled": "false",
     "occupancy.resolution_m": "0.4",
@@ -241,5 +241,5 @@ def test_without_mounting_and_depth_the_camera_has_the_assumed_height(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(2, roles=("calibration", "image", "segmentation")))
     replay(source, tmp_path / "out.mcap", load_config(None, ("surface.assumed_height_m=2.5",)))
     table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
-    assert table["surface_source"].to_list() == ["assumed"] * 2
+    assert table["surface_source"].to_list() == ["assumed", "estimated"]
     assert table["camera_height_m"].to_list() == pytest.approx([2.5] * 2)

@@ -57,3 +57,23 @@ def test_without_truth_there_is_no_true_pose():
     sample, result = sample_and_result()
     row = frame_metrics(CFG, "id", sample, result)
     assert (row.true_x_m, row.true_qw, row.step_error_m, row.true_step_m) == (None, None, None, None)
+
+
+def test_the_deviations_of_step_and_turn_are_those_along_them():
+    """The covariance is in the axes that the step leads to: after a quarter turn its y was the old x, reversed."""
+    stds = np.array([0.01, 0.02, 0.03, 0.001, 0.002, 0.003])
+    covariance = tuple(np.diag(stds**2).ravel())
+    ahead = row_of(moved(2.0, 0.0, 0.1), moved(2.0, 0.0), covariance=covariance)
+    assert ahead.step_std_m == pytest.approx(0.01, rel=1e-3)
+    assert ahead.turn_std_deg == pytest.approx(np.degrees(0.003))
+    turned = row_of(moved(2.0, 0.0, 90.0), moved(2.0, 0.0), covariance=covariance)
+    assert turned.step_std_m == pytest.approx(0.02)
+
+
+def test_a_step_of_unknown_covariance_or_scale_has_no_deviation():
+    row = row_of(moved(2.0, 0.0, 1.0), moved(1.0, 0.0))
+    assert (row.step_m, row.step_std_m, row.turn_std_deg) == (2.0, None, None)
+    covariance = tuple(np.eye(6).ravel())
+    row = row_of(moved(2.0, 0.0, 1.0), moved(1.0, 0.0), covariance=covariance, up_to_scale=True)
+    assert (row.step_std_m, row.turn_std_deg) == (None, pytest.approx(np.degrees(1.0)))
+    assert row_of(moved(0.0, 0.0), moved(0.0, 0.0), covariance=covariance).step_std_m is None

@@ -282,6 +282,8 @@ class OdometryConfig(Section):
     """A faster turn is one the car cannot make, and the frame is lost."""
     min_parallax_px: Positive = 1.5
     """Without depth: median shift, the turn's own left out, below which the camera is assumed to stand still."""
+    pitch_std_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 2.0
+    """Without depth: standard deviation of the mounting's pitch, which the drive corrects; 0 believes the mounting."""
     keyframe_share: Ratio = 0.5
     """Share of the keyframe's points below which, found again as inliers, a frame becomes the next keyframe."""
     keyframe_flow_px: Positive = 60.0

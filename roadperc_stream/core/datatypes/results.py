@@ -14,7 +14,7 @@ from roadperc_stream.core.geometry import Float, Float32, Plane
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
-SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "held", "assumed", "truth"]
+SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "held", "estimated", "assumed", "truth"]
 SurfaceModel = Literal["plane", "spline"]
 LaneChange = Literal["none", "left", "right"]
 BoundaryStatus = Literal["measured", "held", "lost"]
@@ -83,7 +83,7 @@ class Surface:
     @property
     def measured(self) -> bool:
         """Whether it is this frame's own, and not what stands in for one."""
-        return self.source not in ("held", "assumed")
+        return self.source not in ("held", "estimated", "assumed")
 
     @property
     def abd(self) -> tuple[float, float, float]:
@@ -126,8 +126,9 @@ class Odometry:
 
     With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
     x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is when ``step`` begins: the last frame
-    that was not missing. ``reason`` says why a frame is ``lost``; its pose is then the last one known. ``matches`` are
-    the features that the motion was estimated from, None where there was none.
+    that was not missing. ``reason`` says why a frame is ``lost``, its pose is then the last one known, or what gives
+    its scale instead of the road. ``matches`` are the features that the motion was estimated from, None where there
+    was none.
     """
 
     status: OdometryStatus
@@ -350,6 +351,12 @@ class FrameResult:
             self.occupancy,
         )
         absent = tuple(out.reason for out in stages if isinstance(out, Absent))
-        lost = self.odometry.reason if isinstance(self.odometry, Odometry) else None
         unbounded = () if isinstance(self.lanes, Absent) else self.lanes.reasons
-        return absent + (() if lost is None else (Reason("odometry", "lost", cause=lost),)) + unbounded + self.problems
+        odometry = () if isinstance(self.odometry, Absent) else _reasons_of(self.odometry)
+        return absent + odometry + unbounded + self.problems
+
+
+def _reasons_of(odometry: Odometry) -> tuple[Reason, ...]:
+    if odometry.reason is None:
+        return ()
+    return (Reason("odometry", "lost", cause=odometry.reason) if odometry.status == "lost" else odometry.reason,)

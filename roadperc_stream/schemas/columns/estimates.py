@@ -64,7 +64,8 @@ class SurfaceColumns:
         str | None,
         Column(
             "what the plane comes from: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags), `held` "
-            "(the frames before, where the depth does not show the road) or `assumed` (the mounting)",
+            "(the frames before, where the depth does not show the road), `estimated` (the mounting, its pitch by the "
+            "drive) or `assumed` (the mounting)",
             null=_NO_PLANE,
         ),
     ] = None
@@ -317,6 +318,10 @@ class OdometryColumns:
         float | None,
         Column("length of the step since the last frame", "m", "no step, or no scale", label="step", decimals=3),
     ] = None
+    step_std_m: Annotated[
+        float | None,
+        Column("standard deviation of `step_m`", "m", "no step, no scale, no covariance", label="step std", decimals=4),
+    ] = None
     turn_deg: Annotated[
         float | None,
         Column(
@@ -327,6 +332,10 @@ class OdometryColumns:
             decimals=3,
             compares_coverage=False,
         ),
+    ] = None
+    turn_std_deg: Annotated[
+        float | None,
+        Column("standard deviation of `turn_deg`", "deg", "no step, no covariance", label="turn std", decimals=4),
     ] = None
     odom_x_m: Annotated[float | None, _pose_of("position of the ego frame in odom, x", "as the status")] = None
     odom_y_m: Annotated[float | None, _pose_of("the same, y", "as the status")] = None

@@ -1,67 +1,37 @@
 """One frame of visual odometry: match the keyframe's features, estimate the motion, keep or change the keyframe."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import Final
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
+from roadperc_stream.chain.stages.odometry import camera_pitch
+from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS
 from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, carry, is_due, make_keyframe
-from roadperc_stream.chain.stages.odometry.motion import Motion, motion_from_points, moved
-from roadperc_stream.chain.stages.odometry.patch_alignment import aligned, predicted_px
+from roadperc_stream.chain.stages.odometry.localisation import Estimate, localised
+from roadperc_stream.chain.stages.odometry.memory import LastFrame, OdometryState
+from roadperc_stream.chain.stages.odometry.motion import moved
+from roadperc_stream.chain.stages.odometry.patch_alignment import predicted_px
+from roadperc_stream.chain.stages.odometry.road_scale import Scale
 from roadperc_stream.chain.stages.odometry.tracking_frame import TrackingFrame, tracking_frame
+from roadperc_stream.chain.stages.odometry.uncertainty import in_ego_axes, step_covariance
+from roadperc_stream.chain.stages.odometry.vanishing import LINES_STD, pitch_by_lines
 from roadperc_stream.core.config import OdometryConfig, scaled
-from roadperc_stream.core.datatypes import Absent, Matches, Odometry, Reason, Surface, read_only
+from roadperc_stream.core.datatypes import Absent, Matches, Odometry, Reason, Surface
 from roadperc_stream.core.geometry import Float, Float32, inverse, project, transform
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.time import NS_PER_S
 
-_FIRST_LENGTH = 1.0
-"""Length of the first step where its scale is not known."""
+_SCALE_REASONS: Final[dict[Scale | None, Reason]] = {
+    "carried": Reason("odometry", "scale_carried"),
+    "none": Reason("odometry", "scale_unknown"),
+}
 _ASTRAY_PX = 20.0
 """Distance, at 960 rows, from the pixel that steady motion predicts beyond which something else was found."""
-
-
-@dataclass(frozen=True)
-class LastFrame:
-    """The last frame whose pose is known, or at which the odometry began anew.
-
-    ``velocity`` is (6,) metres and radians per second in the ego frame, None before there are two frames. ``found_px``
-    is (N, 2), where the keyframe's features were found last. ``covariance`` is (6, 6), that of the pose against the
-    keyframe in ego's axes, None where it is not known.
-    """
-
-    stamp_ns: int
-    velocity: Float | None
-    found_px: Float32
-    covariance: Float | None
-
-    def __post_init__(self) -> None:
-        read_only(self.found_px, np.float32, (None, 2), "found_px")
-        for name, array, shape in (("velocity", self.velocity, (6,)), ("covariance", self.covariance, (6, 6))):
-            if array is not None:
-                read_only(array, np.float64, shape, name)
-
-
-@dataclass(frozen=True)
-class OdometryState:
-    """What the odometry remembers from one frame to the next."""
-
-    odom_T_ego: Float = field(default_factory=lambda: np.eye(4))
-    keyframe: Keyframe | None = None
-    last: LastFrame | None = None
-
-
-@dataclass(frozen=True)
-class _Estimate:
-    """The (N, 2) pixels of the keyframe's features in a frame, and the motion and pose estimated from them."""
-
-    px: Float32
-    motion: Motion
-    odom_T_ego: Float
 
 
 def step(
@@ -94,32 +64,36 @@ def step(
         return state, _lost(state.odom_T_ego, why) if missed else Absent(why)
     cv2.setRNGSeed(int(rng.integers(2**31)))
     frame = tracking_frame(cfg, scene, scene.grey, road)
+    state = replace(state, pitch=_with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, frame))
     if state.keyframe is None or state.last is None:
-        return _begun(cfg, state.odom_T_ego, frame), Odometry("first", state.odom_T_ego)
-    estimate = _estimated(cfg, state.odom_T_ego, state.keyframe, state.last, frame)
+        return _begun(cfg, state, frame), Odometry("first", state.odom_T_ego)
+    estimate = _estimated(cfg, state, state.keyframe, state.last, frame)
     if isinstance(estimate, Absent):
-        return _begun(cfg, state.odom_T_ego, frame), _lost(state.odom_T_ego, estimate.reason)
+        return _begun(cfg, state, frame), _lost(state.odom_T_ego, estimate.reason)
     return _continued(cfg, state.odom_T_ego, state.keyframe, state.last, frame, estimate)
-
-
-def counted_from_here(state: OdometryState) -> OdometryState:
-    """The state with odom where ego is now."""
-    if state.keyframe is None:
-        return replace(state, odom_T_ego=np.eye(4))
-    here_T_camera = inverse(state.odom_T_ego) @ state.keyframe.odom_T_camera
-    return replace(state, odom_T_ego=np.eye(4), keyframe=replace(state.keyframe, odom_T_camera=here_T_camera))
 
 
 def _lost(odom_T_ego: Float, reason: Reason) -> Odometry:
     return Odometry("lost", odom_T_ego, reason=reason)
 
 
-def _begun(cfg: OdometryConfig, odom_T_ego: Float, frame: TrackingFrame) -> OdometryState:
-    """A frame as keyframe, at a pose that is given."""
-    keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera)
-    return OdometryState(
-        odom_T_ego, keyframe, LastFrame(frame.stamp_ns, None, keyframe.landmarks.features.px, np.zeros((6, 6)))
-    )
+def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
+    """The pitch after the road's lines, where it is less sure than they are and no depth shows the road.
+
+    They shorten the start of a drive; nobody believes them without one, for a yard and a bend have lines too.
+    """
+    road_is_measured = frame.depth_m is not None or (frame.road is not None and frame.road.source != "assumed")
+    if road_is_measured or pitch.variance < LINES_STD**2:
+        return pitch
+    lines = pitch_by_lines(frame.camera, frame.ego_T_camera, frame.grey, frame.movable)
+    return replace(camera_pitch.updated(pitch, lines), measured=pitch.measured)
+
+
+def _begun(cfg: OdometryConfig, state: OdometryState, frame: TrackingFrame) -> OdometryState:
+    """A frame as keyframe, at the last pose known."""
+    keyframe = make_keyframe(cfg, frame, state.odom_T_ego @ frame.ego_T_camera)
+    px = keyframe.landmarks.features.px
+    return replace(state, keyframe=keyframe, last=LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6))))
 
 
 def _continued(
@@ -128,35 +102,55 @@ def _continued(
     keyframe: Keyframe,
     last: LastFrame,
     frame: TrackingFrame,
-    estimate: _Estimate,
+    estimate: Estimate,
 ) -> tuple[OdometryState, Odometry]:
     """The state and pose after a frame whose motion is known."""
     motion = estimate.motion
     metric = keyframe.landmarks.metric and motion.scaled
+    seconds = (frame.stamp_ns - last.stamp_ns) / NS_PER_S
     last_T_this = inverse(odom_T_last) @ estimate.odom_T_ego
-    covariance = _in_ego_axes(frame.ego_T_camera, motion.covariance)
+    influence = in_ego_axes(frame.ego_T_camera, motion.influence)
+    key_px = keyframe.landmarks.features.px
     out = Odometry(
         "tracked",
         estimate.odom_T_ego,
         last_T_this,
         int(np.sum(motion.inliers)),
         not metric,
-        _row_by_row(covariance, last.covariance),
+        step_covariance(
+            key_px,
+            frame.camera.width,
+            influence,
+            last.influence,
+            last_T_this,
+            motion.length_variance + last.length_variance,
+        ),
         last.stamp_ns,
-        matches=_matches(keyframe, frame, estimate),
+        _SCALE_REASONS.get(estimate.scale),
+        _matches(keyframe, frame, estimate),
     )
-    if not motion.scaled:
+    if not motion.scaled and estimate.scale is None:
         keyframe = replace(keyframe, landmarks=replace(keyframe.landmarks, points_m=motion.points_m, metric=metric))
-    found_px = np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
+    found_px, length_variance = np.where(np.isfinite(estimate.px), estimate.px, last.found_px), motion.length_variance
+    if estimate.scale is not None:
+        length_variance = estimate.noise_variance
     if is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
         carried = carry(keyframe.landmarks, motion, estimate.px)
         keyframe = make_keyframe(cfg, frame, estimate.odom_T_ego @ frame.ego_T_camera, carried)
-        found_px, covariance = keyframe.landmarks.features.px, np.zeros((6, 6))
-    velocity = _velocity(last_T_this, (frame.stamp_ns - last.stamp_ns) / NS_PER_S)
-    return OdometryState(estimate.odom_T_ego, keyframe, LastFrame(frame.stamp_ns, velocity, found_px, covariance)), out
+        found_px = keyframe.landmarks.features.px
+        influence, length_variance = np.zeros((len(found_px), 6)), 0.0
+    now = LastFrame(
+        frame.stamp_ns,
+        _velocity(last_T_this, seconds),
+        found_px,
+        influence,
+        length_variance,
+        estimate.noise_variance / seconds**2 if metric and estimate.scale is not None else None,
+    )
+    return OdometryState(estimate.odom_T_ego, keyframe, now, estimate.pitch), out
 
 
-def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: _Estimate) -> Matches:
+def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> Matches:
     """What was found again, in pixels of the whole images."""
     found = np.isfinite(estimate.px).all(axis=1)
     key_px = frame.whole(keyframe.landmarks.features.px[found])
@@ -164,17 +158,17 @@ def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: _Estimate) -> M
 
 
 def _estimated(
-    cfg: OdometryConfig, odom_T_last: Float, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
-) -> _Estimate | Absent:
+    cfg: OdometryConfig, state: OdometryState, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
+) -> Estimate | Absent:
     """The first plausible motion, or why there is none."""
     if frame.camera != keyframe.camera:
         return Absent(Reason("odometry", "camera_changed"))
-    rejected = Reason("odometry", "too_few_inliers")
+    odom_T_last, rejected = state.odom_T_ego, Reason("odometry", "too_few_inliers")
     for guess_px, near_px, ratio in _guesses(cfg, odom_T_last, keyframe, last, frame):
         px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.landmarks.features, guess_px, frame.grey)
         astray = np.linalg.norm(px - near_px, axis=1) > scaled(_ASTRAY_PX, frame.grey.shape[0])
         px[astray | frame.on_movable(px)] = np.nan
-        estimate = _localised(cfg, keyframe, last, frame, px)
+        estimate = localised(cfg, state, keyframe, last, frame, px)
         if estimate is None:
             continue
         if np.sum(estimate.motion.inliers) < max(ratio * _findable(keyframe, frame, estimate), cfg.min_inliers):
@@ -202,32 +196,12 @@ def _guesses(
     yield last.found_px, np.full_like(last.found_px, np.nan), min(2 * cfg.min_inlier_ratio, 1.0)
 
 
-def _localised(
-    cfg: OdometryConfig, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame, px: Float32
-) -> _Estimate | None:
-    """The motion estimated from the features' pixels, and the pose that follows."""
-    landmarks = keyframe.landmarks
-    if landmarks.source == "depth":
-        motion = motion_from_points(cfg, frame.camera, landmarks.points_m, px)
-        if motion is not None:
-            px = aligned(keyframe, frame, motion.this_T_key)
-            motion = motion_from_points(cfg, frame.camera, landmarks.points_m, px, motion.this_T_key)
-    else:
-        length = _FIRST_LENGTH
-        if last.velocity is not None:
-            length = float(np.linalg.norm(last.velocity[:3])) * (frame.stamp_ns - keyframe.stamp_ns) / NS_PER_S
-        motion = motion_from_rays(cfg, frame.camera, landmarks.features.px, px, landmarks.points_m, length)
-    if motion is None:
-        return None
-    return _Estimate(px, motion, keyframe.odom_T_camera @ inverse(motion.this_T_key) @ inverse(frame.ego_T_camera))
-
-
 def _possible(
     cfg: OdometryConfig,
     keyframe: Keyframe,
     last: LastFrame,
     frame: TrackingFrame,
-    estimate: _Estimate,
+    estimate: Estimate,
     last_T_this: Float,
 ) -> bool:
     """Whether a car can make the motion; without scale its speed is not known."""
@@ -237,7 +211,7 @@ def _possible(
     return not fast and bool(turn_rate <= np.deg2rad(cfg.max_turn_rate_dps))
 
 
-def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: _Estimate) -> int:
+def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> int:
     """How many features the motion predicts in the image, where all points are known; else how many were found."""
     if keyframe.landmarks.source != "depth":
         return int(np.sum(np.isfinite(estimate.px[:, 0])))
@@ -248,19 +222,3 @@ def _velocity(last_T_this: Float, seconds: float) -> Float:
     """(6,) metres and radians per second."""
     turned = Rotation.from_matrix(last_T_this[:3, :3]).as_rotvec()
     return np.concatenate((last_T_this[:3, 3], turned)) / seconds
-
-
-def _in_ego_axes(ego_T_camera: Float, covariance: Float | None) -> Float | None:
-    """(6, 6) covariance of a small motion of the camera as that of the ego frame fixed to it, by the adjoint."""
-    if covariance is None:
-        return None
-    R, lever = ego_T_camera[:3, :3], ego_T_camera[:3, 3]
-    adjoint = np.zeros((6, 6))
-    adjoint[:3, :3] = adjoint[3:, 3:] = R
-    adjoint[:3, 3:] = np.cross(lever, R, axisb=0, axisc=0)
-    return np.asarray(adjoint @ covariance @ adjoint.T)
-
-
-def _row_by_row(this: Float | None, last: Float | None) -> tuple[float, ...]:
-    """Covariance of the step between two poses measured against one keyframe; empty where one is not known."""
-    return () if this is None or last is None else tuple((this + last).ravel().tolist())

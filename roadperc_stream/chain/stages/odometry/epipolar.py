@@ -59,7 +59,7 @@ def motion_from_rays(
     direction = standing or _direction(cfg, camera, a, b)
     if direction is None:
         return None
-    R, t, agrees, covariance = direction
+    R, t, agrees, pulls = direction
     inliers = np.zeros(len(px), bool)
     inliers[usable[agrees]] = True
     if standing is not None:
@@ -70,10 +70,9 @@ def motion_from_rays(
     filled = points_m.copy()
     new = usable[agrees & ~np.isfinite(points_m[usable, 2])]
     filled[new] = _triangulated(camera, R, metres * t, *(rays(camera, p[new].astype(float)) for p in (key_px, px)))
-    scaling = np.diag([metres] * 3 + [1.0] * 3)
-    covariance = scaling @ covariance @ scaling
-    covariance[:3, :3] += variance * np.outer(t, t)
-    return Motion(rigid(R, metres * t), inliers, filled, covariance, length is not None)
+    influence = np.zeros((len(px), 6))
+    influence[usable] = pulls * ([metres] * 3 + [1.0] * 3)
+    return Motion(rigid(R, metres * t), inliers, filled, influence, length is not None, variance)
 
 
 def _standing(cfg: OdometryConfig, camera: Camera, a: Float, px: Float32) -> tuple[Float, Float, Mask, Float] | None:
@@ -82,7 +81,7 @@ def _standing(cfg: OdometryConfig, camera: Camera, a: Float, px: Float32) -> tup
     shift_px = np.linalg.norm(project(camera, a @ R.T) - px, axis=1)
     if not np.quantile(shift_px, _STANDING_SHARE) < scaled(cfg.min_parallax_px, camera.height):
         return None
-    return R, np.zeros(3), shift_px < scaled(cfg.inlier_px, camera.height), np.zeros((6, 6))
+    return R, np.zeros(3), shift_px < scaled(cfg.inlier_px, camera.height), np.zeros((len(a), 6))
 
 
 def _turn(a: Float, b: Float) -> Float:
@@ -98,7 +97,7 @@ def _turn(a: Float, b: Float) -> Float:
 
 
 def _direction(cfg: OdometryConfig, camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, Float] | None:
-    """R, unit t with b ~ R a + t, (N,) inliers, and the (6, 6) covariance of unit t and R."""
+    """R, unit t with b ~ R a + t, (N,) inliers, and the (N, 6) pulls of all points on unit t and R."""
     E, _ = cv2.findEssentialMat(
         a[:, :2],
         b[:, :2],
@@ -116,12 +115,16 @@ def _direction(cfg: OdometryConfig, camera: Camera, a: Float, b: Float) -> tuple
     agrees = np.abs(_sampson(R, t, a, b)) < gate
     if int(np.sum(agrees)) < _SMALLEST_SET:
         return None
-    R, t, covariance = _refined(camera, R, t, a[agrees], b[agrees])
-    return R, t, np.abs(_sampson(R, t, a, b)) < gate, covariance
+    pulls = np.zeros((len(a), 6))
+    R, t, pulls[agrees] = _refined(camera, R, t, a[agrees], b[agrees])
+    return R, t, np.abs(_sampson(R, t, a, b)) < gate, pulls
 
 
 def _refined(camera: Camera, R: Float, t: Float, a: Float, b: Float) -> tuple[Float, Float, Float]:
-    """Least squares over the rotation and the direction's two tangents."""
+    """Least squares over the rotation and the direction's two tangents, and each point's pull on both.
+
+    A pull is a small motion as ``Motion`` has it: its rotation turns t as well.
+    """
     tangents = np.linalg.svd(t[None])[2][1:]
 
     def at(small: Float) -> tuple[Float, Float]:
@@ -132,10 +135,11 @@ def _refined(camera: Camera, R: Float, t: Float, a: Float, b: Float) -> tuple[Fl
     fit = least_squares(
         lambda small: _sampson(*at(small), a, b) / std, np.zeros(5), loss="huber", max_nfev=_EVALUATIONS
     )
-    spread_of_5 = np.linalg.pinv(fit.jac.T @ fit.jac) * 2 * fit.cost / max(len(a) - 5, 1)
-    to_6 = np.zeros((6, 5))
-    to_6[:3, 3:], to_6[3:, :3] = tangents.T, np.eye(3)
-    return *at(fit.x), to_6 @ spread_of_5 @ to_6.T
+    # The Jacobian has the square roots of Huber's weights in it, the residuals have not.
+    weighted = fit.fun * np.sqrt(np.minimum(1.0, 1.0 / np.maximum(np.abs(fit.fun), 1.0)))
+    pulls = -(fit.jac * weighted[:, None]) @ np.linalg.pinv(fit.jac.T @ fit.jac)
+    R, t = at(fit.x)
+    return R, t, np.hstack((pulls[:, 3:] @ tangents - np.cross(pulls[:, :3], t), pulls[:, :3]))
 
 
 def _sampson(R: Float, t: Float, a: Float, b: Float) -> Float:

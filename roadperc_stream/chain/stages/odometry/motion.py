@@ -1,8 +1,8 @@
 """A motion against a keyframe, and its estimation where the points are known: perspective from n points.
 
-RANSAC (Fischler and Bolles 1981) finds who agrees, Gauss-Newton with Huber's weights refines the motion and gives its
-covariance from the normal equations. A point's error is that of its pixel, and that of its depth as far as a change of
-depth would shift the pixel: so far points with poor depth still determine the rotation.
+RANSAC (Fischler and Bolles 1981) finds who agrees, Gauss-Newton with Huber's weights refines the motion and says how
+far each point pulls it. A point's error is that of its pixel, and that of its depth as far as a change of depth would
+shift the pixel: so far points with poor depth still determine the rotation.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from roadperc_stream.core.datatypes import Mask
 from roadperc_stream.core.geometry import Camera, Float, Float32, project, rigid, transform
 
 PIXEL_STD_PX = 0.5
-"""Standard deviation of a tracked point, at 960 rows; the covariance is scaled to the points' real scatter."""
+"""Standard deviation of a tracked point, at 960 rows, by which points are weighed."""
 _HUBER = 1.5
 _ITERATIONS = 8
 _CONFIDENCE = 0.999
@@ -33,15 +33,18 @@ class Motion:
     """``this_T_key`` maps the keyframe's camera coordinates to this frame's camera.
 
     ``inliers`` are the (N,) features that agree, ``points_m`` the (N, 3) points of the keyframe's features as far as
-    they are known after the motion, ``covariance`` the (6, 6) one of a small translation and rotation (m, rad) of this
-    camera in its own axes, None where it is not known. ``scaled`` says that the length comes from known points.
+    they are known after the motion. ``influence`` are the (N, 6) small translations and rotations (m, rad) of this
+    camera in its own axes by which each feature's residual pulls the motion, 0 where it has none; None where they are
+    not known. ``scaled`` says that the length comes from known points; ``length_variance`` is what of its uncertainty,
+    in square metres, the influence does not show.
     """
 
     this_T_key: Float
     inliers: Mask
     points_m: Float
-    covariance: Float | None
+    influence: Float | None
     scaled: bool
+    length_variance: float = 0.0
 
 
 def motion_from_points(
@@ -66,10 +69,14 @@ def motion_from_points(
     first = _consensus(cfg, camera, X, observed) if start is None else start
     if first is None:
         return None
-    this_T_key, agreeing, covariance = refined(cfg, camera, X, observed, first)
+    this_T_key, agreeing, pulls = refined(cfg, camera, X, observed, first)
     inliers = np.zeros(len(px), bool)
     inliers[usable[agreeing]] = True
-    return Motion(this_T_key, inliers, points_m, covariance, scaled=True)
+    influence = None
+    if pulls is not None:
+        influence = np.zeros((len(px), 6))
+        influence[inliers] = pulls
+    return Motion(this_T_key, inliers, points_m, influence, scaled=True)
 
 
 def _consensus(cfg: OdometryConfig, camera: Camera, X: Float, px: Float) -> Float | None:
@@ -101,11 +108,11 @@ def refined(
         this_T_key: the start.
 
     Returns:
-        this_T_key, (N,) inliers, and the (6, 6) covariance of ``Motion``, None where the points do not determine it.
+        this_T_key, (N,) inliers, and the (M, 6) influence of these, None where the points do not determine it.
     """
     std_px = scaled(PIXEL_STD_PX, camera.height)
     gate = cfg.inlier_px / PIXEL_STD_PX
-    covariance = None
+    pulls = None
     for _ in range(_ITERATIONS):
         residual, J, off = _linearised(cfg, camera, X, px, this_T_key, std_px)
         agrees = off < gate
@@ -117,10 +124,10 @@ def refined(
             return this_T_key, agrees, None
         small = np.linalg.solve(N, weighted @ residual)
         this_T_key = moved(small) @ this_T_key
-        covariance = np.linalg.inv(N) * float(weights @ off**2) / (2 * len(off) - 6)
+        pulls = np.linalg.solve(N, (weighted * residual).reshape(6, -1, 2).sum(axis=2)).T
         if np.abs(small).max() < _CONVERGED:
             break
-    return this_T_key, agrees, covariance
+    return this_T_key, agrees, pulls
 
 
 def _linearised(

@@ -23,7 +23,7 @@ from roadperc_stream.core.geometry import (
     transform,
     transform_plane,
 )
-from roadperc_stream.core.ground import ego_points, height_above, height_at, part
+from roadperc_stream.core.ground import ego_points, height_above, height_at, part, tilted_ground
 from roadperc_stream.core.scene import DepthMap, Scene
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
@@ -90,6 +90,19 @@ def fit_surface(
 def assumed_surface(camera: Camera, ego_T_camera: Float) -> Surface:
     """The ground by the mounting alone, for want of depth: ego's plane z = 0, marked ``assumed``."""
     return known_surface("assumed", camera, ego_T_camera, Plane.of(_UP_EGO, 0.0))
+
+
+def estimated_surface(scene: Scene, pitch: float) -> Surface:
+    """The ground by the mounting, tilted, in the frame of the depth's camera where there is depth: ``estimated``.
+
+    Args:
+        scene: the frame.
+        pitch: by how much the front camera looks further down than its mounting says, radians.
+    """
+    camera, ego_T_camera = scene.camera, scene.ego_T_camera
+    if scene.depth is not None:
+        camera, ego_T_camera = scene.depth.camera, scene.depth.ego_T_camera
+    return known_surface("estimated", camera, ego_T_camera, tilted_ground(scene.ego_T_camera, pitch))
 
 
 def known_surface(source: SurfaceSource, camera: Camera, ego_T_camera: Float, ego_plane: Plane) -> Surface:

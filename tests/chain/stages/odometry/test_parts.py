@@ -16,6 +16,7 @@ from roadperc_stream.chain.stages.odometry.local_planes import local_planes_from
 from roadperc_stream.chain.stages.odometry.motion import _projection_derivative, motion_from_points, moved
 from roadperc_stream.chain.stages.odometry.patch_alignment import aligned
 from roadperc_stream.chain.stages.odometry.tracking_frame import tracking_frame
+from roadperc_stream.chain.stages.odometry.uncertainty import scatter, step_covariance
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import OdometryConfig
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, photograph, pose
@@ -82,7 +83,7 @@ def test_a_turn_alone_is_no_translation():
         FULL, CAMERA, pixels_of(np.eye(4), X), pixels_of(this_T_key, X), np.full_like(X, np.nan), 1.0
     )
     np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=1e-5)
-    assert motion.covariance is None
+    assert motion.influence is None
 
 
 def test_the_covariance_is_the_scatter():
@@ -93,9 +94,46 @@ def test_the_covariance_is_the_scatter():
         motion = motion_from_points(FULL, CAMERA, X, noisy)
         error = motion.this_T_key @ g.inverse(this_T_key)
         errors.append(np.concatenate((error[:3, 3], Rotation.from_matrix(error[:3, :3]).as_rotvec())))
-        variances.append(np.diag(motion.covariance))
+        variances.append(np.diag(scatter(motion.influence, px, CAMERA.width)))
     ratio = np.std(errors, axis=0) / np.sqrt(np.mean(variances, axis=0))
     assert ((ratio > 0.6) & (ratio < 1.5)).all()
+
+
+def spread_px(count=400, seed=3):
+    return np.random.default_rng(seed).uniform((0, 0), CAMERA.size[::-1], (count, 2)).astype(np.float32)
+
+
+def test_the_scatter_of_features_that_err_alone_is_the_sum_of_their_variances_twice():
+    """Once over features, once over cells: each is right where features err alone, so the sum is cautious."""
+    rng, px = np.random.default_rng(0), spread_px()
+    pulls = [rng.normal(0, 0.01, (400, 6)) for _ in range(50)]
+    variance = np.mean([np.diag(scatter(pull, px, CAMERA.width)) for pull in pulls], axis=0)
+    np.testing.assert_allclose(variance, 2 * 400 * 0.01**2, rtol=0.1)
+
+
+def test_features_that_err_together_scatter_more_than_their_sum():
+    px, rng = spread_px(), np.random.default_rng(1)
+    per_cell = rng.normal(0, 0.01, (8, 8, 6))
+    column, row = (px // (CAMERA.width / 8)).astype(int).T
+    together = np.diag(scatter(per_cell[row, column], px, CAMERA.width))
+    alone = np.diag(scatter(rng.permutation(per_cell[row, column]), px, CAMERA.width))
+    assert (together > 2 * alone).all()
+
+
+def test_what_pulls_both_poses_alike_leaves_the_step_as_it_is():
+    """All that is left is the share of the step that no scatter shows."""
+    px, pulls = spread_px(), np.random.default_rng(2).normal(0, 0.01, (400, 6))
+    step = g.rigid(g.rotation_from_rpy(0.0, 0.01, 0.02), np.array([0.5, 0.02, 0.0]))
+    last = pulls @ g.adjoint(step).T
+    shared = np.reshape(step_covariance(px, CAMERA.width, pulls, last, step, 0.0), (6, 6))
+    assert np.sqrt(np.trace(shared)) == pytest.approx(0.001 * np.linalg.norm(step[:3, 3]), rel=1e-6)
+    apart = np.reshape(step_covariance(px, CAMERA.width, pulls, np.zeros_like(last), step, 0.0), (6, 6))
+    assert np.trace(apart) > 1e3 * np.trace(shared)
+    longer = np.reshape(step_covariance(px, CAMERA.width, pulls, last, step, 0.04), (6, 6))
+    along = g.inverse(step)[:3, 3] / np.linalg.norm(step[:3, 3])
+    assert along @ (longer - shared)[:3, :3] @ along == pytest.approx(0.04)
+    assert step_covariance(px, CAMERA.width, None, last, step, 0.0) == ()
+    assert step_covariance(px, CAMERA.width, pulls, None, step, 0.0) == ()
 
 
 @pytest.mark.parametrize("points", [0, 5])

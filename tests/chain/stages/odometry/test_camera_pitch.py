@@ -1,0 +1,192 @@
+"""The camera's pitch and the scale of its steps where no depth shows them."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.stages.odometry import camera_pitch as cp
+from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
+from roadperc_stream.chain.stages.odometry.motion import Motion
+from roadperc_stream.chain.stages.odometry.road_alignment import road_motion, road_view
+from roadperc_stream.chain.stages.surface.road import assumed_surface
+from roadperc_stream.core import geometry as g
+from roadperc_stream.core.datatypes import Reason
+from roadperc_stream.core.ground import tilted_ground
+from roadperc_stream.state import encoding
+from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, Shot, drive, photograph, pose, run
+from tests.chain.stages.odometry.trajectories import distances_m
+
+WRONG = np.deg2rad(1.5)
+"""By how much further down the camera looks than its mounting says."""
+DOWN = EGO_T_CAMERA @ g.rigid(g.EGO_R_OPTICAL.T @ g.rotation_from_rpy(0, WRONG, 0) @ g.EGO_R_OPTICAL, np.zeros(3))
+ROAD = assumed_surface(CAMERA, EGO_T_CAMERA)
+POSES = drive(14, turn=0.005)
+
+
+@pytest.fixture(scope="module")
+def shots():
+    return [photograph(p, ego_T_camera=DOWN) for p in POSES]
+
+
+@pytest.fixture(scope="module")
+def driven(shots):
+    return run(shots, depth=False, road=ROAD)
+
+
+def lengths_m(results):
+    return np.array([np.linalg.norm(out.step[:3, 3]) for out in results[1:]])
+
+
+def test_two_measurements_are_fused_by_their_variances():
+    pitch = cp.updated(cp.CameraPitch(0.0, 4e-4), (0.01, 1e-4))
+    assert pitch.offset == pytest.approx(0.008)
+    assert pitch.variance == pytest.approx(0.8e-4)
+    assert pitch.measured
+
+
+def test_a_measurement_far_off_counts_less_and_none_changes_nothing():
+    pitch = cp.CameraPitch(0.0, 1e-4)
+    near, far = (cp.updated(pitch, (value, 1e-4)) for value in (0.03, 0.3))
+    assert near.offset == pytest.approx(0.015)
+    assert 0 < far.offset < near.offset
+    assert far.variance > near.variance
+    assert cp.updated(pitch, None) is pitch
+
+
+def test_the_pitch_turns_as_the_camera_does_and_is_less_sure_after_each_metre():
+    start = cp.CameraPitch(0.01, 1e-5)
+    after = cp.predicted(CFG, start, g.rigid(g.rotation_from_rpy(0, 0.004, 0.1), np.array([0.5, 0, 0])))
+    assert after.offset == pytest.approx(0.014, abs=1e-4)
+    farther = cp.predicted(CFG, start, g.rigid(np.eye(3), np.array([5.0, 0, 0])))
+    assert start.variance < after.variance < farther.variance
+    assert cp.predicted(CFG, start, g.rigid(np.eye(3), np.array([1e3, 0, 0]))).variance == cp.begun(CFG).variance
+
+
+def motion_of(this_T_key_ego, std=1e-4):
+    """A motion of the ego frame as the camera has it, pulled at random by 100 features."""
+    this_T_key = g.inverse(EGO_T_CAMERA) @ this_T_key_ego @ EGO_T_CAMERA
+    pulls = np.random.default_rng(0).normal(0, std, (100, 6))
+    return Motion(this_T_key, np.ones(100, bool), np.zeros((100, 3)), pulls, scaled=True)
+
+
+PX = np.random.default_rng(1).uniform((0, 0), (640, 480), (100, 2)).astype(np.float32)
+
+
+@pytest.mark.parametrize("ahead", [1.0, -1.0])
+def test_the_direction_of_motion_shows_the_pitch_forwards_and_backwards(ahead):
+    """A camera that looks down by more than believed seems to climb."""
+    climbing = np.array([np.cos(WRONG), 0.0, np.sin(WRONG)]) * ahead
+    elevation, variance = cp.expansion(motion_of(g.inverse(g.rigid(np.eye(3), climbing))), EGO_T_CAMERA, PX, 640)
+    assert elevation == pytest.approx(WRONG)
+    assert np.deg2rad(0.3) ** 2 < variance < np.deg2rad(0.4) ** 2
+
+
+def test_the_direction_is_refused_in_a_tight_bend_where_it_is_unsure_and_at_rest():
+    ahead = np.array([0.5, 0.0, 0.0])
+    wide, tight = (g.inverse(g.rigid(g.rotation_from_rpy(0, 0, turn), ahead)) for turn in (0.02, 0.03))
+    assert cp.expansion(motion_of(wide), EGO_T_CAMERA, PX, 640) is not None
+    assert cp.expansion(motion_of(tight), EGO_T_CAMERA, PX, 640) is None
+    assert cp.expansion(motion_of(wide, std=0.01), EGO_T_CAMERA, PX, 640) is None
+    assert cp.expansion(motion_of(np.eye(4)), EGO_T_CAMERA, PX, 640) is None
+
+
+def test_the_tilted_ground_is_as_far_below_the_camera_and_level_to_it_as_it_looks():
+    plane = g.transform_plane(g.inverse(EGO_T_CAMERA), tilted_ground(EGO_T_CAMERA, WRONG))
+    assert plane.offset_m == pytest.approx(EGO_T_CAMERA[2, 3])
+    assert g.camera_pitch_roll(plane) == pytest.approx((WRONG, 0.0))
+    assert tilted_ground(EGO_T_CAMERA, 0.0) == g.Plane((0.0, 0.0, 1.0), 0.0)
+
+
+def road_between(first, second, tried_m=(0.0, 3.0), believed=0.0, grey=None):
+    """The road's motion between two places of the camera DOWN, whose turn and direction are known."""
+    this_T_key = g.inverse(second @ DOWN) @ first @ DOWN
+    t = this_T_key[:3, 3] / np.linalg.norm(this_T_key[:3, 3])
+    plane = g.transform_plane(g.inverse(EGO_T_CAMERA), tilted_ground(EGO_T_CAMERA, believed))
+    view = road_view(CAMERA, EGO_T_CAMERA, plane, photograph(first, ego_T_camera=DOWN).grey)
+    this = photograph(second, ego_T_camera=DOWN).grey if grey is None else grey
+    return road_motion(CAMERA, view, this, None, (this_T_key[:3, :3], t), plane, tried_m)
+
+
+def test_the_roads_picture_gives_length_and_pitch():
+    right = road_between(pose(0), pose(0.5, yaw=0.01), believed=WRONG)
+    true_m = np.linalg.norm((g.inverse(pose(0) @ DOWN) @ pose(0.5, yaw=0.01) @ DOWN)[:3, 3])
+    assert right.length_m == pytest.approx(true_m, rel=0.01)
+    assert abs(right.pitch) < np.deg2rad(0.3)
+    low = road_between(pose(0), pose(0.5, yaw=0.01), believed=WRONG - np.deg2rad(0.3))
+    assert low.length_m > right.length_m
+    assert low.pitch > right.pitch
+    assert low.length_m + low.metres_per_pitch * np.deg2rad(0.3) == pytest.approx(right.length_m, rel=0.01)
+
+
+def test_the_road_gives_nothing_without_texture_or_where_no_length_fits():
+    flat = np.full(CAMERA.size, 90, np.uint8)
+    other = np.random.default_rng(0).integers(0, 255, CAMERA.size).astype(np.uint8)
+    assert road_between(pose(0), pose(0.5), grey=flat, believed=WRONG) is None
+    assert road_between(pose(0), pose(0.5), grey=other, believed=WRONG) is None
+    assert road_between(pose(0), pose(0.5), tried_m=(1.0, 2.0), believed=WRONG) is None
+
+
+def test_a_camera_that_looks_up_shows_no_road():
+    up = g.Plane.of(np.array([0.0, -1.0, 2.0]), 1.4)
+    assert road_view(CAMERA, EGO_T_CAMERA, up, np.zeros(CAMERA.size, np.uint8)) is None
+
+
+def test_a_mounting_that_is_wrong_by_a_degree_and_a_half_is_found_out_and_the_steps_are_right(driven):
+    states, results = driven
+    true_m = np.diff(distances_m(np.array([p @ DOWN for p in POSES])))
+    assert [out.up_to_scale for out in results[1:]] == [False] * 13
+    assert np.median(np.abs(lengths_m(results) / true_m - 1)) < 0.02
+    assert lengths_m(results).sum() == pytest.approx(true_m.sum(), rel=0.03)
+    pitch = states[-1].pitch
+    assert abs(pitch.offset - WRONG) < 2 * np.sqrt(pitch.variance) < np.deg2rad(0.5)
+
+
+def test_a_mounting_that_is_believed_is_not_corrected(shots):
+    states, results = run(shots[:6], CFG.model_copy(update={"pitch_std_deg": 0.0}), depth=False, road=ROAD)
+    assert (states[-1].pitch.offset, states[-1].pitch.variance, states[-1].pitch.measured) == (0.0, 0.0, False)
+    assert np.median(lengths_m(results)) > 1.05 * 0.4
+
+
+def blind(shot):
+    """The shot with a road that shows nothing."""
+    grey = shot.grey.copy()
+    grey[240:] = 90
+    return Shot(grey, shot.depth_m)
+
+
+def test_where_the_road_shows_nothing_the_speed_is_carried_over_and_less_and_less_sure(shots):
+    _, results = run([*shots[:6], *map(blind, shots[6:])], depth=False, road=ROAD)
+    carried = results[6:]
+    assert [str(out.reason) for out in carried[:3]] == [str(Reason("odometry", "scale_carried"))] * 3
+    assert not any(out.up_to_scale for out in carried[:3])
+    assert lengths_m(results)[5:8] == pytest.approx([0.4] * 3, rel=0.05)
+    stds = [np.sqrt(np.reshape(out.covariance, (6, 6))[0, 0]) for out in results[3:9]]
+    assert stds[5] > stds[3] > stds[2]
+
+
+def test_a_road_that_never_shows_anything_gives_no_scale(shots):
+    _, results = run(list(map(blind, shots[:4])), depth=False, road=ROAD)
+    assert [out.up_to_scale for out in results[1:]] == [True] * 3
+    assert {str(out.reason) for out in results[1:]} == {str(Reason("odometry", "scale_unknown"))}
+
+
+def test_going_on_from_an_encoded_state_gives_the_same_bits(shots, driven):
+    states, results = driven
+    state = encoding.decode(encoding.encode(states[5]), type(states[5]))
+    more, later = run(shots[6:9], state=state, first=6, depth=False, road=ROAD)
+    assert more[-1].pitch == states[8].pitch
+    for out, expected in zip(later, results[6:9], strict=True):
+        np.testing.assert_array_equal(out.odom_T_ego, expected.odom_T_ego)
+        assert out.covariance == expected.covariance
+
+
+def test_the_pulls_of_a_motion_by_rays_are_its_scatter():
+    rng = np.random.default_rng(2)
+    X = g.unproject(CAMERA, rng.uniform((40, 40), (600, 440), (200, 2)), rng.uniform(4, 40, 200))
+    this_T_key = g.rigid(g.rotation_from_rpy(0, 0.01, 0), np.array([0.03, 0.01, -0.6]))
+    unknown, key_px, found = np.full_like(X, np.nan), g.project(CAMERA, X).astype(np.float32), []
+    for _ in range(40):
+        px = g.project(CAMERA, g.transform(this_T_key, X)) + rng.normal(0, 0.2, (200, 2))
+        found.append(motion_from_rays(CFG, CAMERA, key_px, px.astype(np.float32), unknown, 0.6))
+    sideways = np.std([m.this_T_key[:2, 3] for m in found], axis=0)
+    claimed = np.sqrt(np.mean([np.diag(m.influence.T @ m.influence)[:2] for m in found], axis=0))
+    assert ((sideways / claimed > 0.6) & (sideways / claimed < 1.6)).all()
