@@ -27,7 +27,9 @@ _BIN_M = 0.04
 _PEAK_SHARE = 0.4
 """Support of the innermost edge, as a share of the best supported one, from which it counts as the boundary."""
 _BLOB_VARIANCE = 3.0
-"""How many times as far off a fit is where tags err as its edges say: what is left of a boundary is not all there."""
+_BLOB_ANGLE = 0.0125
+"""Variance of a fit, by that which its edges promise, where tags err: what is left of a boundary is not all there. It
+grows with the square of the edges' angle beyond the second number, radians."""
 _MIN_POINTS = 8
 _REWEIGHTINGS = 5
 _GROUND_STD_M = 0.01
@@ -75,6 +77,13 @@ class _Noise:
     def is_low(self) -> bool:
         """Whether edges can be told apart by how far inside they lie."""
         return self.edge_px <= _LOW_PX
+
+    @property
+    def blob_variance(self) -> float:
+        """How many times the variance of a fit is what its edges promise."""
+        if self.is_low:
+            return 1.0
+        return _BLOB_VARIANCE * max(self.edge_px * self.metres_per_px / _BLOB_ANGLE, 1.0) ** 2
 
     @property
     def reach_m(self) -> float:
@@ -282,5 +291,4 @@ def _robust_fit(cfg: LanesConfig, points: Float, rows: Float, start: Float, nois
         state = np.linalg.solve(information, weighted.T @ y)
     off = (y - design @ state) / std
     spread = float(np.average(off**2, weights=weight))
-    alike = 1.0 if noise.is_low else _BLOB_VARIANCE
-    return state, np.linalg.inv(information) * max(spread, 1.0) * alike
+    return state, np.linalg.inv(information) * max(spread, 1.0) * noise.blob_variance

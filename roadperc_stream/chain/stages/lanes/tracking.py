@@ -24,8 +24,8 @@ _CURVATURE_WALK_PER_M = 0.003
 """Per metre and root second."""
 _SIDEWAYS = [1, 5]
 """y and yaw among x, y, z, roll, pitch, yaw of a step's covariance."""
-_ROUGH_OFFSET_ROOT_M = 0.005
-_ROUGH_HEADING_PER_ROOT_M = 0.0015
+_ROUGH_OFFSET_ROOT_M = 0.008
+_ROUGH_HEADING_PER_ROOT_M = 0.0024
 """Metres and radians per root metre driven: how fast the road leaves the plane or field that stands for it."""
 _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.001

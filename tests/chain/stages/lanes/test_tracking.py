@@ -135,10 +135,10 @@ def test_without_odometry_the_offset_goes_on_at_its_rate():
 
 @pytest.mark.parametrize("dx", [4.0, -4.0])
 def test_with_odometry_the_noise_is_its_own_and_that_of_the_road_driven(dx):
-    """Per root metre curvature walks by 0.001 / m, heading by 0.0015, offset by 0.005 m; and the step's y and yaw."""
+    """Per root metre curvature walks by 0.001 / m, heading by 0.0024, offset by 0.008 m; and the step's y and yaw."""
     covariance = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0)), DT_NS, moved(dx, y_std_m=0.02)).covariance
     of_road = 1e-6 * np.array([4.0**5 / 20, 4.0**3 / 3, 4.0])
-    of_road += [0.0015**2 * 4.0**3 / 3 + 0.005**2 * 4.0, 0.0015**2 * 4.0, 0.0]
+    of_road += [0.0024**2 * 4.0**3 / 3 + 0.008**2 * 4.0, 0.0024**2 * 4.0, 0.0]
     np.testing.assert_allclose(np.diag(covariance)[[0, 2, 3]], of_road + np.array([0.02**2, 0.0015**2, 0.0]))
     np.testing.assert_allclose(covariance[2, 3], 1e-6 * dx * 4.0 / 2)
 
