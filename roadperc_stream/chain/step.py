@@ -16,6 +16,7 @@ from roadperc_stream.core.datatypes import (
     Absent,
     Frame,
     FrameResult,
+    Ids,
     Image,
     Lanes,
     Mask,
@@ -63,12 +64,13 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     with timer("decode"):
         tags = pixels.tags_of(frame, problems)
         sensor = pixels.sensor_depth(frame, problems)
+        instances = pixels.instances_of(frame, problems) if cfg.objects.enabled else None
         grey = pixels.grey_of("image", frame.image, frame.camera, problems) if _needs_grey(cfg, state, frame) else None
     timed = _if_enabled(cfg, timer)
     with timed("stereo"):
         matched = _stereo(cfg, frame, grey, problems)
     with timed("surface"):
-        scene = _scene(frame, tags, grey, _best_depth(frame, sensor, matched, problems))
+        scene = _scene(frame, tags, grey, _best_depth(frame, sensor, matched, problems), instances)
         road, front_road, drivable = _road(cfg, scene, rng, problems)
     with timed("odometry"):
         odometry_state, motion = _odometry(cfg, state, scene, front_road, rng)
@@ -118,7 +120,9 @@ def _off(stage: str) -> Absent:
     return Absent(Reason(stage, "switched_off"))
 
 
-def _scene(frame: Frame, tags: Image | None, grey: Image | None, depth: DepthMap | None) -> Scene:
+def _scene(
+    frame: Frame, tags: Image | None, grey: Image | None, depth: DepthMap | None, instances: Ids | None
+) -> Scene:
     return Scene(
         frame.stamp_ns,
         frame.camera,
@@ -130,6 +134,7 @@ def _scene(frame: Frame, tags: Image | None, grey: Image | None, depth: DepthMap
         frame.image is not None and grey is None,
         depth,
         frame.detections,
+        instances,
     )
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 from roadperc_stream.chain.stages.objects import tracking
-from roadperc_stream.chain.stages.objects.association import assign, similarities
+from roadperc_stream.chain.stages.objects.association import assign, expected, similarities
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
 from roadperc_stream.chain.stages.objects.impact import with_motion
 from roadperc_stream.chain.stages.objects.template import cut
@@ -63,11 +63,11 @@ def step(cfg: ObjectsConfig, state: ObjectsState, scene: Scene) -> tuple[Objects
         first. Distances are this frame's own; speed and time to impact come from the filter. Absent where there are
         neither detections nor objects tracked without them.
     """
-    filtered = filter_detections(cfg, scene, scene.detections)
-    own = () if isinstance(filtered, Absent) else filtered.objects
-    kept = _kept(scene.camera, own)
     known = [tracking.predict(cfg, track, scene.stamp_ns) for track in state.tracks]
     known = [track for track in known if not tracking.expired(cfg, track)]
+    filtered = filter_detections(cfg, scene, scene.detections, _expected(cfg, scene, known))
+    own = () if isinstance(filtered, Absent) else filtered.objects
+    kept = _kept(scene.camera, own)
     pairs = assign(cfg, known, kept.items, kept.boxes)
     detected = _detected(cfg, state.next_number, scene, known, kept, pairs)
     missed = [track for k, track in enumerate(known) if k not in pairs]
@@ -80,6 +80,13 @@ def step(cfg: ObjectsConfig, state: ObjectsState, scene: Scene) -> tuple[Objects
         return after, filtered
     tracked = tuple(with_motion(cfg, item, detected[k]) if k in detected else item for k, item in enumerate(own))
     return after, Objects(tracked + found, tuple(s.correlation for s in searched if s.correlation is not None))
+
+
+def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) -> frozenset[int]:
+    """Positions of the detections where an object was seen for some time."""
+    detections = scene.detections or ()
+    confirmed = [track for track in known if tracking.confirmed(cfg, track)]
+    return expected(confirmed, [d.label for d in detections], [_within(scene.camera, d.box_px) for d in detections])
 
 
 def _kept(camera: Camera, objects: Sequence[Object]) -> _Kept:
@@ -152,7 +159,7 @@ def _searched(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack, kept: _Kept)
     if found is None:
         return lost
     box_px = _within(scene.camera, track.template.whole(found[0], scale))
-    filtered = filter_detections(cfg, scene, (replace(track.detection, box_px=box_px),))
+    filtered = filter_detections(cfg, scene, (replace(track.detection, box_px=box_px),), (0,))
     if isinstance(filtered, Absent) or not filtered.objects[0].kept:
         return lost
     item = replace(filtered.objects[0], status="tracked")
