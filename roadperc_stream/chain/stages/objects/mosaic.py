@@ -20,6 +20,8 @@ MARGIN = 0.25
 LEAST_MARGIN_PX = 3.0
 LONGEST_SIDE = 64
 """Rows and columns that are looked at: of more every second is, or every third."""
+LEAST_TOGETHER = 3
+"""Pixels of the class in the 3x3 around each that counts."""
 _SMOOTHED_PX = 5
 _ALIKE = 0.04
 """Standard deviation of the bilateral filter's weights, as a share of the depth."""
@@ -121,14 +123,15 @@ def _around(camera: Camera, box: Box) -> Cutout:
 
 
 def _of_class(scene: Scene, lookup: Image | None, cutout: Cutout) -> Image | int:
-    """1 at pixels of the class, by the majority of each 3x3: single wrong tags join what is apart.
+    """1 at pixels of the class, but for single ones and pairs, which join what is apart: a line of three is left.
 
     What is of any class only instance masks can divide: cars stand on roads.
     """
     if lookup is None or scene.tags is None:
         return int(scene.instances is not None)
-    found = cv2.LUT(np.ascontiguousarray(scene.tags[cutout.pixels]), lookup)
-    return np.asarray(cv2.medianBlur(found, 3), np.uint8)
+    found = np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[cutout.pixels]), lookup), np.uint8)
+    together = cv2.boxFilter(found, -1, (3, 3), normalize=False)
+    return np.asarray(found & (together >= LEAST_TOGETHER), np.uint8)
 
 
 def _placed(

@@ -26,7 +26,7 @@ JUMPS = (0.02, 0.04, 0.08)
 """Differences of depth between neighbours, as a share of it, from which they are of different regions."""
 LEAST_FIT = 0.2
 """Fit to the detection's box below which a region is not its object."""
-MISSING_WEIGHT = 0.3
+MISSING_WEIGHT = 0.1
 """Of the part of the box that a region does not fill."""
 MOST_REGIONS = 4
 """That are looked at for one box."""

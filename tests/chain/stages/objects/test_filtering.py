@@ -160,9 +160,9 @@ def test_the_score_decides_nothing():
 
 
 def test_where_an_object_is_expected_less_has_to_fit():
-    too_wide = (-30, 0, 60, 80)
-    assert not judged(too_wide)[0].kept
-    assert judged(too_wide, expected=(0,))[0].kept
+    too_small = (15, 22, 30, 36)
+    assert not judged(too_small)[0].kept
+    assert judged(too_small, expected=(0,))[0].kept
 
 
 def test_instances_decide_where_they_are_given():
