@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.datatypes import CameraImage, Frame, Image, Reason, StereoDepth
+from roadperc_stream.core.datatypes import CameraImage, Frame, Ids, Image, Reason, StereoDepth
 from roadperc_stream.core.geometry import Camera, inverse
 from roadperc_stream.core.registration import depth_of_points
 from roadperc_stream.core.scene import DepthMap
@@ -19,6 +19,11 @@ P = TypeVar("P", bound=np.generic)
 def tags_of(frame: Frame, problems: list[Reason]) -> Image | None:
     """(H, W) tags of the front camera."""
     return _pixels("segmentation", frame.segmentation, lambda image: image.tags, frame.camera, problems)
+
+
+def instances_of(frame: Frame, problems: list[Reason]) -> Ids | None:
+    """(H, W) number of the object in each pixel of the front camera, 0 for none."""
+    return _pixels("instances", frame.instances, lambda image: image.ids, frame.camera, problems)
 
 
 def grey_of(role: str, image: CameraImage | None, camera: Camera | None, problems: list[Reason]) -> Image | None:

@@ -17,6 +17,7 @@ from roadperc_stream.core.datatypes import (
     Absent,
     Frame,
     FrameResult,
+    Ids,
     Image,
     Lanes,
     Mask,
@@ -66,12 +67,13 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     with timer("decode"):
         tags = pixels.tags_of(frame, problems)
         sensor = pixels.sensor_depth(frame, problems)
+        instances = pixels.instances_of(frame, problems) if cfg.objects.enabled else None
         grey = pixels.grey_of("image", frame.image, frame.camera, problems) if _needs_grey(cfg, state, frame) else None
     timed = _if_enabled(cfg, timer)
     with timed("stereo"):
         matched = _stereo(cfg, frame, grey, problems)
     with timed("surface"):
-        scene = _scene(frame, tags, grey, _best_depth(frame, sensor, matched, problems))
+        scene = _scene(frame, tags, grey, _best_depth(frame, sensor, matched, problems), instances)
         seen, failed = _seen_road(cfg, scene, rng)
     with timed("odometry"):
         odometry_state, motion = _odometry(cfg, state, scene, _in_front_camera(scene, seen), rng)
@@ -126,7 +128,9 @@ def _off(stage: str) -> Absent:
     return Absent(Reason(stage, "switched_off"))
 
 
-def _scene(frame: Frame, tags: Image | None, grey: Image | None, depth: DepthMap | None) -> Scene:
+def _scene(
+    frame: Frame, tags: Image | None, grey: Image | None, depth: DepthMap | None, instances: Ids | None
+) -> Scene:
     return Scene(
         frame.stamp_ns,
         frame.camera,
@@ -138,6 +142,7 @@ def _scene(frame: Frame, tags: Image | None, grey: Image | None, depth: DepthMap
         frame.image is not None and grey is None,
         depth,
         frame.detections,
+        instances,
     )
 
 

@@ -6,7 +6,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from roadperc_stream.core.datatypes import Detection, Image, SurfaceSource
+from roadperc_stream.core.datatypes import Detection, Ids, Image, SurfaceSource
 from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
 from roadperc_stream.core.registration import sample_labels, warp_depth
 from roadperc_stream.core.semantics import TagTable
@@ -49,10 +49,11 @@ class DepthMap:
 class Scene:
     """One frame as every stage takes it.
 
-    ``camera`` is the front camera, to which ``tags`` (H, W, of ``table``), ``grey`` (H, W) and ``detections`` belong;
-    ``depth`` may be another one's. What the frame does not have, or what cannot be used, is None; no detections message
-    is None too, an empty one (). ``image_unusable`` says that ``grey`` is None although the frame has an image. Without
-    a mounting (``mounted`` False) ``ego_T_camera`` is that of a level camera at the assumed height.
+    ``camera`` is the front camera, to which ``tags`` (H, W, of ``table``), ``grey`` (H, W), ``instances`` (H, W, 0 for
+    no object) and ``detections`` belong; ``depth`` may be another one's. What the frame does not have, or what cannot
+    be used, is None; no detections message is None too, an empty one (). ``image_unusable`` says that ``grey`` is None
+    although the frame has an image. Without a mounting (``mounted`` False) ``ego_T_camera`` is that of a level camera
+    at the assumed height.
     """
 
     stamp_ns: int
@@ -65,6 +66,7 @@ class Scene:
     image_unusable: bool = False
     depth: DepthMap | None = None
     detections: tuple[Detection, ...] | None = None
+    instances: Ids | None = None
 
     @cached_property
     def depth_m(self) -> Float32 | None:

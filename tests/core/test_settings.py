@@ -84,7 +84,8 @@ LANES = {
 LINES = {"lanes.offset_std_m": "0.2", "lanes.heading_std": "0.1", "lanes.curvature_std_per_m": "0.02"}
 OBJECTS = {
     "objects.enabled": "false",
-    "objects.min_class_ratio": "0.9",
+    "objects.filter": "class_ratio",
+    "objects.min_fit": "0.95",
     "objects.distance_quantile": "0.5",
     "objects.distance_pixels": "box",
     "objects.hold_s": "0",
@@ -92,7 +93,6 @@ OBJECTS = {
     "objects.carry_after_s": "1",
     "objects.template_min_score": "0.99",
     "objects.min_overlap": "0.9",
-    "objects.distance_penalty": "1.0",
     "objects.gate": "0.1",
     "objects.min_distance_std_m": "1",
     "objects.process_noise": "20",
@@ -105,6 +105,8 @@ OBJECTS = {
 }
 IMPACTS = {"objects.min_closing_mps": "10", "objects.min_closing_sigmas": "10"}
 LANE_PATH = {"objects.lane_width_min_m": "4.5", "objects.lane_width_max_m": "2.5"}
+EXPECTED = {"objects.min_fit_seen": "1"}
+LECTURE = {"objects.min_class_ratio": "0.9", "objects.distance_penalty": "1.0"}
 ODOMETRY = {
     "odometry.enabled": "false",
     "odometry.features": "orb",
@@ -175,6 +177,8 @@ GROUPS = (
     (IMPACTS, ("objects",), ("objects.path_margin_m=5",)),
     (LANE_PATH, ("surface", "lanes", "objects"), ()),
     ({"objects.path_memory_m": "0.5"}, ("surface", "odometry", "objects"), ()),
+    (LECTURE, ("objects",), ("objects.filter=class_ratio", "objects.distance_pixels=class")),
+    (EXPECTED, ("objects",), ("objects.min_class_ratio=1",)),
     (ODOMETRY, ("odometry",), ()),
     (DESCRIPTORS, ("odometry",), ("odometry.features=sift",)),
     (MONO, ("odometry",), ("mono",)),

@@ -187,12 +187,20 @@ class ObjectsConfig(Section):
 
     enabled: bool = True
     """Whether detections are filtered and tracked."""
+    filter: Literal["region", "class_ratio"] = "region"
+    """What keeps a detection: pixels of its class, connected in depth or of one instance, that fit its box; or the
+    share of its box that carries its class. Without dense depth and without instance masks it is the share."""
+    min_fit: Ratio = 0.68
+    """Fit of those pixels' bounds to the box above which a detection is kept; what the box holds beside them costs less
+    than what they hold beside it."""
+    min_fit_seen: Ratio = 0.2
+    """The same where an object has been seen for ``carry_after_s``; there ``min_class_ratio`` is enough, too."""
     min_class_ratio: Ratio = 0.3
-    """A detection is kept when more than this share of its box carries its class."""
-    distance_quantile: Ratio = 0.02
-    """Quantile of the depths in the box that is the object's distance; 0 is the nearest pixel."""
-    distance_pixels: Literal["class", "box"] = "class"
-    """Pixels of the box that count for the distance: those of its class, or all."""
+    """With ``filter`` ``class_ratio`` a detection is kept when more than this share of its box carries its class."""
+    distance_quantile: Ratio = 0.05
+    """Quantile of the distances of the object's pixels that is its distance; 0 is the nearest pixel."""
+    distance_pixels: Literal["region", "class", "box"] = "region"
+    """Pixels that count for the distance: those that fit its box, those of its class in it, or all in it."""
     hold_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.5
     """How long an object without a detection is carried, and searched for in the image."""
     template_search: bool = True

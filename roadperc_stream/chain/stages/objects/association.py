@@ -4,17 +4,21 @@ Similar are boxes that overlap; where the distances contradict each other the ov
 whose distance jumps to something in front keeps its id, and of two that pass each other each keeps its own.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from roadperc_stream.chain.stages.objects.boxes import corners, overlaps
+from roadperc_stream.chain.stages.objects.kinds import kinds
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Box, Object
 from roadperc_stream.core.geometry import Float
-from roadperc_stream.core.semantics import classes_of_label
+
+EXPECTED_OVERLAP = 0.4
+"""Intersection over union with the predicted box from which a detection is where its object is expected."""
 
 
 def assign(
@@ -45,35 +49,12 @@ def similarities(
     It is the overlap, which counts for less as the distances contradict each other, to the whole at the filter's gate.
     All pairs at once: a detector may give thousands of boxes, and each is compared with every track.
     """
-    kinds = [_kind(track.detection.label) for track in tracks], [_kind(item.detection.label) for item in items]
-    numbers = {kind: number for number, kind in enumerate(dict.fromkeys((*kinds[0], *kinds[1])))}
-    ours, theirs = (np.array([numbers[kind] for kind in side], np.int64) for side in kinds)
+    ours, theirs = kinds([track.detection.label for track in tracks], [item.detection.label for item in items])
     with np.errstate(all="ignore"):  # boxes may be beyond all numbers: what is no number is no similarity
-        overlap = _overlaps(_corners(track.box_px for track in tracks), _corners(boxes))
+        overlap = overlaps(corners(track.box_px for track in tracks), corners(boxes))
         scores = overlap * (1.0 - cfg.distance_penalty * _contradictions(cfg, tracks, items))
         fits = (ours[:, None] == theirs) & (scores >= cfg.min_overlap)
     return np.where(fits, scores, 0.0)
-
-
-def _corners(boxes: Iterable[Box]) -> Float:
-    """(4, N) x_min, y_min, x_max and y_max."""
-    return np.array([(b.x_min, b.y_min, b.x_max, b.y_max) for b in boxes], np.float64).reshape(-1, 4).T
-
-
-def _overlaps(ours: Float, theirs: Float) -> Float:
-    """(M, N) intersection over union of (4, M) with (4, N) corners: ``Box.overlap`` of all pairs."""
-    x0, y0, x1, y1 = ours[:, :, None]
-    width = np.minimum(x1, theirs[2]) - np.maximum(x0, theirs[0])
-    height = np.minimum(y1, theirs[3]) - np.maximum(y0, theirs[1])
-    shared = width * height
-    meet = (width > 0) & (height > 0)
-    return np.where(meet, shared / (_areas(ours)[:, None] + _areas(theirs) - shared), 0.0)
-
-
-def _areas(corners: Float) -> Float:
-    """(N,) square pixels."""
-    areas: Float = np.maximum(corners[2] - corners[0], 0.0) * np.maximum(corners[3] - corners[1], 0.0)
-    return areas
 
 
 def _contradictions(cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object]) -> Float:
@@ -89,6 +70,12 @@ def _contradictions(cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Se
     return np.where(unknown, 0.0, np.minimum(surprise / cfg.gate, 1.0))
 
 
-def _kind(label: str) -> tuple[str, ...]:
-    """Labels of one kind may stand for one object: detectors waver between car, van and truck."""
-    return classes_of_label(label) or (label,)
+def expected(tracks: Sequence[ObjectTrack], labels: Sequence[str], boxes: Sequence[Box]) -> frozenset[int]:
+    """Positions of the boxes that lie where a track of their kind is predicted."""
+    if not tracks or not boxes:
+        return frozenset()
+    ours, theirs = kinds([track.detection.label for track in tracks], labels)
+    with np.errstate(all="ignore"):
+        overlap = overlaps(corners(track.box_px for track in tracks), corners(boxes))
+    found = ((overlap >= EXPECTED_OVERLAP) & (ours[:, None] == theirs)).any(axis=0)
+    return frozenset(np.flatnonzero(found).tolist())

@@ -1,90 +1,108 @@
 """Detections filtered by the segmentation, with their distance.
 
-A detector of high recall finds much that is not there: a detection is kept when enough of its box carries its class's
-tags. Its distance is a low quantile of the distances of the box's pixels, because the bare minimum jumps with every
-stray pixel.
+A detector of high recall finds much that is not there, and much that is hidden: a detection is kept when pixels of its
+class fit its box that no other detection fits better, or (the lecture's filter) when enough of its box carries its
+class's tags. Its distance is a low quantile of the distances of those pixels.
 """
 
-import numpy as np
+from collections.abc import Collection
 
+from roadperc_stream.chain.stages.objects import distance
+from roadperc_stream.chain.stages.objects.choice import MeasuredRegion, choose
+from roadperc_stream.chain.stages.objects.distance import Measured
+from roadperc_stream.chain.stages.objects.mosaic import cut_out
+from roadperc_stream.chain.stages.objects.regions import find_regions
 from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent, Detection, Object, Objects, Reason
-from roadperc_stream.core.geometry import Camera, Float32
+from roadperc_stream.core.datatypes import Absent, Detection, Image, Object, Objects, Reason
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.semantics import label_lookup
 
 
-def filter_detections(cfg: ObjectsConfig, scene: Scene, detections: tuple[Detection, ...] | None) -> Objects | Absent:
+def filter_detections(
+    cfg: ObjectsConfig,
+    scene: Scene,
+    detections: tuple[Detection, ...] | None,
+    expected: Collection[int] = (),
+) -> Objects | Absent:
     """Every detection with its class ratio, whether it is kept, and its distance.
 
     Args:
         cfg: thresholds.
         scene: the frame; without tags every detection is kept.
         detections: in its image; None where the frame has no detections message.
+        expected: positions of those that are where an object was seen before: less has to fit.
 
     Returns:
         The objects in the detector's order. A label that no class belongs to is not filtered: kept, without a ratio.
     """
     if detections is None:
         return Absent(Reason("objects", "no_detections"))
-    return Objects(tuple(_filtered(cfg, scene, detection) for detection in detections))
+    lookups = [None if scene.table is None else label_lookup(scene.table, d.label) for d in detections]
+    chosen = _candidates(cfg, scene, detections, lookups)
+    return Objects(
+        tuple(
+            _filtered(cfg, scene, detection, lookup, candidate, k in expected)
+            for k, (detection, lookup, candidate) in enumerate(zip(detections, lookups, chosen, strict=True))
+        )
+    )
 
 
-def _filtered(cfg: ObjectsConfig, scene: Scene, detection: Detection) -> Object:
-    camera, tags, table, depth_m = scene.camera, scene.tags, scene.table, scene.depth_m
-    x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
-    lookup = label_lookup(table, detection.label) if table is not None else None
+def divides(scene: Scene) -> bool:
+    """Whether a frame says where one object of a class ends and the next begins."""
+    return scene.instances is not None or (scene.tags is not None and scene.dense_depth_m is not None)
+
+
+def _candidates(
+    cfg: ObjectsConfig, scene: Scene, detections: tuple[Detection, ...], lookups: list[Image | None]
+) -> list[MeasuredRegion | None]:
+    """The region that is each detection's object; None where there is none."""
+    if not divides(scene) or "region" not in (cfg.distance_pixels, cfg.filter):
+        return [None] * len(detections)
+    boxes = [detection.box_px for detection in detections]
+    found = find_regions(scene.camera, cut_out(scene, lookups, boxes), boxes)
+    candidates = [[MeasuredRegion(region, distance.of_region(cfg, region)) for region in regions] for regions in found]
+    return choose([detection.label for detection in detections], candidates)
+
+
+def _filtered(
+    cfg: ObjectsConfig,
+    scene: Scene,
+    detection: Detection,
+    lookup: Image | None,
+    candidate: MeasuredRegion | None,
+    expected: bool,
+) -> Object:
+    x0, y0, x1, y1 = box = detection.box_px.rounded(scene.camera.width, scene.camera.height)
     if x0 >= x1 or y0 >= y1:
         return Object(detection, kept=lookup is None)  # nothing of it is in the image
     of_class = None
     ratio = None
-    if tags is not None and lookup is not None:
-        of_class = lookup[tags[y0:y1, x0:x1]].astype(bool)
+    if scene.tags is not None and lookup is not None:
+        of_class = lookup[scene.tags[y0:y1, x0:x1]].astype(bool)
         ratio = float(of_class.mean())
-    kept = ratio is None or ratio > cfg.min_class_ratio
-    if depth_m is None:
-        return Object(detection, kept, ratio)
-    distances = _distances(camera, depth_m, (x0, y0, x1, y1))
-    depths = depth_m[y0:y1, x0:x1]
-    if of_class is not None and cfg.distance_pixels == "class":
-        distances, depths = distances[of_class], depths[of_class]
-    distance, std, beyond = _nearest(cfg, distances.ravel(), depths.ravel(), scene.depth_limit_m)
-    return Object(detection, kept, ratio, distance_m=distance, distance_std_m=std, beyond_range=beyond)
+    kept = ratio is None or _is_kept(cfg, scene, ratio, candidate, expected)
+    measured = Measured() if candidate is None or cfg.distance_pixels != "region" else candidate.measured
+    if scene.depth_m is not None and measured == Measured():
+        distances = distance.of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
+        counted = distances if of_class is None or cfg.distance_pixels == "box" else distances[of_class]
+        measured = distance.nearest(cfg, counted.ravel())
+    return Object(
+        detection,
+        kept,
+        ratio,
+        distance_m=measured.distance_m,
+        distance_std_m=measured.std_m,
+        beyond_range=measured.beyond_range,
+    )
 
 
-def _distances(camera: Camera, depth_m: Float32, box: tuple[int, int, int, int]) -> Float32:
-    """(h, w) sqrt(x^2 + y^2 + z^2) in metres of the box's pixels."""
-    x0, y0, x1, y1 = box
-    x = (np.arange(x0, x1) - camera.cx) / camera.fx
-    y = (np.arange(y0, y1) - camera.cy) / camera.fy
-    lengths = np.sqrt((x**2 + 1.0).astype(np.float32) + (y**2).astype(np.float32)[:, None])
-    distances: Float32 = depth_m[y0:y1, x0:x1] * lengths
-    return distances
+def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, candidate: MeasuredRegion | None, expected: bool) -> bool:
+    """By the region's fit, or by the share of the box that is of the class where regions are not asked for or known.
 
-
-def _nearest(
-    cfg: ObjectsConfig, distances_m: Float32, depths_m: Float32, limit_m: float
-) -> tuple[float | None, float | None, bool]:
-    """Distance, its standard deviation and whether the object lies beyond the depth's range.
-
-    The deviation is that of the pixels around the quantile: what the choice of the quantile could have been; and no
-    less than the quantile moves with the box.
+    Where an object is expected either is enough: it may be divided wrongly, or hidden but for a part.
     """
-    known = np.isfinite(distances_m)
-    if not known.any():
-        return None, None, False
-    saturated = depths_m[known] >= np.float32(limit_m)
-    reachable = np.where(saturated, np.inf, distances_m[known])
-    ranks = [_rank(share * cfg.distance_quantile, len(reachable)) for share in (0, 1, 2)]
-    nearest, chosen, beside = np.partition(reachable, ranks)[ranks]
-    distance = float(chosen)
-    if not np.isfinite(distance):
-        return None, None, True
-    spread = beside - nearest
-    std = max(float(spread) / 2, cfg.min_distance_std_m) if np.isfinite(spread) else None
-    return distance, std, False
-
-
-def _rank(quantile: float, count: int) -> int:
-    """Position of a quantile among sorted values, the nearest one below."""
-    return min(int(quantile * (count - 1)), count - 1)
+    of_class = ratio > cfg.min_class_ratio
+    if cfg.filter == "class_ratio" or not divides(scene):
+        return of_class
+    fit = 0.0 if candidate is None else candidate.region.fit
+    return fit > cfg.min_fit_seen or of_class if expected else fit > cfg.min_fit

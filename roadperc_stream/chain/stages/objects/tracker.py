@@ -6,7 +6,7 @@ from math import sqrt
 
 from roadperc_stream.chain.stages.objects import tracking
 from roadperc_stream.chain.stages.objects.approach import motion_of_camera
-from roadperc_stream.chain.stages.objects.association import assign, similarities
+from roadperc_stream.chain.stages.objects.association import assign, expected, similarities
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
 from roadperc_stream.chain.stages.objects.impact import judged
 from roadperc_stream.chain.stages.objects.obstacle import find_obstacle
@@ -86,13 +86,13 @@ def step(
     """
     arc = state.arc.after(cfg, last_T_this)
     path = path_of(cfg, ego_lane, arc)
-    filtered = filter_detections(cfg, scene, scene.detections)
-    own = () if isinstance(filtered, Absent) else filtered.objects
-    kept = _kept(scene.camera, own)
     now_T_last = motion_of_camera(scene, last_T_this)
     known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in state.tracks]
     known = [track for track in known if not tracking.expired(cfg, track)]
     known = known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
+    filtered = filter_detections(cfg, scene, scene.detections, _expected(cfg, scene, known))
+    own = () if isinstance(filtered, Absent) else filtered.objects
+    kept = _kept(scene.camera, own)
     pairs = assign(cfg, known, kept.items, kept.boxes)
     detected = _detected(cfg, state.next_number, scene, known, kept, pairs)
     detected = {k: tracking.placed(track, extent(cfg, scene, path, own[k])) for k, track in detected.items()}
@@ -108,6 +108,13 @@ def step(
     tracked = tuple(judged(cfg, path, item, detected[k]) if k in detected else item for k, item in enumerate(own))
     correlations = tuple(c for c in (*(s.correlation for s in searched), correlation) if c is not None)
     return after, Objects(tracked + found, correlations, path.source)
+
+
+def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) -> frozenset[int]:
+    """Positions of the detections where an object was seen for some time."""
+    detections = scene.detections or ()
+    confirmed = [track for track in known if tracking.confirmed(cfg, track)]
+    return expected(confirmed, [d.label for d in detections], [_within(scene.camera, d.box_px) for d in detections])
 
 
 def _kept(camera: Camera, objects: Sequence[Object]) -> _Kept:
@@ -185,7 +192,7 @@ def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrac
     if found is None:
         return lost
     box_px = _within(scene.camera, track.template.whole(found[0], scale))
-    filtered = filter_detections(cfg, scene, (replace(track.detection, box_px=box_px),))
+    filtered = filter_detections(cfg, scene, (replace(track.detection, box_px=box_px),), (0,))
     if isinstance(filtered, Absent) or not filtered.objects[0].kept:
         return lost
     item = replace(filtered.objects[0], status="tracked")

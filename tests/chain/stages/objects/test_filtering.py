@@ -1,5 +1,7 @@
 """Detections filtered by tags: ratios counted by hand, distances by the 3-4-5 triangle."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,8 @@ from tests.scenes import scene_of
 
 CAMERA = Camera("camera", 100, 80, 50.0, 50.0, 50.0, 40.0)
 CFG = ObjectsConfig()
+LECTURE = ObjectsConfig(filter="class_ratio", distance_pixels="class")
+SCORES = ((0.9, 0.1, 0.5), (0.1, 0.9, 0.5), (0.5, 0.5, 0.5))
 
 
 def pictures(depth_m=10.0):
@@ -42,13 +46,13 @@ def test_boxes_are_half_open():
 
 @pytest.mark.parametrize(("x_max", "kept"), [(76, True), (77, False)])
 def test_share_must_exceed_the_minimum(x_max, kept):
-    assert filtered(box("Car", 10, 20, x_max, 40)).kept == kept
+    assert filtered(box("Car", 10, 20, x_max, 40), LECTURE).kept == kept
 
 
 def test_exactly_the_minimum_is_not_enough():
     tags = np.zeros(CAMERA.size, np.uint8)
     tags[0:3, 0:1] = VEHICLE
-    assert not filtered(box("Car", 0, 0, 1, 10), tags=tags).kept
+    assert not filtered(box("Car", 0, 0, 1, 10), LECTURE, tags=tags).kept
 
 
 def test_box_outside_the_image_is_dropped_without_a_ratio():
@@ -83,7 +87,7 @@ def test_low_quantile_forgives_a_stray_pixel():
     _, depth = pictures()
     depth[25, 15] = 1.0
     assert filtered(box("Car", 10, 20, 30, 40), depth=depth).distance_m > 9
-    minimum = ObjectsConfig(distance_quantile=0.0)
+    minimum = ObjectsConfig(distance_quantile=0.0, distance_pixels="class")
     assert filtered(box("Car", 10, 20, 30, 40), minimum, depth=depth).distance_m < 1.3
 
 
@@ -112,3 +116,71 @@ def test_without_tags_everything_is_kept():
 
 def test_no_detections_is_a_stated_absence():
     assert filter_detections(CFG, scene_of(CAMERA), None) == Absent(Reason("objects", "no_detections"))
+
+
+def two_cars():
+    """A car 10 m away that covers most of one 20 m away: boxes (10, 20) to (40, 50) and (30, 15) to (70, 40)."""
+    tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 60.0, np.float32)
+    tags[15:40, 30:70], depth[15:40, 30:70] = VEHICLE, 20.0
+    tags[20:50, 10:40], depth[20:50, 10:40] = VEHICLE, 10.0
+    return tags, depth
+
+
+def judged(*boxes, expected=(), cfg=CFG, **inputs):
+    tags, depth = two_cars()
+    scene = scene_of(CAMERA, **{"tags": tags, "depth_m": depth, "limit_m": 65.535, **inputs})
+    return filter_detections(cfg, scene, tuple(box("Car", *b) for b in boxes), expected).objects
+
+
+def test_the_distance_is_that_of_the_object_and_not_of_a_nearer_one():
+    near, far = judged((10, 20, 40, 50), (30, 15, 70, 40))
+    assert (near.kept, far.kept) == (True, True)
+    assert near.distance_m == pytest.approx(10.4, abs=0.5)
+    assert far.distance_m == pytest.approx(20.5, abs=0.6)
+    assert judged((30, 15, 70, 40), cfg=LECTURE)[0].distance_m < 11
+
+
+def test_a_hidden_cars_box_on_a_car_is_dropped_where_the_lecture_keeps_it():
+    hidden = (15, 22, 30, 36)
+    assert [item.kept for item in judged((10, 20, 40, 50), hidden)] == [True, False]
+    assert [item.kept for item in judged((10, 20, 40, 50), hidden, cfg=LECTURE)] == [True, True]
+
+
+def test_the_second_box_of_one_object_is_dropped():
+    assert [item.kept for item in judged((10, 20, 40, 50), (12, 20, 40, 50))] == [True, False]
+    assert [item.kept for item in judged((12, 20, 40, 50), (10, 20, 40, 50))] == [False, True]
+
+
+def test_the_score_decides_nothing():
+    tags, depth = two_cars()
+    scene = scene_of(CAMERA, tags=tags, depth_m=depth)
+    boxes = ((10, 20, 40, 50), (15, 22, 30, 36), (30, 15, 70, 40))
+    scored = [tuple(replace(box("Car", *b), score=s) for b, s in zip(boxes, scores, strict=True)) for scores in SCORES]
+    assert len({tuple(i.kept for i in filter_detections(CFG, scene, found).objects) for found in scored}) == 1
+
+
+def test_where_an_object_is_expected_less_has_to_fit():
+    too_small = (15, 22, 30, 36)
+    assert not judged(too_small)[0].kept
+    assert judged(too_small, expected=(0,))[0].kept
+
+
+def test_instances_decide_where_they_are_given():
+    """Both cars as one: the depth would divide them."""
+    ids = np.full(CAMERA.size, 5, np.uint16)
+    (item,) = judged((10, 15, 70, 50), instances=ids)
+    assert item.kept
+    assert item.distance_m == pytest.approx(10.4, abs=0.5)
+
+
+def test_without_depth_the_share_of_the_class_decides():
+    kept = [item.kept for item in judged((10, 20, 40, 50), (15, 22, 30, 36), (60, 45, 90, 70), depth_m=None)]
+    assert kept == [True, True, False]
+
+
+def test_the_deviation_grows_with_the_depths_noise():
+    _, depth = two_cars()
+    rng = np.random.default_rng(1)
+    noisy = (depth * (1 + 0.02 * rng.standard_normal(depth.shape))).astype(np.float32)
+    (clear,), (uncertain,) = judged((30, 15, 70, 40)), judged((30, 15, 70, 40), depth_m=noisy)
+    assert uncertain.distance_std_m > 1.5 * clear.distance_std_m

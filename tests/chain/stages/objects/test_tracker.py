@@ -372,7 +372,7 @@ def test_settings_of_the_motion_have_an_effect(setting, value):
 def test_an_object_that_partly_lies_beyond_the_depths_range_is_tracked():
     """Its distance has no deviation of its own."""
     follower, depth = Follower(), np.full(CAMERA.size, LIMIT_M, np.float32)
-    depth[80, 100:130] = FAR_M
+    depth[80:82, 100:130] = FAR_M
     for _ in range(3):
         follower.frame(box("Car", 100, 80, 140, 105), depth_m=depth)
     assert follower.only.distance_m == FAR_M

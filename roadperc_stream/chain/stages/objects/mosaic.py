@@ -1,0 +1,172 @@
+"""What is in and around the boxes of a frame's detections, cut out of its pictures and put one below the other.
+
+So each step over pixels is one call for all boxes: the calls take longer than the pixels.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.core.datatypes import Box, Ids, Image
+from roadperc_stream.core.geometry import Camera, Float, Float32
+from roadperc_stream.core.scene import Scene
+
+MARGIN = 0.25
+"""Of a box's sides, that is looked at around it: an object that goes on there is larger than the box."""
+LEAST_MARGIN_PX = 3.0
+LONGEST_SIDE = 64
+"""Rows and columns that are looked at: of more every second is, or every third."""
+LEAST_TOGETHER = 3
+"""Pixels of the class in the 3x3 around each that counts."""
+_SMOOTHED_PX = 5
+_ALIKE = 0.04
+"""Standard deviation of the bilateral filter's weights, as a share of the depth."""
+_NEAR_PX = 2.0
+"""The same in pixels."""
+_UNKNOWN_M = 1e6
+
+Indices = NDArray[np.int64]
+T = TypeVar("T", bound=np.generic)
+
+
+@dataclass(frozen=True)
+class Cutout:
+    """In and around the part of a box in the image: columns ``x0`` to ``x1`` and rows ``y0`` to ``y1``, half-open."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+
+    @property
+    def x_step(self) -> int:
+        """Pixels of the image from one to the next of a row."""
+        return max(-(-(self.x1 - self.x0) // LONGEST_SIDE), 1)
+
+    @property
+    def y_step(self) -> int:
+        """Pixels of the image from one to the next of a column."""
+        return max(-(-(self.y1 - self.y0) // LONGEST_SIDE), 1)
+
+    @property
+    def pixels(self) -> tuple[slice, slice]:
+        """Where they are in the image."""
+        return slice(self.y0, self.y1, self.y_step), slice(self.x0, self.x1, self.x_step)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return -(-(self.y1 - self.y0) // self.y_step), -(-(self.x1 - self.x0) // self.x_step)
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """The cutouts of N boxes, one below the other with an empty row after each: (H, W) pixels.
+
+    ``first_px`` (N, 2) are column and row in the image of the first pixel of each, ``steps`` (N, 2) how many of its
+    columns and rows there are from one to the next, ``tops`` (N + 1,) their first rows. ``of_class`` is 1 at pixels of
+    the classes that the box may hold. ``log_depth`` is the logarithm of the smoothed depth in metres, ``distances_m``
+    the same as distances from the camera, NaN unknown and infinite beyond the depth's range; ``noise``
+    is what was smoothed away of the logarithm: all None without dense depth. ``ids`` are instance masks, None without.
+    """
+
+    first_px: Indices
+    steps: Indices
+    tops: Indices
+    of_class: Image
+    log_depth: Float32 | None
+    distances_m: Float32 | None
+    noise: Float32 | None
+    ids: Ids | None
+
+
+def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box]) -> Mosaic:
+    """The surroundings of boxes.
+
+    Args:
+        scene: the frame; without tags all pixels are of any class.
+        lookups: (256,) 1 at the tags of each box's classes; None where they are not known.
+        boxes: in the frame's image; nothing is cut out of one outside it.
+    """
+    cutouts = [_around(scene.camera, box) for box in boxes]
+    shapes = [cutout.shape for cutout in cutouts]
+    tops = np.cumsum([0, *(height + 1 for height, _ in shapes)])
+    size = int(tops[-1]), max((width for _, width in shapes), default=0)
+    of_class = np.zeros(size, np.uint8)
+    places = [(slice(top, top + height), slice(width)) for top, (height, width) in zip(tops, shapes, strict=False)]
+    for cutout, place, lookup in zip(cutouts, places, lookups, strict=True):
+        if of_class[place].size:
+            of_class[place] = _of_class(scene, lookup, cutout)
+    first_px = np.array([(c.x0, c.y0) for c in cutouts], np.int64).reshape(-1, 2)
+    steps = np.array([(c.x_step, c.y_step) for c in cutouts], np.int64).reshape(-1, 2)
+    ids = None if scene.instances is None else _placed(scene.instances, cutouts, places, np.zeros(size, np.uint16))
+    if scene.dense_depth_m is None or not of_class.size:
+        return Mosaic(first_px, steps, tops, of_class, None, None, None, ids)
+    depth_m = _placed(scene.dense_depth_m, cutouts, places, np.full(size, np.nan, np.float32))
+    log_depth, noise = _smoothed(depth_m)
+    distances = np.exp(log_depth) * _ray_lengths(scene.camera, first_px, steps, tops, size)
+    distances[depth_m >= np.float32(scene.depth_limit_m)] = np.inf
+    distances[~(depth_m > 0)] = np.nan
+    return Mosaic(first_px, steps, tops, of_class, log_depth, distances, noise, ids)
+
+
+def _around(camera: Camera, box: Box) -> Cutout:
+    x0, y0, x1, y1 = box.rounded(camera.width, camera.height)
+    if x0 >= x1 or y0 >= y1:
+        return Cutout(0, 0, 0, 0)
+    x_margin, y_margin = (max(MARGIN * side, LEAST_MARGIN_PX) for side in (x1 - x0, y1 - y0))
+    return Cutout(*Box(x0 - x_margin, y0 - y_margin, x1 + x_margin, y1 + y_margin).rounded(camera.width, camera.height))
+
+
+def _of_class(scene: Scene, lookup: Image | None, cutout: Cutout) -> Image | int:
+    """1 at pixels of the class, but for single ones and pairs, which join what is apart: a line of three is left.
+
+    What is of any class only instance masks can divide: cars stand on roads.
+    """
+    if lookup is None or scene.tags is None:
+        return int(scene.instances is not None)
+    found = np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[cutout.pixels]), lookup), np.uint8)
+    together = cv2.boxFilter(found, -1, (3, 3), normalize=False)
+    return np.asarray(found & (together >= LEAST_TOGETHER), np.uint8)
+
+
+def _placed(
+    picture: NDArray[T], cutouts: Sequence[Cutout], places: Sequence[tuple[slice, slice]], into: NDArray[T]
+) -> NDArray[T]:
+    for cutout, place in zip(cutouts, places, strict=True):
+        into[place] = picture[cutout.pixels]
+    return into
+
+
+def _smoothed(depth_m: Float32) -> tuple[Float32, Float32]:
+    """The logarithm of the depth, in which noise and jumps are shares of it, smoothed; and what was smoothed away.
+
+    What is not known is far away.
+    """
+    known = depth_m > 0
+    log_depth = np.log(np.where(known, depth_m, np.float32(_UNKNOWN_M)))
+    smoothed = np.asarray(cv2.bilateralFilter(log_depth, _SMOOTHED_PX, _ALIKE, _NEAR_PX), np.float32)
+    return smoothed, np.abs(log_depth - smoothed)
+
+
+def _ray_lengths(camera: Camera, first_px: Indices, steps: Indices, tops: Indices, size: tuple[int, int]) -> Float32:
+    """(H, W) metres along the ray of each pixel for each metre of its depth."""
+    owner = np.repeat(np.arange(len(steps)), np.diff(tops))
+    rows = first_px[owner, 1] + steps[owner, 1] * (np.arange(size[0]) - tops[owner])
+    x = (first_px[:, :1] + steps[:, :1] * np.arange(size[1]) - camera.cx) / camera.fx
+    y = (rows - camera.cy) / camera.fy
+    lengths: Float32 = np.sqrt((x**2 + 1.0).astype(np.float32)[owner] + (y**2).astype(np.float32)[:, None])
+    return lengths
+
+
+def boxes_of(mosaic: Mosaic, owners: Indices, bounds: NDArray[np.int32]) -> Float:
+    """(4, K) corners in the image of K bounds (K, 4) x, y, width and height in the mosaic, each of a cutout."""
+    x, y, width, height = bounds.T
+    x_step, y_step = mosaic.steps[owners].T
+    x0 = mosaic.first_px[owners, 0] + x_step * x
+    y0 = mosaic.first_px[owners, 1] + y_step * (y - mosaic.tops[owners])
+    return np.array((x0, y0, x0 + x_step * width, y0 + y_step * height), np.float64)

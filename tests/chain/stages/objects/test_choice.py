@@ -1,0 +1,46 @@
+"""One object belongs to one detection: the one it fits best."""
+
+import numpy as np
+
+from roadperc_stream.chain.stages.objects.choice import MeasuredRegion, choose
+from roadperc_stream.chain.stages.objects.distance import Measured
+from roadperc_stream.chain.stages.objects.regions import Region
+from roadperc_stream.core.datatypes import Box
+
+BOX = Box(10, 10, 30, 30)
+
+
+def candidate(owner, fit, distance_m, box=BOX):
+    return MeasuredRegion(Region(owner, box, fit, np.ones((1, 1), bool), None, None), Measured(distance_m, 0.1))
+
+
+def chosen(labels, *candidates):
+    return [c and (c.region.fit, c.measured.distance_m) for c in choose(labels, candidates)]
+
+
+def test_each_gets_what_fits_best():
+    ours, theirs = [candidate(0, 0.9, 10.0), candidate(0, 0.5, 20.0)], [candidate(1, 0.8, 20.0)]
+    assert chosen(["Car", "Car"], ours, theirs) == [(0.9, 10.0), (0.8, 20.0)]
+
+
+def test_what_another_has_is_not_given_again():
+    hidden = [candidate(1, 0.8, 10.1), candidate(1, 0.4, 25.0)]
+    assert chosen(["Car", "Car"], [candidate(0, 0.9, 10.0)], hidden) == [(0.9, 10.0), (0.4, 25.0)]
+    assert chosen(["Car", "Car"], [candidate(0, 0.9, 10.0)], hidden[:1]) == [(0.9, 10.0), None]
+
+
+def test_what_is_elsewhere_or_at_another_distance_or_another_kind_is_another():
+    first = [candidate(0, 0.9, 10.0)]
+    assert chosen(["Car", "Car"], first, [candidate(1, 0.8, 10.0, Box(40, 10, 60, 30))])[1] is not None
+    assert chosen(["Car", "Car"], first, [candidate(1, 0.8, 11.0)])[1] is not None
+    assert chosen(["Car", "Pedestrian"], first, [candidate(1, 0.8, 10.0)])[1] is not None
+    assert chosen(["Car", "Truck"], first, [candidate(1, 0.8, 10.0)])[1] is None
+
+
+def test_without_distances_nothing_is_the_same():
+    assert chosen(["Car", "Car"], [candidate(0, 0.9, None)], [candidate(1, 0.8, None)]) == [(0.9, None), (0.8, None)]
+
+
+def test_nothing_to_choose_from():
+    assert chosen([]) == []
+    assert chosen(["Car"], []) == [None]

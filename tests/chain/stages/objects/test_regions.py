@@ -1,0 +1,118 @@
+"""Pixels of one class divided where the depth jumps: cars before and behind each other, drawn by hand."""
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.stages.objects.mosaic import LONGEST_SIDE, cut_out
+from roadperc_stream.chain.stages.objects.regions import MISSING_WEIGHT, find_regions
+from roadperc_stream.core.datatypes import Box
+from roadperc_stream.core.geometry import Camera
+from roadperc_stream.core.semantics import label_lookup
+from tests.analytic import TABLE, VEHICLE
+from tests.scenes import scene_of
+
+CAMERA = Camera("camera", 200, 120, 100.0, 100.0, 99.5, 59.5)
+NEAR, FAR = Box(60, 40, 100, 80), Box(80, 30, 140, 60)
+"""A near car that covers the lower left of a far one."""
+
+
+def rows_of_cars(noise=0.0):
+    rng = np.random.default_rng(0)
+    tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 50.0, np.float32)
+    for box, depth_m in ((FAR, 20.0), (NEAR, 12.0)):
+        part = slice(int(box.y_min), int(box.y_max)), slice(int(box.x_min), int(box.x_max))
+        tags[part], depth[part] = VEHICLE, depth_m
+    return tags, (depth * (1 + noise * rng.standard_normal(depth.shape))).astype(np.float32)
+
+
+def regions_of(*boxes, tags=None, depth=None, instances=None):
+    if tags is None:
+        tags, depth = rows_of_cars()
+    scene = scene_of(CAMERA, tags=tags, depth_m=depth, instances=instances)
+    lookup = label_lookup(TABLE, "Car")
+    return find_regions(CAMERA, cut_out(scene, [lookup] * len(boxes), boxes), boxes)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
+def test_a_car_behind_another_is_a_region_of_its_own(noise):
+    tags, depth = rows_of_cars(noise)
+    near, far = (regions[0] for regions in regions_of(NEAR, FAR, tags=tags, depth=depth))
+    assert (near.box_px.overlap(NEAR), far.box_px.overlap(FAR)) > (0.9, 0.9)
+    assert np.median(near.distances_m[near.mask]) == pytest.approx(12.5, abs=0.5)
+    assert np.median(far.distances_m[far.mask]) == pytest.approx(21.0, abs=1.0)
+
+
+def test_the_order_of_boxes_does_not_matter():
+    one, other = regions_of(NEAR, FAR), regions_of(FAR, NEAR)
+    assert [r.fit for r in one[0]] == [r.fit for r in other[1]]
+    assert [r.box_px for r in one[1]] == [r.box_px for r in other[0]]
+    assert [r.fit for r in regions_of(FAR)[0]] == [r.fit for r in one[1]]
+
+
+def test_a_side_that_recedes_is_not_divided():
+    """From 8 m to 16 m over 40 columns: 2 % a column."""
+    tags = np.zeros(CAMERA.size, np.uint8)
+    tags[40:80, 60:100] = VEHICLE
+    depth = np.full(CAMERA.size, 50.0, np.float32)
+    depth[:, 60:100] = np.geomspace(8.0, 16.0, 40, dtype=np.float32)
+    (region,) = regions_of(NEAR, tags=tags, depth=depth)[0][:1]
+    assert region.box_px == NEAR
+
+
+def test_a_line_one_pixel_high_above_a_nearer_car_is_found():
+    tags, depth = rows_of_cars()
+    tags[39, 60:100], depth[39, 60:100] = VEHICLE, 17.0
+    found = regions_of(Box(60, 39, 100, 41), tags=tags, depth=depth)[0]
+    assert [r for r in found if r.box_px.y_max == 40 and r.distances_m[r.mask].min() > 16.9]
+
+
+def test_what_is_hidden_of_a_box_costs_less_than_what_goes_beyond_it():
+    wider, narrower = Box(40, 40, 120, 80), Box(70, 40, 90, 80)
+    of_wider, of_narrower = (regions[0].fit for regions in regions_of(wider, narrower))
+    assert of_wider == pytest.approx(1 / (1 + MISSING_WEIGHT))
+    assert of_narrower < 0.7 < of_wider
+
+
+def test_instances_divide_what_depth_does_not():
+    tags = np.zeros(CAMERA.size, np.uint8)
+    tags[40:80, 60:140] = VEHICLE
+    ids = np.zeros(CAMERA.size, np.uint16)
+    ids[40:80, 60:100], ids[40:80, 100:140], ids[:, 150:] = 70, 9, 3
+    left, right = Box(60, 40, 100, 80), Box(100, 40, 140, 80)
+    depth = np.full(CAMERA.size, 10.0, np.float32)
+    found = regions_of(left, right, tags=tags, depth=depth, instances=ids)
+    assert [regions[0].box_px for regions in found] == [left, right]
+    assert [regions[0].fit for regions in found] == [1.0, 1.0]
+    without_depth = regions_of(left, right, tags=tags, instances=ids)
+    assert [regions[0].box_px for regions in without_depth] == [left, right]
+    assert without_depth[0][0].distances_m is None
+
+
+def test_large_boxes_are_sampled_within_the_image():
+    camera = Camera("camera", 1000, 800, 500.0, 500.0, 499.5, 399.5)
+    tags = np.full(camera.size, VEHICLE, np.uint8)
+    scene = scene_of(camera, tags=tags, depth_m=np.full(camera.size, 5.0, np.float32))
+    box = Box(-50, -50, 1200, 300)
+    mosaic = cut_out(scene, [label_lookup(TABLE, "Car")], [box])
+    assert max(mosaic.of_class.shape) <= LONGEST_SIDE + 1
+    (region,) = find_regions(camera, mosaic, [box])[0]
+    assert (region.box_px.x_min, region.box_px.y_min) == (0, 0)
+    assert region.fit > 0.75
+
+
+@pytest.mark.parametrize(
+    "box", [Box(300, 10, 320, 30), Box(50, 50, 50, 50), Box(-40, -40, -20, -20), Box(-1e308, 5, -9e307, 9)]
+)
+def test_boxes_without_pixels_have_no_regions(box):
+    assert regions_of(box, NEAR)[0] == ()
+    assert regions_of(box) == [()]
+
+
+def test_no_boxes_no_regions():
+    assert regions_of() == []
+
+
+def test_unknown_depth_divides_nothing_and_measures_nothing():
+    tags, depth = rows_of_cars()
+    (region,) = regions_of(NEAR, tags=tags, depth=np.full_like(depth, np.nan))[0][:1]
+    assert np.isnan(region.distances_m[region.mask]).all()
