@@ -1,9 +1,8 @@
 """What is rendered, as a command line says it."""
 
 from dataclasses import dataclass
+from math import inf
 from typing import Final, Literal, get_args
-
-import numpy as np
 
 from roadperc_stream.errors import DumpError
 
@@ -157,7 +156,7 @@ class RenderOptions:
 
     def _check_stretches(self) -> None:
         for name, stretch in (("--worn-lines", self.worn_lines), ("--missing-lines", self.missing_lines)):
-            if stretch is not None and not 0 <= stretch[0] < stretch[1] < np.inf:
+            if stretch is not None and not 0 <= stretch[0] < stretch[1] < inf:
                 raise DumpError(f"{name} {stretch[0]:g},{stretch[1]:g}: expected FROM,TO, the nearer place first")
 
     def _check_sight(self, *, level: bool) -> None:
