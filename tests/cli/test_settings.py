@@ -54,7 +54,8 @@ def test_every_setting_has_a_meaning_a_range_and_a_unit(setting):
     assert setting.range
     if setting.type in ("integer", "number") and setting.key not in OF_NO_UNIT:
         assert setting.unit, setting
-    assert bool(setting.choices) or {"minimum", "exclusiveMinimum"} & set(setting.limits)
+    is_text = setting.type == "string" and bool(setting.remark)
+    assert bool(setting.choices) or is_text or {"minimum", "exclusiveMinimum"} & set(setting.limits)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +69,7 @@ def test_every_setting_has_a_meaning_a_range_and_a_unit(setting):
         ("surface.spline_curvature_per_m", ("number", 0.005, "1e-06 to 10000", "1/m")),
         ("objects.max_speed_std_mps", ("number", 2.0, "1e-06 to 10000", "m/s")),
         ("odometry.max_turn_rate_dps", ("number", 120.0, "1e-06 to 10000", "deg/s")),
-        ("lanes.process_noise", ("number", 0.5, "0.001 to 100", "m/s^2")),
+        ("lanes.process_noise", ("number", 0.5, "0.001 to 100", "m/s")),
         ("lanes.canny_aperture", ("integer", 3, "3, 5, 7", "px")),
         ("surface.enabled", ("boolean", True, "true, false", "")),
         ("odometry.features", ("string", "klt", "klt, orb, sift", "")),

@@ -127,7 +127,7 @@ ODOMETRY = {
     "odometry.keyframe_flow_px": "1",
 }
 DESCRIPTORS = {"odometry.matcher": "flann", "odometry.match_ratio": "0.5"}
-MONO = {"odometry.min_parallax_px": "50", "odometry.pitch_std_deg": "0"}
+MONO = {"odometry.min_parallax_px": "50"}
 OCCUPANCY = {
     "occupancy.enabled": "false",
     "occupancy.resolution_m": "0.4",
@@ -182,6 +182,7 @@ GROUPS = (
     (ODOMETRY, ("odometry",), ()),
     (DESCRIPTORS, ("odometry",), ("odometry.features=sift",)),
     (MONO, ("odometry",), ("mono",)),
+    ({"odometry.pitch_std_deg": "0"}, ("surface", "odometry"), ("mono",)),
     (OCCUPANCY, ("surface", "occupancy"), ()),
 )
 

@@ -209,8 +209,10 @@ class ObjectsConfig(Section):
     """How long an object must have been seen without a gap to be searched for: stray detections are not carried on."""
     template_min_score: Ratio = 0.7
     """Normalised cross-correlation from which the patch counts as found."""
-    template_png: Annotated[str, Field(max_length=1_000_000, pattern=_PNG_IN_BASE64)] = ""
-    """An obstacle's picture, a PNG in base 64, that is searched for in every frame; ``--template`` fills it in."""
+    template_png: Annotated[
+        str, Field(max_length=1_000_000, pattern=_PNG_IN_BASE64, json_schema_extra={"remark": "a PNG in base 64"})
+    ] = ""
+    """An obstacle's picture, which is searched for in every frame; ``--template`` fills it in."""
     template_distance: Literal["ray", "depth"] = "ray"
     """How far that obstacle is: straight from the camera, or its depth along the camera's axis."""
     min_overlap: Ratio = 0.2
