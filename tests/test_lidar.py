@@ -1,7 +1,7 @@
 """A lidar's points instead of depth: projected by hand, through the chain, and by a log's transforms."""
 
 from dataclasses import replace
-from time import process_time
+from time import perf_counter
 
 import numpy as np
 import polars as pl
@@ -77,9 +77,9 @@ def test_a_hundred_thousand_points_take_milliseconds():
     points = rng.uniform((-50, -2, -50), (50, 20, 50), (100_000, 3)).astype(np.float32)
     seconds = []
     for _ in range(5):
-        started = process_time()
+        started = perf_counter()
         depth_of_points(CAMERA, EGO_T_LIDAR, points)
-        seconds.append(process_time() - started)
+        seconds.append(perf_counter() - started)
     assert min(seconds) < 0.2
 
 

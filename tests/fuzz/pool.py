@@ -86,11 +86,11 @@ class Worker:
 
     def end(self) -> int:
         """Kill it and all it has started; its exit code."""
+        with contextlib.suppress(ProcessLookupError):  # what it has started lives on where it has ended
+            os.killpg(self.process.pid, signal.SIGKILL)
         for stream in (self.process.stdin, self.process.stdout):
             if stream:
                 stream.close()
-        with contextlib.suppress(ProcessLookupError):  # what it has started lives on where it has ended
-            os.killpg(self.process.pid, signal.SIGKILL)
         return self.process.wait()
 
 

@@ -1,6 +1,7 @@
 """Workers that are killed: by their time, by their memory, by the system; and what they leave behind."""
 
 import os
+import signal
 import subprocess
 import sys
 
@@ -68,7 +69,7 @@ def test_who_stops_early_leaves_no_process(workers):
     found = run([Order("a"), Order("asleep")], 2)
     next(found)
     found.close()
-    assert all(worker.poll() is not None for worker in workers)  # killed, or ended as its input did
+    assert all(worker.poll() == -signal.SIGKILL for worker in workers)
 
 
 def test_a_gigabyte_more_is_refused():

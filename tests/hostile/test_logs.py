@@ -111,9 +111,9 @@ def test_what_can_be_salvaged_is_bounded_too(tmp_path):
     bomb = mcap.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE)
     path.write_bytes(mcap.file(*KNOWN, mcap.message(1, 1, b"{}"), bomb, mcap.message(1, 2, b"{}")))
     salvage = Salvage(path)
-    started = time.process_time()
+    started = time.monotonic()
     assert [m.log_time_ns for m in salvage.messages()] == [1, 2]
-    assert time.process_time() - started < 5
+    assert time.monotonic() - started < 5
     assert "limits.chunk_mb" in salvage.damages[0].words
 
 

@@ -86,13 +86,13 @@ def test_a_calibration_is_held_against_the_limit(tmp_path):
 def test_texts_that_are_compressed_in_an_image_cost_that_image():
     zeros = zlib.compress(bytes(100_000_000), 9)
     extra = ([b"iCCP", b"x\0\0" + zeros], [b"zTXt", b"c\0\0" + zeros])
-    started = time.process_time()
+    started = time.monotonic()
     for decoder in (images.decode_bgr, images.decode_indices, images.image_size):
         try:
             decoder(bombs.png(32, 24, mode=0, extra=extra))
         except DecodeError:
             continue
-    assert time.process_time() - started < 5
+    assert time.monotonic() - started < 5
 
 
 @pytest.mark.parametrize(
@@ -141,11 +141,11 @@ def test_a_long_chain_of_transforms_is_cut_where_the_tree_is_full():
     """One edge a message: the tree grows until the limit, and what is beyond is reported once."""
     edges = [Transform(f"f{k}", f"f{k + 1}", np.eye(4)) for k in range(20_000)]
     items = (Stamped("tf", k, k, (edge,)) for k, edge in enumerate(edges))
-    problems, started = Problems(), time.process_time()
+    problems, started = Problems(), time.monotonic()
     kept = list(without_loops(items, LatchedState(), {"tf": "/tf"}, problems, LimitsConfig(transforms=300)))
     assert len(kept) == 300
     assert "1 transforms to more frames than limits.transforms 300: left out" in problems.first["/tf, in part"]
-    assert time.process_time() - started < 10
+    assert time.monotonic() - started < 10
 
 
 def test_edges_that_are_known_are_still_replaced_in_a_full_tree():
