@@ -1,8 +1,10 @@
-"""CARLA's tag tables by version, and the class names every stage speaks of.
+"""Tag tables, CARLA's by version and those of two datasets, and the class names every stage speaks of.
 
 Sources: CARLA's documentation of the semantic segmentation camera and ``CityScapesPalette.h`` of the versions
-0.8.2 to 0.9.15. The order changed with 0.9.14, where CARLA took over the numbers of Cityscapes; the two orders cannot
-be distinguished by the numbers, so the table travels with the log (channel metadata ``tag_table``).
+0.8.2 to 0.9.15; ``labels.py`` of cityscapesScripts (``id``, not ``trainId``, which has the classes that are judged
+alone); the configuration of Mapillary Vistas 1.2. CARLA's order changed with 0.9.14, where it took over the order of
+Cityscapes' ``trainId``; numbers do not tell one table from another, so the table travels with the log (channel
+metadata ``tag_table``). Where a dataset splits what is one class here, each part has that class.
 """
 
 import re
@@ -22,7 +24,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class TagTable:
-    """The classes of one range of CARLA versions: the tag is the position in ``names``."""
+    """The classes of one range of CARLA versions, or of a dataset: the tag is the position in ``names``."""
 
     name: str
     names: tuple[str, ...] = field(repr=False)
@@ -86,6 +88,9 @@ _COLOURS: Final[dict[str, Colour]] = {
     "train": (0, 80, 100),
     "motorcycle": (0, 0, 230),
     "bicycle": (119, 11, 32),
+    "parking": (250, 170, 160),
+    "crosswalk": (140, 140, 200),
+    "bike_lane": (128, 64, 255),
 }
 _FENCE_LATER: Final[Colour] = (100, 40, 40)
 _OTHER_LATER: Final[Colour] = (55, 90, 80)
@@ -115,7 +120,24 @@ CARLA_FROM_0_9_14: Final = _table(
     "guard_rail",
     {_FENCE_LATER: "fence", _OTHER_LATER: "other", _TERRAIN_EARLIER: "terrain"},
 )
-TABLES: Final = {table.name: table for table in (CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14)}
+CITYSCAPES: Final = _table(
+    "cityscapes",
+    "unlabeled unlabeled unlabeled unlabeled static dynamic ground road sidewalk parking rail_track building wall "
+    "fence guard_rail bridge building pole pole traffic_light traffic_sign vegetation terrain sky pedestrian rider car "
+    "truck bus truck truck train motorcycle bicycle",
+    {(111, 74, 0): "dynamic", (150, 120, 90): "building", (0, 0, 90): "truck", (0, 0, 110): "truck"},
+)
+MAPILLARY_VISTAS: Final = _table(
+    "mapillary-vistas-1.2",
+    "dynamic dynamic sidewalk fence guard_rail static wall bike_lane crosswalk sidewalk parking sidewalk rail_track "
+    "road road sidewalk bridge building building pedestrian rider rider rider crosswalk road_line terrain terrain sky "
+    "terrain terrain vegetation water static static static static road static static static static road static road "
+    "pole pole static pole traffic_light traffic_sign traffic_sign static bicycle dynamic bus car truck motorcycle "
+    "train truck truck truck dynamic unlabeled unlabeled unlabeled",
+    {},  # its palette is not CARLA's
+)
+CARLA_TABLES: Final = (CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14)
+TABLES: Final = {table.name: table for table in (*CARLA_TABLES, CITYSCAPES, MAPILLARY_VISTAS)}
 
 GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "vehicle": ("vehicle", "car", "truck", "bus", "train", "motorcycle", "bicycle"),
@@ -161,7 +183,7 @@ def label_lookup(table: TagTable, label: str) -> NDArray[np.uint8] | None:
 
 
 def table_for_version(version: str) -> TagTable:
-    """Tag table of a CARLA version such as ``0.9.15``, or a table by its own name.
+    """Tag table of a CARLA version such as ``0.9.15``, or a table by its own name such as ``cityscapes``.
 
     Raises:
         ConfigError: neither a version nor a table's name.

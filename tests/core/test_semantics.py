@@ -27,8 +27,32 @@ def test_group_stands_for_its_members():
     assert s.CARLA_FROM_0_9_14.tags_of(["vehicle"]) == (14, 15, 16, 17, 18, 19)
 
 
-def test_colours_are_unique_in_each_table():
-    for table in s.TABLES.values():
+@pytest.mark.parametrize(
+    ("name", "tags"),
+    [
+        (
+            "cityscapes",
+            {"road": {7}, "sidewalk": {8}, "parking": {9}, "rail_track": {10}, "bicycle": {33}, "sky": {23}},
+        ),
+        (
+            "mapillary-vistas-1.2",
+            {"road": {13, 14, 36, 41, 43}, "crosswalk": {8, 23}, "parking": {10}, "rail_track": {12}, "car": {55}},
+        ),
+    ],
+)
+def test_tags_of_datasets(name, tags):
+    table = s.table_for_version(name)
+    assert {known: set(table.tags_of([known])) for known in tags} == tags
+
+
+@pytest.mark.parametrize("table", s.TABLES.values(), ids=lambda table: table.name)
+def test_a_colour_of_a_table_stands_for_one_class(table):
+    for colour, name in zip(table.colours, table.names, strict=True):
+        assert table.name_of(table.tag_by_colour()[colour]) == name
+
+
+def test_colours_are_unique_in_each_table_of_carla():
+    for table in s.CARLA_TABLES:
         assert len(set(table.colours)) == len(table.names)
         assert table.tag_by_colour()[(128, 64, 128)] == table.names.index("road")
 

@@ -2,16 +2,21 @@
 
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import polars as pl
 import pytest
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from roadperc_stream import log
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
+from roadperc_stream.core.config import LimitsConfig, ReplayConfig, SurfaceConfig
+from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, MAPILLARY_VISTAS
+from roadperc_stream.formats import images
 from roadperc_stream.info.examine import examine
 from roadperc_stream.input.earlier_replay import recorded_tag_table
 from roadperc_stream.input.roles import RoleAssignment, tag_table_to_record
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata
+from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.record import METADATA_RECORD, TAG_TABLE_KEY
 from roadperc_stream.view.rerun.recording import save_recording
@@ -87,6 +92,40 @@ def test_a_log_that_names_its_table_is_recorded_as_before(tmp_path):
 
 def record(path):
     return next(dict(record.values) for record in log.summarise(path).metadata if record.name == METADATA_RECORD)
+
+
+def test_numbers_of_a_dataset_say_the_same_as_carlas(tmp_path):
+    """The same road with Mapillary's numbers; where a part of it is parking, it is drivable once it is named so."""
+    source = logs.write(tmp_path / "carla.mcap", logs.items(frames=2))
+    road = drivable(replayed(source, "carla_out", ReplayConfig()))
+    cfg = ReplayConfig(tag_table=MAPILLARY_VISTAS.name)
+    assert drivable(replayed(in_numbers_of_mapillary(tmp_path, {}), "same", cfg)) == road
+    parking = in_numbers_of_mapillary(tmp_path, {"road_line": "parking"})
+    assert drivable(replayed(parking, "without", cfg)) < road
+    named = SurfaceConfig(classes=("road", "ground", "parking"))
+    assert drivable(replayed(parking, "named", cfg.model_copy(update={"surface": named}))) == road
+
+
+def in_numbers_of_mapillary(folder, renamed):
+    """The small log's tags in Mapillary's numbers, as a plain grey image, some classes as others."""
+    numbers = np.zeros(256, np.uint8)
+    for tag, name in enumerate(CARLA_BEFORE_0_9_14.names):
+        wanted = renamed.get(name, name)
+        numbers[tag] = MAPILLARY_VISTAS.names.index(wanted if wanted in MAPILLARY_VISTAS.names else "static")
+    path = folder / f"mapillary_{len(renamed)}.mcap"
+    with LogWriter(path) as writer:
+        for item in logs.items(frames=2):
+            channel, data = logs.channel(item.role), item.data
+            if item.role == "segmentation":
+                palette = CompressedImage.FromString(data)
+                tags = images.decode_indices(palette.data, LimitsConfig())
+                grey = cv2.imencode(".png", numbers[tags])[1].tobytes()
+                channel, data = (
+                    replace(channel, metadata=()),
+                    encoding.encode_image(item.stamp_ns, "camera", "png", grey),
+                )
+            writer.write(Message(channel, item.stamp_ns, item.stamp_ns, 0, data))
+    return path
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.core.datatypes import Image
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, TABLES, TagTable, table_for_version
+from roadperc_stream.core.semantics import (
+    CARLA_BEFORE_0_9_14,
+    CARLA_FROM_0_9_14,
+    CARLA_TABLES,
+    TABLES,
+    TagTable,
+    table_for_version,
+)
 from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.palette import PALETTE_TABLE, UNKNOWN, tags_by_code
 
@@ -17,8 +24,10 @@ from .pixel_files import Pixels, surveyed
 TagEncoding = Literal["raw in red", "raw grey", "raw numbers", "palette colours"]
 
 LOSSY_TAGS: Final = "tags are taken as the nearest that exists where they are not exact (--allow-lossy-tags)"
-_RAW_LIMIT: Final = 40
-"""Raw tags of every version, and what JPEG makes of them, stay below; palette colours go far above."""
+_LARGEST_TAG: Final = max(len(table.names) for table in TABLES.values()) - 1
+"""Of all tables: palette colours go above."""
+_JPEG_SLACK: Final = 40
+"""What JPEG makes of the tags and of the empty channels of CARLA's raw images stays below."""
 _SHOWN: Final = 12
 
 
@@ -54,12 +63,12 @@ def _encoding(pixels: Pixels) -> TagEncoding | None:
     if pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
         raise DumpError(f"{pixels.path}: {pixels.shape} is no tag image")
     blue, green, red = (pixels.values[..., c] for c in range(3))
-    slack = _RAW_LIMIT if pixels.container == "jpeg" else 0
+    slack = _JPEG_SLACK if pixels.container == "jpeg" else 0
     if not (blue.any() or green.any() or red.any()):
         return None
-    if blue.max() <= slack and green.max() <= slack and red.max() <= max(_RAW_LIMIT, slack):
+    if blue.max() <= slack and green.max() <= slack and red.max() <= _LARGEST_TAG:
         return "raw in red"
-    if pixels.equal_channels() and red.max() <= _RAW_LIMIT:
+    if pixels.equal_channels() and red.max() <= _LARGEST_TAG:
         return "raw grey"
     return "palette colours"
 
@@ -89,13 +98,13 @@ def choose_table(
 
     """
     if version is not None:
-        return table_for_version(version), f"CARLA {version}"
+        return table_for_version(version), version if version in TABLES else f"CARLA {version}"
     if encoding == "palette colours":
         return PALETTE_TABLE, "colours name the classes in every version"
-    if seen and max(seen) >= len(CARLA_BEFORE_0_9_14.names):
+    if seen and len(CARLA_BEFORE_0_9_14.names) <= max(seen) < len(CARLA_FROM_0_9_14.names):
         return CARLA_FROM_0_9_14, f"tag {max(seen)} exists only there"
     meanings = "; ".join(
-        f"{name}: {', '.join(f'{t} {table.name_of(t)}' for t in seen[:_SHOWN])}" for name, table in TABLES.items()
+        f"{table.name}: {', '.join(f'{t} {table.name_of(t)}' for t in seen[:_SHOWN])}" for table in CARLA_TABLES
     )
     raise DumpError(
         f"{source}: which CARLA version wrote these tags? The numbers alone do not tell. They would mean {meanings}. "
