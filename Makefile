@@ -5,6 +5,8 @@ BIN := $(VENV)/bin
 PARALLEL := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 DEMO := logs/runs/demo
 PICTURES := logs/runs/pictures
+EVENTS := change brake worn
+EVENT_OPTIONS := --size 640x480 --seconds 5 --tag-noise 0.02 --depth-noise 0.01 --force
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
@@ -88,12 +90,23 @@ sample: $(VENV)/.installed
 docs: $(VENV)/.installed  # build/site, with the API reference; a dead link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
-pictures: $(VENV)/.installed  # docs/overlay.jpg and docs/report.png of a sharp drive; chromium shows the report
+pictures: $(VENV)/.installed $(EVENTS:%=$(PICTURES)/%.mcap)  # those of docs/ but foxglove.png and rerun.jpg; chromium shows the report
 	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --seconds 2.2 --force
 	$(BIN)/roadperc-convert $(PICTURES)/drive $(PICTURES)/town.mcap --force --quiet
 	$(BIN)/roadperc-replay $(PICTURES)/town.mcap $(PICTURES)/result.mcap --overlay --force
 	$(BIN)/roadperc-report $(PICTURES)/result.metrics.parquet --html $(PICTURES)/report.html
-	$(BIN)/python docs/make_pictures.py $(PICTURES)/result.mcap $(PICTURES)/report.html
+	$(BIN)/python docs/make_pictures.py report $(PICTURES)/result.mcap $(PICTURES)/report.html
+	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/change.mcap docs/lane_change.jpg 68 76
+	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/brake.mcap docs/braking.jpg 60 69
+	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/worn.mcap docs/worn.jpg 35 50
+
+$(PICTURES)/change.mcap: EVENT := --scene town --change-lane left --seed 113
+$(PICTURES)/brake.mcap: EVENT := --scene town --lead-brakes --seed 101
+$(PICTURES)/worn.mcap: EVENT := --scene straight --worn-lines 15,40 --seed 120
+$(EVENTS:%=$(PICTURES)/%.mcap): $(PICTURES)/%.mcap: $(VENV)/.installed
+	$(BIN)/roadperc-render $(PICTURES)/$*-drive $(EVENT) $(EVENT_OPTIONS)
+	$(BIN)/roadperc-convert $(PICTURES)/$*-drive $(PICTURES)/$*-input.mcap --force --quiet
+	$(BIN)/roadperc-replay $(PICTURES)/$*-input.mcap $@ --overlay --force
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info

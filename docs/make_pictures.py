@@ -1,6 +1,8 @@
-"""Makes docs/overlay.jpg and docs/report.png of a replayed log and its report; ``make pictures`` runs it.
+"""Makes the pictures of docs/ from replayed logs with overlays and a report; ``make pictures`` runs it.
 
-Usage: python docs/make_pictures.py LOG_WITH_OVERLAYS.mcap REPORT.html
+Usage:
+    python docs/make_pictures.py report LOG.mcap REPORT.html          overlay.jpg and report.png
+    python docs/make_pictures.py frames LOG.mcap PICTURE.jpg 12 30    overlays of some frames side by side
 """
 
 import shutil
@@ -25,14 +27,20 @@ _PANEL_SCALE: Final = 0.58
 _PANELS: Final = (".tables", "section:has(.charts)", ".worst")
 """What each of the panels shows, as CSS selectors of the page's parts."""
 _COLOURS: Final = 128
+_JPEG_QUALITY: Final = 80
 _QUIET: Final = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=8000")
 
 
-def overlay_jpeg(path: Path, frame: int) -> bytes:
-    """The overlay of a frame, as it is in the log."""
+def overlay_jpegs(path: Path) -> list[bytes]:
+    """The overlays of a log, as they are in it."""
     with path.open("rb") as file:
-        messages = list(make_reader(file).iter_messages(topics=["/perception/overlay"]))
-    return CompressedImage.FromString(messages[min(frame, len(messages) - 1)][2].data).data
+        messages = make_reader(file).iter_messages(topics=["/perception/overlay"])
+        return [CompressedImage.FromString(message.data).data for _, _, message in messages]
+
+
+def side_by_side(jpegs: list[bytes]) -> NDArray[np.uint8]:
+    """(H, sum of W, 3) pictures of one height beside each other."""
+    return np.asarray(np.hstack([cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1) for jpeg in jpegs]), np.uint8)
 
 
 def page_picture(page: Path, chromium: str) -> NDArray[np.uint8]:
@@ -40,8 +48,7 @@ def page_picture(page: Path, chromium: str) -> NDArray[np.uint8]:
     html = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
         panels = [_panel(html, part, chromium, Path(folder)) for part in _PANELS]
-    side_by_side = np.hstack(panels)
-    small = cv2.resize(side_by_side, None, fx=_PANEL_SCALE, fy=_PANEL_SCALE, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(np.hstack(panels), None, fx=_PANEL_SCALE, fy=_PANEL_SCALE, interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.uint8)
 
 
@@ -57,10 +64,9 @@ def _panel(html: str, part: str, chromium: str, folder: Path) -> NDArray[np.uint
     return np.asarray(cv2.imread(str(target)), np.uint8)
 
 
-def main(arguments: list[str]) -> int:
-    """Write the pictures; without chromium the overlay alone."""
-    log_path, page = map(Path, arguments)
-    (_DOCS / "overlay.jpg").write_bytes(overlay_jpeg(log_path, _SHOWN_FRAME))
+def write_report(log_path: Path, page: Path) -> int:
+    """Write overlay.jpg and report.png; without chromium the overlay alone."""
+    (_DOCS / "overlay.jpg").write_bytes(overlay_jpegs(log_path)[_SHOWN_FRAME])
     chromium = shutil.which("chromium")
     if chromium is None:
         print("no chromium on this machine: docs/report.png stays as it is", file=sys.stderr)
@@ -68,6 +74,22 @@ def main(arguments: list[str]) -> int:
     picture = PillowImage.fromarray(page_picture(page, chromium)[..., ::-1])
     picture.quantize(_COLOURS, dither=PillowImage.Dither.NONE).save(_DOCS / "report.png", optimize=True)
     return 0
+
+
+def write_frames(log_path: Path, target: Path, frames: list[int]) -> int:
+    """Write the overlays of some frames as one picture."""
+    jpegs = overlay_jpegs(log_path)
+    picture = PillowImage.fromarray(side_by_side([jpegs[frame] for frame in frames])[..., ::-1])
+    picture.save(target, quality=_JPEG_QUALITY, optimize=True)
+    return 0
+
+
+def main(arguments: list[str]) -> int:
+    """Write the pictures that are asked for."""
+    what, log_path, path, *frames = arguments
+    if what == "report":
+        return write_report(Path(log_path), Path(path))
+    return write_frames(Path(log_path), Path(path), [int(frame) for frame in frames])
 
 
 if __name__ == "__main__":

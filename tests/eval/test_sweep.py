@@ -206,7 +206,7 @@ def test_a_log_given_twice_is_wrong_usage(source, capsys):
     ("option", "said"),
     [
         ("lanes.process_nose=1,2", "did you mean lanes.process_noise?"),
-        ("lanes.process_noise=0.1,x", "lanes.process_noise: expected a number 0.001 to 100 (m/s^2), found"),
+        ("lanes.process_noise=0.1,x", "lanes.process_noise: expected a number 0.001 to 100 (m/s), found"),
         ("lanes.process_noise=0.1,-3", "found -3"),
         ("lanes=1,2", "lanes"),
     ],
