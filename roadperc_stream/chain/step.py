@@ -293,12 +293,19 @@ def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Abs
     if not scene.camera.square_pixels:
         missing.append(Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy)))
     if scene.depth is None:
-        estimated = not isinstance(road, Absent) and road.source == "estimated"
-        code: ReasonCode = "no_depth_pitch_estimated" if estimated else "no_depth_plane_assumed"
-        missing.append(Reason("surface", code, (scene.plane_source,)))
+        missing += _instead_of_depth(scene, road)
     elif scene.tags is None:
         missing.append(Reason("surface", "no_segmentation_lower_image"))
     if isinstance(tracked, Objects) and tracked.objects:
         missing += [Reason("objects", "no_segmentation_not_filtered")] if scene.tags is None else []
         missing += [Reason("objects", "no_depth_no_distances")] if scene.depth is None else []
     return missing
+
+
+def _instead_of_depth(scene: Scene, road: Surface | Absent) -> list[Reason]:
+    """What gives the road's plane without depth; of one that is held its own reason says so."""
+    source = None if isinstance(road, Absent) else road.source
+    if source == "held":
+        return []
+    code: ReasonCode = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
+    return [Reason("surface", code, (scene.plane_source,))]

@@ -31,6 +31,7 @@ _BLOB_ANGLE = 0.0125
 """Variance of a fit, by that which its edges promise, where tags err: what is left of a boundary is not all there. It
 grows with the square of the edges' angle beyond the second number, radians."""
 _MIN_POINTS = 8
+_MIN_ROWS = 3
 _REWEIGHTINGS = 5
 _GROUND_STD_M = 0.01
 _CURVATURE_PRIOR_PER_M = 0.01
@@ -226,7 +227,7 @@ def _fit_at(cfg: LanesConfig, points: Float, rows: Float, line: Float, side: Sid
         chosen = np.flatnonzero(strip)
         if noise.is_low:
             chosen = chosen[_innermost_of_rows(rows[strip], aside[strip])]
-        if len(chosen) < _MIN_POINTS:
+        if len(chosen) < _MIN_POINTS or _rows_in(rows, chosen) < _MIN_ROWS:
             return None
         x, y = points[chosen].T
         unbiased = np.stack((x, y - inward * noise.inside_m(x)), axis=-1)
@@ -252,7 +253,7 @@ def _contrast(curve: Curve, points: Float, rows: Float, side: Side, noise: _Nois
     return found[0] / (float(np.mean(found[1:])) + _CHANCE_ROWS)
 
 
-def _rows_in(rows: Float, chosen: Mask) -> int:
+def _rows_in(rows: Float, chosen: Mask | NDArray[np.intp]) -> int:
     """How many rows the chosen edges lie in."""
     return int(np.count_nonzero(np.bincount(rows[chosen].astype(np.intp))))
 

@@ -21,9 +21,12 @@ _MOST_DIRECTION_STD: Final = np.deg2rad(1.0)
 """Uncertainty of the direction of motion beyond which it is refused."""
 _TIGHTEST_PER_M: Final = 0.05
 """Turn per metre, radians, beyond which the direction of motion is refused: the car leans, and slips sideways."""
-_SLOPE_PER_M: Final = np.deg2rad(0.15)
-_TURN_STD: Final = np.deg2rad(0.02)
-"""Standard deviations of the road's change of slope per metre, and of a tracked turn."""
+_SLOPE_STD_PER_ROOT_M: Final = np.deg2rad(0.15)
+_TURN_STD_PER_ROOT_S: Final = np.deg2rad(0.06)
+"""Standard deviations of the road's change of slope after a metre, and of the tracked turn after a second; their
+squares grow with way and time, whatever the frame rate."""
+_UNSEEN_SPEED_MPS: Final = 15.0
+"""How fast the car is taken to drive while nothing is tracked."""
 _GATE: Final = 9.0
 """Squared standard deviations beyond which a measurement counts less, as Huber has it."""
 
@@ -45,15 +48,22 @@ def begun(cfg: OdometryConfig) -> CameraPitch:
     return CameraPitch(0.0, float(np.deg2rad(cfg.pitch_std_deg)) ** 2)
 
 
-def predicted(cfg: OdometryConfig, pitch: CameraPitch, last_T_this: Float) -> CameraPitch:
-    """The pitch after a step, at first by how the camera turned."""
+def predicted(cfg: OdometryConfig, pitch: CameraPitch, last_T_this: Float, seconds: float) -> CameraPitch:
+    """The pitch after a step, at first by how the camera turned; the mounting's, once that is as sure."""
     length_m = float(np.linalg.norm(last_T_this[:3, 3]))
     turned = float(np.arctan2(-last_T_this[2, 0], last_T_this[0, 0]))
-    grown = pitch.variance + _TURN_STD**2 + (_SLOPE_PER_M * length_m) ** 2
-    most = begun(cfg).variance
-    if cfg.pitch_std_deg == 0 or grown > most:
-        return replace(pitch, variance=most)
-    return replace(pitch, offset=pitch.offset + turned, variance=grown)
+    return _grown(cfg, replace(pitch, offset=pitch.offset + turned), length_m, seconds)
+
+
+def after_loss(cfg: OdometryConfig, pitch: CameraPitch, seconds: float) -> CameraPitch:
+    """The pitch after a time in which nobody knows how the car moved."""
+    return _grown(cfg, pitch, _UNSEEN_SPEED_MPS * seconds, seconds)
+
+
+def _grown(cfg: OdometryConfig, pitch: CameraPitch, length_m: float, seconds: float) -> CameraPitch:
+    variance = pitch.variance + _SLOPE_STD_PER_ROOT_M**2 * length_m + _TURN_STD_PER_ROOT_S**2 * seconds
+    mounting = begun(cfg)
+    return replace(pitch, variance=variance) if variance < mounting.variance else mounting
 
 
 def updated(pitch: CameraPitch, measured: tuple[float, float] | None) -> CameraPitch:

@@ -69,7 +69,8 @@ def step(
         return _begun(cfg, state, frame), Odometry("first", state.odom_T_ego)
     estimate = _estimated(cfg, state, state.keyframe, state.last, frame)
     if isinstance(estimate, Absent):
-        return _begun(cfg, state, frame), _lost(state.odom_T_ego, estimate.reason)
+        unsure = replace(state, pitch=_pitch_after_loss(cfg, state, state.keyframe, state.last, frame))
+        return _begun(cfg, unsure, frame), _lost(state.odom_T_ego, estimate.reason)
     return _continued(cfg, state.odom_T_ego, state.keyframe, state.last, frame, estimate)
 
 
@@ -87,6 +88,15 @@ def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
         return pitch
     lines = pitch_by_lines(frame.camera, frame.ego_T_camera, frame.grey, frame.movable)
     return replace(camera_pitch.updated(pitch, lines), measured=pitch.measured)
+
+
+def _pitch_after_loss(
+    cfg: OdometryConfig, state: OdometryState, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
+) -> CameraPitch:
+    """The pitch after frames between which nothing was found again; of another camera the mounting's."""
+    if state.pitch is None or frame.camera != keyframe.camera:
+        return camera_pitch.begun(cfg)
+    return camera_pitch.after_loss(cfg, state.pitch, (frame.stamp_ns - last.stamp_ns) / NS_PER_S)
 
 
 def _begun(cfg: OdometryConfig, state: OdometryState, frame: TrackingFrame) -> OdometryState:

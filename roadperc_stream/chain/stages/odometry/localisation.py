@@ -55,7 +55,7 @@ def localised(
     if motion is None:
         return None
     odom_T_ego = _pose(keyframe, frame, motion)
-    return Estimate(px, motion, odom_T_ego, _turned(cfg, state, odom_T_ego))
+    return Estimate(px, motion, odom_T_ego, _turned(cfg, state, last, frame, odom_T_ego))
 
 
 def _localised_without_depth(
@@ -74,7 +74,7 @@ def _localised_without_depth(
     motion = motion_from_rays(cfg, frame.camera, features_px, px, points_m, length)
     if motion is None:
         return None
-    pitch = _turned(cfg, state, _pose(keyframe, frame, motion))
+    pitch = _turned(cfg, state, last, frame, _pose(keyframe, frame, motion))
     if not motion.this_T_key[:3, 3].any():
         return Estimate(px, motion, _pose(keyframe, frame, motion), pitch)
     direction = camera_pitch.expansion(motion, frame.ego_T_camera, features_px, frame.camera.width)
@@ -92,10 +92,13 @@ def _pose(keyframe: Keyframe, frame: TrackingFrame, motion: Motion) -> Float:
     return keyframe.odom_T_camera @ inverse(motion.this_T_key) @ inverse(frame.ego_T_camera)
 
 
-def _turned(cfg: OdometryConfig, state: OdometryState, odom_T_ego: Float) -> CameraPitch:
+def _turned(
+    cfg: OdometryConfig, state: OdometryState, last: LastFrame, frame: TrackingFrame, odom_T_ego: Float
+) -> CameraPitch:
     """The pitch as it has turned with the camera since the last frame."""
     pitch = camera_pitch.begun(cfg) if state.pitch is None else state.pitch
-    return camera_pitch.predicted(cfg, pitch, inverse(state.odom_T_ego) @ odom_T_ego)
+    seconds = (frame.stamp_ns - last.stamp_ns) / NS_PER_S
+    return camera_pitch.predicted(cfg, pitch, inverse(state.odom_T_ego) @ odom_T_ego, seconds)
 
 
 def _expected(odom_T_last: Float, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame) -> Expected | None:

@@ -38,7 +38,7 @@ def remember(
         state: what the last frame left.
         scene: the frame.
         road: the frame's own, or what the mounting promises.
-        failed: why the frame's depth does not show the road; None: it does, or there is none.
+        failed: why the frame's depth does not show the road; None: it does, or there is no depth.
         last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None where it is not known.
 
     Returns:
@@ -47,14 +47,19 @@ def remember(
     if isinstance(road, Surface) and road.measured:
         return SurfaceState(road.ego_plane), road, ()
     state = _moved(state, last_T_this)
-    if failed is None or scene.depth is None:
-        return state, road, ()
     if state.ego_plane is not None and state.driven_m <= cfg.hold_m:
-        held = known_surface("held", scene.depth.camera, scene.depth.ego_T_camera, state.ego_plane)
-        return state, held, (Reason("surface", "plane_held", cause=failed),)
-    if isinstance(road, Absent):
+        cause = Reason("surface", "no_depth") if failed is None else failed
+        return state, _held(scene, state.ego_plane), (Reason("surface", "plane_held", cause=cause),)
+    if failed is None or isinstance(road, Absent):
         return state, road, ()
     return state, road, (Reason("surface", "plane_assumed", (scene.plane_source,), failed),)
+
+
+def _held(scene: Scene, ego_plane: Plane) -> Surface:
+    """A plane as the road in the frame of the depth's camera, without depth of the front camera."""
+    if scene.depth is None:
+        return known_surface("held", scene.camera, scene.ego_T_camera, ego_plane)
+    return known_surface("held", scene.depth.camera, scene.depth.ego_T_camera, ego_plane)
 
 
 def _moved(state: SurfaceState, last_T_this: Float | None) -> SurfaceState:

@@ -56,6 +56,13 @@ def test_covariance_holds_the_error():
     assert np.mean(errors) < 3.0
 
 
+def test_edges_of_a_single_row_are_no_curve():
+    """A dotted row, a metre wide, as a tag error makes it: all its points are equally far ahead."""
+    aside = np.linspace(1.2, 2.2, 40)
+    row = np.stack((np.full_like(aside, 4.0), aside), axis=-1)
+    assert fit(row, (1.7, 0.0, 0.0), rows=np.full(len(row), 300.0)) is None
+
+
 def test_too_few_or_too_far_edges_are_no_curve():
     assert fit(points((1.7, 0, 0))[:5], (1.7, 0, 0)) is None
     far = points((1.7, 0, 0), reach_m=39.0)

@@ -54,11 +54,28 @@ def test_a_measurement_far_off_counts_less_and_none_changes_nothing():
 
 def test_the_pitch_turns_as_the_camera_does_and_is_less_sure_after_each_metre():
     start = cp.CameraPitch(0.01, 1e-5)
-    after = cp.predicted(CFG, start, g.rigid(g.rotation_from_rpy(0, 0.004, 0.1), np.array([0.5, 0, 0])))
+    after = cp.predicted(CFG, start, g.rigid(g.rotation_from_rpy(0, 0.004, 0.1), np.array([0.5, 0, 0])), 0.1)
     assert after.offset == pytest.approx(0.014, abs=1e-4)
-    farther = cp.predicted(CFG, start, g.rigid(np.eye(3), np.array([5.0, 0, 0])))
+    farther = cp.predicted(CFG, start, g.rigid(np.eye(3), np.array([5.0, 0, 0])), 0.1)
     assert start.variance < after.variance < farther.variance
-    assert cp.predicted(CFG, start, g.rigid(np.eye(3), np.array([1e3, 0, 0]))).variance == cp.begun(CFG).variance
+    assert cp.predicted(CFG, start, g.rigid(np.eye(3), np.array([1e3, 0, 0])), 50.0) == cp.begun(CFG)
+
+
+@pytest.mark.parametrize("steps", [1, 10, 100])
+def test_how_sure_it_is_does_not_depend_on_the_frame_rate(steps):
+    pitch = cp.CameraPitch(0.01, 1e-5, measured=True)
+    for _ in range(steps):
+        pitch = cp.predicted(CFG, pitch, g.rigid(np.eye(3), np.array([10 / steps, 0, 0])), 1 / steps)
+    expected = 1e-5 + np.deg2rad(0.15) ** 2 * 10 + np.deg2rad(0.06) ** 2
+    assert (pitch.offset, pitch.variance) == (pytest.approx(0.01), pytest.approx(expected))
+
+
+def test_what_was_known_is_forgotten_after_a_long_loss_and_not_after_a_frame():
+    known = cp.CameraPitch(0.02, 1e-5, measured=True)
+    after = cp.after_loss(CFG, known, 0.1)
+    assert after.offset == known.offset
+    assert known.variance < after.variance < 3e-5
+    assert cp.after_loss(CFG, known, 60.0) == cp.begun(CFG)
 
 
 def motion_of(this_T_key_ego, std=1e-4):

@@ -100,6 +100,12 @@ def test_none_is_held_where_the_settings_say_so():
 
 def test_frames_without_depth_carry_the_plane_on():
     state, road, reasons = after(STATE, NO_DEPTH, motion())
-    assert (state.driven_m, road.source, reasons) == (6.0, "assumed", ())
+    assert (state.driven_m, road.source) == (6.0, "held")
+    assert reasons == (Reason("surface", "plane_held", cause=Reason("surface", "no_depth")),)
     assert state.ego_plane.normal == pytest.approx(PLANE.normal)
-    assert after(STATE, NO_DEPTH, None)[0] == SurfaceState()
+    assert road.ego_plane.normal == pytest.approx(PLANE.normal)
+
+
+def test_without_depth_and_without_a_plane_the_mountings_stands_in():
+    state, road, reasons = after(STATE, NO_DEPTH, None)
+    assert (state, road.source, reasons) == (SurfaceState(), "assumed", ())
