@@ -57,9 +57,13 @@ def _sums(values: Float32) -> Float32:
 def of_box(camera: Camera, depth_m: Float32, box: tuple[int, int, int, int], limit_m: float) -> Float32:
     """(h, w) distances of a box's pixels: NaN unknown, infinite beyond the depth's range."""
     x0, y0, x1, y1 = box
-    depths = depth_m[y0:y1, x0:x1]
-    distances = depths * ray_lengths(camera, np.arange(x0, x1), np.arange(y0, y1))
-    return np.where(depths >= np.float32(limit_m), np.float32(np.inf), distances)
+    depths_m = within_range(depth_m[y0:y1, x0:x1], limit_m)
+    return depths_m * ray_lengths(camera, np.arange(x0, x1), np.arange(y0, y1))
+
+
+def within_range(depths_m: Float32, limit_m: float) -> Float32:
+    """(h, w) depths, infinite beyond the depth's range."""
+    return np.where(depths_m >= np.float32(limit_m), np.float32(np.inf), depths_m)
 
 
 def ray_lengths(camera: Camera, columns: Indices, rows: Indices) -> Float32:

@@ -11,10 +11,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from roadperc_stream.chain.stages.objects.distance import Measured, nearest, of_box, within_range
 from roadperc_stream.chain.stages.objects.template_matching import correlate
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Box, Correlation, Detection, Image, Object
-from roadperc_stream.core.geometry import rays
 from roadperc_stream.core.scene import Scene
 
 LABEL = "template"
@@ -36,7 +36,16 @@ def find_obstacle(cfg: ObjectsConfig, scene: Scene) -> tuple[Object | None, Corr
         return None, correlation
     box_px, score = found
     detection = Detection(LABEL, box_px, score)
-    return Object(detection, kept=True, distance_m=_distance_m(cfg, scene, box_px), status="tracked"), correlation
+    measured = _measured(cfg, scene, box_px)
+    obstacle = Object(
+        detection,
+        kept=True,
+        distance_m=measured.distance_m,
+        distance_std_m=measured.std_m,
+        beyond_range=measured.beyond_range,
+        status="tracked",
+    )
+    return obstacle, correlation
 
 
 @lru_cache(maxsize=4)
@@ -55,14 +64,12 @@ def png_of(grey: Image) -> str:
     return base64.b64encode(cv2.imencode(".png", grey)[1].tobytes()).decode()
 
 
-def _distance_m(cfg: ObjectsConfig, scene: Scene, box_px: Box) -> float | None:
+def _measured(cfg: ObjectsConfig, scene: Scene, box_px: Box) -> Measured:
     """The quantile of the distances of the box's pixels, or of their depths along the camera's axis."""
     if scene.depth_m is None:
-        return None
-    x0, y0, x1, y1 = box_px.rounded(scene.camera.width, scene.camera.height)
-    metres = scene.depth_m[y0:y1, x0:x1].astype(np.float64)
+        return Measured()
+    box = box_px.rounded(scene.camera.width, scene.camera.height)
     if cfg.template_distance == "ray":
-        rows, columns = np.mgrid[y0:y1, x0:x1]
-        metres = metres * np.linalg.norm(rays(scene.camera, np.stack((columns, rows), axis=-1)), axis=-1)
-    known = metres[np.isfinite(metres)]
-    return float(np.quantile(known, cfg.distance_quantile, method="lower")) if len(known) else None
+        return nearest(cfg, of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m))
+    x0, y0, x1, y1 = box
+    return nearest(cfg, within_range(scene.depth_m[y0:y1, x0:x1], scene.depth_limit_m))

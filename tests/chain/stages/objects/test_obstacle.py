@@ -65,6 +65,16 @@ def test_its_distance_is_along_the_ray_or_along_the_axis():
     assert ray == pytest.approx(12.0 * np.sqrt(1 + (118.5 / 200) ** 2 + (57.5 / 200) ** 2))
 
 
+@pytest.mark.parametrize("template_distance", ["ray", "depth"])
+def test_beyond_the_depths_range_it_has_no_distance(template_distance):
+    image = texture()
+    limit_m = 65.535
+    depth_m = np.full(image.shape, limit_m, np.float32)
+    scene = scene_of(CAMERA, grey=image, depth_m=depth_m, limit_m=limit_m)
+    item, _ = find_obstacle(cfg_of(image[60:95, 40:90], template_distance=template_distance), scene)
+    assert (item.distance_m, item.beyond_range) == (None, True)
+
+
 def test_it_stands_among_the_objects_without_any_detections():
     image = texture()
     scene = scene_of(CAMERA, grey=image)
