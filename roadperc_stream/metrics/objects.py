@@ -80,6 +80,7 @@ def object_columns(objects: Objects | Absent) -> ObjectColumns:
     if isinstance(objects, Absent):
         return ObjectColumns()
     kept = [item for item in objects.objects if item.kept]
+    in_path = [item.in_path for item in kept if item.in_path is not None]
     nearest, urgent = objects.nearest, objects.most_urgent
     return ObjectColumns(
         detections=sum(item.status == "measured" for item in objects.objects),
@@ -91,7 +92,7 @@ def object_columns(objects: Objects | Absent) -> ObjectColumns:
         time_to_impact_s=None if urgent is None else urgent.time_to_impact_s,
         time_to_impact_std_s=None if urgent is None else urgent.time_to_impact_std_s,
         path_source=objects.path_source,
-        objects_in_path=sum(bool(item.in_path) for item in kept),
+        objects_in_path=sum(in_path) if in_path or not kept else None,
         cut_ins=sum(bool(item.cut_in) for item in kept) if objects.path_source == "lane" else None,
     )
 

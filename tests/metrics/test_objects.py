@@ -6,7 +6,7 @@ import pytest
 
 from roadperc_stream import metrics as m
 from roadperc_stream.core.datatypes import Object, Objects
-from roadperc_stream.metrics.objects import same_kind, true_time_to_impact_s
+from roadperc_stream.metrics.objects import object_columns, same_kind, true_time_to_impact_s
 from tests.analytic import box
 from tests.metrics.frames import CFG, sample_and_result
 
@@ -65,6 +65,14 @@ def test_a_share_of_nothing_is_unknown():
     row, _ = judged(Object(box("Car", 0, 0, 10, 10), False), truth=Objects(()))
     assert (row.filter_tp, row.filter_fp, row.filter_fn, row.filter_tn) == (0, 0, 0, 1)
     assert (row.filter_precision, row.filter_recall) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("in_path", "counted"), [((), 0), ((True, False, None), 1), ((False, None), 0), ((None, None), None)]
+)
+def test_objects_whose_place_is_not_known_are_not_counted_as_beside_the_path(in_path, counted):
+    kept = tuple(Object(box("Car", 0, 0, 10, 10), kept=True, in_path=known) for known in in_path)
+    assert object_columns(Objects(kept, path_source="straight")).objects_in_path == counted
 
 
 def test_a_pedestrian_does_not_stand_for_a_car():

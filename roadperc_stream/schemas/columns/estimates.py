@@ -255,7 +255,7 @@ class ObjectColumns:
         Column(
             "kept objects in the path",
             COUNT,
-            _NO_OBJECTS,
+            "the stage did not run, or it is known of no kept object whether it is in the path",
             label="objects in the path",
             decimals=1,
             compares_coverage=False,
