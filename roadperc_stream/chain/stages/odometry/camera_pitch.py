@@ -98,7 +98,8 @@ def expansion(motion: Motion, ego_T_camera: Float, key_px: Float32, width: int) 
     if influence is None or length == 0:
         return None
     turned = float(np.arccos(np.clip((np.trace(this_T_key[:3, :3]) - 1) / 2, -1, 1)))
-    variance = float(scatter(influence, key_px, width)[2, 2]) / length**2
+    covariance = scatter(influence, key_px, width)
+    variance = 0.0 if covariance is None else float(covariance[2, 2]) / length**2
     if turned > _TIGHTEST_PER_M * length or not 0 < variance < _MOST_DIRECTION_STD**2:
         return None
     return float(np.arctan2(driven[2], np.hypot(driven[0], driven[1]))), variance + _BODY_STD**2

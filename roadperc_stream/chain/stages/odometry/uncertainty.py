@@ -41,12 +41,14 @@ def step_covariance(
 
     Returns:
         36 numbers, of a small translation and rotation (m, rad) in this ego frame's axes; none where a pull is not
-        known.
+        known, or too few features pull to tell.
     """
     if this is None or last is None:
         return ()
     this_T_last = inverse(last_T_this)
     covariance = scatter(this - last @ adjoint(this_T_last).T, key_px, width)
+    if covariance is None:
+        return ()
     along = this_T_last[:3, 3]
     length_m = float(np.linalg.norm(along))
     if length_m > 0:
@@ -55,12 +57,15 @@ def step_covariance(
     return tuple(covariance.ravel().tolist())
 
 
-def scatter(pulls: Float, key_px: Float32, width: int) -> Float:
-    """(6, 6) covariance of the sum of (N, 6) pulls of features at (N, 2) pixels of an image; zero rows do not count."""
+def scatter(pulls: Float, key_px: Float32, width: int) -> Float | None:
+    """(6, 6) covariance of the sum of (N, 6) pulls of features at (N, 2) pixels of an image; zero rows do not count.
+
+    None where no more features pull than a motion has numbers: they fit whatever is true.
+    """
     used = np.abs(pulls).sum(axis=1) > 0
     pulls, px = pulls[used], key_px[used]
     if len(pulls) <= _FREE:
-        return np.zeros((_FREE, _FREE))
+        return None
     column, row = (px // (width / _CELLS)).astype(int).T
     _, cell = np.unique(row * _CELLS + column, return_inverse=True)
     together = np.zeros((int(cell.max()) + 1, _FREE))

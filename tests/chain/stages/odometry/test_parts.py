@@ -86,6 +86,13 @@ def test_a_turn_alone_is_no_translation():
     assert motion.influence is None
 
 
+def test_too_few_features_do_not_claim_to_be_certain():
+    pulls, px = np.ones((7, 6)), np.zeros((7, 2), np.float32)
+    assert scatter(pulls[:6], px[:6], CAMERA.width) is None
+    assert scatter(pulls, px, CAMERA.width) is not None
+    assert step_covariance(px[:6], CAMERA.width, pulls[:6], 0 * pulls[:6], np.eye(4), 0.0) == ()
+
+
 def test_the_covariance_is_the_scatter():
     this_T_key, X = moved(np.array([0.05, 0.0, -0.5, 0.0, 0.02, 0.0])), cloud()
     rng, px, errors, variances = np.random.default_rng(1), pixels_of(this_T_key, X), [], []
