@@ -13,11 +13,14 @@ from tests.accuracy.scenarios import (
     BY_MODEL,
     BY_TAG_NOISE,
     CHANGED,
+    COURSE_FRAMES,
+    COURSE_OBSTACLE,
     KITTI_DRIVE,
     MODELS,
     ROADS,
     STANDARD,
     TOWNS,
+    TURNING,
     WHOLE_BOXES,
     WITHOUT_DEPTH,
     Scenario,
@@ -100,6 +103,8 @@ def of_hard_inputs():
         yield from off_by_more(prefix, line)
         yield line(f"{prefix}boundaries measured", REPORTED, value=of_lanes.covered)
         yield line(f"{prefix}neither measured nor held, without a reason", at_most(0, "%"), value=of_lanes.silent)
+    name = "course frame 1, a still of another place: left boundary off its own line"
+    yield bounded("Lanes and noise", name, at_most(10, "cm"), COURSE_FRAMES, of_lanes.off_own_line)
 
 
 def of_surface():
@@ -132,7 +137,9 @@ OFF_BY_A_METRE = {"1+2 %": (1, 3, 4, 5), "2+5 %": (1, 5, 12, 15)}
 def of_distances():
     """Kept detections whose distance is off by more than a metre, by their true distance."""
     cases = [(f"noise {level}: ", TOWNS[level], limits) for level, limits in OFF_BY_A_METRE.items()]
-    cases.append(("boxes of whole objects: ", WHOLE_BOXES, tuple(2 * limit for limit in OFF_BY_A_METRE["1+2 %"])))
+    for level, limits in OFF_BY_A_METRE.items():
+        doubled = tuple(2 * limit for limit in limits)
+        cases.append((f"boxes of whole objects, noise {level}: ", WHOLE_BOXES[level], doubled))
     for prefix, scenarios, limits in cases:
         for (nearest_m, farthest_m), limit in zip(DISTANCES, limits, strict=True):
             value = partial(of_objects.off_by_a_metre, nearest_m=nearest_m, farthest_m=farthest_m)
@@ -148,9 +155,20 @@ def of_filter():
         yield line(f"{name}: recall", at_least(0.995, ""), value=of_objects.recall)
 
 
+IMPACTS = {"town": TOWNS, "braking lead car": BRAKING}
+
+
+def of_obstacle():
+    """The course's obstacle by the course's settings."""
+    line = partial(bounded, "Obstacle by its picture, course", scenarios=COURSE_OBSTACLE)
+    yield line("place", at_most(0, "px"), value=of_objects.obstacle_place_off)
+    yield line("distance", at_most(1, "mm"), value=of_objects.obstacle_off)
+
+
 def of_impact():
     """Time to impact, with and without one."""
-    for name, scenarios in (("sample", STANDARD), ("town", TOWNS["1+2 %"]), ("braking lead car", BRAKING["1+2 %"])):
+    noisy = {f"{name}, noise {level}": by[level] for level in TOWNS for name, by in IMPACTS.items()}
+    for name, scenarios in {"sample": STANDARD, "turn": TURNING, **noisy}.items():
         title = f"{name}: below 1.5 s where the true one is above 2 s or absent"
         yield bounded("Impact", title, at_most(0, "frames"), scenarios, of_objects.false_alarms)
     line = partial(bounded, "Impact", scenarios=BRAKING["1+2 %"])
@@ -204,6 +222,7 @@ FIGURES = (
     *of_distances(),
     *of_filter(),
     *of_impact(),
+    *of_obstacle(),
     *of_deviations(),
     *of_standard(),
 )

@@ -39,6 +39,12 @@ def implausible(replays):
     return Value(_share(flags).number, len(flags) / sum(replay.frames.height for replay in replays))
 
 
+def off_own_line(replays):
+    """By how much the last frame's left boundary is off the line that its own image shows, centimetres."""
+    last = replays[0].frames.row(-1, named=True)
+    return Value(100 * abs(last["lane_left_offset_m"] - last["lane_left_raw_offset_m"]))
+
+
 def silent(replays):
     """Share of the boundaries that are absent without a reason; none where none is absent."""
     flags = _over_frames(replays, measures.absent_without_reason)

@@ -6,6 +6,9 @@ import polars as pl
 from tests.accuracy import measures
 from tests.accuracy.values import Value
 
+COURSE_PLACE_PX, COURSE_DISTANCE_M = (547, 479), 28.926553672316352
+"""Where the public solutions of the course's assignment find the obstacle, and how far."""
+
 
 def off_by_a_metre(replays, nearest_m, farthest_m):
     """Share of kept true detections, at such a distance, that are off by more than a metre, with its interval."""
@@ -18,6 +21,19 @@ def off_by_a_metre(replays, nearest_m, farthest_m):
     share, low, high = (100 * part for part in found)
     detail = f"{low:.1f} to {high:.1f}, {known['object'].n_unique()} objects"
     return Value(share, known.height / rows.height, detail)
+
+
+def obstacle_off(replays):
+    """By how much the course's obstacle is off its public distance, millimetres; where it is, too."""
+    found = pl.concat([replay.objects for replay in replays]).filter(pl.col("label") == "template").row(0, named=True)
+    place = f"at ({found['x_min_px']:.0f}, {found['y_min_px']:.0f}), {found['distance_m']:.4f} m"
+    return Value(1000 * abs(found["distance_m"] - COURSE_DISTANCE_M), None, place)
+
+
+def obstacle_place_off(replays):
+    """By how much the place of its picture is off the public one, pixels."""
+    found = pl.concat([replay.objects for replay in replays]).filter(pl.col("label") == "template").row(0, named=True)
+    return Value(max(abs(found["x_min_px"] - COURSE_PLACE_PX[0]), abs(found["y_min_px"] - COURSE_PLACE_PX[1])))
 
 
 def _counts(replays):

@@ -15,6 +15,7 @@ import polars as pl
 from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.output.tables import sidecar_path
+from tests import course
 from tests.accuracy import kitti
 from tests.accuracy.drives import Drive, make_logs
 from tests.accuracy.scenarios import Scenario
@@ -124,9 +125,10 @@ def recording(source, folder):
     if source.is_file():
         return source
     target = folder / f"{source.name}.mcap"
-    if (source / "image_0").is_dir():
-        kitti.write_dump(source, folder / f"{source.name}-dump")
-        source = folder / f"{source.name}-dump"
+    for mark, module in (("image_0", kitti), ("left.png", course)):
+        if (source / mark).exists():
+            module.write_dump(source, folder / f"{source.name}-dump")
+            source = folder / f"{source.name}-dump"
     if convert.main([str(source), str(target), "--quiet", "--force"]) != 0:
         raise RuntimeError(f"{source.name} cannot be converted")
     return target
@@ -139,7 +141,8 @@ def replay(scenario, log, seed, folder):
     stages = ["--only", scenario.only] if scenario.only else []
     settings = [part for setting in scenario.settings for part in ("--set", setting)]
     errors = io.StringIO()
-    options = ["--quiet", "--force", "--results-only", *stages, *settings]
+    template = ["--template", scenario.template] if scenario.template else []
+    options = ["--quiet", "--force", "--results-only", *stages, *settings, *template]
     with contextlib.redirect_stderr(errors):
         code = replay_main([str(log), str(target), *options])
     target.unlink(missing_ok=True)

@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass
 
+from tests import course
 from tests.accuracy.drives import ROOT, Drive, Noise, drive
 from tests.conftest import DEFAULT_DATA
 
@@ -25,6 +26,7 @@ class Scenario:
     noise: Noise = CLEAN
     only: str = ""
     settings: tuple[str, ...] = ()
+    template: str = ""
 
 
 CHANGES = (
@@ -37,9 +39,11 @@ TWO_HZ = drive("two-hz", scene="bend", weave_m=0.5, rate_hz=2.0, seconds=15.0)
 HILL = drive("hill", scene="hill", rate_hz=2.0, seconds=8.0)
 TOWN = drive("town", 2.5, scene="town", path_truth=True, rate_hz=5.0, seconds=8.0)
 WHOLE = drive("town-whole", 2.0, scene="town", path_truth=True, whole_boxes=True, rate_hz=5.0, seconds=8.0)
+TURN = drive("turn", scene="town", turn="right", path_truth=True, seconds=6.0)
 LEADS = tuple(drive(f"lead-{scene}", scene=scene, lead_brakes=True, seconds=5.0) for scene in ("straight", "bend"))
 SAMPLE = str(ROOT / "logs" / "sample.mcap")
 KITTI = f"{DATA}/kitti_odometry"
+COURSE_STEREO = f"{DATA}/course_stereo"
 
 
 def swept(prefix, noise):
@@ -63,10 +67,16 @@ BY_MODEL = {
 TOWNS = {
     level: (Scenario(f"town, {level}", TOWN, noise, OBJECTS),) for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
 }
-WHOLE_BOXES = (Scenario("town, whole boxes", WHOLE, MODEST, OBJECTS),)
+WHOLE_BOXES = {
+    level: (Scenario(f"town, whole boxes, {level}", WHOLE, noise, OBJECTS),)
+    for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
+}
+TURNING = (Scenario("turn", TURN, MODEST, OBJECTS),)
 BRAKING = {
     level: tuple(Scenario(f"{of.name}, {level}", of, noise, OBJECTS) for of in LEADS)
     for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
 }
 STANDARD = (Scenario("sample", SAMPLE),)
+COURSE_FRAMES = (Scenario("course frames", f"{DATA}/course_frames"),)
+COURSE_OBSTACLE = (Scenario("course obstacle", COURSE_STEREO, settings=course.SETTINGS, template=course.TEMPLATE),)
 KITTI_DRIVE = (Scenario("kitti", KITTI, only="surface,odometry"),)

@@ -1,16 +1,12 @@
-"""An obstacle searched for by its picture, and the course's own one."""
+"""An obstacle searched for by its picture."""
 
-import json
-
-import cv2
 import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.objects import ObjectsState, step
 from roadperc_stream.chain.stages.objects.obstacle import LABEL, find_obstacle, picture, png_of
-from roadperc_stream.chain.stages.stereo import matching
 from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import ObjectsConfig, StereoConfig
+from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Absent, Box
 from tests.chain.stages.objects.frames import CAMERA, texture
 from tests.scenes import scene_of
@@ -82,30 +78,3 @@ def test_it_stands_among_the_objects_without_any_detections():
     assert [item.detection.box_px for item in out.objects] == [PLACE]
     assert len(out.searches) == 1
     assert isinstance(step(ObjectsConfig(), ObjectsState(), scene)[1], Absent)
-
-
-def test_the_courses_obstacle(data_dir):
-    """Its place and nearest depth by its public settings; the course reads the images with red and blue swapped."""
-    folder = data_dir / "course_stereo"
-    calibration, expected = (json.loads((folder / f"{n}.json").read_text()) for n in ("calibration", "expected"))
-    left, right = (
-        cv2.cvtColor(cv2.imread(str(folder / f"{side}.png")), cv2.COLOR_RGB2GRAY) for side in ("left", "right")
-    )
-    public = expected["sgbm"]
-    stereo = StereoConfig(
-        method="full",
-        disparities=public["numDisparities"],
-        block_px=public["blockSize"],
-        p1=public["P1"],
-        p2=public["P2"],
-        uniqueness_percent=0,
-        speckle_px=0,
-        refine_px=0,
-    )
-    camera = g.Camera("left", 1280, 960, 640.0, 480.0, 639.5, 479.5)
-    disparity = matching.disparity(stereo, stereo.disparities, left, right)
-    x0, y0, x1, y1 = calibration["obstacle_template_px"]
-    cfg = cfg_of(left[y0:y1, x0:x1], distance_quantile=0, template_distance="depth")
-    item, _ = find_obstacle(cfg, scene_of(camera, grey=left, depth_m=np.float32(640.0 * 0.5) / disparity))
-    assert [item.detection.box_px.x_min, item.detection.box_px.y_min] == expected["template_top_left_px"]
-    assert item.distance_m == pytest.approx(expected["nearest_depth_m"], abs=1e-4)
