@@ -71,13 +71,18 @@ def measured(
     """The boundary with this frame's curve and the classes on either side of it."""
     inside, outside = observation.classes_beside(side, curve)
     stamp_ns = tracked.track.stamp_ns
-    return replace(
+    now = replace(
         tracked,
         reach_m=curve.reach_m,
         inside=tracked.inside.add(cfg, stamp_ns, inside),
         outside=tracked.outside.add(cfg, stamp_ns, outside),
-        is_sure=tracking.std_at(tracked.track, JUDGED_AT_M) <= cfg.max_std_m,
     )
+    return judged(cfg, now)
+
+
+def judged(cfg: LanesConfig, tracked: TrackedBoundary) -> TrackedBoundary:
+    """The boundary, and whether it is known well enough to be given."""
+    return replace(tracked, is_sure=tracking.std_at(tracked.track, JUDGED_AT_M) <= cfg.max_std_m)
 
 
 def _is_other(curve: Curve, other: TrackedBoundary) -> bool:

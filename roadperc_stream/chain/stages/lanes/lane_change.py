@@ -18,6 +18,8 @@ from roadperc_stream.core.datatypes import SIDES, LaneChange, Side
 _MARKING_M = 0.15
 """Width of a marking whose other edge is not seen."""
 _MARKING_STD_M = 0.1
+_CROSSED_STD = 2.0
+"""Standard deviations by which the car must be past the line: one that is hardly known is crossed by chance."""
 _DOUBLE_M = 0.6
 """No marking is wider, a double one neither."""
 _LINE_STEP = np.array([1.0, 0.0, 0.0])
@@ -38,7 +40,7 @@ def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | 
         if crossed is None or outward(side) * crossed.offset_m > 0:
             continue
         far = _far_edge(cfg, side, crossed, observation)
-        if outward(side) * crossed.offset_m + far.width_m / 2 < 0:
+        if outward(side) * crossed.offset_m + far.width_m / 2 < -_CROSSED_STD * tracking.std_at(crossed.track, 0.0):
             return _in_next_lane(cfg, state, side, crossed, far, observation, stamp_ns)
     return state
 
@@ -80,6 +82,7 @@ def _in_next_lane(
     if far.curve is not None and observation is not None:
         updated = tracking.update(cfg, track, far.curve.state, far.curve.covariance)
         inner = replace(inner, track=updated or tracking.start(far.curve.state, far.curve.covariance, stamp_ns))
+    inner = following.judged(cfg, inner)
     outer = following.followed(cfg, side, None, inner, observation, stamp_ns)
     changed = replace(state, lane_change=side, lane_changes=state.lane_changes + 1)
     return changed.with_side(side, outer).with_side(other_side(side), inner)

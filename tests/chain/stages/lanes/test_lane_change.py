@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.lanes import LanesState, step
+from roadperc_stream.chain.stages.lanes import LanesState, step, tracking
+from roadperc_stream.chain.stages.lanes.lane_change import handed_over
+from roadperc_stream.chain.stages.lanes.memory import TrackedBoundary
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import Odometry, Reason
@@ -83,6 +85,22 @@ def test_the_change_lasts_while_the_car_is_over_the_line():
     half_car = CFG.car_width_m / 2
     assert ACROSS[first] == pytest.approx(1.75 - half_car, abs=0.25)
     assert ACROSS[last] == pytest.approx(1.75 + half_car, abs=0.25)
+
+
+@pytest.mark.parametrize(("std_m", "changes"), [(0.02, 1), (0.4, 0)])
+def test_only_a_line_that_is_known_is_crossed(std_m, changes):
+    """The same place, 30 cm past the line: one that is hardly known may as well be ahead."""
+    track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, 0.01, 0.001]) ** 2, 1)
+    state = LanesState(left=TrackedBoundary(track, 20.0))
+    after = handed_over(CFG, state, None, 1)
+    assert after.lane_changes == changes
+    assert (after.right is None) == (changes == 0)
+
+
+def test_a_line_that_is_hardly_known_ahead_is_not_given_after_the_crossing_either():
+    track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([0.02, 0.1, 0.001]) ** 2, 1)
+    after = handed_over(CFG, LanesState(left=TrackedBoundary(track, 20.0)), None, 1)
+    assert not after.right.is_sure
 
 
 def test_a_change_that_is_broken_off_is_none():
