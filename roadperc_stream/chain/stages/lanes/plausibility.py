@@ -45,7 +45,8 @@ def _contradiction(cfg: LanesConfig, side: Side, left: TrackedBoundary, right: T
     width_m = left.offset_m - right.offset_m
     if not cfg.min_width_m <= width_m <= cfg.max_width_m:
         return Reason("lanes", "lane_width", (side, round(width_m, 2), cfg.min_width_m, cfg.max_width_m))
-    x = np.arange(0.0, min(left.reach_m, right.reach_m) + _STEP_M, _STEP_M)
+    reach_m = min(left.reach_m, right.reach_m)
+    x = np.append(np.arange(0.0, reach_m, _STEP_M), reach_m)
     crossed: Float = x[lateral(left.track.state - right.track.state, x) <= 0]
     return Reason("lanes", "boundaries_cross", (side, float(crossed[0]))) if len(crossed) else None
 
