@@ -96,9 +96,9 @@ pictures: $(VENV)/.installed $(EVENTS:%=$(PICTURES)/%.mcap)  # those of docs/ bu
 	$(BIN)/roadperc-replay $(PICTURES)/town.mcap $(PICTURES)/result.mcap --overlay --force
 	$(BIN)/roadperc-report $(PICTURES)/result.metrics.parquet --html $(PICTURES)/report.html
 	$(BIN)/python docs/make_pictures.py report $(PICTURES)/result.mcap $(PICTURES)/report.html
-	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/change.mcap docs/lane_change.jpg 68 76
-	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/brake.mcap docs/braking.jpg 60 69
-	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/worn.mcap docs/worn.jpg 35 50
+	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/change.mcap docs/lane_change.jpg 67 76
+	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/brake.mcap docs/braking.jpg 63 78
+	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/worn.mcap docs/worn.jpg 38 54
 
 $(PICTURES)/change.mcap: EVENT := --scene town --change-lane left --seed 113
 $(PICTURES)/brake.mcap: EVENT := --scene town --lead-brakes --seed 101
