@@ -291,7 +291,7 @@ def test_a_lidar_slower_than_the_camera_is_missing_in_between(tmp_path):
             writer.write(message)
     _, table = replayed(tmp_path / "half.mcap", "half_out.mcap")
     assert table["missing"].to_list() == [[], ["lidar"], [], ["lidar"]]
-    assert table["surface_source"].to_list() == ["lidar", "estimated", "lidar", "estimated"]
+    assert table["surface_source"].to_list() == ["lidar", "estimated", "lidar", "held"]
 
 
 def test_replaying_a_lidars_log_gives_the_same_bytes_and_its_output_too(tmp_path):

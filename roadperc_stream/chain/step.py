@@ -78,8 +78,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     with timed("odometry"):
         odometry_state, motion = _odometry(cfg, state, scene, _in_front_camera(scene, seen), rng)
     with timed("surface"):
-        surface_state, road = _road(cfg, state, scene, seen, failed, motion, problems)
-        road = _with_pitch(scene, road, odometry_state)
+        surface_state, road = _road(cfg, state, scene, seen, failed, motion, odometry_state, problems)
         front_road = _in_front_camera(scene, road)
         drivable = _drivable(cfg, scene, front_road)
     with timed("lanes"):
@@ -171,14 +170,17 @@ def _road(
     seen: Surface | Absent,
     failed: Reason | None,
     motion: Odometry | Absent,
+    odometry_state: OdometryState,
     problems: list[Reason],
 ) -> tuple[SurfaceState, Surface | Absent]:
-    """The road in the frame of its depth's camera: the frame's own, else that of the frames before."""
+    """The road in the frame of its depth's camera: the frame's own, else that of the frames before, else assumed."""
     if not cfg.surface.enabled:
         return state.surface, seen
     last_T_this = _metric_step(motion, state.stamp_ns)
     surface_state, road, stood_in = surface.remember(cfg.surface, state.surface, scene, seen, failed, last_T_this)
-    problems += stood_in
+    road = _with_pitch(scene, road, odometry_state)
+    estimated = not isinstance(road, Absent) and road.source == "estimated"
+    problems += [replace(reason, code="plane_estimated") for reason in stood_in] if estimated else stood_in
     return surface_state, road
 
 

@@ -130,6 +130,19 @@ def test_any_input_beside_a_lidar_may_be_missing(lidar_frames, missing):
     assert [result.surface.source for result in results] == expected.get(missing, ["lidar"] * 3)
 
 
+def test_a_lidar_that_misses_the_road_leaves_the_mounting_and_the_drive(lidar_frames):
+    """What stands in is named as what it is: the mounting's plane, then with the pitch that the drive has shown."""
+    _, results = run([replace(frame, points=high_points(frame.points)) for frame in lidar_frames[:3]])
+    assert [result.surface.source for result in results] == ["assumed", "estimated", "estimated"]
+    said = [[reason.code for reason in result.reasons() if reason.code.startswith("plane")] for result in results]
+    assert said == [["plane_assumed"], ["plane_estimated"], ["plane_estimated"]]
+
+
+def high_points(points):
+    """Those of a lidar's points that are no lower than a car's roof."""
+    return PointCloud(points.frame_id, lambda: points.points_m[points.points_m[:, 2] > -0.5])
+
+
 def test_one_camera_a_lidar_and_tags_are_enough_for_everything(lidar_frames, whole):
     """A lidar's points give plane, height field, the lane on the ground, distances, and odometry its scale."""
     _, results = run(lidar_frames)

@@ -64,8 +64,8 @@ class SurfaceColumns:
         str | None,
         Column(
             "what the plane comes from: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags), `held` "
-            "(the frames before, where the depth does not show the road), `estimated` (the mounting, its pitch by the "
-            "drive) or `assumed` (the mounting)",
+            "(the frames before, where depth is missing or does not show the road), `estimated` (the mounting, its "
+            "pitch by the drive) or `assumed` (the mounting)",
             null=_NO_PLANE,
         ),
     ] = None

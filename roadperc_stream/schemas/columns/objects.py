@@ -30,7 +30,7 @@ class ObjectMetrics(FrameKey):
     distance_m: Annotated[
         float | None,
         Column(
-            "straight from the camera: the 2 % quantile over the pixels of its class in its box",
+            "straight from the camera: the quantile `objects.distance_quantile` over its own pixels",
             "m",
             "no depth there, or beyond its range",
         ),

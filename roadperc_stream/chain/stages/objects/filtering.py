@@ -7,13 +7,17 @@ class's tags. Its distance is a low quantile of the distances of those pixels.
 
 from collections.abc import Collection
 
+import numpy as np
+
 from roadperc_stream.chain.stages.objects import distance
 from roadperc_stream.chain.stages.objects.choice import MeasuredRegion, choose
 from roadperc_stream.chain.stages.objects.distance import Measured
 from roadperc_stream.chain.stages.objects.mosaic import cut_out
 from roadperc_stream.chain.stages.objects.regions import find_regions
+from roadperc_stream.chain.stages.objects.sparse import own_distances
 from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent, Detection, Image, Object, Objects, Reason
+from roadperc_stream.core.datatypes import Absent, Detection, Image, Mask, Object, Objects, Reason
+from roadperc_stream.core.geometry import Float32
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.semantics import label_lookup
 
@@ -84,8 +88,7 @@ def _filtered(
     measured = Measured() if candidate is None or cfg.distance_pixels != "region" else candidate.measured
     if scene.depth_m is not None and measured == Measured():
         distances = distance.of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
-        counted = distances if of_class is None or cfg.distance_pixels == "box" else distances[of_class]
-        measured = distance.nearest(cfg, counted.ravel())
+        measured = distance.nearest(cfg, _counted(cfg, scene, distances, of_class))
     return Object(
         detection,
         kept,
@@ -94,6 +97,15 @@ def _filtered(
         distance_std_m=measured.std_m,
         beyond_range=measured.beyond_range,
     )
+
+
+def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: Mask | None) -> Float32:
+    """Distances of a box's pixels that count where no region does: those of the class, of a lidar the object's own."""
+    if of_class is None or cfg.distance_pixels == "box":
+        return distances_m.ravel()
+    if cfg.distance_pixels == "class" or scene.dense_depth_m is not None:
+        return distances_m[of_class]
+    return own_distances(np.where(of_class, distances_m, np.float32(np.nan)))
 
 
 def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, candidate: MeasuredRegion | None, expected: bool) -> bool:
