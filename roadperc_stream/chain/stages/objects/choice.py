@@ -4,8 +4,9 @@ A detector also finds cars that are hidden, by what is seen around them: their b
 detection of those has is not theirs, and of what remains they get what fits, or nothing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,51 +25,61 @@ SAME_PLACE = 0.5
 
 @dataclass(frozen=True)
 class MeasuredRegion:
-    """A region that may be a detection's object, and its distance."""
+    """A region that is a detection's object, and its distance."""
 
     region: Region
     measured: Measured
+
+
+def choose(
+    labels: Sequence[str], candidates: Sequence[Sequence[Region]], measure: Callable[[Region], Measured]
+) -> list[MeasuredRegion | None]:
+    """One candidate of each detection, those that fit best before the others; None where others have them all.
+
+    Args:
+        labels: of the detections.
+        candidates: of each of them.
+        measure: gives a region's distance; it is asked for what may be chosen alone.
+    """
+    flat = [region for of_one in candidates for region in of_one]
+    table = _table(labels, flat)
+    chosen: list[MeasuredRegion | None] = [None] * len(labels)
+    claims: list[list[Measured]] = [[] for _ in flat]
+    for row in sorted(range(len(flat)), key=lambda k: (-flat[k].fit, k)):
+        region = flat[row]
+        if chosen[region.owner] is not None:
+            continue
+        measured = measure(region)
+        if not any(_same_distance(measured, claim) for claim in claims[row]):
+            chosen[region.owner] = MeasuredRegion(region, measured)
+            for other in table.same_place(row):
+                claims[other].append(measured)
+    return chosen
 
 
 @dataclass(frozen=True)
 class _Table:
     """The candidates of all detections, one in each row."""
 
-    owner: NDArray[np.int64]
     kind: NDArray[np.int64]
     corners: Float
-    log_distance: Float
 
-    def same_object(self, row: int) -> NDArray[np.bool_]:
-        """Which candidates have their nearest point where that of a row has it, NaN being no place."""
+    def same_place(self, row: int) -> list[int]:
+        """Candidates that may be of the object that a row is of, by their place in the image."""
         box = self.corners[:, row : row + 1]
         smaller = np.minimum(areas(box), areas(self.corners))
         together = shared_areas(box, self.corners)[0] > SAME_PLACE * smaller
-        near = np.abs(self.log_distance - self.log_distance[row]) < SAME_DISTANCE
-        return np.asarray(together & near & (self.kind == self.kind[row]), np.bool_)
+        rows: list[int] = np.flatnonzero(together & (self.kind == self.kind[row])).tolist()
+        return rows
 
 
-def choose(labels: Sequence[str], candidates: Sequence[Sequence[MeasuredRegion]]) -> list[MeasuredRegion | None]:
-    """One candidate of each detection, those that fit best before the others; None where others have them all.
-
-    Args:
-        labels: of the detections.
-        candidates: of each of them.
-    """
-    flat = [candidate for of_one in candidates for candidate in of_one]
-    table = _table(labels, flat)
-    chosen: list[MeasuredRegion | None] = [None] * len(labels)
-    taken = np.zeros(len(flat), np.bool_)
-    for row in sorted(range(len(flat)), key=lambda k: (-flat[k].region.fit, k)):
-        owner = flat[row].region.owner
-        if not taken[row] and chosen[owner] is None:
-            chosen[owner] = flat[row]
-            taken |= table.same_object(row)
-    return chosen
+def _table(labels: Sequence[str], flat: Sequence[Region]) -> _Table:
+    owner = np.array([region.owner for region in flat], np.int64)
+    return _Table(kinds(labels)[0][owner], corners(region.box_px for region in flat))
 
 
-def _table(labels: Sequence[str], flat: Sequence[MeasuredRegion]) -> _Table:
-    owner = np.array([candidate.region.owner for candidate in flat], np.int64)
-    distances = [candidate.measured.distance_m for candidate in flat]
-    known = np.array([np.nan if distance is None else distance for distance in distances])
-    return _Table(owner, kinds(labels)[0][owner], corners(c.region.box_px for c in flat), np.log(known))
+def _same_distance(one: Measured, other: Measured) -> bool:
+    """Whether the nearest points are as far; what is not known is nowhere."""
+    if not one.distance_m or not other.distance_m:
+        return False
+    return abs(log(one.distance_m / other.distance_m)) < SAME_DISTANCE

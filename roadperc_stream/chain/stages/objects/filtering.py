@@ -7,6 +7,9 @@ class's tags. Its distance is a low quantile of the distances of those pixels.
 
 from collections.abc import Collection
 
+import cv2
+import numpy as np
+
 from roadperc_stream.chain.stages.objects import distance
 from roadperc_stream.chain.stages.objects.choice import MeasuredRegion, choose
 from roadperc_stream.chain.stages.objects.distance import Measured
@@ -60,8 +63,7 @@ def _candidates(
         return [None] * len(detections)
     boxes = [detection.box_px for detection in detections]
     found = find_regions(scene.camera, cut_out(scene, lookups, boxes), boxes)
-    candidates = [[MeasuredRegion(region, distance.of_region(cfg, region)) for region in regions] for regions in found]
-    return choose([detection.label for detection in detections], candidates)
+    return choose([detection.label for detection in detections], found, lambda region: distance.of_region(cfg, region))
 
 
 def _filtered(
@@ -78,13 +80,13 @@ def _filtered(
     of_class = None
     ratio = None
     if scene.tags is not None and lookup is not None:
-        of_class = lookup[scene.tags[y0:y1, x0:x1]].astype(bool)
-        ratio = float(of_class.mean())
+        of_class = np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[y0:y1, x0:x1]), lookup), np.uint8)
+        ratio = cv2.countNonZero(of_class) / of_class.size
     kept = ratio is None or _is_kept(cfg, scene, ratio, candidate, expected)
     measured = Measured() if candidate is None or cfg.distance_pixels != "region" else candidate.measured
     if scene.depth_m is not None and measured == Measured():
         distances = distance.of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
-        counted = distances if of_class is None or cfg.distance_pixels == "box" else distances[of_class]
+        counted = distances if of_class is None or cfg.distance_pixels == "box" else distances[of_class > 0]
         measured = distance.nearest(cfg, counted.ravel())
     return Object(
         detection,

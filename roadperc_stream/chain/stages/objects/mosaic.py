@@ -163,10 +163,11 @@ def _ray_lengths(camera: Camera, first_px: Indices, steps: Indices, tops: Indice
     return lengths
 
 
-def boxes_of(mosaic: Mosaic, owners: Indices, bounds: NDArray[np.int32]) -> Float:
-    """(4, K) corners in the image of K bounds (K, 4) x, y, width and height in the mosaic, each of a cutout."""
-    x, y, width, height = bounds.T
+def boxes_of(mosaic: Mosaic, owners: Indices, bounds: Indices) -> Float:
+    """(4, K) corners in the image of corners (4, K) in the mosaic, each of a region of a cutout."""
+    x0, y0, x1, y1 = bounds
     x_step, y_step = mosaic.steps[owners].T
-    x0 = mosaic.first_px[owners, 0] + x_step * x
-    y0 = mosaic.first_px[owners, 1] + y_step * (y - mosaic.tops[owners])
-    return np.array((x0, y0, x0 + x_step * width, y0 + y_step * height), np.float64)
+    left, top = mosaic.first_px[owners].T
+    tops = mosaic.tops[owners]
+    places = (left + x_step * x0, top + y_step * (y0 - tops), left + x_step * x1, top + y_step * (y1 - tops))
+    return np.array(places, np.float64)
