@@ -20,6 +20,9 @@ from roadperc_stream.core.datatypes import Absent, Detection, Image, Object, Obj
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.semantics import label_lookup
 
+LEAST_RATIO = 0.2
+"""Share of its class in a box that shows an object nobody has seen before, however well it fits."""
+
 
 def filter_detections(
     cfg: ObjectsConfig,
@@ -82,8 +85,12 @@ def _filtered(
     if scene.tags is not None and lookup is not None:
         of_class = np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[y0:y1, x0:x1]), lookup), np.uint8)
         ratio = cv2.countNonZero(of_class) / of_class.size
-    kept = ratio is None or _is_kept(cfg, scene, ratio, candidate, expected)
+    fit = 0.0 if candidate is None else candidate.region.fit
+    beyond = fit <= cfg.min_fit and of_class is not None and divides(scene) and _mostly_beyond(scene, box, of_class)
+    kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     measured = Measured() if candidate is None or cfg.distance_pixels != "region" else candidate.measured
+    if beyond and cfg.distance_pixels == "region":
+        measured = Measured(beyond_range=True)
     if scene.depth_m is not None and measured == Measured():
         distances = distance.of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
         counted = distances if of_class is None or cfg.distance_pixels == "box" else distances[of_class > 0]
@@ -98,13 +105,25 @@ def _filtered(
     )
 
 
-def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, candidate: MeasuredRegion | None, expected: bool) -> bool:
+def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image) -> bool:
+    """Whether most of its class in a box is beyond the depth's range, where nothing tells one object from the next."""
+    depth_m = scene.dense_depth_m
+    if depth_m is None or scene.instances is not None:
+        return False
+    x0, y0, x1, y1 = box
+    beyond = of_class[depth_m[y0:y1, x0:x1] >= np.float32(scene.depth_limit_m)]
+    return 2 * cv2.countNonZero(beyond) > cv2.countNonZero(of_class)
+
+
+def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, fit: float, *, expected: bool, beyond: bool) -> bool:
     """By the region's fit, or by the share of the box that is of the class where regions are not asked for or known.
 
+    Nor are they known beyond the depth's range.
     Where an object is expected either is enough: it may be divided wrongly, or hidden but for a part.
     """
     of_class = ratio > cfg.min_class_ratio
     if cfg.filter == "class_ratio" or not divides(scene):
         return of_class
-    fit = 0.0 if candidate is None else candidate.region.fit
-    return fit > cfg.min_fit_seen or of_class if expected else fit > cfg.min_fit
+    if expected:
+        return fit > cfg.min_fit_seen or of_class
+    return of_class if beyond else fit > cfg.min_fit and ratio > LEAST_RATIO

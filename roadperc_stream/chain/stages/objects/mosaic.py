@@ -28,6 +28,9 @@ _ALIKE = 0.04
 _NEAR_PX = 2.0
 """The same in pixels."""
 _UNKNOWN_M = 1e6
+BEYOND = 0.1
+"""Share by which what is beyond the depth's range is taken for farther than its limit: it is another object than one
+just before the limit."""
 
 Indices = NDArray[np.int64]
 T = TypeVar("T", bound=np.generic)
@@ -107,9 +110,10 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
     if scene.dense_depth_m is None or not of_class.size:
         return Mosaic(first_px, steps, tops, of_class, None, None, None, ids)
     depth_m = _placed(scene.dense_depth_m, cutouts, places, np.full(size, np.nan, np.float32))
-    log_depth, noise = _smoothed(depth_m)
+    beyond = depth_m >= np.float32(scene.depth_limit_m)
+    log_depth, noise = _smoothed(np.where(beyond, depth_m * np.float32(1 + BEYOND), depth_m))
     distances = np.exp(log_depth) * _ray_lengths(scene.camera, first_px, steps, tops, size)
-    distances[depth_m >= np.float32(scene.depth_limit_m)] = np.inf
+    distances[beyond] = np.inf
     distances[~(depth_m > 0)] = np.nan
     return Mosaic(first_px, steps, tops, of_class, log_depth, distances, noise, ids)
 
