@@ -190,7 +190,7 @@ class ObjectsConfig(Section):
     filter: Literal["region", "class_ratio"] = "region"
     """What keeps a detection: pixels of its class, connected in depth or of one instance, that fit its box; or the
     share of its box that carries its class. Without dense depth and without instance masks it is the share."""
-    min_fit: Ratio = 0.68
+    min_fit: Ratio = 0.7
     """Fit of those pixels' bounds to the box above which a detection is kept; what the box holds beside them costs less
     than what they hold beside it."""
     min_fit_seen: Ratio = 0.2

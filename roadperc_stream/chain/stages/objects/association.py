@@ -70,12 +70,17 @@ def _contradictions(cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Se
     return np.where(unknown, 0.0, np.minimum(surprise / cfg.gate, 1.0))
 
 
-def expected(tracks: Sequence[ObjectTrack], labels: Sequence[str], boxes: Sequence[Box]) -> frozenset[int]:
-    """Positions of the boxes that lie where a track of their kind is predicted."""
+def expected(tracks: Sequence[ObjectTrack], labels: Sequence[str], boxes: Sequence[Box]) -> dict[int, float | None]:
+    """Boxes that lie where a track of their kind is predicted, by position, and how far the track's object is.
+
+    Of several tracks it is the one whose box is overlapped most; None where its distance is not known.
+    """
     if not tracks or not boxes:
-        return frozenset()
+        return {}
     ours, theirs = kinds([track.detection.label for track in tracks], labels)
     with np.errstate(all="ignore"):
         overlap = overlaps(corners(track.box_px for track in tracks), corners(boxes))
-    found = ((overlap >= EXPECTED_OVERLAP) & (ours[:, None] == theirs)).any(axis=0)
-    return frozenset(np.flatnonzero(found).tolist())
+    overlap = np.where((overlap >= EXPECTED_OVERLAP) & (ours[:, None] == theirs), overlap, 0.0)
+    best = overlap.argmax(axis=0)
+    known = [None if track.distance_m is None else track.distance_m.value for track in tracks]
+    return {k: known[best[k]] for k in np.flatnonzero(overlap.max(axis=0)).tolist()}

@@ -4,8 +4,11 @@ A detector also finds cars that are hidden, by what is seen around them: their b
 detection of those has is not theirs, and of what remains they get what fits, or nothing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf, log
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,54 +24,99 @@ SAME_DISTANCE = 0.03
 SAME_PLACE = 0.5
 """Least share of the smaller one's bounds that regions of one object have in common."""
 
+NOWHERE: Final[Mapping[int, float | None]] = MappingProxyType({})
+"""No object is expected."""
+FITS_ALIKE = 0.1
+"""Difference of fits that says little."""
+AS_EXPECTED = 0.1
+"""Share by which the distance of an object that is known may differ from the expected one."""
+
 
 @dataclass(frozen=True)
 class MeasuredRegion:
-    """A region that may be a detection's object, and its distance."""
+    """A region that is a detection's object, and its distance."""
 
     region: Region
     measured: Measured
+
+
+def choose(
+    labels: Sequence[str],
+    candidates: Sequence[Sequence[Region]],
+    measure: Callable[[Region], Measured],
+    expected_m: Mapping[int, float | None] = NOWHERE,
+) -> list[MeasuredRegion | None]:
+    """One candidate of each detection, those that fit best before the others; None where others have them all.
+
+    Args:
+        labels: of the detections.
+        candidates: of each of them.
+        measure: gives a region's distance; it is asked for what may be chosen alone.
+        expected_m: how far the object of a detection is, by its position, where that is known from before.
+    """
+    flat = [region for of_one in candidates for region in of_one]
+    table = _table(labels, flat)
+    chosen: list[MeasuredRegion | None] = [None] * len(labels)
+    claims: list[list[Measured]] = [[] for _ in flat]
+    fits = _fits(candidates, measure, expected_m)
+    for row in sorted(range(len(flat)), key=lambda k: (-fits[k], k)):
+        region = flat[row]
+        if chosen[region.owner] is not None:
+            continue
+        measured = measure(region)
+        if not any(_same_distance(measured, claim) for claim in claims[row]):
+            chosen[region.owner] = MeasuredRegion(region, measured)
+            for other in table.same_place(row):
+                claims[other].append(measured)
+    return chosen
+
+
+def _fits(
+    candidates: Sequence[Sequence[Region]],
+    measure: Callable[[Region], Measured],
+    expected_m: Mapping[int, float | None],
+) -> list[float]:
+    """How well each candidate fits; of those of a known object that fit alike, the one as far as it fits best."""
+    fits = [[region.fit for region in of_one] for of_one in candidates]
+    for owner, distance_m in expected_m.items():
+        best = max(fits[owner], default=0.0)
+        alike = [k for k, fit in enumerate(fits[owner]) if fit > best - FITS_ALIKE]
+        if distance_m is None or len(alike) < 2:
+            continue
+        off = [_apart(measure(candidates[owner][k]).distance_m, distance_m) for k in alike]
+        if min(off) < AS_EXPECTED:
+            fits[owner][alike[off.index(min(off))]] = best + FITS_ALIKE
+    return [fit for of_one in fits for fit in of_one]
 
 
 @dataclass(frozen=True)
 class _Table:
     """The candidates of all detections, one in each row."""
 
-    owner: NDArray[np.int64]
     kind: NDArray[np.int64]
     corners: Float
-    log_distance: Float
 
-    def same_object(self, row: int) -> NDArray[np.bool_]:
-        """Which candidates have their nearest point where that of a row has it, NaN being no place."""
+    def same_place(self, row: int) -> list[int]:
+        """Candidates that may be of the object that a row is of, by their place in the image."""
         box = self.corners[:, row : row + 1]
         smaller = np.minimum(areas(box), areas(self.corners))
         together = shared_areas(box, self.corners)[0] > SAME_PLACE * smaller
-        near = np.abs(self.log_distance - self.log_distance[row]) < SAME_DISTANCE
-        return np.asarray(together & near & (self.kind == self.kind[row]), np.bool_)
+        rows: list[int] = np.flatnonzero(together & (self.kind == self.kind[row])).tolist()
+        return rows
 
 
-def choose(labels: Sequence[str], candidates: Sequence[Sequence[MeasuredRegion]]) -> list[MeasuredRegion | None]:
-    """One candidate of each detection, those that fit best before the others; None where others have them all.
-
-    Args:
-        labels: of the detections.
-        candidates: of each of them.
-    """
-    flat = [candidate for of_one in candidates for candidate in of_one]
-    table = _table(labels, flat)
-    chosen: list[MeasuredRegion | None] = [None] * len(labels)
-    taken = np.zeros(len(flat), np.bool_)
-    for row in sorted(range(len(flat)), key=lambda k: (-flat[k].region.fit, k)):
-        owner = flat[row].region.owner
-        if not taken[row] and chosen[owner] is None:
-            chosen[owner] = flat[row]
-            taken |= table.same_object(row)
-    return chosen
+def _table(labels: Sequence[str], flat: Sequence[Region]) -> _Table:
+    owner = np.array([region.owner for region in flat], np.int64)
+    return _Table(kinds(labels)[0][owner], corners(region.box_px for region in flat))
 
 
-def _table(labels: Sequence[str], flat: Sequence[MeasuredRegion]) -> _Table:
-    owner = np.array([candidate.region.owner for candidate in flat], np.int64)
-    distances = [candidate.measured.distance_m for candidate in flat]
-    known = np.array([np.nan if distance is None else distance for distance in distances])
-    return _Table(owner, kinds(labels)[0][owner], corners(c.region.box_px for c in flat), np.log(known))
+def _same_distance(one: Measured, other: Measured) -> bool:
+    """Whether the nearest points are as far; what is not known is nowhere."""
+    return _apart(one.distance_m, other.distance_m) < SAME_DISTANCE
+
+
+def _apart(one_m: float | None, other_m: float | None) -> float:
+    """Share by which two distances differ; infinite where one is not known, or behind the camera."""
+    if one_m is None or other_m is None or one_m <= 0 or other_m <= 0:
+        return inf
+    return abs(log(one_m / other_m))

@@ -5,28 +5,32 @@ class fit its box that no other detection fits better, or (the lecture's filter)
 class's tags. Its distance is a low quantile of the distances of those pixels.
 """
 
-from collections.abc import Collection
+from collections.abc import Mapping
 
+import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.objects import distance
-from roadperc_stream.chain.stages.objects.choice import MeasuredRegion, choose
+from roadperc_stream.chain.stages.objects.choice import NOWHERE, MeasuredRegion, choose
 from roadperc_stream.chain.stages.objects.distance import Measured
 from roadperc_stream.chain.stages.objects.mosaic import cut_out
 from roadperc_stream.chain.stages.objects.regions import find_regions
 from roadperc_stream.chain.stages.objects.sparse import own_distances
 from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent, Detection, Image, Mask, Object, Objects, Reason
+from roadperc_stream.core.datatypes import Absent, Detection, Image, Object, Objects, Reason
 from roadperc_stream.core.geometry import Float32
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.semantics import label_lookup
+
+LEAST_RATIO = 0.2
+"""Share of its class in a box that shows an object nobody has seen before, however well it fits."""
 
 
 def filter_detections(
     cfg: ObjectsConfig,
     scene: Scene,
     detections: tuple[Detection, ...] | None,
-    expected: Collection[int] = (),
+    expected_m: Mapping[int, float | None] = NOWHERE,
 ) -> Objects | Absent:
     """Every detection with its class ratio, whether it is kept, and its distance.
 
@@ -34,7 +38,8 @@ def filter_detections(
         cfg: thresholds.
         scene: the frame; without tags every detection is kept.
         detections: in its image; None where the frame has no detections message.
-        expected: positions of those that are where an object was seen before: less has to fit.
+        expected_m: where an object was seen before, the distance at which it is expected, if that is known, by the
+            detection's position: less has to fit, and of what fits alike it is what is as far.
 
     Returns:
         The objects in the detector's order. A label that no class belongs to is not filtered: kept, without a ratio.
@@ -42,10 +47,10 @@ def filter_detections(
     if detections is None:
         return Absent(Reason("objects", "no_detections"))
     lookups = [None if scene.table is None else label_lookup(scene.table, d.label) for d in detections]
-    chosen = _candidates(cfg, scene, detections, lookups)
+    chosen = _candidates(cfg, scene, detections, lookups, expected_m)
     return Objects(
         tuple(
-            _filtered(cfg, scene, detection, lookup, candidate, k in expected)
+            _filtered(cfg, scene, detection, lookup, candidate, k in expected_m)
             for k, (detection, lookup, candidate) in enumerate(zip(detections, lookups, chosen, strict=True))
         )
     )
@@ -57,15 +62,19 @@ def divides(scene: Scene) -> bool:
 
 
 def _candidates(
-    cfg: ObjectsConfig, scene: Scene, detections: tuple[Detection, ...], lookups: list[Image | None]
+    cfg: ObjectsConfig,
+    scene: Scene,
+    detections: tuple[Detection, ...],
+    lookups: list[Image | None],
+    expected_m: Mapping[int, float | None],
 ) -> list[MeasuredRegion | None]:
     """The region that is each detection's object; None where there is none."""
     if not divides(scene) or "region" not in (cfg.distance_pixels, cfg.filter):
         return [None] * len(detections)
     boxes = [detection.box_px for detection in detections]
     found = find_regions(scene.camera, cut_out(scene, lookups, boxes), boxes)
-    candidates = [[MeasuredRegion(region, distance.of_region(cfg, region)) for region in regions] for regions in found]
-    return choose([detection.label for detection in detections], candidates)
+    labels = [detection.label for detection in detections]
+    return choose(labels, found, lambda region: distance.of_region(cfg, region), expected_m)
 
 
 def _filtered(
@@ -82,10 +91,14 @@ def _filtered(
     of_class = None
     ratio = None
     if scene.tags is not None and lookup is not None:
-        of_class = lookup[scene.tags[y0:y1, x0:x1]].astype(bool)
-        ratio = float(of_class.mean())
-    kept = ratio is None or _is_kept(cfg, scene, ratio, candidate, expected)
+        of_class = np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[y0:y1, x0:x1]), lookup), np.uint8)
+        ratio = cv2.countNonZero(of_class) / of_class.size
+    fit = 0.0 if candidate is None else candidate.region.fit
+    beyond = fit <= cfg.min_fit and of_class is not None and divides(scene) and _mostly_beyond(scene, box, of_class)
+    kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     measured = Measured() if candidate is None or cfg.distance_pixels != "region" else candidate.measured
+    if beyond and cfg.distance_pixels == "region":
+        measured = Measured(beyond_range=True)
     if scene.depth_m is not None and measured == Measured():
         distances = distance.of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
         measured = distance.nearest(cfg, _counted(cfg, scene, distances, of_class))
@@ -99,22 +112,34 @@ def _filtered(
     )
 
 
-def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: Mask | None) -> Float32:
+def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: Image | None) -> Float32:
     """Distances of a box's pixels that count where no region does: those of the class, of a lidar the object's own."""
     if of_class is None or cfg.distance_pixels == "box":
         return distances_m.ravel()
     if cfg.distance_pixels == "class" or scene.dense_depth_m is not None:
-        return distances_m[of_class]
-    return own_distances(np.where(of_class, distances_m, np.float32(np.nan)))
+        return distances_m[of_class > 0]
+    return own_distances(np.where(of_class > 0, distances_m, np.float32(np.nan)))
 
 
-def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, candidate: MeasuredRegion | None, expected: bool) -> bool:
+def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image) -> bool:
+    """Whether most of its class in a box is beyond the depth's range, where nothing tells one object from the next."""
+    depth_m = scene.dense_depth_m
+    if depth_m is None or scene.instances is not None:
+        return False
+    x0, y0, x1, y1 = box
+    beyond = of_class[depth_m[y0:y1, x0:x1] >= np.float32(scene.depth_limit_m)]
+    return 2 * cv2.countNonZero(beyond) > cv2.countNonZero(of_class)
+
+
+def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, fit: float, *, expected: bool, beyond: bool) -> bool:
     """By the region's fit, or by the share of the box that is of the class where regions are not asked for or known.
 
+    Nor are they known beyond the depth's range.
     Where an object is expected either is enough: it may be divided wrongly, or hidden but for a part.
     """
     of_class = ratio > cfg.min_class_ratio
     if cfg.filter == "class_ratio" or not divides(scene):
         return of_class
-    fit = 0.0 if candidate is None else candidate.region.fit
-    return fit > cfg.min_fit_seen or of_class if expected else fit > cfg.min_fit
+    if expected:
+        return fit > cfg.min_fit_seen or of_class
+    return of_class if beyond else fit > cfg.min_fit and ratio > LEAST_RATIO

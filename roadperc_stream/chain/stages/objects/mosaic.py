@@ -28,6 +28,9 @@ _ALIKE = 0.04
 _NEAR_PX = 2.0
 """The same in pixels."""
 _UNKNOWN_M = 1e6
+BEYOND = 0.1
+"""Share by which what is beyond the depth's range is taken for farther than its limit: it is another object than one
+just before the limit."""
 
 Indices = NDArray[np.int64]
 T = TypeVar("T", bound=np.generic)
@@ -107,9 +110,10 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
     if scene.dense_depth_m is None or not of_class.size:
         return Mosaic(first_px, steps, tops, of_class, None, None, None, ids)
     depth_m = _placed(scene.dense_depth_m, cutouts, places, np.full(size, np.nan, np.float32))
-    log_depth, noise = _smoothed(depth_m)
+    beyond = depth_m >= np.float32(scene.depth_limit_m)
+    log_depth, noise = _smoothed(np.where(beyond, depth_m * np.float32(1 + BEYOND), depth_m))
     distances = np.exp(log_depth) * _ray_lengths(scene.camera, first_px, steps, tops, size)
-    distances[depth_m >= np.float32(scene.depth_limit_m)] = np.inf
+    distances[beyond] = np.inf
     distances[~(depth_m > 0)] = np.nan
     return Mosaic(first_px, steps, tops, of_class, log_depth, distances, noise, ids)
 
@@ -163,10 +167,11 @@ def _ray_lengths(camera: Camera, first_px: Indices, steps: Indices, tops: Indice
     return lengths
 
 
-def boxes_of(mosaic: Mosaic, owners: Indices, bounds: NDArray[np.int32]) -> Float:
-    """(4, K) corners in the image of K bounds (K, 4) x, y, width and height in the mosaic, each of a cutout."""
-    x, y, width, height = bounds.T
+def boxes_of(mosaic: Mosaic, owners: Indices, bounds: Indices) -> Float:
+    """(4, K) corners in the image of corners (4, K) in the mosaic, each of a region of a cutout."""
+    x0, y0, x1, y1 = bounds
     x_step, y_step = mosaic.steps[owners].T
-    x0 = mosaic.first_px[owners, 0] + x_step * x
-    y0 = mosaic.first_px[owners, 1] + y_step * (y - mosaic.tops[owners])
-    return np.array((x0, y0, x0 + x_step * width, y0 + y_step * height), np.float64)
+    left, top = mosaic.first_px[owners].T
+    tops = mosaic.tops[owners]
+    places = (left + x_step * x0, top + y_step * (y0 - tops), left + x_step * x1, top + y_step * (y1 - tops))
+    return np.array(places, np.float64)

@@ -13,26 +13,22 @@ images, ICCV 1998).
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects.boxes import areas, corners
-from roadperc_stream.chain.stages.objects.mosaic import Indices, Mosaic, boxes_of
-from roadperc_stream.core.datatypes import Box, Ids, Image
+from roadperc_stream.chain.stages.objects.division import Division, divide
+from roadperc_stream.chain.stages.objects.mosaic import Mosaic, boxes_of
+from roadperc_stream.core.datatypes import Box
 from roadperc_stream.core.geometry import Camera, Float, Float32
 
-JUMPS = (0.02, 0.04, 0.08)
-"""Differences of depth between neighbours, as a share of it, from which they are of different regions."""
 LEAST_FIT = 0.2
 """Fit to the detection's box below which a region is not its object."""
 MISSING_WEIGHT = 0.1
 """Of the part of the box that a region does not fill."""
 MOST_REGIONS = 4
 """That are looked at for one box."""
-LEAST_PIXELS = 4
-
-Labels = NDArray[np.int32]
+LEAST_PIXELS = 3
 
 
 @dataclass(frozen=True)
@@ -61,25 +57,17 @@ def find_regions(camera: Camera, mosaic: Mosaic, boxes: Sequence[Box]) -> list[t
     """
     found: list[list[Region]] = [[] for _ in boxes]
     if mosaic.of_class.size:
-        labels, bounds = _labelled(mosaic)
-        for region in _best(camera, mosaic, boxes, labels, bounds):
-            if len(found[region.owner]) < MOST_REGIONS:
-                found[region.owner].append(region)
+        division = divide(mosaic)
+        inside = corners(boxes).clip(0.0, np.array((camera.width, camera.height) * 2)[:, None])
+        owners = np.searchsorted(mosaic.tops, division.bounds[1], side="right") - 1
+        around = boxes_of(mosaic, owners, division.bounds)
+        fits = np.where(division.pixels >= LEAST_PIXELS, _fits(inside[:, owners], around), 0.0)
+        fitting = np.flatnonzero(fits >= LEAST_FIT)
+        for k in fitting[np.argsort(-fits[fitting], kind="stable")].tolist():
+            of_owner = found[owners[k]]
+            if len(of_owner) < MOST_REGIONS:
+                of_owner.append(_region(mosaic, division, k, int(owners[k]), around[:, k], fits[k]))
     return [tuple(regions) for regions in found]
-
-
-def _best(camera: Camera, mosaic: Mosaic, boxes: Sequence[Box], labels: Labels, bounds: Labels) -> Sequence[Region]:
-    """All regions that are large enough and fit, the best first."""
-    inside = corners(boxes).clip(0.0, np.array((camera.width, camera.height) * 2)[:, None])
-    height = mosaic.of_class.shape[0]
-    placed = bounds - np.array((0, 1, 0, 0, 0)) * (bounds[:, 1:2] // height * height)
-    owners = np.searchsorted(mosaic.tops, placed[:, 1], side="right") - 1
-    around = boxes_of(mosaic, owners, placed[:, :4])
-    fits = np.where(bounds[:, 4] >= LEAST_PIXELS, _fits(inside[:, owners], around), 0.0)
-    fitting = np.flatnonzero(fits >= LEAST_FIT)
-    _, distinct = np.unique(placed[fitting], axis=0, return_index=True)
-    order = sorted(fitting[distinct].tolist(), key=lambda k: (-fits[k], k))
-    return [_region(mosaic, labels, k, bounds[k], placed[k], int(owners[k]), around[:, k], fits[k]) for k in order]
 
 
 def _fits(boxes: Float, around: Float) -> Float:
@@ -94,50 +82,8 @@ def _fits(boxes: Float, around: Float) -> Float:
     return fits
 
 
-def _region(
-    mosaic: Mosaic, labels: Labels, k: int, bounds: Labels, placed: Labels, owner: int, box: Float, fit: float
-) -> Region:
-    x, y, width, height, _ = bounds.tolist()
-    mask = labels[y : y + height, x : x + width] == k + 1
-    y = int(placed[1])
-    part = slice(y, y + height), slice(x, x + width)
+def _region(mosaic: Mosaic, division: Division, k: int, owner: int, box: Float, fit: float) -> Region:
+    mask, part = division.mask(k)
     distances = None if mosaic.distances_m is None else mosaic.distances_m[part]
     noise = None if mosaic.noise is None else mosaic.noise[part]
     return Region(owner, Box(*box.tolist()), float(fit), mask, distances, noise)
-
-
-def _labelled(mosaic: Mosaic) -> tuple[Labels, Labels]:
-    """Labels from 1 on, (n H, W) of n ways to divide the pixels, and of each x, y, width, height and count."""
-    if mosaic.ids is not None:
-        return _by_instance(mosaic.ids, mosaic.of_class, mosaic.tops)
-    if mosaic.log_depth is not None:
-        return _by_depth(mosaic.log_depth, mosaic.of_class)
-    return np.zeros((0, 0), np.int32), np.zeros((0, 5), np.int32)
-
-
-def _by_instance(ids: Ids, of_class: Image, tops: Indices) -> tuple[Labels, Labels]:
-    """The instances of the class in each cutout."""
-    cutout = np.repeat(np.arange(len(tops) - 1), np.diff(tops))[:, None]
-    owned = np.where((of_class > 0) & (ids > 0), cutout * 2**16 + ids, 0)
-    numbers = np.unique(owned[owned > 0])
-    labels = np.where(owned > 0, np.searchsorted(numbers, owned) + 1, 0).astype(np.int32)
-    masks = ((labels == k + 1).view(np.uint8) for k in range(len(numbers)))
-    bounds = [(*cv2.boundingRect(mask), cv2.countNonZero(mask)) for mask in masks]
-    return labels, np.array(bounds, np.int32).reshape(-1, 5)
-
-
-def _by_depth(log_depth: Float32, of_class: Image) -> tuple[Labels, Labels]:
-    """The regions of every jump, on a grid that has a cell for each pair of neighbours too."""
-    height, width = of_class.shape
-    across, down = np.abs(log_depth[:, 1:] - log_depth[:, :-1]), np.abs(log_depth[1:] - log_depth[:-1])
-    beside, below = of_class[:, 1:] & of_class[:, :-1], of_class[1:] & of_class[:-1]
-    grid = np.zeros((len(JUMPS), 2 * height, 2 * width - 1), np.uint8)
-    grid[:, ::2, ::2] = of_class
-    for of_jump, jump in zip(grid, JUMPS, strict=True):
-        of_jump[::2, 1::2] = beside & (across < jump)
-        of_jump[1:-1:2, ::2] = below & (down < jump)
-    stacked = grid.reshape(-1, 2 * width - 1)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(stacked, connectivity=4, ltype=cv2.CV_32S)
-    bounds = np.array(stats[1:], np.int32)
-    bounds[:, :4] = (bounds[:, :4] + (0, 0, 1, 1)) // 2
-    return np.asarray(labels[::2, ::2], np.int32), bounds

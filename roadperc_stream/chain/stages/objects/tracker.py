@@ -110,8 +110,8 @@ def step(
     return after, Objects(tracked + found, correlations, path.source)
 
 
-def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) -> frozenset[int]:
-    """Positions of the detections where an object was seen for some time."""
+def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) -> dict[int, float | None]:
+    """Detections where an object was seen for some time, by position, and how far it is."""
     detections = scene.detections or ()
     confirmed = [track for track in known if tracking.confirmed(cfg, track)]
     return expected(confirmed, [d.label for d in detections], [_within(scene.camera, d.box_px) for d in detections])
@@ -192,7 +192,8 @@ def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrac
     if found is None:
         return lost
     box_px = _within(scene.camera, track.template.whole(found[0], scale))
-    filtered = filter_detections(cfg, scene, (replace(track.detection, box_px=box_px),), (0,))
+    expected_m = None if track.distance_m is None else track.distance_m.value
+    filtered = filter_detections(cfg, scene, (replace(track.detection, box_px=box_px),), {0: expected_m})
     if isinstance(filtered, Absent) or not filtered.objects[0].kept:
         return lost
     item = replace(filtered.objects[0], status="tracked")

@@ -1,8 +1,9 @@
 """One object belongs to one detection: the one it fits best."""
 
 import numpy as np
+import pytest
 
-from roadperc_stream.chain.stages.objects.choice import MeasuredRegion, choose
+from roadperc_stream.chain.stages.objects.choice import choose
 from roadperc_stream.chain.stages.objects.distance import Measured
 from roadperc_stream.chain.stages.objects.regions import Region
 from roadperc_stream.core.datatypes import Box
@@ -11,11 +12,16 @@ BOX = Box(10, 10, 30, 30)
 
 
 def candidate(owner, fit, distance_m, box=BOX):
-    return MeasuredRegion(Region(owner, box, fit, np.ones((1, 1), bool), None, None), Measured(distance_m, 0.1))
+    distances = None if distance_m is None else np.full((1, 1), distance_m, np.float32)
+    return Region(owner, box, fit, np.ones((1, 1), bool), distances, None)
+
+
+def measure(region):
+    return Measured(None if region.distances_m is None else round(float(region.distances_m[0, 0]), 4), 0.1)
 
 
 def chosen(labels, *candidates):
-    return [c and (c.region.fit, c.measured.distance_m) for c in choose(labels, candidates)]
+    return [c and (c.region.fit, c.measured.distance_m) for c in choose(labels, candidates, measure)]
 
 
 def test_each_gets_what_fits_best():
@@ -44,3 +50,17 @@ def test_without_distances_nothing_is_the_same():
 def test_nothing_to_choose_from():
     assert chosen([]) == []
     assert chosen(["Car"], []) == [None]
+
+
+def test_what_is_not_looked_at_is_not_measured():
+    """Distances are what costs the most."""
+    measured = []
+    choose(["Car"], [[candidate(0, 0.9, 10.0), candidate(0, 0.5, 20.0)]], lambda r: measured.append(r) or measure(r))
+    assert [region.fit for region in measured] == [0.9]
+
+
+@pytest.mark.parametrize(("expected_m", "chosen_m"), [(None, 16.5), (12.5, 12.6), (16.0, 16.5), (30.0, 16.5)])
+def test_of_regions_that_fit_alike_the_one_where_the_object_is_expected_is_chosen(expected_m, chosen_m):
+    regions = [candidate(0, 0.65, 16.5), candidate(0, 0.63, 12.6), candidate(0, 0.4, 30.0)]
+    (found,) = choose(["Car"], [regions], measure, {0: expected_m})
+    assert found.measured.distance_m == chosen_m

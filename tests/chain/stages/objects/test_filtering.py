@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roadperc_stream.chain.stages.objects.choice import NOWHERE
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Absent, Reason
@@ -126,7 +127,7 @@ def two_cars():
     return tags, depth
 
 
-def judged(*boxes, expected=(), cfg=CFG, **inputs):
+def judged(*boxes, expected=NOWHERE, cfg=CFG, **inputs):
     tags, depth = two_cars()
     scene = scene_of(CAMERA, **{"tags": tags, "depth_m": depth, "limit_m": 65.535, **inputs})
     return filter_detections(cfg, scene, tuple(box("Car", *b) for b in boxes), expected).objects
@@ -159,10 +160,35 @@ def test_the_score_decides_nothing():
     assert len({tuple(i.kept for i in filter_detections(CFG, scene, found).objects) for found in scored}) == 1
 
 
+def test_beyond_the_depths_range_the_share_of_the_class_decides():
+    """Nothing tells one car from the next there: all of them are one region, larger than any box."""
+    tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 65.535, np.float32)
+    tags[30:34, 10:60] = VEHICLE
+    one, sparse = judged((20, 30, 28, 34), (40, 24, 48, 50), tags=tags, depth_m=depth)
+    assert (one.kept, one.beyond_range, one.distance_m) == (True, True, None)
+    assert not sparse.kept
+    assert not judged((20, 30, 28, 34), tags=tags, depth_m=np.minimum(depth, 60.0))[0].kept
+
+
+def test_a_car_just_before_the_depths_limit_is_not_one_with_those_beyond():
+    tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 65.535, np.float32)
+    tags[30:36, 10:60], depth[30:36, 20:30] = VEHICLE, 64.5
+    (item,) = judged((20, 30, 30, 36), tags=tags, depth_m=depth)
+    assert item.kept
+    assert 64.5 * np.hypot(1, 0.4) < item.distance_m < 64.5 * np.hypot(1, 0.6)
+
+
+def test_few_pixels_of_its_class_show_no_object_that_was_not_seen_before():
+    tags, depth = pictures()
+    assert judged((10, 20, 30, 40), tags=tags, depth_m=depth)[0].kept
+    tags[22:, 12:] = 0
+    assert not judged((10, 20, 30, 40), tags=tags, depth_m=depth)[0].kept
+
+
 def test_where_an_object_is_expected_less_has_to_fit():
     too_small = (15, 22, 30, 36)
     assert not judged(too_small)[0].kept
-    assert judged(too_small, expected=(0,))[0].kept
+    assert judged(too_small, expected={0: None})[0].kept
 
 
 def test_instances_decide_where_they_are_given():
