@@ -15,8 +15,8 @@ from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.geometry import Camera, Float32
 
 _SMOOTHED_PX = 3
-NOISE_LEFT = 0.45
-"""Standard deviation of a distance in mean noises of its pixels, as measured on rendered drives."""
+NOISE_LEFT = 1 / _SMOOTHED_PX
+"""Standard deviation of a distance in noises of its pixels: what the mean of 3x3 independent ones leaves."""
 SMOOTHING_STD = 0.002
 """The same without noise, as a share of the distance: smoothing takes edges away."""
 

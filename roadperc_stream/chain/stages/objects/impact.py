@@ -53,13 +53,14 @@ def _with_motion(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object
     if distance is None or sqrt(distance.rate_var) > cfg.max_speed_std_mps:
         return item
     closing, std = -distance.rate, sqrt(distance.rate_var)
-    moving = replace(item, closing_speed_mps=closing, closing_speed_std_mps=std)
+    own = sqrt(track.jitter.rate_var_scale) if track.jitter else 1.0
+    moving = replace(item, closing_speed_mps=closing, closing_speed_std_mps=own * std)
     contradicted = track.rival_m is not None or distance.value <= 0
     nears = closing >= cfg.min_closing_mps and closing >= cfg.min_closing_sigmas * std
     if not item.in_path or contradicted or not nears:
         return moving
     return replace(
-        moving, time_to_impact_s=distance.value / closing, time_to_impact_std_s=_time_to_impact_std_s(distance)
+        moving, time_to_impact_s=distance.value / closing, time_to_impact_std_s=own * _time_to_impact_std_s(distance)
     )
 
 

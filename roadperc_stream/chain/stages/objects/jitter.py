@@ -18,11 +18,16 @@ _BELIEVED = 2.0
 _LEAST_STD_M = 0.01
 _HUBER = 2.0
 """Standard deviations from which on an innovation counts for less and less."""
+_STEADIEST, _WILDEST = 0.25, 10.0
+"""Mean squared innovations, in their variances, beyond which the variance of a rate is not scaled."""
 
 
 @dataclass(frozen=True)
 class Jitter:
-    """Variance in square metres, how many residuals it stands for, and the last distances with their stamps."""
+    """Variance in square metres, how many residuals it stands for, and the last distances with their stamps.
+
+    ``innovation`` is the mean of the filter's squared innovations, in units of the variance that it expects of them.
+    """
 
     variance: float
     weight: float
@@ -30,22 +35,35 @@ class Jitter:
     last_m: float
     earlier_ns: int | None = None
     earlier_m: float = 0.0
+    innovation: float = 1.0
 
     @classmethod
     def of_first(cls, stamp_ns: int, distance_m: float, std_m: float) -> "Jitter":
         """Of one distance."""
         return cls(std_m**2, _BELIEVED, stamp_ns, distance_m)
 
-    def after(self, stamp_ns: int, distance_m: float, std_m: float) -> "Jitter":
-        """After one more distance, later than those before, off by ``std_m`` at most."""
+    def after(self, stamp_ns: int, filtered: RateFilter, distance_m: float, std_m: float) -> "Jitter":
+        """After one more distance, later than those before, off by ``std_m`` at most; ``filtered`` predicted it."""
         if self.earlier_ns is None:
-            return Jitter(self.variance, self.weight, stamp_ns, distance_m, self.last_ns, self.last_m)
+            return Jitter(self.variance, self.weight, stamp_ns, distance_m, self.last_ns, self.last_m, self.innovation)
         share = (self.last_ns - self.earlier_ns) / (stamp_ns - self.earlier_ns)
         residual = self.last_m - self.earlier_m * (1 - share) - distance_m * share
         square = min(residual**2 / (1 + share**2 + (1 - share) ** 2), std_m**2)
         weight = self.weight * exp((self.last_ns - stamp_ns) / NS_PER_S / _MEMORY_S)
         variance = (self.variance * weight + square) / (weight + 1)
-        return Jitter(variance, weight + 1, stamp_ns, distance_m, self.last_ns, self.last_m)
+        surprise = filtered.surprise(distance_m, max(sqrt(variance), _LEAST_STD_M))
+        innovation = (self.innovation * weight + surprise) / (weight + 1)
+        return Jitter(variance, weight + 1, stamp_ns, distance_m, self.last_ns, self.last_m, innovation)
+
+    @property
+    def rate_var_scale(self) -> float:
+        """By which the filter's variance of the rate is multiplied to be that of this object.
+
+        The filter allows for motions that may come, such as a car that brakes; most objects move more steadily, and
+        some do worse. Its innovations tell them apart: covariance matching (R. Mehra, Approaches to adaptive
+        filtering, IEEE Transactions on Automatic Control 17, 1972).
+        """
+        return min(max(self.innovation, _STEADIEST), _WILDEST)
 
     def std_m(self, filtered: RateFilter, distance_m: float, std_m: float) -> float:
         """With which the filter takes a distance: more for one that is far off, at most what its deviation says.

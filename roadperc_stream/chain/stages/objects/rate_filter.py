@@ -37,9 +37,9 @@ class RateFilter:
         """With a known change of value and rate: an input, which adds no uncertainty."""
         return replace(self, value=self.value + value, rate=self.rate + rate)
 
-    def at(self, value: float, std: float) -> "RateFilter":
-        """At a value that says nothing of the rate."""
-        return RateFilter(value, self.rate, std**2, 0.0, self.rate_var)
+    def at(self, value: float, std: float, rate_change: float) -> "RateFilter":
+        """At a value that says nothing of the rate, which has changed by about so much besides."""
+        return RateFilter(value, self.rate, std**2, 0.0, self.rate_var + rate_change**2)
 
     def update(self, measured: float, std: float) -> "RateFilter":
         """After a measurement of the value with its standard deviation."""

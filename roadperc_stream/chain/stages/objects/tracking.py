@@ -6,6 +6,7 @@ distance's filter, which replaces it when its distances have been consistent for
 """
 
 from dataclasses import dataclass, replace
+from math import hypot
 
 from roadperc_stream.chain.stages.objects import rate_filter
 from roadperc_stream.chain.stages.objects.approach import EgoRate, Ray, change_of_distance_m
@@ -200,7 +201,9 @@ def _updated(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, 
     std_m = distance_std_m(cfg, item)
     if cut and moved.distance_m is not None:
         # What is nearest of it in the image is another point of it in each frame: that says nothing of its speed.
-        return replace(moved, distance_m=moved.distance_m.at(item.distance_m, std_m), rival_m=None)
+        dt_s = (track.stamp_ns - track.observed_ns) / NS_PER_S
+        change_mps = _turning_mps2(moved.distance_m, track.nearest_ray) * dt_s
+        return replace(moved, distance_m=moved.distance_m.at(item.distance_m, std_m, change_mps), rival_m=None)
     return _measured(cfg, moved, item.distance_m, std_m)
 
 
@@ -212,7 +215,7 @@ def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: 
     ours = track.distance_m.surprise(distance_m, std_m)
     theirs = track.rival_m.surprise(distance_m, std_m) if track.rival_m else cfg.gate
     if ours <= min(theirs, cfg.gate):
-        jitter = track.jitter.after(track.stamp_ns, distance_m, std_m) if track.jitter else new
+        jitter = track.jitter.after(track.stamp_ns, track.distance_m, distance_m, std_m) if track.jitter else new
         distance = track.distance_m.update(distance_m, jitter.std_m(track.distance_m, distance_m, std_m))
         return replace(track, distance_m=distance, rival_m=None, jitter=jitter)
     if track.rival_m is None or theirs > cfg.gate:
@@ -221,6 +224,17 @@ def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: 
     if (track.stamp_ns - track.rival_ns) / NS_PER_S < cfg.restart_s:
         return replace(track, rival_m=rival_m)
     return replace(track, distance_m=rival_m, rival_m=None, jitter=new)
+
+
+def _turning_mps2(distance_m: RateFilter, nearest_ray: Ray | None) -> float:
+    """How fast the rate of a distance changes as what passes on a straight line is seen in another direction.
+
+    It is the centrifugal term of polar coordinates: the square of the speed across the ray, over the distance.
+    """
+    if nearest_ray is None or distance_m.value <= 0:
+        return 0.0
+    x, y, z = nearest_ray
+    return (distance_m.rate * hypot(x, y) / z) ** 2 / distance_m.value
 
 
 def _first_distance(distance_m: float, std_m: float) -> RateFilter:

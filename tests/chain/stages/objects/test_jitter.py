@@ -9,12 +9,13 @@ from roadperc_stream.chain.stages.objects import rate_filter
 from roadperc_stream.chain.stages.objects.jitter import Jitter
 
 STD_M = 0.15
+FILTERED = rate_filter.start(10.0, 0.5, 1.0)
 
 
 def after(distances_m, stamps_ns):
     jitter = Jitter.of_first(stamps_ns[0], distances_m[0], STD_M)
     for stamp_ns, distance_m in zip(stamps_ns[1:], distances_m[1:], strict=True):
-        jitter = jitter.after(stamp_ns, distance_m, STD_M)
+        jitter = jitter.after(stamp_ns, FILTERED, distance_m, STD_M)
     return jitter
 
 
@@ -41,3 +42,16 @@ def test_a_distance_far_off_counts_for_less():
     near, off = (jitter.std_m(filtered, distance_m, STD_M) for distance_m in (10.01, 10.2))
     assert (near, off) == (pytest.approx(0.01), pytest.approx(0.1, rel=0.02))
     assert jitter.std_m(filtered, 12.0, STD_M) == STD_M
+
+
+@pytest.mark.parametrize(("true_m", "expected"), [(0.02, 0.25), (1.0, 1.0), (2.0, 4.0), (50.0, 10.0)])
+def test_the_variance_of_the_rate_follows_the_innovations(true_m, expected):
+    """Those of a filter that expects 1 m, with distances as regular as a line."""
+    rng = np.random.default_rng(0)
+    jitter = Jitter.of_first(1, 10.0, STD_M)
+    scales = []
+    for k in range(2, 400):
+        filtered = rate_filter.start(10.0 - rng.normal(0, true_m), 1.0, 1.0)
+        jitter = jitter.after(k * 50_000_000, filtered, 10.0, STD_M)
+        scales.append(jitter.rate_var_scale)
+    assert np.median(scales[100:]) == pytest.approx(expected, rel=0.2)

@@ -47,3 +47,9 @@ def test_covariance_stays_positive_over_thousands_of_frames():
         state = state.predict(WANDER, 0.05).update(0.0, 1e-3)
         assert state.value_var > 0
         assert state.value_var * state.rate_var > state.cross_var**2
+
+
+def test_a_value_that_says_nothing_of_the_rate_leaves_it_and_adds_what_it_may_have_changed():
+    filtered = rate_filter.start(10.0, 0.1, 2.0).predict(1.5, 0.1).at(9.0, 0.2, 3.0)
+    assert (filtered.value, filtered.rate, filtered.cross_var) == (9.0, 0.0, 0.0)
+    assert (filtered.value_var, filtered.rate_var) == pytest.approx((0.04, 4.0 + 1.5**2 * 0.1 + 9.0))
