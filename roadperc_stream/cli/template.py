@@ -8,12 +8,16 @@ from typing import Final
 from roadperc_stream.chain.stages.objects.obstacle import png_of
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.config.loading import validated
+from roadperc_stream.core.config.stages import MOST_PNG_BYTES
 from roadperc_stream.core.datatypes import Image
 from roadperc_stream.errors import ConfigError, DecodeError
 from roadperc_stream.formats.images import decode_grey
 from roadperc_stream.input import ReplaySource, open_input
 
-_IN_FRAME: Final = re.compile(r"(\d+):(\d+),(\d+),(\d+),(\d+)")
+_IN_FRAME: Final = re.compile(r"(\d{1,9}):(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})")
+_EXPECTED: Final = "expected a picture's file, or FRAME:X0,Y0,X1,Y1 with X0 < X1 and Y0 < Y1"
+_LEAST_PX: Final = 8
+"""Rows and columns of a picture that is more than a speck."""
 
 
 def with_template(cfg: ReplayConfig, option: str | None, source: ReplaySource) -> ReplayConfig:
@@ -31,8 +35,15 @@ def with_template(cfg: ReplayConfig, option: str | None, source: ReplaySource) -
         return cfg
     place = _IN_FRAME.fullmatch(option)
     grey = _of_file(Path(option)) if place is None else _of_frame(cfg, source, *(int(n) for n in place.groups()))
+    height, width = grey.shape
+    if min(height, width) < _LEAST_PX or grey.min() == grey.max():
+        shown = "all of one brightness" if min(height, width) >= _LEAST_PX else f"{width}x{height} pixels"
+        raise ConfigError(f"--template: expected a picture of {_LEAST_PX}x{_LEAST_PX} pixels or more, found {shown}")
+    png = png_of(grey)
+    if len(png) > MOST_PNG_BYTES:
+        raise ConfigError(f"--template: a picture of {width}x{height} pixels is too large: {len(png)} bytes as a PNG")
     settings = cfg.model_dump()
-    settings["objects"]["template_png"] = png_of(grey)
+    settings["objects"]["template_png"] = png
     return validated(settings, "--template: ")
 
 
@@ -40,7 +51,7 @@ def _of_file(path: Path) -> Image:
     try:
         return decode_grey(path.read_bytes())
     except OSError as error:
-        raise ConfigError(f"--template: {path}: {error.strerror}") from error
+        raise ConfigError(f"--template: {path}: {error.strerror}; {_EXPECTED}") from error
     except DecodeError as error:
         raise ConfigError(f"--template: {path}: {error}") from error
 
@@ -52,8 +63,9 @@ def _of_frame(cfg: ReplayConfig, source: ReplaySource, frame: int, x0: int, y0: 
     samples = open_input(replace(source, time_range=first), cfg).samples()
     image = next((sample.frame.image for sample in samples if sample.index == frame), None)
     if image is None:
-        raise ConfigError(f"--template: frame {frame} has no image")
+        raise ConfigError(f"--template: the log has no frame {frame}, or it is without an image; {_EXPECTED}")
     height, width = image.grey.shape
     if not (x0 < x1 <= width and y0 < y1 <= height):
-        raise ConfigError(f"--template: expected a box within {width}x{height} pixels, found {x0},{y0},{x1},{y1}")
+        found = f"{x0},{y0},{x1},{y1}"
+        raise ConfigError(f"--template: {_EXPECTED} within {width}x{height} pixels, found {found}")
     return image.grey[y0:y1, x0:x1].copy()

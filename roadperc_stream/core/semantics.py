@@ -191,7 +191,7 @@ def table_for_version(version: str) -> TagTable:
     """
     if version in TABLES:
         return TABLES[version]
-    match = re.fullmatch(r"v?(\d+)\.(\d+)(?:\.(\d+))?.*", version.strip())
+    match = re.fullmatch(r"v?(\d{1,4})\.(\d{1,4})(?:\.(\d{1,4}))?(?:\D.*)?", version.strip())
     if not match:
         raise ConfigError(f"CARLA version {version!r}: expected a number such as 0.9.15, or one of {', '.join(TABLES)}")
     numbers = tuple(int(part or 0) for part in match.groups())

@@ -2,6 +2,8 @@
 
 import operator
 from collections.abc import Callable, Iterable
+from math import isfinite
+from numbers import Real
 from typing import Any, Final
 
 import cv2
@@ -83,7 +85,7 @@ def tag_pixels(pixels: ArrayLike, camera: Camera) -> Image:
 
 
 def depth_pixels(pixels: ArrayLike, camera: Camera) -> Float32:
-    """A copy of (H, W) metres.
+    """A copy of (H, W) metres, NaN where they are no depth: 0 or less.
 
     Raises:
         ValueError: they are of another size, or whole numbers, as millimetres are.
@@ -91,7 +93,9 @@ def depth_pixels(pixels: ArrayLike, camera: Camera) -> Float32:
     found = _of_size("depth_m", pixels, [camera.size])
     if not np.issubdtype(found.dtype, np.floating):
         raise ValueError(f"depth_m: expected metres as float32, found {found.dtype}: divide millimetres by 1000")
-    return np.array(found, np.float32, order="C")
+    metres = np.array(found, np.float32, order="C")
+    metres[~(metres > 0)] = np.nan
+    return metres
 
 
 def checked_detections(detections: Iterable[Any]) -> tuple[Detection, ...]:
@@ -112,6 +116,8 @@ def _checked_detection(name: str, detection: Any) -> Detection:
         raise TypeError(f"{name}: expected box_px to be a Box, found {box!r}")
     if not (-np.inf < box.x_min <= box.x_max < np.inf and -np.inf < box.y_min <= box.y_max < np.inf):
         raise ValueError(f"{name}: expected x_min <= x_max and y_min <= y_max, found {box}")
+    if not isinstance(detection.score, Real) or not isfinite(detection.score):
+        raise ValueError(f"{name}: expected a number as score, found {detection.score!r}")
     return detection
 
 

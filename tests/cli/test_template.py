@@ -1,6 +1,9 @@
 """``--template``: a box in a frame of the sample, or a picture of it, is found in the log's frames."""
 
+from base64 import b64encode
+
 import cv2
+import numpy as np
 import polars as pl
 import pytest
 
@@ -56,10 +59,12 @@ def test_the_box_and_the_picture_of_it_are_found_where_they_are(tmp_path, as_fil
 @pytest.mark.parametrize(
     ("template", "complaint"),
     [
-        ("0:150,120,400,150", "expected a box within 360x270 pixels, found 150,120,400,150"),
-        ("0:50,60,50,80", "expected a box within 360x270 pixels, found 50,60,50,80"),
-        ("99:10,10,40,40", "frame 99 has no image"),
-        ("nowhere.png", "nowhere.png: No such file or directory"),
+        ("0:150,120,400,150", "X0 < X1 and Y0 < Y1 within 360x270 pixels, found 150,120,400,150"),
+        ("0:50,60,50,80", "X0 < X1 and Y0 < Y1 within 360x270 pixels, found 50,60,50,80"),
+        ("0:50,60,52,80", "a picture of 8x8 pixels or more, found 2x20 pixels"),
+        ("99:10,10,40,40", "the log has no frame 99, or it is without an image"),
+        ("99999999999999999999999:0,0,9,9", "No such file or directory; expected a picture's file, or FRAME:X0,"),
+        ("nowhere.png", "nowhere.png: No such file or directory; expected a picture's file, or FRAME:X0,Y0,X1,Y1"),
         (str(SAMPLE), "bytes are no image"),
     ],
 )
@@ -70,6 +75,29 @@ def test_what_is_no_template(tmp_path, capsys, template, complaint):
     assert "--template: " in said
     assert complaint in said
     assert not (tmp_path / "out.mcap").exists()
+
+
+def test_a_picture_of_nothing_or_of_too_much(tmp_path, capsys):
+    for name, grey in (("flat", np.full((20, 30), 90, np.uint8)), ("large", noise((1200, 1200)))):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), grey)
+    for name, complaint in (("flat", "found all of one brightness"), ("large", "1200x1200 pixels is too large")):
+        picture = str(tmp_path / f"{name}.png")
+        assert replay.main([str(SAMPLE), str(tmp_path / "out.mcap"), "--quiet", "--template", picture]) == 1
+        assert complaint in capsys.readouterr().err
+
+
+def test_a_configuration_with_a_picture_that_claims_too_much(tmp_path, capsys):
+    """A PNG of 74 bytes may say in its header that it has billions of pixels."""
+    data = bytearray(cv2.imencode(".png", noise((9, 9)))[1].tobytes())
+    data[16:24] = (60_000).to_bytes(4, "big") * 2
+    png = b64encode(bytes(data)).decode()
+    option = f"objects.template_png={png}"
+    assert replay.main([str(SAMPLE), str(tmp_path / "out.mcap"), "--quiet", "--set", option]) in (1, 2)
+    assert "a picture of 60000x60000 pixels, expected at most 4,000,000" in capsys.readouterr().err
+
+
+def noise(shape):
+    return np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
 
 
 def test_a_box_of_standard_input_cannot_be_had(tmp_path, capsys):

@@ -205,6 +205,8 @@ def shade_sky(camera: Camera, world_R_camera: Float, rows: int, seed: int) -> Pi
 
     Smooth as it is, it is drawn at half the resolution.
     """
+    if rows == 0:
+        return np.empty((0, camera.width, 3), np.uint8)
     size = (-(-camera.width // 2), -(-rows // 2))
     pixel_of_half = np.array([[2.0, 0.0, 0.5], [0.0, 2.0, 0.5], [0.0, 0.0, 1.0]])
     ray_of_half = world_R_camera @ np.linalg.inv(camera.K) @ pixel_of_half

@@ -3,6 +3,7 @@
 Lengths in pixels are given at 960 image rows and scale with the image.
 """
 
+from base64 import b64decode
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -11,6 +12,11 @@ from roadperc_stream.core.config.fields import Classes, Count, OddCount, Pixels,
 
 _MOST_DISTANCES = 10_000_000
 """Distances of points to planes that RANSAC may have in memory together: some 100 MB."""
+MOST_PNG_BYTES = 1_000_000
+"""Of a picture in base 64 that a configuration holds."""
+_MOST_PNG_PIXELS = 4_000_000
+_PNG_HEADER = 32
+"""Characters in base 64 of a PNG's first 24 bytes, which end in width and height."""
 _PNG_IN_BASE64 = "^(iVBORw0KGgo[A-Za-z0-9+/]*={0,2})?$"
 """What the eight bytes that begin a PNG are in base 64, and its characters."""
 
@@ -181,6 +187,12 @@ class LanesConfig(Section):
     curvature_std_per_m: Positive = 0.002
     """Standard deviation of a measured boundary's curvature with ``model`` ``line``."""
 
+    @model_validator(mode="after")
+    def _some_width_is_possible(self) -> Self:
+        if self.min_width_m > self.max_width_m:
+            raise ValueError(f"min_width_m must not exceed max_width_m: {self.min_width_m:g}, {self.max_width_m:g}")
+        return self
+
 
 class ObjectsConfig(Section):
     """Detections filtered by segmentation, with their distance, and tracked over time."""
@@ -210,7 +222,7 @@ class ObjectsConfig(Section):
     template_min_score: Ratio = 0.7
     """Normalised cross-correlation from which the patch counts as found."""
     template_png: Annotated[
-        str, Field(max_length=1_000_000, pattern=_PNG_IN_BASE64, json_schema_extra={"remark": "a PNG in base 64"})
+        str, Field(max_length=MOST_PNG_BYTES, pattern=_PNG_IN_BASE64, json_schema_extra={"remark": "a PNG in base 64"})
     ] = ""
     """An obstacle's picture, which is searched for in every frame; ``--template`` fills it in."""
     template_distance: Literal["ray", "depth"] = "ray"
@@ -251,6 +263,18 @@ class ObjectsConfig(Section):
     """Standard deviation by which the speed of an object's edges across the path changes within a second."""
     cut_in_mps: Positive = 0.3
     """Least speed, towards the path, of an object over the lane's line that cuts in."""
+
+    @model_validator(mode="after")
+    def _picture_within_bounds(self) -> Self:
+        if len(self.template_png) < _PNG_HEADER:
+            return self
+        header = b64decode(self.template_png[:_PNG_HEADER], validate=True)
+        width, height = (int.from_bytes(header[k : k + 4], "big") for k in (16, 20))
+        if width * height > _MOST_PNG_PIXELS:
+            raise ValueError(
+                f"template_png: a picture of {width}x{height} pixels, expected at most {_MOST_PNG_PIXELS:,}"
+            )
+        return self
 
 
 class OdometryConfig(Section):

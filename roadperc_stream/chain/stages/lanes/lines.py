@@ -116,9 +116,9 @@ def _nonzero(dx: float) -> float:
 
 
 def _steep(cfg: LanesConfig, lines: Float) -> Mask:
-    """Where |slope| reaches the minimum; a vertical line is steep."""
+    """Where |slope| reaches the minimum; a vertical line is steep, one within a single row is not."""
     dx, dy = np.abs(lines[:, 2] - lines[:, 0]), np.abs(lines[:, 3] - lines[:, 1])
-    steep: Mask = dy >= cfg.min_slope * dx
+    steep: Mask = (dy > 0) & (dy >= cfg.min_slope * dx)
     return steep
 
 

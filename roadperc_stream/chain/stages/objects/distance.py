@@ -44,7 +44,7 @@ def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
     measured = nearest(cfg, near[region.mask])
     if measured.distance_m is None or measured.std_m is None:
         return measured
-    share = NOISE_LEFT * float(noise[region.mask].mean()) + SMOOTHING_STD
+    share = NOISE_LEFT * float(noise[known].mean()) + SMOOTHING_STD
     return replace(measured, std_m=hypot(measured.std_m, share * measured.distance_m))
 
 

@@ -151,7 +151,7 @@ def _smoothed(depth_m: Float32) -> tuple[Float32, Float32]:
 
     What is not known is far away.
     """
-    known = depth_m > 0
+    known = (depth_m > 0) & (depth_m < np.inf)
     log_depth = np.log(np.where(known, depth_m, np.float32(_UNKNOWN_M)))
     smoothed = np.asarray(cv2.bilateralFilter(log_depth, _SMOOTHED_PX, _ALIKE, _NEAR_PX), np.float32)
     return smoothed, np.abs(log_depth - smoothed)

@@ -110,14 +110,17 @@ def road_motion(
     """
     picture = _Picture(camera, view, high_pass(grey), movable, *key_T_this_turn, plane)
     shift_px = picture.shift_px_per_m
-    step_m = max(_TRIED_PX / max(shift_px, 1e-9), (tried_m[1] - tried_m[0]) / _MOST_TRIED)
+    if not 0 < shift_px < np.inf:  # a wrong motion turns the road out of sight
+        return None
+    step_m = max(_TRIED_PX / shift_px, (tried_m[1] - tried_m[0]) / _MOST_TRIED)
     lengths = np.arange(tried_m[0], tried_m[1] + step_m, step_m)
     fits = np.array([picture.correlation(length) for length in lengths])
     best = int(np.argmax(fits))
     if not 0 < best < len(lengths) - 1 or fits[best] < _LEAST_CORRELATION:
         return None
     before, at, after = fits[best - 1 : best + 2]
-    peak_m = float(lengths[best] + step_m * 0.5 * (before - after) / (before - 2 * at + after))
+    bend = before - 2 * at + after
+    peak_m = float(lengths[best] + (step_m * 0.5 * (before - after) / bend if bend < 0 else 0.0))
     return _at_peak(picture, peak_m, _SMALL_PX / shift_px)
 
 

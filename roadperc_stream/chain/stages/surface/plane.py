@@ -42,7 +42,8 @@ def road_plane(
             return Absent(Reason("surface", "plane_without_points"))
         plane = facing(fit_plane(cloud, close), _CAMERA_CENTRE)
     # The refit may turn a hypothesis that was level: of points that all lie within ``inlier_m`` it includes every one.
-    tilt_deg = float(np.degrees(np.arccos(min(abs(float(plane.n @ up)), 1.0))))
+    # One that faces down is above the camera: a ceiling, or what wrong tags take for the road.
+    tilt_deg = float(np.degrees(np.arccos(np.clip(float(plane.n @ up), -1.0, 1.0))))
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
     return plane, float(np.mean(_close(cfg, plane, points)))
