@@ -16,6 +16,10 @@ from roadperc_stream.core.datatypes import Object
 
 _VAGUE_M = 1.0
 """Standard deviation of an edge beyond which nobody can say whether it is in the path."""
+_VAGUE_MPS = 0.8
+"""Standard deviation of an edge's speed beyond which nobody can say whether it stays there."""
+_CROSSING_MPS = 2.0
+"""Speed across the path at which no lane is changed."""
 _SURE_SIGMAS = 2.0
 
 
@@ -57,11 +61,31 @@ def _with_motion(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object
     moving = replace(item, closing_speed_mps=closing, closing_speed_std_mps=own * std)
     contradicted = track.rival_m is not None or distance.value <= 0
     nears = closing >= cfg.min_closing_mps and closing >= cfg.min_closing_sigmas * std
-    if not item.in_path or contradicted or not nears:
+    if not item.in_path or contradicted or not nears or _leaves(cfg, track, distance.value / closing):
         return moving
     return replace(
         moving, time_to_impact_s=distance.value / closing, time_to_impact_std_s=own * _time_to_impact_std_s(distance)
     )
+
+
+def _leaves(cfg: ObjectsConfig, track: ObjectTrack, after_s: float) -> bool:
+    """Whether an object in the path crosses it and is beside it when the car comes there, or nobody knows how it moves.
+
+    An oncoming car in a bend is for a moment where the lane seems to go on, but crosses that at metres a second;
+    who changes lanes is slower.
+    """
+    right, left = track.right_m, track.left_m
+    if right is None or left is None or sqrt(max(right.rate_var, left.rate_var)) > _VAGUE_MPS:
+        return True
+    half_m = cfg.car_width_m / 2 + cfg.path_margin_m
+    inner = (right, replace(left, value=-left.value, rate=-left.rate))
+    return any(edge.rate > _CROSSING_MPS and _least(edge, after_s) > half_m for edge in inner)
+
+
+def _least(edge: RateFilter, after_s: float) -> float:
+    """Where an edge will be, less its standard deviation."""
+    variance = edge.value_var + 2 * after_s * edge.cross_var + after_s**2 * edge.rate_var
+    return edge.value + edge.rate * after_s - sqrt(variance)
 
 
 def _time_to_impact_std_s(distance: RateFilter) -> float:

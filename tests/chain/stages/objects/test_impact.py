@@ -90,6 +90,16 @@ def test_the_path_is_as_wide_as_the_car_and_a_margin(changed, in_path):
     assert item.in_path == in_path
 
 
+@pytest.mark.parametrize(("across_mps", "threatens"), [(1.0, True), (5.0, False)])
+def test_who_crosses_the_path_faster_than_lanes_are_changed_is_beside_it_before_the_car_comes(across_mps, threatens):
+    """As an oncoming car in a bend does, where the lane seems to go straight on."""
+    road = Road()
+    for k in range(20):
+        (item,) = road.frame((38.0 - 16.0 * STEP_S * k, -0.5 + across_mps * STEP_S * (k - 19))).objects
+    assert item.in_path
+    assert (item.time_to_impact_s is not None) == threatens
+
+
 def test_a_car_that_moves_in_over_the_line_cuts_in_until_it_is_in_the_path():
     road, seen = Road(), []
     for k in range(45):
