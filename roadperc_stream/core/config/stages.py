@@ -164,8 +164,9 @@ class LanesConfig(Section):
     """Half width of the strip around the last fit whose edges the next one takes."""
     fit_huber: Annotated[float, Field(ge=0.1, le=100.0), unit("standard deviations")] = 2.0
     """Distance beyond which an edge counts less and less (Huber's constant)."""
-    gate: Annotated[Positive, unit("standard deviations, squared")] = 16.27
-    """Squared Mahalanobis distance beyond which a measurement is rejected (99.9 % of chi squared, 3 degrees)."""
+    gate: Annotated[Positive, unit("standard deviations, squared")] = 48.8
+    """Squared Mahalanobis distance beyond which a measurement is rejected: three times 99.9 % of chi squared, 3
+    degrees, for wrong tags err by more than noise does. What lies within, but far, widens the standard deviation."""
     min_width_m: Positive = 2.0
     """Narrowest lane: boundaries closer together are none."""
     max_width_m: Positive = 7.0

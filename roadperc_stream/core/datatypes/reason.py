@@ -73,6 +73,7 @@ ReasonCode = Literal[
     "edges_disagree",
     "car_on_boundary",
     "boundary_uncertain",
+    "boundary_unconfirmed",
     "lane_width",
     "boundaries_cross",
     "lens_without_rotation",
@@ -153,6 +154,8 @@ TEMPLATES: Final[dict[ReasonCode, str]] = {
     "car_on_boundary": "{side} boundary lost, the car is on it",
     "boundary_uncertain": "{side} boundary lost, known to {std_m:g} m {ahead_m:g} m ahead, expected {limit_m:g} m",
     "lane_width": "{side} boundary lost, it makes a lane of {width_m:g} m, expected {narrowest_m:g} to {widest_m:g} m",
+    "boundary_unconfirmed": "{side} boundary lost, known to {std_m:g} m {ahead_m:g} m ahead, and the other one is not "
+    "beside it",
     "boundaries_cross": "{side} boundary lost, it crosses the other one {ahead_m:g} m ahead",
     "lens_without_rotation": "not rectified: the {side} camera has distortion but no R",
     "lens_without_camera_matrix": "not rectified: the {side} camera has an invalid K: {detail}",

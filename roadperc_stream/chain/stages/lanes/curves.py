@@ -26,7 +26,7 @@ _SEARCH_M = 0.6
 _BIN_M = 0.04
 _PEAK_SHARE = 0.4
 """Support of the innermost edge, as a share of the best supported one, from which it counts as the boundary."""
-_BLOB_VARIANCE = 3.0
+_BLOB_VARIANCE = 6.5
 _BLOB_ANGLE = 0.0125
 """Variance of a fit, by that which its edges promise, where tags err: what is left of a boundary is not all there. It
 grows with the square of the edges' angle beyond the second number, radians."""
@@ -36,10 +36,8 @@ _REWEIGHTINGS = 5
 _GROUND_STD_M = 0.01
 _CURVATURE_PRIOR_PER_M = 0.01
 """Standard deviation of road curvature: where a short stretch does not determine it, the road is close to straight."""
-_CORRELATED_ROWS = 40.0
+_CORRELATED_ROWS = 16.0
 """Errors of edges in neighbouring rows are correlated: so many edges count as one."""
-
-
 _NOISE_PX = (1.0, 2.0, 4.0, 8.0, 16.0)
 """How far edges are tried to lie off the boundary, standard deviations: the least that explains them is taken."""
 _LOW_PX = 1.0
@@ -47,13 +45,10 @@ _LOW_PX = 1.0
 _EXPLAINED = 0.7
 _ON_CURVE_STD = 2.5
 _STRIP_STD = 3.0
-_INSIDE_STD = 0.2
 _OUTER_STRIP_STD = 1.5
 _FARTHEST_STD_M = 0.3
 _PEAK_AT_M = 4.0
 _NOISY_PEAK_SHARE = 0.8
-
-
 _CONTRAST = 3.0
 """Contrast from which edges that err stand for a boundary; blobs of wrong tags alone reach 1 to 2."""
 _SURE_CONTRAST = 4.0
@@ -102,10 +97,6 @@ class _Noise:
             return near
         between: Mask = (inside_m < _STRIP_STD * std) & (inside_m > -_OUTER_STRIP_STD * std)
         return between
-
-    def inside_m(self, x: Float) -> Float:
-        """By how much the middle of the edges in the strip lies inside the boundary."""
-        return np.zeros_like(x) if self.is_low else _INSIDE_STD * self.std_m(x)
 
 
 @dataclass(frozen=True)
@@ -209,8 +200,22 @@ def fit_curve(
         curve = _fit_at(cfg, points, rows, line, side, noise)
         if curve is not None and _explained(curve, points, rows, noise) >= _EXPLAINED:
             curve = replace(curve, contrast=_contrast(curve, points, rows, side, noise))
-            return curve if curve.is_clear or curve.contrast >= _CONTRAST else None
+            return _without_clutter(curve, side, noise) if curve.is_clear or curve.contrast >= _CONTRAST else None
     return None
+
+
+def _without_clutter(curve: Curve, side: Side, noise: _Noise) -> Curve:
+    """The curve as far out as it lies without the edges of wrong tags, which the strip takes from inside more than out.
+
+    Of edges that are spread evenly over the strip, and move with it from fit to fit, the share is that of the contrast.
+    """
+    if noise.is_low:
+        return curve
+    outward = 1.0 if side == "left" else -1.0
+    between_std = (_STRIP_STD - _OUTER_STRIP_STD) / 2
+    aside_std = between_std * (_STRIP_STD + _OUTER_STRIP_STD) / 2 / (curve.contrast - 1.0)
+    turned = outward * aside_std * noise.edge_px * noise.metres_per_px
+    return replace(curve, state=curve.state + np.array([0.0, turned, 0.0]))
 
 
 def _fit_at(cfg: LanesConfig, points: Float, rows: Float, line: Float, side: Side, noise: _Noise) -> Curve | None:
@@ -229,11 +234,9 @@ def _fit_at(cfg: LanesConfig, points: Float, rows: Float, line: Float, side: Sid
             chosen = chosen[_innermost_of_rows(rows[strip], aside[strip])]
         if len(chosen) < _MIN_POINTS or _rows_in(rows, chosen) < _MIN_ROWS:
             return None
-        x, y = points[chosen].T
-        unbiased = np.stack((x, y - inward * noise.inside_m(x)), axis=-1)
-        state, covariance = _robust_fit(cfg, unbiased, rows[chosen], state, noise)
+        state, covariance = _robust_fit(cfg, points[chosen], rows[chosen], state, noise)
         if reach >= farthest:
-            return Curve(state, covariance, float(x.max()), noise.edge_px)
+            return Curve(state, covariance, float(points[chosen, 0].max()), noise.edge_px)
         reach = min(reach + _REACH_STEP_M, farthest)
 
 
@@ -290,6 +293,5 @@ def _robust_fit(cfg: LanesConfig, points: Float, rows: Float, start: Float, nois
         weighted = design * weight[:, None] / _CORRELATED_ROWS
         information = weighted.T @ design + prior
         state = np.linalg.solve(information, weighted.T @ y)
-    off = (y - design @ state) / std
-    spread = float(np.average(off**2, weights=weight))
+    spread = float(np.average(((y - design @ state) / std) ** 2, weights=weight))
     return state, np.linalg.inv(information) * max(spread, 1.0) * noise.blob_variance

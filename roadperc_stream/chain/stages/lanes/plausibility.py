@@ -5,12 +5,16 @@ import numpy as np
 from roadperc_stream.chain.stages.lanes import tracking
 from roadperc_stream.chain.stages.lanes.curves import lateral
 from roadperc_stream.chain.stages.lanes.following import JUDGED_AT_M
-from roadperc_stream.chain.stages.lanes.memory import LanesState, TrackedBoundary, outward
+from roadperc_stream.chain.stages.lanes.memory import LanesState, TrackedBoundary, other_side, outward
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import SIDES, Reason, Side
 from roadperc_stream.core.geometry import Float
 
 _STEP_M = 1.0
+_CERTAIN_STD_M = 0.07
+"""Standard deviation ``JUDGED_AT_M`` ahead up to which a boundary needs no other one beside it to be believed."""
+_PARALLEL_M = 0.3
+"""By how much the lane's width may change until there: boundaries that edges of wrong tags turn are not parallel."""
 _TURNED = 0.1
 """Of two boundaries whose headings differ by more, the one that runs less along the car is the wrong one."""
 
@@ -28,17 +32,27 @@ def without_implausible(cfg: LanesConfig, state: LanesState) -> tuple[LanesState
 
 def unusable(cfg: LanesConfig, state: LanesState) -> dict[Side, Reason]:
     """Boundaries that are followed, but are none to be given in this frame, and why."""
-    reasons = {side: _fault(cfg, side, tracked) for side in SIDES if (tracked := state.side(side)) is not None}
+    reasons = {side: _fault(cfg, state, side, tracked) for side in SIDES if (tracked := state.side(side))}
     return {side: reason for side, reason in reasons.items() if reason is not None}
 
 
-def _fault(cfg: LanesConfig, side: Side, tracked: TrackedBoundary) -> Reason | None:
+def _fault(cfg: LanesConfig, state: LanesState, side: Side, tracked: TrackedBoundary) -> Reason | None:
     if outward(side) * tracked.offset_m <= 0:
         return Reason("lanes", "car_on_boundary", (side,))
+    std_m = tracking.std_at(tracked.track, JUDGED_AT_M)
     if not tracked.is_sure:
-        std_m = tracking.std_at(tracked.track, JUDGED_AT_M)
         return Reason("lanes", "boundary_uncertain", (side, round(std_m, 2), JUDGED_AT_M, cfg.max_std_m))
+    if std_m > _CERTAIN_STD_M and not _confirmed(tracked, state.side(other_side(side))):
+        return Reason("lanes", "boundary_unconfirmed", (side, round(std_m, 2), JUDGED_AT_M))
     return None
+
+
+def _confirmed(tracked: TrackedBoundary, other: TrackedBoundary | None) -> bool:
+    """Whether the other boundary runs beside this one."""
+    if other is None:
+        return False
+    apart = tracked.track.state - other.track.state
+    return abs(float(lateral(apart, np.array(JUDGED_AT_M)) - apart[0])) < _PARALLEL_M
 
 
 def _contradiction(cfg: LanesConfig, side: Side, left: TrackedBoundary, right: TrackedBoundary) -> Reason | None:

@@ -24,12 +24,16 @@ _CURVATURE_WALK_PER_M = 0.003
 """Per metre and root second."""
 _SIDEWAYS = [1, 5]
 """y and yaw among x, y, z, roll, pitch, yaw of a step's covariance."""
-_ROUGH_OFFSET_ROOT_M = 0.008
-_ROUGH_HEADING_PER_ROOT_M = 0.0024
+_ROUGH_OFFSET_ROOT_M = 0.002
+_ROUGH_HEADING_PER_ROOT_M = 0.0008
 """Metres and radians per root metre driven: how fast the road leaves the plane or field that stands for it."""
 _MOVED_RATE_STD_MPS = 0.3
-_CURVATURE_WALK_ROOT_M = 0.001
+_CURVATURE_WALK_ROOT_M = 0.0008
 """Per metre and root metre driven: how fast roads change their curvature."""
+_Y_AXIS_STEPS = 3
+_CONTRADICTS = 7.81
+"""Squared Mahalanobis distance from which a measurement and its prediction contradict each other (95 % of chi squared,
+3 degrees)."""
 
 
 @dataclass(frozen=True)
@@ -95,16 +99,15 @@ def predict(cfg: LanesConfig, track: BoundaryTrack, stamp_ns: int, moved: Odomet
 
 
 def _moved(track: BoundaryTrack, stamp_ns: int, dt: float, last_T_this: Float, step_covariance: Float) -> BoundaryTrack:
-    """The track in the frame of the moved car: to first order in the angles between car and boundary."""
+    """The track in the frame of the moved car; its covariance to first order in the angles between car and boundary."""
     dx, dy = float(last_T_this[0, 3]), float(last_T_this[1, 3])
     turn = float(np.arctan2(last_T_this[1, 0], last_T_this[0, 0]))
     F = np.zeros((4, 4))
     F[_OFFSET, [_OFFSET, _HEADING, _CURVATURE]] = 1.0, dx, dx**2 / 2
     F[_HEADING, [_HEADING, _CURVATURE]] = 1.0, dx
     F[_CURVATURE, _CURVATURE] = 1.0
-    mean = F @ track.mean
-    mean[_OFFSET] -= dy
-    mean[_HEADING] -= turn
+    mean = track.mean.copy()
+    mean[_MEASURED] = _seen_from(track.state, dx, dy, turn)
     # Should the next motion not be known, the rate is that of this step.
     mean[_RATE] = (mean[_OFFSET] - track.mean[_OFFSET]) / dt
     Q = np.zeros((4, 4))
@@ -112,6 +115,20 @@ def _moved(track: BoundaryTrack, stamp_ns: int, dt: float, last_T_this: Float, s
     Q[np.ix_(_MEASURED, _MEASURED)] = _road_ahead(abs(dx), np.sign(dx))
     Q[np.ix_([_OFFSET, _HEADING], [_OFFSET, _HEADING])] += step_covariance[np.ix_(_SIDEWAYS, _SIDEWAYS)]
     return BoundaryTrack(mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
+
+
+def _seen_from(state: Float, dx: float, dy: float, turn: float) -> Float:
+    """(3,) offset, heading and curvature in a frame at dx and dy that is turned: where its y axis meets the boundary.
+
+    To first order the error is that of offset times heading times turn: 2 mm a frame in a change of lane, each time to
+    the same side.
+    """
+    offset, heading, curvature = state
+    x = dx
+    for _ in range(_Y_AXIS_STEPS):
+        aside = offset + heading * x + curvature * x**2 / 2 - dy
+        x = dx - np.tan(turn) * aside
+    return np.array([aside / np.cos(turn), np.tan(np.arctan(heading + curvature * x) - turn), curvature])
 
 
 def _road_ahead(walked_m: float, direction: float) -> Float:
@@ -132,15 +149,21 @@ def _road_ahead(walked_m: float, direction: float) -> Float:
 
 
 def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Float) -> BoundaryTrack | None:
-    """The track after a measurement at its stamp; None where the measurement lies outside the gate."""
+    """The track after a measurement at its stamp; None where the measurement lies outside the gate.
+
+    Of a prediction and a measurement that contradict each other nobody knows which is wrong: both count as known less
+    well, by the root of how far they lie apart for what they claim (Birge, "The Calculation of Errors by the Method of
+    Least Squares", Physical Review 40, 1932).
+    """
     innovation = state - _H @ track.mean
     S = _H @ track.covariance @ _H.T + covariance
-    if float(innovation @ np.linalg.solve(S, innovation)) > cfg.gate:
+    distance = float(innovation @ np.linalg.solve(S, innovation))
+    if distance > cfg.gate:
         return None
     gain = np.linalg.solve(S, _H @ track.covariance).T
     rest = np.eye(4) - gain @ _H
     # Joseph's form keeps the covariance symmetric and positive over thousands of frames.
-    P = rest @ track.covariance @ rest.T + gain @ covariance @ gain.T
+    P = (rest @ track.covariance @ rest.T + gain @ covariance @ gain.T) * max(distance / _CONTRADICTS, 1.0)
     return BoundaryTrack(track.mean + gain @ innovation, P, track.stamp_ns, track.stamp_ns)
 
 
