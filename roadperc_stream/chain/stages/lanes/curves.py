@@ -26,7 +26,7 @@ _SEARCH_M = 0.6
 _BIN_M = 0.04
 _PEAK_SHARE = 0.4
 """Support of the innermost edge, as a share of the best supported one, from which it counts as the boundary."""
-_BLOB_VARIANCE = 6.5
+_BLOB_VARIANCE = 5.0
 _BLOB_ANGLE = 0.0125
 """Variance of a fit, by that which its edges promise, where tags err: what is left of a boundary is not all there. It
 grows with the square of the edges' angle beyond the second number, radians."""
@@ -34,9 +34,11 @@ _MIN_POINTS = 8
 _MIN_ROWS = 3
 _REWEIGHTINGS = 5
 _GROUND_STD_M = 0.01
+_LEAST_SPREAD = 0.67
+"""Least mean square of edges' distances from their fit, by their noise: the few of a stretch fit it too well."""
 _CURVATURE_PRIOR_PER_M = 0.01
 """Standard deviation of road curvature: where a short stretch does not determine it, the road is close to straight."""
-_CORRELATED_ROWS = 16.0
+_CORRELATED_ROWS = 24.0
 """Errors of edges in neighbouring rows are correlated: so many edges count as one."""
 _NOISE_PX = (1.0, 2.0, 4.0, 8.0, 16.0)
 """How far edges are tried to lie off the boundary, standard deviations: the least that explains them is taken."""
@@ -294,4 +296,6 @@ def _robust_fit(cfg: LanesConfig, points: Float, rows: Float, start: Float, nois
         information = weighted.T @ design + prior
         state = np.linalg.solve(information, weighted.T @ y)
     spread = float(np.average(((y - design @ state) / std) ** 2, weights=weight))
-    return state, np.linalg.inv(information) * max(spread, 1.0) * noise.blob_variance
+    scale = max(spread, _LEAST_SPREAD) * noise.blob_variance
+    # However close edges lie to a line, how roads bend is not better known.
+    return state, np.linalg.inv((information - prior) / scale + prior / max(scale, 1.0))
