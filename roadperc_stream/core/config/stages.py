@@ -172,7 +172,7 @@ class LanesConfig(Section):
     max_width_m: Positive = 7.0
     """Widest lane: boundaries farther apart are not those of one lane."""
     max_std_m: Positive = 0.16
-    """Standard deviation, 10 m ahead, beyond which a boundary is lost: it might be anywhere."""
+    """Standard deviation, at the car or 10 m ahead, beyond which a boundary is lost: it might be anywhere."""
     car_width_m: Positive = 1.8
     """Width of the car: while a boundary is under it, the car is changing lanes."""
     hold_s: Seconds = 0.5

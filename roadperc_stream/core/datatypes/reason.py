@@ -152,10 +152,11 @@ TEMPLATES: Final[dict[ReasonCode, str]] = {
     "no_line_near": "no line near the car on that side",
     "edges_disagree": "too few edges agree on where it is",
     "car_on_boundary": "{side} boundary lost, the car is on it",
-    "boundary_uncertain": "{side} boundary lost, known to {std_m:g} m {ahead_m:g} m ahead, expected {limit_m:g} m",
+    "boundary_uncertain": "{side} boundary lost, its standard deviation {ahead_m:g} m ahead is {std_m:g} m, "
+    "expected at most {limit_m:g} m",
     "lane_width": "{side} boundary lost, it makes a lane of {width_m:g} m, expected {narrowest_m:g} to {widest_m:g} m",
-    "boundary_unconfirmed": "{side} boundary lost, known to {std_m:g} m {ahead_m:g} m ahead, and the other one is not "
-    "beside it",
+    "boundary_unconfirmed": "{side} boundary lost, its standard deviation {ahead_m:g} m ahead is {std_m:g} m, and "
+    "the other boundary does not run beside it",
     "boundaries_cross": "{side} boundary lost, it crosses the other one {ahead_m:g} m ahead",
     "lens_without_rotation": "not rectified: the {side} camera has distortion but no R",
     "lens_without_camera_matrix": "not rectified: the {side} camera has an invalid K: {detail}",

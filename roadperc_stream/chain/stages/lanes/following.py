@@ -11,7 +11,7 @@ from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import Odometry, Side
 
 JUDGED_AT_M = 10.0
-"""How far ahead a boundary must be known."""
+"""How far ahead a boundary must be known, as well as at the car."""
 _SAME_M = 0.6
 """A line so close to the other boundary's prediction is that boundary, both edges of a double line included."""
 
@@ -82,7 +82,12 @@ def measured(
 
 def judged(cfg: LanesConfig, tracked: TrackedBoundary) -> TrackedBoundary:
     """The boundary, and whether it is known well enough to be given."""
-    return replace(tracked, is_sure=tracking.std_at(tracked.track, JUDGED_AT_M) <= cfg.max_std_m)
+    return replace(tracked, is_sure=tracking.std_at(tracked.track, least_known_m(tracked)) <= cfg.max_std_m)
+
+
+def least_known_m(tracked: TrackedBoundary) -> float:
+    """How far ahead, at the car or ``JUDGED_AT_M``, the boundary is known the less well."""
+    return max(0.0, JUDGED_AT_M, key=lambda x_m: tracking.std_at(tracked.track, x_m))
 
 
 def _is_other(curve: Curve, other: TrackedBoundary) -> bool:

@@ -4,14 +4,14 @@ import numpy as np
 
 from roadperc_stream.chain.stages.lanes import tracking
 from roadperc_stream.chain.stages.lanes.curves import lateral
-from roadperc_stream.chain.stages.lanes.following import JUDGED_AT_M
+from roadperc_stream.chain.stages.lanes.following import JUDGED_AT_M, least_known_m
 from roadperc_stream.chain.stages.lanes.memory import LanesState, TrackedBoundary, other_side, outward
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import SIDES, Reason, Side
 from roadperc_stream.core.geometry import Float
 
 _STEP_M = 1.0
-_CERTAIN_STD_M = 0.07
+_CERTAIN_STD_M = 0.09
 """Standard deviation ``JUDGED_AT_M`` ahead up to which a boundary needs no other one beside it to be believed."""
 _PARALLEL_M = 0.3
 """By how much the lane's width may change until there: boundaries that edges of wrong tags turn are not parallel."""
@@ -41,9 +41,11 @@ def _fault(cfg: LanesConfig, state: LanesState, side: Side, tracked: TrackedBoun
         return Reason("lanes", "car_on_boundary", (side,))
     std_m = tracking.std_at(tracked.track, JUDGED_AT_M)
     if not tracked.is_sure:
-        return Reason("lanes", "boundary_uncertain", (side, round(std_m, 2), JUDGED_AT_M, cfg.max_std_m))
+        at_m = least_known_m(tracked)
+        std_there_m = round(tracking.std_at(tracked.track, at_m), 2)
+        return Reason("lanes", "boundary_uncertain", (side, at_m, std_there_m, cfg.max_std_m))
     if std_m > _CERTAIN_STD_M and not _confirmed(tracked, state.side(other_side(side))):
-        return Reason("lanes", "boundary_unconfirmed", (side, round(std_m, 2), JUDGED_AT_M))
+        return Reason("lanes", "boundary_unconfirmed", (side, JUDGED_AT_M, round(std_m, 2)))
     return None
 
 
