@@ -103,7 +103,7 @@ OBJECTS = {
     "objects.lateral_std_m": "2",
     "objects.lateral_noise": "20",
 }
-IMPACTS = {"objects.min_closing_mps": "10", "objects.min_closing_sigmas": "10"}
+IMPACTS = {"objects.min_closing_mps": "10", "objects.min_closing_sigmas": "1000"}
 LANE_PATH = {"objects.lane_width_min_m": "4.5", "objects.lane_width_max_m": "2.5"}
 EXPECTED = {"objects.min_fit_seen": "1"}
 LECTURE = {"objects.min_class_ratio": "0.9", "objects.distance_penalty": "1.0"}
