@@ -10,6 +10,8 @@ from .runs import Run
 from .scores import COUNTS, TRACED, correlations
 from .segments import SEGMENT, difference, elapsed_ns, longest_gap_ns, segment, whole_span_ns
 
+_LANE_CHANGES = "lane_changes"
+
 
 def scan(run: Run) -> pl.LazyFrame:
     """The columns a report needs, a row per frame; what the table lacks is null.
@@ -17,7 +19,8 @@ def scan(run: Run) -> pl.LazyFrame:
     Derived columns come behind: ``since_start_s`` counted from the table's first frame through its segments, the
     frame's time outside the stages, how many lane boundaries are lost, and the second differences of the lane offsets.
     """
-    numbers = [*(quantity.column for quantity in STORED), *COUNTS, *(truth for _, truth in TRACED.values())]
+    truths = [truth for _, truth in TRACED.values()]
+    numbers = [*(quantity.column for quantity in STORED), *COUNTS, *truths, _LANE_CHANGES]
     stored = rows_of(run).select(
         pl.col("log_id").cast(pl.String),
         pl.col("frame", "stamp_ns").cast(pl.Int64),
@@ -108,11 +111,13 @@ def _lanes_lost() -> pl.Expr:
 def _second_differences(side: str) -> list[pl.Expr]:
     """Second differences of a side's smoothed and raw offset, metres, over the frames where both are known.
 
-    Frames without a measurement have no raw offset: the two compare only on the same frames, of the same segment.
+    Frames without a measurement have no raw offset: the two compare only on the same frames, of the same segment. Where
+    a line is crossed the offset jumps to that of another boundary: what spans it is left out.
     """
     names = [f"lane_{side}_offset_m", f"lane_{side}_raw_offset_m"]
     differences = [difference(difference(pl.col(name))) for name in names]
-    known = differences[0].is_not_null() & differences[1].is_not_null()
+    same_lane = (pl.col(_LANE_CHANGES) == pl.col(_LANE_CHANGES).shift(2)).fill_null(value=True)
+    known = differences[0].is_not_null() & differences[1].is_not_null() & same_lane
     return [
         pl.when(known).then(change).alias(name.replace("offset", "second_difference"))
         for name, change in zip(names, differences, strict=True)

@@ -96,6 +96,17 @@ def test_jitter_compares_smoothed_and_raw_on_the_same_frames(tmp_path):
     assert found["lane_left_second_difference_m"].std == 0.0
 
 
+def test_a_change_of_lane_is_no_jitter(tmp_path):
+    """Before and after it the offset is that of two different lines: the two spans over the crossing do not count."""
+    offsets, changes = [0.3, 0.2, 0.1, 3.5, 3.4, 3.3], [0, 0, 0, 1, 1, 1]
+    rows = [
+        row(k, lane_left_raw_offset_m=y, lane_left_offset_m=y, lane_changes=n)
+        for k, (y, n) in enumerate(zip(offsets, changes, strict=True))
+    ]
+    found = summary_of(tmp_path, rows).statistics["lane_left_second_difference_m"]
+    assert (found.values, found.std) == (2, pytest.approx(0.0, abs=1e-12))
+
+
 def test_shares_of_states(tmp_path):
     states = ["measured", "measured", "held", "lost", None]
     found = summary_of(tmp_path, [row(k, lane_right_status=state) for k, state in enumerate(states)])
