@@ -95,7 +95,7 @@ def test_accuracy_stands_beside_coverage_with_its_direction(tmp_path):
     words = " ".join(page.text.split())
     assert "lane left at 10 m, m0 is best 75.0 0.010 0.020 0.272 0.300" in words
     assert "drivable IoUhigher is better 100.0 0.900 p5 0.900 0.900" in words
-    assert "No frame has a truth for: surface angle, deg;" in words
+    assert "No frame has an estimate and a truth for: surface angle, deg;" in words
 
 
 def test_names_are_text_wherever_they_stand(tmp_path):

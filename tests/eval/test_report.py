@@ -88,7 +88,7 @@ def test_columns_without_values_are_one_line(drive, capsys):
     assert "nearest_object_m" in said
     assert "camera_height_m" not in said
     assert "error" not in said
-    untrue = text[text.index("No frame has a truth for:") :].split("\n\n")[0].replace("\n", " ")
+    untrue = text[text.index("No frame has an estimate and a truth for:") :].split("\n\n")[0].replace("\n", " ")
     assert "surface angle, deg; camera height, m;" in untrue
     assert "drivable IoU" not in untrue
 
