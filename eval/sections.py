@@ -79,7 +79,11 @@ def accuracy(summaries: Summaries) -> TextTable:
     headers = ("frames %", "bias", "median", "p95", "worst")
     rows = list(_quantities(summaries, TRUTH, _accuracy, better))
     absent = [q.label for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
-    notes = (_ERRORS, _COVERAGE, *([f"No frame has an estimate and a truth for: {'; '.join(absent)}."] if absent else []))
+    notes = (
+        _ERRORS,
+        _COVERAGE,
+        *([f"No frame has an estimate and a truth for: {'; '.join(absent)}."] if absent else []),
+    )
     return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,))
 
 

@@ -151,10 +151,10 @@ def test_dropped_sensors_leave_their_frames_with_what_is_left(tmp_path):
     assert 0 < sum("depth" in roles for roles in missing) < len(missing)
     for row, roles in zip(table.iter_rows(named=True), missing, strict=True):
         without_pair = "right" in roles
-        expected = "assumed" if without_pair else "stereo"
+        expected = "held" if without_pair else "stereo"
         if "depth" not in roles:
             expected = "lower_image" if "segmentation" in roles else "depth"
         elif not without_pair and "segmentation" in roles:
             expected = "lower_image"
-        assert row["surface_source"] == expected, "stereo stands in for the depth, the mounting for both"
+        assert row["surface_source"] == expected, "stereo stands in for the depth, the plane before for both"
         assert (row["lane_left_status"] == "measured") <= ("segmentation" not in roles)

@@ -264,12 +264,12 @@ def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
     target, _ = run(logs.write(tmp_path / "in.mcap", items))
     table = metrics(target)
     assert table["missing"].to_list() == [[], [], ["depth"], [], [], []]
-    assert table["surface_source"].to_list()[2] == "assumed"
+    assert table["surface_source"].to_list()[2] == "held"
     assert table["reasons"].to_list()[2] == [
         "depth: no message at this frame",
         "stereo: no right image",
         "occupancy: no depth",
-        "surface: no depth, the mounting gives the plane",
+        "surface: the plane of the frames before, moved by odometry, stands in: no depth",
         "objects: no depth, no distances",
     ]
 
