@@ -12,6 +12,7 @@ import polars as pl
 import pytest
 
 import roadperc_stream as rp
+from roadperc_stream.input.arrays import depth_pixels
 from roadperc_stream.output.tables import sidecar_path
 
 SAMPLE = Path(__file__).parents[1] / "logs" / "sample.mcap"
@@ -205,6 +206,11 @@ def test_tags_without_a_table_and_a_pose_that_is_none_are_refused():
         ("1", None, "stamp_ns: expected whole nanoseconds, found '1'"),
         (0, [("car", 0.9, (1, 2, 3, 4))], r"detections\[0\]: expected a Detection, found \('car'"),
         (0, [rp.Detection("car", (1, 2, 3, 4), 0.9)], r"detections\[0\]: expected box_px to be a Box, found \(1, 2"),
+        (
+            0,
+            [rp.Detection("car", rp.Box(1, 2, 3, 4), "0.9")],
+            r"detections\[0\]: expected a number as score, found '0.9'",
+        ),
     ],
 )
 def test_a_stamp_or_detection_of_another_type_is_refused(stamp_ns, detections, message):
@@ -257,3 +263,14 @@ def test_importing_the_package_imports_nothing_else():
 def test_every_public_name_is_there():
     for name in rp.__all__:
         assert getattr(rp, name) is not None
+
+
+@pytest.mark.parametrize("nothing", [0.0, -1.0, -np.inf, np.nan])
+def test_what_is_no_depth_is_unknown(nothing):
+    """Zero, negative and infinite depths of a caller do what NaN does."""
+    depth_m = np.full((240, 320), 20.0, np.float32)
+    depth_m[200:204, 100:110] = nothing
+    taken = depth_pixels(depth_m, CAMERA)
+    assert np.isnan(taken[200:204, 100:110]).all()
+    assert np.isfinite(taken).sum() == depth_m.size - 40
+    assert (depth_m[0, 0], taken[0, 0]) == (20.0, 20.0)

@@ -116,8 +116,10 @@ def _checked_detection(name: str, detection: Any) -> Detection:
         raise TypeError(f"{name}: expected box_px to be a Box, found {box!r}")
     if not (-np.inf < box.x_min <= box.x_max < np.inf and -np.inf < box.y_min <= box.y_max < np.inf):
         raise ValueError(f"{name}: expected x_min <= x_max and y_min <= y_max, found {box}")
-    if not isinstance(detection.score, Real) or not isfinite(detection.score):
-        raise ValueError(f"{name}: expected a number as score, found {detection.score!r}")
+    if not isinstance(detection.score, Real):
+        raise TypeError(f"{name}: expected a number as score, found {detection.score!r}")
+    if not isfinite(detection.score):
+        raise ValueError(f"{name}: expected a finite score, found {detection.score}")
     return detection
 
 

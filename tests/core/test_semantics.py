@@ -63,7 +63,7 @@ def test_lookup_masks_a_class():
     assert lookup.sum() == 2
 
 
-@pytest.mark.parametrize("wrong", ["", "latest", "carla"])
+@pytest.mark.parametrize("wrong", ["", "latest", "carla", "9" * 5000 + ".1"])
 def test_no_version(wrong):
     with pytest.raises(ConfigError, match=r"0\.9\.15"):
         s.table_for_version(wrong)

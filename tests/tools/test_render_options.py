@@ -33,3 +33,10 @@ def test_what_is_no_number_is_wrong_usage(tmp_path, options):
     with pytest.raises(SystemExit) as error:
         main([str(tmp_path / "dump"), *options])
     assert error.value.code == 2
+
+
+def test_a_camera_that_sees_no_sky(tmp_path):
+    """It looks so far down that its whole view is below the horizon."""
+    mount = ("--mount", "1.5,0,1.4,0,-40,0", "--fov", "60")
+    options = ("--scene", "straight", "--size", "64x48", "--seconds", "0.5", "--rate", "2", *mount)
+    assert main([str(tmp_path / "dump"), *options]) == 0

@@ -32,6 +32,7 @@ _BLOB_ANGLE = 0.0125
 grows with the square of the edges' angle beyond the second number, radians."""
 _MIN_POINTS = 8
 _MIN_ROWS = 3
+_LEAST_BINS = 3
 _REWEIGHTINGS = 5
 _GROUND_STD_M = 0.01
 _LEAST_SPREAD = 0.67
@@ -266,7 +267,7 @@ def _rows_in(rows: Float, chosen: Mask | NDArray[np.intp]) -> int:
 def _best_aside(points: Float, line: Float, inward: float, noise: _Noise) -> float:
     """How far inside the line, in metres, the innermost well supported parallel edge lies."""
     aside = inward * (points[:, 1] - lateral(line, points[:, 0]))
-    bin_m = max(_BIN_M, float(noise.std_m(np.array(_PEAK_AT_M))))
+    bin_m = min(max(_BIN_M, float(noise.std_m(np.array(_PEAK_AT_M)))), 2 * _SEARCH_M / _LEAST_BINS)
     edges = np.arange(-_SEARCH_M, _SEARCH_M + bin_m, bin_m)
     counts = np.convolve(np.histogram(aside, edges)[0], np.ones(3), "same")
     peaks = np.flatnonzero((counts >= np.roll(counts, 1)) & (counts >= np.roll(counts, -1)))

@@ -42,8 +42,9 @@ def road_plane(
             return Absent(Reason("surface", "plane_without_points"))
         plane = facing(fit_plane(cloud, close), _CAMERA_CENTRE)
     # The refit may turn a hypothesis that was level: of points that all lie within ``inlier_m`` it includes every one.
-    # One that faces down is above the camera: a ceiling, or what wrong tags take for the road.
-    tilt_deg = float(np.degrees(np.arccos(np.clip(float(plane.n @ up), -1.0, 1.0))))
+    tilt_deg = float(np.degrees(np.arccos(min(abs(float(plane.n @ up)), 1.0))))
+    if tilt_deg <= cfg.max_tilt_deg and plane.n @ up < 0:  # level, but above the camera: what wrong tags take for road
+        tilt_deg = 180.0 - tilt_deg
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
     return plane, float(np.mean(_close(cfg, plane, points)))

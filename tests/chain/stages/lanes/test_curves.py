@@ -56,6 +56,12 @@ def test_covariance_holds_the_error():
     assert np.mean(errors) < 3.0
 
 
+def test_a_camera_of_few_pixels_gives_no_error():
+    """A pixel is wider than the places searched for the line, at the highest noise."""
+    aside_m = curves._best_aside(points((1.7, 0.0, 0.0)), np.array([1.7, 0.0, 0.0]), -1.0, curves._Noise(16.0, 1 / 20))
+    assert abs(aside_m) < curves._SEARCH_M
+
+
 def test_edges_of_a_single_row_are_no_curve():
     """A dotted row, a metre wide, as a tag error makes it: all its points are equally far ahead."""
     aside = np.linspace(1.2, 2.2, 40)

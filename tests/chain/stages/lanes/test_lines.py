@@ -54,6 +54,11 @@ def test_near_horizontal_lines_and_lines_off_the_road_are_dropped():
     np.testing.assert_array_equal(kept, proposals[[1, 3]])
 
 
+def test_a_line_of_one_pixel_is_none():
+    proposals = np.array([[500.0, 700, 500, 700], [500.0, 900, 500, 600]])
+    np.testing.assert_array_equal(lines.on_road(CFG, proposals, np.ones((960, 1280), bool)), proposals[[1]])
+
+
 def test_a_vertical_line_is_a_line():
     (group,) = lines.merge(CFG, np.array([[500.0, 900, 500, 600]]), 960)
     assert group.x(960.0) == pytest.approx(500.0, abs=1e-3)

@@ -199,6 +199,19 @@ def test_instances_decide_where_they_are_given():
     assert item.distance_m == pytest.approx(10.4, abs=0.5)
 
 
+@pytest.mark.parametrize("nothing", [np.nan, np.inf, 0.0])
+def test_what_gives_no_depth_behind_an_object_leaves_its_deviation_finite(nothing):
+    """A sensor without a return gives infinity (REP 118), NaN or 0."""
+    ids = np.zeros(CAMERA.size, np.uint16)
+    ids[20:50, 10:40] = 1
+    tags, depth = two_cars()
+    depth[tags == 0] = nothing
+    depth[20:22, 10:40] = nothing
+    (item,) = judged((10, 20, 40, 50), instances=ids, depth_m=depth, limit_m=np.inf)
+    assert item.distance_m == pytest.approx(10.4, abs=0.5)
+    assert 0 < item.distance_std_m < 1
+
+
 def test_without_depth_the_share_of_the_class_decides():
     kept = [item.kept for item in judged((10, 20, 40, 50), (15, 22, 30, 36), (60, 45, 90, 70), depth_m=None)]
     assert kept == [True, True, False]

@@ -91,6 +91,15 @@ def test_without_depth_the_mounting_stands_in():
     assert surface.pitch == pytest.approx(0.05)
 
 
+def test_a_plane_above_the_camera_is_no_road():
+    """What wrong tags take for the road: a ceiling is level, too, but faces down."""
+    road = Road(width=320, height=240)
+    above = np.flipud(road.tags() == ROAD)
+    found = fit(road, np.ascontiguousarray(np.flipud(road.depth_m())), above)
+    assert found.reason.code == "plane_tilted"
+    assert found.reason.values[0] > 170
+
+
 def test_a_wall_is_no_road():
     road = Road()
     wall = np.full((480, 640), 5.0, np.float32)
