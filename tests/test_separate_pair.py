@@ -134,7 +134,7 @@ def test_the_front_image_does_not_stand_in_for_a_left_one_that_is_missing(tmp_pa
     assert table["missing"].to_list() == [[], ["left"], []]
     assert table["stereo_valid_ratio"].is_null().to_list() == [False, True, False]
     assert "stereo: no left image" in table["reasons"].to_list()[1]
-    assert table["surface_source"].to_list() == ["stereo", "assumed", "stereo"]
+    assert table["surface_source"].to_list() == ["stereo", "held", "stereo"]
 
 
 def test_a_pair_whose_left_images_are_not_in_the_log_is_none(tmp_path):
