@@ -10,7 +10,9 @@ EVENT_OPTIONS := --size 640x480 --seconds 5 --tag-noise 0.02 --depth-noise 0.01 
 SAMPLE_DUMP := logs/runs/sample-dump
 SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --depth-noise 0.002 --jpeg
 
-.PHONY: demo test test-hostile mutants accuracy accuracy-long kills parts bench bench-report fuzz lint pages proto sample pictures docs clean
+EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
+
+.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long kills parts bench bench-report fuzz lint pages proto sample pictures docs clean
 
 $(VENV)/.installed: pyproject.toml
 	@echo "installing into $(VENV): about a minute"
@@ -90,7 +92,7 @@ sample: $(VENV)/.installed
 docs: $(VENV)/.installed  # build/site, with the API reference; a dead link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
-pictures: $(VENV)/.installed $(EVENTS:%=$(PICTURES)/%.mcap)  # those of docs/ but foxglove.png and rerun.jpg; chromium shows the report
+pictures: $(VENV)/.installed $(EVENT_LOGS)  # those of docs/ but foxglove.png and rerun.jpg; chromium shows the report
 	$(BIN)/roadperc-render $(PICTURES)/drive --scene town --seconds 2.2 --force
 	$(BIN)/roadperc-convert $(PICTURES)/drive $(PICTURES)/town.mcap --force --quiet
 	$(BIN)/roadperc-replay $(PICTURES)/town.mcap $(PICTURES)/result.mcap --overlay --force
@@ -103,7 +105,7 @@ pictures: $(VENV)/.installed $(EVENTS:%=$(PICTURES)/%.mcap)  # those of docs/ bu
 $(PICTURES)/change.mcap: EVENT := --scene town --change-lane left --seed 113
 $(PICTURES)/brake.mcap: EVENT := --scene town --lead-brakes --seed 101
 $(PICTURES)/worn.mcap: EVENT := --scene straight --worn-lines 15,40 --seed 120
-$(EVENTS:%=$(PICTURES)/%.mcap): $(PICTURES)/%.mcap: $(VENV)/.installed
+$(EVENT_LOGS): $(PICTURES)/%.mcap: $(VENV)/.installed
 	$(BIN)/roadperc-render $(PICTURES)/$*-drive $(EVENT) $(EVENT_OPTIONS)
 	$(BIN)/roadperc-convert $(PICTURES)/$*-drive $(PICTURES)/$*-input.mcap --force --quiet
 	$(BIN)/roadperc-replay $(PICTURES)/$*-input.mcap $@ --overlay --force

@@ -17,12 +17,13 @@ from roadperc_stream.chain.stages.stereo import matching
 from roadperc_stream.chain.stages.stereo.pair import disparities_needed
 from roadperc_stream.cli import render
 from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import StereoConfig
+from roadperc_stream.core.config import StereoConfig, load_config
 from roadperc_stream.core.datatypes import Absent, Box
 from roadperc_stream.input.decoding import camera_from_calibration
 from roadperc_stream.metrics.stereo import stereo_errors
 from roadperc_stream.output.encoding import encode_calibration
 from tests import pair
+from tests.course import SETTINGS
 
 HEIGHT, WIDTH = 120, 240
 LEFT = g.Camera("left", WIDTH, HEIGHT, 200.0, 200.0, 119.5, 59.5)
@@ -344,15 +345,9 @@ def test_the_courses_matrices(course):
 def test_the_courses_nearest_depth_by_its_public_settings(course):
     calibration, expected, *pair = course
     public = expected["sgbm"]
-    cfg = StereoConfig(
-        method="full",
-        disparities=public["numDisparities"],
-        block_px=public["blockSize"],
-        p1=public["P1"],
-        p2=public["P2"],
-        uniqueness_percent=0,
-        speckle_px=0,
-        refine_px=0,
+    cfg = load_config(None, SETTINGS).stereo
+    assert (cfg.disparities, cfg.block_px, cfg.p1, cfg.p2) == tuple(
+        public[name] for name in ("numDisparities", "blockSize", "P1", "P2")
     )
     left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in pair)
     disparity = matching.disparity(cfg, cfg.disparities, left, right).astype(float)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.chain.stages.lanes.sides import outward
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import Image, Mask, Side
 from roadperc_stream.core.geometry import Float
@@ -214,16 +215,15 @@ def _without_clutter(curve: Curve, side: Side, noise: _Noise) -> Curve:
     """
     if noise.is_low:
         return curve
-    outward = 1.0 if side == "left" else -1.0
     between_std = (_STRIP_STD - _OUTER_STRIP_STD) / 2
     aside_std = between_std * (_STRIP_STD + _OUTER_STRIP_STD) / 2 / (curve.contrast - 1.0)
-    turned = outward * aside_std * noise.edge_px * noise.metres_per_px
+    turned = outward(side) * aside_std * noise.edge_px * noise.metres_per_px
     return replace(curve, state=curve.state + np.array([0.0, turned, 0.0]))
 
 
 def _fit_at(cfg: LanesConfig, points: Float, rows: Float, line: Float, side: Side, noise: _Noise) -> Curve | None:
     """The boundary near a line where edges err as much as the noise says."""
-    inward = -1.0 if side == "left" else 1.0
+    inward = -outward(side)
     near = points[np.abs(points[:, 1] - lateral(line, points[:, 0])) < _SEARCH_M]
     reach = near[:, 0].min() + 2 * _REACH_STEP_M
     state = line + np.array([inward * _best_aside(near[near[:, 0] <= reach], line, inward, noise), 0.0, 0.0])
@@ -253,7 +253,7 @@ def _explained(curve: Curve, points: Float, rows: Float, noise: _Noise) -> float
 
 def _contrast(curve: Curve, points: Float, rows: Float, side: Side, noise: _Noise) -> float:
     """How many times as many rows have an edge on the curve as have one farther inside, where the road is."""
-    inside = (-1.0 if side == "left" else 1.0) * (points[:, 1] - curve.y(points[:, 0]))
+    inside = -outward(side) * (points[:, 1] - curve.y(points[:, 0]))
     ahead, std = points[:, 0] <= curve.reach_m, noise.std_m(points[:, 0])
     found = [_rows_in(rows, ahead & (np.abs(inside - aside_m) < std)) for aside_m in (0.0, *_INSIDE_M)]
     return found[0] / (float(np.mean(found[1:])) + _CHANCE_ROWS)

@@ -8,8 +8,9 @@ import numpy as np
 from roadperc_stream.chain.stages.lanes import lane_change, lines, plausibility
 from roadperc_stream.chain.stages.lanes.drawing import boundary_of
 from roadperc_stream.chain.stages.lanes.following import followed, predicted
-from roadperc_stream.chain.stages.lanes.memory import LanesState, other_side
+from roadperc_stream.chain.stages.lanes.memory import LanesState
 from roadperc_stream.chain.stages.lanes.observe import Observation, RoadProjection, observe
+from roadperc_stream.chain.stages.lanes.sides import other_side
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import SIDES, Absent, Boundary, Lanes, Mask, Odometry, Reason, Side, Surface
 from roadperc_stream.core.scene import Scene

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 from roadperc_stream.chain.stages.lanes import tracking
 from roadperc_stream.chain.stages.lanes.curves import Curve
-from roadperc_stream.chain.stages.lanes.memory import TrackedBoundary, outward
+from roadperc_stream.chain.stages.lanes.memory import TrackedBoundary
 from roadperc_stream.chain.stages.lanes.observe import Observation
+from roadperc_stream.chain.stages.lanes.sides import outward
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import Odometry, Side
 

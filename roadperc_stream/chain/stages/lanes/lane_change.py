@@ -10,8 +10,9 @@ import numpy as np
 
 from roadperc_stream.chain.stages.lanes import following, tracking
 from roadperc_stream.chain.stages.lanes.curves import Curve
-from roadperc_stream.chain.stages.lanes.memory import LanesState, TrackedBoundary, other_side, outward
+from roadperc_stream.chain.stages.lanes.memory import LanesState, TrackedBoundary
 from roadperc_stream.chain.stages.lanes.observe import Observation
+from roadperc_stream.chain.stages.lanes.sides import other_side, outward
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import SIDES, LaneChange, Side
 

@@ -40,13 +40,3 @@ class LanesState:
     def with_side(self, side: Side, boundary: TrackedBoundary | None) -> "LanesState":
         """The same with another boundary on that side."""
         return replace(self, left=boundary) if side == "left" else replace(self, right=boundary)
-
-
-def other_side(side: Side) -> Side:
-    """The opposite one."""
-    return "right" if side == "left" else "left"
-
-
-def outward(side: Side) -> float:
-    """Sign of y on that side of the car."""
-    return 1.0 if side == "left" else -1.0

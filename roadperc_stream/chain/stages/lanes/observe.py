@@ -8,6 +8,7 @@ import numpy as np
 from roadperc_stream.chain.stages.lanes import lines
 from roadperc_stream.chain.stages.lanes.curves import Curve, facing_edges, fit_curve, lateral, line_on_ground
 from roadperc_stream.chain.stages.lanes.lines import LineGroup
+from roadperc_stream.chain.stages.lanes.sides import outward
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import SIDES, Image, Mask, Side, Surface
 from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
@@ -86,9 +87,8 @@ class Observation:
 
     def curve_beyond(self, cfg: LanesConfig, side: Side, least_m: float) -> Curve | None:
         """The curve of the closest line that lies so far out at the ego origin."""
-        outward = 1.0 if side == "left" else -1.0
         curves = (_curve(cfg, self, side, group) for group in self.near.get(side, ()))
-        return next((c for c in curves if c is not None and outward * float(c.state[0]) > least_m), None)
+        return next((c for c in curves if c is not None and outward(side) * float(c.state[0]) > least_m), None)
 
     def curve_along(self, cfg: LanesConfig, side: Side, line: Float) -> Curve | None:
         """The boundary as the edges near a (3,) state have it; None where too few do."""
@@ -99,9 +99,8 @@ class Observation:
 
     def classes_beside(self, side: Side, curve: Curve) -> tuple[str, str]:
         """The class inside and the class outside a boundary, empty where that is out of sight."""
-        outward = 1.0 if side == "left" else -1.0
-        inside = self._class_at(curve, [-outward * d for d in _INSIDE_M], ())
-        return inside, self._class_at(curve, [outward * d for d in _OUTSIDE_M], _MARKINGS)
+        inside = self._class_at(curve, [-outward(side) * d for d in _INSIDE_M], ())
+        return inside, self._class_at(curve, [outward(side) * d for d in _OUTSIDE_M], _MARKINGS)
 
     def _class_at(self, curve: Curve, sideways_m: list[float], without: tuple[str, ...]) -> str:
         """The most frequent class on a strip beside a curve."""

@@ -5,7 +5,8 @@ import numpy as np
 from roadperc_stream.chain.stages.lanes import tracking
 from roadperc_stream.chain.stages.lanes.curves import lateral
 from roadperc_stream.chain.stages.lanes.following import JUDGED_AT_M, least_known_m
-from roadperc_stream.chain.stages.lanes.memory import LanesState, TrackedBoundary, other_side, outward
+from roadperc_stream.chain.stages.lanes.memory import LanesState, TrackedBoundary
+from roadperc_stream.chain.stages.lanes.sides import other_side, outward
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import SIDES, Reason, Side
 from roadperc_stream.core.geometry import Float
@@ -39,11 +40,11 @@ def unusable(cfg: LanesConfig, state: LanesState) -> dict[Side, Reason]:
 def _fault(cfg: LanesConfig, state: LanesState, side: Side, tracked: TrackedBoundary) -> Reason | None:
     if outward(side) * tracked.offset_m <= 0:
         return Reason("lanes", "car_on_boundary", (side,))
-    std_m = tracking.std_at(tracked.track, JUDGED_AT_M)
     if not tracked.is_sure:
         at_m = least_known_m(tracked)
-        std_there_m = round(tracking.std_at(tracked.track, at_m), 2)
-        return Reason("lanes", "boundary_uncertain", (side, at_m, std_there_m, cfg.max_std_m))
+        std_m = tracking.std_at(tracked.track, at_m)
+        return Reason("lanes", "boundary_uncertain", (side, at_m, round(std_m, 2), cfg.max_std_m))
+    std_m = tracking.std_at(tracked.track, JUDGED_AT_M)
     if std_m > _CERTAIN_STD_M and not _confirmed(tracked, state.side(other_side(side))):
         return Reason("lanes", "boundary_unconfirmed", (side, JUDGED_AT_M, round(std_m, 2)))
     return None

@@ -31,6 +31,7 @@ _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.0008
 """Per metre and root metre driven: how fast roads change their curvature."""
 _Y_AXIS_STEPS = 3
+"""Of the fixed point that finds where a boundary meets a turned y axis: each gains a factor of heading times turn."""
 _CONTRADICTS = 7.81
 """Squared Mahalanobis distance from which a measurement and its prediction contradict each other (95 % of chi squared,
 3 degrees)."""
