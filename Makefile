@@ -12,10 +12,10 @@ SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --dep
 
 EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 
-.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long kills parts bench bench-report fuzz lint pages proto sample pictures docs clean
+.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long kills parts bench bench-long bench-compare bench-report fuzz lint pages proto sample pictures docs clean
 
-$(VENV)/.installed: pyproject.toml
-	@echo "installing into $(VENV): about a minute"
+$(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/core/kernels/*.pyx)
+	@echo "installing into $(VENV), compiling inner loops: a minute or two"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@
@@ -63,11 +63,17 @@ PARTS ?= 500
 parts: $(VENV)/.installed  # drives cut at so many random places: are the results of the parts those of the whole?
 	PARTS=$(PARTS) $(BIN)/python -m pytest -m accuracy -s tests/state/test_parts.py
 
-bench: $(VENV)/.installed
-	$(BIN)/roadperc-render logs/runs/bench --scene bend --seconds 2.2 --weave 0.5 --force
-	$(BIN)/roadperc-convert logs/runs/bench logs/runs/bench.mcap --force --quiet
-	$(BIN)/python -m roadperc_stream.tools.bench.stages logs/runs/bench.mcap
-	$(BIN)/python -m roadperc_stream.eval.bench logs/runs/bench-report --files 100
+BENCH := logs/runs/bench
+BENCH_OPTIONS ?=
+bench: $(VENV)/.installed  # how fast a replay is, beside the course's method: make bench BENCH_OPTIONS='--json bench.json'
+	$(BIN)/python -m roadperc_stream.tools.bench $(BENCH) $(BENCH_OPTIONS)
+
+bench-long: $(VENV)/.installed  # memory and encoding over 3000 frames: a quarter of an hour, and 5 GB
+	$(BIN)/python -m roadperc_stream.tools.bench.long $(BENCH) $(BENCH_OPTIONS)
+
+bench-compare: $(VENV)/.installed  # what is slower than at a commit: make bench-compare BASE=main
+	@test -n "$(BASE)" || { echo "make bench-compare BASE=<commit>"; exit 2; }
+	$(BIN)/python -m roadperc_stream.tools.bench.compare $(BENCH) $(BASE) $(BENCH_OPTIONS)
 
 bench-report: $(VENV)/.installed  # writes 5 GB; the bare group-by wants 8 GB of memory
 	$(BIN)/python -m roadperc_stream.eval.bench logs/runs/bench-report
@@ -112,3 +118,4 @@ $(EVENT_LOGS): $(PICTURES)/%.mcap: $(VENV)/.installed
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info
+	rm -f $(addprefix roadperc_stream/core/kernels/*.,c so pyd)

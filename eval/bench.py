@@ -4,12 +4,8 @@ Run it with ``make bench-report`` or ``python -m roadperc_stream.eval.bench FOLD
 """
 
 import argparse
-import os
-import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 from typing import Final
 
 import numpy as np
@@ -20,8 +16,8 @@ from rich.console import Console
 from rich.table import Table
 
 from roadperc_stream.cli.plumbing import run, whole_number
+from roadperc_stream.core.cost import cost_of
 from roadperc_stream.core.files import METRICS_SUFFIX
-from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, arrow_schema
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
@@ -35,16 +31,6 @@ _FACTS: Final = {
 _STATES: Final = np.array(["measured", "held", "lost"])
 _REPORT: Final = "import sys; from roadperc_stream.cli.report import main; sys.exit(main(sys.argv[1:]))"
 _GROUP_BY: Final = "import sys; from roadperc_stream.eval.bench import group_by; print(group_by(sys.argv[1]).shape)"
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What a process took: seconds on the clock, seconds of all cores together, most memory at once."""
-
-    name: str
-    wall_s: float
-    cpu_s: float
-    peak_mb: float
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -105,28 +91,14 @@ def _values(field: pa.Field, rng: np.random.Generator, rows: int) -> pa.Array:
 
 def _bench(folder: Path, arguments: argparse.Namespace) -> None:
     write_tables(folder, arguments.files, arguments.rows)
-    costs = [_cost("roadperc-report", _REPORT, folder), _cost("bare group-by", _GROUP_BY, folder)]
+    programs = {"roadperc-report": _REPORT, "bare group-by": _GROUP_BY}
+    costs = {name: cost_of(name, [sys.executable, "-c", code, str(folder)]) for name, code in programs.items()}
+    bare = costs["bare group-by"]
     table = Table("", "seconds", "core seconds", "peak MB", "times the bare", title=f"{folder.name} rows")
-    for cost in costs:
-        ratio = cost.wall_s / costs[-1].wall_s
-        table.add_row(cost.name, f"{cost.wall_s:.1f}", f"{cost.cpu_s:.1f}", f"{cost.peak_mb:.0f}", f"{ratio:.2f}")
+    for name, cost in costs.items():
+        ratio = cost.wall_s / bare.wall_s
+        table.add_row(name, f"{cost.wall_s:.1f}", f"{cost.cpu_s:.1f}", f"{cost.peak_mb:.0f}", f"{ratio:.2f}")
     Console().print(table)
-
-
-def _cost(name: str, code: str, folder: Path) -> Cost:
-    """Run a program over the folder in a process of its own.
-
-    Raises:
-        TableError: it fails.
-    """
-    started = perf_counter()
-    with subprocess.Popen([sys.executable, "-c", code, str(folder)], stdout=subprocess.DEVNULL) as process:
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise TableError(f"{folder}: {name} ended with exit code {process.returncode}")
-    peak_bytes = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-    return Cost(name, perf_counter() - started, usage.ru_utime + usage.ru_stime, peak_bytes / 1e6)
 
 
 if __name__ == "__main__":

@@ -68,7 +68,7 @@ TRUTH: Final = _quantities(
 """What the chain says against what is true."""
 
 TOTAL: Final = Quantity("total_ms", "total", "ms", 2)
-REST: Final = Quantity("rest_ms", "copy, metrics", "ms", 2)
+REST: Final = Quantity("rest_ms", "rest", "ms", 2)
 """The frame's time less its stages': derived, not a column of the table."""
 STAGE_TIMES: Final = (
     *(Quantity(name, name.removesuffix("_ms"), "ms", 2) for name in TIME_COLUMNS if name != TOTAL.column),

@@ -12,7 +12,13 @@ import pyarrow.parquet as pq
 from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX, real_path
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import facts_in, sidecar_path
-from roadperc_stream.schemas.record import CONTINUES_KEY, FIRST_FRAME_KEY, LOG_ID_KEY
+from roadperc_stream.schemas.record import (
+    CONTINUES_KEY,
+    DIGEST_ALGORITHM_KEY,
+    FIRST_DIGEST_ALGORITHM,
+    FIRST_FRAME_KEY,
+    LOG_ID_KEY,
+)
 
 from .column_types import require_columns_as_written
 
@@ -30,9 +36,9 @@ class Run:
     of its rows. ``config_digest``, ``version`` and ``config``, the whole configuration as TOML, say what made it,
     ``source`` and ``log`` where the input and the result were; each is empty where the file does not say it.
 
-    ``log_id`` and ``continues`` name the part of a drive that it is of and the one it goes on from; its frames begin
-    with ``first_frame``. Those from ``end_frame`` on do not count: the next part, which is among the runs under the
-    name ``next_part``, gives them again, complete.
+    ``log_id`` and ``continues`` name the part of a drive that it is of and the one it goes on from, by digests that
+    ``digest_algorithm`` made; its frames begin with ``first_frame``. Those from ``end_frame`` on do not count: the next
+    part, which is among the runs under the name ``next_part``, gives them again, complete.
 
     Of a drive in several parts ``parts`` are their runs in order, at least two; what else is here, but for the counts
     and the name, is the first part's.
@@ -48,6 +54,7 @@ class Run:
     source: str = ""
     log: str = ""
     log_id: str = ""
+    digest_algorithm: str = FIRST_DIGEST_ALGORITHM
     continues: str = ""
     first_frame: int = 0
     end_frame: int | None = None
@@ -132,6 +139,7 @@ def open_run(path: Path, name: str) -> Run:
         source=facts.get("source", ""),
         log=facts.get("log", ""),
         log_id=facts.get(LOG_ID_KEY, ""),
+        digest_algorithm=facts.get(DIGEST_ALGORITHM_KEY, FIRST_DIGEST_ALGORITHM),
         continues=facts.get(CONTINUES_KEY, ""),
         first_frame=_whole_number(facts.get(FIRST_FRAME_KEY, "")),
         rows=footer.num_rows,

@@ -20,7 +20,7 @@ from roadperc_stream.core.config import ReplayConfig, load_config, validated
 from roadperc_stream.core.datatypes import DepthImage, Detection, Frame, FrameResult, TagImage, Truth
 from roadperc_stream.core.geometry import Camera, level_mounting
 from roadperc_stream.core.semantics import TagTable, table_for_version
-from roadperc_stream.core.threads import one_thread
+from roadperc_stream.core.threads import one_thread, usable_cores
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.errors import ConfigError, TableError
 from roadperc_stream.input import ReplaySource
@@ -33,9 +33,9 @@ from roadperc_stream.input.arrays import (
     mounting,
     tag_pixels,
 )
-from roadperc_stream.loop import ReplaySummary
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.output.target import ReplayTarget
+from roadperc_stream.outputs import ReplaySummary
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.state.checkpoint import CheckpointOptions
 from roadperc_stream.state.opening import Beginning, open_log
@@ -67,6 +67,7 @@ def replay(
     warm_up_s: float = 0.0,
     checkpoint_every_s: float | None = None,
     resume: bool = False,
+    threads: int | None = None,
 ) -> ReplaySummary:
     """Replay a log through the chain, as ``roadperc-replay`` does.
 
@@ -86,6 +87,8 @@ def replay(
         warm_up_s: seconds of log before ``start_s`` that the chain sees first, and of which nothing is written.
         checkpoint_every_s: seconds of log after which what is complete is made durable; None: never.
         resume: go on from the latest checkpoint, where there is one.
+        threads: how many share the work; None: as many as there are cores. What is written is the same with any number,
+            but for the times.
 
     Returns:
         Frames, dropped messages, notes, warnings of damage, and the reasons that held in all frames.
@@ -99,6 +102,7 @@ def replay(
         _config(config),
         beginning=Beginning(None if continued is None else Path(continued), warm_up_s),
         checkpoints=CheckpointOptions(checkpoint_every_s, resume),
+        threads=_threads(threads),
     )
 
 
@@ -296,6 +300,12 @@ def _config(config: Config) -> ReplayConfig:
     if isinstance(config, Mapping):
         return validated(config, "config: ")
     return load_config(config)
+
+
+def _threads(threads: int | None) -> int:
+    if threads is not None and threads < 1:
+        raise ConfigError(f"threads: {threads}, expected 1 or more")
+    return threads or usable_cores()
 
 
 def _tag_table(version: str) -> TagTable | None:

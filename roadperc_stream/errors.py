@@ -43,3 +43,7 @@ class RegressionError(RoadpercError):
 
 class TargetError(RoadpercError):
     """A file that may not be written under the name asked for."""
+
+
+class ProgramError(RoadpercError):
+    """A program that was started for what it does or takes, and failed."""

@@ -6,9 +6,10 @@ import numpy as np
 
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.datatypes import Box, DepthImage, Detection, Frame, TagImage
+from roadperc_stream.core.rotations import rotation_from_rpy
 from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 
-OTHER, LINE, ROAD, SIDEWALK, VEHICLE = 0, 6, 7, 8, 10
+OTHER, PEDESTRIAN, LINE, ROAD, SIDEWALK, VEHICLE = 0, 4, 6, 7, 8, 10
 STEP_NS = 50_000_000
 
 
@@ -37,7 +38,7 @@ class Road:
 
     @property
     def ego_T_camera(self):
-        rotation = g.rotation_from_rpy(self.roll, self.pitch, 0.0) @ g.EGO_R_OPTICAL
+        rotation = rotation_from_rpy(self.roll, self.pitch, 0.0) @ g.EGO_R_OPTICAL
         return g.rigid(rotation, np.array([0.0, 0.0, self.height_m]))
 
     @property

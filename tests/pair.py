@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from roadperc_stream.core import geometry as g
+from roadperc_stream.core.rotations import rotation_from_rpy
 
 CAR_X_M, CAR_HALF_WIDTH_M, CAR_HEIGHT_M = 12.0, 1.0, 1.6
 """The car's back stands across the lane so far ahead of the ego origin."""
@@ -73,6 +74,6 @@ def crooked(camera, baseline_m, ego_T_rectified, degrees):
 
 def _behind_a_lens(camera, zoom, distortion, degrees, ego_T_rectified):
     angle = np.radians(degrees)
-    R = g.rotation_from_rpy(angle, -angle, angle)
+    R = rotation_from_rpy(angle, -angle, angle)
     lens = g.Lens(zoom * camera.fx, zoom * camera.fy, camera.cx - 4, camera.cy + 3, tuple(R.ravel()))
     return replace(camera, distortion=distortion, lens=lens), ego_T_rectified @ g.rigid(R, np.zeros(3))

@@ -10,7 +10,9 @@ _TARGET = ("results_only", "on_request", "force")
 _WATCHER = ("progress", "opened")
 
 
-def replay(source, target, cfg, *, continued=None, warm_up_s=0.0, checkpoint_every_s=None, resume=False, **options):
+def replay(
+    source, target, cfg, *, continued=None, warm_up_s=0.0, checkpoint_every_s=None, resume=False, threads=1, **options
+):
     """Replay a log; what is not named here are options of the source, the target and the watcher."""
     of_target = {name: options.pop(name) for name in _TARGET if name in options}
     of_watcher = {name: options.pop(name) for name in _WATCHER if name in options}
@@ -21,4 +23,5 @@ def replay(source, target, cfg, *, continued=None, warm_up_s=0.0, checkpoint_eve
         beginning=Beginning(continued, warm_up_s),
         checkpoints=CheckpointOptions(checkpoint_every_s, resume),
         watcher=loop.Watcher(**of_watcher),
+        threads=threads,
     )

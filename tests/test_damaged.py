@@ -132,7 +132,8 @@ def test_seconds_count_from_the_first_message_that_was_written(tmp_path):
 
 def test_a_calibration_that_was_lost_is_named_in_the_log_that_lost_it(whole):
     path = whole.with_name("headless.mcap")
-    path.write_bytes(flipped(whole.read_bytes(), 8 * 2000))  # in the first chunk
+    in_first_chunk = log.summarise(whole).source.chunks[0].start + 100
+    path.write_bytes(flipped(whole.read_bytes(), 8 * in_first_chunk))
     with pytest.raises(ChannelError, match=rf"^{path}: .*no calibration"):
         run(path, "out", recover=True)
 

@@ -2,6 +2,7 @@
 
 import polars as pl
 import pytest
+from mcap.reader import make_reader
 
 from roadperc_stream import log
 from roadperc_stream.api import replay
@@ -22,9 +23,10 @@ SENSORS = {"depth", "segmentation", "detections"}
 
 
 def beginning(path, share):
-    """A part of a log's data section."""
+    """A log up to a share of its chunks' bytes."""
     with path.open("rb") as stream:
-        return path.read_bytes()[: int(share * data_end_of(stream))]
+        start = min(chunk.chunk_start_offset for chunk in make_reader(stream).get_summary().chunk_indexes)
+        return path.read_bytes()[: start + int(share * (data_end_of(stream) - start))]
 
 
 def said(path):
@@ -48,8 +50,11 @@ def recording(request, tmp_path, monkeypatch):
     monkeypatch.setattr("roadperc_stream.log.writing.CHUNK_SIZE_BYTES", 1000)
     path = tmp_path / "in.mcap"
     later = {"depth": 1, "segmentation": 2, "detections": 3}
+    items = logs.items(FRAMES, TINY)
     with LogWriter(path) as writer:
-        for item in logs.items(FRAMES, TINY):
+        for item in items:
+            writer.register(logs.channel(item.role))
+        for item in items:
             log_time_ns = item.stamp_ns + later.get(item.role, 0) * request.param
             writer.write(Message(logs.channel(item.role), log_time_ns, item.stamp_ns, 0, item.data))
     return path

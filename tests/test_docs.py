@@ -27,8 +27,9 @@ FENCE = re.compile(r"^```(sh|python)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 SERVES = re.compile(r"--(foxglove|live)$")
 OPENS_VIEWER = re.compile(r"^roadperc-view \S+$")
 PYTHON = shlex.quote(sys.executable)
-OTHERS = {"--delta_unit", "--all_pairs", "--shell", "--max-bag-duration"}
-"""Options of evo, argcomplete and rosbag2, which the pages name as well."""
+BENCHES = ("bench", "bench.long", "bench.compare")
+OTHERS = {"--delta_unit", "--all_pairs", "--shell", "--max-bag-duration", "--inplace"}
+"""Options of evo, argcomplete, rosbag2 and setuptools, which the pages name as well."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,8 @@ def test_every_command_option_and_file_the_pages_name_exists():
     }
     assert named <= scripts
     assert scripts <= named
-    helps = "".join(run(f"{script} --help", ROOT) for script in sorted(scripts))
+    programs = [*sorted(scripts), *(f"{PYTHON} -m roadperc_stream.tools.{name}" for name in BENCHES)]
+    helps = "".join(run(f"{program} --help", ROOT) for program in programs)
     options = {
         o for page in TEXTS for o in re.findall(r"(?<![\w-])--[a-z][a-z_-]*[a-z]", page.read_text(encoding="utf-8"))
     }

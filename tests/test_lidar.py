@@ -13,6 +13,7 @@ from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import ReplayConfig, load_config
 from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, Reason, StereoDepth, Transform
 from roadperc_stream.core.registration import depth_of_points
+from roadperc_stream.core.rotations import rotation_from_rpy
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.output.encoding import encode_points, encode_transforms
 from roadperc_stream.output.tables import sidecar_path
@@ -23,7 +24,7 @@ from tests.replaying import replay
 CFG = ReplayConfig()
 ROAD = Road(pitch=0.02, roll=-0.01)
 CAMERA = ROAD.camera
-EGO_T_LIDAR = g.rigid(g.rotation_from_rpy(0.05, -0.1, 0.4), np.array([-0.3, 0.2, 2.4]))
+EGO_T_LIDAR = g.rigid(rotation_from_rpy(0.05, -0.1, 0.4), np.array([-0.3, 0.2, 2.4]))
 """A lidar behind and above the camera that looks elsewhere."""
 REAR = slice(230, 261), slice(300, 341)
 """Rows and columns where a car's rear is seen."""
@@ -251,7 +252,7 @@ def replayed(source, name="out.mcap", **options):
     return target, pl.read_parquet(sidecar_path(target, "metrics"))
 
 
-RIG = g.rigid(g.rotation_from_rpy(0.0, 0.0, -0.5), np.array([1.0, 0.0, 1.0]))
+RIG = g.rigid(rotation_from_rpy(0.0, 0.0, -0.5), np.array([1.0, 0.0, 1.0]))
 
 
 @pytest.mark.parametrize(

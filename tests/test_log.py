@@ -1,6 +1,9 @@
 """Logs in and out: order, channels, CRCs, and files that are not what they should be."""
 
+import hashlib
+
 import pytest
+from blake3 import blake3
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
@@ -90,6 +93,19 @@ def test_digest_feels_every_part():
 
     variants = [message(), message(BARE), message(time=6), message(sequence=4), message(data=b"hellp")]
     assert len({digest(v) for v in variants}) == len(variants)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "expected"),
+    [
+        ("blake3", blake3(b"/a\0x.Y\x005\x004\x003\x005\0hello").hexdigest()),
+        ("sha256", hashlib.sha256(b"/a\0x.Y\x005\x004\x003\x005\0hello").hexdigest()),
+    ],
+)
+def test_a_digest_is_of_the_words_that_its_algorithm_always_had(algorithm, expected):
+    digest = log.MessageDigest(algorithm)
+    digest.update(Message(Channel("/a", "raw", "x.Y"), 5, 4, 3, b"hello"))
+    assert digest.hexdigest() == expected
 
 
 def broken(tmp_path, kind):

@@ -14,7 +14,7 @@ from ..configurations import UNKNOWN, Change, short_digest
 from .agreement import Agreement, Agreements, Value
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparing import Comparison
-from .pairing import LoggedRun
+from .pairing import LoggedRun, RunPair
 from .verdicts import Mark, Verdict
 
 TEXT_SHOWN = 48
@@ -36,6 +36,7 @@ def _heading(found: Comparison) -> Iterator[str]:
     if len(pairs) == 1:
         yield _identity("reference", pairs[0].reference)
         yield _identity("candidate", pairs[0].candidate)
+    yield from (_by_two_digests(pair) for pair in pairs if not pair.by_one_digest)
     yield from _settings(found)
     yield f"{found.frames} frames compared" + (f" in {len(pairs)} pairs of runs" if len(pairs) > 1 else "")
     for pair, part in zip(pairs, found.overlaps, strict=True):
@@ -44,6 +45,11 @@ def _heading(found: Comparison) -> Iterator[str]:
             yield f"{pair.name}: {only}"
     yield from (f"only in the reference: {item.relative} (log {item.log_id})" for item in found.pairing.missing)
     yield from (f"only in the candidate: {item.relative} (log {item.log_id})" for item in found.pairing.added)
+
+
+def _by_two_digests(pair: RunPair) -> str:
+    ours, theirs = pair.reference.run.digest_algorithm, pair.candidate.run.digest_algorithm
+    return f"{pair.name}: one log is named by {ours}, the other by {theirs}, which cannot say whether they are the same"
 
 
 def _settings(found: Comparison) -> Iterator[str]:

@@ -49,6 +49,11 @@ class RunPair:
         return self.reference.relative
 
     @property
+    def by_one_digest(self) -> bool:
+        """Whether the names of the logs say if they are one: earlier versions made them by another algorithm."""
+        return self.reference.run.digest_algorithm == self.candidate.run.digest_algorithm
+
+    @property
     def by_segment(self) -> bool:
         """Whether frames pair within segments: one segment's stamps may be another's too.
 
@@ -84,7 +89,8 @@ def pair_runs(reference: Sequence[LoggedRun], candidate: Sequence[LoggedRun], ot
         other_log: whether a pair may be of two different logs.
 
     Raises:
-        TableError: nothing pairs, or a pair is of two logs and ``other_log`` does not allow it.
+        TableError: nothing pairs, or a pair is of two logs, as far as their names say, and ``other_log`` does not
+            allow it.
     """
     if len(reference) == len(candidate) == 1:
         partners = {reference[0].relative: candidate[0]}
@@ -163,7 +169,7 @@ def _by_name(
 def _require_same_log(pairs: Iterable[RunPair]) -> None:
     for pair in pairs:
         ours, theirs = pair.reference, pair.candidate
-        if ours.log_id != theirs.log_id:
+        if ours.log_id != theirs.log_id and pair.by_one_digest:
             raise TableError(
                 f"{theirs.run.path}: is of log {theirs.log_id}, expected {ours.log_id} as in {ours.run.path}; "
                 "--other-log compares two inputs by their stamps"

@@ -7,6 +7,7 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.record import LOG_ID_KEY
 
 from ..collecting import collect
 from ..scan import rows_of
@@ -45,10 +46,14 @@ def overlap(pair: RunPair) -> Overlap:
 
 
 def table_agreements(pair: RunPair, rules: Rules) -> dict[str, Agreement]:
-    """How each column agrees over the frames both tables have; the times, which no two runs share, are left out."""
+    """How each column agrees over the frames both tables have.
+
+    The times, which no two runs share, are left out, and ``log_id`` where two algorithms made it.
+    """
     joined = _joined(pair)
+    left_out = NOT_COMPARED if pair.by_one_digest else (*NOT_COMPARED, LOG_ID_KEY)
     columns = sorted(pair.reference.run.columns | pair.candidate.run.columns, key=_order(pair))
-    compared = [name for name in columns if name not in NOT_COMPARED and not rules.ignores(name)]
+    compared = [name for name in columns if name not in left_out and not rules.ignores(name)]
     return {name: _column(joined, name, pair.name, rules.tolerance(name)) for name in compared}
 
 

@@ -78,8 +78,11 @@ CHARTS: Final = (
     TimeChart("Odometry inliers", "count", (Kind("odometry_inliers", "inliers"),), "Points the motion agrees with."),
 )
 STAGE_COLUMNS: Final = tuple(stage.column for stage in STAGE_TIMES if stage != REST)
+_AROUND_THE_CHAIN: Final = {"read": "#93c5fd", "metrics": "#fca5a5", "copy": "#6ee7b7", "write": "#fcd34d"}
+_STAGES: Final = (s.name for s in STAGE_TIMES if s not in {REST, TOTAL} and s.name not in _AROUND_THE_CHAIN)
 _STAGE_COLOURS: Final = {
-    **{stage.name: colour_of(place) for place, stage in enumerate(s for s in STAGE_TIMES if s not in {REST, TOTAL})},
+    **{name: colour_of(place) for place, name in enumerate(_STAGES)},
+    **_AROUND_THE_CHAIN,
     REST.name: "#9ca3af",
 }
 COLUMNS: Final = (*(kind.column for chart in CHARTS for kind in chart.kinds), *STAGE_COLUMNS)
@@ -143,7 +146,7 @@ def stage_times(runs: Sequence[Series], summaries: Sequence[Summary]) -> Iterato
         if TOTAL.column in run.values
     ]
     if totals:
-        yield Figure("Time of a frame", "All stages, copying and writing together.", totals, layout(_TIME, "ms"))
+        yield Figure("Time of a frame", "All of its parts together.", totals, layout(_TIME, "ms"))
 
 
 def _stacked(run: Series) -> Iterator[Figure]:

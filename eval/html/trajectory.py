@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Float, rotation_from_quaternion
+from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.rotations import rotation_from_quaternion
 
 from .figures import TRUTH_COLOUR, Figure, Trace, axis, colour_of, layout, line
 from .series import BUCKETS, Series

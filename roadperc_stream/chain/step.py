@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from roadperc_stream.chain import pixels
+from roadperc_stream.chain.ahead import left_is_front, needs_front_grey, needs_scene
 from roadperc_stream.chain.stages import lanes, objects, occupancy, odometry, stereo, surface
 from roadperc_stream.chain.stages.lanes import LanesState
 from roadperc_stream.chain.stages.objects import ObjectsState
@@ -65,15 +66,16 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
     state, problems = _in_order(state, frame)
     rng = np.random.default_rng((cfg.seed, frame.stamp_ns % 2**63))
     with timer("decode"):
-        tags = pixels.tags_of(frame, problems)
-        sensor = pixels.sensor_depth(frame, problems)
+        tags = pixels.tags_of(frame, problems) if needs_scene(cfg) else None
+        sensor = pixels.sensor_depth(frame, problems) if needs_scene(cfg) else None
         instances = pixels.instances_of(frame, problems) if cfg.objects.enabled else None
         grey = pixels.grey_of("image", frame.image, frame.camera, problems) if _needs_grey(cfg, state, frame) else None
     timed = _if_enabled(cfg, timer)
     with timed("stereo"):
         matched = _stereo(cfg, frame, grey, problems)
     with timed("surface"):
-        scene = _scene(frame, tags, grey, _best_depth(frame, sensor, matched, problems), instances)
+        depth = _best_depth(frame, sensor, matched, problems) if needs_scene(cfg) else None
+        scene = _scene(frame, tags, grey, depth, instances)
         seen, failed = _seen_road(cfg, scene, rng)
     with timed("odometry"):
         odometry_state, motion = _odometry(cfg, state, scene, _in_front_camera(scene, seen), rng)
@@ -87,7 +89,7 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         objects_state, tracked = _objects(cfg, state, scene, ego_lane, motion)
     with timed("occupancy"):
         grid = _occupancy(cfg, scene, front_road, drivable)
-    problems += _missing_inputs(scene, road, tracked)
+    problems += (*_odd_camera(scene), *(_missing_inputs(scene, road, tracked) if needs_scene(cfg) else ()))
     result = FrameResult(
         frame.stamp_ns,
         frame.camera.frame_id,
@@ -263,15 +265,8 @@ def _metric_step(motion: Odometry | Absent, since_ns: int | None) -> Float | Non
 
 def _needs_grey(cfg: ReplayConfig, state: ChainState, frame: Frame) -> bool:
     """Whether any stage needs the front camera's pixels."""
-    matches = cfg.stereo.enabled and frame.right is not None and _left_is_front(frame)
-    searches = cfg.objects.enabled and cfg.objects.template_search and bool(frame.detections or state.objects.tracks)
-    shown = cfg.objects.enabled and bool(cfg.objects.template_png)
-    return cfg.odometry.enabled or matches or searches or shown
-
-
-def _left_is_front(frame: Frame) -> bool:
-    """Whether the pair's left camera is the front camera, and not one of its own, whose image may be missing."""
-    return frame.left is None and frame.left_camera == frame.camera
+    searches = cfg.objects.enabled and cfg.objects.template_search and bool(state.objects.tracks)
+    return searches or needs_front_grey(cfg, frame)
 
 
 def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[Reason]) -> StereoDepth | Absent:
@@ -282,18 +277,24 @@ def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[
         return Absent(Reason("stereo", "no_right_image"))
     if frame.right_camera is None:
         return Absent(Reason("stereo", "no_right_calibration"))
-    left_grey = grey if _left_is_front(frame) else pixels.grey_of("left", frame.left, frame.left_camera, problems)
+    left_grey = grey if left_is_front(frame) else pixels.grey_of("left", frame.left, frame.left_camera, problems)
     right_grey = pixels.grey_of("right", frame.right, frame.right_camera, problems)
     return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
+def _odd_camera(scene: Scene) -> list[Reason]:
+    """What is wrong with the front camera's pictures, whatever is done with them."""
+    odd = []
+    if scene.camera.lens is not None:
+        odd.append(Reason("image", "not_rectified"))
+    if not scene.camera.square_pixels:
+        odd.append(Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy)))
+    return odd
+
+
 def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Absent) -> list[Reason]:
     """What a stage that gave something had to do without."""
-    missing = []
-    if scene.camera.lens is not None:
-        missing.append(Reason("image", "not_rectified"))
-    if not scene.camera.square_pixels:
-        missing.append(Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy)))
+    missing = list[Reason]()
     if scene.depth is None:
         missing += _instead_of_depth(scene, road)
     elif scene.tags is None:

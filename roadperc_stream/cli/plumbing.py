@@ -1,6 +1,7 @@
 """What every command shares: its parser's frame, errors and signals to exit codes, checked numbers."""
 
 import argparse
+import gc
 import math
 import os
 import signal
@@ -97,6 +98,9 @@ def run(command: Callable[[], None]) -> int:
 
     A signal that ends the program unwinds it like Ctrl-C, so that nothing half written stays behind.
     """
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
     try:
         with _signals_unwind():
             command()

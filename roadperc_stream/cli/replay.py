@@ -1,13 +1,14 @@
 """``roadperc-replay``: a log through the chain; also lists the settings."""
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.cli.arguments import add_input_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, words
 from roadperc_stream.cli.playback import add_serving_arguments, given_options, serving_options
-from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run
+from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
 from roadperc_stream.core.folders import not_a_log
 from roadperc_stream.core.stage_names import NEEDS, STAGES
 
@@ -42,14 +43,19 @@ def main(argv: list[str] | None = None) -> int:
 
         return run(lambda: print_settings(arguments))
     _require_sense(parser, arguments)
-    from roadperc_stream.cli.replay_log import replay_log
+    from roadperc_stream.cli.replay_log import Bar, replay_log
 
+    bar: Bar | None = None
+    if not arguments.quiet and sys.stderr.isatty():
+        from roadperc_stream.output.terminal import frame_progress
+
+        bar = frame_progress
     live = None
     if arguments.live:
         from roadperc_stream.view.live.serving import LiveReplay
 
         live = LiveReplay(serving_options(arguments), quiet=arguments.quiet)
-    return run(lambda: replay_log(arguments, live))
+    return run(lambda: replay_log(arguments, live, bar))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -90,6 +96,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--recover", action="store_true", help="replay what can be read of a damaged log, and say what was lost")
     add("--strict", action="store_true", help="stop at the first message that cannot be used")
+    add(
+        "--threads",
+        metavar="N",
+        type=whole_number,
+        help="how many threads share the work (default: the cores); OUT.mcap is the same with any number",
+    )
     add("--force", action="store_true", help="replace an existing OUT.mcap, but no recording")
     add("--quiet", action="store_true", help="print errors only")
     add("--live", action="store_true", help="serve the results to Foxglove while they are computed")

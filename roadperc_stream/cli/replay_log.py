@@ -1,19 +1,22 @@
 """What ``roadperc-replay`` does with its arguments, and what it says of the replay."""
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING
 
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.cli.template import with_template
+from roadperc_stream.core.memory import keep_freed_memory
 from roadperc_stream.core.process import optional_output
+from roadperc_stream.core.progress import Progress, no_progress
 from roadperc_stream.core.text import print_line
+from roadperc_stream.core.threads import usable_cores
 from roadperc_stream.input import ReplaySource
-from roadperc_stream.loop import ReplaySummary, Watcher, replay
+from roadperc_stream.loop import Watcher, replay
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.output.writing import unwatched
+from roadperc_stream.outputs import ReplaySummary
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.schemas.topics import Request
 from roadperc_stream.state.checkpoint import CheckpointOptions
@@ -24,19 +27,25 @@ if TYPE_CHECKING:
     from roadperc_stream.view.live.serving import LiveReplay
 
 
-def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None:
+Bar = Callable[[str, bool], AbstractContextManager[Progress]]
+"""As ``output.terminal.frame_progress``."""
+
+
+def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Bar | None) -> None:
     """Replay a log as the arguments say, and print what came of it.
 
     Args:
         arguments: of the command line.
         live: serves the results while they are computed; None where nobody asks for it.
+        bar: shows how far it is; None where nobody would see it, and then what draws it is not imported either.
 
     Raises:
         RoadpercError: the log cannot be replayed.
     """
+    keep_freed_memory()
     target = _target(arguments)
     with live or nullcontext():
-        with _naming_resume(arguments, target), frame_progress("replaying", not arguments.quiet) as progress:
+        with _naming_resume(arguments, target), _shown(bar) as progress:
             summary = replay(
                 _source(arguments),
                 target,
@@ -44,12 +53,17 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None") -> None
                 beginning=Beginning(arguments.continued, arguments.warm_up or 0.0),
                 checkpoints=CheckpointOptions(arguments.checkpoint_every, arguments.resume),
                 watcher=Watcher(progress, live.start if live else unwatched),
+                threads=arguments.threads or usable_cores(),
             )
         if not arguments.quiet:
             with optional_output():
                 _print_summary(target, summary)
         if live:
             live.wait()
+
+
+def _shown(bar: Bar | None) -> AbstractContextManager[Progress]:
+    return nullcontext(no_progress) if bar is None else bar("replaying", True)
 
 
 @contextmanager

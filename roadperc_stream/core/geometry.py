@@ -9,8 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import rq
-from scipy.spatial.transform import Rotation
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -125,10 +123,16 @@ def decompose_projection(P: Float) -> tuple[Float, Float, Float]:
     determinant = float(np.linalg.det(M))
     if abs(determinant) <= _SINGULAR * float(np.prod(np.linalg.norm(M, axis=1))):
         raise ValueError(f"no projection matrix of a camera: its left half is singular: {P.tolist()}")
-    upper, rotation = rq(M * np.sign(determinant))
+    upper, rotation = _rq(M * np.sign(determinant))
     signs = np.sign(np.diag(upper))
     K = upper * signs
     return K / K[2, 2], signs[:, None] * rotation, -np.linalg.solve(M, P[:, 3])
+
+
+def _rq(M: Float) -> tuple[Float, Float]:
+    """Upper triangular and orthogonal factor of a (3, 3) matrix: the QR decomposition of its mirror image."""
+    Q, R = np.linalg.qr(M[::-1].T)
+    return R.T[::-1, ::-1], Q.T[::-1]
 
 
 def baseline_of(P_left: Float, P_right: Float) -> float:
@@ -200,33 +204,6 @@ def transform(a_T_b: Float, points_b: Float) -> Float:
     return result
 
 
-def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> Float:
-    """(3, 3) rotation Rz(yaw) Ry(pitch) Rx(roll), radians, as ROS REP 103 has it (pitch: nose down positive)."""
-    result: Float = Rotation.from_euler("ZYX", (yaw, pitch, roll)).as_matrix()
-    return result
-
-
-def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> Float:
-    """(3, 3) rotation of a quaternion of any length but zero.
-
-    Raises:
-        ValueError: all four numbers are zero, or one is not finite.
-    """
-    numbers = np.array((x, y, z, w))
-    largest = float(np.abs(numbers).max())
-    if not 0 < largest < np.inf:
-        raise ValueError(f"quaternion ({x:g}, {y:g}, {z:g}, {w:g}): expected finite numbers that are not all zero")
-    # A power of two changes no digit, and keeps the squares within what a float can hold.
-    result: Float = Rotation.from_quat(np.ldexp(numbers, -np.frexp(largest)[1])).as_matrix()
-    return result
-
-
-def quaternion(rotation: Float) -> tuple[float, float, float, float]:
-    """x, y, z, w with w >= 0."""
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True)
-    return float(x), float(y), float(z), float(w)
-
-
 def level_mounting(height_m: float) -> Float:
     """ego_T_camera of a level camera above the ego origin, looking along ego's x axis."""
     return rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, height_m]))
@@ -235,7 +212,10 @@ def level_mounting(height_m: float) -> Float:
 def project(camera: Camera, points: Float) -> Float:
     """(..., 2) pixels of (..., 3) points in the camera frame; NaN at or behind the camera."""
     z = np.where(points[..., 2] > 1e-6, points[..., 2], np.nan)
-    return np.stack((camera.fx * points[..., 0] / z + camera.cx, camera.fy * points[..., 1] / z + camera.cy), axis=-1)
+    pixels = np.empty((*z.shape, 2), z.dtype)
+    pixels[..., 0] = camera.fx * points[..., 0] / z + camera.cx
+    pixels[..., 1] = camera.fy * points[..., 1] / z + camera.cy
+    return pixels
 
 
 def rays(camera: Camera, pixels: Float) -> Float:
@@ -259,18 +239,19 @@ def intersect_plane(camera: Camera, pixels: Float, plane: Plane) -> Float:
     return directions * depth[..., None]
 
 
-def plane_distance(camera: Camera, depth_m: Float32, plane: Plane) -> Float32:
-    """(H, W) signed distance in metres of every depth pixel to the plane; NaN where the depth is unknown.
+def distance_per_depth(camera: Camera, plane: Plane) -> tuple[Float32, Float32]:
+    """(W,) part of every column, and (H,) of every row, of n . ray, by which the distance to a plane grows with depth.
 
-    The distance of pixel (u, v, z) is z (n . ray) + offset: no points are needed.
+    The signed distance of pixel (u, v) at depth z is z (n . ray) + offset: no points are needed.
+
+    Args:
+        camera: of the depth.
+        plane: in its frame.
     """
     nx, ny, nz = plane.normal
-    column = ((np.arange(camera.width) - camera.cx) * (nx / camera.fx)).astype(np.float32)
-    row = ((np.arange(camera.height) - camera.cy) * (ny / camera.fy) + nz).astype(np.float32)
-    distance = depth_m * (row[:, None] + column[None, :])
-    distance += np.float32(plane.offset_m)
-    result: Float32 = distance
-    return result
+    column = (np.arange(camera.width) - camera.cx) * (nx / camera.fx)
+    row = (np.arange(camera.height) - camera.cy) * (ny / camera.fy) + nz
+    return column.astype(np.float32), row.astype(np.float32)
 
 
 def transform_plane(a_T_b: Float, plane_b: Plane) -> Plane:
@@ -298,9 +279,22 @@ def fit_plane(points: NDArray[np.floating[Any]], chosen: NDArray[np.bool_] | Non
         raise ValueError(f"a plane needs three points, got {count:.0f}")
     centroid = (weights @ points).astype(float) / count
     centred = (points - centroid.astype(points.dtype)).T
-    # Nine dot products: a matrix product of two such thin matrices takes five times as long.
-    scatter = np.array([[(weights * a) @ b for b in centred] for a in centred], float)
-    _, vectors = np.linalg.eigh(scatter)
+    # Six dot products, for the lower triangle alone is read: a matrix product of two such thin ones takes far longer.
+    scatter, weighted = np.zeros((3, 3)), np.empty_like(weights)
+    for i, coordinate in enumerate(centred):
+        np.multiply(weights, coordinate, out=weighted)
+        scatter[i, : i + 1] = [weighted @ other for other in centred[: i + 1]]
+    return plane_of_scatter(centroid, scatter)
+
+
+def plane_of_scatter(centroid: Float, scatter: Float) -> Plane:
+    """The plane through a (3,) centroid in the direction of least scatter, as of ``fit_plane``.
+
+    Args:
+        centroid: metres.
+        scatter: (3, 3) about the centroid; what lies above the diagonal is not read.
+    """
+    _, vectors = np.linalg.eigh(scatter, UPLO="L")
     normal = vectors[:, 0]
     return Plane.of(normal, -float(normal @ centroid))
 

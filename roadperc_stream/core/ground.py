@@ -5,6 +5,7 @@ straight beyond them. Without one it is its plane.
 """
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -12,6 +13,14 @@ import numpy as np
 
 from roadperc_stream.core.datatypes import HeightGrid, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32, Plane, intersect_plane, rays, transform
+from roadperc_stream.core.kernels.ray_points import points_along_rays
+
+try:
+    from roadperc_stream.core.kernels.height_field_compiled import first_meetings
+
+    _COMPILED = True
+except ImportError:
+    _COMPILED = False
 
 REACH_M: Final = 200.0
 """Depth to which a ray is followed to the height field; what is straight beyond the grid ends somewhere."""
@@ -20,6 +29,9 @@ _TRIED_M: Final = np.geomspace(0.5, REACH_M, 25)
 _PARTS: Final = np.linspace(0.0, 1.0, 5)
 _REFINEMENTS: Final = 2
 """Parts into which the stretch where it dipped is cut, twice: the last is 2 % long, straight enough to interpolate."""
+_GRIDS_AT_ONCE: Final = 4
+"""Height fields whose sampling is kept for the next call: the estimate and the truth of a frame, and of the one before.
+"""
 _LOOKUP_X_M: Final = (-20.0, REACH_M)
 _LOOKUP_Y_M: Final = (-80.0, 80.0)
 
@@ -61,15 +73,28 @@ def ground_points(surface: Surface, camera: Camera, ego_T_camera: Float, pixels:
     return points
 
 
-def ego_points(camera: Camera, ego_T_camera: Float, depth_m: Float32) -> tuple[Float32, Float32, Float32]:
-    """Ego x, y and z in metres of every depth pixel, each (H, W); NaN where the depth is unknown."""
+def ego_points(camera: Camera, ego_T_camera: Float, depth_m: Float32, top: int = 0) -> tuple[Float32, Float32, Float32]:
+    """Ego x, y and z in metres of depth pixels, each (h, W); NaN where the depth is unknown.
+
+    Args:
+        camera: of the depth.
+        ego_T_camera: its mounting.
+        depth_m: (h, W) rows of its image.
+        top: the first of these rows.
+    """
+    column, row = _ray_parts(camera, ego_T_camera, top, len(depth_m))
+    points = np.empty((3, *depth_m.shape), np.float32)
+    points_along_rays(depth_m, column, row, ego_T_camera[:3, 3].astype(np.float32), points)
+    return points[0], points[1], points[2]
+
+
+def _ray_parts(camera: Camera, ego_T_camera: Float, top: int, rows: int) -> tuple[Float32, Float32]:
+    """(3, W) part of every column, and (3, rows) of every row, of their pixels' rays in the ego frame."""
+    rotation = ego_T_camera[:3, :3]
     column = (np.arange(camera.width) - camera.cx) / camera.fx
-    row = (np.arange(camera.height) - camera.cy) / camera.fy
-    x, y, z = (
-        _along_rays(r[0] * column, r[1] * row + r[2], float(t), depth_m)
-        for r, t in zip(ego_T_camera[:3, :3], ego_T_camera[:3, 3], strict=True)
-    )
-    return x, y, z
+    row = (np.arange(top, top + rows) - camera.cy) / camera.fy
+    parts = np.outer(rotation[:, 0], column), rotation[:, 1:2] * row + rotation[:, 2:]
+    return parts[0].astype(np.float32), parts[1].astype(np.float32)
 
 
 def height_above(surface: Surface, x: Float32, y: Float32, z: Float32) -> Float32:
@@ -83,58 +108,63 @@ def height_above(surface: Surface, x: Float32, y: Float32, z: Float32) -> Float3
         result: Float32 = z - (d - a * x - b * y)
         return result
     step = surface.height_grid.step_m
-    lookup = height_at(
-        surface, *np.meshgrid(np.arange(*_LOOKUP_X_M, step), np.arange(*_LOOKUP_Y_M, step), copy=False)
-    ).astype(np.float32)
     columns = (x - np.float32(_LOOKUP_X_M[0])) * np.float32(1 / step)
     rows = (y - np.float32(_LOOKUP_Y_M[0])) * np.float32(1 / step)
-    road = cv2.remap(lookup, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+    road = cv2.remap(
+        _lookup(surface.height_grid),
+        columns,
+        rows,
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=np.nan,
+    )
     return np.asarray(z - road, np.float32)
 
 
-def part(camera: Camera, top: int, rows: int, columns: int) -> Camera:
-    """The camera of the image ``pixels[top::rows, ::columns]``."""
+def part(camera: Camera, rows: int, columns: int) -> Camera:
+    """The camera of the image ``pixels[::rows, ::columns]``."""
     return replace(
         camera,
         width=-(-camera.width // columns),
-        height=-(-(camera.height - top) // rows),
+        height=-(-camera.height // rows),
         fx=camera.fx / columns,
         fy=camera.fy / rows,
         cx=camera.cx / columns,
-        cy=(camera.cy - top) / rows,
+        cy=camera.cy / rows,
     )
 
 
-def _along_rays(column: Float, row: Float, start_m: float, depth_m: Float32) -> Float32:
-    """One coordinate of every pixel: its ray's is a part of the column and a part of the row."""
-    coordinate = row.astype(np.float32)[:, None] + column.astype(np.float32)[None, :]
-    coordinate *= depth_m
-    if start_m:
-        coordinate += np.float32(start_m)
-    result: Float32 = coordinate
-    return result
-
-
 def _grid_height(grid: HeightGrid, x: Float, y: Float) -> Float:
-    """Bilinear inside the grid; outside, the slopes of the nearest cell's edge go on, its twist does not."""
-    cells = _bilinear(grid)
-    rows, columns, _ = cells.shape
+    """Bilinear inside the grid; outside, the slopes of the nearest cell's edge go on, its twist does not.
+
+    x and y are of one shape, or of shapes that numpy brings to one.
+    """
+    cells = _cells(grid)
+    _, rows, columns = cells.shape
     u, v = (np.asarray(x) - grid.x_min_m) / grid.step_m, (np.asarray(y) - grid.y_min_m) / grid.step_m
     i = np.fmin(np.fmax(u, 0), columns - 1).astype(np.intp)  # fmax and fmin make a number of NaN
     j = np.fmin(np.fmax(v, 0), rows - 1).astype(np.intp)
-    corner, along, across, twist = np.moveaxis(np.take(cells.reshape(-1, 4), j * columns + i, axis=0), -1, 0)
+    corner, along, across, twist = (number.take(j * columns + i) for number in cells)
     u, v = u - i, v - j
     inside_u, inside_v = np.clip(u, 0, 1), np.clip(v, 0, 1)
     result: Float = corner + along * u + across * v + twist * (u * inside_v + inside_u * (v - inside_v))
     return result
 
 
-def _bilinear(grid: HeightGrid) -> Float:
-    """(rows, columns, 4) of each cell between four nodes: height, rise along x, along y, and along both, per step."""
+@lru_cache(maxsize=_GRIDS_AT_ONCE)
+def _lookup(grid: HeightGrid) -> Float32:
+    """(R, C) heights at places a step of the grid apart, far beyond it: a row each ``_LOOKUP_Y_M``, ascending."""
+    x, y = (np.arange(*reach_m, grid.step_m) for reach_m in (_LOOKUP_X_M, _LOOKUP_Y_M))
+    return _grid_height(grid, x, y[:, None]).astype(np.float32)
+
+
+@lru_cache(maxsize=_GRIDS_AT_ONCE)
+def _cells(grid: HeightGrid) -> Float:
+    """(4, rows, columns) of each cell between four nodes: height, rise along x, along y, and along both, per step."""
     z = grid.z_m.astype(np.float64)
     z = np.pad(z, [(0, int(length == 1)) for length in z.shape], mode="edge")
     along, across = np.diff(z, axis=1), np.diff(z, axis=0)
-    return np.stack((z[:-1, :-1], along[:-1], across[:, :-1], np.diff(along, axis=0)), axis=-1)
+    return np.stack((z[:-1, :-1], along[:-1], across[:, :-1], np.diff(along, axis=0)))
 
 
 def _first_meeting(grid: HeightGrid, centre: Float, directions: Float) -> Float:
@@ -142,6 +172,15 @@ def _first_meeting(grid: HeightGrid, centre: Float, directions: Float) -> Float:
 
     A crest hides what lies behind it, so the first crossing counts; Newton's method might find another one.
     """
+    if not _COMPILED:
+        return _first_meeting_of_all(grid, centre, directions)
+    depths = np.empty(len(directions))
+    first_meetings(grid, centre, directions, _TRIED_M, _PARTS, _REFINEMENTS, depths)
+    return depths
+
+
+def _first_meeting_of_all(grid: HeightGrid, centre: Float, directions: Float) -> Float:
+    """The same without a compiled kernel: every depth of every ray is tried."""
     depth: Float = np.broadcast_to(_TRIED_M, (len(directions), len(_TRIED_M)))
     near, far, above_m, below_m = _first_dip(grid, centre, directions, depth)
     for _ in range(_REFINEMENTS):

@@ -11,6 +11,9 @@ from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
 from roadperc_stream.core.registration import sample_labels, warp_depth
 from roadperc_stream.core.semantics import TagTable
 
+_SAME_PLACE, _SAME_SHARE = 1e-6, 1e-5
+"""Metres, and a share of each number, by which two cameras in one place may differ."""
+
 
 @dataclass(frozen=True)
 class DepthMap:
@@ -41,7 +44,8 @@ class DepthMap:
 
     def _is_of(self, camera: Camera, ego_T_camera: Float) -> bool:
         """Whether the depth belongs to that camera, so that pixel lies on pixel."""
-        same_place = np.allclose(ego_T_camera, self.ego_T_camera, atol=1e-6)
+        apart = np.abs(ego_T_camera - self.ego_T_camera)
+        same_place = (apart <= _SAME_PLACE + _SAME_SHARE * np.abs(self.ego_T_camera)).all()
         return bool(same_place) and camera.same_view(self.camera)
 
 
@@ -89,7 +93,15 @@ class Scene:
         return "the mounting" if self.mounted else "the assumed height"
 
     def labels(self, classes: tuple[str, ...]) -> Image | None:
-        """(H, W) uint8, 1 at pixels of the classes; None without tags."""
+        """(H, W) uint8, 1 at pixels of the classes, read-only; None without tags."""
         if self.table is None or self.tags is None:
             return None
-        return np.asarray(cv2.LUT(self.tags, self.table.lookup(classes)), np.uint8)
+        if classes not in self._labels:
+            self._labels[classes] = np.asarray(cv2.LUT(self.tags, self.table.lookup(classes)), np.uint8)
+            self._labels[classes].setflags(write=False)
+        return self._labels[classes]
+
+    @cached_property
+    def _labels(self) -> dict[tuple[str, ...], Image]:
+        """Of the classes that were asked for: several stages ask for the same."""
+        return {}

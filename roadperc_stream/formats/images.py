@@ -1,28 +1,33 @@
-"""Pixels in and out of their encodings. OpenCV is imported with the first image that is decoded."""
+"""Pixels in and out of their encodings.
+
+OpenCV is imported with the first image that is decoded, Pillow with the first that neither it nor ``png`` reads.
+"""
 
 import io
 import struct
+import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, UnidentifiedImageError
-from PIL import Image as PillowImage
 
 from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.core.datatypes import Image
+from roadperc_stream.core.datatypes import Ids, Image
 from roadperc_stream.core.geometry import Float32
+from roadperc_stream.core.kernels.depth import metres_of_mm, mm_of_metres
 from roadperc_stream.core.semantics import Colour
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats import png
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as PillowImage
 
 DEPTH_LIMIT_MM: Final = 65535
 UNKNOWN_MM: Final = 0
-PNG_MAGIC: Final = b"\x89PNG\r\n\x1a\n"
-_PNG_SIZE: Final = struct.Struct(">II")
-_PNG_SIZE_AT: Final = 16
+PNG_MAGIC: Final = png.MAGIC
 _JPEG_MAGIC: Final = b"\xff\xd8"
 _JPEG_FRAME: Final = struct.Struct(">BBHBHH")
 """A frame header: marker, length, bits, rows, columns."""
@@ -30,8 +35,15 @@ _JPEG_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_BARE: Final = frozenset((0x00, 0x01, *range(0xD0, 0xD9)))
 """Markers without a length."""
 _PALETTE_ENTRIES: Final = 256
+_PNG_READERS: Final[Mapping[str, Callable[[bytes], NDArray[Any] | None]]] = {
+    "IMREAD_COLOR": png.bgr,
+    "IMREAD_GRAYSCALE": png.grey,
+    "IMREAD_UNCHANGED": png.grey16,
+}
+"""By the mode of OpenCV that they take the place of, for the PNGs that they read."""
 _LAST_UPRIGHT: Final = 4
 """EXIF orientations beyond exchange rows and columns."""
+_PILLOWS_WARNINGS: Final = threading.RLock()
 
 
 def decode_bgr(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
@@ -85,27 +97,33 @@ def image_size(data: bytes) -> tuple[int, int]:
     Raises:
         DecodeError: no image.
     """
+    from PIL import ExifTags
+
     with _opened(data) as image:
         turned = image.getexif().get(ExifTags.Base.Orientation, 1) > _LAST_UPRIGHT
         return (image.height, image.width) if turned else (image.width, image.height)
 
 
 @contextmanager
-def _opened(data: bytes, formats: tuple[str, ...] | None = None) -> Iterator[PillowImage.Image]:
+def _opened(data: bytes, formats: tuple[str, ...] | None = None) -> Iterator["PillowImage"]:
     """An image file with its header read.
 
     Raises:
         DecodeError: no image of these formats.
     """
+    from PIL import Image as Pillow
+    from PIL import UnidentifiedImageError
+
     kind = formats[0] if formats else "image"
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PillowImage.DecompressionBombWarning)  # the limits say what is too large
-            with PillowImage.open(io.BytesIO(data), formats=formats) as image:
+        # the filters are the process's: two threads that change them at once would leave them changed
+        with _PILLOWS_WARNINGS, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what it reads all the same; the limits say what is too large
+            with Pillow.open(io.BytesIO(data), formats=formats) as image:
                 yield image
     except UnidentifiedImageError as error:
         raise DecodeError(f"{len(data)} bytes are no {kind}, they start with {data[:4].hex()}") from error
-    except (OSError, ValueError, SyntaxError, struct.error, PillowImage.DecompressionBombError) as error:
+    except (OSError, ValueError, SyntaxError, struct.error, Pillow.DecompressionBombError) as error:
         raise DecodeError(f"{len(data)} bytes are no whole {kind}: {error}") from error
 
 
@@ -115,8 +133,8 @@ def _header_size(data: bytes) -> tuple[int, int]:
     Raises:
         DecodeError: no image.
     """
-    if data.startswith(PNG_MAGIC) and len(data) >= _PNG_SIZE.size + _PNG_SIZE_AT:
-        width, height = _PNG_SIZE.unpack_from(data, _PNG_SIZE_AT)
+    if data.startswith(PNG_MAGIC) and len(data) >= png.SIZE.size + png.SIZE_AT:
+        width, height = png.SIZE.unpack_from(data, png.SIZE_AT)
         return width, height
     if data.startswith(_JPEG_MAGIC):
         return _jpeg_size(data)
@@ -156,6 +174,9 @@ def _pixels(data: bytes, mode: str, limits: LimitsConfig) -> NDArray[Any] | None
     if not data:
         return None
     require_pixels("image", *_header_size(data), limits)
+    pixels = _PNG_READERS[mode](data)
+    if pixels is not None:
+        return pixels
     try:
         return cv2.imdecode(np.frombuffer(data, np.uint8), getattr(cv2, mode))
     except cv2.error:
@@ -171,6 +192,9 @@ def decode_indices(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
     """
     if data.startswith(PNG_MAGIC):
         require_pixels("image", *_header_size(data), limits)
+        tags = png.indices(data)
+        if tags is not None:
+            return tags
     # No other format: a JPEG's or GIF's greys are no tags.
     with _opened(data, ("PNG",)) as image:
         if image.mode not in ("P", "L"):
@@ -178,9 +202,23 @@ def decode_indices(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
         return np.array(image)
 
 
+def instance_ids(bgr: Image) -> Ids:
+    """(H, W) numbers of CARLA's coding: green is the low byte, blue the high one; red, the tag, is left to others.
+
+    Source: CARLA's documentation, "Instance segmentation camera".
+    """
+    import cv2
+
+    low_high = np.empty((*bgr.shape[:2], 2), np.uint8)
+    cv2.mixChannels([bgr], [low_high], [1, 0, 0, 1])  # from channel 1 to 0, from 0 to 1
+    return low_high.view("<u2")[..., 0].astype(np.uint16, copy=False)
+
+
 def encode_indices(indices: Image, colours: tuple[Colour, ...]) -> bytes:
     """Palette PNG of (H, W) uint8 indices: label images show their colours in every viewer."""
-    image = PillowImage.fromarray(indices, "L").convert("L")
+    from PIL import Image as Pillow
+
+    image = Pillow.fromarray(indices, "L").convert("L")
     image.putpalette(np.array(colours, np.uint8).tobytes().ljust(3 * _PALETTE_ENTRIES, b"\x00"))
     stream = io.BytesIO()
     image.save(stream, "PNG", compress_level=3)
@@ -195,19 +233,15 @@ def encode_jpeg(pixels_bgr: Image, quality: int) -> bytes:
     return encoded.tobytes()
 
 
-def depth_from_mm(depth_mm: NDArray[np.generic]) -> Float32:
-    """Metres of 16-bit millimetres: NaN for 0; 65535 stands for 65.535 m or more."""
-    depth_m = depth_mm.astype(np.float32)
-    depth_m *= np.float32(0.001)
-    depth_m[depth_mm == UNKNOWN_MM] = np.nan
+def depth_from_mm(depth_mm: NDArray[np.uint16]) -> Float32:
+    """(H, W) metres of 16-bit millimetres: NaN for 0; 65535 stands for 65.535 m or more."""
+    depth_m = np.empty(depth_mm.shape, np.float32)
+    metres_of_mm(np.ascontiguousarray(depth_mm, np.uint16), depth_m)
     return depth_m
 
 
 def depth_to_mm(depth_m: Float32) -> NDArray[np.uint16]:
-    """16-bit millimetres of metres: unknown (NaN, not positive) becomes 0, what lies beyond the range 65535."""
-    known = np.isfinite(depth_m) & (depth_m > 0) | (depth_m == np.inf)
-    with np.errstate(over="ignore"):  # what is too far for a number is beyond the range
-        millimetres = np.clip(np.where(known, depth_m, 0.0) * np.float32(1000.0), 0, DEPTH_LIMIT_MM)
-    rounded = np.rint(millimetres).astype(np.uint16)
-    rounded[known & (rounded == UNKNOWN_MM)] = 1
-    return rounded
+    """(H, W) 16-bit millimetres: unknown (NaN, not positive) becomes 0, what lies beyond the range 65535."""
+    depth_mm = np.empty(depth_m.shape, np.uint16)
+    mm_of_metres(np.ascontiguousarray(depth_m), depth_mm)
+    return depth_mm

@@ -45,6 +45,10 @@ _GREYS: Final = ("mono8", "8UC1")
 _DEPTHS: Final = ("16UC1", "mono16", "32FC1")
 
 
+Content = bytes | memoryview
+"""A file or raw pixels: by themselves, or as they stand in a message."""
+
+
 @dataclass(frozen=True)
 class Raster:
     """An image message's pixels, as they stand in it."""
@@ -53,7 +57,7 @@ class Raster:
     width: int
     height: int
     step: int
-    data: bytes | NDArray[np.uint8]
+    data: Content | NDArray[np.uint8]
     big_endian: bool = False
 
     @classmethod

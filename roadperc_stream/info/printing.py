@@ -14,7 +14,7 @@ from roadperc_stream.info.facts import ChannelFacts, LogFacts
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.replay_printing import print_replay
 from roadperc_stream.info.text import listed, number, rounded, size
-from roadperc_stream.log import number_of
+from roadperc_stream.log import MessageDigest, number_of
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY, log_id_of
@@ -183,6 +183,8 @@ def _provenance_lines(provenance: Provenance, own_frames: int) -> Iterator[str]:
 
 def _digest_line(provenance: Provenance) -> str:
     digest = log_id_of(provenance.digest) or "unknown"
+    if not MessageDigest.is_known(provenance.digest_algorithm):
+        return f"input {digest}, whose digest {provenance.digest_algorithm} is not known here"
     if provenance.digest_found is None:
         return f"input {digest}: not in the file (--results-only), or not all of it can be read"
     if provenance.changed:

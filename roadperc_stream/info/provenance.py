@@ -1,7 +1,7 @@
 """Where a result comes from: version, seed and settings of the replay that wrote it, and the tables beside it."""
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
-from roadperc_stream.input.earlier_replay import replay_record
+from roadperc_stream.input.earlier_replay import digest_algorithm, replay_record
 from roadperc_stream.log import Attachment, Metadata
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.schemas.record import (
@@ -51,6 +51,7 @@ class Provenance:
     version: str
     seed: str
     digest: str
+    digest_algorithm: str
     digest_found: str | None
     """Digest of the input's messages as they are in the file now; None where they are not there or not all readable."""
     frames: int | None
@@ -70,7 +71,7 @@ class Provenance:
 
 
 def provenance_of(
-    path: Path, metadata: Iterable[Metadata], attachments: Iterable[Attachment], digest_found: str | None
+    path: Path, metadata: Collection[Metadata], attachments: Iterable[Attachment], digest_found: str | None
 ) -> Provenance:
     """What the log's metadata record and its configuration say, and whether the tables beside it belong to it."""
     facts = replay_record(metadata)
@@ -82,6 +83,7 @@ def provenance_of(
         version=facts.get(VERSION_KEY, ""),
         seed=facts.get(SEED_KEY, ""),
         digest=digest,
+        digest_algorithm=digest_algorithm(metadata),
         digest_found=digest_found,
         frames=_number(facts.get(FRAMES_KEY, "")),
         continues=facts.get(CONTINUES_KEY),

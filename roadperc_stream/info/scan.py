@@ -15,14 +15,14 @@ from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.info.role_states import Roles, continued, roles_of
 from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.info.tally import Tally
-from roadperc_stream.input.earlier_replay import is_result, recorded_tag_table, recorded_topics
+from roadperc_stream.input.earlier_replay import digest_algorithm, is_result, recorded_tag_table, recorded_topics
 from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.order import OrderConfig
 from roadperc_stream.input.pairing import PairingState, StampPairing
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import no_probe, probe_first_message
 from roadperc_stream.input.stream import Stamped, decoded_messages
-from roadperc_stream.log import Channel, LogSummary, Message, MessageDigest, Salvage
+from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, Message, MessageDigest, Salvage
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
@@ -56,6 +56,8 @@ class Scan:
     inputs: int = 0
     """Messages that are no results."""
     inputs_back: int = 0
+    algorithm: str = DIGEST_ALGORITHM
+    """Of the digest: the one a result says its own was made by."""
     _digest: MessageDigest = field(default_factory=MessageDigest)
 
     @classmethod
@@ -74,20 +76,23 @@ class Scan:
         if any(attachment.name == BEGIN_ATTACHMENT for attachment in first.described.attachments):
             roles = continued(roles)
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
-        scan = cls(salvage, replace(roles, assignment=assignment), summary)
+        algorithm = digest_algorithm(metadata)
+        digest = MessageDigest(algorithm if MessageDigest.is_known(algorithm) else DIGEST_ALGORITHM)
+        scan = cls(salvage, replace(roles, assignment=assignment), summary, algorithm=algorithm, _digest=digest)
         scan._run()
         return scan
 
     def digest(self) -> str | None:
-        """Digest of the input's messages in log-time order; None where some cannot be read.
+        """Digest of the input's messages in log-time order; None where some cannot be read, or nobody knows how.
 
         Where the file has them in another order they are read once more.
         """
-        if self.summary is None or not self.salvage.whole or not self.inputs:
+        is_known = MessageDigest.is_known(self.algorithm)
+        if self.summary is None or not self.salvage.whole or not self.inputs or not is_known:
             return None
         if not self.inputs_back:
             return self._digest.hexdigest()
-        digest = MessageDigest()
+        digest = MessageDigest(self.algorithm)
         for message in log.read(self.summary):
             if not is_result(message.channel):
                 digest.update(message)

@@ -4,8 +4,16 @@ from collections.abc import Iterable
 from typing import Final
 
 from roadperc_stream.core.semantics import TABLES
-from roadperc_stream.log import Channel, Metadata
-from roadperc_stream.schemas.record import METADATA_RECORD, PRODUCER, TAG_TABLE_KEY, TOPIC_KEY
+from roadperc_stream.log import DIGEST_ALGORITHM, Channel, Metadata
+from roadperc_stream.schemas.record import (
+    DIGEST_ALGORITHM_KEY,
+    DIGEST_KEY,
+    FIRST_DIGEST_ALGORITHM,
+    METADATA_RECORD,
+    PRODUCER,
+    TAG_TABLE_KEY,
+    TOPIC_KEY,
+)
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.schemas.topics import ON_REQUEST, result_schemas
 
@@ -40,6 +48,12 @@ def recorded_tag_table(metadata: Iterable[Metadata]) -> str:
     """The tag table that the user of an earlier replay named, as its result records it; empty where none is known."""
     name = replay_record(metadata).get(TAG_TABLE_KEY, "")
     return name if name in TABLES else ""
+
+
+def digest_algorithm(metadata: Iterable[Metadata]) -> str:
+    """What the digest of a result was made by; of other logs, what one is made by now."""
+    record = replay_record(metadata)
+    return record.get(DIGEST_ALGORITHM_KEY, FIRST_DIGEST_ALGORITHM) if DIGEST_KEY in record else DIGEST_ALGORITHM
 
 
 def replay_record(metadata: Iterable[Metadata]) -> dict[str, str]:

@@ -77,7 +77,7 @@ def plan_input(
     latched, latched_messages = _latched_at_start(summary, cfg, roles, window, problems)
     order = OrderConfig(reference, seconds_to_ns(cfg.sync.max_wait_s))
     start = drive_start(latched) if begin is None else continued_start(begin, roles, cfg.tag_table)
-    messages = WindowMessages(summary, cfg, roles, window, latched_messages)
+    messages = WindowMessages(summary, cfg, roles, window, latched_messages).with_late()
     found = first_pass(messages, order, start, problems.strict_in)
     topic = roles.topics[reference]
     if begin is None and not found.counts[topic]:
@@ -86,7 +86,7 @@ def plan_input(
         raise NoFrameError(f"{summary.path}: no message on {topic} in the part asked for; {lasts}")
     most = None if part.frames is None else part.frames + start.frames_waiting
     order = replace(order, lateness_ns=found.lateness_ns)
-    return InputPlan(roles, order, window, start, latched_messages, problems, found, most)
+    return InputPlan(roles, order, messages.window, start, latched_messages, problems, found, most)
 
 
 def _roles(summary: LogSummary, overrides: Mapping[str, str], begin: InputState | None) -> tuple[RoleAssignment, str]:

@@ -21,8 +21,9 @@ from roadperc_stream.input.state import InputState
 from roadperc_stream.input.stream import Stamped, decoded_messages
 from roadperc_stream.input.sync import SyncedMessages
 from roadperc_stream.input.window import WindowMessages
-from roadperc_stream.log import Channel, LogSummary, LostSpan, Message, Recovery
+from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Message, Piece, Recovery
 from roadperc_stream.schemas.record import (
+    DIGEST_ALGORITHM_KEY,
     DIGEST_KEY,
     DROPPED_KEY,
     END_KEY,
@@ -201,6 +202,10 @@ class ReplayInput:
         """All messages of the part to replay as they stand in the log, in log-time order; no results."""
         return self._messages.all()
 
+    def pieces(self) -> Iterator[Piece]:
+        """As ``messages``, but whole chunks of the log where they are as they stand."""
+        return self._messages.pieces()
+
     def end_state(self, *, with_messages: bool) -> InputState:
         """What the frames still to come need of the messages so far.
 
@@ -271,6 +276,7 @@ class ReplayInput:
         tag_table = tag_table_to_record(self.summary.channels, roles, self._cfg.tag_table)
         return {
             DIGEST_KEY: self.plan.first_pass.digest,
+            DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM,
             "input_messages": str(self.plan.first_pass.counts.total()),
             FRAMES_KEY: str(self.frames),
             **({} if self.plan.window.cut_ns is None else {END_KEY: str(self.plan.window.cut_ns)}),

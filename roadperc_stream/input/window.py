@@ -1,7 +1,7 @@
 """The messages of the part of a log that is replayed."""
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from roadperc_stream import log
 from roadperc_stream.core.config import ReplayConfig
@@ -10,7 +10,7 @@ from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import RoleAssignment
 from roadperc_stream.input.stream import decoded_messages
-from roadperc_stream.log import LogSummary, Message
+from roadperc_stream.log import Channel, LogSummary, Message, Piece
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 
@@ -21,13 +21,15 @@ class Window:
     ``end_stamp_ns`` is the stamp of the first frame beyond: a sensor's message that arrives later than ``end_ns`` but
     belongs to an earlier instant is part of the window still. ``cut_ns`` is the log time at which the drive goes on
     elsewhere: ``end_ns``, where the log does not end before, or where an earlier replay cut the log; what stands behind
-    it arrived late, and comes again there.
+    it arrived late, and comes again there. ``late_until_ns`` is the log time up to which messages of the window arrive
+    behind ``end_ns``, None where none does: their stamps are looked at once, not wherever the window is read.
     """
 
     start_ns: int | None = None
     end_ns: int | None = None
     end_stamp_ns: int | None = None
     cut_ns: int | None = None
+    late_until_ns: int | None = None
 
     @property
     def limits_ns(self) -> tuple[int | None, int | None]:
@@ -69,23 +71,53 @@ class WindowMessages:
         ends = [ns for ns in (self.window.end_ns, self.window.cut_ns) if ns is not None]
         yield from self._read(max(self.window.start_ns or 0, from_ns), min(ends, default=None), topics)
 
+    def pieces(self) -> Iterator[Piece]:
+        """All of them, whole chunks of the log where they are as they stand."""
+        start_ns, end_ns = self.window.limits_ns
+        if self.window.cut_ns is not None and start_ns is not None:
+            start_ns = min(start_ns, self.window.cut_ns)
+        yield from self.latched
+        yield from log.pieces(self.summary, self._inputs, start_ns, end_ns)
+        yield from self._behind_the_end(None)
+
     def late(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Those that arrive after that and belong to an instant before it."""
-        end_ns, end_stamp_ns, cut_ns = self.window.end_ns, self.window.end_stamp_ns, self.window.cut_ns
+        end_ns, cut_ns = self.window.end_ns, self.window.cut_ns
         if cut_ns is not None and (end_ns is None or cut_ns < end_ns):
             yield from self._read(cut_ns, end_ns, topics)
-        if end_ns is None or end_stamp_ns is None:
-            return
-        until_ns = end_ns + seconds_to_ns(self.cfg.sync.max_wait_s)
-        for message in self._read(end_ns, until_ns, topics):
-            if self._belongs_before(message, end_stamp_ns):
-                yield message
+        yield from self._behind_the_end(topics)
+
+    def with_late(self) -> "WindowMessages":
+        """The same, once it is known which messages behind the window belong to an instant in it."""
+        end_ns = self.window.end_ns
+        if end_ns is None or self.window.end_stamp_ns is None:
+            return self
+        sensors = {topic for role, topic in self.roles.topics.items() if ROLES[role].kind not in LATCHED_KINDS}
+        last_ns = None
+        for message in self._read(end_ns, end_ns + seconds_to_ns(self.cfg.sync.max_wait_s), sensors):
+            if self._belongs_inside(message):
+                last_ns = message.log_time_ns
+        return replace(self, window=replace(self.window, late_until_ns=None if last_ns is None else last_ns + 1))
+
+    def _behind_the_end(self, topics: Collection[str] | None) -> Iterator[Message]:
+        """Those behind the window that belong to an instant in it."""
+        until_ns = self.window.late_until_ns
+        late = () if until_ns is None else self._read(self.window.end_ns, until_ns, topics)
+        yield from (message for message in late if self._belongs_inside(message))
 
     def _read(self, start_ns: int | None, end_ns: int | None, topics: Collection[str] | None) -> Iterator[Message]:
+        inputs = {channel.topic for channel in self._inputs}  # what holds results alone is not even read
+        topics = inputs if topics is None else topics
         messages = log.read(self.summary, topics=topics, start_ns=start_ns, end_ns=end_ns)
         return (message for message in messages if not is_result(message.channel))
 
-    def _belongs_before(self, message: Message, end_stamp_ns: int) -> bool:
-        """Whether a message of a sensor is of an instant before a stamp."""
+    @property
+    def _inputs(self) -> tuple[Channel, ...]:
+        return tuple(channel for channel in self.summary.channels if not is_result(channel))
+
+    def _belongs_inside(self, message: Message) -> bool:
+        """Whether a message of a sensor is of an instant before the first frame beyond."""
+        end_stamp_ns = self.window.end_stamp_ns
         items = decoded_messages([message], self.roles, self.cfg.tag_table, Problems(), self.cfg.limits)
-        return any(item.stamp_ns < end_stamp_ns for item in items if ROLES[item.role].kind not in LATCHED_KINDS)
+        sensed = (item.stamp_ns for item in items if ROLES[item.role].kind not in LATCHED_KINDS)
+        return end_stamp_ns is not None and any(stamp_ns < end_stamp_ns for stamp_ns in sensed)

@@ -4,9 +4,11 @@ Bytes in, bytes out; what they mean is the business of ``schemas`` and ``input``
 """
 
 from roadperc_stream.log.audit import audited
-from roadperc_stream.log.copying import MessageCopy
+from roadperc_stream.log.copying import MessageCopy, pieces
 from roadperc_stream.log.damage import Damage, DamagedLogError, number_of
+from roadperc_stream.log.digest import DIGEST_ALGORITHM, MessageDigest
 from roadperc_stream.log.growing import GrowingLog
+from roadperc_stream.log.indexed import Piece
 from roadperc_stream.log.order import in_order_within
 from roadperc_stream.log.parts import gone_on_ns
 from roadperc_stream.log.reading import read, summarise
@@ -16,7 +18,6 @@ from roadperc_stream.log.records import (
     Channel,
     LogSummary,
     Message,
-    MessageDigest,
     Metadata,
 )
 from roadperc_stream.log.recovery import LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
@@ -25,6 +26,7 @@ from roadperc_stream.log.stored import received
 from roadperc_stream.log.writing import LogWriter
 
 __all__ = [
+    "DIGEST_ALGORITHM",
     "RECOVERY_RECORD",
     "Attachment",
     "Channel",
@@ -38,6 +40,7 @@ __all__ = [
     "MessageCopy",
     "MessageDigest",
     "Metadata",
+    "Piece",
     "Recovery",
     "RepairedLog",
     "Salvage",
@@ -45,6 +48,7 @@ __all__ = [
     "gone_on_ns",
     "in_order_within",
     "number_of",
+    "pieces",
     "read",
     "received",
     "repaired_copy",

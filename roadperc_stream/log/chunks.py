@@ -5,12 +5,12 @@ never more than the chunk says that it holds. Layout: https://mcap.dev/spec.
 """
 
 import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
 import lz4.frame
+from deflate import crc32
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError
 
@@ -70,7 +70,7 @@ class MessageHead:
     publish_time_ns: int
 
 
-def chunk_head(body: bytes) -> ChunkHead:
+def chunk_head(body: bytes | memoryview) -> ChunkHead:
     """Read a chunk record's fields.
 
     Raises:
@@ -114,11 +114,29 @@ def contents_of(head: ChunkHead, workspace: Workspace, limits: LimitsConfig = DE
         return Contents(items, "ends before its contents do")
     if broken or fault:
         return Contents(items, broken or fault)
-    if head.crc and (crc := zlib.crc32(data)) != head.crc:
-        return Contents((), f"crc is {crc:#010x}, expected {head.crc:#010x}")
+    if head.crc and (crc := crc32(data)) != head.crc:
+        return Contents((), wrong_crc(crc, head.crc))
     if len(data) != head.size_bytes:
         return Contents(items, f"holds {len(data)} bytes, expected {head.size_bytes}")
     return Contents(items)
+
+
+def unpacked(head: ChunkHead, *, check_crc: bool) -> memoryview:
+    """A chunk's decompressed data, in memory of its own; of a chunk that was held against the limits before.
+
+    Raises:
+        ValueError: the CRC is to be checked, and is wrong; of bytes that make no sense the decompressor's own errors
+            come.
+    """
+    data = memoryview(_UNPACKED[head.compression](head))
+    if check_crc and head.crc and (crc := crc32(data)) != head.crc:
+        raise ValueError(wrong_crc(crc, head.crc))
+    return data
+
+
+def wrong_crc(found: int, expected: int) -> str:
+    """What is said of a chunk whose CRC is not that of its data."""
+    return f"crc is {found:#010x}, expected {expected:#010x}"
 
 
 def split(data: memoryview, most: int) -> tuple[tuple[Item, ...], str]:
@@ -202,3 +220,8 @@ def _as_promised(data: memoryview, head: ChunkHead, fault: str) -> _Data:
 
 
 _DECOMPRESSED: Final[dict[str, Callable[[ChunkHead, Workspace], _Data]]] = {"": _stored, "zstd": _zstd, "lz4": _lz4}
+_UNPACKED: Final[dict[str, Callable[[ChunkHead], bytes | memoryview]]] = {
+    "": lambda head: head.stored,
+    "zstd": lambda head: ZstdDecompressor().decompress(head.stored, max_output_size=head.size_bytes),
+    "lz4": lambda head: lz4.frame.decompress(head.stored),
+}

@@ -5,13 +5,13 @@ The library holds the whole of each chunk, and a log may be a single one. Layout
 
 import os
 import struct
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BufferedReader, BytesIO
 from typing import IO, Any, Final
 
 import lz4.frame
+from deflate import crc32
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -63,7 +63,7 @@ class _Section:
         data = self.read(size_bytes)
         if len(data) < size_bytes:
             raise McapError("a chunk ends before its contents do")
-        self.crc = zlib.crc32(data, self.crc)
+        self.crc = crc32(data, self.crc)
         return data
 
 

@@ -6,11 +6,11 @@ https://mcap.dev/spec.
 
 import bisect
 import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import IO, Final
 
+from deflate import crc32
 from mcap.opcode import Opcode
 
 from roadperc_stream.log.damage import Damage, with_more
@@ -74,7 +74,7 @@ class Record:
     def crc(self, before: int, *, without_last: int = 0) -> int:
         """The CRC of what came before and of this record, but for its last bytes."""
         head = _HEAD.pack(self.opcode, len(self.body))
-        return zlib.crc32(memoryview(self.body)[: len(self.body) - without_last], zlib.crc32(head, before))
+        return crc32(memoryview(self.body)[: len(self.body) - without_last], crc32(head, before))
 
 
 @dataclass
@@ -130,7 +130,7 @@ class Framing:
 
         A record that the file's end cuts off, or whose length makes no sense, comes with what there is of it.
         """
-        self._data_crc = zlib.crc32(stream.read(len(MAGIC)))
+        self._data_crc = crc32(stream.read(len(MAGIC)))
         search = RecordSearch(stream, self.size_bytes, self.is_message)
         at: int | None = len(MAGIC)
         while at is not None and not (self.to_first_damage and self.damages):
@@ -217,7 +217,7 @@ class Framing:
         elif self._data_crc is not None:
             self._data_crc = record.crc(self._data_crc)
         if record.opcode == Opcode.ATTACHMENT:
-            found = zlib.crc32(memoryview(record.body)[:-CRC_BYTES])
+            found = crc32(memoryview(record.body)[:-CRC_BYTES])
             self.note(_crc_damage("attachment", record, found, of_messages=False))
 
     def note(self, damage: Damage | None) -> None:

@@ -1,9 +1,10 @@
 """A log that is read while it is written: finished chunks from the file, the open one from memory."""
 
-from collections.abc import Collection, Iterator
+import heapq
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from threading import Lock
 
@@ -38,45 +39,58 @@ class GrowingLog:
     """What a ``LogWriter`` has written so far, for one reader in another thread.
 
     A chunk's place and time span are kept, and the messages of the one chunk that is still open: the memory is that of
-    a chunk, however long the log. Messages come in the order of the file.
+    a few chunks, however long the log. Messages come in the order of log time, as far as it is reached: a chunk that
+    was copied whole may hold later ones, between which results are still to be written.
     """
 
     path: Path
     """Where the bytes stand now: the temporary name, then the final one."""
-    channels: tuple[Channel, ...]
-    """Those registered when reading began."""
-    _channels_by_id: dict[int, Channel] = field(default_factory=dict)
+    _channels: dict[int, Channel]
+    """Those registered so far, by their ids."""
     _chunks: list[WrittenChunk] = field(default_factory=list)
     _open: list[Message] = field(default_factory=list)
-    _last_ns: int | None = None
+    _reached_ns: int | None = None
     _complete: bool = False
     _lock: Lock = field(default_factory=Lock)
 
-    def append(self, channel_id: int, message: Message) -> None:
+    def __post_init__(self) -> None:
+        self.channels = tuple(self._channels.values())
+        """Those registered when reading began."""
+
+    def add_channel(self, channel_id: int, channel: Channel) -> None:
+        """Take note of another channel."""
+        with self._lock:
+            self._channels[channel_id] = channel
+
+    def append(self, message: Message) -> None:
         """Take note of a message in the open chunk."""
         with self._lock:
-            self._channels_by_id[channel_id] = message.channel
             self._open.append(message)
-            self._last_ns = max(message.log_time_ns, self._last_ns or 0)
+            self._reached_ns = max(message.log_time_ns, self._reached_ns or 0)
 
-    def close_chunk(self, start_byte: int, end_byte: int) -> None:
-        """The open chunk stands in the file now, between these bytes."""
-        times = [message.log_time_ns for message in self._open]
-        topics = frozenset(message.channel.topic for message in self._open)
+    def add_chunk(self, start_byte: int, end_byte: int, span_ns: tuple[int, int], channel_ids: Iterable[int]) -> None:
+        """A chunk stands in the file now, between these bytes: the open one, or one that comes from elsewhere."""
         with self._lock:
-            self._chunks.append(WrittenChunk(start_byte, end_byte, min(times), max(times), topics))
+            topics = frozenset(self._channels[i].topic for i in channel_ids)
+            self._chunks.append(WrittenChunk(start_byte, end_byte, *span_ns, topics))
             self._open.clear()
+
+    def reach(self, log_time_ns: int) -> None:
+        """All messages up to a log time are there, but for results."""
+        with self._lock:
+            self._reached_ns = max(log_time_ns, self._reached_ns or 0)
 
     def finish(self, temporary: Path, final: Path) -> None:
         """Give the complete file its name; nobody reads from it meanwhile."""
         with self._lock:
             temporary.replace(final)
             self.path, self._complete = final, True
+            self._reached_ns = max((chunk.last_ns for chunk in self._chunks), default=None)
 
     def progress(self) -> tuple[int | None, bool]:
-        """Latest log time written, None before the first message; and whether the log is complete."""
+        """Log time reached, None before the first message; and whether the log is complete."""
         with self._lock:
-            return self._last_ns, self._complete
+            return self._reached_ns, self._complete
 
     def read(
         self, *, topics: Collection[str] | None = None, start_ns: int = 0, end_ns: int | None = None
@@ -87,11 +101,14 @@ class GrowingLog:
             LogError: the file cannot be read.
         """
         with self._lock:
-            chunks, tail = tuple(self._chunks), tuple(self._open)
+            chunks, tail, reached_ns = tuple(self._chunks), tuple(self._open), self._reached_ns or 0
+        waiting = _Waiting()
         for chunk in chunks:
             if chunk.may_hold(topics, start_ns, end_ns):
-                yield from (m for m in self._load(chunk) if _wanted(m, topics, start_ns, end_ns))
-        yield from (m for m in tail if _wanted(m, topics, start_ns, end_ns))
+                yield from waiting.through(min(chunk.first_ns, reached_ns))
+                waiting.add(m for m in self._load(chunk) if _wanted(m, topics, start_ns, end_ns))
+        waiting.add(m for m in tail if _wanted(m, topics, start_ns, end_ns))
+        yield from waiting.through(reached_ns)
 
     def follow(self, start_ns: int) -> Iterator[Message | None]:
         """All messages from a log time on; None where there is no more yet. It ends with the complete log.
@@ -99,19 +116,22 @@ class GrowingLog:
         Raises:
             LogError: the file cannot be read.
         """
-        chunk_index = taken = 0
+        waiting, chunk_index, taken = _Waiting(), 0, 0
         while True:
             with self._lock:
                 chunk = self._chunks[chunk_index] if chunk_index < len(self._chunks) else None
                 tail = () if chunk else tuple(self._open[taken:])
-                complete = self._complete
+                complete, reached_ns = self._complete, self._reached_ns or 0
             if chunk is not None:
+                yield from waiting.through(min(chunk.first_ns, reached_ns))
                 messages = self._load(chunk) if chunk.may_hold(None, start_ns, None) else iter(())
-                yield from (m for m in islice(messages, taken, None) if m.log_time_ns >= start_ns)
+                waiting.add(m for m in islice(messages, taken, None) if m.log_time_ns >= start_ns)
                 chunk_index, taken = chunk_index + 1, 0
-            elif tail:
-                yield from (m for m in tail if m.log_time_ns >= start_ns)
-                taken += len(tail)
+                continue
+            waiting.add(m for m in tail if m.log_time_ns >= start_ns)
+            taken += len(tail)
+            if waiting.holds(reached_ns):  # meanwhile there may be more
+                yield from waiting.through(reached_ns)
             elif complete:
                 return
             else:
@@ -135,8 +155,30 @@ class GrowingLog:
         assert isinstance(chunk, Chunk)
         for record in breakup_chunk(chunk):
             if isinstance(record, McapMessage):
-                channel = self._channels_by_id[record.channel_id]
+                channel = self._channels[record.channel_id]
                 yield Message(channel, record.log_time, record.publish_time, record.sequence, record.data)
+
+
+class _Waiting:
+    """Messages that were read and not given yet."""
+
+    def __init__(self) -> None:
+        self._heap: list[tuple[int, int, Message]] = []
+        self._numbers = count()
+
+    def add(self, messages: Iterable[Message]) -> None:
+        """Take messages that come behind those before, where log times are equal."""
+        for message in messages:
+            heapq.heappush(self._heap, (message.log_time_ns, next(self._numbers), message))
+
+    def holds(self, log_time_ns: int) -> bool:
+        """Whether there is one up to a log time."""
+        return bool(self._heap) and self._heap[0][0] <= log_time_ns
+
+    def through(self, log_time_ns: int) -> Iterator[Message]:
+        """Give those up to a log time, in its order."""
+        while self.holds(log_time_ns):
+            yield heapq.heappop(self._heap)[2]
 
 
 def _wanted(message: Message, topics: Collection[str] | None, start_ns: int, end_ns: int | None) -> bool:

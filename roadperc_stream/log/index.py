@@ -46,12 +46,6 @@ def usable_index(reader: McapReader) -> Summary | None:
     return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
 
 
-def held_bytes(index: Summary) -> int:
-    """The most that the library holds when it reads in the order of log time: chunks that overlap in time."""
-    chunks = index.chunk_indexes
-    return most_at_once((c.message_start_time, c.message_end_time, c.uncompressed_size) for c in chunks)
-
-
 def most_at_once(spans: Iterable[tuple[int, int, int]]) -> int:
     """The largest sum of sizes of spans that overlap.
 

@@ -7,9 +7,10 @@ alone cover logs without chunks, the index and the attachments. Layout: https://
 import os
 import shlex
 import struct
-import zlib
 from pathlib import Path
 from typing import IO, Final
+
+from deflate import crc32
 
 from roadperc_stream.core.folders import not_a_log
 from roadperc_stream.errors import LogError
@@ -97,7 +98,7 @@ def summary_fits(stream: IO[bytes]) -> bool:
         return False
     crc, left = 0, footer_start + _FOOTER.size - CRC_BYTES - stream.seek(summary_start)
     while left > 0 and (block := stream.read(min(left, _BLOCK_BYTES))):
-        crc, left = zlib.crc32(block, crc), left - len(block)
+        crc, left = crc32(block, crc), left - len(block)
     return crc == expected
 
 

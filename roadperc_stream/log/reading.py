@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,13 +11,14 @@ from mcap.reader import McapReader, make_reader
 
 from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.audit import damage_in, require_undamaged, salvaged
+from roadperc_stream.log.audit import require_undamaged
 from roadperc_stream.log.file_order import FileOrder, attachments_and_metadata
-from roadperc_stream.log.index import MOST_HELD_BYTES, UNREADABLE, channel_of, held_bytes, usable_index
-from roadperc_stream.log.integrity import damaged, require_whole, unopened
-from roadperc_stream.log.limits import LimitError, guarded, require_attachments
+from roadperc_stream.log.index import MOST_HELD_BYTES, usable_index
+from roadperc_stream.log.indexed import IndexedFile
+from roadperc_stream.log.limits import LimitError, require_attachments
+from roadperc_stream.log.opening import opened
 from roadperc_stream.log.parts import Part, united
-from roadperc_stream.log.records import Attachment, Channel, LogSummary, Message, Metadata
+from roadperc_stream.log.records import Attachment, LogSummary, Message, Metadata
 from roadperc_stream.log.sorting import SortedMessages
 
 
@@ -45,10 +45,30 @@ def summarise(
     parts = list(_all_inspected(paths, limits, check_chunks=check_chunks))
     if len(parts) > 1:
         return united(parts)
-    summary, held = parts[0].summary, parts[0].held_bytes
-    if held is not None and held <= MOST_HELD_BYTES:
+    summary = parts[0].summary
+    if not isinstance(summary.source, IndexedFile) or (parts[0].held_bytes or 0) <= MOST_HELD_BYTES:
         return summary
-    return replace(summary, source=SortedMessages(str(summary.path), partial(parts[0].in_file_order, summary.path)))
+    in_order = SortedMessages(str(summary.path), partial(parts[0].in_file_order, summary.path))
+    return replace(summary, source=IndexedOrSorted(summary.source, in_order))
+
+
+@dataclass(frozen=True)
+class IndexedOrSorted:
+    """A log that is read by its index where that takes little memory, and is put in order on disk for the rest."""
+
+    indexed: IndexedFile
+    in_order: SortedMessages
+
+    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
+        """As ``read``."""
+        return self.chosen(topics, start_ns, end_ns).messages(topics, start_ns, end_ns)
+
+    def chosen(
+        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
+    ) -> IndexedFile | SortedMessages:
+        """What some messages are read from."""
+        is_little = self.indexed.held_bytes(topics, start_ns, end_ns) <= MOST_HELD_BYTES
+        return self.indexed if is_little else self.in_order
 
 
 def read(
@@ -79,46 +99,8 @@ def in_file_order(path: Path, limits: LimitsConfig) -> Iterator[Message]:
     Raises:
         LogError: as ``read``.
     """
-    with _reading(path, limits) as stream:
+    with opened(path, limits) as stream:
         yield from FileOrder().messages(stream)
-
-
-@contextmanager
-def _reading(path: Path, limits: LimitsConfig) -> Iterator[IO[bytes]]:
-    """Open a log; everything the file or the library can throw becomes one LogError that names the file."""
-    try:
-        with guarded(path, limits) as stream:
-            require_whole(path, stream)
-            yield stream
-    except OSError as error:
-        raise unopened(path, error) from error
-    except LimitError as error:
-        raise LogError(f"{path}: {error}") from error
-    except UNREADABLE as error:
-        found = salvaged(path, limits)
-        words = f"damaged MCAP: {str(error) or type(error).__name__}"
-        raise (damaged(path, words) if found.whole else damage_in(found)) from error
-
-
-@dataclass(frozen=True)
-class IndexedFile:
-    """A log that is read by its index."""
-
-    path: Path
-    check_chunks: bool
-    """Whether their CRCs have not been checked yet."""
-    limits: LimitsConfig
-
-    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
-        """As ``read``."""
-        known: dict[int, Channel] = {}
-        with _reading(self.path, self.limits) as stream:
-            reader = make_reader(stream, validate_crcs=self.check_chunks)
-            wanted = None if topics is None else list(topics)
-            for schema, channel, message in reader.iter_messages(wanted, starting_at=start_ns, ending_before=end_ns):
-                if channel.id not in known:
-                    known[channel.id] = channel_of(channel, schema)
-                yield Message(known[channel.id], message.log_time, message.publish_time, message.sequence, message.data)
 
 
 def _all_inspected(paths: Sequence[Path], limits: LimitsConfig, *, check_chunks: bool) -> Iterator[Part]:
@@ -145,27 +127,28 @@ def _inspected(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> Part:
         LogError: as ``summarise``.
     """
     sealed = require_undamaged(path, limits, check_chunks=check_chunks)
-    with _reading(path, limits) as stream:
+    with opened(path, limits) as stream:
         reader = make_reader(stream)
         profile = reader.get_header().profile
         index = usable_index(reader)
         attachments, metadata = _besides_messages(reader, stream)
-        summary = LogSummary(path, IndexedFile(path, not sealed, limits), profile, (), {}, attachments, metadata)
+        in_order = SortedMessages(str(path), partial(in_file_order, path, limits))
+        summary = LogSummary(path, in_order, profile, (), {}, attachments, metadata)
         if index is None:
             return Part(_scanned(summary, stream), None, partial(in_file_order, limits=limits))
-    channels = tuple(
-        channel_of(index.channels[i], index.schemas.get(index.channels[i].schema_id)) for i in sorted(index.channels)
-    )
+    file = IndexedFile.of(path, index, limits, check_chunks=not sealed)
     statistics = index.statistics
     assert statistics is not None
     indexed = replace(
         summary,
-        channels=channels,
+        source=file,
+        channels=tuple(file.channels.values()),
+        schema_ids=file.schema_ids,
         counts=dict(statistics.channel_message_counts),
         first_ns=statistics.message_start_time,
         last_ns=statistics.message_end_time,
     )
-    return Part(indexed, held_bytes(index), partial(in_file_order, limits=limits))
+    return Part(indexed, file.held_bytes(None, None, None), partial(in_file_order, limits=limits))
 
 
 def _besides_messages(reader: McapReader, stream: IO[bytes]) -> tuple[tuple[Attachment, ...], tuple[Metadata, ...]]:

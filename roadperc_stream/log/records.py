@@ -1,8 +1,7 @@
 """What a log is made of, free of the library that reads and writes it."""
 
-import hashlib
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -85,21 +84,5 @@ class LogSummary:
     """The files of a log of several, in the order of their times; empty of one."""
     repeats: int = 0
     """Of a file of several: how many of its messages a file before it holds as well; they count once."""
-
-
-class MessageDigest:
-    """Digest over messages: topic, schema, times, sequence and bytes, in the order they come."""
-
-    def __init__(self) -> None:
-        self._hash = hashlib.sha256()
-
-    def update(self, message: Message) -> None:
-        """Take one more message."""
-        head = f"{message.channel.topic}\0{message.channel.schema_name}\0{message.log_time_ns}\0"
-        head += f"{message.publish_time_ns}\0{message.sequence}\0{len(message.data)}\0"
-        self._hash.update(head.encode())
-        self._hash.update(message.data)
-
-    def hexdigest(self) -> str:
-        """64 hexadecimal digits."""
-        return self._hash.hexdigest()
+    schema_ids: Mapping[int, int] = field(default_factory=dict)
+    """Id of the schema in the file, per ``Channel.source_id``; empty where nobody need know."""

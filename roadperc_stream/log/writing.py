@@ -1,21 +1,35 @@
 """Logs out: a file appears under its name only when complete."""
 
 import os
+from collections.abc import Collection
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self
+from typing import IO, Final, NamedTuple, Self
 
-from mcap.writer import CompressionType, Writer
+from mcap import records
 
 from roadperc_stream import __version__
 from roadperc_stream.core.files import partial_of, target_errors
+from roadperc_stream.errors import TargetError
 from roadperc_stream.log.growing import GrowingLog
+from roadperc_stream.log.mcap_file import ChunkRecords, McapFile, OpenChunk
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
 from roadperc_stream.log.spool import storing
 
 CHUNK_SIZE_BYTES = 1024 * 1024
+_IDS: Final = 65535
+"""Of channels and of schemas, at most."""
+
+
+class _Schema(NamedTuple):
+    """A schema by what it says."""
+
+    name: str
+    encoding: str
+    data: bytes
 
 
 @dataclass
@@ -30,24 +44,18 @@ class LogWriter:
     messages: int = 0
     """Messages written so far."""
     _channel_ids: dict[Channel, int] = field(default_factory=dict)
-    _schema_ids: dict[tuple[str, str, bytes], int] = field(default_factory=dict)
+    _schemas: dict[int, _Schema] = field(default_factory=dict)
+    """By their ids."""
     _growing: GrowingLog | None = None
-    _end_byte: int = 0
 
     def __post_init__(self) -> None:
         self._temporary = partial_of(self.path)
+        self._chunk = OpenChunk()
 
     def __enter__(self) -> Self:
         with self._errors():
             self._stream = self._open()
-        self._writer = Writer(
-            self._stream,
-            chunk_size=CHUNK_SIZE_BYTES,
-            compression=CompressionType.ZSTD,
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
-        self._writer.start(profile=self.profile, library=f"roadperc_stream {__version__}")
+            self._file = McapFile(self._stream, self.profile, f"roadperc_stream {__version__}")
         return self
 
     def _open(self) -> IO[bytes]:
@@ -63,19 +71,40 @@ class LogWriter:
         Raises:
             TargetError: it cannot be written, as when the disk is full; so with all that is added to a log.
         """
-        self.register(message.channel)
+        channel_id = self.register(message.channel)
         self.messages += 1
-        with self._errors():
-            self._writer.add_message(
-                channel_id=self._channel_ids[message.channel],
-                log_time=message.log_time_ns,
-                data=message.data,
-                publish_time=message.publish_time_ns,
-                sequence=message.sequence,
-            )
+        self._chunk.add(channel_id, message)
         if self._growing is not None:
-            self._growing.append(self._channel_ids[message.channel], message)
-            self._note_chunk(self._growing)
+            self._growing.append(message)
+        if self._chunk.size_bytes > CHUNK_SIZE_BYTES:
+            self.end_chunk()
+
+    def end_chunk(self) -> None:
+        """What is written from here on stands in another chunk."""
+        if not self._chunk.size_bytes:
+            return
+        finished, self._chunk = self._chunk.records(), OpenChunk()
+        self._add_chunk(finished)
+
+    def write_chunk(self, chunk: ChunkRecords, reached_ns: int | None) -> None:
+        """Append a chunk of another log as it is; its channels have been registered with the ids that they have there.
+
+        Args:
+            chunk: as it stands there.
+            reached_ns: the log time up to which all messages are there now, but for results; None without an end.
+        """
+        self.end_chunk()
+        self._add_chunk(chunk)
+        self.messages += sum(messages for _, _, messages in chunk.places())
+        if self._growing is not None:
+            self._growing.reach(chunk.span_ns[1] if reached_ns is None else min(reached_ns, chunk.span_ns[1]))
+
+    def _add_chunk(self, chunk: ChunkRecords) -> None:
+        with self._errors():
+            start, end = self._file.add_chunk(chunk)
+            if self._growing is not None:
+                self._stream.flush()
+                self._growing.add_chunk(start, end, chunk.span_ns, (place[0] for place in chunk.places()))
 
     def while_written(self) -> GrowingLog:
         """The log for a reader in another thread, from now to the end; before the first message.
@@ -83,52 +112,78 @@ class LogWriter:
         What is written stays the same, byte for byte.
         """
         assert not self.messages
-        self._growing, self._end_byte = GrowingLog(self._temporary, tuple(self._channel_ids)), self._stream.tell()
+        self._growing = GrowingLog(self._temporary, {number: c for c, number in self._channel_ids.items()})
         return self._growing
 
-    def _note_chunk(self, growing: GrowingLog) -> None:
-        """The library writes to the file only whole chunks: where the file has grown, one was closed."""
-        end_byte = self._stream.tell()
-        if end_byte > self._end_byte:
-            self._stream.flush()
-            growing.close_chunk(self._end_byte, end_byte)
-        self._end_byte = end_byte
+    def register(self, channel: Channel, *, ids: tuple[int, int] | None = None) -> int:
+        """Make a channel known, also where it never gets a message.
 
-    def register(self, channel: Channel) -> None:
-        """Make a channel known, also where it never gets a message."""
-        if channel in self._channel_ids:
-            return
-        schema = (channel.schema_name, channel.schema_encoding, channel.schema_data)
-        if any(schema) and schema not in self._schema_ids:
-            self._schema_ids[schema] = self._writer.register_schema(
-                name=channel.schema_name, encoding=channel.schema_encoding, data=channel.schema_data
+        Args:
+            channel: with its schema.
+            ids: of the channel and of its schema (0 of none) where they are wanted, and free.
+
+        Returns:
+            Its id.
+        """
+        known = self._channel_ids.get(channel)
+        if known is not None:
+            return known
+        wanted, wanted_schema = ids or (None, 0)
+        schema_id = self._schema_id(channel, wanted_schema)
+        channel_id = self._free_id(self._channel_ids.values(), wanted)
+        with self._errors():
+            self._file.add_channel(
+                records.Channel(channel_id, channel.topic, channel.message_encoding, dict(channel.metadata), schema_id)
             )
-        self._channel_ids[channel] = self._writer.register_channel(
-            topic=channel.topic,
-            message_encoding=channel.message_encoding,
-            schema_id=self._schema_ids.get(schema, 0),
-            metadata=dict(channel.metadata),
-        )
+        self._channel_ids[channel] = channel_id
         if self._growing is not None:
-            self._note_chunk(self._growing)
+            self._growing.add_channel(channel_id, channel)
+        return channel_id
+
+    def _schema_id(self, channel: Channel, wanted: int) -> int:
+        """The id of a channel's schema, which is made known: the wanted one, else any; 0 of none."""
+        schema = _Schema(channel.schema_name, channel.schema_encoding, channel.schema_data)
+        if not wanted and not any(schema):
+            return 0
+        if self._schemas.get(wanted) == schema:
+            return wanted
+        if not wanted and (known := next((i for i, s in self._schemas.items() if s == schema), None)) is not None:
+            return known
+        schema_id = self._free_id(self._schemas, wanted or None)
+        with self._errors():
+            self._file.add_schema(records.Schema(schema_id, schema.data, schema.encoding, schema.name))
+        self._schemas[schema_id] = schema
+        return schema_id
+
+    def _free_id(self, used: Collection[int], wanted: int | None) -> int:
+        """The wanted id where it is free, else the one behind all others, or the first one that is free."""
+        if wanted is not None and wanted not in used:
+            return wanted
+        ids = chain(range(max(used, default=0) + 1, _IDS + 1), range(1, _IDS + 1))
+        found = next((i for i in ids if i not in used), None)
+        if found is None:
+            raise TargetError(f"{self.path}: more than {_IDS} channels or schemas")
+        return found
 
     def attach(self, attachment: Attachment) -> None:
         """Add an attachment."""
+        self.end_chunk()
         with self._errors():
-            self._writer.add_attachment(
-                create_time=attachment.create_time_ns,
-                log_time=attachment.log_time_ns,
-                name=attachment.name,
-                media_type=attachment.media_type,
-                data=attachment.data,
+            self._file.add_attachment(
+                records.Attachment(
+                    create_time=attachment.create_time_ns,
+                    log_time=attachment.log_time_ns,
+                    name=attachment.name,
+                    media_type=attachment.media_type,
+                    data=attachment.data,
+                )
             )
-        self._end_byte = self._stream.tell()
 
     def describe(self, metadata: Metadata) -> None:
         """Add a metadata record."""
+        self.end_chunk()
         with self._errors():
-            self._writer.add_metadata(metadata.name, dict(metadata.values))
-        self._end_byte = self._stream.tell()
+            self._file.add_metadata(records.Metadata(name=metadata.name, metadata=dict(metadata.values)))
 
     def complete(self) -> None:
         """Write what is still to be written: then nothing is left but to give the file its name.
@@ -137,8 +192,9 @@ class LogWriter:
             TargetError: it cannot be written.
         """
         if not self._stream.closed:
+            self.end_chunk()
             with self._errors():
-                self._writer.finish()  # type: ignore[no-untyped-call]
+                self._file.finish()
                 self._stream.close()
 
     def __exit__(

@@ -5,7 +5,6 @@ from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from roadperc_stream.core.datatypes import Mask
 from roadperc_stream.core.geometry import Float
@@ -140,6 +139,8 @@ def counts_above(overlaps: Float, threshold: float) -> Counts:
         overlaps: (predicted, truth) intersections over union, as ``line_overlaps`` gives them.
         threshold: 0.5 in the benchmark, 0.3 in its looser variant.
     """
+    from scipy.optimize import linear_sum_assignment
+
     pairs = linear_sum_assignment(overlaps, maximize=True)
     tp = int(np.count_nonzero(overlaps[pairs] > threshold))
     return Counts(tp, overlaps.shape[0] - tp, overlaps.shape[1] - tp)

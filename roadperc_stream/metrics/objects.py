@@ -1,6 +1,7 @@
 """Detections kept and dropped, row by row and in sum, against the true objects."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -153,6 +154,7 @@ def _candidates(objects: Sequence[Object], true: Sequence[Object]) -> list[tuple
     return [(-overlap, i, k) for overlap, i, k in overlaps if overlap >= MATCH_OVERLAP]
 
 
+@lru_cache(maxsize=1024)
 def same_kind(label: str, other: str) -> bool:
     """Whether pixels of one class may stand for both labels; of labels without classes, whether they are the same."""
     classes, others = classes_of_label(label), classes_of_label(other)

@@ -1,10 +1,10 @@
 """Where the car is and how it moved, and how far that is off."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roadperc_stream.core.datatypes import Absent, EarlierTruth, Odometry, Sample, Truth
-from roadperc_stream.core.geometry import Float, inverse, quaternion
+from roadperc_stream.core.geometry import Float, inverse
+from roadperc_stream.core.rotations import quaternion, rotation_angle, rotation_vector
 from roadperc_stream.schemas.columns.errors import OdometryErrorColumns, TruePoseColumns
 from roadperc_stream.schemas.columns.estimates import OdometryColumns
 
@@ -68,7 +68,7 @@ def _step_std_m(step: Float, covariance: tuple[float, ...]) -> float | None:
 
 def _turn_std_deg(step: Float, covariance: tuple[float, ...]) -> float | None:
     """Standard deviation of the angle of a (4, 4) step's rotation, degrees."""
-    std = _std_along(Rotation.from_matrix(step[:3, :3]).as_rotvec(), covariance, 3)
+    std = _std_along(rotation_vector(step[:3, :3]), covariance, 3)
     return None if std is None else float(np.degrees(std))
 
 
@@ -87,4 +87,4 @@ def _length_m(transform: Float) -> float:
 
 def rotation_angle_deg(transform: Float) -> float:
     """Angle of a (4, 4) transform's rotation, degrees; accurate for small angles."""
-    return float(np.degrees(Rotation.from_matrix(transform[:3, :3]).magnitude()))
+    return float(np.degrees(rotation_angle(transform[:3, :3])))

@@ -1,7 +1,8 @@
 """Datatypes to the bytes of messages: what ``roadperc-convert`` and the replay write."""
 
 from collections.abc import Iterable
-from typing import Any
+from functools import lru_cache
+from typing import Any, Final
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -26,12 +27,16 @@ from roadperc_stream.core.datatypes import (
     Surface,
     Transform,
 )
-from roadperc_stream.core.geometry import Camera, Float, Float32, Lens, quaternion
+from roadperc_stream.core.geometry import Camera, Float, Float32, Lens
+from roadperc_stream.core.rotations import quaternion
 from roadperc_stream.formats.images import depth_to_mm
 from roadperc_stream.formats.points import FIELDS
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import RosGrid, RosImage, pack_image, pack_occupancy_grid
+
+_KEPT_POSES: Final = 1024
+"""Some trajectories' poses: each is shown by all frames of its window, and encoded for the first one."""
 
 
 def encode_image(stamp_ns: int, frame_id: str, image_format: str, data: bytes) -> bytes:
@@ -96,13 +101,23 @@ def encode_pose(stamp_ns: int, frame_id: str, frame_T_body: Float) -> bytes:
 
 
 def encode_poses(stamp_ns: int, frame_id: str, frame_T_body: Iterable[Float]) -> bytes:
-    """foxglove.PosesInFrame of (4, 4) transforms, in order."""
+    """foxglove.PosesInFrame of (4, 4) transforms, in order.
+
+    The bytes of a message with each pose alone are joined, which gives those of one message with them all. Source:
+    Protocol Buffers, Encoding: the poses are the last field, and the elements of a list stand one by one.
+    """
     message = PosesInFrame(frame_id=frame_id)
     set_stamp(message, stamp_ns)
-    for matrix in frame_T_body:
-        pose = message.poses.add()
-        _set_vector(pose.position, matrix[:3, 3])
-        _set_quaternion(pose.orientation, matrix)
+    return message.SerializeToString() + b"".join(_listed_pose(matrix.tobytes()) for matrix in frame_T_body)
+
+
+@lru_cache(_KEPT_POSES)
+def _listed_pose(matrix: bytes) -> bytes:
+    """A pose as an element of foxglove.PosesInFrame, of a (4, 4) float64 transform's bytes."""
+    message = PosesInFrame()
+    pose, frame_T_body = message.poses.add(), np.frombuffer(matrix).reshape(4, 4)
+    _set_vector(pose.position, frame_T_body[:3, 3])
+    _set_quaternion(pose.orientation, frame_T_body)
     return message.SerializeToString()
 
 

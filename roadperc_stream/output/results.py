@@ -1,10 +1,9 @@
 """What a frame's results look like in the log: topics and bytes."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from typing import Any, Final, get_args
 
-import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.core.datatypes import (
@@ -22,7 +21,7 @@ from roadperc_stream.core.datatypes.results import BoundaryStatus, OdometryStatu
 from roadperc_stream.core.geometry import Float, inverse
 from roadperc_stream.core.semantics import Colour
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats import images
+from roadperc_stream.formats.mask import encode_mask
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
@@ -164,7 +163,7 @@ def _edge_between(frame_id: str, other: str, frame_T_other: Float, above: bool) 
 
 def encode_metrics(frame_id: str, metrics: FrameMetrics) -> bytes:
     """roadperc.FrameMetrics: the row, unknown fields absent."""
-    known = {name: value for name, value in asdict(metrics).items() if value is not None}
+    known = {name: value for name, value in vars(metrics).items() if value is not None}
     message = pb.FrameMetrics(frame_id=frame_id, **known)
     set_stamp(message, metrics.stamp_ns)
     return message.SerializeToString()
@@ -191,5 +190,5 @@ def decode_metrics(data: bytes) -> FrameMetrics:
 
 
 def _drivable(stamp_ns: int, frame_id: str, mask: Mask) -> bytes:
-    data = images.encode_indices(mask.view(np.uint8), DRIVABLE_COLOURS)
+    data = encode_mask(mask, DRIVABLE_COLOURS)
     return encoding.encode_image(stamp_ns, frame_id, "png", data)

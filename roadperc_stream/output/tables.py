@@ -3,9 +3,9 @@
 import hashlib
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -112,14 +112,19 @@ def read_footer(path: Path) -> TableFooter:
     return TableFooter(footer.num_rows, facts_in(footer.metadata), log_ids[0].as_py() if len(log_ids) else None)
 
 
-def read_rows_around(path: Path, frame: int, columns: Iterable[str]) -> list[dict[str, Any]]:
-    """Some columns of the row group that holds a frame; no other is read. Empty where none does.
+def read_rows_around(
+    path: Path, frame: int, columns: Iterable[str], optional: Collection[str] = ()
+) -> list[dict[str, Any]]:
+    """Some columns of the row group that holds a frame, and the ``optional`` ones it has; no other is read.
+
+    Empty where no group holds it.
 
     Raises:
         TableError: the file cannot be read, is not Parquet, or lacks a column.
     """
     with _opened(path) as table:
         wanted = _present(path, table, ("frame", *columns))
+        wanted += [name for name in table.schema_arrow.names if name in optional]
         frames = table.schema_arrow.names.index("frame")
         spans = [table.metadata.row_group(i).column(frames).statistics for i in range(table.num_row_groups)]
         group = next((i for i, span in enumerate(spans) if span and span.min <= frame <= span.max), None)
@@ -177,7 +182,7 @@ class TableWriter:
         Raises:
             TargetError: it cannot be written, as when the disk is full.
         """
-        self._rows.append(asdict(row) | extra | self._constant)
+        self._rows.append(vars(row) | extra | self._constant)
         if len(self._rows) >= ROW_GROUP_ROWS:
             self._flush()
 

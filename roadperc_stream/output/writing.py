@@ -1,17 +1,15 @@
 """The results of a replay into its log, frame by frame, and at the end how they came about."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
-
-import numpy as np
 
 from roadperc_stream import __version__
 from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import FrameResult, Odometry, Sample
-from roadperc_stream.core.datatypes.arrays import read_only
+from roadperc_stream.core.datatypes import EarlierTruth, FrameResult, Odometry, Reason, Sample
 from roadperc_stream.core.geometry import Float
 from roadperc_stream.core.reasons import ReasonCounts, frame_reasons, merged, of_frame
+from roadperc_stream.core.stage_timer import StageTimer
 from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.output.drawing.on_request import PictureMaker
 from roadperc_stream.output.results import result_messages
@@ -45,28 +43,40 @@ class Shown:
     """What a frame's messages show of earlier frames.
 
     ``trajectory`` are the latest poses odom_T_ego that are known, ``reasons`` those of the frame before, ``first_ns``
-    the stamp of the first frame of all.
+    the stamp of the first frame of all. Each pose is of an odometry, which checks it; those of a state are checked when
+    it is read (``state.memory_checks``): checking all in every frame takes as long as drawing the lanes.
     """
 
     trajectory: tuple[Float, ...] = ()
     reasons: tuple[str, ...] = ()
     first_ns: int | None = None
 
-    def __post_init__(self) -> None:
-        """Check the poses.
+    def after(self, result: FrameResult, reasons: Iterable[Reason]) -> "Shown":
+        """What the next frame shows of earlier ones: of this one, with its reasons, too."""
+        first_ns = result.stamp_ns if self.first_ns is None else self.first_ns
+        return Shown(self.with_pose(result), tuple(map(str, reasons)), first_ns)
 
-        Raises:
-            ValueError: one is none.
-        """
-        for odom_T_ego in self.trajectory:
-            read_only(odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+    def with_pose(self, result: FrameResult) -> tuple[Float, ...]:
+        """The trajectory with the pose of one more frame, where it has one."""
+        if not isinstance(result.odometry, Odometry) or result.odometry.status == "lost":
+            return self.trajectory
+        return (*self.trajectory, result.odometry.odom_T_ego)[-TRAJECTORY_POSES:]
 
-    def with_pose(self, result: FrameResult) -> "Shown":
-        """With the pose of one more frame, where it has one."""
-        known = self.trajectory
-        if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
-            known = (*known, result.odometry.odom_T_ego)[-TRAJECTORY_POSES:]
-        return replace(self, trajectory=known, first_ns=result.stamp_ns if self.first_ns is None else self.first_ns)
+
+@dataclass(frozen=True)
+class ComputedFrame:
+    """What the chain made of a sample: the result, and what of it a log can carry (``written``).
+
+    ``shown`` is what its messages show of the frames before, ``earlier`` the truth of the last one, ``timer`` measures
+    all that is done with it.
+    """
+
+    sample: Sample
+    result: FrameResult
+    written: FrameResult
+    shown: Shown
+    earlier: EarlierTruth | None
+    timer: StageTimer
 
 
 @dataclass(frozen=True)
@@ -92,24 +102,14 @@ class ResultWriter:
             writer.register(channel)
         self.reasons: ReasonCounts = {}
 
-    def messages(
-        self, sample: Sample, result: FrameResult, written: FrameResult, row: FrameMetrics, shown: Shown
-    ) -> tuple[Shown, ResultMessages]:
-        """Topics and bytes of a frame's results, and what later ones show of it.
-
-        Args:
-            sample: the frame's input.
-            result: what the chain made of it.
-            written: what of that the log can carry.
-            row: its row.
-            shown: what it shows of earlier frames.
-        """
-        shown = shown.with_pose(result)
-        assert shown.first_ns is not None
-        messages = list(result_messages(sample, written, row, shown.reasons, shown.trajectory))
-        messages += self._pictures.messages(sample, result, row, shown.first_ns)
+    def messages(self, frame: ComputedFrame, row: FrameMetrics) -> ResultMessages:
+        """Topics and bytes of a frame's results; ``row`` is its row."""
+        sample, result, shown = frame.sample, frame.result, frame.shown
+        first_ns = result.stamp_ns if shown.first_ns is None else shown.first_ns
+        messages = list(result_messages(sample, frame.written, row, shown.reasons, shown.with_pose(result)))
+        messages += self._pictures.messages(sample, result, row, first_ns)
         self.reasons = merged((self.reasons, of_frame(frame_reasons(sample, result))))
-        return replace(shown, reasons=row.reasons), tuple(messages)
+        return tuple(messages)
 
     def write(self, sample: Sample, messages: ResultMessages) -> None:
         """Write a frame's messages."""

@@ -15,7 +15,7 @@ def require_finite(what: str, *values: float | None) -> None:
     Raises:
         DecodeError: one is NaN, infinite, or larger than the 32 bits hold in which it is computed with and shown.
     """
-    if not (np.abs([value for value in values if value is not None]) <= _LARGEST).all():
+    if not all(abs(value) <= _LARGEST for value in values if value is not None):
         raise DecodeError(f"{what}: a number is not finite in 32 bits")
 
 

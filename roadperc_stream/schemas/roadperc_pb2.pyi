@@ -295,7 +295,7 @@ class Surface(_message.Message):
     model: _builtins.str
     """plane | spline"""
     source: _builtins.str
-    """depth | stereo | lidar | lower_image | held | assumed | truth"""
+    """depth | stereo | lidar | lower_image | held | estimated | assumed | truth"""
     camera_height_m: _builtins.float
     """of the camera the depth belongs to"""
     pitch: _builtins.float
@@ -735,6 +735,7 @@ class StageTimes(_message.Message):
 
     TIMESTAMP_FIELD_NUMBER: _builtins.int
     FRAME_ID_FIELD_NUMBER: _builtins.int
+    READ_MS_FIELD_NUMBER: _builtins.int
     DECODE_MS_FIELD_NUMBER: _builtins.int
     SURFACE_MS_FIELD_NUMBER: _builtins.int
     LANES_MS_FIELD_NUMBER: _builtins.int
@@ -742,9 +743,13 @@ class StageTimes(_message.Message):
     STEREO_MS_FIELD_NUMBER: _builtins.int
     ODOMETRY_MS_FIELD_NUMBER: _builtins.int
     OCCUPANCY_MS_FIELD_NUMBER: _builtins.int
+    METRICS_MS_FIELD_NUMBER: _builtins.int
+    COPY_MS_FIELD_NUMBER: _builtins.int
     ENCODE_MS_FIELD_NUMBER: _builtins.int
+    WRITE_MS_FIELD_NUMBER: _builtins.int
     TOTAL_MS_FIELD_NUMBER: _builtins.int
     frame_id: _builtins.str
+    read_ms: _builtins.float
     decode_ms: _builtins.float
     surface_ms: _builtins.float
     lanes_ms: _builtins.float
@@ -752,7 +757,10 @@ class StageTimes(_message.Message):
     stereo_ms: _builtins.float
     odometry_ms: _builtins.float
     occupancy_ms: _builtins.float
+    metrics_ms: _builtins.float
+    copy_ms: _builtins.float
     encode_ms: _builtins.float
+    write_ms: _builtins.float
     total_ms: _builtins.float
     @_builtins.property
     def timestamp(self) -> _timestamp_pb2.Timestamp:
@@ -763,6 +771,7 @@ class StageTimes(_message.Message):
         *,
         timestamp: _timestamp_pb2.Timestamp | None = ...,
         frame_id: _builtins.str = ...,
+        read_ms: _builtins.float | None = ...,
         decode_ms: _builtins.float | None = ...,
         surface_ms: _builtins.float | None = ...,
         lanes_ms: _builtins.float | None = ...,
@@ -770,31 +779,44 @@ class StageTimes(_message.Message):
         stereo_ms: _builtins.float | None = ...,
         odometry_ms: _builtins.float | None = ...,
         occupancy_ms: _builtins.float | None = ...,
+        metrics_ms: _builtins.float | None = ...,
+        copy_ms: _builtins.float | None = ...,
         encode_ms: _builtins.float | None = ...,
+        write_ms: _builtins.float | None = ...,
         total_ms: _builtins.float | None = ...,
     ) -> None: ...
-    _HasFieldArgType: _TypeAlias = _typing.Literal["_decode_ms", b"_decode_ms", "_encode_ms", b"_encode_ms", "_lanes_ms", b"_lanes_ms", "_objects_ms", b"_objects_ms", "_occupancy_ms", b"_occupancy_ms", "_odometry_ms", b"_odometry_ms", "_stereo_ms", b"_stereo_ms", "_surface_ms", b"_surface_ms", "_total_ms", b"_total_ms", "decode_ms", b"decode_ms", "encode_ms", b"encode_ms", "lanes_ms", b"lanes_ms", "objects_ms", b"objects_ms", "occupancy_ms", b"occupancy_ms", "odometry_ms", b"odometry_ms", "stereo_ms", b"stereo_ms", "surface_ms", b"surface_ms", "timestamp", b"timestamp", "total_ms", b"total_ms"]  # noqa: Y015
+    _HasFieldArgType: _TypeAlias = _typing.Literal["_copy_ms", b"_copy_ms", "_decode_ms", b"_decode_ms", "_encode_ms", b"_encode_ms", "_lanes_ms", b"_lanes_ms", "_metrics_ms", b"_metrics_ms", "_objects_ms", b"_objects_ms", "_occupancy_ms", b"_occupancy_ms", "_odometry_ms", b"_odometry_ms", "_read_ms", b"_read_ms", "_stereo_ms", b"_stereo_ms", "_surface_ms", b"_surface_ms", "_total_ms", b"_total_ms", "_write_ms", b"_write_ms", "copy_ms", b"copy_ms", "decode_ms", b"decode_ms", "encode_ms", b"encode_ms", "lanes_ms", b"lanes_ms", "metrics_ms", b"metrics_ms", "objects_ms", b"objects_ms", "occupancy_ms", b"occupancy_ms", "odometry_ms", b"odometry_ms", "read_ms", b"read_ms", "stereo_ms", b"stereo_ms", "surface_ms", b"surface_ms", "timestamp", b"timestamp", "total_ms", b"total_ms", "write_ms", b"write_ms"]  # noqa: Y015
     def HasField(self, field_name: _HasFieldArgType) -> _builtins.bool: ...
-    _ClearFieldArgType: _TypeAlias = _typing.Literal["_decode_ms", b"_decode_ms", "_encode_ms", b"_encode_ms", "_lanes_ms", b"_lanes_ms", "_objects_ms", b"_objects_ms", "_occupancy_ms", b"_occupancy_ms", "_odometry_ms", b"_odometry_ms", "_stereo_ms", b"_stereo_ms", "_surface_ms", b"_surface_ms", "_total_ms", b"_total_ms", "decode_ms", b"decode_ms", "encode_ms", b"encode_ms", "frame_id", b"frame_id", "lanes_ms", b"lanes_ms", "objects_ms", b"objects_ms", "occupancy_ms", b"occupancy_ms", "odometry_ms", b"odometry_ms", "stereo_ms", b"stereo_ms", "surface_ms", b"surface_ms", "timestamp", b"timestamp", "total_ms", b"total_ms"]  # noqa: Y015
+    _ClearFieldArgType: _TypeAlias = _typing.Literal["_copy_ms", b"_copy_ms", "_decode_ms", b"_decode_ms", "_encode_ms", b"_encode_ms", "_lanes_ms", b"_lanes_ms", "_metrics_ms", b"_metrics_ms", "_objects_ms", b"_objects_ms", "_occupancy_ms", b"_occupancy_ms", "_odometry_ms", b"_odometry_ms", "_read_ms", b"_read_ms", "_stereo_ms", b"_stereo_ms", "_surface_ms", b"_surface_ms", "_total_ms", b"_total_ms", "_write_ms", b"_write_ms", "copy_ms", b"copy_ms", "decode_ms", b"decode_ms", "encode_ms", b"encode_ms", "frame_id", b"frame_id", "lanes_ms", b"lanes_ms", "metrics_ms", b"metrics_ms", "objects_ms", b"objects_ms", "occupancy_ms", b"occupancy_ms", "odometry_ms", b"odometry_ms", "read_ms", b"read_ms", "stereo_ms", b"stereo_ms", "surface_ms", b"surface_ms", "timestamp", b"timestamp", "total_ms", b"total_ms", "write_ms", b"write_ms"]  # noqa: Y015
     def ClearField(self, field_name: _ClearFieldArgType) -> None: ...
+    _WhichOneofReturnType__copy_ms: _TypeAlias = _typing.Literal["copy_ms"]  # noqa: Y015
+    _WhichOneofArgType__copy_ms: _TypeAlias = _typing.Literal["_copy_ms", b"_copy_ms"]  # noqa: Y015
     _WhichOneofReturnType__decode_ms: _TypeAlias = _typing.Literal["decode_ms"]  # noqa: Y015
     _WhichOneofArgType__decode_ms: _TypeAlias = _typing.Literal["_decode_ms", b"_decode_ms"]  # noqa: Y015
     _WhichOneofReturnType__encode_ms: _TypeAlias = _typing.Literal["encode_ms"]  # noqa: Y015
     _WhichOneofArgType__encode_ms: _TypeAlias = _typing.Literal["_encode_ms", b"_encode_ms"]  # noqa: Y015
     _WhichOneofReturnType__lanes_ms: _TypeAlias = _typing.Literal["lanes_ms"]  # noqa: Y015
     _WhichOneofArgType__lanes_ms: _TypeAlias = _typing.Literal["_lanes_ms", b"_lanes_ms"]  # noqa: Y015
+    _WhichOneofReturnType__metrics_ms: _TypeAlias = _typing.Literal["metrics_ms"]  # noqa: Y015
+    _WhichOneofArgType__metrics_ms: _TypeAlias = _typing.Literal["_metrics_ms", b"_metrics_ms"]  # noqa: Y015
     _WhichOneofReturnType__objects_ms: _TypeAlias = _typing.Literal["objects_ms"]  # noqa: Y015
     _WhichOneofArgType__objects_ms: _TypeAlias = _typing.Literal["_objects_ms", b"_objects_ms"]  # noqa: Y015
     _WhichOneofReturnType__occupancy_ms: _TypeAlias = _typing.Literal["occupancy_ms"]  # noqa: Y015
     _WhichOneofArgType__occupancy_ms: _TypeAlias = _typing.Literal["_occupancy_ms", b"_occupancy_ms"]  # noqa: Y015
     _WhichOneofReturnType__odometry_ms: _TypeAlias = _typing.Literal["odometry_ms"]  # noqa: Y015
     _WhichOneofArgType__odometry_ms: _TypeAlias = _typing.Literal["_odometry_ms", b"_odometry_ms"]  # noqa: Y015
+    _WhichOneofReturnType__read_ms: _TypeAlias = _typing.Literal["read_ms"]  # noqa: Y015
+    _WhichOneofArgType__read_ms: _TypeAlias = _typing.Literal["_read_ms", b"_read_ms"]  # noqa: Y015
     _WhichOneofReturnType__stereo_ms: _TypeAlias = _typing.Literal["stereo_ms"]  # noqa: Y015
     _WhichOneofArgType__stereo_ms: _TypeAlias = _typing.Literal["_stereo_ms", b"_stereo_ms"]  # noqa: Y015
     _WhichOneofReturnType__surface_ms: _TypeAlias = _typing.Literal["surface_ms"]  # noqa: Y015
     _WhichOneofArgType__surface_ms: _TypeAlias = _typing.Literal["_surface_ms", b"_surface_ms"]  # noqa: Y015
     _WhichOneofReturnType__total_ms: _TypeAlias = _typing.Literal["total_ms"]  # noqa: Y015
     _WhichOneofArgType__total_ms: _TypeAlias = _typing.Literal["_total_ms", b"_total_ms"]  # noqa: Y015
+    _WhichOneofReturnType__write_ms: _TypeAlias = _typing.Literal["write_ms"]  # noqa: Y015
+    _WhichOneofArgType__write_ms: _TypeAlias = _typing.Literal["_write_ms", b"_write_ms"]  # noqa: Y015
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__copy_ms) -> _WhichOneofReturnType__copy_ms | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__decode_ms) -> _WhichOneofReturnType__decode_ms | None: ...
     @_typing.overload
@@ -802,17 +824,23 @@ class StageTimes(_message.Message):
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__lanes_ms) -> _WhichOneofReturnType__lanes_ms | None: ...
     @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__metrics_ms) -> _WhichOneofReturnType__metrics_ms | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__objects_ms) -> _WhichOneofReturnType__objects_ms | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__occupancy_ms) -> _WhichOneofReturnType__occupancy_ms | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__odometry_ms) -> _WhichOneofReturnType__odometry_ms | None: ...
     @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__read_ms) -> _WhichOneofReturnType__read_ms | None: ...
+    @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__stereo_ms) -> _WhichOneofReturnType__stereo_ms | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__surface_ms) -> _WhichOneofReturnType__surface_ms | None: ...
     @_typing.overload
     def WhichOneof(self, oneof_group: _WhichOneofArgType__total_ms) -> _WhichOneofReturnType__total_ms | None: ...
+    @_typing.overload
+    def WhichOneof(self, oneof_group: _WhichOneofArgType__write_ms) -> _WhichOneofReturnType__write_ms | None: ...
 
 Global___StageTimes: _TypeAlias = StageTimes  # noqa: Y015
 

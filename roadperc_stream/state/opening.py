@@ -13,9 +13,9 @@ from roadperc_stream.errors import ConfigError, NoFrameError, StateError
 from roadperc_stream.input import ReplayInput, ReplaySource, input_of
 from roadperc_stream.input.damage import ReadableLog
 from roadperc_stream.input.state import FrameNumbers
-from roadperc_stream.log import LogSummary
+from roadperc_stream.log import DIGEST_ALGORITHM, LogSummary
 from roadperc_stream.output.writing import Shown
-from roadperc_stream.schemas.record import CONTINUES_KEY, FIRST_FRAME_KEY, LOG_ID_KEY
+from roadperc_stream.schemas.record import CONTINUES_KEY, DIGEST_ALGORITHM_KEY, FIRST_FRAME_KEY, LOG_ID_KEY
 from roadperc_stream.state.attached import Notes, as_read, state_at_begin, state_at_end
 from roadperc_stream.state.checks import require_numbers_for
 from roadperc_stream.state.replay_state import ReplayMemory, ReplayState, settings_of
@@ -49,7 +49,7 @@ class OpenedLog:
 
     def table_facts(self) -> dict[str, str]:
         """What the tables say of the log, and where it goes on from another part the number of the first frame."""
-        log_id = {LOG_ID_KEY: self.input.log_id}
+        log_id = {LOG_ID_KEY: self.input.log_id, DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM}
         if self.begin is None or not self.begin.log_id:
             return log_id
         return {**log_id, **self.facts(), FIRST_FRAME_KEY: str(self.begin.input.numbers.next)}

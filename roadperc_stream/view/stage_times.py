@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from roadperc_stream.output.tables import read_rows_around
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
+_TOTAL: Final = "total_ms"
+_PARTS: Final = frozenset(TIME_COLUMNS) - {_TOTAL}
+"""Tables of earlier versions lack some of them."""
 TimesMs = Mapping[str, float]
 """Milliseconds by time column; stages that did not run are left out."""
 
@@ -34,7 +37,7 @@ class TableTimes:
         """
         if frame not in self._rows:
             exists = self._path.exists()
-            rows = read_rows_around(self._path, frame, ("log_id", *TIME_COLUMNS)) if exists else []
+            rows = read_rows_around(self._path, frame, ("log_id", _TOTAL), _PARTS) if exists else []
             self._rows = {frame: {}} | {row["frame"]: row for row in rows}
         row = self._rows[frame]
         return _known(row) if row.get("log_id") == log_id else {}

@@ -11,6 +11,7 @@ from roadperc_stream.chain.step import ChainState, step
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.datatypes import Absent, PointCloud, Reason
+from roadperc_stream.core.rotations import rotation_from_rpy
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.input import ReplaySource, open_input
@@ -19,7 +20,7 @@ from tests.chain.test_chain import same
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 CFG = load_config(None, ("surface.model=spline",))
 FRAMES = 6
-EGO_T_LIDAR = g.rigid(g.rotation_from_rpy(0.02, -0.05, 0.3), np.array([0.0, 0.1, 2.4]))
+EGO_T_LIDAR = g.rigid(rotation_from_rpy(0.02, -0.05, 0.3), np.array([0.0, 0.1, 2.4]))
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core import ground
 from roadperc_stream.core.datatypes import HeightGrid
+from roadperc_stream.core.rotations import rotation_from_rpy
 from tests.hills import Hill
 
 HILL = Hill(width=320, height=240)
@@ -83,17 +84,17 @@ def test_unknown_places_and_single_heights():
     np.testing.assert_allclose(ground.height_at(one, np.array([-9.0, 40.0]), np.array([3.0, 0.0])), 0.3, atol=1e-6)
 
 
-@pytest.mark.parametrize("top", [0, 101])
+@pytest.mark.parametrize("top", [0, 51])
 @pytest.mark.parametrize("step", [1, 3])
 def test_every_pixel_of_a_part_of_the_image_has_its_point(top, step):
-    turned = g.rigid(g.rotation_from_rpy(0.02, 0.05, 0.1) @ g.EGO_R_OPTICAL, np.array([1.2, 0.3, 1.5]))
+    turned = g.rigid(rotation_from_rpy(0.02, 0.05, 0.1) @ g.EGO_R_OPTICAL, np.array([1.2, 0.3, 1.5]))
     depth = np.random.default_rng(0).uniform(1, 50, (240, 320)).astype(np.float32)
     rows, columns = np.indices(depth.shape, dtype=float)
     expected = g.transform(turned, g.unproject(HILL.camera, np.stack((columns, rows), axis=-1), depth))
-    visible = ground.part(HILL.camera, top, step, step)
-    assert visible.size == depth[top::step, ::step].shape
-    found = np.stack(ground.ego_points(visible, turned, depth[top::step, ::step]), axis=-1)
-    np.testing.assert_allclose(found, expected[top::step, ::step], atol=1e-4)
+    visible = ground.part(HILL.camera, step, step)
+    assert visible.size == depth[::step, ::step].shape
+    found = np.stack(ground.ego_points(visible, turned, depth[::step, ::step][top:], top), axis=-1)
+    np.testing.assert_allclose(found, expected[::step, ::step][top:], atol=1e-4)
 
 
 def test_heights_above_the_road():
@@ -104,3 +105,28 @@ def test_heights_above_the_road():
         expected = 2.0 - ground.height_at(surface, x.astype(float), y.astype(float))
         expected[0, 0] = np.nan
         np.testing.assert_allclose(ground.height_above(surface, x, y, z), expected, atol=3e-3)
+
+
+@pytest.mark.skipif(not ground._COMPILED, reason="not compiled")
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.booleans())
+def test_the_compiled_kernel_gives_the_same_bits(seed, rows, columns, has_gaps):
+    rng = np.random.default_rng(seed)
+    z = rng.normal(0.0, 0.3, (columns, rows)).astype(np.float32).T
+    if has_gaps:
+        z[rng.random(z.shape) < 0.1] = np.nan
+    grid = HeightGrid(rng.uniform(0, 5), rng.uniform(-6, 0), rng.uniform(0.5, 3), z)
+    centre = np.array([rng.uniform(-1, 1), 0.0, rng.uniform(-0.5, 2.0)])
+    directions = rng.normal((1.0, 0.0, -0.2), (0.2, 0.5, 0.2), (50, 3))
+    directions[rng.random(50) < 0.1] = np.nan
+    found, expected = (f(grid, centre, directions) for f in (ground._first_meeting, ground._first_meeting_of_all))
+    np.testing.assert_array_equal(found.view(np.int64)[~np.isnan(found)], expected.view(np.int64)[~np.isnan(expected)])
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
+
+
+@pytest.mark.skipif(not ground._COMPILED, reason="not compiled")
+@pytest.mark.parametrize(("rays", "depths"), [((4, 3), 5), ((4, 2), 4)])
+def test_the_compiled_kernel_refuses_what_does_not_belong_together(rays, depths):
+    grid = HeightGrid(0.0, -6.0, 1.0, np.zeros((3, 3), np.float32))
+    with pytest.raises(ValueError, match="rays"):
+        ground.first_meetings(grid, np.zeros(3), np.zeros(rays), np.ones(2), np.ones(2), 1, np.empty(depths))

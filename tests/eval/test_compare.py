@@ -299,6 +299,15 @@ def test_two_inputs_by_their_stamps_where_that_is_wanted(reference, capsys):
     assert f"log_id: {'a' * 16} → {OTHER}, in 40 frames" in text
 
 
+def test_names_that_two_algorithms_made_do_not_tell_logs_apart(reference, capsys):
+    rows = [row(k, OTHER, lane_left_error_m=error) for k, error in enumerate(wave(40))]
+    write(reference.with_name("b.metrics.parquet"), rows, digest_algorithm="blake3")
+    code, text, _ = compare(capsys, reference, reference.with_name("b.metrics.parquet"), "--exact")
+    assert code == 0
+    assert "one log is named by sha256, the other by blake3" in text
+    assert "log_id:" not in text
+
+
 def test_folders_without_anything_in_common(tmp_path, capsys):
     ours = folder(tmp_path / "a", [0.0, 0.0])
     for name in ("x", "y"):

@@ -91,7 +91,7 @@ def test_runs_share_charts_in_their_own_colours_with_one_key_each():
 def test_stacked_stages_sum_to_the_total():
     run = series(surface_ms=[2, 3], lanes_ms=[1, np.nan], total_ms=[10, 12])
     (chart,) = stage_times([run], [])
-    assert [trace["name"] for trace in chart.traces] == ["surface", "lanes", "copy, metrics"]
+    assert [trace["name"] for trace in chart.traces] == ["surface", "lanes", "rest"]
     np.testing.assert_allclose(np.sum([trace["y"] for trace in chart.traces], axis=0), [10, 12])
 
 

@@ -7,7 +7,6 @@ import sys
 import time
 from pathlib import Path
 
-import cv2
 import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
@@ -17,6 +16,7 @@ from roadperc_stream.cli.sweep import main
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.eval.runs import find_runs
+from roadperc_stream.formats import images
 from roadperc_stream.input import ReplaySource, open_input, replay_input
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
@@ -114,10 +114,10 @@ def count_calls(monkeypatch, where, name):
     ],
 )
 def test_the_log_is_read_and_decoded_once_where_it_can(source, tmp_path, monkeypatch, options, times):
-    images = count_calls(monkeypatch, cv2, "imdecode")
+    decoded = count_calls(monkeypatch, images, "_pixels")
     made = count_calls(monkeypatch, replay_input, "sample_of")
     sweep(source, tmp_path / "out", *options)
-    assert (len(images), len(made)) == (4 * times, 4 * times)
+    assert (len(decoded), len(made)) == (4 * times, 4 * times)
 
 
 class Watched:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from roadperc_stream.core import geometry as g
+from roadperc_stream.core.rotations import quaternion, rotation_from_rpy
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.output.encoding import encode_points
@@ -80,7 +80,7 @@ def test_fields_lie_anywhere_in_a_point(order, gap, random):
 
 def test_the_pose_places_the_points():
     message = PointCloudProto.FromString(encode_points(STAMP, "lidar", np.array([[1, 0, 0]], np.float32)))
-    x, y, z, w = g.quaternion(g.rotation_from_rpy(0.0, 0.0, np.pi / 2))
+    x, y, z, w = quaternion(rotation_from_rpy(0.0, 0.0, np.pi / 2))
     message.pose.orientation.x, message.pose.orientation.y = x, y
     message.pose.orientation.z, message.pose.orientation.w = z, w
     message.pose.position.z = 5.0

@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from roadperc_stream.cli.info import main
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.info.examine import examine
-from roadperc_stream.log import Channel, LogWriter, Message, Metadata, read, summarise
+from roadperc_stream.log import Channel, LogWriter, Message, MessageDigest, Metadata, read, summarise
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
@@ -277,12 +277,49 @@ def test_an_input_changed_after_the_replay_is_seen(result, tmp_path, capsys):
         for message in list(read(summarise(result)))[1:]:
             writer.write(message)
         said = {"version": "0", "seed": "0", "digest": facts_of(result).provenance.digest, "dropped.depth": "4"}
+        said["digest_algorithm"] = "blake3"
         writer.describe(Metadata("roadperc", tuple(said.items())))
     found = facts_of(changed).provenance
     assert (found.changed, dict(found.dropped)) == (True, {"depth": 4})
     out = info(capsys, changed)[1]
     assert "CHANGED" in out
     assert "changed.metrics.parquet: is not there" in out
+
+
+def with_record(result, path, **changes):
+    """A result with other words in its record; None takes one out."""
+    summary = summarise(result)
+    (record,) = [dict(record.values) for record in summary.metadata if record.name == "roadperc"]
+    with LogWriter(path) as writer:
+        for message in read(summary):
+            writer.write(message)
+        said = {key: value for key, value in {**record, **changes}.items() if value is not None}
+        writer.describe(Metadata("roadperc", tuple(said.items())))
+    return path
+
+
+def input_digest(result, algorithm):
+    digest = MessageDigest(algorithm)
+    for message in read(summarise(result)):
+        if not message.channel.label("producer"):
+            digest.update(message)
+    return digest.hexdigest()
+
+
+def test_a_result_names_what_its_digest_was_made_by_and_those_of_before_are_understood(result, tmp_path):
+    digest = input_digest(result, "sha256")
+    found = facts_of(with_record(result, tmp_path / "before.mcap", digest=digest, digest_algorithm=None))
+    assert (found.log_id, found.provenance.changed) == (digest[:16], False)
+    digest = input_digest(result, "blake3")
+    found = facts_of(with_record(result, tmp_path / "same.mcap"))
+    assert (found.log_id, found.provenance.digest, found.provenance.changed) == (digest[:16], digest, False)
+
+
+def test_a_digest_that_nobody_here_can_make_is_not_compared(result, tmp_path, capsys):
+    changed = with_record(result, tmp_path / "later.mcap", digest_algorithm="blake9")
+    found = facts_of(changed)
+    assert (found.log_id, found.provenance.digest_found, found.provenance.changed) == (None, None, False)
+    assert "whose digest blake9 is not known here" in info(capsys, changed)[1]
 
 
 def test_a_table_of_another_run_is_told_apart(drive, result):
@@ -347,7 +384,7 @@ def test_json_knows_no_nan(tmp_path, capsys):
 def test_the_sample_is_whole_and_has_the_readmes_log_id(capsys, monkeypatch):
     monkeypatch.chdir(SAMPLE.parent)  # names stay whole on their line, however long the folder's
     code, out, _ = info(capsys, SAMPLE.name)
-    assert (code, "log 9c2a1e447e410956" in out, "40 frames" in out) == (0, True, True)
+    assert (code, "log 06e969632831a75f" in out, "40 frames" in out) == (0, True, True)
     assert all(len(line) <= 80 for line in out.splitlines())
 
 

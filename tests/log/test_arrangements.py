@@ -15,7 +15,8 @@ from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.log.file_order import FileOrder
 from roadperc_stream.log.index import most_at_once
-from roadperc_stream.log.reading import IndexedFile
+from roadperc_stream.log.indexed import IndexedFile
+from roadperc_stream.log.reading import IndexedOrSorted
 from roadperc_stream.log.sorting import SortedMessages
 from tests.arranged import ARRANGEMENTS, arranged, by_topic, shuffled
 from tests.replaying import replay
@@ -36,6 +37,14 @@ def plain(messages):
     return [(m.channel, m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]
 
 
+def was_sorted(summary):
+    """Whether messages of a log that have been read were sorted on disk, rather than read by the index."""
+    source = summary.source
+    if isinstance(source, IndexedFile):
+        return False
+    return (source.in_order if isinstance(source, IndexedOrSorted) else source)._store is not None
+
+
 def written(path, times, **options):
     """A log of the library's writer; each message's data is its place in the file."""
     with path.open("wb") as stream:
@@ -53,31 +62,37 @@ def written(path, times, **options):
 def test_the_sample_is_the_same_in_every_arrangement(tmp_path, options):
     whole = log.summarise(SAMPLE)
     found = log.summarise(arranged(SAMPLE, tmp_path / "other.mcap", **options))
-    assert isinstance(found.source, IndexedFile if options.get("chunk_size") == 50_000 else SortedMessages)
     assert (found.channels, found.counts, found.metadata) == (whole.channels, whole.counts, whole.metadata)
     assert (found.first_ns, found.last_ns) == (whole.first_ns, whole.last_ns)
     assert plain(log.read(found)) == plain(log.read(whole))
+    assert was_sorted(found) != (options.get("chunk_size") == 50_000)
 
 
 @pytest.mark.usefixtures("nothing_held")
 @pytest.mark.parametrize("rearranged", [shuffled, by_topic])
 def test_messages_in_any_order_come_in_the_order_of_their_times(tmp_path, rearranged):
     found = log.summarise(rearranged(SAMPLE, tmp_path / "other.mcap"))
-    assert isinstance(found.source, SortedMessages)
     in_order, messages = plain(log.read(log.summarise(SAMPLE))), plain(log.read(found))
     assert [m[1] for m in messages] == [m[1] for m in in_order]
     assert sorted(messages, key=repr) == sorted(in_order, key=repr)
+    assert was_sorted(found)
 
 
 @pytest.mark.usefixtures("nothing_held")
-def test_results_are_those_of_the_tidy_log_byte_for_byte(tmp_path):
+def test_results_are_those_of_the_tidy_log_and_follow_its_chunks_in_nothing_but_the_files_bytes(tmp_path):
     names = {"tidy": SAMPLE}
-    for name in ("no chunks", "one chunk"):
+    for name in ("small chunks", "no chunks", "one chunk"):
         names[name] = arranged(SAMPLE, tmp_path / f"{name}.mcap", **ARRANGEMENTS[name])
+    outputs = {name: tmp_path / f"{name}.out.mcap" for name in names}
     for name, source in names.items():
-        replay(source, tmp_path / f"{name}.out.mcap", ReplayConfig(), time_range=TimeRange(frames=2))
-    results = {(tmp_path / f"{name}.out.mcap").read_bytes() for name in names}
-    assert len(results) == 1
+        replay(source, outputs[name], ReplayConfig(), time_range=TimeRange(frames=2))
+        replay(outputs[name], tmp_path / "again.mcap", ReplayConfig(), force=True)
+        assert outputs[name].read_bytes() == (tmp_path / "again.mcap").read_bytes()
+    tidy = log.summarise(outputs["tidy"])
+    for path in outputs.values():
+        found = log.summarise(path)
+        assert (found.attachments, found.metadata, found.counts) == (tidy.attachments, tidy.metadata, tidy.counts)
+        assert plain(log.read(found)) == plain(log.read(tidy))
 
 
 @settings(max_examples=60, deadline=None)
@@ -99,6 +114,14 @@ def test_any_messages_any_arrangement_any_part(tmp_path_factory, times, options,
     ]
     read = log.read(summary, topics=topics, start_ns=part[0], end_ns=part[1])
     assert [(m.log_time_ns, m.sequence) for m in read] == wanted
+
+
+@pytest.mark.usefixtures("nothing_held")
+def test_what_takes_little_memory_is_read_by_the_index_of_any_log(tmp_path):
+    found = log.summarise(by_topic(SAMPLE, tmp_path / "other.mcap"))
+    topics = ["/tf", "/camera/front/calibration"]
+    assert plain(log.read(found, topics=topics)) == plain(log.read(log.summarise(SAMPLE), topics=topics))
+    assert not was_sorted(found)
 
 
 def test_readers_of_a_sorted_log_do_not_disturb_one_another(tmp_path):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream.core.datatypes import Odometry, Truth
-from roadperc_stream.core.geometry import rigid, rotation_from_rpy
+from roadperc_stream.core.geometry import rigid
+from roadperc_stream.core.rotations import rotation_from_rpy
 from roadperc_stream.metrics import frame_metrics
 from tests.metrics.frames import CFG, sample_and_result
 

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from roadperc_stream.core.geometry import Camera
-from roadperc_stream.metrics.stereo import both_see, stereo_errors
+from roadperc_stream.metrics.stereo import both_see, low_quantile, stereo_errors
 
 STEREO = Camera("left", 80, 10, 100.0, 100.0, 39.5, 4.5)
 
@@ -65,3 +67,9 @@ def test_what_something_near_hides_is_not_seen_by_both():
     assert hidden.tolist() == [0, 1, 2, 3, *range(34, 44)]
     disparity[1, 70] = np.nan
     assert np.flatnonzero(~both_see(disparity)[1]).tolist() == [*hidden, 70]
+
+
+@given(st.lists(st.floats(0.5, 80.0, width=32), min_size=1, max_size=400), st.sampled_from([0.001, 0.02, 0.4]))
+def test_the_low_quantile_is_numpys(values, share):
+    array = np.array(values, np.float32)
+    assert low_quantile(array, share) == float(np.quantile(array, share))

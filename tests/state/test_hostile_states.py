@@ -169,6 +169,10 @@ CASES = {
         lambda s: surface(s).update(ego_plane={"normal": [0.0, 0.0, 2.0], "offset_m": 0.0}),
         "a plane that is none",
     ),
+    "pose of one number": (
+        lambda s: s["memory"]["shown"].update(trajectory=[{"dtype": "<f8", "shape": [1, 1], "elements": bytes(8)}]),
+        "transform: expected float64 (4, 4), got float64 (1, 1)",
+    ),
     "way driven": (lambda s: surface(s).update(driven_m=-1.0), "a plane that is none"),
     "2000 tracks": (many_tracks, "2000 tracks: expected 256 at most"),
     "next object 2^64 - 1": (lambda s: objects(s).update(next_number=2**64 - 1), "object 18446744073709551615"),

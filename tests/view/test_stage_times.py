@@ -40,7 +40,7 @@ def test_a_row_group_is_read_once_and_no_other(path, monkeypatch):
     asked = []
     monkeypatch.setattr(
         "roadperc_stream.view.stage_times.read_rows_around",
-        lambda path, frame, columns: asked.append(frame) or tables.read_rows_around(path, frame, columns),
+        lambda path, frame, *columns: asked.append(frame) or tables.read_rows_around(path, frame, *columns),
     )
     times = TableTimes(path)
     for frame in range(FRAMES + 3):
@@ -78,8 +78,14 @@ def test_a_table_that_cannot_be_read_is_named(path, tmp_path, damage):
 def test_a_table_without_times_is_named(tmp_path):
     with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}) as writer:
         writer.append(FrameMetrics("log", 0, 0))
-    with pytest.raises(TableError, match="no column decode_ms"):
+    with pytest.raises(TableError, match="no column total_ms"):
         TableTimes(tmp_path / "out.metrics.parquet").of("log", 0)
+
+
+def test_a_table_of_an_earlier_version_has_the_times_it_has(tmp_path):
+    with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}, ("lanes_ms", "total_ms")) as writer:
+        writer.append(FrameMetrics("log", 0, 0), lanes_ms=2.0, total_ms=3.0)
+    assert TableTimes(tmp_path / "out.metrics.parquet").of("log", 0) == {"lanes_ms": 2.0, "total_ms": 3.0}
 
 
 def test_a_running_replay_knows_what_it_was_told():

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import AliasPath, ConfigDict, Field, FiniteFloat, TypeAdapter
 
-from roadperc_stream.core.geometry import EGO_R_OPTICAL, Float, rigid, rotation_from_rpy
+from roadperc_stream.core.geometry import EGO_R_OPTICAL, Float, rigid
+from roadperc_stream.core.rotations import rotation_from_rpy
 from roadperc_stream.errors import DumpError
 
 from .json_files import Document, by_frame, checked, read_json

@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.core.datatypes.results import LaneChange
-from roadperc_stream.core.geometry import Float, rigid, rotation_from_rpy
+from roadperc_stream.core.geometry import Float, rigid
+from roadperc_stream.core.rotations import rotation_from_rpy
 
 from .lanes import Lane
 from .manoeuvre import Manoeuvre

@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.core.geometry import Float, rigid, rotation_from_rpy
+from roadperc_stream.core.geometry import Float, rigid
+from roadperc_stream.core.rotations import rotation_from_rpy
 
 from . import prefabs
 from .ego import Ego

@@ -17,15 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.core.config import OccupancyConfig, scaled
-from roadperc_stream.core.datatypes import Absent, Mask, Occupancy, Reason, Surface
-from roadperc_stream.core.geometry import Camera, Float32, inverse, project, transform
+from roadperc_stream.core.datatypes import Absent, Image, Mask, Occupancy, Reason, Surface
+from roadperc_stream.core.geometry import Camera, Float, Float32, inverse, project, transform
 from roadperc_stream.core.ground import ego_points, height_above, height_at, part
+from roadperc_stream.core.kernels.cell_counts import Cells, count_points
 from roadperc_stream.core.scene import Scene
+
+Counts = NDArray[np.int64]
 
 UNKNOWN: Final = -1
 FREE: Final = 0
 OCCUPIED: Final = 100
 
+_ROWS_AT_ONCE: Final = 64
+"""Rows whose points stay in the processor's cache from one operation on them to the next."""
 _MEDIAN_PX: Final = 3
 """A single drivable pixel among others frees no cell, a single hole among drivable ones leaves none unknown."""
 
@@ -51,16 +56,32 @@ def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivabl
     dense = scene.dense_depth_m is not None
     if dense and not surface.measured:
         return Absent(Reason("occupancy", "heights_unknown"))
-    step = _pixel_step(cfg, scene.camera) if dense else 1
-    x, y, z = ego_points(part(scene.camera, 0, step, step), scene.ego_T_camera, scene.depth_m[::step, ::step])
-    height = height_above(surface, x, y, z)
-    occupied = _occupied(cfg, height, _obstacles(cfg, scene, step) if dense else None)
-    free = drivable[::step, ::step] & np.isfinite(height)
+    free, occupied = _points_in_cells(cfg, scene, surface, drivable, scene.depth_m)
     cells = np.full(_shape(cfg), UNKNOWN, np.int8)
-    cells[_enough(cfg, x[free], y[free])] = FREE
+    cells[free >= cfg.min_points] = FREE
     cells[_visible_drivable(cfg, scene, surface, drivable)] = FREE
-    cells[_enough(cfg, x[occupied], y[occupied])] = OCCUPIED
+    cells[occupied >= cfg.min_points] = OCCUPIED
     return Occupancy(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cells)
+
+
+def _points_in_cells(
+    cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask, depth_m: Float32
+) -> tuple[Counts, Counts]:
+    """(rows, columns) numbers of drivable points and of points that are obstacles in each cell."""
+    dense = scene.dense_depth_m is not None
+    step = _pixel_step(cfg, scene.camera) if dense else 1
+    camera, depth_m, marks = part(scene.camera, step, step), depth_m[::step, ::step], drivable[::step, ::step]
+    obstacles = _obstacles(cfg, scene, step) if dense else None
+    if obstacles is None:
+        obstacles = np.zeros(camera.size, np.uint8)
+    cells = Cells(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cfg.min_height_m, cfg.max_height_m)
+    free, occupied = np.zeros(_shape(cfg), np.int64), np.zeros(_shape(cfg), np.int64)
+    for top in range(0, camera.height, _ROWS_AT_ONCE):
+        rows = slice(top, top + _ROWS_AT_ONCE)
+        x, y, z = ego_points(camera, scene.ego_T_camera, depth_m[rows], top)
+        height = height_above(surface, x, y, z)
+        count_points(cells, x, y, height, marks[rows].view(np.uint8), obstacles[rows], free, occupied)
+    return free, occupied
 
 
 def _pixel_step(cfg: OccupancyConfig, camera: Camera) -> int:
@@ -73,50 +94,35 @@ def _shape(cfg: OccupancyConfig) -> tuple[int, int]:
     return int(rows + 1e-6), int(columns + 1e-6)
 
 
-def _obstacles(cfg: OccupancyConfig, scene: Scene, step: int) -> Mask | None:
-    """Every ``step``-th pixel in both directions that is of an obstacle's class; None without tags."""
+def _obstacles(cfg: OccupancyConfig, scene: Scene, step: int) -> Image | None:
+    """1 at every ``step``-th pixel in both directions that is of an obstacle's class; None without tags."""
     if scene.tags is None or scene.table is None:
         return None
     few = np.ascontiguousarray(scene.tags[::step, ::step])
-    return np.asarray(cv2.LUT(few, scene.table.lookup(cfg.obstacle_classes)), np.uint8).view(np.bool_)
-
-
-def _occupied(cfg: OccupancyConfig, height_m: Float32, obstacles: Mask | None) -> Mask:
-    """Points high enough, or of an obstacle, and not so high that one passes below."""
-    with np.errstate(invalid="ignore"):
-        high = height_m >= np.float32(cfg.min_height_m)
-        result: Mask = (high if obstacles is None else high | obstacles) & (height_m <= np.float32(cfg.max_height_m))
-    return result
-
-
-def _enough(cfg: OccupancyConfig, x: Float32, y: Float32) -> Mask:
-    """(rows, columns) cells in which at least ``min_points`` of (N,) known points lie."""
-    rows, columns = _shape(cfg)
-    i = np.floor((x - cfg.x_min_m) / cfg.resolution_m).astype(np.int64)
-    j = np.floor((y + cfg.half_width_m) / cfg.resolution_m).astype(np.int64)
-    inside = (i >= 0) & (i < columns) & (j >= 0) & (j < rows)
-    counts: NDArray[np.intp] = np.bincount(j[inside] * columns + i[inside], minlength=rows * columns)
-    result: Mask = (counts >= cfg.min_points).reshape(rows, columns)
-    return result
+    return np.asarray(cv2.LUT(few, scene.table.lookup(cfg.obstacle_classes)), np.uint8)
 
 
 def _visible_drivable(cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask) -> Mask:
     """(rows, columns) cells whose middle is visible as drivable road, at its own distance where the depth is dense."""
     camera, depth_m = scene.camera, scene.dense_depth_m
-    rows, columns = _shape(cfg)
-    x, y = np.meshgrid(
-        cfg.x_min_m + cfg.resolution_m * (np.arange(columns) + 0.5),
-        -cfg.half_width_m + cfg.resolution_m * (np.arange(rows) + 0.5),
-    )
-    middles = transform(inverse(scene.ego_T_camera), np.stack((x, y, height_at(surface, x, y)), axis=-1))
-    pixels = np.rint(np.nan_to_num(project(camera, middles), nan=-1.0))
-    inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=-1)
-    u, v = pixels[inside].astype(np.intp).T
+    x, y = _middles(cfg)
+    points = np.empty((len(y), len(x), 3))
+    points[..., 0], points[..., 1], points[..., 2] = x, y[:, None], height_at(surface, x, y[:, None])
+    points = transform(inverse(scene.ego_T_camera), points)
+    columns, rows = np.moveaxis(np.rint(project(camera, points)), -1, 0)
+    inside: Mask = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+    u, v, distance = columns[inside].astype(np.intp), rows[inside].astype(np.intp), points[..., 2][inside]
     road = np.asarray(cv2.medianBlur(drivable.view(np.uint8), _MEDIAN_PX), np.uint8).view(np.bool_)
-    result = np.zeros((rows, columns), bool)
-    result[inside] = road[v, u]
+    visible = road[v, u]
     if depth_m is not None:
-        distance = middles[inside][:, 2]
         with np.errstate(invalid="ignore"):
-            result[inside] &= np.abs(depth_m[v, u] - distance) <= cfg.depth_tolerance * distance + cfg.resolution_m
-    return result
+            visible &= np.abs(depth_m[v, u] - distance) <= cfg.depth_tolerance * distance + cfg.resolution_m
+    inside[inside] = visible
+    return inside
+
+
+def _middles(cfg: OccupancyConfig) -> tuple[Float, Float]:
+    """Ego x of the columns' middles and y of the rows'."""
+    rows, columns = _shape(cfg)
+    x, y = (cfg.resolution_m * (np.arange(count, dtype=float) + 0.5) for count in (columns, rows))
+    return cfg.x_min_m + x, y - cfg.half_width_m

@@ -48,9 +48,12 @@ class Absent:
             raise AttributeError(f"no {name!r} in this frame: {self.__dict__.get('reason')}", name=name, obj=self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HeightGrid:
-    """Road height z in metres at x = x_min_m + column * step_m, y = y_min_m + row * step_m (ego frame)."""
+    """Road height z in metres at x = x_min_m + column * step_m, y = y_min_m + row * step_m (ego frame).
+
+    Hashed by identity, so that what follows from a grid alone can be kept beside it.
+    """
 
     x_min_m: float
     y_min_m: float

@@ -10,12 +10,14 @@ from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.core.semantics import TABLES
 from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats.raster import Content
 from roadperc_stream.input.decoding import foxglove, own, ros
 from roadperc_stream.input.decoding.bounds import require_length, require_within
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
 from roadperc_stream.input.decoding.from_json import from_json
 from roadperc_stream.input.decoding.own import detection_from_proto
 from roadperc_stream.input.decoding.payload import Context, Decoded, Payload
+from roadperc_stream.input.decoding.wire import parsed
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
@@ -46,8 +48,16 @@ def _protobuf(message_type: Any, decoder: Callable[[Any, Context], Decoded]) -> 
     return lambda data, context: decoder(message_type.FromString(data), context)
 
 
+def _picture(message_type: Any, decoder: Callable[[Any, Content, Context], Decoded]) -> Decoder:
+    return lambda data, context: decoder(*parsed(message_type, data, "data"), context)
+
+
 def _json(message_type: Any, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
     return lambda data, context: decoder(from_json(message_type, data), context)
+
+
+def _whole(decoder: Callable[[Any, Content, Context], Decoded]) -> Callable[[Any, Context], Decoded]:
+    return lambda message, context: decoder(message, message.data, context)
 
 
 def _cdr(name: str, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
@@ -62,8 +72,10 @@ def _cdr(name: str, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
 
 DECODERS: Final[Mapping[tuple[Kind, str, str], Decoder]] = {
     **{(kind, name, "protobuf"): decoder for (kind, name), decoder in _OWN.items()},
+    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _picture(t, f) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in foxglove.DECODERS.items()},
     **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},
+    **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, _whole(f)) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "json"): _json(t, f) for (kind, t), f in foxglove.DECODERS.items()},
 }
 

@@ -15,7 +15,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from roadperc_stream.core.datatypes import EGO, PointCloud, Transform
 from roadperc_stream.core.geometry import Float32
 from roadperc_stream.formats import points
-from roadperc_stream.formats.raster import Raster
+from roadperc_stream.formats.raster import Content, Raster
 from roadperc_stream.input.decoding import pictures
 from roadperc_stream.input.decoding.bounds import require_count
 from roadperc_stream.input.decoding.calibration import camera_from_calibration
@@ -24,41 +24,43 @@ from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roles import Kind
 
 
-def _compressed_image(message: Any, context: Context) -> Decoded:
-    image = pictures.encoded_image(message.frame_id, message.data, context.limits)
+def _compressed_image(message: Any, data: Content, context: Context) -> Decoded:
+    image = pictures.encoded_image(message.frame_id, data, context.limits)
     return Decoded(stamp_ns(message.timestamp), image)
 
 
-def _compressed_tags(message: Any, context: Context) -> Decoded:
-    tags = pictures.encoded_tags(message.frame_id, message.data, context)
+def _compressed_tags(message: Any, data: Content, context: Context) -> Decoded:
+    tags = pictures.encoded_tags(message.frame_id, data, context)
     return Decoded(stamp_ns(message.timestamp), tags)
 
 
-def _raw_image(message: Any, context: Context) -> Decoded:
-    return Decoded(stamp_ns(message.timestamp), pictures.raw_image(message.frame_id, _raster(message), context.limits))
+def _raw_image(message: Any, data: Content, context: Context) -> Decoded:
+    image = pictures.raw_image(message.frame_id, _raster(message, data), context.limits)
+    return Decoded(stamp_ns(message.timestamp), image)
 
 
-def _raw_depth(message: Any, context: Context) -> Decoded:
-    return Decoded(stamp_ns(message.timestamp), pictures.raw_depth(message.frame_id, _raster(message), context.limits))
+def _raw_depth(message: Any, data: Content, context: Context) -> Decoded:
+    depth = pictures.raw_depth(message.frame_id, _raster(message, data), context.limits)
+    return Decoded(stamp_ns(message.timestamp), depth)
 
 
-def _raw_tags(message: Any, context: Context) -> Decoded:
-    tags = pictures.raw_tags(message.frame_id, _raster(message), context)
+def _raw_tags(message: Any, data: Content, context: Context) -> Decoded:
+    tags = pictures.raw_tags(message.frame_id, _raster(message, data), context)
     return Decoded(stamp_ns(message.timestamp), tags)
 
 
-def _compressed_instances(message: Any, context: Context) -> Decoded:
-    instances = pictures.encoded_instances(message.frame_id, message.data, context.limits)
+def _compressed_instances(message: Any, data: Content, context: Context) -> Decoded:
+    instances = pictures.encoded_instances(message.frame_id, data, context.limits)
     return Decoded(stamp_ns(message.timestamp), instances)
 
 
-def _raw_instances(message: Any, context: Context) -> Decoded:
-    instances = pictures.raw_instances(message.frame_id, _raster(message), context.limits)
+def _raw_instances(message: Any, data: Content, context: Context) -> Decoded:
+    instances = pictures.raw_instances(message.frame_id, _raster(message, data), context.limits)
     return Decoded(stamp_ns(message.timestamp), instances)
 
 
-def _raster(message: Any) -> Raster:
-    return Raster(message.encoding, message.width, message.height, message.step, message.data)
+def _raster(message: Any, data: Content) -> Raster:
+    return Raster(message.encoding, message.width, message.height, message.step, data)
 
 
 def _point_cloud(message: Any, context: Context) -> Decoded:
@@ -101,7 +103,7 @@ def _pose(message: Any, _: Context) -> Decoded:
     return Decoded(stamp_ns(message.timestamp), Transform(message.frame_id, EGO, matrix))
 
 
-DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
+PICTURES: Final[Mapping[tuple[Kind, Any], Callable[[Any, Content, Context], Decoded]]] = {
     ("image", CompressedImage): _compressed_image,
     ("image", RawImage): _raw_image,
     ("tags", CompressedImage): _compressed_tags,
@@ -109,6 +111,9 @@ DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = 
     ("instances", CompressedImage): _compressed_instances,
     ("instances", RawImage): _raw_instances,
     ("depth", RawImage): _raw_depth,
+}
+"""By kind and type of message, of which field ``data`` is given apart."""
+DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
     ("points", PointCloudProto): _point_cloud,
     ("calibration", CameraCalibration): _calibration,
     ("tf", FrameTransforms): _transforms,

@@ -19,7 +19,8 @@ from roadperc_stream.core.datatypes import (
     TagImage,
     Transform,
 )
-from roadperc_stream.core.geometry import Camera, Float, rigid, rotation_from_quaternion
+from roadperc_stream.core.geometry import Camera, Float, rigid
+from roadperc_stream.core.rotations import rotation_from_quaternion
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.schemas.fields import require_finite

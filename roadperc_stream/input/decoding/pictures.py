@@ -6,13 +6,13 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.core.config import LimitsConfig
-from roadperc_stream.core.datatypes import CameraImage, DepthImage, Ids, Image, InstanceImage, TagImage
+from roadperc_stream.core.datatypes import CameraImage, DepthImage, InstanceImage, TagImage
 from roadperc_stream.core.geometry import Float32
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.formats.palette import PALETTE_TABLE, tags_of_colours
-from roadperc_stream.formats.raster import Raster
+from roadperc_stream.formats.raster import Content, Raster
 from roadperc_stream.input.decoding.payload import Context
 
 _COLOUR_TYPE: Final = 25
@@ -22,13 +22,13 @@ _DEPTH_HEADER: Final = struct.Struct("<iff")
 """Of compressedDepth: a number nobody uses, and both parameters of the quantisation of 32FC1."""
 
 
-def encoded_image(frame_id: str, content: bytes, limits: LimitsConfig) -> CameraImage:
+def encoded_image(frame_id: str, content: Content, limits: LimitsConfig) -> CameraImage:
     """A camera's image of a file's bytes."""
     return CameraImage(
         frame_id,
-        lambda: images.decode_bgr(content, limits),
-        lambda: images.decode_grey(content, limits),
-        lambda: images.image_size(content),
+        lambda: images.decode_bgr(bytes(content), limits),
+        lambda: images.decode_grey(bytes(content), limits),
+        lambda: images.image_size(bytes(content)),
     )
 
 
@@ -69,29 +69,33 @@ def _require_pixels(what: str, raster: Raster, limits: LimitsConfig) -> None:
         images.require_pixels(what, raster.width, raster.height, limits)
 
 
-def encoded_tags(frame_id: str, content: bytes, context: Context) -> TagImage:
+def encoded_tags(frame_id: str, content: Content, context: Context) -> TagImage:
     """Tags of a PNG: palette indices, grey values, or CARLA's colours.
 
     Raises:
         DecodeError: numbers, and nobody says which table is theirs.
     """
     limits = context.limits
-    if content.startswith(images.PNG_MAGIC) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS:
+    if _is_png(content) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS:
         known = _table_of(context.tag_table, indexed=False)
-        return TagImage(frame_id, known, lambda: tags_of_colours(images.decode_bgr(content, limits), known))
+        return TagImage(frame_id, known, lambda: tags_of_colours(images.decode_bgr(bytes(content), limits), known))
     known = _table_of(context.tag_table, indexed=True)
-    return TagImage(frame_id, known, lambda: images.decode_indices(content, limits))
+    return TagImage(frame_id, known, lambda: images.decode_indices(bytes(content), limits))
 
 
-def encoded_instances(frame_id: str, content: bytes, limits: LimitsConfig) -> InstanceImage:
+def encoded_instances(frame_id: str, content: Content, limits: LimitsConfig) -> InstanceImage:
     """Masks of a PNG in CARLA's coding.
 
     Raises:
         DecodeError: another file, whose numbers are not exact.
     """
-    if not content.startswith(images.PNG_MAGIC):
+    if not _is_png(content):
         raise DecodeError("instance masks that are no PNG: expected CARLA's coding, which no lossy file keeps")
-    return InstanceImage(frame_id, lambda: _instance_ids(images.decode_bgr(content, limits)))
+    return InstanceImage(frame_id, lambda: images.instance_ids(images.decode_bgr(bytes(content), limits)))
+
+
+def _is_png(content: Content) -> bool:
+    return content[: len(images.PNG_MAGIC)] == images.PNG_MAGIC
 
 
 def raw_instances(frame_id: str, raster: Raster, limits: LimitsConfig) -> InstanceImage:
@@ -101,17 +105,7 @@ def raw_instances(frame_id: str, raster: Raster, limits: LimitsConfig) -> Instan
         DecodeError: beyond the limits.
     """
     _require_pixels("instances", raster, limits)
-    return InstanceImage(frame_id, lambda: _instance_ids(raster.bgr()))
-
-
-def _instance_ids(bgr: Image) -> Ids:
-    """(H, W) numbers of CARLA's coding: green is the low byte, blue the high one; red, the tag, is left to others.
-
-    Source: CARLA's documentation, "Instance segmentation camera".
-    """
-    green, blue = bgr[..., 1].astype(np.uint16), bgr[..., 0].astype(np.uint16)
-    ids: Ids = green + blue * np.uint16(256)
-    return ids
+    return InstanceImage(frame_id, lambda: images.instance_ids(raster.bgr()))
 
 
 def _table_of(table: TagTable | None, *, indexed: bool) -> TagTable:
@@ -155,7 +149,7 @@ def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[F
 
 
 def _png16(layout: str, content: bytes, limits: LimitsConfig) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
-    pixels = images.decode_unchanged(content, limits) if content.startswith(images.PNG_MAGIC) else None
+    pixels = images.decode_unchanged(content, limits) if _is_png(content) else None
     if pixels is None:
         raise DecodeError(f"depth of format {layout!r}: expected a whole PNG, it starts with {content[:4].hex()}")
     if pixels.dtype != np.uint16 or pixels.ndim != 2:

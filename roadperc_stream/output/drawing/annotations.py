@@ -1,6 +1,7 @@
 """What the viewers draw over the image and in 3D: foxglove.ImageAnnotations and foxglove.SceneUpdate."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache, lru_cache
 from typing import Any, Final
 
 import cv2
@@ -20,8 +21,9 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from numpy.typing import NDArray
 
 from roadperc_stream.core.datatypes import EGO, Box, Lanes, Mask, Object, Objects, Surface
-from roadperc_stream.core.geometry import Camera, Float, quaternion, rays, transform
+from roadperc_stream.core.geometry import Camera, Float, rays, transform
 from roadperc_stream.core.ground import ground_points, height_at
+from roadperc_stream.core.rotations import quaternion
 from roadperc_stream.core.semantics import Colour
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.captions import by_nearness, caption_places, viewer_font_px, viewer_text_size
@@ -91,14 +93,16 @@ def drivable_scene(stamp_ns: int, surface: Surface, camera: Camera, ego_T_camera
     entity = message.entities.add(frame_id=EGO, id="drivable")
     set_stamp(entity, stamp_ns)
     patch = road_patch(surface)
-    triangles = entity.triangles.add(color=_color(colours.DRIVABLE, 0.25), indices=patch_triangles(patch).ravel())
-    triangles.points.extend(_point3(point) for point in patch)
+    triangles = entity.triangles.add(
+        color=_color(colours.DRIVABLE, 0.25), indices=patch_triangles(patch).ravel().tolist()
+    )
+    triangles.points.extend(_points3(patch))
     outline = _outline(surface, camera, ego_T_camera, mask)
     if len(outline):
         line = entity.lines.add(
             type=LinePrimitive.LINE_LOOP, thickness=2.0, scale_invariant=True, color=_color(colours.DRIVABLE)
         )
-        line.points.extend(_point3(point) for point in outline)
+        line.points.extend(_points3(outline))
     return message.SerializeToString()
 
 
@@ -111,7 +115,7 @@ def lanes_scene(stamp_ns: int, lanes: Lanes) -> bytes:
         if len(boundary.line_ego_m):
             colour = _color(colours.BOUNDARY[boundary.status])
             line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=0.1, color=colour)
-            line.points.extend(_point3(point) for point in boundary.line_ego_m)
+            line.points.extend(_points3(boundary.line_ego_m))
     return message.SerializeToString()
 
 
@@ -123,9 +127,11 @@ def objects_scene(stamp_ns: int, camera: Camera, ego_T_camera: Float, objects: O
     message = SceneUpdate()
     entity = message.entities.add(frame_id=EGO, id="objects")
     set_stamp(entity, stamp_ns)
+    x, y, z, w = quaternion(ego_T_camera[:3, :3])
+    sides_of_image = Quaternion(x=x, y=y, z=z, w=w)
     for item, named in zip(objects.objects, captioned(camera, objects.objects), strict=True):
         if item.kept and item.distance_m is not None:
-            slab = _slab(camera, ego_T_camera, item.detection.box_px, item.distance_m)
+            slab = _slab(camera, ego_T_camera, sides_of_image, item.detection.box_px, item.distance_m)
             colour, _ = _box_style(item)
             entity.cubes.add(pose=slab.pose, size=slab.size, color=_color(colour, 0.5))
             if named:
@@ -133,11 +139,10 @@ def objects_scene(stamp_ns: int, camera: Camera, ego_T_camera: Float, objects: O
     return message.SerializeToString()
 
 
-def _slab(camera: Camera, ego_T_camera: Float, box: Box, distance_m: float) -> CubePrimitive:
-    """What covers the box at that distance from the camera, its sides those of the image."""
+def _slab(camera: Camera, ego_T_camera: Float, orientation: Quaternion, box: Box, distance_m: float) -> CubePrimitive:
+    """What covers the box at that distance from the camera, its sides those of the image (``orientation``)."""
     centre_m, size_m = box_in_space(camera, box, distance_m)
-    x, y, z, w = quaternion(ego_T_camera[:3, :3])
-    pose = Pose(position=Vector3(**_xyz(transform(ego_T_camera, centre_m))), orientation=Quaternion(x=x, y=y, z=z, w=w))
+    pose = Pose(position=Vector3(**_xyz(transform(ego_T_camera, centre_m))), orientation=orientation)
     return CubePrimitive(pose=pose, size=Vector3(**_xyz(size_m)))
 
 
@@ -219,10 +224,12 @@ def caption(item: Object) -> str:
 
 def captioned(camera: Camera, objects: Sequence[Object]) -> tuple[bool, ...]:
     """Of each object whether its caption fits into the camera's image; the nearest have the first choice."""
-    return tuple(place is not None for place in _places(camera, objects))
+    return tuple(place is not None for place in _places(camera, tuple(objects)))
 
 
-def _places(camera: Camera, objects: Sequence[Object]) -> tuple[Box | None, ...]:
+@lru_cache(1)
+def _places(camera: Camera, objects: tuple[Object, ...]) -> tuple[Box | None, ...]:
+    """Asked for twice a frame: for its image, and for its scene."""
     boxes = [item.detection.box_px for item in objects]
     text_sizes = [viewer_text_size(camera, caption(item)) for item in objects]
     return caption_places((camera.width, camera.height), objects, boxes, text_sizes)
@@ -267,13 +274,15 @@ def _text(
     set_stamp(entry, stamp_ns)
 
 
+@cache
 def _color(colour: Colour, alpha: float = 1.0) -> Color:
+    """A message of its own, which is copied into others: there are a handful."""
     r, g, b = (value / 255 for value in colour)
     return Color(r=r, g=g, b=b, a=alpha)
 
 
-def _point3(point: Iterable[float]) -> Point3:
-    return Point3(**_xyz(point))
+def _points3(points: Float) -> Iterator[Point3]:
+    return (Point3(x=x, y=y, z=z) for x, y, z in points.tolist())
 
 
 def _xyz(point: Iterable[float]) -> dict[str, float]:

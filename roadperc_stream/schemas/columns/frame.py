@@ -6,9 +6,14 @@ from typing import Annotated, Final
 from roadperc_stream.schemas.columns import errors, estimates
 from roadperc_stream.schemas.columns.column import Column
 
-TIMED_STAGES: Final = ("decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy", "encode", "total")
+TIMED_STAGES: Final = (
+    *("read", "decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy"),
+    *("metrics", "copy", "encode", "write", "total"),
+)
+"""The parts of a frame's time, and their sum: reading its messages from the log, decoding its pixels, the chain's
+stages, its row, the copy of the input's messages up to it, the making of its own messages and their writing."""
 TIME_COLUMNS: Final = tuple(f"{stage}_ms" for stage in TIMED_STAGES)
-"""Wall-clock milliseconds of each stage; null where it did not run. They stand in Parquet alone, behind the row."""
+"""Milliseconds of each; null where it did not run. They stand in Parquet alone, behind the row."""
 
 
 @dataclass(frozen=True)

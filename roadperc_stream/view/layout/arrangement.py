@@ -83,7 +83,7 @@ _CAMERA: Final[Config] = {
     "far": 5000,
 }
 """From behind and above the car."""
-_ALWAYS_TIMED: Final = ("decode_ms", "encode_ms", "total_ms")
+_ALWAYS_TIMED: Final = tuple(f"{part}_ms" for part in ("read", "decode", "metrics", "copy", "encode", "write", "total"))
 _OUTPUT_OF: Final = {
     "surface_ms": SURFACE_TOPIC,
     "lanes_ms": LANES_TOPIC,

@@ -22,6 +22,10 @@ _STAGE_COLOURS: Final = {
     "odometry": "#e15759",
     "occupancy": "#76b7b2",
     "encode": "#9c755f",
+    "read": "#a0cbe8",
+    "metrics": "#d4a6c8",
+    "copy": "#8cd17d",
+    "write": "#d7b5a6",
 }
 _THIN: Final = 1.0
 _THICK: Final = 2.5

@@ -65,6 +65,7 @@ _COLOURS: Final = {
     "time_to_impact_s": (255, 80, 80),
 }
 STAGE_COLOURS: Final = {
+    "read": (110, 110, 170),
     "decode": (150, 150, 150),
     "surface": (0, 200, 120),
     "lanes": (255, 220, 60),
@@ -72,7 +73,10 @@ STAGE_COLOURS: Final = {
     "stereo": (60, 150, 255),
     "odometry": (80, 220, 240),
     "occupancy": (190, 120, 255),
+    "metrics": (170, 200, 90),
+    "copy": (110, 160, 130),
     "encode": (255, 150, 220),
+    "write": (180, 120, 90),
     "total": (240, 240, 240),
 }
 _WIDTHS: Final = (4.0, 2.0, 3.5)

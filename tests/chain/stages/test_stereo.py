@@ -19,6 +19,7 @@ from roadperc_stream.cli import render
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import StereoConfig, load_config
 from roadperc_stream.core.datatypes import Absent, Box
+from roadperc_stream.core.rotations import rotation_from_rpy
 from roadperc_stream.input.decoding import camera_from_calibration
 from roadperc_stream.metrics.stereo import stereo_errors
 from roadperc_stream.output.encoding import encode_calibration
@@ -174,7 +175,7 @@ def test_disparities_reach_the_nearest_road():
 
 
 def test_a_camera_that_looks_down_needs_more():
-    down = g.rigid(g.rotation_from_rpy(0, 0.2, 0) @ g.EGO_R_OPTICAL, np.array([0, 0, 1.4]))
+    down = g.rigid(rotation_from_rpy(0, 0.2, 0) @ g.EGO_R_OPTICAL, np.array([0, 0, 1.4]))
     assert disparities_needed(RENDERED, 0.5, down) > 192
 
 
@@ -260,7 +261,7 @@ def lens_view(camera, picture):
 
 
 def turned(roll, pitch, yaw):
-    return tuple(g.rotation_from_rpy(roll, pitch, yaw).ravel())
+    return tuple(rotation_from_rpy(roll, pitch, yaw).ravel())
 
 
 def test_a_pair_that_is_not_rectified_is_rectified_first():
@@ -299,7 +300,7 @@ def test_the_disparities_tried_are_those_of_the_rectified_camera(monkeypatch):
         return np.ones(grey.shape, np.float32)
 
     monkeypatch.setattr(stereo.pair, "disparity", count_only)
-    up = g.rotation_from_rpy(0.35, 0.0, 0.0)
+    up = rotation_from_rpy(0.35, 0.0, 0.0)
     left = replace(LEFT, lens=g.Lens(200, 200, 119.5, 59.5, tuple(up.ravel())))
     for camera, ego_T_left in ((LEFT, MOUNTING), (left, MOUNTING @ g.rigid(up, np.zeros(3)))):
         stereo.match(FULL, camera, RIGHT, ego_T_left, image, image)

@@ -8,7 +8,8 @@ from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from roadperc_stream.core.datatypes import Boundary, Box, Detection, Lanes, Object, Objects
-from roadperc_stream.core.geometry import inverse, project, rotation_from_quaternion, transform
+from roadperc_stream.core.geometry import inverse, project, transform
+from roadperc_stream.core.rotations import rotation_from_quaternion
 from roadperc_stream.output.drawing.annotations import (
     captioned,
     drivable_scene,

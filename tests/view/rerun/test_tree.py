@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream.core.datatypes import Surface, Transform
-from roadperc_stream.core.geometry import Camera, Plane, inverse, level_mounting, rigid, rotation_from_rpy
+from roadperc_stream.core.geometry import Camera, Plane, inverse, level_mounting, rigid
+from roadperc_stream.core.rotations import rotation_from_rpy
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.view.rerun import pictures, scene
 from roadperc_stream.view.rerun.entry import SceneState

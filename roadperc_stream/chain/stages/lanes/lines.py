@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from roadperc_stream.core.config import LanesConfig, scaled
 from roadperc_stream.core.datatypes import Image, Line, Mask
@@ -16,6 +17,8 @@ from roadperc_stream.core.geometry import Float
 _ON_ROAD = 0.5
 _ROAD_MARGIN_PX = 2.0
 _MIN_VERTICAL = 1e-6
+_AROUND_PX = 5
+"""Rows beside a mask that its edges depend on: half of the largest Sobel filter, and Canny's neighbours."""
 
 
 @dataclass(frozen=True)
@@ -33,17 +36,34 @@ class LineGroup:
 
 
 def without_salt(cfg: LanesConfig, separators: Image) -> Image:
-    """The separators' mask behind a median filter that removes salt noise and slivers."""
-    size = round(scaled(cfg.median_px, separators.shape[0]))
-    if size < 2:
-        return separators
-    return np.asarray(cv2.medianBlur(separators, size | 1), np.uint8)
+    """(H, W) 255 at separators (H, W) of ones behind a median filter, which removes salt noise and slivers.
+
+    Of ones and zeros the median is what more than half of the pixels are, and counting is faster than sorting.
+    """
+    size = max(round(scaled(cfg.median_px, separators.shape[0])), 1) | 1
+    depth = cv2.CV_8U if size**2 <= np.iinfo(np.uint8).max else cv2.CV_32F
+    mask = np.zeros_like(separators)
+    part = _rows_around(separators, size // 2 + 1)
+    if part is not None:
+        count = cv2.boxFilter(separators[part], depth, (size, size), normalize=False, borderType=cv2.BORDER_REPLICATE)
+        mask[part] = cv2.threshold(count, size**2 // 2, 255, cv2.THRESH_BINARY)[1]
+    return mask
 
 
 def edges_of(cfg: LanesConfig, separators: Image) -> Image:
-    """(H, W) uint8, 255 at the edges of (H, W) separators, which are 255 in 0."""
+    """(H, W) uint8, 255 at the edges of (H, W) separators, which are 1 in 0; looked for where there are any."""
     mask = without_salt(cfg, separators)
-    return np.asarray(cv2.Canny(mask, cfg.canny_low, cfg.canny_high, apertureSize=cfg.canny_aperture), np.uint8)
+    edges = np.zeros_like(mask)
+    part = _rows_around(mask, _AROUND_PX)
+    if part is not None:
+        edges[part] = cv2.Canny(mask[part], cfg.canny_low, cfg.canny_high, apertureSize=cfg.canny_aperture)
+    return edges
+
+
+def _rows_around(mask: Image, margin: int) -> slice | None:
+    """The rows from the first to the last with anything above 0, and so many beside them; None without any."""
+    marked = np.flatnonzero(_row_sums(mask))
+    return slice(max(int(marked[0]) - margin, 0), int(marked[-1]) + 1 + margin) if len(marked) else None
 
 
 def propose(cfg: LanesConfig, edges: Image) -> Float:
@@ -71,8 +91,10 @@ def on_road(cfg: LanesConfig, proposals: Float, drivable: Mask) -> Float:
     The surface is widened by a pixel or two, for a curb's edge lies just outside it.
     """
     steep = proposals[_steep(cfg, proposals)]
-    widened = _widened(drivable)
-    return np.array([line for line in steep if _share_on(line, widened) > _ON_ROAD]).reshape(-1, 4)
+    if not len(steep):
+        return steep
+    kept: Float = steep[_shares_on(steep, _widened(drivable, steep[:, 1::2])) > _ON_ROAD]
+    return kept
 
 
 def merge(cfg: LanesConfig, proposals: Float, rows: int) -> tuple[LineGroup, ...]:
@@ -102,8 +124,13 @@ def road_far_end(drivable: Mask, columns_share: float = 0.01) -> int | None:
 
     One row less exact than the first pixel, but a speck of noise in the sky does not move it.
     """
-    rows = np.flatnonzero(np.count_nonzero(drivable, axis=1) >= max(columns_share * drivable.shape[1], 1))
+    rows = np.flatnonzero(_row_sums(drivable.view(np.uint8)) >= max(columns_share * drivable.shape[1], 1))
     return int(rows[0]) if len(rows) else None
+
+
+def _row_sums(image: Image) -> NDArray[np.int32]:
+    """(H,) what NumPy's own for boolean rows takes twenty times as long for."""
+    return np.asarray(cv2.reduce(image, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S), np.int32).ravel()
 
 
 def _mean(lines: list[tuple[float, float, float, float]]) -> LineGroup:
@@ -122,15 +149,25 @@ def _steep(cfg: LanesConfig, lines: Float) -> Mask:
     return steep
 
 
-def _widened(drivable: Mask) -> Image:
+def _widened(drivable: Mask, asked: Float) -> Image:
+    """(H, W) 1 at and around the drivable surface, known between the first and the last of the rows asked for."""
     radius = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-    return np.asarray(cv2.dilate(drivable.view(np.uint8), kernel), np.uint8)
+    top, end = max(int(asked.min()) - radius, 0), int(asked.max()) + 1 + radius
+    widened = np.zeros(drivable.shape, np.uint8)
+    widened[top:end] = cv2.dilate(drivable[top:end].view(np.uint8), kernel)
+    return widened
 
 
-def _share_on(line: Float, drivable: Image) -> float:
-    x1, y1, x2, y2 = line
-    count = int(max(abs(x2 - x1), abs(y2 - y1))) + 1
-    columns = np.rint(np.linspace(x1, x2, count)).astype(int)
-    rows = np.rint(np.linspace(y1, y2, count)).astype(int)
-    return float(drivable[rows, columns].mean())
+def _shares_on(lines: Float, drivable: Image) -> Float:
+    """(N,) how much of each of (N, 4) lines lies on the (H, W) drivable surface, pixel by pixel."""
+    start, end = lines[:, :2], lines[:, 2:]
+    steps = np.abs(end - start).max(axis=1).astype(int)
+    first = np.cumsum(steps + 1) - (steps + 1)
+    owner = np.repeat(np.arange(len(lines)), steps + 1)
+    along = np.arange(len(owner)) - first[owner]
+    places = along[:, None] * ((end - start) / np.maximum(steps, 1)[:, None])[owner] + start[owner]
+    places[first + steps] = end
+    columns, rows = np.rint(places).astype(int).T
+    shares: Float = np.add.reduceat(drivable[rows, columns], first, dtype=float) / (steps + 1)
+    return shares

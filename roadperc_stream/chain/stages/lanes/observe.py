@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.lanes import lines
-from roadperc_stream.chain.stages.lanes.curves import Curve, facing_edges, fit_curve, lateral, line_on_ground
+from roadperc_stream.chain.stages.lanes.curves import Curve, fit_curve, lateral, line_on_ground
+from roadperc_stream.chain.stages.lanes.facing import facing_edges
 from roadperc_stream.chain.stages.lanes.lines import LineGroup
 from roadperc_stream.chain.stages.lanes.sides import outward
 from roadperc_stream.core.config import LanesConfig
@@ -99,14 +100,15 @@ class Observation:
 
     def classes_beside(self, side: Side, curve: Curve) -> tuple[str, str]:
         """The class inside and the class outside a boundary, empty where that is out of sight."""
-        inside = self._class_at(curve, [-outward(side) * d for d in _INSIDE_M], ())
-        return inside, self._class_at(curve, [outward(side) * d for d in _OUTSIDE_M], _MARKINGS)
+        at_m = outward(side) * np.array([-d for d in _INSIDE_M] + list(_OUTSIDE_M))
+        x = np.broadcast_to(_CLASS_AHEAD_M, (len(at_m), len(_CLASS_AHEAD_M)))
+        y = lateral(curve.state, x) + at_m[:, None]
+        pixels = self.projection.pixels(self.projection.on_road(x.ravel(), y.ravel())).reshape(*x.shape, 2)
+        inside, outside = pixels[: len(_INSIDE_M)], pixels[len(_INSIDE_M) :]
+        return self._class_at(inside.reshape(-1, 2), ()), self._class_at(outside.reshape(-1, 2), _MARKINGS)
 
-    def _class_at(self, curve: Curve, sideways_m: list[float], without: tuple[str, ...]) -> str:
-        """The most frequent class on a strip beside a curve."""
-        x = np.tile(_CLASS_AHEAD_M, len(sideways_m))
-        y = lateral(curve.state, x) + np.repeat(sideways_m, len(_CLASS_AHEAD_M))
-        pixels = self.projection.pixels(self.projection.on_road(x, y))
+    def _class_at(self, pixels: Float, without: tuple[str, ...]) -> str:
+        """The most frequent class at (N, 2) pixels."""
         pixels = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(int)
         height, width = self.tags.shape
         visible = pixels[((pixels >= 0) & (pixels < (width, height))).all(axis=1)]
@@ -129,7 +131,7 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     if far is None:
         return Observation(projection, tags, table, float(projection.camera.cy))
     separators = np.asarray(cv2.LUT(tags, table.lookup(cfg.separators)), np.uint8)
-    edge_pixels = lines.edges_of(cfg, separators * np.uint8(255))
+    edge_pixels = lines.edges_of(cfg, separators)
     proposals = lines.propose(cfg, edge_pixels)
     groups = lines.merge(cfg, lines.on_road(cfg, proposals, drivable), projection.camera.height)
     edges = {}
@@ -156,8 +158,11 @@ def _near_lines(
 
     A short fragment far away would otherwise extrapolate to the closest position.
     """
+    if not groups:
+        return {}
     bottom, path = float(projection.camera.height), projection.path_column()
-    near = [group for group in groups if _nearest_x(projection, group) <= cfg.near_m]
+    nearest_m = projection.ground(np.array([(group.x(group.bottom_px), group.bottom_px) for group in groups]))[:, 0]
+    near = [group for group, x in zip(groups, nearest_m.tolist(), strict=True) if x <= cfg.near_m]  # NaN is not near
     left = [group for group in near if group.x(bottom) < path and group.slope < 0]
     right = [group for group in near if group.x(bottom) >= path and group.slope > 0]
     found: dict[Side, tuple[LineGroup, ...]] = {}
@@ -166,12 +171,6 @@ def _near_lines(
     if right:
         found["right"] = tuple(sorted(right, key=lambda group: group.x(bottom)))
     return found
-
-
-def _nearest_x(projection: RoadProjection, group: LineGroup) -> float:
-    """Ego x in metres of the line's lowest supported point; infinite above the horizon."""
-    x = projection.ground(np.array([[group.x(group.bottom_px), group.bottom_px]]))[0, 0]
-    return float(x) if np.isfinite(x) else np.inf
 
 
 def _curve(cfg: LanesConfig, observation: Observation, side: Side, group: LineGroup) -> Curve | None:

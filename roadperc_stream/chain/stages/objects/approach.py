@@ -5,6 +5,7 @@ beside: a known input (Bar-Shalom, Li and Kirubarajan 2001, section 5.2.1).
 """
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
@@ -39,5 +40,10 @@ def motion_of_camera(scene: Scene, last_T_this: Float | None) -> Float | None:
 
 def change_of_distance_m(now_T_last: Float, ray: Ray, distance_m: float) -> float:
     """By how much the distance of what stands still in that direction has changed."""
-    point = np.array(ray) * (distance_m / np.linalg.norm(ray))
-    return float(np.linalg.norm(transform(now_T_last, point))) - distance_m
+    direction = np.array(ray)
+    return _length(transform(now_T_last, direction * (distance_m / _length(direction)))) - distance_m
+
+
+def _length(vector: Float) -> float:
+    """What NumPy's own norm is, and takes five times as long for."""
+    return sqrt(float(vector.dot(vector)))

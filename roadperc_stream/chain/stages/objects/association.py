@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from roadperc_stream.chain.stages.objects.boxes import corners, overlaps
 from roadperc_stream.chain.stages.objects.kinds import kinds
@@ -37,8 +36,20 @@ def assign(
     if not tracks or not items:
         return {}
     scores = similarities(cfg, tracks, items, boxes)
+    best = scores.max(axis=1)
+    rows, columns = np.nonzero((scores == best[:, None]) & (best[:, None] > 0))
+    if len(np.unique(rows)) < len(rows) or len(np.unique(columns)) < len(columns):
+        rows, columns = _largest_total(scores)
+    return {row: column for row, column in zip(rows.tolist(), columns.tolist(), strict=True) if scores[row, column] > 0}
+
+
+def _largest_total(scores: Float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the pairs of the largest total, where not each row has a largest score of its own alone."""
+    # Most frames do without; its import takes half a second.
+    from scipy.optimize import linear_sum_assignment
+
     rows, columns = linear_sum_assignment(scores, maximize=True)
-    return {int(row): int(column) for row, column in zip(rows, columns, strict=True) if scores[row, column] > 0}
+    return rows, columns
 
 
 def similarities(

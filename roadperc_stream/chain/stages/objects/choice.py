@@ -6,6 +6,7 @@ detection of those has is not theirs, and of what remains they get what fits, or
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import inf, log
 from types import MappingProxyType
 from typing import Final
@@ -58,6 +59,7 @@ def choose(
     table = _table(labels, flat)
     chosen: list[MeasuredRegion | None] = [None] * len(labels)
     claims: list[list[Measured]] = [[] for _ in flat]
+    measure = cache(measure)
     fits = _fits(candidates, measure, expected_m)
     for row in sorted(range(len(flat)), key=lambda k: (-fits[k], k)):
         region = flat[row]
@@ -95,19 +97,20 @@ class _Table:
 
     kind: NDArray[np.int64]
     corners: Float
+    areas: Float
 
     def same_place(self, row: int) -> list[int]:
         """Candidates that may be of the object that a row is of, by their place in the image."""
-        box = self.corners[:, row : row + 1]
-        smaller = np.minimum(areas(box), areas(self.corners))
-        together = shared_areas(box, self.corners)[0] > SAME_PLACE * smaller
+        smaller = np.minimum(self.areas[row], self.areas)
+        together = shared_areas(self.corners[:, row : row + 1], self.corners)[0] > SAME_PLACE * smaller
         rows: list[int] = np.flatnonzero(together & (self.kind == self.kind[row])).tolist()
         return rows
 
 
 def _table(labels: Sequence[str], flat: Sequence[Region]) -> _Table:
     owner = np.array([region.owner for region in flat], np.int64)
-    return _Table(kinds(labels)[0][owner], corners(region.box_px for region in flat))
+    boxes = corners(region.box_px for region in flat)
+    return _Table(kinds(labels)[0][owner], boxes, areas(boxes))
 
 
 def _same_distance(one: Measured, other: Measured) -> bool:

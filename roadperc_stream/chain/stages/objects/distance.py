@@ -3,19 +3,18 @@
 The bare minimum jumps with every stray pixel.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects.regions import Region
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.geometry import Camera, Float32
+from roadperc_stream.core.kernels.region_distances import region_distances
 
-_SMOOTHED_PX = 3
-NOISE_LEFT = 1 / _SMOOTHED_PX
+NOISE_LEFT = 1 / 3
 """Standard deviation of a distance in noises of its pixels: what the mean of 3x3 independent ones leaves."""
 SMOOTHING_STD = 0.002
 """The same without noise, as a share of the distance: smoothing takes edges away."""
@@ -37,21 +36,12 @@ def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
     distances, noise = region.distances_m, region.noise
     if distances is None or noise is None:
         return Measured()
-    known = region.mask & (distances < np.inf)
-    counted = known.astype(np.float32)
-    sums = _sums(np.where(known, distances, np.float32(0)))
-    near = np.where(known, sums / np.maximum(_sums(counted), 1), distances)
-    measured = nearest(cfg, near[region.mask])
+    near, noise_of_finite = region_distances(region.mask, distances, noise)
+    measured = _of_known(cfg, near)
     if measured.distance_m is None or measured.std_m is None:
         return measured
-    share = NOISE_LEFT * float(noise[known].mean()) + SMOOTHING_STD
-    return replace(measured, std_m=hypot(measured.std_m, share * measured.distance_m))
-
-
-def _sums(values: Float32) -> Float32:
-    """(h, w) of the 3x3 pixels around each."""
-    side = _SMOOTHED_PX, _SMOOTHED_PX
-    return np.asarray(cv2.boxFilter(values, -1, side, normalize=False, borderType=cv2.BORDER_CONSTANT), np.float32)
+    share = NOISE_LEFT * float(noise_of_finite.mean()) + SMOOTHING_STD
+    return Measured(measured.distance_m, hypot(measured.std_m, share * measured.distance_m))
 
 
 def of_box(camera: Camera, depth_m: Float32, box: tuple[int, int, int, int], limit_m: float) -> Float32:
@@ -80,7 +70,10 @@ def nearest(cfg: ObjectsConfig, distances_m: Float32) -> Measured:
     The deviation is that of the pixels around the quantile: what the choice of the quantile could have been; and no
     less than the quantile moves with the box.
     """
-    known = distances_m[~np.isnan(distances_m)]
+    return _of_known(cfg, distances_m[~np.isnan(distances_m)])
+
+
+def _of_known(cfg: ObjectsConfig, known: Float32) -> Measured:
     if not len(known):
         return Measured()
     ranks = [_rank(share * cfg.distance_quantile, len(known)) for share in (0, 1, 2)]

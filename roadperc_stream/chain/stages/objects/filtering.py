@@ -19,6 +19,7 @@ from roadperc_stream.chain.stages.objects.sparse import own_distances
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Absent, Detection, Image, Object, Objects, Reason
 from roadperc_stream.core.geometry import Float32
+from roadperc_stream.core.kernels.class_pixels import count_of_class
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.semantics import label_lookup
 
@@ -88,20 +89,18 @@ def _filtered(
     x0, y0, x1, y1 = box = detection.box_px.rounded(scene.camera.width, scene.camera.height)
     if x0 >= x1 or y0 >= y1:
         return Object(detection, kept=lookup is None)  # nothing of it is in the image
-    of_class = None
     ratio = None
     if scene.tags is not None and lookup is not None:
-        of_class = np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[y0:y1, x0:x1]), lookup), np.uint8)
-        ratio = cv2.countNonZero(of_class) / of_class.size
+        ratio = count_of_class(scene.tags[y0:y1, x0:x1], lookup) / ((y1 - y0) * (x1 - x0))
     fit = 0.0 if candidate is None else candidate.region.fit
-    beyond = fit <= cfg.min_fit and of_class is not None and divides(scene) and _mostly_beyond(scene, box, of_class)
+    beyond = fit <= cfg.min_fit and divides(scene) and _mostly_beyond(scene, box, lookup)
     kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     measured = Measured() if candidate is None or cfg.distance_pixels != "region" else candidate.measured
     if beyond and cfg.distance_pixels == "region":
         measured = Measured(beyond_range=True)
     if scene.depth_m is not None and measured == Measured():
         distances = distance.of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
-        measured = distance.nearest(cfg, _counted(cfg, scene, distances, of_class))
+        measured = distance.nearest(cfg, _counted(cfg, scene, distances, _of_class(scene, lookup, box)))
     return Object(
         detection,
         kept,
@@ -121,10 +120,19 @@ def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: I
     return own_distances(np.where(of_class > 0, distances_m, np.float32(np.nan)))
 
 
-def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image) -> bool:
+def _of_class(scene: Scene, lookup: Image | None, box: tuple[int, int, int, int]) -> Image | None:
+    """(h, w) 1 at the class in a box, else 0; None where it is not known."""
+    if scene.tags is None or lookup is None:
+        return None
+    x0, y0, x1, y1 = box
+    return np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[y0:y1, x0:x1]), lookup), np.uint8)
+
+
+def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], lookup: Image | None) -> bool:
     """Whether most of its class in a box is beyond the depth's range, where nothing tells one object from the next."""
     depth_m = scene.dense_depth_m
-    if depth_m is None or scene.instances is not None:
+    of_class = _of_class(scene, lookup, box)
+    if depth_m is None or of_class is None or scene.instances is not None:
         return False
     x0, y0, x1, y1 = box
     beyond = of_class[depth_m[y0:y1, x0:x1] >= np.float32(scene.depth_limit_m)]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.core.datatypes import Box, Ids, Image
 from roadperc_stream.core.geometry import Camera, Float, Float32
+from roadperc_stream.core.kernels.class_pixels import mark_together
 from roadperc_stream.core.scene import Scene
 
 MARGIN = 0.25
@@ -103,7 +104,7 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
     places = [(slice(top, top + height), slice(width)) for top, (height, width) in zip(tops, shapes, strict=False)]
     for cutout, place, lookup in zip(cutouts, places, lookups, strict=True):
         if of_class[place].size:
-            of_class[place] = _of_class(scene, lookup, cutout)
+            _mark(scene, lookup, cutout, of_class[place])
     first_px = np.array([(c.x0, c.y0) for c in cutouts], np.int64).reshape(-1, 2)
     steps = np.array([(c.x_step, c.y_step) for c in cutouts], np.int64).reshape(-1, 2)
     ids = None if scene.instances is None else _placed(scene.instances, cutouts, places, np.zeros(size, np.uint16))
@@ -126,16 +127,15 @@ def _around(camera: Camera, box: Box) -> Cutout:
     return Cutout(*Box(x0 - x_margin, y0 - y_margin, x1 + x_margin, y1 + y_margin).rounded(camera.width, camera.height))
 
 
-def _of_class(scene: Scene, lookup: Image | None, cutout: Cutout) -> Image | int:
+def _mark(scene: Scene, lookup: Image | None, cutout: Cutout, marked: Image) -> None:
     """1 at pixels of the class, but for single ones and pairs, which join what is apart: a line of three is left.
 
     What is of any class only instance masks can divide: cars stand on roads.
     """
     if lookup is None or scene.tags is None:
-        return int(scene.instances is not None)
-    found = np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[cutout.pixels]), lookup), np.uint8)
-    together = cv2.boxFilter(found, -1, (3, 3), normalize=False)
-    return np.asarray(found & (together >= LEAST_TOGETHER), np.uint8)
+        marked[...] = scene.instances is not None
+    else:
+        mark_together(scene.tags[cutout.pixels], lookup, LEAST_TOGETHER, marked)
 
 
 def _placed(

@@ -5,8 +5,7 @@ subject vehicle's trajectory, not one beside it (ISO 15623; GB/T 33577-2017, whi
 """
 
 from dataclasses import dataclass
-from math import atan2, exp, hypot
-from statistics import fmean
+from math import atan2, exp, fsum, hypot
 
 import numpy as np
 
@@ -88,7 +87,7 @@ def path_of(cfg: ObjectsConfig, lanes: Lanes | None, arc: DrivenArc) -> EgoPath:
     known = [] if lanes is None else [line for side in SIDES if (line := _known(lanes.side(side))) is not None]
     width_m = known[0][0] - known[1][0] if len(known) == len(SIDES) else None
     if known and (width_m is None or width_m >= cfg.lane_width_min_m):
-        offset, heading, curvature = (fmean(values) for values in zip(*known, strict=True))
+        offset, heading, curvature = (fsum(values) / len(values) for values in zip(*known, strict=True))
         changes = None if lanes is None else lanes.lane_changes
         if width_m is None or width_m > cfg.lane_width_max_m:
             return EgoPath("boundary", 0.0, heading, curvature, None, changes)

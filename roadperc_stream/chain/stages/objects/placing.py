@@ -9,6 +9,7 @@ from roadperc_stream.chain.stages.objects.path import EgoPath
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Object
 from roadperc_stream.core.geometry import Float, Float32, transform
+from roadperc_stream.core.kernels.object_points import mean_direction, object_points
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.semantics import label_lookup
 
@@ -53,20 +54,13 @@ def extent(cfg: ObjectsConfig, scene: Scene, path: EgoPath, item: Object) -> Ext
     """
     if item.distance_m is None or scene.depth_m is None:
         return None
-    points = _points(cfg, scene, scene.depth_m, item, item.distance_m)
+    points, ranges_m = _points(cfg, scene, scene.depth_m, item, item.distance_m)
     if len(points) < _FEWEST_PIXELS:
         return None
     lateral = path.lateral(transform(scene.ego_T_camera, points)[:, :2])
     right, left = _ranked(lateral, _OUTERMOST, 1.0 - _OUTERMOST)
-    return Extent(right, left, cfg.lateral_std_m + _STD_SHARE * item.distance_m, _nearest_ray(points))
-
-
-def _nearest_ray(points: Float) -> tuple[float, float, float]:
-    """The mean direction of the nearest of (N, 3) points."""
-    ranges = np.linalg.norm(points, axis=1)
-    nearest = points[ranges <= _ranked(ranges, _NEAREST)[0]]
-    x, y = (nearest[:, :2] / nearest[:, 2:]).mean(axis=0).tolist()
-    return x, y, 1.0
+    nearest_ray = *mean_direction(points, ranges_m, _ranked(ranges_m, _NEAREST)[0]), 1.0
+    return Extent(right, left, cfg.lateral_std_m + _STD_SHARE * item.distance_m, nearest_ray)
 
 
 def _ranked(values: Float, *quantiles: float) -> list[float]:
@@ -76,20 +70,18 @@ def _ranked(values: Float, *quantiles: float) -> list[float]:
     return found
 
 
-def _points(cfg: ObjectsConfig, scene: Scene, depth_m: Float32, item: Object, distance_m: float) -> Float:
-    """(N, 3) points of the object in the camera's frame, at pixels spread over its box: every one of a small box."""
+def _points(cfg: ObjectsConfig, scene: Scene, depth_m: Float32, item: Object, distance_m: float) -> tuple[Float, Float]:
+    """(N, 3) points of the object in the camera's frame, and their distances.
+
+    They are of pixels spread over its box: of every one of a small box.
+    """
     camera = scene.camera
     x0, y0, x1, y1 = item.detection.box_px.rounded(camera.width, camera.height)
     step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
     part = slice(y0, y1, step), slice(x0, x1, step)
-    x = (np.arange(x0, x1, step) - camera.cx) / camera.fx
-    y = (np.arange(y0, y1, step) - camera.cy) / camera.fy
-    depths = depth_m[part].astype(np.float64)
-    behind_m = depths * np.sqrt(x**2 + (y**2 + 1.0)[:, None]) - distance_m
-    chosen = (behind_m > -_NEARER_M - _NEARER_SHARE * distance_m) & (behind_m < cfg.object_length_m)
+    x = (np.arange(x0, x1, step, dtype=np.float64) - camera.cx) / camera.fx
+    y = (np.arange(y0, y1, step, dtype=np.float64) - camera.cy) / camera.fy
     lookup = None if scene.table is None else label_lookup(scene.table, item.detection.label)
-    if scene.tags is not None and lookup is not None:
-        chosen &= lookup[scene.tags[part]] > 0
-    rows, columns = np.nonzero(chosen)
-    z = depths[chosen]
-    return np.stack((x[columns] * z, y[rows] * z, z), axis=-1)
+    of_class = None if scene.tags is None or lookup is None else (scene.tags[part], lookup)
+    behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, cfg.object_length_m
+    return object_points(depth_m[part], x, y, of_class, distance_m, behind_m)

@@ -4,7 +4,7 @@ The rate is a random walk (continuous white noise acceleration: Bar-Shalom, Li a
 section 6.2.2), so that one step of 0.2 s equals two of 0.1 s. Two numbers need no matrices: plain floats are faster.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,11 @@ class RateFilter:
 
     def shifted(self, value: float, rate: float) -> "RateFilter":
         """With a known change of value and rate: an input, which adds no uncertainty."""
-        return replace(self, value=self.value + value, rate=self.rate + rate)
+        return RateFilter(self.value + value, self.rate + rate, self.value_var, self.cross_var, self.rate_var)
+
+    def mirrored(self) -> "RateFilter":
+        """Of the value's negative."""
+        return RateFilter(-self.value, -self.rate, self.value_var, self.cross_var, self.rate_var)
 
     def at(self, value: float, std: float, rate_change: float) -> "RateFilter":
         """At a value that says nothing of the rate, which has changed by about so much besides."""

@@ -31,9 +31,9 @@ MOST_REGIONS = 4
 LEAST_PIXELS = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Region:
-    """Pixels that may be the object of detection ``owner``: those of the (h, w) ``mask``.
+    """Pixels that may be the object of detection ``owner``: those of the (h, w) ``mask``. No two are equal.
 
     ``distances_m`` and their ``noise``, as a share of them, are None without depth. ``box_px`` bounds the pixels in the
     image, as far as they are around the detection's box; ``fit``, 0 to 1, says how well it fits that.

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from roadperc_stream.core.datatypes import Box, Correlation, Image, Mask
+from roadperc_stream.core.geometry import Float
 
 _FLAT = 0.5
 """Standard deviation in grey levels up to which pixels have no texture: what is left of rounding."""
@@ -38,10 +39,17 @@ def correlate(image: Image, template: Image, around: Box) -> Correlation | None:
 def _flat(image: Image, rows: int, columns: int) -> Mask:
     """At which positions (top left corners) a template of that size covers pixels without texture."""
     sums, squares = cv2.integral2(image, sdepth=cv2.CV_64F, sqdepth=cv2.CV_64F)
-    total, total_of_squares = (
-        table[rows:, columns:] - table[:-rows, columns:] - table[rows:, :-columns] + table[:-rows, :-columns]
-        for table in (np.asarray(sums, float), np.asarray(squares, float))
-    )
+    total, total_of_squares = (_sums(np.asarray(table, float), rows, columns) for table in (sums, squares))
     count = rows * columns
-    flat: Mask = total_of_squares * count - total**2 <= (_FLAT * count) ** 2
+    total_of_squares *= count
+    total_of_squares -= np.square(total, out=total)
+    flat: Mask = total_of_squares <= (_FLAT * count) ** 2
     return flat
+
+
+def _sums(table: Float, rows: int, columns: int) -> Float:
+    """Of (rows, columns) pixels from each on, by an integral image."""
+    sums: Float = table[rows:, columns:] - table[:-rows, columns:]
+    sums -= table[rows:, :-columns]
+    sums += table[:-rows, :-columns]
+    return sums

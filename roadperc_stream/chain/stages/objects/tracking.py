@@ -89,7 +89,8 @@ def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: 
         stamp_ns,
         stamp_ns,
     )
-    return track if item.distance_m is None else _measured(cfg, track, item.distance_m, distance_std_m(cfg, item))
+    distances = _distances(cfg, track, item, cut=False)
+    return replace(track, distance_m=distances.filtered, jitter=distances.jitter)
 
 
 def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: Float | None = None) -> ObjectTrack:
@@ -147,13 +148,12 @@ def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
 
 def detected(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool = False) -> ObjectTrack:
     """The predicted track after the detection that belongs to it; ``cut`` where the image's side cuts the object."""
-    updated = _updated(cfg, track, item, box_px, cut=cut)
-    return replace(updated, detection=item.detection, detected_ns=track.stamp_ns)
+    return _updated(cfg, track, item, box_px, item.detection, track.stamp_ns, cut=cut)
 
 
 def carried(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> ObjectTrack:
     """The predicted track after its template was found in the image, which does not count as a detection."""
-    return _updated(cfg, track, item, item.detection.box_px, cut=False)
+    return _updated(cfg, track, item, item.detection.box_px, track.detection, track.detected_ns, cut=False)
 
 
 def placed(track: ObjectTrack, extent: Extent | None) -> ObjectTrack:
@@ -186,44 +186,75 @@ def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
     return max(_UNKNOWN_STD_SHARE * (item.distance_m or 0.0), cfg.min_distance_std_m)
 
 
-def _updated(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool) -> ObjectTrack:
+def _updated(
+    cfg: ObjectsConfig,
+    track: ObjectTrack,
+    item: Object,
+    box_px: Box,
+    detection: Detection,
+    detected_ns: int,
+    *,
+    cut: bool,
+) -> ObjectTrack:
     (x, y), (width, height) = _centre(box_px), _sides(box_px)
-    moved = replace(
+    distances = _distances(cfg, track, item, cut=cut)
+    return replace(
         track,
+        detection=detection,
+        detected_ns=detected_ns,
         box_px=box_px,
         x_px=track.x_px.update(x, _centre_std(width)),
         y_px=track.y_px.update(y, _centre_std(height)),
         observed_ns=track.stamp_ns,
         run_ns=track.stamp_ns if track.missed else track.run_ns,
+        distance_m=distances.filtered,
+        rival_m=distances.rival,
+        rival_ns=distances.rival_ns,
+        jitter=distances.jitter,
     )
+
+
+@dataclass(frozen=True)
+class _Distances:
+    """What a track knows of its distances."""
+
+    filtered: RateFilter | None
+    rival: RateFilter | None
+    rival_ns: int
+    jitter: Jitter | None
+
+
+def _distances(cfg: ObjectsConfig, track: ObjectTrack, item: Object, *, cut: bool) -> _Distances:
+    """After what was observed."""
     if item.distance_m is None:
-        return moved
+        return _Distances(track.distance_m, track.rival_m, track.rival_ns, track.jitter)
     std_m = distance_std_m(cfg, item)
-    if cut and moved.distance_m is not None:
+    if cut and track.distance_m is not None:
         # What is nearest of it in the image is another point of it in each frame: that says nothing of its speed.
         dt_s = (track.stamp_ns - track.observed_ns) / NS_PER_S
-        change_mps = _turning_mps2(moved.distance_m, track.nearest_ray) * dt_s
-        return replace(moved, distance_m=moved.distance_m.at(item.distance_m, std_m, change_mps), rival_m=None)
-    return _measured(cfg, moved, item.distance_m, std_m)
+        change_mps = _turning_mps2(track.distance_m, track.nearest_ray) * dt_s
+        return _Distances(track.distance_m.at(item.distance_m, std_m, change_mps), None, track.rival_ns, track.jitter)
+    return _measured(cfg, track, item.distance_m, std_m)
 
 
-def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: float) -> ObjectTrack:
-    """The track after a distance: it belongs to the filter or to its rival, whichever it fits, or to a new rival."""
+def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: float) -> _Distances:
+    """After a distance: it belongs to the filter or to its rival, whichever it fits, or to a new rival."""
+    filtered, rival, rival_ns = track.distance_m, track.rival_m, track.rival_ns
     new = Jitter.of_first(track.stamp_ns, distance_m, std_m)
-    if track.distance_m is None:
-        return replace(track, distance_m=_first_distance(distance_m, std_m), jitter=new)
-    ours = track.distance_m.surprise(distance_m, std_m)
-    theirs = track.rival_m.surprise(distance_m, std_m) if track.rival_m else cfg.gate
+    if filtered is None:
+        return _Distances(_first_distance(distance_m, std_m), rival, rival_ns, new)
+    ours = filtered.surprise(distance_m, std_m)
+    theirs = rival.surprise(distance_m, std_m) if rival else cfg.gate
     if ours <= min(theirs, cfg.gate):
-        jitter = track.jitter.after(track.stamp_ns, track.distance_m, distance_m, std_m) if track.jitter else new
-        distance = track.distance_m.update(distance_m, jitter.std_m(track.distance_m, distance_m, std_m))
-        return replace(track, distance_m=distance, rival_m=None, jitter=jitter)
-    if track.rival_m is None or theirs > cfg.gate:
-        return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)
-    rival_m = track.rival_m.update(distance_m, std_m)
-    if (track.stamp_ns - track.rival_ns) / NS_PER_S < cfg.restart_s:
-        return replace(track, rival_m=rival_m)
-    return replace(track, distance_m=rival_m, rival_m=None, jitter=new)
+        jitter = track.jitter.after(track.stamp_ns, filtered, distance_m, std_m) if track.jitter else new
+        distance = filtered.update(distance_m, jitter.std_m(filtered, distance_m, std_m))
+        return _Distances(distance, None, rival_ns, jitter)
+    if rival is None or theirs > cfg.gate:
+        return _Distances(filtered, _first_distance(distance_m, std_m), track.stamp_ns, track.jitter)
+    rival = rival.update(distance_m, std_m)
+    if (track.stamp_ns - rival_ns) / NS_PER_S < cfg.restart_s:
+        return _Distances(filtered, rival, rival_ns, track.jitter)
+    return _Distances(rival, None, rival_ns, new)
 
 
 def _turning_mps2(distance_m: RateFilter, nearest_ray: Ray | None) -> float:

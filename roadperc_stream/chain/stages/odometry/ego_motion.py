@@ -6,7 +6,6 @@ from typing import Final
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roadperc_stream.chain.stages.odometry import camera_pitch
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
@@ -23,6 +22,7 @@ from roadperc_stream.chain.stages.odometry.vanishing import LINES_STD, pitch_by_
 from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Absent, Matches, Odometry, Reason, Surface
 from roadperc_stream.core.geometry import Float, Float32, inverse, project, transform
+from roadperc_stream.core.rotations import rotation_vector
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.time import NS_PER_S
 
@@ -230,5 +230,5 @@ def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> i
 
 def _velocity(last_T_this: Float, seconds: float) -> Float:
     """(6,) metres and radians per second."""
-    turned = Rotation.from_matrix(last_T_this[:3, :3]).as_rotvec()
+    turned = rotation_vector(last_T_this[:3, :3])
     return np.concatenate((last_T_this[:3, 3], turned)) / seconds

@@ -8,13 +8,12 @@ would then be fitted to noise.
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from roadperc_stream.chain.stages.odometry.motion import PIXEL_STD_PX, Motion
 from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Mask
 from roadperc_stream.core.geometry import Camera, Float, Float32, project, rays, rigid
+from roadperc_stream.core.rotations import rotation_from_vector
 
 _SMALLEST_SET = 8
 _CONFIDENCE = 0.999
@@ -125,11 +124,13 @@ def _refined(camera: Camera, R: Float, t: Float, a: Float, b: Float) -> tuple[Fl
 
     A pull is a small motion as ``Motion`` has it: its rotation turns t as well.
     """
+    from scipy.optimize import least_squares
+
     tangents = np.linalg.svd(t[None])[2][1:]
 
     def at(small: Float) -> tuple[Float, Float]:
         moved = t + small[3:] @ tangents
-        return np.asarray(Rotation.from_rotvec(small[:3]).as_matrix() @ R), moved / np.linalg.norm(moved)
+        return np.asarray(rotation_from_vector(small[:3]) @ R), moved / np.linalg.norm(moved)
 
     std = scaled(PIXEL_STD_PX, camera.height) / camera.fx
     fit = least_squares(

@@ -162,13 +162,17 @@ def _flow(cfg: OdometryConfig, before: Image, px: Float32, guess_px: Float32, gr
         )
         return np.asarray(end, np.float32)[:, 0], np.asarray(good, np.uint8)[:, 0]
 
-    start = np.ascontiguousarray(px[tried])
-    there, good = track(before, grey, start, guess_px[tried])
-    back, returned = track(grey, before, there, start)
-    miss = np.linalg.norm(back - start, axis=1)
-    kept = good.astype(bool) & returned.astype(bool) & (miss < scaled(cfg.forward_backward_px, grey.shape[0]))
-    kept &= ((there >= 0) & (there <= np.array(grey.shape[::-1]) - 1)).all(axis=1)
-    found[np.flatnonzero(tried)[kept]] = there[kept]
+    chosen = np.flatnonzero(tried)
+    there, good = track(before, grey, px[chosen], guess_px[chosen])
+    inside = ((there >= 0) & (there <= np.array(grey.shape[::-1]) - 1)).all(axis=1)
+    kept = good.astype(bool) & inside
+    if not kept.any():
+        return found
+    chosen, there = chosen[kept], there[kept]
+    back, returned = track(grey, before, there, px[chosen])
+    miss = np.linalg.norm(back - px[chosen], axis=1)
+    kept = returned.astype(bool) & (miss < scaled(cfg.forward_backward_px, grey.shape[0]))
+    found[chosen[kept]] = there[kept]
     return found
 
 

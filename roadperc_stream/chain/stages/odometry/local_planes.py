@@ -13,6 +13,8 @@ _REACH_PX = 3
 _SAME_SURFACE = 0.15
 """Relative difference of depth up to which a neighbouring pixel belongs to the feature's own surface."""
 _MIN_PIXELS = 6
+_HALF_PIXELS = np.array(((0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5)))
+"""To the right, left, down and up, between which a picture is stretched."""
 _RIDGE = 1e-9
 """Keeps the normal equations of pixels in one line solvable: their slope across is then none."""
 
@@ -61,9 +63,6 @@ def stretch(camera: Camera, px: Float, depth_m: Float, slope: Float, this_T_key:
         slope: (N, 2) as ``local_planes_from_depth`` gives it.
         this_T_key: the motion.
     """
-
-    def warped(*offset: float) -> Float:
-        points = rays(camera, px + offset) / (1.0 / depth_m + slope @ offset)[:, None]
-        return project(camera, transform(this_T_key, points))
-
-    return np.stack((warped(0.5, 0.0) - warped(-0.5, 0.0), warped(0.0, 0.5) - warped(0.0, -0.5)), axis=-1)
+    points = rays(camera, px + _HALF_PIXELS[:, None]) / (1.0 / depth_m + _HALF_PIXELS @ slope.T)[..., None]
+    right, left, below, above = project(camera, transform(this_T_key, points))
+    return np.stack((right - left, below - above), axis=-1)

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Mask
-from roadperc_stream.core.geometry import Camera, Float, Float32, project, rigid, transform
+from roadperc_stream.core.geometry import Camera, Float, Float32, rigid
+from roadperc_stream.core.kernels.reprojection import linearise
+from roadperc_stream.core.kernels.reprojection_plain import Projection, Weighting
+from roadperc_stream.core.rotations import rotation_from_vector
 
 PIXEL_STD_PX = 0.5
 """Standard deviation of a tracked point, at 960 rows, by which points are weighed."""
@@ -23,7 +25,6 @@ _CONFIDENCE = 0.999
 _SMALLEST_SET = 6
 _SINGULAR = 1e12
 """Condition number of normal equations that do not determine the motion."""
-_NEAREST_M = 0.1
 _CONVERGED = 1e-6
 """Metres and radians below which another iteration changes nothing."""
 
@@ -92,7 +93,7 @@ def _consensus(cfg: OdometryConfig, camera: Camera, X: Float, px: Float) -> Floa
     )
     if not found:
         return None
-    return rigid(Rotation.from_rotvec(np.ravel(rotation)).as_matrix(), np.ravel(translation).astype(float))
+    return rigid(rotation_from_vector(np.ravel(rotation)), np.ravel(translation).astype(float))
 
 
 def refined(
@@ -111,65 +112,29 @@ def refined(
         this_T_key, (N,) inliers, and the (M, 6) influence of these, None where the points do not determine it.
     """
     std_px = scaled(PIXEL_STD_PX, camera.height)
-    gate = cfg.inlier_px / PIXEL_STD_PX
-    pulls = None
+    projection = Projection(camera.fx, camera.fy, camera.cx, camera.cy)
+    weighting = Weighting(std_px, cfg.depth_std_per_m, _HUBER, cfg.inlier_px / PIXEL_STD_PX)
+    residual, J, agrees = np.empty(2 * len(X)), np.empty((2 * len(X), 6)), np.empty(len(X), np.uint8)
     for _ in range(_ITERATIONS):
-        residual, J, off = _linearised(cfg, camera, X, px, this_T_key, std_px)
-        agrees = off < gate
-        residual, J, off = residual[agrees].ravel(), J[agrees].reshape(-1, 6), off[agrees]
-        weights = np.minimum(1.0, _HUBER / np.maximum(off, _HUBER))
-        weighted = J.T * np.repeat(weights, 2)
-        N = weighted @ J
-        if len(off) < _SMALLEST_SET or np.linalg.cond(N) > _SINGULAR:
-            return this_T_key, agrees, None
-        small = np.linalg.solve(N, weighted @ residual)
+        linearise(projection, weighting, X, px, this_T_key, residual, J, agrees)
+        N = J.T @ J
+        if np.sum(agrees) < _SMALLEST_SET or _is_singular(N):
+            return this_T_key, agrees.astype(bool), None
+        small = np.asarray(np.linalg.solve(N, residual @ J), np.float64)
         this_T_key = moved(small) @ this_T_key
-        pulls = np.linalg.solve(N, (weighted * residual).reshape(6, -1, 2).sum(axis=2)).T
         if np.abs(small).max() < _CONVERGED:
             break
-    return this_T_key, agrees, pulls
+    known = agrees.astype(bool)
+    each = (J * residual[:, None]).reshape(-1, 2, 6).sum(axis=1)[known]
+    return this_T_key, known, np.linalg.solve(N, each.T).T
 
 
-def _linearised(
-    cfg: OdometryConfig, camera: Camera, X: Float, px: Float, this_T_key: Float, std_px: float
-) -> tuple[Float, Float, Float]:
-    """(N, 2) residuals and (N, 2, 6) derivatives in standard deviations, and the (N,) residuals' lengths.
-
-    A point not in front of the camera is infinitely far off.
-    """
-    points = transform(this_T_key, X)
-    ahead = points[:, 2] > _NEAREST_M
-    points[~ahead] = (0.0, 0.0, 1.0)
-    P = _projection_derivative(camera, points)
-    residual = px - project(camera, points)
-    along = np.einsum("nij,nj->ni", P, (X / X[:, 2:]) @ this_T_key[:3, :3].T)
-    depth_std_m = cfg.depth_std_per_m * X[:, 2] ** 2
-    std = np.sqrt(std_px**2 + np.sum(along**2, axis=1) * depth_std_m**2)
-    J = np.concatenate((P, -P @ _cross_matrices(points)), axis=2) / std[:, None, None]
-    residual /= std[:, None]
-    return residual, J, np.where(ahead, np.linalg.norm(residual, axis=1), np.inf)
-
-
-def _projection_derivative(camera: Camera, X: Float) -> Float:
-    """(N, 2, 3) derivative of the pixel with respect to the point."""
-    x, y, z = X.T
-    zero = np.zeros_like(z)
-    return np.stack(
-        (
-            np.stack((camera.fx / z, zero, -camera.fx * x / z**2), axis=-1),
-            np.stack((zero, camera.fy / z, -camera.fy * y / z**2), axis=-1),
-        ),
-        axis=1,
-    )
-
-
-def _cross_matrices(X: Float) -> Float:
-    """(N, 3, 3) matrices with M v = X x v."""
-    x, y, z = X.T
-    zero = np.zeros_like(x)
-    return np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=-1).reshape(-1, 3, 3)
+def _is_singular(N: Float) -> bool:
+    """Whether normal equations do not determine the motion."""
+    values = np.linalg.eigvalsh(N)
+    return not values[0] * _SINGULAR > values[-1]
 
 
 def moved(small: Float) -> Float:
     """(4, 4) transform of a small (6,) translation and rotation vector."""
-    return rigid(Rotation.from_rotvec(small[3:]).as_matrix(), small[:3])
+    return rigid(rotation_from_vector(small[3:]), small[:3])

@@ -151,13 +151,14 @@ class _Picture:
 
     def seen(self, length_m: float, pitch: float) -> tuple[Float32, Mask]:
         """(M,) this image's levels where the road's pixels are, and which of them are in sight and not hidden."""
-        px = self._px(length_m, pitch).astype(np.float32)
-        visible: Mask = np.asarray(((px >= 0) & (px <= np.array(self.levels.shape[::-1]) - 1)).all(axis=1))
+        columns, rows = (np.ascontiguousarray(px, np.float32) for px in self._px(length_m, pitch).T)
+        height, width = self.levels.shape
+        visible: Mask = (columns >= 0) & (columns <= width - 1) & (rows >= 0) & (rows <= height - 1)
         if self.movable is not None:
-            columns, rows = np.rint(px[visible]).astype(int).T
-            visible[visible] = self.movable[rows, columns] == 0
-        columns, rows = (np.ascontiguousarray(px[:, k, None]) for k in (0, 1))
-        return np.asarray(cv2.remap(self.levels, columns, rows, cv2.INTER_LINEAR), np.float32)[:, 0], visible
+            at = tuple(np.rint(px[visible]).astype(int) for px in (rows, columns))
+            visible[visible] = self.movable[at] == 0
+        seen = cv2.remap(self.levels, columns[:, None], rows[:, None], cv2.INTER_LINEAR)
+        return np.asarray(seen, np.float32)[:, 0], visible
 
     def _px(self, length_m: float, pitch: float) -> Float:
         """(M, 2) pixels in this image, by the plane's homography; ``pitch`` turns the plane about the camera."""

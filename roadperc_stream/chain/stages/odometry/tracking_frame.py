@@ -59,9 +59,8 @@ def tracking_frame(cfg: OdometryConfig, scene: Scene, grey: Image, road: Surface
         grey = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
         camera = _halved(camera)
         shrink *= 2
-    movable = scene.labels(_MOVABLE)
-    avoided = None if movable is None else _with_margin(cfg, movable, grey)
-    return TrackingFrame(camera, scene.ego_T_camera, grey, shrink, scene.dense_depth_m, avoided, road, scene.stamp_ns)
+    movable = _movable(cfg, scene, grey)
+    return TrackingFrame(camera, scene.ego_T_camera, grey, shrink, scene.dense_depth_m, movable, road, scene.stamp_ns)
 
 
 def _halved(camera: Camera) -> Camera:
@@ -77,9 +76,14 @@ def _halved(camera: Camera) -> Camera:
     )
 
 
-def _with_margin(cfg: OdometryConfig, movable: Image, grey: Image) -> Image:
-    """Movable objects in the tracked image, and as far around them as a window reaches."""
+def _movable(cfg: OdometryConfig, scene: Scene, grey: Image) -> Image | None:
+    """Movable objects in the tracked image, and as far around them as a window reaches; None without tags."""
+    if scene.tags is None or scene.table is None:
+        return None
     rows, columns = grey.shape
-    small = cv2.resize(movable, (columns, rows), interpolation=cv2.INTER_NEAREST)
+    tags = cv2.resize(scene.tags, (columns, rows), interpolation=cv2.INTER_NEAREST)
+    movable = np.asarray(cv2.LUT(tags, scene.table.lookup(_MOVABLE)), np.uint8)
+    if not movable.any():
+        return movable
     side = max(round(scaled(cfg.window_px, rows)), 1) | 1
-    return np.asarray(cv2.dilate(small, np.ones((side, side), np.uint8)), np.uint8)
+    return np.asarray(cv2.dilate(movable, np.ones((side, side), np.uint8)), np.uint8)

@@ -43,12 +43,18 @@ def leaves_plane(cells: Float) -> bool:
     return bool(off) and sum(off) >= _SHARE * len(off)
 
 
+def median(values: Float) -> float:
+    """Median of (N,) numbers, N > 0: numpy's own takes many times as long for a few hundred."""
+    ordered, middle = np.sort(values), len(values) // 2
+    return float(ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2)
+
+
 def _lies_off(heights: Float) -> bool:
     """Whether (N,) heights of a patch are off by more than chance and a field's own error."""
-    median = float(np.median(heights))
-    std = NORMAL_MAD * float(np.median(np.abs(heights - median)))
+    middle = median(heights)
+    std = NORMAL_MAD * median(np.abs(heights - middle))
     by_chance = _STDS * _MEDIAN_STD * std / math.sqrt(len(heights))
-    return abs(median) > max(by_chance, _FIELD_STD * std, _FINEST_M)
+    return abs(middle) > max(by_chance, _FIELD_STD * std, _FINEST_M)
 
 
 def _patches(cells: Float) -> list[Float]:

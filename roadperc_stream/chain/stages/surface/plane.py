@@ -5,14 +5,13 @@ then total least squares over all inliers. The road plane is nearly parallel to 
 the distance to the plane, never an error along one axis.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from roadperc_stream.chain.stages.surface.points import pixels_near, plane_near, points_of
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.datatypes import Absent, Mask, Reason
-from roadperc_stream.core.geometry import Float, Float32, Plane, facing, fit_plane
+from roadperc_stream.core.geometry import Camera, Float, Float32, Plane, facing, fit_plane
+from roadperc_stream.core.kernels.plane_pixels import marked
 
 _CAMERA_CENTRE = np.zeros(3)
 _COLLINEAR = 1e-3
@@ -20,41 +19,46 @@ _COLLINEAR = 1e-3
 
 
 def road_plane(
-    cfg: SurfaceConfig, points: Float32, up: Float, rng: np.random.Generator
+    cfg: SurfaceConfig, camera: Camera, depth_m: Float32, usable: Mask, up: Float, rng: np.random.Generator
 ) -> tuple[Plane, float] | Absent:
-    """The plane most of the points lie on, facing the camera, and the share of them that do.
+    """The plane most of the road's points lie on, facing the camera, and the share of them that do.
 
     Args:
         cfg: thresholds.
-        points: (N, 3) metres in the camera frame.
-        up: (3,) roughly away from the road, unit length.
+        camera: of the depth.
+        depth_m: (H, W) metres.
+        usable: (H, W) pixels of the road with known depth.
+        up: (3,) roughly away from the road in the camera's frame, unit length.
         rng: source of the hypotheses.
     """
-    if len(points) < 3:
-        return Absent(Reason("surface", "too_few_road_points", (len(points),)))
-    sample = points[rng.integers(0, len(points), min(cfg.subsample, len(points)))].astype(float)
+    count = int(np.count_nonzero(usable))
+    if count < 3:
+        return Absent(Reason("surface", "too_few_road_points", (count,)))
+    chosen = rng.integers(0, count, min(cfg.subsample, count))
+    sample = points_of(camera, depth_m, marked(usable.view(np.uint8), chosen))
     plane = _ransac(cfg, sample, up, rng)
     if plane is None:
-        return Absent(Reason("surface", "no_plane", (len(points), cfg.min_inliers)))
-    for cloud in (sample, points):  # the sample's refit is cheap, and leaves one pass over all points to do
-        close = _close(cfg, plane, cloud)
-        if np.count_nonzero(close) < 3:
-            return Absent(Reason("surface", "plane_without_points"))
-        plane = facing(fit_plane(cloud, close), _CAMERA_CENTRE)
+        return Absent(Reason("surface", "no_plane", (count, cfg.min_inliers)))
+    refitted = _refitted(cfg, plane, sample)  # the sample's is cheap, and leaves one pass over all points to do
+    if refitted is not None:
+        refitted = plane_near(camera, depth_m, refitted, cfg.inlier_m, usable)
+    if refitted is None:
+        return Absent(Reason("surface", "plane_without_points"))
+    plane = facing(refitted, _CAMERA_CENTRE)
     # The refit may turn a hypothesis that was level: of points that all lie within ``inlier_m`` it includes every one.
     tilt_deg = float(np.degrees(np.arccos(min(abs(float(plane.n @ up)), 1.0))))
     if tilt_deg <= cfg.max_tilt_deg and plane.n @ up < 0:  # level, but above the camera: what wrong tags take for road
         tilt_deg = 180.0 - tilt_deg
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
-    return plane, float(np.mean(_close(cfg, plane, points)))
+    _, near = pixels_near(camera, depth_m, plane, cfg.inlier_m, usable)
+    return plane, near / count
 
 
-def _close(cfg: SurfaceConfig, plane: Plane, points: NDArray[np.floating[Any]]) -> Mask:
-    """Which of (N, 3) points lie within ``inlier_m`` of a plane."""
-    distance = points @ plane.n.astype(points.dtype) + points.dtype.type(plane.offset_m)
-    close: Mask = np.abs(distance) <= cfg.inlier_m
-    return close
+def _refitted(cfg: SurfaceConfig, plane: Plane, points: Float) -> Plane | None:
+    """The plane through those of (N, 3) points that lie within ``inlier_m`` of one; None where these are too few."""
+    close = np.abs(plane.distance(points)) <= cfg.inlier_m
+    return None if np.count_nonzero(close) < 3 else fit_plane(points, close)
 
 
 def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:

@@ -1,35 +1,32 @@
 """The road of one frame: its surface from depth and segmentation, and the pixels that lie on it."""
 
 from dataclasses import replace
-from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.surface.evidence import leaves_plane
 from roadperc_stream.chain.stages.surface.plane import road_plane
+from roadperc_stream.chain.stages.surface.points import first_row, pixels_near, usable_pixels
 from roadperc_stream.chain.stages.surface.spline import fit_height_grid, road_cells
 from roadperc_stream.core.config import SurfaceConfig
-from roadperc_stream.core.datatypes import Absent, Image, Mask, Reason, Surface, SurfaceSource
+from roadperc_stream.core.datatypes import Absent, Mask, Reason, Surface, SurfaceSource
 from roadperc_stream.core.geometry import (
     Camera,
     Float,
-    Float32,
     Plane,
     camera_pitch_roll,
     inverse,
-    plane_distance,
     project,
     transform,
     transform_plane,
 )
-from roadperc_stream.core.ground import ego_points, height_above, height_at, part, tilted_ground
+from roadperc_stream.core.ground import ego_points, height_above, height_at, tilted_ground
 from roadperc_stream.core.scene import DepthMap, Scene
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
-_LOWER_IMAGE = 0.6
-"""Rows below this share of the image show the road in front of the car, where there is no segmentation."""
-
+_ROWS_AT_ONCE = 32
+"""Rows whose distances to the surface stay in the processor's cache from one operation on them to the next."""
 _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
 """Ego x and y at which a height field's highest row in the image is searched: as far as heights are sampled."""
 
@@ -73,8 +70,8 @@ def fit_surface(
     """
     source = depth.source if drivable is not None else "lower_image"
     camera, ego_T_camera, depth_m = depth.camera, depth.ego_T_camera, depth.depth_m
-    usable = _usable(cfg, camera, depth_m, drivable)
-    found = road_plane(cfg, _points(camera, depth_m, usable), inverse(ego_T_camera)[:3, :3] @ _UP_EGO, rng)
+    usable = usable_pixels(cfg, camera, depth_m, drivable)
+    found = road_plane(cfg, camera, depth_m, usable, inverse(ego_T_camera)[:3, :3] @ _UP_EGO, rng)
     if isinstance(found, Absent):
         return found
     surface = _surface(source, camera, ego_T_camera, *found)
@@ -131,25 +128,18 @@ def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -
         return Absent(Reason("drivable", "no_surface", cause=surface.reason))
     if not surface.measured:
         return Absent(Reason("drivable", "depth_misses_road")) if drivable is None else drivable.view(bool)
+    among = np.ones(camera.size, bool) if drivable is None else drivable.view(bool)
     if surface.height_grid is None:
-        return _near(cfg, plane_distance(camera, depth_m, surface.plane), drivable)
-    top = max(_horizon_row(surface, camera, scene.ego_T_camera), 0 if drivable is None else _first_row(drivable))
+        return pixels_near(camera, depth_m, surface.plane, cfg.drivable_m, among)[0]
+    top = max(first_row(among), _horizon_row(surface, camera, scene.ego_T_camera))
     mask = np.zeros(camera.size, bool)
-    lower = ego_points(part(camera, top, 1, 1), scene.ego_T_camera, depth_m[top:])
-    mask[top:] = _near(cfg, height_above(surface, *lower), None if drivable is None else drivable[top:])
+    for first in range(top, camera.height, _ROWS_AT_ONCE):
+        rows = slice(first, min(first + _ROWS_AT_ONCE, camera.height))
+        off_m = height_above(surface, *ego_points(camera, scene.ego_T_camera, depth_m[rows], first))
+        # A comparison with NaN is False in OpenCV as in numpy: unknown depth is never drivable.
+        near = np.asarray(cv2.inRange(off_m, -cfg.drivable_m, cfg.drivable_m), np.uint8)
+        mask[rows] = near & among[rows].view(np.uint8)
     return mask
-
-
-def _near(cfg: SurfaceConfig, distance_m: Float32, drivable: Image | None) -> Mask:
-    # A comparison with NaN is False in OpenCV as in numpy: unknown depth is never drivable.
-    near = np.asarray(cv2.inRange(distance_m, -cfg.drivable_m, cfg.drivable_m), np.uint8)
-    return (near if drivable is None else near * drivable).astype(bool)
-
-
-def _first_row(drivable: Image) -> int:
-    """The first row that shows a drivable class; the last one where none does."""
-    rows = np.flatnonzero(drivable.view(bool).any(axis=1))
-    return int(rows[0]) if len(rows) else len(drivable) - 1
 
 
 def _horizon_row(surface: Surface, camera: Camera, ego_T_camera: Float) -> int:
@@ -158,34 +148,6 @@ def _horizon_row(surface: Surface, camera: Camera, ego_T_camera: Float) -> int:
     points = np.stack((x, y, height_at(surface, x, y) + 1.0), axis=-1)
     rows = project(camera, transform(inverse(ego_T_camera), points))[..., 1]
     return int(np.clip(np.floor(np.nanmin(rows, initial=camera.height)), 0, camera.height - 1))
-
-
-def _usable(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, drivable: Mask | None) -> Mask:
-    """Pixels that may belong to the road and whose depth is known (a comparison with NaN is False)."""
-    with np.errstate(invalid="ignore"):
-        usable: Mask = depth_m < np.float32(cfg.max_depth_m)
-    if drivable is not None:
-        return usable & drivable
-    usable[: int(camera.height * _LOWER_IMAGE)] = False
-    return usable
-
-
-def _points(camera: Camera, depth_m: Float32, mask: Mask) -> Float32:
-    """(N, 3) points in the camera frame of the pixels of a mask.
-
-    There are many: single precision, and each coordinate lies in one piece of memory.
-    """
-    x, y = _ray_grids(camera)
-    z = depth_m[mask]
-    return np.stack((x[mask] * z, y[mask] * z, z)).T
-
-
-@lru_cache(maxsize=4)
-def _ray_grids(camera: Camera) -> tuple[Float32, Float32]:
-    """(H, W) x and y of every pixel's ray with z = 1."""
-    x = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
-    y = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)
-    return np.tile(x, (camera.height, 1)), np.tile(y[:, None], (1, camera.width))
 
 
 def _surface(

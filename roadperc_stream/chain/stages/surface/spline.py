@@ -11,17 +11,21 @@ road are solved as a band, in a time that grows with its length.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
-from scipy.linalg.lapack import dgbsv
 
-from roadperc_stream.chain.stages.surface.evidence import NORMAL_MAD
+from roadperc_stream.chain.stages.surface.bands import band_of, solved
+from roadperc_stream.chain.stages.surface.bsplines import DEGREE, basis
+from roadperc_stream.chain.stages.surface.evidence import NORMAL_MAD, median
+from roadperc_stream.chain.stages.surface.points import first_row
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.datatypes import HeightGrid, Mask, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32
 from roadperc_stream.core.ground import REACH_M, ego_points, height_above, part
+from roadperc_stream.core.kernels.bands import normal_equations
+from roadperc_stream.core.kernels.medians import median_places
 
 _STEP_M = 1.0
 """Side of the fit's cells, and of the grid's."""
@@ -29,8 +33,7 @@ _COLUMNS = 160
 """Image columns that are used: evenly spread, as neighbours are alike. Rows are few where the road is far."""
 _ENOUGH_POINTS = 20_000
 """Points of the road that are never thinned: a lidar's are hardly more."""
-_DEGREE = 3
-_SUPPORT = 2 * (_DEGREE + 1)
+_SUPPORT = 2 * (DEGREE + 1)
 """Coefficients that count at a place: those of four B-splines, in the middle and across."""
 _MIN_CELLS = 12
 _MIN_LENGTH_KNOTS = 2
@@ -93,8 +96,9 @@ def road_cells(
         usable: (H, W) pixels of the road with known depth.
     """
     columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
-    sampled = usable[:, ::columns]
-    x, y, z = ego_points(part(camera, 0, 1, columns), ego_T_camera, depth_m[:, ::columns])
+    top = first_row(usable)
+    sampled = usable[top:, ::columns]
+    x, y, z = ego_points(part(camera, 1, columns), ego_T_camera, depth_m[top:, ::columns], top)
     x, y, z = x[sampled], y[sampled], z[sampled]
     return _cells(cfg, x, y, height_above(surface, x, y, z))
 
@@ -126,13 +130,11 @@ def _cells(cfg: SurfaceConfig, x: Float32, y: Float32, height: Float32) -> RoadC
     inside = (x >= 0) & (x < _length_m(cfg)) & (np.abs(y) < half)
     x, y, height = x[inside], y[inside], height[inside]
     across = int(np.ceil(2 * half / _STEP_M))
-    cell = (x / _STEP_M).astype(np.intp) * across + ((y + half) / _STEP_M).astype(np.intp)
-    cell = cell.astype(np.min_scalar_type(across * int(_length_m(cfg) / _STEP_M + 1)))
-    order = np.argsort(height)  # two sorts, as small integers are sorted by radix: half the time of a lexsort
-    order = order[np.argsort(cell[order], kind="stable")]
-    _, first, counts = np.unique(cell[order], return_index=True, return_counts=True)
-    median = order[first + (counts - 1) // 2]
-    return RoadCells(np.stack((x[median], y[median], height[median]), axis=-1).astype(float), counts)
+    along = int(np.ceil(_length_m(cfg) / _STEP_M))
+    cell = (x / _STEP_M).astype(np.int32) * across + ((y + half) / _STEP_M).astype(np.int32)
+    # One row of cells more: y at the left edge may be rounded up to it.
+    chosen, counts = median_places(cell, height, (along + 1) * across)
+    return RoadCells(np.stack((x[chosen], y[chosen], height[chosen]), axis=-1).astype(float), counts)
 
 
 def _length_m(cfg: SurfaceConfig) -> float:
@@ -142,19 +144,17 @@ def _length_m(cfg: SurfaceConfig) -> float:
 
 def _splines(cfg: SurfaceConfig) -> int:
     """B-splines along x."""
-    return round(_length_m(cfg) / cfg.spline_knot_m) + _DEGREE
+    return round(_length_m(cfg) / cfg.spline_knot_m) + DEGREE
 
 
 def _design(cfg: SurfaceConfig, x: Float, y: Float) -> _Design:
     """The values of the B-splines at places, and the same times y in half widths."""
-    knots = cfg.spline_knot_m * np.arange(-_DEGREE, _splines(cfg) + 1)
-    sparse = BSpline.design_matrix(np.clip(x, 0.0, _length_m(cfg)), knots, _DEGREE)
-    along, column = sparse.data.reshape(-1, _DEGREE + 1), sparse.indices.reshape(-1, _DEGREE + 1)[:, 0]
+    first, along = basis(cfg.spline_knot_m, _splines(cfg), np.clip(x, 0.0, _length_m(cfg)))
     across = along * (y / cfg.spline_half_width_m)[:, None]
-    indices = 2 * column.astype(np.intp)[:, None] + np.arange(_SUPPORT)
-    return _Design(indices, np.stack((along, across), axis=-1).reshape(-1, _SUPPORT))
+    return _Design(2 * first[:, None] + np.arange(_SUPPORT), np.stack((along, across), axis=-1).reshape(-1, _SUPPORT))
 
 
+@lru_cache(maxsize=2)
 def _prior(cfg: SurfaceConfig) -> Float:
     """(15, 2 M) information on the coefficients, as a band: curvature along x at middle and edges, slope across."""
     count = _splines(cfg)
@@ -206,30 +206,15 @@ def _robust_fit(design: _Design, heights: Float, certainty: Float, prior: Float,
         coefficients: (P,) to start from.
     """
     count = prior.shape[1]
-    indices = design.indices
-    products = (design.values[:, :, None] * design.values[:, None, :]).reshape(len(indices), -1)
-    # Row and column of each product in the band, whose middle row is the diagonal.
-    entries = ((_SUPPORT - 1 + indices[:, :, None] - indices[:, None, :]) * count + indices[:, None, :]).ravel()
+    first = design.indices[:, 0]
     for i in range(_HUBER_ROUNDS + _TUKEY_ROUNDS):
         residual = np.abs(heights - design.heights(coefficients))
-        std = max(NORMAL_MAD * float(np.median(residual)), _FINEST_STD_M)
+        std = max(NORMAL_MAD * median(residual), _FINEST_STD_M)
         robust = _huber(residual / std) if i < _HUBER_ROUNDS else _tukey(residual / std)
         weights = robust * certainty / std**2
-        left = np.bincount(entries, (weights[:, None] * products).ravel(), prior.size).reshape(prior.shape)
-        right = np.bincount(indices.ravel(), ((weights * heights)[:, None] * design.values).ravel(), count)
-        coefficients = _solved(left + prior, right.astype(float, copy=False), coefficients)
+        lower, right = normal_equations(first, design.values, weights, heights, count)
+        coefficients = solved(band_of(lower) + prior, right, coefficients)
     return coefficients
-
-
-def _solved(band: Float, right: Float, otherwise: Float) -> Float:
-    """(P,) solution of equations given as a (15, P) band, by LU decomposition; ``otherwise`` where there is none.
-
-    LAPACK itself: what scipy's ``solve_banded`` does before it calls the same function takes longer than all the rest.
-    """
-    workspace = np.zeros((len(band) + _SUPPORT - 1, band.shape[1]), order="F")
-    workspace[_SUPPORT - 1 :] = band
-    _, _, solution, fault = dgbsv(_SUPPORT - 1, _SUPPORT - 1, workspace, right, overwrite_ab=True)
-    return otherwise if fault else np.asarray(solution, float)
 
 
 def _huber(residual: Float) -> Float:
@@ -246,9 +231,16 @@ def _tukey(residual: Float) -> Float:
 
 def _grid(cfg: SurfaceConfig, surface: Surface, coefficients: Float) -> HeightGrid:
     """Plane and field together at the grid's nodes."""
+    x, y, design = _nodes(cfg)
+    a, b, d = surface.abd
+    z = d - a * x - b * y[:, None] + design.heights(coefficients).reshape(len(y), len(x))
+    return HeightGrid(0.0, -cfg.spline_half_width_m, _STEP_M, z.astype(np.float32))
+
+
+@lru_cache(maxsize=2)
+def _nodes(cfg: SurfaceConfig) -> tuple[Float, Float, _Design]:
+    """The x of the grid's columns, y of its rows, and the equations of all its nodes, row by row."""
     half = cfg.spline_half_width_m
     x, y = np.arange(0.0, _length_m(cfg) + _STEP_M / 2, _STEP_M), np.arange(-half, half + _STEP_M / 2, _STEP_M)
     columns, rows = (values.ravel() for values in np.meshgrid(x, y))
-    a, b, d = surface.abd
-    z = d - a * columns - b * rows + _design(cfg, columns, rows).heights(coefficients)
-    return HeightGrid(0.0, -half, _STEP_M, z.reshape(len(y), len(x)).astype(np.float32))
+    return x, y, _design(cfg, columns, rows)

@@ -58,7 +58,8 @@ def test_covariance_holds_the_error():
 
 def test_a_camera_of_few_pixels_gives_no_error():
     """A pixel is wider than the places searched for the line, at the highest noise."""
-    aside_m = curves._best_aside(points((1.7, 0.0, 0.0)), np.array([1.7, 0.0, 0.0]), -1.0, curves._Noise(16.0, 1 / 20))
+    x, y = points((1.7, 0.0, 0.0)).T
+    aside_m = curves._best_aside(x, y, np.array([1.7, 0.0, 0.0]), -1.0, curves._Noise(16.0, 1 / 20))
     assert abs(aside_m) < curves._SEARCH_M
 
 
@@ -73,33 +74,6 @@ def test_too_few_or_too_far_edges_are_no_curve():
     assert fit(points((1.7, 0, 0))[:5], (1.7, 0, 0)) is None
     far = points((1.7, 0, 0), reach_m=39.0)
     assert fit(far[far[:, 0] > 16], (1.7, 0, 0)) is None
-
-
-def test_facing_edges_look_towards_the_ego_lane():
-    separators = np.zeros((4, 20), np.uint8)
-    separators[:, 4:7] = separators[:, 15:] = 1
-    road = np.ones((6, 20), bool)
-    left = curves.facing_edges(separators, road, "left", 2)
-    right = curves.facing_edges(separators, road, "right", 2)
-    np.testing.assert_array_equal(left, [[6.5, row] for row in (2, 3, 4, 5)])
-    assert set(right[:, 0]) == {3.5, 14.5}
-
-
-def test_edges_towards_no_road_do_not_count():
-    separators = np.zeros((4, 20), np.uint8)
-    separators[:, 4:7] = 1
-    assert len(curves.facing_edges(separators, np.zeros((4, 20), bool), "left", 0)) == 0
-
-
-@pytest.mark.parametrize(("fringe_px", "found"), [(0, True), (1, True), (4, True), (5, False)])
-def test_edges_face_each_other_across_a_fringe_of_foreign_pixels(fringe_px, found):
-    separators = np.zeros((4, 40), np.uint8)
-    separators[:, 10:14] = 1
-    road = np.ones((4, 40), bool)
-    road[:, 10 - fringe_px : 14 + fringe_px] = False
-    for side, middle in (("left", 13.5 + fringe_px / 2), ("right", 9.5 - fringe_px / 2)):
-        edges = curves.facing_edges(separators, road, side, 0)
-        assert set(edges[:, 0]) == ({middle} if found else set())
 
 
 def test_line_on_ground_of_a_straight_line():

@@ -1,5 +1,6 @@
 """Image lines: merging by hand, and the public figures of the course's frames."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -76,7 +77,7 @@ def test_public_figures_of_course_frame_0(data_dir):
     """9 proposals and 5 merged lines, with the settings printed there."""
     tags = np.loadtxt(data_dir / "course_frames" / "segmentation" / "0.dat", delimiter=",").astype(np.uint8)
     cfg = load_config(None, tuple(f"lanes.{setting}" for setting in PUBLIC)).lanes
-    proposals = lines.propose(cfg, lines.edges_of(cfg, TABLE.lookup(cfg.separators)[tags] * np.uint8(255)))
+    proposals = lines.propose(cfg, lines.edges_of(cfg, TABLE.lookup(cfg.separators)[tags]))
     assert len(proposals) == 9
     road = TABLE.lookup(["road", "road_line"])[tags].view(bool)
     assert len(lines.merge(cfg, lines.on_road(cfg, proposals, road), 960)) == 5
@@ -92,3 +93,35 @@ def test_dashes_are_one_line_where_their_gaps_are_short(gap_px, found):
     proposals = lines.propose(CFG.model_copy(update={"hough_threshold": 100}), edges)
     lengths = np.hypot(proposals[:, 2] - proposals[:, 0], proposals[:, 3] - proposals[:, 1])
     assert bool((lengths > 400).any()) == found
+
+
+@pytest.mark.parametrize(("rows", "median_px"), [(960, 0), (960, 3), (960, 5), (480, 5), (96, 99), (1440, 21)])
+def test_counting_gives_the_median_filter(rows, median_px):
+    mask = (np.random.default_rng(median_px).random((rows, 64)) < 0.5).astype(np.uint8)
+    cfg = CFG.model_copy(update={"median_px": median_px})
+    size = round(median_px * rows / 960)
+    expected = cv2.medianBlur(mask * np.uint8(255), size | 1) if size >= 2 else mask * np.uint8(255)
+    np.testing.assert_array_equal(lines.without_salt(cfg, mask), expected)
+
+
+@pytest.mark.parametrize("aperture", [3, 5, 7])
+@pytest.mark.parametrize("top", [0, 3, 40, 95])
+def test_edges_are_those_of_the_whole_image(aperture, top):
+    """They are looked for where there are separators alone."""
+    mask = np.zeros((96, 128), np.uint8)
+    mask[top : top + 30] = np.random.default_rng(top).random((96 - top, 128))[:30] < 0.6
+    cfg = CFG.model_copy(update={"median_px": 0, "canny_aperture": aperture, "canny_low": 500.0, "canny_high": 1500.0})
+    whole = cv2.Canny(mask * np.uint8(255), cfg.canny_low, cfg.canny_high, apertureSize=aperture)
+    np.testing.assert_array_equal(lines.edges_of(cfg, mask), whole)
+    assert not lines.edges_of(cfg, np.zeros_like(mask)).any()
+
+
+def test_a_lines_share_on_the_road_is_that_of_its_pixels():
+    rng = np.random.default_rng(0)
+    road = (rng.random((60, 80)) < 0.5).astype(np.uint8)
+    proposals = np.concatenate((rng.integers(0, 60, (50, 4)), [[7, 7, 7, 7]])).astype(float)
+    for line, share in zip(proposals, lines._shares_on(proposals, road), strict=True):
+        x1, y1, x2, y2 = line
+        count = int(max(abs(x2 - x1), abs(y2 - y1))) + 1
+        along = (np.rint(np.linspace(*ends, count)).astype(int) for ends in ((y1, y2), (x1, x2)))
+        assert share == road[tuple(along)].mean()

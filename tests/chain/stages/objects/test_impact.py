@@ -9,7 +9,7 @@ from roadperc_stream.chain.stages.objects import ObjectsState, step
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Box, Detection
 from roadperc_stream.core.geometry import Camera, level_mounting, rigid
-from tests.analytic import STEP_NS, VEHICLE
+from tests.analytic import PEDESTRIAN, STEP_NS, VEHICLE
 from tests.chain.stages.objects.test_path import lanes
 from tests.scenes import scene_of
 
@@ -19,6 +19,7 @@ MOUNTING = level_mounting(1.4)
 LANE = lanes(1.75, -1.75)
 STEP_S = STEP_NS / 1e9
 FAR_M = 90.0
+TAGS = {"Car": VEHICLE, "Pedestrian": PEDESTRIAN}
 
 
 @dataclass
@@ -31,10 +32,11 @@ class Road:
     stamp_ns: int = 0
     depth_noise: float = 0.0
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    label: str = "Car"
 
     def frame(self, *backs, ego_step_m=None):
         depth, tags = np.full(CAMERA.size, FAR_M, np.float32), np.zeros(CAMERA.size, np.uint8)
-        boxes = [self.draw(depth, tags, *back) for back in backs]
+        boxes = [self.draw(depth, tags, TAGS[self.label], *back) for back in backs]
         depth *= 1 + self.depth_noise * self.rng.standard_normal(depth.shape, np.float32)
         self.stamp_ns += STEP_NS
         scene = scene_of(
@@ -43,19 +45,19 @@ class Road:
             depth_m=depth,
             tags=tags,
             stamp_ns=self.stamp_ns,
-            detections=tuple(Detection("Car", box, 0.9) for box in boxes),
+            detections=tuple(Detection(self.label, box, 0.9) for box in boxes),
         )
         last_T_this = None if ego_step_m is None else rigid(np.eye(3), np.array([ego_step_m, 0.0, 0.0]))
         self.state, out = step(self.cfg, self.state, scene, self.lane, last_T_this)
         return out
 
     @staticmethod
-    def draw(depth, tags, ahead_m, left_m):
+    def draw(depth, tags, tag, ahead_m, left_m):
         x0, x1 = (CAMERA.cx - CAMERA.fx * y / ahead_m + 0.5 for y in (left_m + 0.9, left_m - 0.9))
         y0, y1 = (CAMERA.cy - CAMERA.fy * z / ahead_m + 0.5 for z in (0.2, -1.3))
         box = Box(*(float(round(v)) for v in (x0, y0, x1, y1)))
         c0, r0, c1, r1 = box.rounded(CAMERA.width, CAMERA.height)
-        depth[r0:r1, c0:c1], tags[r0:r1, c0:c1] = ahead_m, VEHICLE
+        depth[r0:r1, c0:c1], tags[r0:r1, c0:c1] = ahead_m, tag
         return box
 
 
@@ -90,10 +92,14 @@ def test_the_path_is_as_wide_as_the_car_and_a_margin(changed, in_path):
     assert item.in_path == in_path
 
 
-@pytest.mark.parametrize(("across_mps", "threatens"), [(1.0, True), (5.0, False)])
-def test_who_crosses_the_path_faster_than_lanes_are_changed_is_beside_it_before_the_car_comes(across_mps, threatens):
-    """As an oncoming car in a bend does, where the lane seems to go straight on."""
-    road = Road()
+@pytest.mark.parametrize(
+    ("label", "across_mps", "threatens"), [("Car", 1.0, True), ("Car", 5.0, False), ("Pedestrian", 5.0, True)]
+)
+def test_a_vehicle_that_crosses_the_path_faster_than_lanes_are_changed_is_beside_it_before_the_car_comes(
+    label, across_mps, threatens
+):
+    """As an oncoming car in a bend does, where the lane seems to go straight on; who walks may stop."""
+    road = Road(label=label)
     for k in range(20):
         (item,) = road.frame((38.0 - 16.0 * STEP_S * k, -0.5 + across_mps * STEP_S * (k - 19))).objects
     assert item.in_path

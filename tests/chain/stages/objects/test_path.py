@@ -6,7 +6,8 @@ import pytest
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, path_of
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Boundary, Lanes
-from roadperc_stream.core.geometry import rigid, rotation_from_rpy
+from roadperc_stream.core.geometry import rigid
+from roadperc_stream.core.rotations import rotation_from_rpy
 
 CFG = ObjectsConfig()
 RIGHT_BEND = DrivenArc(-0.1, 10.0)

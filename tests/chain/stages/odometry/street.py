@@ -9,6 +9,7 @@ from roadperc_stream.chain.stages import odometry
 from roadperc_stream.chain.stages.odometry import OdometryState
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.rotations import rotation_from_rpy
 from tests.analytic import VEHICLE
 from tests.scenes import scene_of
 
@@ -59,7 +60,7 @@ def photograph(odom_T_ego, camera=CAMERA, ego_T_camera=EGO_T_CAMERA):
 
 
 def pose(x, y=0.0, yaw=0.0, pitch=0.0):
-    return g.rigid(g.rotation_from_rpy(0.0, pitch, yaw), np.array([x, y, 0.0]))
+    return g.rigid(rotation_from_rpy(0.0, pitch, yaw), np.array([x, y, 0.0]))
 
 
 def drive(count, step_m=0.4, turn=0.01):

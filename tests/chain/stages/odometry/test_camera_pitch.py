@@ -11,13 +11,14 @@ from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.datatypes import Reason
 from roadperc_stream.core.ground import tilted_ground
+from roadperc_stream.core.rotations import rotation_from_rpy
 from roadperc_stream.state import encoding
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, Shot, drive, photograph, pose, run
 from tests.chain.stages.odometry.trajectories import distances_m
 
 WRONG = np.deg2rad(1.5)
 """By how much further down the camera looks than its mounting says."""
-DOWN = EGO_T_CAMERA @ g.rigid(g.EGO_R_OPTICAL.T @ g.rotation_from_rpy(0, WRONG, 0) @ g.EGO_R_OPTICAL, np.zeros(3))
+DOWN = EGO_T_CAMERA @ g.rigid(g.EGO_R_OPTICAL.T @ rotation_from_rpy(0, WRONG, 0) @ g.EGO_R_OPTICAL, np.zeros(3))
 ROAD = assumed_surface(CAMERA, EGO_T_CAMERA)
 POSES = drive(14, turn=0.005)
 
@@ -54,7 +55,7 @@ def test_a_measurement_far_off_counts_less_and_none_changes_nothing():
 
 def test_the_pitch_turns_as_the_camera_does_and_is_less_sure_after_each_metre():
     start = cp.CameraPitch(0.01, 1e-5)
-    after = cp.predicted(CFG, start, g.rigid(g.rotation_from_rpy(0, 0.004, 0.1), np.array([0.5, 0, 0])), 0.1)
+    after = cp.predicted(CFG, start, g.rigid(rotation_from_rpy(0, 0.004, 0.1), np.array([0.5, 0, 0])), 0.1)
     assert after.offset == pytest.approx(0.014, abs=1e-4)
     farther = cp.predicted(CFG, start, g.rigid(np.eye(3), np.array([5.0, 0, 0])), 0.1)
     assert start.variance < after.variance < farther.variance
@@ -99,7 +100,7 @@ def test_the_direction_of_motion_shows_the_pitch_forwards_and_backwards(ahead):
 
 def test_the_direction_is_refused_in_a_tight_bend_where_it_is_unsure_and_at_rest():
     ahead = np.array([0.5, 0.0, 0.0])
-    wide, tight = (g.inverse(g.rigid(g.rotation_from_rpy(0, 0, turn), ahead)) for turn in (0.02, 0.03))
+    wide, tight = (g.inverse(g.rigid(rotation_from_rpy(0, 0, turn), ahead)) for turn in (0.02, 0.03))
     assert cp.expansion(motion_of(wide), EGO_T_CAMERA, PX, 640) is not None
     assert cp.expansion(motion_of(tight), EGO_T_CAMERA, PX, 640) is None
     assert cp.expansion(motion_of(wide, std=0.01), EGO_T_CAMERA, PX, 640) is None
@@ -199,7 +200,7 @@ def test_going_on_from_an_encoded_state_gives_the_same_bits(shots, driven):
 def test_the_pulls_of_a_motion_by_rays_are_its_scatter():
     rng = np.random.default_rng(2)
     X = g.unproject(CAMERA, rng.uniform((40, 40), (600, 440), (200, 2)), rng.uniform(4, 40, 200))
-    this_T_key = g.rigid(g.rotation_from_rpy(0, 0.01, 0), np.array([0.03, 0.01, -0.6]))
+    this_T_key = g.rigid(rotation_from_rpy(0, 0.01, 0), np.array([0.03, 0.01, -0.6]))
     unknown, key_px, found = np.full_like(X, np.nan), g.project(CAMERA, X).astype(np.float32), []
     for _ in range(40):
         px = g.project(CAMERA, g.transform(this_T_key, X)) + rng.normal(0, 0.2, (200, 2))

@@ -13,12 +13,13 @@ from roadperc_stream.chain.stages.odometry.features import FRONTENDS, spread
 from roadperc_stream.chain.stages.odometry.keyframes import make_keyframe
 from roadperc_stream.chain.stages.odometry.landmarks import find_landmarks
 from roadperc_stream.chain.stages.odometry.local_planes import local_planes_from_depth, slope_of_plane, stretch
-from roadperc_stream.chain.stages.odometry.motion import _projection_derivative, motion_from_points, moved
+from roadperc_stream.chain.stages.odometry.motion import motion_from_points, moved
 from roadperc_stream.chain.stages.odometry.patch_alignment import aligned
 from roadperc_stream.chain.stages.odometry.tracking_frame import tracking_frame
 from roadperc_stream.chain.stages.odometry.uncertainty import scatter, step_covariance
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import OdometryConfig
+from roadperc_stream.core.rotations import rotation_from_rpy
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, photograph, pose
 from tests.scenes import scene_of
 
@@ -130,7 +131,7 @@ def test_features_that_err_together_scatter_more_than_their_sum():
 def test_what_pulls_both_poses_alike_leaves_the_step_as_it_is():
     """All that is left is the share of the step that no scatter shows."""
     px, pulls = spread_px(), np.random.default_rng(2).normal(0, 0.01, (400, 6))
-    step = g.rigid(g.rotation_from_rpy(0.0, 0.01, 0.02), np.array([0.5, 0.02, 0.0]))
+    step = g.rigid(rotation_from_rpy(0.0, 0.01, 0.02), np.array([0.5, 0.02, 0.0]))
     last = pulls @ g.adjoint(step).T
     shared = np.reshape(step_covariance(px, CAMERA.width, pulls, last, step, 0.0), (6, 6))
     assert np.sqrt(np.trace(shared)) == pytest.approx(0.001 * np.linalg.norm(step[:3, 3]), rel=1e-6)
@@ -210,7 +211,7 @@ def test_a_shifted_image_is_matched_to_sub_pixels(features):
     found, strength = front.detect(cfg, before, np.ones_like(before))
     found = found.take(spread(cfg, found.px, strength, before.shape))
     px = front.match(cfg, before, found, found.px, after)
-    turn = EGO_T_CAMERA[:3, :3].T @ g.rotation_from_rpy(0, 0, -0.02) @ EGO_T_CAMERA[:3, :3]
+    turn = EGO_T_CAMERA[:3, :3].T @ rotation_from_rpy(0, 0, -0.02) @ EGO_T_CAMERA[:3, :3]
     about_lens = g.rays(CAMERA, found.px.astype(float)) @ turn.T
     kept = np.isfinite(px[:, 0])
     assert kept.sum() > 80
@@ -290,15 +291,6 @@ def test_images_too_small_for_a_feature_have_none(features, shape):
     found, strength = FRONTENDS[features].detect(cfg, grey, np.ones_like(grey))
     assert (found.px.shape, strength.shape) == ((0, 2), (0,))
     assert FRONTENDS[features].match(cfg, grey, found, found.px, grey).shape == (0, 2)
-
-
-def test_the_derivative_of_the_projection_is_how_it_changes():
-    X, step_m = cloud(50), 1e-5
-    derivative = _projection_derivative(CAMERA, X)
-    for axis in range(3):
-        along = np.eye(3)[axis] * step_m
-        change = (g.project(CAMERA, X + along) - g.project(CAMERA, X - along)) / (2 * step_m)
-        np.testing.assert_allclose(derivative[:, :, axis], change, rtol=1e-5, atol=1e-5)
 
 
 def test_a_point_of_which_one_coordinate_is_unknown_is_not_used():

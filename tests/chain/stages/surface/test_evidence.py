@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from roadperc_stream.chain.stages.surface.evidence import leaves_plane
+from roadperc_stream.chain.stages.surface.evidence import leaves_plane, median
 from roadperc_stream.chain.stages.surface.road import fit_surface
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.scene import DepthMap
@@ -76,3 +78,8 @@ def test_auto_is_the_model_that_the_road_asks_for(grade, model):
     assert (auto.height_grid is None) == (model == "plane")
     if auto.height_grid is not None:
         assert np.array_equal(auto.height_grid.z_m, chosen.height_grid.z_m)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=20))
+def test_the_median_is_numpys(values):
+    assert median(np.array(values)) == np.median(values)

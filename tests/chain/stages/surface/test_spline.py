@@ -15,6 +15,7 @@ from roadperc_stream.chain.stages.surface.road import assumed_surface, drivable_
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import LanesConfig, SurfaceConfig
 from roadperc_stream.core.ground import height_at
+from roadperc_stream.core.rotations import rotation_from_rpy
 from roadperc_stream.core.scene import DepthMap
 from roadperc_stream.metrics.surface import surface_height_error_m
 from tests.analytic import LINE, ROAD
@@ -142,7 +143,7 @@ def test_a_short_stretch_leaves_the_plane(farthest_m):
 
 
 def test_a_camera_that_looks_back_leaves_the_plane():
-    back = g.rigid(g.rotation_from_rpy(0, 0, np.pi), np.zeros(3)) @ HILL.ego_T_camera
+    back = g.rigid(rotation_from_rpy(0, 0, np.pi), np.zeros(3)) @ HILL.ego_T_camera
     surface = fit_surface(CFG, depth_of(HILL, HILL.depth_m(), back), road_of(HILL), np.random.default_rng(0))
     assert surface.model == "plane"
 

@@ -1,0 +1,53 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+"""The pixels of a class in a box, without a copy of them."""
+
+from libc.stdint cimport uint8_t
+
+
+cdef inline Py_ssize_t _mirrored(Py_ssize_t place, Py_ssize_t size) noexcept nogil:
+    """A place one beside the border is the one as far inside; there is no other in a line of one."""
+    if size == 1:
+        return 0
+    if place < 0:
+        return 1
+    return place if place < size else size - 2
+
+
+def mark_together(const uint8_t[:, :] tags, const uint8_t[::1] of_class, int least, uint8_t[:, :] marked):
+    """As ``class_pixels_plain``.
+
+    Raises:
+        ValueError: as there.
+    """
+    cdef Py_ssize_t height = tags.shape[0], width = tags.shape[1], y, x, above, below, left, right
+    cdef int together
+    if marked.shape[0] != height or marked.shape[1] != width or not height * width or of_class.shape[0] != 256:
+        raise ValueError(f"{height}x{width} tags of {of_class.shape[0]} into {marked.shape[0]}x{marked.shape[1]}: "
+                         "expected one size")
+    with nogil:
+        for y in range(height):
+            above, below = _mirrored(y - 1, height), _mirrored(y + 1, height)
+            for x in range(width):
+                marked[y, x] = 0
+                if of_class[tags[y, x]]:
+                    left, right = _mirrored(x - 1, width), _mirrored(x + 1, width)
+                    together = of_class[tags[above, left]] + of_class[tags[above, x]] + of_class[tags[above, right]]
+                    together += of_class[tags[y, left]] + 1 + of_class[tags[y, right]]
+                    together += of_class[tags[below, left]] + of_class[tags[below, x]] + of_class[tags[below, right]]
+                    marked[y, x] = together >= least
+
+
+def count_of_class(const uint8_t[:, :] tags, const uint8_t[::1] of_class):
+    """As ``class_pixels_plain``.
+
+    Raises:
+        ValueError: as there.
+    """
+    cdef Py_ssize_t y, x, count = 0
+    if of_class.shape[0] != 256:
+        raise ValueError(f"a class of {of_class.shape[0]} tags: expected one size")
+    with nogil:
+        for y in range(tags.shape[0]):
+            for x in range(tags.shape[1]):
+                count += of_class[tags[y, x]] != 0
+    return count

@@ -1,0 +1,36 @@
+"""What ``class_pixels_compiled`` does, in numpy and OpenCV."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+
+
+def mark_together(tags: Image, of_class: Image, least: int, marked: Image) -> None:
+    """Write 1 at pixels of a class with enough of it around them, 0 at the others.
+
+    Args:
+        tags: (h, w), at least one pixel.
+        of_class: (256,) 1 at the tags of the class, else 0.
+        least: pixels of the 3x3 around each that are of the class; mirrored at the border, as OpenCV's default has it.
+        marked: (h, w), written.
+
+    Raises:
+        ValueError: other sizes, or no pixels.
+    """
+    if tags.shape != marked.shape or not tags.size or len(of_class) != np.iinfo(np.uint8).max + 1:
+        raise ValueError(f"{tags.shape} tags of {len(of_class)} into {marked.shape}: expected one size")
+    found = np.asarray(cv2.LUT(np.ascontiguousarray(tags), of_class), np.uint8)
+    marked[...] = found & (cv2.boxFilter(found, -1, (3, 3), normalize=False) >= least)
+
+
+def count_of_class(tags: Image, of_class: Image) -> int:
+    """How many of (h, w) tags are of a class: not 0 in (256,).
+
+    Raises:
+        ValueError: not so many.
+    """
+    if len(of_class) != np.iinfo(np.uint8).max + 1:
+        raise ValueError(f"a class of {len(of_class)} tags: expected one size")
+    return int(np.count_nonzero(of_class[tags]))

@@ -1,0 +1,97 @@
+"""Patches of one image aligned with another one, by numpy.
+
+Inverse compositional alignment (Baker and Matthews, "Lucas-Kanade 20 Years On", IJCV 56, 2004) of a shift alone: what
+is solved for depends on the patch of the first image only. Means are taken away, so a change of brightness does not
+matter. Every sum is added up in the order of the patch's pixels, row by row.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+REACH_PX: Final = 5
+"""How far a patch reaches to either side of its centre."""
+FLAT: Final = 1e-3
+"""Keeps patches without texture solvable; their correlation then sorts them out."""
+_SIDE: Final = 2 * REACH_PX + 1
+
+
+def align_patches(
+    before: Image, before_px: Float, stretch: Float, after: Image, px: Float, correlation: Float, iterations: int
+) -> None:
+    """Shift stretched patches to where they fit best.
+
+    Args:
+        before: (H, W) image of the patches.
+        before_px: (N, 2) their centres.
+        stretch: (N, 2, 2) derivative of the pixel in ``after`` by the pixel in ``before``.
+        after: (H, W) image in which they are searched.
+        px: (N, 2) where the search begins; overwritten with where it ends.
+        correlation: (N,), written: of both patches there, -1 to 1.
+        iterations: steps of the search.
+
+    Raises:
+        ValueError: sizes that do not belong together, or an image without pixels.
+    """
+    require_belonging(*(a.shape for a in (before, before_px, stretch, after, px, correlation)))
+    down, right = np.mgrid[-REACH_PX - 1 : REACH_PX + 2, -REACH_PX - 1 : REACH_PX + 2].astype(float)
+    around = _sampled(before, before_px[:, 0, None, None] + right, before_px[:, 1, None, None] + down)
+    template = _centred(around[:, 1:-1, 1:-1])
+    gx = _centred(0.5 * (around[:, 1:-1, 2:] - around[:, 1:-1, :-2]))
+    gy = _centred(0.5 * (around[:, 2:, 1:-1] - around[:, :-2, 1:-1]))
+    xx, xy, yy = _summed(gx * gx) + FLAT, _summed(gx * gy), _summed(gy * gy) + FLAT
+    determinant = xx * yy - xy * xy
+    down, right = (offset[1:-1, 1:-1].ravel() for offset in (down, right))
+    across = stretch[:, 0, 0, None] * right + stretch[:, 0, 1, None] * down
+    along = stretch[:, 1, 0, None] * right + stretch[:, 1, 1, None] * down
+    for _ in range(iterations):
+        error = _sampled(after, px[:, 0, None] + across, px[:, 1, None] + along) - template
+        x, y = _summed(gx * error), _summed(gy * error)
+        shift_x, shift_y = (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
+        px[:, 0] -= stretch[:, 0, 0] * shift_x + stretch[:, 0, 1] * shift_y
+        px[:, 1] -= stretch[:, 1, 0] * shift_x + stretch[:, 1, 1] * shift_y
+    found = _centred(_sampled(after, px[:, 0, None] + across, px[:, 1, None] + along))
+    power = _summed(found * found) * _summed(template * template)
+    correlation[:] = _summed(found * template) / np.sqrt(power + FLAT)
+
+
+def _sampled(image: Image, x: Float, y: Float) -> Float:
+    """Grey levels at pixels, linear between them; outside the image, and of NaN, those of its edge."""
+    height, width = image.shape
+    x, y = (np.where(at > 0, at, 0.0) for at in (x, y))
+    x, y = np.where(x < width - 1, x, width - 1), np.where(y < height - 1, y, height - 1)
+    left, top = x.astype(np.intp), y.astype(np.intp)
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    x, y = x - left, y - top
+    levels = image.astype(float)
+    upper = levels[top, left] + x * (levels[top, right] - levels[top, left])
+    lower = levels[below, left] + x * (levels[below, right] - levels[below, left])
+    result: Float = upper + y * (lower - upper)
+    return result
+
+
+def _summed(patches: Float) -> Float:
+    """(N,) sums of (N, P), one number after the other."""
+    return np.asarray(np.add.accumulate(patches, axis=1)[:, -1] + 0.0)  # no sum that begins with 0 ends with -0
+
+
+def _centred(patches: Float) -> Float:
+    """(N, P) without their means."""
+    flat = patches.reshape(-1, _SIDE**2)
+    return np.asarray(flat - (_summed(flat) / _SIDE**2)[:, None])
+
+
+def require_belonging(*shapes: tuple[int, ...]) -> None:
+    """Check the shapes of the arrays that ``align_patches`` takes, in its order.
+
+    Raises:
+        ValueError: sizes that do not belong together, or an image without pixels.
+    """
+    before, before_px, stretch, after, px, correlation = shapes
+    count = correlation[0]
+    if (before_px, stretch, px) != ((count, 2), (count, 2, 2), (count, 2)) or not all(before + after):
+        raise ValueError(f"patches of {shapes}: expected one number of them, and images with pixels")

@@ -1,0 +1,136 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+"""The pixels of a depth image near a plane, each row in one pass: ``plane_pixels_plain`` says what they are."""
+
+from libc.math cimport fabsf
+from libc.stdint cimport int64_t, uint8_t
+from libc.stdlib cimport free, malloc
+
+import numpy as np
+
+cdef enum:
+    MOMENTS = 6
+
+
+cdef int _mark_row(
+    const float* depth, const float* column, float row, float offset, float within, uint8_t* near, Py_ssize_t width
+) noexcept nogil:
+    cdef Py_ssize_t u
+    cdef int count = 0
+    cdef float distance
+    for u in range(width):
+        distance = depth[u] * (row + column[u]) + offset
+        near[u] = near[u] & (fabsf(distance) <= within)
+        count += near[u]
+    return count
+
+
+cdef int _choose_row(
+    const float* depth, const float* column, float row, float offset, float within, const uint8_t* among, float* z,
+    Py_ssize_t width,
+) noexcept nogil:
+    """The depths that count, and 0 for all others; how many do."""
+    cdef Py_ssize_t u
+    cdef int count = 0, near
+    cdef float distance
+    for u in range(width):
+        distance = depth[u] * (row + column[u]) + offset
+        near = (fabsf(distance) <= within) & among[u]
+        z[u] = depth[u] if near else <float>0.0
+        count += near
+    return count
+
+
+cdef void _sum_row(
+    const float* z, const float* ray_x, double* sums, Py_ssize_t width
+) noexcept nogil:
+    cdef Py_ssize_t u
+    cdef double depth, x, one_z = 0.0, one_x = 0.0, zz = 0.0, xz = 0.0, xx = 0.0
+    for u in range(width):
+        depth = z[u]
+        x = ray_x[u] * z[u]
+        one_z += depth
+        one_x += x
+        zz += depth * depth
+        xz += x * depth
+        xx += x * x
+    sums[1] = one_z
+    sums[2] = one_x
+    sums[3] = zz
+    sums[4] = xz
+    sums[5] = xx
+
+
+def mark_near(
+    const float[:, ::1] depth_m, const float[::1] column, const float[::1] row, float offset_m, float within_m,
+    uint8_t[:, ::1] near,
+):
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, count = 0
+    _require_fitting(height, width, column.shape[0], row.shape[0], near.shape[0], near.shape[1])
+    with nogil:
+        for v in range(height if width else 0):
+            count += _mark_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &near[v, 0], width)
+    return count
+
+
+def moments_near(
+    const float[:, ::1] depth_m, const float[::1] column, const float[::1] row, float offset_m, float within_m,
+    const uint8_t[:, ::1] among, const float[::1] ray_x,
+):
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, count
+    _require_fitting(
+        height, width, column.shape[0] if column.shape[0] == ray_x.shape[0] else -1, row.shape[0], among.shape[0],
+        among.shape[1],
+    )
+    cdef double[:, ::1] sums = np.zeros((height, MOMENTS))
+    cdef float* z = <float*>malloc((width + 1) * sizeof(float))
+    if not z:
+        raise MemoryError
+    with nogil:
+        for v in range(height if width else 0):
+            count = _choose_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], z, width)
+            sums[v, 0] = count
+            if count:
+                _sum_row(z, &ray_x[0], &sums[v, 0], width)
+    free(z)
+    return np.asarray(sums)
+
+
+def marked(const uint8_t[:, ::1] marks, const int64_t[::1] ranks):
+    cdef Py_ssize_t height = marks.shape[0], width = marks.shape[1], v, u, n, low, high, middle
+    cdef int64_t left
+    cdef int64_t[::1] before = np.zeros(height + 1, np.int64), places = np.empty(ranks.shape[0], np.int64)
+    for v in range(height):
+        left = 0
+        for u in range(width):
+            left += marks[v, u]
+        before[v + 1] = before[v] + left
+    for n in range(ranks.shape[0]):
+        if not 0 <= ranks[n] < before[height]:
+            raise IndexError(f"mark {ranks[n]} of {before[height]}")
+    with nogil:
+        for n in range(ranks.shape[0]):
+            low = 0
+            high = height
+            while high - low > 1:
+                middle = (low + high) // 2
+                if before[middle] <= ranks[n]:
+                    low = middle
+                else:
+                    high = middle
+            left = ranks[n] - before[low] + 1
+            u = -1
+            while left:
+                u += 1
+                left -= marks[low, u]
+            places[n] = low * width + u
+    return np.asarray(places)
+
+
+cdef _require_fitting(
+    Py_ssize_t height, Py_ssize_t width, Py_ssize_t columns, Py_ssize_t rows, Py_ssize_t mark_rows,
+    Py_ssize_t mark_columns,
+):
+    if (rows, columns) != (height, width) or (mark_rows, mark_columns) != (height, width):
+        raise ValueError(
+            f"{rows}x{columns} distances and {(mark_rows, mark_columns)} marks of {height}x{width} depths"
+        )

@@ -1,0 +1,6 @@
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+
+def region_distances(mask: NDArray[np.bool_], distances_m: Float32, noise: Float32) -> tuple[Float32, Float32]: ...

@@ -1,0 +1,10 @@
+"""Quadratics through the points beside a line: compiled where they could be."""
+
+from roadperc_stream.core.kernels.robust_quadratic_plain import Following, Points, Quadratic, Weighing
+
+try:
+    from roadperc_stream.core.kernels.robust_quadratic_compiled import follow
+except ImportError:
+    from roadperc_stream.core.kernels.robust_quadratic_plain import follow
+
+__all__ = ["Following", "Points", "Quadratic", "Weighing", "follow"]

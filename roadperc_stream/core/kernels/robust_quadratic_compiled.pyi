@@ -1,0 +1,3 @@
+from roadperc_stream.core.kernels.robust_quadratic_plain import Following, Points, Quadratic, State, Weighing
+
+def follow(points: Points, first: State, how: Following, weighing: Weighing) -> Quadratic | None: ...

@@ -1,0 +1,165 @@
+"""PNGs as cameras and simulators write them, in less time than OpenCV takes and with the same pixels.
+
+libdeflate inflates them, a compiled kernel reverses their filters. Whatever is unusual or not whole is None here:
+OpenCV or Pillow decodes it or says why it cannot, and so they do with every PNG where the kernel is not installed.
+"""
+
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+import deflate
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.core.datatypes import Image
+
+try:
+    from roadperc_stream.core.kernels.png_compiled import reverse_filters, reverse_to_grey
+except ImportError:
+    COMPILED = False
+else:
+    COMPILED = True
+
+MAGIC: Final = b"\x89PNG\r\n\x1a\n"
+SIZE: Final = struct.Struct(">II")
+"""Columns and rows, the start of a header."""
+SIZE_AT: Final = 16
+_CHUNK: Final = struct.Struct(">I4s")
+_CRC: Final = struct.Struct(">I")
+_HEADER: Final = struct.Struct(">IIBBBBB")
+_PIXEL_SIZE: Final = b"pHYs"
+"""The one chunk with no say in the pixels that recorders write (ffmpeg does)."""
+_PIXEL_SIZE_BYTES: Final = 9
+_LONGEST_SIDE: Final = 1 << 14
+"""OpenCV refuses some sizes beyond; what it does with those it decides itself."""
+_HISTORY: Final = 1 << 15
+"""Bytes that deflate looks back at most."""
+GREY, COLOURS, PALETTE, COLOURS_ALPHA = 0, 2, 3, 6
+_CHANNELS: Final = {GREY: 1, COLOURS: 3, PALETTE: 1, COLOURS_ALPHA: 4}
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """A PNG's inflated lines, and how it codes its pixels."""
+
+    width: int
+    bits: int
+    colour_type: int
+    filtered: NDArray[np.uint8]
+    """(H, 1 + L): each line's filter and its L bytes."""
+
+    @property
+    def pixel_bytes(self) -> int:
+        """What filters look back by; at least one byte."""
+        return max(self.bits * _CHANNELS[self.colour_type] // 8, 1)
+
+    def rows(self) -> NDArray[np.uint8] | None:
+        """(H, L) bytes, reversed in place; None where a filter is unknown."""
+        return self.filtered[:, 1:] if reverse_filters(self.filtered, self.pixel_bytes) else None
+
+
+def grey(data: bytes) -> Image | None:
+    """(H, W) uint8 of a PNG of grey or colours, as OpenCV's ``IMREAD_GRAYSCALE`` has it."""
+    lines = _lines_of(data, {(GREY, 8), (COLOURS, 8), (COLOURS_ALPHA, 8)})
+    if lines is None:
+        return None
+    if lines.colour_type == GREY:
+        return _one_byte_pixels(lines)
+    pixels = np.empty((len(lines.filtered), lines.width), np.uint8)
+    return pixels if reverse_to_grey(lines.filtered, lines.pixel_bytes, pixels) else None
+
+
+def bgr(data: bytes) -> Image | None:
+    """(H, W, 3) uint8 of a PNG of colours, as OpenCV's ``IMREAD_COLOR`` has it."""
+    lines = _lines_of(data, {(COLOURS, 8), (COLOURS_ALPHA, 8)})
+    if lines is None or (rows := lines.rows()) is None:
+        return None
+    import cv2
+
+    order = cv2.COLOR_RGB2BGR if lines.colour_type == COLOURS else cv2.COLOR_RGBA2BGR
+    return cv2.cvtColor(rows.reshape(len(rows), lines.width, -1), order).astype(np.uint8, copy=False)
+
+
+def grey16(data: bytes) -> NDArray[np.uint16] | None:
+    """(H, W) uint16 of a PNG of grey with 16 bits, as OpenCV's ``IMREAD_UNCHANGED`` has it."""
+    lines = _lines_of(data, {(GREY, 16)})
+    if lines is None or (rows := lines.rows()) is None:
+        return None
+    return rows.view(">u2").astype(np.uint16)
+
+
+def indices(data: bytes) -> Image | None:
+    """(H, W) uint8 indices of a palette PNG, or the values of a grey one with 8 bits."""
+    lines = _lines_of(data, {(GREY, 8), (PALETTE, 1), (PALETTE, 2), (PALETTE, 4), (PALETTE, 8)})
+    if lines is None:
+        return None
+    return _one_byte_pixels(lines) if lines.bits == 8 else _unpacked(lines)
+
+
+def _one_byte_pixels(lines: _Lines) -> Image | None:
+    rows = lines.rows()
+    return None if rows is None else np.ascontiguousarray(rows)
+
+
+def _unpacked(lines: _Lines) -> Image | None:
+    """(H, W) of bytes that hold several pixels each, the first in the highest bits."""
+    rows = lines.rows()
+    if rows is None:
+        return None
+    shifts = np.arange(8 - lines.bits, -1, -lines.bits, dtype=np.uint8)
+    pixels = (rows[..., np.newaxis] >> shifts) & np.uint8((1 << lines.bits) - 1)
+    return np.ascontiguousarray(pixels.reshape(len(rows), -1)[:, : lines.width])
+
+
+def _lines_of(data: bytes, kinds: set[tuple[int, int]]) -> _Lines | None:
+    """Those of a whole PNG of one of the kinds: colour type and bits; None of any other."""
+    chunks = _chunks(data) if COMPILED else None
+    if chunks is None:
+        return None
+    width, height, bits, colour_type, *methods = _HEADER.unpack(chunks[0][1])
+    if any(methods) or (colour_type, bits) not in kinds or not _in_order(chunks, colour_type):
+        return None
+    if not (0 < width <= _LONGEST_SIDE and 0 < height <= _LONGEST_SIDE):
+        return None
+    row_bytes = (width * bits * _CHANNELS[colour_type] + 7) // 8
+    parts = [content for name, content in chunks if name == b"IDAT"]
+    filtered = _inflated(parts[0] if len(parts) == 1 else b"".join(parts), height * (1 + row_bytes))
+    if filtered is None:
+        return None
+    return _Lines(width, bits, colour_type, np.frombuffer(filtered, np.uint8).reshape(height, 1 + row_bytes))
+
+
+def _in_order(chunks: list[tuple[bytes, memoryview]], colour_type: int) -> bool:
+    """Whether there is what has to be, once, and nothing else; the content may come in parts."""
+    names = [name for name, _ in chunks]
+    palette = [b"PLTE"] * (colour_type == PALETTE)
+    return names == [b"IHDR", *palette, *[b"IDAT"] * names.count(b"IDAT"), b"IEND"]
+
+
+def _chunks(data: bytes) -> list[tuple[bytes, memoryview]] | None:
+    """Name and content of each, but a pixel's size; None where one is broken."""
+    if not data.startswith(MAGIC):
+        return None
+    chunks: list[tuple[bytes, memoryview]] = []
+    view, at = memoryview(data), len(MAGIC)
+    while at + _CHUNK.size + _CRC.size <= len(data):
+        length, name = _CHUNK.unpack_from(data, at)
+        end = at + _CHUNK.size + length
+        if end + _CRC.size > len(data) or _CRC.unpack_from(data, end)[0] != deflate.crc32(view[at + 4 : end]):
+            return None
+        if not (name == _PIXEL_SIZE and length == _PIXEL_SIZE_BYTES and len(chunks) == 1):
+            chunks.append((name, view[at + _CHUNK.size : end]))
+        at = end + _CRC.size
+    return chunks if at == len(data) and chunks and len(chunks[0][1]) == _HEADER.size else None
+
+
+def _inflated(compressed: bytes | memoryview, size: int) -> bytearray | None:
+    """As many bytes as the header promises, no more; None where the stream gives others."""
+    if not compressed or min(size, _HISTORY) > 1 << (8 + (compressed[0] >> 4)):
+        return None  # libdeflate does not mind a stream that looks back beyond its own window, zlib does
+    try:
+        inflated = deflate.zlib_decompress(compressed, size)
+    except deflate.DeflateError:
+        return None
+    return inflated if len(inflated) == size else None

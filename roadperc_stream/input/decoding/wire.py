@@ -1,0 +1,74 @@
+"""Protobuf messages that are one large field and little else: the field stays where it is, the rest is parsed.
+
+Parsing copies every field, and asking for one copies it again; of an image's megabyte the first pass needs the stamp.
+Source of the layout: protobuf.dev/programming-guides/encoding.
+"""
+
+from typing import Any, Final
+
+from roadperc_stream.formats.raster import Content
+
+_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
+_LENGTHS: Final = {_FIXED64: 8, _FIXED32: 4}
+_MOST_FIELDS: Final = 32
+"""A message of more is none that this is for; walking it would take longer than parsing it."""
+_LONGEST_VARINT: Final = 5
+"""Bytes; of tags and lengths, more would be no message."""
+
+
+def parsed(message_type: Any, data: bytes, field: str) -> tuple[Any, Content]:
+    """A message without one of its fields, and what that holds.
+
+    Args:
+        message_type: the generated class.
+        data: the whole message.
+        field: a field of bytes; it is copied where the message is not laid out as encoders write it.
+
+    Raises:
+        google.protobuf.message.DecodeError: the bytes are no such message.
+    """
+    place = _place(data, message_type.DESCRIPTOR.fields_by_name[field].number)
+    if place is None:
+        message = message_type.FromString(data)
+        return message, getattr(message, field)
+    first, start, end = place
+    return message_type.FromString(data[:first] + data[end:]), memoryview(data)[start:end]
+
+
+def _place(data: bytes, number: int) -> tuple[int, int, int] | None:
+    """Where the only field of a number begins, its content begins, and both end; None where a parser has to say."""
+    found, at = None, 0
+    for _ in range(_MOST_FIELDS):
+        if at == len(data):
+            return found
+        first = at
+        tag, at = _varint(data, at)
+        length, at = _length(data, at, tag & 7)
+        if tag >> 3 <= 0 or length < 0 or at + length > len(data):
+            return None
+        if tag >> 3 == number:
+            if found is not None or tag & 7 != _BYTES:
+                return None
+            found = first, at, at + length
+        at += length
+    return None
+
+
+def _length(data: bytes, at: int, wire_type: int) -> tuple[int, int]:
+    """How long a field's content is, and where it begins; -1 where that cannot be said."""
+    if wire_type == _BYTES:
+        return _varint(data, at)
+    if wire_type == _VARINT:
+        _, end = _varint(data, at)
+        return (0 if end > at else -1), end
+    return _LENGTHS.get(wire_type, -1), at
+
+
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    """The number at a place, and where it ends; -1 where there is none."""
+    value = 0
+    for shift, byte in enumerate(data[at : at + _LONGEST_VARINT]):
+        value |= (byte & 0x7F) << 7 * shift
+        if byte < 0x80:
+            return value, at + shift + 1
+    return -1, at

@@ -1,0 +1,240 @@
+"""An MCAP file while it is written: its records, chunks that are made here or come from another file, index and CRCs.
+
+The library's writer takes no chunk that is there already; its records, of which a file is made, are the library's here
+as well. Layout: https://mcap.dev/spec.
+"""
+
+import struct
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import IO, Final
+
+from deflate import crc32
+from mcap import records
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from zstandard import ZstdCompressor
+
+from roadperc_stream.log.chunks import chunk_head
+from roadperc_stream.log.integrity import CRC_BYTES, MAGIC
+from roadperc_stream.log.records import Message
+
+_RECORD: Final = struct.Struct("<BQ")
+_MESSAGE: Final = struct.Struct("<BQHIQQ")
+_CHUNK: Final = struct.Struct("<BQQQQII")
+_LENGTH: Final = struct.Struct("<Q")
+_INDEX: Final = struct.Struct("<BQHI")
+_ENTRY: Final = struct.Struct("<QQ")
+_COMPRESSION: Final = b"zstd"
+_LEVEL: Final = 1
+"""Takes a third of the time of zstandard's default, for 4 % more bytes."""
+
+
+@dataclass(frozen=True)
+class ChunkRecords:
+    """A chunk as it stands in a file: its record, and the records of its message indexes behind it."""
+
+    record: bytes
+    indexes: bytes
+
+    @property
+    def crc(self) -> int:
+        """Of its data, 0 where there is none."""
+        return int(_CHUNK.unpack_from(self.record)[5])
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time."""
+        _, _, first_ns, last_ns, *_ = _CHUNK.unpack_from(self.record)
+        return first_ns, last_ns
+
+    def places(self) -> Iterator[tuple[int, int, int]]:
+        """Channel of each message index, its first byte, counted from the first one's, and its number of messages."""
+        at = 0
+        while at < len(self.indexes):
+            _, length, channel_id, entries_bytes = _INDEX.unpack_from(self.indexes, at)
+            yield channel_id, at, entries_bytes // _ENTRY.size
+            at += _RECORD.size + length
+
+    def with_crc(self, crc: int) -> "ChunkRecords":
+        """With another CRC of its data; all else stays."""
+        at = _CHUNK.size - 2 * CRC_BYTES
+        return ChunkRecords(
+            b"".join((self.record[:at], crc.to_bytes(CRC_BYTES, "little"), self.record[at + CRC_BYTES :])), self.indexes
+        )
+
+
+@dataclass
+class OpenChunk:
+    """Messages that are not in the file yet."""
+
+    size_bytes: int = 0
+    _pieces: list[bytes] = field(default_factory=list)
+    _entries: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
+    """Log time and place of the messages, by channel."""
+
+    def add(self, channel_id: int, message: Message) -> None:
+        """Append a message."""
+        times = message.log_time_ns, message.publish_time_ns
+        length = _MESSAGE.size - _RECORD.size + len(message.data)
+        self._pieces += _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, message.sequence, *times), message.data
+        self._entries.setdefault(channel_id, []).append((message.log_time_ns, self.size_bytes))
+        self.size_bytes += _RECORD.size + length
+
+    def records(self) -> ChunkRecords:
+        """What is written of it."""
+        data = b"".join(self._pieces)
+        stored = ZstdCompressor(level=_LEVEL).compress(data)
+        times = [time_ns for entries in self._entries.values() for time_ns, _ in entries]
+        length = _CHUNK.size - _RECORD.size + len(_COMPRESSION) + _LENGTH.size + len(stored)
+        head = _CHUNK.pack(Opcode.CHUNK, length, min(times), max(times), len(data), crc32(data), len(_COMPRESSION))
+        record = b"".join((head, _COMPRESSION, _LENGTH.pack(len(stored)), stored))
+        return ChunkRecords(record, b"".join(_index_record(*item) for item in self._entries.items()))
+
+
+def _index_record(channel_id: int, entries: Sequence[tuple[int, int]]) -> bytes:
+    body = b"".join(_ENTRY.pack(*entry) for entry in entries)
+    length = _INDEX.size - _RECORD.size + len(body)
+    return _INDEX.pack(Opcode.MESSAGE_INDEX, length, channel_id, len(body)) + body
+
+
+class McapFile:
+    """Writes a file from its start to its end; all CRCs are written."""
+
+    def __init__(self, stream: IO[bytes], profile: str, library: str) -> None:
+        """Write the header.
+
+        Args:
+            stream: at its start; others may look where it is.
+            profile: of the log.
+            library: what writes it.
+        """
+        self._stream, self._crc = stream, 0
+        self._schemas: list[records.Schema] = []
+        self._channels: list[records.Channel] = []
+        self._chunks, self._chunk_index = 0, RecordBuilder()
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._attachments: list[records.AttachmentIndex] = []
+        self._metadata: list[records.MetadataIndex] = []
+        self._counts = Counter[int]()
+        self._write(MAGIC)
+        self._add(records.Header(profile, library))
+
+    def add_schema(self, schema: records.Schema) -> None:
+        """Describe a schema, outside any chunk: those of other files need not."""
+        self._add(schema)
+        self._schemas.append(schema)
+
+    def add_channel(self, channel: records.Channel) -> None:
+        """Describe a channel, as a schema."""
+        self._add(channel)
+        self._channels.append(channel)
+
+    def add_attachment(self, item: records.Attachment) -> None:
+        """Write an attachment."""
+        start, length = self._add(item)
+        self._attachments.append(
+            records.AttachmentIndex(
+                offset=start,
+                length=length,
+                log_time=item.log_time,
+                create_time=item.create_time,
+                data_size=len(item.data),
+                name=item.name,
+                media_type=item.media_type,
+            )
+        )
+
+    def add_metadata(self, item: records.Metadata) -> None:
+        """Write a metadata record."""
+        start, length = self._add(item)
+        self._metadata.append(records.MetadataIndex(offset=start, length=length, name=item.name))
+
+    def add_chunk(self, chunk: ChunkRecords) -> tuple[int, int]:
+        """Write a chunk with its message indexes.
+
+        Returns:
+            The byte its record starts at, and the one behind that.
+        """
+        head, start = chunk_head(memoryview(chunk.record)[_RECORD.size :]), self._stream.tell()
+        end = start + len(chunk.record)
+        offsets = dict[int, int]()
+        for channel_id, at, messages in chunk.places():
+            offsets[channel_id] = end + at
+            self._counts[channel_id] += messages
+        self._write(chunk.record)
+        self._write(chunk.indexes)
+        records.ChunkIndex(
+            chunk_length=len(chunk.record),
+            chunk_start_offset=start,
+            compression=head.compression,
+            compressed_size=head.stored_bytes,
+            message_end_time=head.last_ns,
+            message_index_length=len(chunk.indexes),
+            message_index_offsets=offsets,
+            message_start_time=head.first_ns,
+            uncompressed_size=head.size_bytes,
+        ).write(self._chunk_index)
+        self._chunks += 1
+        self._first_ns = head.first_ns if self._first_ns is None else min(head.first_ns, self._first_ns)
+        self._last_ns = max(head.last_ns, self._last_ns)
+        return start, end
+
+    def finish(self) -> None:
+        """Write index and footer."""
+        self._add(records.DataEnd(self._crc))
+        start, summary, offsets = self._stream.tell(), RecordBuilder(), RecordBuilder()
+        for opcode, data in self._summary():
+            records.SummaryOffset(opcode, start + summary.count, len(data)).write(offsets)
+            summary.write(data)
+        offsets_start, self._crc = start + summary.count, 0
+        self._write(_taken_from(summary))
+        self._write(_taken_from(offsets))
+        self._write(_bytes_of([records.Footer(start, offsets_start, 0)])[:-CRC_BYTES])
+        self._write(self._crc.to_bytes(CRC_BYTES, "little"))
+        self._write(MAGIC)
+
+    def _summary(self) -> Iterator[tuple[Opcode, bytes]]:
+        """The records of the index, kind by kind."""
+        yield Opcode.SCHEMA, _bytes_of(self._schemas)
+        yield Opcode.CHANNEL, _bytes_of(self._channels)
+        yield Opcode.STATISTICS, _bytes_of([self._statistics()])
+        yield Opcode.CHUNK_INDEX, _taken_from(self._chunk_index)
+        yield Opcode.ATTACHMENT_INDEX, _bytes_of(self._attachments)
+        yield Opcode.METADATA_INDEX, _bytes_of(self._metadata)
+
+    def _statistics(self) -> records.Statistics:
+        return records.Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=self._chunks,
+            message_count=self._counts.total(),
+            message_end_time=self._last_ns,
+            message_start_time=self._first_ns or 0,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+
+    def _add(self, record: records.McapRecord) -> tuple[int, int]:
+        """Write a record outside any chunk; gives the byte it starts at, and its length."""
+        start, data = self._stream.tell(), _bytes_of([record])
+        self._write(data)
+        return start, len(data)
+
+    def _write(self, data: bytes) -> None:
+        self._crc = crc32(data, self._crc)
+        self._stream.write(data)
+
+
+def _bytes_of(items: Iterable[records.McapRecord]) -> bytes:
+    builder = RecordBuilder()
+    for item in items:
+        item.write(builder)
+    return _taken_from(builder)
+
+
+def _taken_from(builder: RecordBuilder) -> bytes:
+    return bytes(builder.end())  # type: ignore[no-untyped-call]

@@ -1,0 +1,108 @@
+"""What is decoded: what the stages in use ask for, all of it ahead of them, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roadperc_stream.chain.ahead import decode_ahead
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.core.config import STAGES, load_config, switched_off
+from roadperc_stream.core.datatypes import Absent, CameraImage, DepthImage, InstanceImage, PointCloud, Reason, TagImage
+from roadperc_stream.core.stage_names import NEEDS
+from roadperc_stream.errors import DecodeError
+from tests.analytic import box
+from tests.logs import SMALL
+
+GREY = np.random.default_rng(0).integers(0, 255, (SMALL.height, SMALL.width), np.uint8)
+SCENE = {"tags", "depth"}
+ASKED = {
+    "stereo": {"image", "right"},
+    "surface": SCENE,
+    "odometry": SCENE | {"image"},
+    "lanes": SCENE,
+    "objects": SCENE | {"instances", "image"},
+    "occupancy": SCENE,
+}
+"""By the stage that is asked for alone, with those that it needs."""
+
+
+def only(*stages):
+    """The configuration of ``--only``."""
+    wanted = {*stages, *(needed for stage in stages for needed in NEEDS.get(stage, ()))}
+    return load_config(None, tuple(switched_off(stage) for stage in STAGES if stage not in wanted))
+
+
+def watched(read, **without):
+    """A frame with everything in it, whose images note in ``read`` when they are decoded."""
+    frame = SMALL.frame(0, detections=(box("Car", 20, 60, 60, 90),))
+    ids, tags, depth_m = np.zeros(GREY.shape, np.uint16), SMALL.tags(), SMALL.depth_m()
+    points_m = np.array([[0.0, 1.0, 10.0]], np.float32)
+
+    def noting(name, pixels):
+        return lambda: (read.append(name), pixels.copy() if isinstance(pixels, np.ndarray) else pixels)[1]
+
+    def camera(name):
+        return CameraImage("camera", noting(f"{name} in colour", GREY), noting(name, GREY))
+
+    full = replace(
+        frame,
+        image=camera("image"),
+        right=camera("right"),
+        right_camera=replace(frame.camera, baseline_m=0.5),
+        depth=DepthImage("camera", noting("depth", (depth_m, np.inf))),
+        segmentation=TagImage("camera", frame.segmentation.table, noting("tags", tags)),
+        instances=InstanceImage("camera", noting("instances", ids)),
+        points=PointCloud("camera", noting("points", points_m)),
+        ego_T_lidar=frame.ego_T_camera,
+    )
+    return replace(full, **without)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_alone_decodes_what_it_needs_ahead_of_its_turn(stage):
+    read, cfg = [], only(stage)
+    frame = watched(read)
+    decode_ahead(cfg, frame)
+    assert sorted(read) == sorted(ASKED[stage]), "each once"
+    step(cfg, ChainState(), frame)
+    assert sorted(read) == sorted(ASKED[stage]), "nothing is left for the step"
+
+
+@pytest.mark.parametrize("stages", [STAGES, ("stereo", "objects"), ("stereo", "lanes"), ("odometry", "objects"), ()])
+@pytest.mark.parametrize("without", [(), ("depth",), ("depth", "right"), ("right_camera",), ("image",)])
+def test_the_step_by_itself_decodes_the_same(stages, without):
+    ahead, alone, cfg = [], [], only(*stages)
+    frame = watched(ahead, **dict.fromkeys(without))
+    decode_ahead(cfg, frame)
+    before = list(ahead)
+    _, result = step(cfg, ChainState(), frame)
+    _, expected = step(cfg, ChainState(), watched(alone, **dict.fromkeys(without)))
+    assert sorted(before) == sorted(ahead) == sorted(alone)
+    assert result.reasons() == expected.reasons()
+
+
+def test_without_depth_the_points_of_a_lidar_are_asked_for():
+    read, cfg = [], only("surface")
+    decode_ahead(cfg, watched(read, depth=None))
+    assert sorted(read) == ["points", "tags"]
+
+
+def test_what_cannot_be_decoded_is_said_by_the_step():
+    def fails():
+        raise DecodeError("no image")
+
+    cfg, read = only("lanes"), []
+    frame = watched(read)
+    frame = replace(frame, segmentation=TagImage("camera", frame.segmentation.table, fails))
+    decode_ahead(cfg, frame)
+    _, result = step(cfg, ChainState(), frame)
+    assert Reason("segmentation", "undecodable", ("no image",)) in result.reasons()
+
+
+def test_stereo_alone_says_nothing_of_road_and_objects():
+    frame = watched([], depth=None, segmentation=None)
+    _, result = step(only("stereo"), ChainState(), frame)
+    others = (result.surface, result.lanes, result.objects, result.odometry, result.occupancy)
+    assert {reason.code for reason in result.reasons() if reason.source != "stereo"} == {"switched_off"}
+    assert all(isinstance(output, Absent) for output in others)

@@ -1,0 +1,240 @@
+"""Whole chunks of the input stand in the output as they are; what cannot is written anew."""
+
+import zlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from roadperc_stream import log
+from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
+from roadperc_stream.log.indexed import IndexedFile
+from roadperc_stream.log.mcap_file import ChunkRecords
+
+A, B = Channel("/a", "x", "S", "y", b"s", source_id=1), Channel("/b", "x", source_id=2)
+RESULT = Channel("/result", "x", "S", "y", b"s", metadata=(("producer", "roadperc"),))
+
+
+TWO = 400
+"""Size of chunks that hold two messages."""
+
+
+def written(path, items, **options):
+    """A log of the library's writer, of (topic, log time) each."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start()
+        schema = writer.register_schema("S", "y", b"s")
+        ids = {"/a": writer.register_channel("/a", "x", schema), "/b": writer.register_channel("/b", "x", 0)}
+        for number, (topic, time) in enumerate(items):
+            writer.add_message(ids[topic], time, str(number).encode().ljust(200, b"."), time + 1, number)
+        writer.finish()
+    return path
+
+
+def copied(path, target, topics=("/a", "/b"), start_ns=None, end_ns=None, results=()):
+    """A log copied by its pieces, a result at each of these times between; gives the pieces as well."""
+    summary = log.summarise(path)
+    channels = [channel for channel in summary.channels if channel.topic in topics]
+    found = []
+
+    def noted():
+        for piece in log.pieces(summary, channels, start_ns, end_ns):
+            found.append(piece)
+            yield piece
+
+    with LogWriter(target) as writer:
+        copy = MessageCopy(writer, channels, noted(), summary.schema_ids)
+        writer.register(RESULT)
+        for time in results:
+            copy.through(time)
+            writer.write(Message(RESULT, time, time, 0, b"r"))
+        copy.rest()
+    return found
+
+
+def index_of(path):
+    with path.open("rb") as stream:
+        return make_reader(stream).get_summary()
+
+
+def plain(messages):
+    return [(m.channel.topic, m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]
+
+
+def inputs(path):
+    return [m for m in plain(log.read(log.summarise(path))) if m[0] != "/result"]
+
+
+def whole(pieces):
+    return [isinstance(piece, ChunkRecords) for piece in pieces]
+
+
+IN_ORDER = [(("/a", "/b")[k % 2], 10 * (k // 2)) for k in range(12)]
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+def test_chunks_are_copied_byte_for_byte(tmp_path, compression):
+    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO, compression=compression)
+    pieces = copied(source, tmp_path / "b.mcap", results=[0, 10, 20])
+    assert all(whole(pieces))
+    assert len(pieces) == len(index_of(source).chunk_indexes) > 2
+    data = (tmp_path / "b.mcap").read_bytes()
+    assert all(piece.record + piece.indexes in data for piece in pieces)
+    assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source)))
+    assert log.audited(tmp_path / "b.mcap", check_chunks=True).whole
+
+
+def test_the_library_reads_what_was_copied_with_crcs_checked(tmp_path):
+    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
+    copied(source, tmp_path / "b.mcap", results=[0, 10, 20])
+    with (tmp_path / "b.mcap").open("rb") as stream:
+        found = list(make_reader(stream, validate_crcs=True).iter_messages())
+        assert [m.sequence for _, c, m in found if c.topic != "/result"] == list(range(12))
+        assert all((schema.name if schema else "") == ("" if c.topic == "/b" else "S") for schema, c, _ in found)
+        stream.seek(0)
+        in_file = [r for r in StreamReader(stream, validate_crcs=True).records if type(r).__name__ == "Message"]
+    assert len(in_file) == len(found) == 15
+
+
+def test_channels_and_schemas_keep_their_ids(tmp_path):
+    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
+    copied(source, tmp_path / "b.mcap", topics=["/b"], results=[0])
+    summary = log.summarise(tmp_path / "b.mcap")
+    channels = {c.topic: (c.source_id, summary.schema_ids[c.source_id]) for c in summary.channels}
+    assert channels == {"/b": (2, 0), "/result": (3, 1)}
+
+
+def test_a_chunk_without_crc_gets_one(tmp_path):
+    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO, enable_crcs=False, compression=CompressionType.NONE)
+    pieces = copied(source, tmp_path / "b.mcap")
+    assert all(whole(pieces))
+    for piece in pieces:
+        start = len(piece.record) - int.from_bytes(piece.record[25:33], "little")
+        assert piece.crc == zlib.crc32(piece.record[start:])
+    assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source)))
+    assert log.audited(tmp_path / "b.mcap", check_chunks=True).absent == ()
+
+
+UP = [("/a", 10 * k) for k in range(6)]
+
+
+@pytest.mark.parametrize(
+    ("items", "options", "expected"),
+    [
+        (UP, {"start_ns": 5}, [False, True, True]),
+        (UP, {"end_ns": 25}, [True, False]),
+        (IN_ORDER[:6], {"topics": ["/a"]}, [False] * 3),
+        ([("/a", 0), ("/a", 3), ("/a", 2), ("/a", 9), ("/a", 10), ("/a", 20)], {}, [False] * 4 + [True]),
+        ([("/a", 0), ("/a", 0), ("/a", 9), ("/a", 5), ("/a", 20), ("/a", 21)], {}, [True, False, False, True]),
+        ([("/a", 0), ("/a", 5), ("/a", 5), ("/a", 5), ("/a", 5), ("/a", 9)], {}, [True] * 3),
+    ],
+    ids=["start", "end", "a topic of two", "overlapping", "out of order inside", "touching"],
+)
+def test_chunks_that_cannot_stand_as_they_are_are_written_anew(tmp_path, items, options, expected):
+    source = written(tmp_path / "a.mcap", items, chunk_size=TWO)
+    pieces = copied(source, tmp_path / "b.mcap", **options)
+    read = {"topics": options.get("topics"), "start_ns": options.get("start_ns"), "end_ns": options.get("end_ns")}
+    assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source), **read))
+    assert whole(pieces) == expected
+
+
+def test_a_chunk_that_describes_what_is_left_out_is_written_anew(tmp_path):
+    """Its channel's id may be another one's in the copy."""
+    source = written(tmp_path / "a.mcap", [("/b", time) for time in range(6)], chunk_size=TWO)
+    pieces = copied(source, tmp_path / "b.mcap", topics=["/b"])
+    assert whole(pieces)[0] is False
+    assert whole(pieces)[-1] is True
+    assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source)))
+
+
+def test_a_chunk_that_is_large_is_written_anew(tmp_path, monkeypatch):
+    monkeypatch.setattr("roadperc_stream.log.indexed._MOST_WHOLE_BYTES", 100)
+    pieces = copied(written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO), tmp_path / "b.mcap")
+    assert not any(whole(pieces))
+
+
+def test_a_chunk_whose_own_crc_is_wrong_is_written_anew(tmp_path):
+    """The data section's CRC says that these are the bytes that were written: then the writer was wrong."""
+    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
+    summary = log.summarise(source)
+    file = summary.source
+    assert isinstance(file, IndexedFile)
+    first = file.chunks[0]
+    data = bytearray(source.read_bytes())
+    data[first.start + 33] ^= 1
+    source.write_bytes(data)
+    unchecked = IndexedFile(file.path, False, file.limits, file.channels, file.chunks, file._descriptions)
+    pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
+    assert whole(pieces)[:2] == [False, False]
+    assert whole(pieces)[-1] is True
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 30)), max_size=30),
+    st.booleans(),
+    st.sampled_from([1, TWO, 1000, 2**20]),
+    st.lists(st.integers(0, 30), max_size=8).map(sorted),
+)
+def test_a_copy_of_a_copy_is_the_same_byte_for_byte(tmp_path_factory, items, in_order, chunk_size, results):
+    folder = tmp_path_factory.mktemp("log")
+    items = sorted(items, key=lambda item: item[1]) if in_order else items
+    source = written(folder / "a.mcap", items, chunk_size=chunk_size)
+    copied(source, folder / "b.mcap", results=results)
+    pieces = copied(folder / "b.mcap", folder / "c.mcap", results=results)
+    assert all(whole(pieces))
+    assert inputs(folder / "b.mcap") == plain(log.read(log.summarise(source)))
+    assert (folder / "b.mcap").read_bytes() == (folder / "c.mcap").read_bytes()
+    assert log.audited(folder / "b.mcap", check_chunks=True).whole
+
+
+def test_a_log_in_no_order_is_written_anew_in_order(tmp_path):
+    source = written(tmp_path / "a.mcap", [("/a", 7 * k % 20) for k in range(20)], use_chunking=False)
+    pieces = copied(source, tmp_path / "b.mcap")
+    assert not any(whole(pieces))
+    assert [m[1] for m in inputs(tmp_path / "b.mcap")] == list(range(20))
+
+
+def test_copied_and_written_stand_in_chunks_of_their_own(tmp_path):
+    source = written(tmp_path / "a.mcap", [("/a", 7 * k % 20) for k in range(20)], use_chunking=False)
+    copied(source, tmp_path / "b.mcap", results=[3, 9, 15])
+    index = index_of(tmp_path / "b.mcap")
+    kinds = [{index.channels[i].topic for i in chunk.message_index_offsets} for chunk in index.chunk_indexes]
+    assert kinds == [{"/a"}, {"/result"}] * 3 + [{"/a"}]
+
+
+def test_a_growing_copy_gives_messages_in_the_order_of_log_time(tmp_path):
+    """A chunk that is copied whole reaches further than the results that are there."""
+    source = written(tmp_path / "a.mcap", [("/a", 10 * k) for k in range(6)], chunk_size=2**20)
+    summary = log.summarise(source)
+    with LogWriter(tmp_path / "b.mcap") as writer:
+        copy = MessageCopy(
+            writer, summary.channels, log.pieces(summary, summary.channels, None, None), summary.schema_ids
+        )
+        writer.register(RESULT)
+        growing = writer.while_written()
+        followed, seen = growing.follow(0), []
+        for time in (10, 30):
+            copy.through(time)
+            writer.write(Message(RESULT, time, time, 0, b"r"))
+            while (message := next(followed)) is not None:
+                seen.append((message.channel.topic, message.log_time_ns))
+            assert growing.progress() == (time, False)
+            assert [m.log_time_ns for m in growing.read()] == [time for _, time in seen]
+        copy.rest()
+    seen += [(message.channel.topic, message.log_time_ns) for message in followed if message]
+    assert seen == [
+        *[("/a", 0), ("/a", 10), ("/result", 10), ("/a", 20), ("/a", 30), ("/result", 30), ("/a", 40), ("/a", 50)]
+    ]
+    assert growing.progress() == (50, True)
+
+
+def test_the_ids_of_new_channels_are_free_ones(tmp_path):
+    last = Channel("/last", "x", source_id=65535)
+    with LogWriter(tmp_path / "a.mcap") as writer:
+        assert [writer.register(c, ids=(c.source_id, 0)) for c in (last, A)] == [65535, 1]
+        assert [writer.register(c) for c in (B, RESULT, A)] == [2, 3, 1]

@@ -1,0 +1,272 @@
+"""Replays in several threads: files, order and errors of one, whichever thread is faster; nothing is left."""
+
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from functools import partial
+
+import polars as pl
+import pytest
+
+import roadperc_stream as rp
+from roadperc_stream import loop, outputs
+from roadperc_stream.cli.replay import main
+from roadperc_stream.core.config import load_config
+from roadperc_stream.errors import ConfigError, LogError, TargetError
+from roadperc_stream.log import LogWriter
+from roadperc_stream.output.encoding import encode_image
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.columns import TIME_COLUMNS
+from tests import logs
+from tests.analytic import STEP_NS, Road
+from tests.replaying import replay
+
+CFG = load_config(None, ("sync.max_wait_s=0.1",))
+FEW_STAGES = ("stereo.method=off", "odometry.enabled=false", "lanes.enabled=false", "objects.enabled=false")
+LIGHT = load_config(None, ("sync.max_wait_s=0.1", *FEW_STAGES))
+TINY = Road(width=160, height=120)
+THREADS = (2, 3)
+FRAMES = 5
+
+
+def drive(frames=FRAMES):
+    return logs.items(frames, road=TINY)
+
+
+def broken(role, frame, data=b"\xff\xff\xff"):
+    """A drive with a message that cannot be read."""
+    stamp = logs.START_NS + frame * STEP_NS
+    return [logs.Item(i.role, i.stamp_ns, data) if (i.role, i.stamp_ns) == (role, stamp) else i for i in drive()]
+
+
+def without(role):
+    return [item for item in drive() if item.role != role]
+
+
+def twice():
+    """A drive, and the same again: its stamps step back."""
+    return [*drive(3), *drive(3)]
+
+
+BROKEN_NS = logs.START_NS + 3 * STEP_NS
+NO_IMAGE = encode_image(BROKEN_NS, "camera", "png", b"no")
+DRIVES = {
+    "whole": drive,
+    "without depth": partial(without, "depth"),
+    "without tags": partial(without, "segmentation"),
+    "without detections": partial(without, "detections"),
+    "stamps step back": twice,
+    "broken detections": partial(broken, "detections", 2),
+    "broken image": partial(broken, "image", 3, NO_IMAGE),
+    "one frame": partial(drive, 1),
+}
+
+
+def jittered(monkeypatch, seed):
+    """Let every step of every frame take a while, another one each time."""
+    rng = random.Random(seed)
+
+    def slow(function):
+        def slowed(*arguments):
+            time.sleep(rng.random() * 0.005)
+            return function(*arguments)
+
+        return slowed
+
+    monkeypatch.setattr(loop, "decode_ahead", slow(loop.decode_ahead))
+    monkeypatch.setattr(loop, "run_chain", slow(loop.run_chain))
+    monkeypatch.setattr(outputs, "frame_metrics", slow(outputs.frame_metrics))
+
+
+def tables(target):
+    """Both tables but for the times."""
+    kinds = {kind: pl.read_parquet(sidecar_path(target, kind)) for kind in ("metrics", "objects")}
+    return kinds["metrics"].drop(TIME_COLUMNS), kinds["objects"]
+
+
+def threads_left():
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("roadperc")]
+
+
+@pytest.mark.parametrize("kind", DRIVES)
+def test_the_files_are_those_of_one_thread(tmp_path, monkeypatch, kind):
+    source = logs.write(tmp_path / "in.mcap", DRIVES[kind](), [logs.foreign()])
+    one = replay(source, tmp_path / "one.mcap", CFG)
+    for threads in THREADS:
+        jittered(monkeypatch, threads)
+        target = tmp_path / f"{threads}.mcap"
+        summary = replay(source, target, CFG, threads=threads)
+        assert target.read_bytes() == (tmp_path / "one.mcap").read_bytes()
+        for found, expected in zip(tables(target), tables(tmp_path / "one.mcap"), strict=True):
+            assert found.equals(expected)
+        for said in ("log_id", "frames", "messages_out", "notes", "dropped", "problems", "throughout"):
+            assert getattr(summary, said) == getattr(one, said), said
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_a_replay_that_goes_on_gives_the_files_of_one_that_was_never_interrupted(tmp_path, threads):
+    source, target = logs.write(tmp_path / "in.mcap", drive(14)), tmp_path / "out.mcap"
+    replay(source, tmp_path / "whole.mcap", LIGHT)
+
+    def stop(done, _):
+        if done == 11:
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"):
+        replay(source, target, LIGHT, checkpoint_every_s=0.2, progress=stop, threads=threads)
+    assert threads_left() == []
+    summary = replay(source, target, LIGHT, checkpoint_every_s=0.2, resume=True, threads=threads)
+    assert 5 <= summary.frames_before <= 11
+    assert target.read_bytes() == (tmp_path / "whole.mcap").read_bytes()
+
+
+@pytest.mark.parametrize("threads", [1, *THREADS])
+def test_progress_counts_the_frames_that_are_written(tmp_path, threads):
+    source, told = logs.write(tmp_path / "in.mcap", drive()), []
+    replay(source, tmp_path / "out.mcap", LIGHT, threads=threads, progress=lambda *numbers: told.append(numbers))
+    assert told == [(k, FRAMES) for k in range(1, FRAMES + 1)]
+
+
+@pytest.mark.parametrize("threads", [1, *THREADS])
+def test_an_error_in_reading_names_its_message(tmp_path, threads):
+    source = logs.write(tmp_path / "in.mcap", broken("detections", 4))
+    stamp = logs.START_NS + 4 * STEP_NS
+    with pytest.raises(LogError, match=rf"in\.mcap: /camera/front/detections: message at {stamp} ns: "):
+        replay(source, tmp_path / "out.mcap", LIGHT, strict=True, threads=threads)
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+    assert threads_left() == []
+
+
+@pytest.mark.parametrize("threads", [1, *THREADS])
+def test_an_image_that_cannot_be_decoded_names_its_frame(tmp_path, threads):
+    source = logs.write(tmp_path / "in.mcap", DRIVES["broken image"]())
+    with pytest.raises(LogError, match=str(BROKEN_NS)):
+        replay(source, tmp_path / "out.mcap", CFG, strict=True, threads=threads)
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+    assert threads_left() == []
+
+
+@pytest.mark.parametrize("threads", [1, *THREADS])
+@pytest.mark.parametrize("step", ["decode_ahead", "run_chain", "write"])
+def test_an_error_in_any_step_ends_the_replay_and_leaves_nothing(tmp_path, monkeypatch, threads, step):
+    source, calls = logs.write(tmp_path / "in.mcap", drive()), []
+
+    def failing(function):
+        def called(*arguments):
+            calls.append(step)
+            if len(calls) == 4:
+                raise MemoryError(step)
+            return function(*arguments)
+
+        return called
+
+    if step == "write":
+        monkeypatch.setattr(outputs.Outputs, "write", failing(outputs.Outputs.write))
+    else:
+        monkeypatch.setattr(loop, step, failing(getattr(loop, step)))
+    with pytest.raises(MemoryError, match=step):
+        replay(source, tmp_path / "out.mcap", LIGHT, threads=threads)
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+    assert threads_left() == []
+
+
+@pytest.mark.parametrize("threads", [1, *THREADS])
+def test_a_full_disk_is_one_error(tmp_path, monkeypatch, threads):
+    source = logs.write(tmp_path / "in.mcap", drive())
+    written = []
+
+    def write(writer, message, original=LogWriter.write):
+        written.append(message)
+        if len(written) == 12:
+            raise TargetError(f"{writer.path}: No space left on device")
+        original(writer, message)
+
+    monkeypatch.setattr(LogWriter, "write", write)
+    with pytest.raises(TargetError, match=r"out\.mcap: No space left"):
+        replay(source, tmp_path / "out.mcap", LIGHT, threads=threads)
+    assert len(written) == 12, "nothing is written after it"
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+
+
+@pytest.mark.parametrize(("number", "threads"), [(signal.SIGTERM, 2), (signal.SIGINT, 3)])
+def test_a_signal_in_the_middle_leaves_no_file_and_no_process(tmp_path, number, threads):
+    source, target = logs.write(tmp_path / "in.mcap", drive(80)), tmp_path / "out.mcap"
+    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.replay import main; sys.exit(main())"]
+    options = ["--threads", str(threads), "--checkpoint-every", "0.2", "--set", "sync.max_wait_s=0.1"]
+    process = subprocess.Popen(
+        [*command, str(source), str(target), *options, "--only", "surface"], stderr=subprocess.PIPE, text=True
+    )
+    state = tmp_path / ".out.mcap.checkpoint" / "state"
+    while process.poll() is None and not state.exists():  # some frames are done then, and many are to come
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert err.startswith("error: interrupted")
+    assert {path.name for path in tmp_path.iterdir()} == {"in.mcap", ".out.mcap.checkpoint"}
+
+
+def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
+    """By a clock that only the work itself moves, each kind by another time."""
+    now_s = [0.0]
+
+    def taking(milliseconds, function):
+        def worked(*arguments, **options):
+            now_s[0] += milliseconds / 1000
+            return function(*arguments, **options)
+
+        return worked
+
+    monkeypatch.setattr(loop, "perf_counter", lambda: now_s[0])
+    monkeypatch.setattr(loop, "decode_ahead", taking(3, loop.decode_ahead))
+    monkeypatch.setattr(outputs, "frame_metrics", taking(5, outputs.frame_metrics))
+    monkeypatch.setattr(outputs.MessageCopy, "through", taking(7, outputs.MessageCopy.through))
+    monkeypatch.setattr(outputs.ResultWriter, "messages", taking(11, outputs.ResultWriter.messages))
+    monkeypatch.setattr(outputs.ResultWriter, "write", taking(13, outputs.ResultWriter.write))
+    target = tmp_path / "out.mcap"
+    replay(logs.write(tmp_path / "in.mcap", drive()), target, LIGHT)
+
+    times = pl.read_parquet(sidecar_path(target, "metrics")).select(TIME_COLUMNS)
+    expected = {"decode_ms": 3, "metrics_ms": 5, "copy_ms": 7, "encode_ms": 11, "write_ms": 13, "total_ms": 39}
+    for column, milliseconds in expected.items():
+        assert times[column].to_list() == pytest.approx([milliseconds] * FRAMES), column
+    parts = times.drop("total_ms").sum_horizontal()
+    assert parts.to_list() == pytest.approx(times["total_ms"].to_list())
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_the_times_of_several_threads_add_up(tmp_path, threads):
+    target = tmp_path / "out.mcap"
+    replay(logs.write(tmp_path / "in.mcap", drive()), target, CFG, threads=threads)
+    times = pl.read_parquet(sidecar_path(target, "metrics")).select(TIME_COLUMNS)
+    assert times.drop("total_ms").sum_horizontal().to_list() == pytest.approx(times["total_ms"].to_list())
+    assert times.null_count().sum_horizontal().item() == 0, "each part has its time"
+    assert times["decode_ms"].min() > 0
+
+
+def test_the_command_and_the_api_take_a_number_of_threads(tmp_path, monkeypatch):
+    source, told = logs.write(tmp_path / "in.mcap", drive(2)), []
+    pipeline = loop.Pipeline
+    monkeypatch.setattr(loop, "Pipeline", lambda threads: (told.append(threads), pipeline(threads))[1])
+    monkeypatch.setattr("roadperc_stream.api.usable_cores", lambda: 7)
+    monkeypatch.setattr("roadperc_stream.cli.replay_log.usable_cores", lambda: 5)
+    options = [str(source), str(tmp_path / "out.mcap"), "--quiet", "--force", "--only", "surface"]
+    assert main(options) == 0
+    assert main([*options, "--threads", "2"]) == 0
+    rp.replay(source, tmp_path / "out.mcap", config=LIGHT, force=True)
+    rp.replay(source, tmp_path / "out.mcap", config=LIGHT, force=True, threads=1)
+    assert told == [5, 2, 7, 1]
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_no_threads_are_too_few(tmp_path, capsys, threads):
+    source = logs.write(tmp_path / "in.mcap", drive(1))
+    with pytest.raises(ConfigError, match=r"threads: .* expected 1 or more"):
+        rp.replay(source, tmp_path / "out.mcap", threads=threads)
+    with pytest.raises(SystemExit) as end:
+        main([str(source), str(tmp_path / "out.mcap"), "--threads", str(threads)])
+    assert end.value.code == 2
+    assert "expected 1 or more" in capsys.readouterr().err

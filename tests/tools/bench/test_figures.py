@@ -1,0 +1,161 @@
+"""What is computed of the measured series, and how it is printed and written."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from roadperc_stream.core.cost import Cost
+from roadperc_stream.errors import TargetError
+from roadperc_stream.tools.bench import __main__ as bench
+from roadperc_stream.tools.bench.figures import SpeedFigure, figures, noise
+from roadperc_stream.tools.bench.long import long_figures
+from roadperc_stream.tools.bench.printing import tables, write_json, write_page
+from roadperc_stream.tools.bench.replays import a_frame
+from roadperc_stream.tools.bench.session import BenchJob, measured, middle, parts_of, ratios
+
+SERIES = {
+    "control": [100.0, 110.0, 95.0],
+    "course png/cpu": [400.0, 880.0, 420.0],
+    "course png/wall": [400.0, 880.0, 420.0],
+    "replay png, one thread/cpu": [50.0, 100.0, 60.0],
+    "replay png, one thread/first frame/wall": [900.0, 1600.0, 700.0],
+    "replay png, one thread/objects p95 over median": [3.0, 5.0, 3.5],
+    "replay png, one thread/parts over total": [0.99, 0.98, 1.0],
+    "replay png, one thread/part/decode": [10.0, 20.0, 11.0],
+    "replay png, one thread/part/lanes": [7.0, 15.0, 8.0],
+    "replay png, all threads/wall": [50.0, 60.0, 40.0],
+    "floor png/cpu": [40.0, 50.0, 40.0],
+    "floor png/part/decode": [30.0, 40.0, 31.0],
+    "--help/wall": [200.0, 330.0, 210.0],
+    "import numpy, cv2/wall": [150.0, 300.0, 100.0],
+}
+
+
+def by_name(found):
+    return {figure.name: figure for figure in found}
+
+
+def test_figures_are_medians_of_the_rounds_ratios():
+    found = by_name(figures(SERIES))
+    assert found["png: times the course's method, cpu, one thread"].value == pytest.approx(8.0)
+    assert found["png: times the course's method, cpu, one thread"].met is True
+    assert found["png: times the course's method, wall, all threads"].value == pytest.approx(10.5)
+    assert found["gate, png"].value == pytest.approx(1.5)
+    assert found["gate, png"].met is True
+    assert found["objects: p95 over median"].value == 3.5
+    assert found["--help over import numpy, cv2, wall"].value == pytest.approx(200 / 150)
+    assert found["first frame over import numpy, cv2, wall"].value == pytest.approx(6.0)
+
+
+def test_what_was_not_measured_has_no_figure():
+    assert not any("jpeg" in name or "stereo" in name for name in by_name(figures(SERIES)))
+
+
+def test_bounds():
+    assert SpeedFigure("", 1.0).met is None
+    assert SpeedFigure("", 1.0, least=1.0, most=1.0).met is True
+    assert SpeedFigure("", 0.9, least=1.0).met is False
+    assert SpeedFigure("", 1.1, most=1.0).met is False
+    assert SpeedFigure("", 1.0, 0.97, 1.03).wanted == "≥ 0.97, ≤ 1.03"
+
+
+def test_a_frame_takes_what_the_start_leaves():
+    found = a_frame(Cost(1.5, 2.0, 100.0), Cost(3.5, 5.0, 200.0), 11)
+    assert found["cpu"] == pytest.approx(300.0)
+    assert found["wall"] == pytest.approx(200.0)
+    assert found["peak_mb"] == 200.0
+    assert found["first frame/wall"] == pytest.approx(1500.0)
+
+
+def test_jobs_take_turns_with_the_control_before_each():
+    order = []
+
+    def job(name):
+        return BenchJob(name, lambda: {"cpu": float(len(order))} if order.append(name) is None else {})
+
+    series = measured([job("a"), job("b")], 2)
+    assert order == ["a", "b", "a", "b"]
+    assert series["a/cpu"] == [1.0, 3.0]
+    assert len(series["control"]) == 4
+    assert min(series["control"]) > 0
+    assert ratios(series, "b/cpu", "a/cpu") == pytest.approx([2.0, 4 / 3])
+    assert middle(series, "b/cpu") == 3.0
+    assert middle(series, "c/cpu") is None
+
+
+def test_parts_and_noise():
+    assert parts_of(SERIES, "replay png, one thread") == {"decode": 11.0, "lanes": 8.0}
+    assert noise(SERIES) == pytest.approx(0.15)
+
+
+def test_a_long_log_may_not_need_more():
+    short, long = Cost(1.0, 1.0, 300.0), Cost(9.0, 9.0, 318.0)
+    memory, peak, encoding = long_figures(short, long, [5.0] * 500 + [6.0] * 500)
+    assert (memory.value, memory.met) == (pytest.approx(1.06), False)
+    assert (peak.value, peak.met) == (318.0, True)
+    assert (encoding.value, encoding.met) == (pytest.approx(1.2), False)
+    assert len(long_figures(short, long, [5.0] * 999)) == 2
+
+
+def test_it_prints_all_and_writes_it_for_programs(bench_logs, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(bench, "logs_of", lambda _: bench_logs)
+    monkeypatch.setattr(bench, "measured", lambda *_: SERIES)
+    monkeypatch.setenv("COLUMNS", "200")
+    assert bench.main([str(tmp_path), "--frames", "4", "--json", str(tmp_path / "bench.json")]) == 0
+    text = capsys.readouterr().out
+    for words in ("gate, png", "≤ 1.5", "met", "replay png, one thread", "decode", "noise of 15%"):
+        assert words in text
+    written = json.loads((tmp_path / "bench.json").read_text())
+    assert written["series"] == SERIES
+    assert written["frames"] == 4
+    gate = next(figure for figure in written["figures"] if figure["name"] == "gate, png")
+    assert gate == {"name": "gate, png", "value": 1.5, "least": None, "most": 1.5, "met": True}
+
+
+def test_an_earlier_run_is_printed_again(tmp_path, capsys):
+    earlier, page = tmp_path / "bench.json", tmp_path / "page.md"
+    write_json(earlier, SERIES, figures(SERIES), {})
+    page.write_text(PAGE)
+    assert bench.main([str(tmp_path), "--earlier", str(earlier), "--page", str(page)]) == 0
+    assert "gate, png" in capsys.readouterr().out
+    assert "| gate, png | 1.50 |" in page.read_text()
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["bench.json", "page.md"]
+
+
+@pytest.mark.parametrize("text", ["no json", "{}", "[]"])
+def test_a_file_of_another_kind_is_refused(tmp_path, capsys, text):
+    (tmp_path / "other.json").write_text(text)
+    assert bench.main([str(tmp_path), "--earlier", str(tmp_path / "other.json")]) == 1
+    assert "other.json: expected what make bench writes with --json" in capsys.readouterr().err
+
+
+PAGE = "Before.\n\n<!-- make bench writes here -->\nold\n<!-- to here -->\n\nBehind.\n"
+
+
+def test_the_tables_get_their_place_in_a_page(tmp_path):
+    path = tmp_path / "page.md"
+    path.write_text(PAGE)
+    for _ in range(2):
+        write_page(path, tables(SERIES, figures(SERIES)))
+        text = path.read_text()
+        assert text.startswith("Before.\n\n<!-- make bench writes here -->\n\n| run | cpu ms |")
+        assert text.endswith("\n<!-- to here -->\n\nBehind.\n")
+        assert "old" not in text
+    assert "| gate, png | 1.50 | met | ≤ 1.5 |" in text
+    assert "| the floor, ms a frame | png |\n| --- | ---: |\n| decode | 31.0 |\n| total | 31.0 |\n" in text
+
+
+def test_a_page_without_a_place_is_left_as_it_is(tmp_path):
+    path = tmp_path / "page.md"
+    path.write_text("Nothing here.")
+    with pytest.raises(TargetError, match="expected a place for the tables"):
+        write_page(path, [])
+    assert path.read_text() == "Nothing here."
+
+
+def test_the_projects_own_page_has_a_place(tmp_path):
+    path = tmp_path / "performance.md"
+    path.write_text((Path(__file__).parents[3] / "docs" / "performance.md").read_text())
+    write_page(path, tables(SERIES, figures(SERIES)))
+    assert "| gate, png | 1.50 | met | ≤ 1.5 |" in path.read_text()

@@ -1,0 +1,58 @@
+"""The logs that the bench renders: what is in them, and when they are rendered again."""
+
+from roadperc_stream.log import summarise
+from roadperc_stream.tools.bench import inputs
+from roadperc_stream.tools.bench.inputs import drive, prepared
+
+
+def topics(path):
+    summary = summarise(path)
+    return {channel.topic: summary.counts[channel.source_id] for channel in summary.channels}
+
+
+def image_bytes(path):
+    return next(summarise(path).source.messages(["/camera/front/image"], None, None)).data
+
+
+def test_each_log_has_what_its_name_says(bench_logs):
+    assert list(bench_logs) == ["png", "truth", "jpeg", "stereo"]
+    found = {name: topics(log.path) for name, log in bench_logs.items()}
+    for name, counts in found.items():
+        assert counts["/camera/front/image"] == counts["/camera/front/depth"] == bench_logs[name].frames == 4
+        assert ("/truth/pose" in counts) == (name == "truth")
+        assert counts.get("/camera/right/image", 0) == (4 if name == "stereo" else 0)
+        assert (b"\x89PNG" in image_bytes(bench_logs[name].path)) == (name in ("png", "truth"))
+
+
+def test_the_first_frame_alone_is_a_log(bench_logs):
+    for log in bench_logs.values():
+        counts = topics(log.first_frame)
+        assert counts["/camera/front/image"] == counts["/camera/front/segmentation"] == 1
+        assert counts["/camera/front/calibration"] == 1
+        assert summarise(log.first_frame).metadata == summarise(log.path).metadata
+
+
+def test_they_are_rendered_once_and_again_where_the_drive_changes(bench_logs, tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(inputs, "_make", lambda folder, options: made.append((folder, options.frames)))
+    prepared(tmp_path, drive(4, (320, 240)))
+    prepared(tmp_path, drive(4, (320, 240)))
+    prepared(tmp_path, drive(5, (320, 240)))
+    assert made == [(tmp_path, 4), (tmp_path, 5)]
+
+
+def test_what_is_half_made_is_made_anew(tmp_path, monkeypatch):
+    def fails(folder, _options):
+        (folder / "png.mcap").write_bytes(b"half")
+        raise OSError
+
+    monkeypatch.setattr(inputs, "_make", fails)
+    for _ in range(2):
+        try:
+            prepared(tmp_path, drive(4, (320, 240)))
+        except OSError:
+            assert (tmp_path / "png.mcap").exists()
+    made = []
+    monkeypatch.setattr(inputs, "_make", lambda folder, _options: made.append(list(folder.iterdir())))
+    prepared(tmp_path, drive(4, (320, 240)))
+    assert made == [[]]

@@ -1,0 +1,154 @@
+"""What became slower since a commit, and what faster: replays of the two in turn, with intervals.
+
+Run it with ``make bench-compare BASE=<commit>`` or ``python -m roadperc_stream.tools.bench.compare FOLDER BASE``. The
+exit code is 1 where something is surely slower by more than a share.
+"""
+
+import argparse
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from typing import Final
+
+from roadperc_stream.cli.plumbing import run, whole_number
+from roadperc_stream.core.text import print_line
+from roadperc_stream.errors import RegressionError
+from roadperc_stream.output.text_table import TextTable, row
+
+from .checkout import installed
+from .figures import LOGS, noise
+from .inputs import BenchLog
+from .intervals import Ratio, Verdict, ratio_of
+from .options import add_input_arguments, logs_of
+from .printing import print_tables
+from .replays import Installation, replay_job
+from .session import BenchJob, Series, measured
+
+BASE, NEW = "base", "new"
+_WHOLE: Final = {
+    "cpu": "cpu",
+    "wall": "wall",
+    "first frame/cpu": "start, with the first frame",
+    "peak_mb": "peak memory, MB",
+}
+"""Quantities beside the parts, and what they are called."""
+_PART: Final = "part/"
+_SMALL: Final = 0.01
+"""Of a frame's time: a part of less has no verdict."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A quantity of both versions, ms of a frame where its name says nothing else.
+
+    ``ratio`` and ``verdict`` are None where one of them lacks it; what is too small to matter has no verdict.
+    """
+
+    log: str
+    name: str
+    base: float | None
+    new: float | None
+    ratio: Ratio | None
+    verdict: Verdict | None
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure both and print; 0 nothing is slower, 1 something is, or cannot be measured."""
+    parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench.compare", description=__doc__)
+    add_input_arguments(parser)
+    parser.add_argument("base", metavar="BASE", help="a commit of this project")
+    parser.add_argument(
+        "--logs", type=_logs, default=("png", "stereo"), metavar="NAMES", help="some of png,jpeg,stereo,truth"
+    )
+    parser.add_argument("--rounds", type=whole_number, default=10, metavar="N", help="runs of each; 8 or more (10)")
+    parser.add_argument(
+        "--threads", type=whole_number, default=1, metavar="N", help="of both, where they can be told (1)"
+    )
+    parser.add_argument("--share", type=float, default=0.03, help="by which something must be slower (0.03)")
+    parser.add_argument("--confidence", type=float, default=0.99, help="of the intervals (0.99)")
+    arguments = parser.parse_args(argv)
+    return run(lambda: _compare(arguments))
+
+
+def _logs(text: str) -> tuple[str, ...]:
+    names = tuple(text.split(","))
+    if not set(names) <= set(LOGS):
+        raise argparse.ArgumentTypeError(f"{text}: expected some of {','.join(LOGS)}")
+    return names
+
+
+def _compare(arguments: argparse.Namespace) -> None:
+    logs = [log for name, log in logs_of(arguments).items() if name in arguments.logs]
+    print_line(f"installing {arguments.base}")
+    with installed(arguments.base) as python:
+        versions = {BASE: Installation.of(python), NEW: Installation.of(Path(sys.executable))}
+        series = measured(_jobs(arguments.folder, logs, versions, arguments.threads), arguments.rounds)
+    rows = [row for log in logs for row in compared(series, log.name, arguments.share, arguments.confidence)]
+    print_tables([_table(log.name, [item for item in rows if item.log == log.name]) for log in logs])
+    print_line(f"noise of the control: {noise(series):.0%}")
+    if arguments.json:
+        arguments.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
+    require_no_slower(rows, arguments.base, arguments.share)
+
+
+def _jobs(folder: Path, logs: list[BenchLog], versions: dict[str, Installation], threads: int) -> list[BenchJob]:
+    """Both versions of a log one after the other."""
+    return [
+        replay_job(f"{version} {log.name}", installation, log, folder / f"compared-{version}.mcap", threads)
+        for log in logs
+        for version, installation in versions.items()
+    ]
+
+
+def compared(series: Series, log: str, share: float, confidence: float) -> list[Compared]:
+    """Every quantity of a log that one of the versions has, the whole first."""
+    names = dict.fromkeys(_WHOLE)
+    for version in (BASE, NEW):
+        start = f"{version} {log}/{_PART}"
+        names |= dict.fromkeys(_PART + key.removeprefix(start) for key in series if key.startswith(start))
+    return [_compared(series, log, name, share, confidence) for name in names]
+
+
+def _compared(series: Series, log: str, name: str, share: float, confidence: float) -> Compared:
+    base, new = (series.get(f"{version} {log}/{name}") for version in (BASE, NEW))
+    title = _WHOLE.get(name, name.removeprefix(_PART))
+    if base is None or new is None or min(*base, *new) <= 0:
+        return Compared(log, title, median(base) if base else None, median(new) if new else None, None, None)
+    ratio = ratio_of(base, new, confidence)
+    small = name not in _WHOLE and median(base + new) < _SMALL * median(series[f"{BASE} {log}/cpu"])
+    return Compared(log, title, median(base), median(new), ratio, None if small else ratio.verdict(share))
+
+
+def require_no_slower(rows: list[Compared], base: str, share: float) -> None:
+    """Check that nothing is slower.
+
+    Raises:
+        RegressionError: something surely is, by more than the share.
+    """
+    slower = [f"{row.log}: {row.name}" for row in rows if row.verdict == "slower"]
+    if slower:
+        raise RegressionError(f"surely slower than {base} by more than {share:.0%}: {', '.join(slower)}")
+
+
+def _table(log: str, rows: list[Compared]) -> TextTable:
+    lines = (
+        row(item.name, *map(_text, (item.base, item.new)), *_ratio_cells(item.ratio), item.verdict or "")
+        for item in rows
+    )
+    return TextTable(
+        f"{log}, ms a frame", ("base", "new", "new / base", "from", "to", ""), tuple(lines), last_is_text=True
+    )
+
+
+def _text(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+def _ratio_cells(ratio: Ratio | None) -> tuple[str, str, str]:
+    return ("", "", "") if ratio is None else (f"{ratio.middle:.3f}", f"{ratio.low:.3f}", f"{ratio.high:.3f}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,110 @@
+"""The bench's own logs: one drive, rendered once, as PNG and as JPEG, with a stereo pair, and with truth."""
+
+import hashlib
+import shutil
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.cli.convert import main as convert
+from roadperc_stream.core.text import print_line
+from roadperc_stream.errors import DumpError
+from roadperc_stream.log import LogSummary, LogWriter, Message, summarise
+from roadperc_stream.schemas.roles import ROLES
+
+from ..render_scene import render
+from ..scene.options import RenderOptions
+
+TRUTH: Final = "/truth/"
+PAIR: Final = "/camera/right/"
+LEFT_OUT: Final = {"png": (TRUTH, PAIR), "truth": (PAIR,), "jpeg": (TRUTH, PAIR), "stereo": (TRUTH,)}
+"""The logs, and how the topics begin that each of them lacks."""
+JPEG: Final = ("jpeg", "stereo")
+"""Logs whose camera images are JPEG; those of the others are PNG."""
+_MADE_BY: Final = "made_by.txt"
+
+
+@dataclass(frozen=True)
+class BenchLog:
+    """A log to replay, and its first frame as one: the difference is what frames take without the start."""
+
+    name: str
+    path: Path
+    first_frame: Path
+    frames: int
+
+
+def drive(frames: int, size: tuple[int, int]) -> RenderOptions:
+    """The drive of the bench: a bend of 150 m radius with cars, the ego car weaving in its lane."""
+    width, height = size
+    rate_hz = RenderOptions().rate_hz
+    return RenderOptions(width, height, frames / rate_hz, rate_hz, "bend", weave_m=0.5)
+
+
+def prepared(folder: Path, options: RenderOptions) -> dict[str, BenchLog]:
+    """The logs by name, rendered again where anything that makes them has changed.
+
+    Raises:
+        RoadpercError: they cannot be made.
+    """
+    made_by = _digest(options)
+    kept = folder / _MADE_BY
+    if not kept.exists() or kept.read_text() != made_by:
+        kept.unlink(missing_ok=True)
+        for path in folder.glob("*.mcap"):
+            path.unlink()
+        _make(folder, options)
+        kept.write_text(made_by)
+    return {name: BenchLog(name, *_paths(folder, name), options.frames) for name in LEFT_OUT}
+
+
+def _paths(folder: Path, name: str) -> tuple[Path, Path]:
+    return folder / f"{name}.mcap", folder / f"{name}-first-frame.mcap"
+
+
+def _digest(options: RenderOptions) -> str:
+    """Of the options, and of the code of the renderer, the converter and this module."""
+    digest = hashlib.sha256(repr(options).encode())
+    tools = Path(__file__).parents[1]
+    sources = [path for path in tools.rglob("*.py") if path.relative_to(tools).parts[0] != "bench"]
+    for path in (*sorted(sources), Path(__file__)):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _make(folder: Path, options: RenderOptions) -> None:
+    for kind, names in (("png", ("png", "truth")), ("jpeg", JPEG)):
+        dump, whole = folder / f"{kind}-dump", folder / f"{kind}-whole.mcap"
+        print_line(f"rendering {options.frames} frames with {kind.upper()} images")
+        render(dump, replace(options, jpeg=kind == "jpeg"), force=True)
+        if convert([str(dump), str(whole), "--force", "--quiet"]):
+            raise DumpError(f"{dump}: cannot be converted")
+        summary = summarise(whole)
+        for name in names:
+            path, first_frame = _paths(folder, name)
+            write_part(summary, path, LEFT_OUT[name], options.frames)
+            write_part(summary, first_frame, LEFT_OUT[name], 1)
+        whole.unlink()
+        shutil.rmtree(dump)
+
+
+def write_part(summary: LogSummary, target: Path, left_out: Collection[str], frames: int) -> None:
+    """Write a log's first frames, without the topics that begin with one of the texts left out."""
+    with LogWriter(target) as writer:
+        for message in of_frames(summary, frames):
+            if not message.channel.topic.startswith(tuple(left_out)):
+                writer.write(message)
+        for record in summary.metadata:
+            writer.describe(record)
+
+
+def of_frames(summary: LogSummary, count: int) -> Iterator[Message]:
+    """The messages of a log's first frames, by the images of its front camera."""
+    images, last_ns = 0, 0
+    for message in summary.source.messages(None, None, None):
+        if images == count and message.log_time_ns > last_ns:
+            return
+        if message.channel.topic == ROLES["image"].topic:
+            images, last_ns = images + 1, message.log_time_ns
+        yield message

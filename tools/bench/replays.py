@@ -1,0 +1,117 @@
+"""What a replay takes, from outside: the command in a process of its own, here or in another installation."""
+
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.api import read_metrics
+from roadperc_stream.core.cost import Cost, cost_of
+from roadperc_stream.errors import ProgramError
+
+from .inputs import BenchLog
+from .session import BenchJob
+
+_COMMAND: Final = "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"
+_THREADS: Final = "--threads"
+_NO_PART: Final = frozenset({"sync_skew_ms", "wall_ms"})
+"""Columns in milliseconds that are no share of a frame's total."""
+
+
+@dataclass(frozen=True)
+class Installation:
+    """A version of the package: the interpreter that finds it, and whether its replay can be told its threads."""
+
+    python: Path
+    takes_threads: bool
+
+    @classmethod
+    def of(cls, python: Path) -> "Installation":
+        """The one that an interpreter finds.
+
+        Raises:
+            ProgramError: it finds none that runs.
+        """
+        said = subprocess.run([*_words(python), "--help"], capture_output=True, text=True, check=False)
+        if said.returncode:
+            raise ProgramError(f"{python}: roadperc-replay --help ended with exit code {said.returncode}")
+        return cls(python, _THREADS in said.stdout)
+
+    def replay(self, *arguments: str | Path) -> list[str]:
+        """The words of a replay."""
+        return [*_words(self.python), *map(str, arguments)]
+
+    def threads(self, count: int) -> Sequence[str]:
+        """The arguments that ask for so many threads; none where there is always one."""
+        return (_THREADS, str(count)) if self.takes_threads else ()
+
+
+def _words(python: Path) -> list[str]:
+    """``-P`` keeps the folder it is started in from standing in for what is installed."""
+    return [str(python), "-P", "-c", _COMMAND]
+
+
+def replay_job(name: str, installation: Installation, log: BenchLog, out: Path, threads: int) -> BenchJob:
+    """The job of replaying a log: ``cpu`` and ``wall`` a frame without the start, peak memory, the first frame, parts.
+
+    The start is what the log's first frame alone takes, in a run of its own.
+
+    Args:
+        name: the job's.
+        installation: which version.
+        log: what is replayed.
+        out: the log that is written, and kept.
+        threads: how many are asked for.
+    """
+    options = (*installation.threads(threads), "--force", "--quiet")
+
+    def run() -> dict[str, float]:
+        short = cost_of(name, installation.replay(log.first_frame, out.with_suffix(".first.mcap"), *options))
+        whole = cost_of(name, installation.replay(log.path, out, *options))
+        return a_frame(short, whole, log.frames) | parts(out)
+
+    return BenchJob(name, run)
+
+
+def a_frame(short: Cost, whole: Cost, frames: int) -> dict[str, float]:
+    """Quantities of a replay by what it takes, and what its first frame alone takes."""
+    return {
+        "cpu": (whole.cpu_s - short.cpu_s) / (frames - 1) * 1000,
+        "wall": (whole.wall_s - short.wall_s) / (frames - 1) * 1000,
+        "peak_mb": whole.peak_mb,
+        "first frame/cpu": short.cpu_s * 1000,
+        "first frame/wall": short.wall_s * 1000,
+    }
+
+
+def parts(out: Path) -> dict[str, float]:
+    """Means of the time columns behind the first frame, their sum over the total, and the spread of objects' times."""
+    rows = read_metrics(out)[1:]
+    columns = [name for name in rows.columns if name.endswith("_ms") and name not in _NO_PART]
+    found = {name.removesuffix("_ms"): rows[name].drop_nulls().to_numpy() for name in columns}
+    means = {name: float(values.mean()) for name, values in found.items() if len(values)}
+    objects_ms = found["objects"]
+    return {f"part/{name}": value for name, value in means.items()} | {
+        "parts over total": sum(value for name, value in means.items() if name != "total") / means["total"],
+        "objects p95 over median": float(np.quantile(objects_ms, 0.95) / np.median(objects_ms)),
+    }
+
+
+def start_jobs(installation: Installation) -> list[BenchJob]:
+    """The jobs of starting Python with numpy and OpenCV, and of a replay's ``--help``."""
+    bare = [str(installation.python), "-P", "-c", "import numpy, cv2"]
+    return [_start_job("import numpy, cv2", bare), _start_job("--help", installation.replay("--help"))]
+
+
+def _start_job(name: str, command: list[str]) -> BenchJob:
+    def run() -> dict[str, float]:
+        costs = [cost_of(name, command) for _ in range(3)]
+        return {
+            "cpu": float(np.median([cost.cpu_s for cost in costs]) * 1000),
+            "wall": float(np.median([cost.wall_s for cost in costs]) * 1000),
+        }
+
+    return BenchJob(name, run)
