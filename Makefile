@@ -65,6 +65,7 @@ parts: $(VENV)/.installed  # drives cut at so many random places: are the result
 
 BENCH := logs/runs/bench
 BENCH_OPTIONS ?=
+bench bench-long bench-compare: export PYTHONDONTWRITEBYTECODE :=  # a start that compiles every module is none of a user's
 bench: $(VENV)/.installed  # how fast a replay is, beside the course's method: make bench BENCH_OPTIONS='--json bench.json'
 	$(BIN)/python -m roadperc_stream.tools.bench $(BENCH) $(BENCH_OPTIONS)
 

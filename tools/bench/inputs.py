@@ -22,15 +22,18 @@ LEFT_OUT: Final = {"png": (TRUTH, PAIR), "truth": (PAIR,), "jpeg": (TRUTH, PAIR)
 """The logs, and how the topics begin that each of them lacks."""
 JPEG: Final = ("jpeg", "stereo")
 """Logs whose camera images are JPEG; those of the others are PNG."""
+WARM_UP: Final = 3
+"""Frames that are part of a replay's start: what is loaded late is loaded by then, tracks and motion have begun."""
 _MADE_BY: Final = "made_by.txt"
 
 
 @dataclass(frozen=True)
 class BenchLog:
-    """A log to replay, and its first frame as one: the difference is what frames take without the start."""
+    """A log to replay, its first frames as one, and the very first: what they take is the start."""
 
     name: str
     path: Path
+    warm_up: Path
     first_frame: Path
     frames: int
 
@@ -59,8 +62,8 @@ def prepared(folder: Path, options: RenderOptions) -> dict[str, BenchLog]:
     return {name: BenchLog(name, *_paths(folder, name), options.frames) for name in LEFT_OUT}
 
 
-def _paths(folder: Path, name: str) -> tuple[Path, Path]:
-    return folder / f"{name}.mcap", folder / f"{name}-first-frame.mcap"
+def _paths(folder: Path, name: str) -> tuple[Path, Path, Path]:
+    return folder / f"{name}.mcap", folder / f"{name}-warm-up.mcap", folder / f"{name}-first-frame.mcap"
 
 
 def _digest(options: RenderOptions) -> str:
@@ -82,9 +85,8 @@ def _make(folder: Path, options: RenderOptions) -> None:
             raise DumpError(f"{dump}: cannot be converted")
         summary = summarise(whole)
         for name in names:
-            path, first_frame = _paths(folder, name)
-            write_part(summary, path, LEFT_OUT[name], options.frames)
-            write_part(summary, first_frame, LEFT_OUT[name], 1)
+            for path, frames in zip(_paths(folder, name), (options.frames, WARM_UP, 1), strict=True):
+                write_part(summary, path, LEFT_OUT[name], frames)
         whole.unlink()
         shutil.rmtree(dump)
 

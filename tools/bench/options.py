@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roadperc_stream.cli.plumbing import whole_number
 
-from .inputs import BenchLog, drive, prepared
+from .inputs import WARM_UP, BenchLog, drive, prepared
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,4 +19,5 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
 def logs_of(arguments: argparse.Namespace) -> dict[str, BenchLog]:
     """The logs that the arguments ask for, rendered if need be."""
     arguments.folder.mkdir(parents=True, exist_ok=True)
-    return prepared(arguments.folder, drive(max(arguments.frames, 3), (arguments.width, arguments.width * 3 // 4)))
+    frames, size = max(arguments.frames, WARM_UP + 1), (arguments.width, arguments.width * 3 // 4)
+    return prepared(arguments.folder, drive(frames, size))

@@ -19,6 +19,7 @@ from roadperc_stream.output.terminal import console_for, print_table
 from roadperc_stream.output.text_table import TextTable, row
 
 from .figures import ALL, BARE, COMPARED, HELP, LOGS, ONE, SpeedFigure, course_name, floor_name, noise, replay_name
+from .inputs import WARM_UP
 from .session import CONTROL, Series, middle, parts_of
 
 _MET: Final = {None: "", True: "met", False: "missed"}
@@ -95,7 +96,7 @@ def _runs(series: Series) -> TextTable:
         row(name, *(_text(middle(series, f"{name}/{key}"), layout) for key, layout in quantities)) for name in names
     )
     measured = tuple(item for item in rows if item.cells[0][0])
-    note = "Medians of the rounds; of a log a frame, without the start, which is what its first frame alone takes."
+    note = f"Medians of the rounds; of a log a frame, without the start: what its first {WARM_UP} frames alone take."
     return TextTable("run", ("cpu ms", "wall ms", "peak MB", "first frame ms"), measured, (note,), label_columns=30)
 
 

@@ -12,7 +12,7 @@ from roadperc_stream.api import read_metrics
 from roadperc_stream.core.cost import Cost, cost_of
 from roadperc_stream.errors import ProgramError
 
-from .inputs import BenchLog
+from .inputs import WARM_UP, BenchLog
 from .session import BenchJob
 
 _COMMAND: Final = "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"
@@ -57,7 +57,7 @@ def _words(python: Path) -> list[str]:
 def replay_job(name: str, installation: Installation, log: BenchLog, out: Path, threads: int) -> BenchJob:
     """The job of replaying a log: ``cpu`` and ``wall`` a frame without the start, peak memory, the first frame, parts.
 
-    The start is what the log's first frame alone takes, in a run of its own.
+    The start is what the log's first ``WARM_UP`` frames alone take, in a run of their own.
 
     Args:
         name: the job's.
@@ -69,27 +69,30 @@ def replay_job(name: str, installation: Installation, log: BenchLog, out: Path, 
     options = (*installation.threads(threads), "--force", "--quiet")
 
     def run() -> dict[str, float]:
-        short = cost_of(name, installation.replay(log.first_frame, out.with_suffix(".first.mcap"), *options))
-        whole = cost_of(name, installation.replay(log.path, out, *options))
-        return a_frame(short, whole, log.frames) | parts(out)
+        short = out.with_suffix(".short.mcap")
+        paths = ((log.first_frame, short), (log.warm_up, short), (log.path, out))
+        first, warm_up, whole = (cost_of(name, installation.replay(*pair, *options)) for pair in paths)
+        return a_frame(warm_up, whole, log.frames) | _first_frame(first) | parts(out)
 
     return BenchJob(name, run)
 
 
-def a_frame(short: Cost, whole: Cost, frames: int) -> dict[str, float]:
-    """Quantities of a replay by what it takes, and what its first frame alone takes."""
+def a_frame(warm_up: Cost, whole: Cost, frames: int) -> dict[str, float]:
+    """Quantities of a frame of a replay by what it takes, and what its first frames alone take."""
     return {
-        "cpu": (whole.cpu_s - short.cpu_s) / (frames - 1) * 1000,
-        "wall": (whole.wall_s - short.wall_s) / (frames - 1) * 1000,
+        "cpu": (whole.cpu_s - warm_up.cpu_s) / (frames - WARM_UP) * 1000,
+        "wall": (whole.wall_s - warm_up.wall_s) / (frames - WARM_UP) * 1000,
         "peak_mb": whole.peak_mb,
-        "first frame/cpu": short.cpu_s * 1000,
-        "first frame/wall": short.wall_s * 1000,
     }
 
 
+def _first_frame(cost: Cost) -> dict[str, float]:
+    return {"first frame/cpu": cost.cpu_s * 1000, "first frame/wall": cost.wall_s * 1000}
+
+
 def parts(out: Path) -> dict[str, float]:
-    """Means of the time columns behind the first frame, their sum over the total, and the spread of objects' times."""
-    rows = read_metrics(out)[1:]
+    """Means of the time columns behind the first frames, their sum over the total, and the spread of objects' times."""
+    rows = read_metrics(out)[WARM_UP:]
     columns = [name for name in rows.columns if name.endswith("_ms") and name not in _NO_PART]
     found = {name.removesuffix("_ms"): rows[name].drop_nulls().to_numpy() for name in columns}
     means = {name: float(values.mean()) for name, values in found.items() if len(values)}

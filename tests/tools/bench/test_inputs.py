@@ -2,7 +2,7 @@
 
 from roadperc_stream.log import summarise
 from roadperc_stream.tools.bench import inputs
-from roadperc_stream.tools.bench.inputs import drive, prepared
+from roadperc_stream.tools.bench.inputs import WARM_UP, drive, prepared
 
 
 def topics(path):
@@ -24,12 +24,13 @@ def test_each_log_has_what_its_name_says(bench_logs):
         assert (b"\x89PNG" in image_bytes(bench_logs[name].path)) == (name in ("png", "truth"))
 
 
-def test_the_first_frame_alone_is_a_log(bench_logs):
+def test_the_first_frames_alone_are_logs(bench_logs):
     for log in bench_logs.values():
-        counts = topics(log.first_frame)
-        assert counts["/camera/front/image"] == counts["/camera/front/segmentation"] == 1
-        assert counts["/camera/front/calibration"] == 1
-        assert summarise(log.first_frame).metadata == summarise(log.path).metadata
+        for path, frames in ((log.first_frame, 1), (log.warm_up, WARM_UP)):
+            counts = topics(path)
+            assert counts["/camera/front/image"] == counts["/camera/front/segmentation"] == frames
+            assert counts["/camera/front/calibration"] == 1
+            assert summarise(path).metadata == summarise(log.path).metadata
 
 
 def test_they_are_rendered_once_and_again_where_the_drive_changes(bench_logs, tmp_path, monkeypatch):

@@ -20,11 +20,12 @@ def test_a_replay_gives_its_parts(bench_logs, tmp_path):
     assert 0.5 < found["parts over total"] <= 1.5
     assert found["objects p95 over median"] >= 1
     assert found["peak_mb"] > 50
+    assert found["first frame/cpu"] > 100
     assert (tmp_path / "out.mcap").exists()
 
 
 def test_a_replay_that_fails_is_an_error(tmp_path):
-    missing = BenchLog("png", tmp_path / "in.mcap", tmp_path / "first.mcap", 4)
+    missing = BenchLog("png", *(tmp_path / f"{part}.mcap" for part in ("in", "warm-up", "first")), 4)
     with pytest.raises(ProgramError, match="replay png ended with exit code 1"):
         replay_job("replay png", HERE, missing, tmp_path / "out.mcap", 1).run()
 
