@@ -1,10 +1,12 @@
 """Messages of one log into another, as far as other writing has come."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import chain
 from typing import Final
 
 from roadperc_stream.log.indexed import IndexedFile, Piece
 from roadperc_stream.log.mcap_file import ChunkRecords
+from roadperc_stream.log.parts import UnitedParts
 from roadperc_stream.log.reading import IndexedOrSorted, read
 from roadperc_stream.log.records import Channel, LogSummary
 from roadperc_stream.log.writing import LogWriter
@@ -30,6 +32,10 @@ def pieces(
     source, kept, topics = summary.source, frozenset(channels), {channel.topic for channel in channels}
     if isinstance(source, IndexedOrSorted):
         source = source.chosen(topics, start_ns, end_ns)
+    if isinstance(source, UnitedParts) and source.in_turn:
+        return chain.from_iterable(
+            pieces(file, kept.intersection(file.channels), start_ns, end_ns) for file in source.in_turn
+        )
     if isinstance(source, IndexedFile):
         return source.pieces(frozenset(channel.source_id for channel in kept), start_ns, end_ns)
     messages = read(summary, topics=topics, start_ns=start_ns, end_ns=end_ns)

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Final
 
@@ -121,6 +121,8 @@ class UnitedParts:
 
     parts: MergedParts | SortedParts
     shared: SharedTimes
+    in_turn: Sequence[LogSummary] = ()
+    """The files, where one behind the other they are the log: channels with its ids, no message twice; else none."""
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """As ``reading.read``."""
@@ -177,10 +179,15 @@ def united(parts: Sequence[Part]) -> LogSummary:
     ordered = [replace(part, summary=replace(part.summary, attachments=(), metadata=())) for part in ordered]
     summaries = [part.summary for part in ordered]
     translations = _translations(summaries)
+    if has_own_ids := _ids_agree(summaries, translations):
+        translations = [_with_own_ids(translation) for translation in translations]
     holding = [(p, t) for p, t in zip(ordered, translations, strict=True) if p.span_ns is not None]
     spans = [part.span_ns for part, _ in holding if part.span_ns is not None]
     name = Path(f"{summaries[0].path} and {len(parts) - 1} more")
-    source = UnitedParts(_read_as_one(str(name), holding), shared_times(part.summary for part, _ in holding))
+    shared = shared_times(part.summary for part, _ in holding)
+    is_in_turn = has_own_ids and not shared.spans and all(a[1] <= b[0] for a, b in pairwise(spans))
+    in_turn = [part.summary for part, _ in holding] if is_in_turn else []
+    source = UnitedParts(_read_as_one(str(name), holding), shared, in_turn)
     repeats = source.repeats()
     repeats_of = Counter[Path]()
     for (number, _), count in repeats.items():
@@ -196,6 +203,7 @@ def united(parts: Sequence[Part]) -> LogSummary:
         first_ns=min((first for first, _ in spans), default=None),
         last_ns=max((last for _, last in spans), default=None),
         parts=tuple(replace(summary, repeats=repeats_of[summary.path]) for summary in summaries),
+        schema_ids=dict(chain.from_iterable(summary.schema_ids.items() for summary in summaries if is_in_turn)),
     )
 
 
@@ -242,7 +250,7 @@ def _read_as_one(name: str, holding: Sequence[tuple[Part, Translation]]) -> Merg
     return SortedParts(name, holding)
 
 
-def _translations(summaries: Iterable[LogSummary]) -> list[Translation]:
+def _translations(summaries: Sequence[LogSummary]) -> list[Translation]:
     """Each file's channels on those of the log: twins within a file stay apart, equal ones of several files do not."""
     known: dict[tuple[Channel, int], Channel] = {}
     made: list[Translation] = []
@@ -256,6 +264,23 @@ def _translations(summaries: Iterable[LogSummary]) -> list[Translation]:
             twins[kind] += 1
         made.append(translation)
     return made
+
+
+def _with_own_ids(translation: Translation) -> Translation:
+    return {number: replace(channel, source_id=number) for number, channel in translation.items()}
+
+
+def _ids_agree(summaries: Sequence[LogSummary], translations: Iterable[Translation]) -> bool:
+    """Whether an id means the same channel in all files, or the same schema, and each channel has one id."""
+    channels = {(number, common.source_id) for known in translations for number, common in known.items()}
+    schemas = {(s.schema_ids[c.source_id], *_schema(c)) for s in summaries for c in s.channels if s.schema_ids}
+    own = {(number, schema_id) for summary in summaries for number, schema_id in summary.schema_ids.items()}
+    one_channel = len({number for number, _ in channels}) == len({common for _, common in channels}) == len(channels)
+    return one_channel and all(len({pair[0] for pair in pairs}) == len(pairs) for pairs in (schemas, own))
+
+
+def _schema(channel: Channel) -> tuple[str, str, bytes]:
+    return channel.schema_name, channel.schema_encoding, channel.schema_data
 
 
 def _counts(

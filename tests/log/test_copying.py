@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
@@ -22,12 +22,12 @@ TWO = 400
 """Size of chunks that hold two messages."""
 
 
-def written(path, items, **options):
-    """A log of the library's writer, of (topic, log time) each."""
+def written(path, items, schemas=(("S", "y", b"s"),), **options):
+    """A log of the library's writer, of (topic, log time) each; the last schema is that of ``/a``."""
     with path.open("wb") as stream:
         writer = Writer(stream, **options)
         writer.start()
-        schema = writer.register_schema("S", "y", b"s")
+        schema = [writer.register_schema(*values) for values in schemas][-1]
         ids = {"/a": writer.register_channel("/a", "x", schema), "/b": writer.register_channel("/b", "x", 0)}
         for number, (topic, time) in enumerate(items):
             writer.add_message(ids[topic], time, str(number).encode().ljust(200, b"."), time + 1, number)
@@ -35,9 +35,9 @@ def written(path, items, **options):
     return path
 
 
-def copied(path, target, topics=("/a", "/b"), start_ns=None, end_ns=None, results=()):
-    """A log copied by its pieces, a result at each of these times between; gives the pieces as well."""
-    summary = log.summarise(path)
+def copied(source, target, topics=("/a", "/b"), start_ns=None, end_ns=None, results=()):
+    """A log, or files that are one, copied by its pieces, a result at each of these times between; gives the pieces."""
+    summary = log.summarise(source)
     channels = [channel for channel in summary.channels if channel.topic in topics]
     found = []
 
@@ -205,6 +205,39 @@ def test_copied_and_written_stand_in_chunks_of_their_own(tmp_path):
     index = index_of(tmp_path / "b.mcap")
     kinds = [{index.channels[i].topic for i in chunk.message_index_offsets} for chunk in index.chunk_indexes]
     assert kinds == [{"/a"}, {"/result"}] * 3 + [{"/a"}]
+
+
+LATER = [(topic, time + 60) for topic, time in IN_ORDER]
+
+
+@pytest.mark.parametrize(
+    ("second", "options", "expected"),
+    [
+        (LATER, {}, True),
+        ([(topic, time - 40) for topic, time in LATER], {}, False),
+        ([("/b", 65)], {"schemas": (("T", "y", b""), ("S", "y", b"s"))}, False),
+        ([("/a", 65)], {"schemas": (("T", "y", b""),)}, False),
+    ],
+    ids=["later", "meeting", "the schema's id is another", "the schema is another"],
+)
+def test_of_files_chunks_are_copied_whose_ids_agree_and_whose_times_do_not_meet(tmp_path, second, options, expected):
+    files = [written(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
+    files.append(written(tmp_path / "2.mcap", second, chunk_size=TWO, **options))
+    pieces = copied(files, tmp_path / "b.mcap", results=[0, 20, 60])
+    assert set(whole(pieces)) == {expected}
+    assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(files)))
+    assert log.audited(tmp_path / "b.mcap", check_chunks=True).whole
+    with (tmp_path / "b.mcap").open("rb") as stream:
+        kinds = {(c.topic, schema.name if schema else "") for schema, c, _ in make_reader(stream).iter_messages()}
+    assert kinds - {("/a", "T")} == {("/a", "S"), ("/b", ""), ("/result", "S")}
+
+
+def test_of_files_without_an_index_messages_are_copied(tmp_path):
+    files = [written(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
+    files.append(written(tmp_path / "2.mcap", LATER, index_types=IndexType.NONE, use_statistics=False))
+    pieces = copied(files, tmp_path / "b.mcap")
+    assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(files)))
+    assert whole(pieces) == [True] * 6 + [False] * 12
 
 
 def test_a_growing_copy_gives_messages_in_the_order_of_log_time(tmp_path):
