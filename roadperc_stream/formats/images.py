@@ -236,7 +236,8 @@ def encode_jpeg(pixels_bgr: Image, quality: int) -> bytes:
 def depth_from_mm(depth_mm: NDArray[np.uint16]) -> Float32:
     """(H, W) metres of 16-bit millimetres: NaN for 0; 65535 stands for 65.535 m or more."""
     depth_m = np.empty(depth_mm.shape, np.float32)
-    metres_of_mm(np.ascontiguousarray(depth_mm, np.uint16), depth_m)
+    aligned = np.require(depth_mm, np.uint16, ["C_CONTIGUOUS", "ALIGNED"])  # in a message they begin at any byte
+    metres_of_mm(aligned, depth_m)
     return depth_m
 
 

@@ -5,7 +5,7 @@ never more than the chunk says that it holds. Layout: https://mcap.dev/spec.
 """
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -70,6 +70,11 @@ class MessageHead:
     publish_time_ns: int
 
 
+def chunk_of(record: bytes) -> ChunkHead:
+    """As ``chunk_head``, of a whole record."""
+    return chunk_head(memoryview(record)[_RECORD.size :])
+
+
 def chunk_head(body: bytes | memoryview) -> ChunkHead:
     """Read a chunk record's fields.
 
@@ -129,9 +134,29 @@ def unpacked(head: ChunkHead, *, check_crc: bool) -> memoryview:
             come.
     """
     data = memoryview(_UNPACKED[head.compression](head))
+    if head.compression == "zstd" and len(data) < head.size_bytes:  # in several frames, of which that was the first
+        data, fault = _zstd(head, Workspace())
+        if fault:
+            raise ValueError(fault)
     if check_crc and head.crc and (crc := crc32(data)) != head.crc:
         raise ValueError(wrong_crc(crc, head.crc))
     return data
+
+
+def records_in(data: memoryview) -> Iterator[Item]:
+    """The records of a chunk's data, one after the other; of data that were checked before.
+
+    Raises:
+        ValueError: a record goes on behind the end; ``struct.error``: one has no whole head.
+    """
+    at = 0
+    while at < len(data):
+        opcode, length = _RECORD.unpack_from(data, at)
+        start = at + _RECORD.size
+        if start + length > len(data):
+            raise ValueError(f"a record of {length} bytes in a chunk ends behind it")
+        yield Item(at, opcode, data[start : start + length])
+        at = start + length
 
 
 def wrong_crc(found: int, expected: int) -> str:

@@ -10,7 +10,7 @@ from roadperc_stream.log.records import Message
 
 _HASHES: Final[dict[str, Callable[[], Any]]] = {"blake3": blake3, "sha256": hashlib.sha256}
 DIGEST_ALGORITHM: Final = "blake3"
-"""Takes a quarter of the time of SHA-256 where the processor has instructions for that."""
+"""Takes a quarter of the time of SHA-256, even where the processor has instructions for the latter."""
 
 
 class MessageDigest:

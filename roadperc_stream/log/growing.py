@@ -3,18 +3,15 @@
 import heapq
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
-from io import BytesIO
 from itertools import count, islice
 from pathlib import Path
 from threading import Lock
 
-from mcap.exceptions import McapError
-from mcap.records import Chunk
-from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader, breakup_chunk
-from zstandard import ZstdError
+from mcap.opcode import Opcode
 
 from roadperc_stream.errors import LogError
+from roadperc_stream.log.chunks import MESSAGE_HEAD_BYTES, chunk_of, message_head, records_in, unpacked
+from roadperc_stream.log.index import UNREADABLE
 from roadperc_stream.log.records import Channel, Message
 
 
@@ -142,7 +139,7 @@ class GrowingLog:
             yield from self._messages(self._bytes(chunk))
         except OSError as error:
             raise LogError(f"{self.path}: {error.strerror or error}") from error
-        except (McapError, EOFError, ZstdError) as error:
+        except UNREADABLE as error:
             raise LogError(f"{self.path}: damaged MCAP: {error}") from error
 
     def _bytes(self, chunk: WrittenChunk) -> bytes:
@@ -151,12 +148,11 @@ class GrowingLog:
             return stream.read(chunk.end_byte - chunk.start_byte)
 
     def _messages(self, data: bytes) -> Iterator[Message]:
-        chunk = next(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
-        assert isinstance(chunk, Chunk)
-        for record in breakup_chunk(chunk):
-            if isinstance(record, McapMessage):
-                channel = self._channels[record.channel_id]
-                yield Message(channel, record.log_time, record.publish_time, record.sequence, record.data)
+        for item in records_in(unpacked(chunk_of(data), check_crc=True)):
+            if item.opcode == Opcode.MESSAGE:
+                head, content = message_head(item.body), bytes(item.body[MESSAGE_HEAD_BYTES:])
+                channel = self._channels[head.channel_id]
+                yield Message(channel, head.log_time_ns, head.publish_time_ns, head.sequence, content)
 
 
 class _Waiting:

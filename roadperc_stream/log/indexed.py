@@ -5,7 +5,6 @@ https://mcap.dev/spec.
 """
 
 import heapq
-import struct
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate, chain, groupby, pairwise
@@ -20,14 +19,13 @@ from mcap.records import ChunkIndex, McapRecord
 from mcap.summary import Summary
 
 from roadperc_stream.core.config import LimitsConfig
-from roadperc_stream.log.chunks import MESSAGE_HEAD_BYTES, ChunkHead, chunk_head, message_head, unpacked
+from roadperc_stream.log.chunks import MESSAGE_HEAD_BYTES, ChunkHead, chunk_of, message_head, records_in, unpacked
 from roadperc_stream.log.index import UNREADABLE, channel_of, most_at_once
-from roadperc_stream.log.mcap_file import ChunkRecords
+from roadperc_stream.log.mcap_file import ChunkRecords, IndexEntry, index_entries
 from roadperc_stream.log.opening import opened
 from roadperc_stream.log.parsing import parse
 from roadperc_stream.log.records import Channel, Message
 
-_RECORD: Final = struct.Struct("<BQ")
 _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
 """Of the data of a chunk that is copied as it is: who reads the copy holds it beside the results of its time."""
 _NEVER_NS: Final = 2**64
@@ -68,7 +66,7 @@ class ChunkContents:
     crc: int
     """Of its data."""
     is_tidy: bool
-    """Whether it is as it says, and its messages stand in the order of log time."""
+    """Whether it and its message indexes are as they say, and its messages stand in the order of log time."""
     described: frozenset[tuple[int, int]]
     """Opcode and id of the channels and schemas that are described in it, as the index describes them."""
 
@@ -187,34 +185,32 @@ class IndexedFile:
 
     def _bodies(self, stream: IO[bytes], chunk: IndexedChunk) -> Iterator[memoryview]:
         """The message records of a chunk; what else stands in it is skipped."""
-        stream.seek(chunk.start + _RECORD.size)
-        head = chunk_head(stream.read(chunk.length - _RECORD.size))
+        stream.seek(chunk.start)
+        head = chunk_of(stream.read(chunk.length))
+        indexes = b"" if chunk.start in self._seen else stream.read(chunk.index_length)
         data = unpacked(head, check_crc=self.check_chunks)
-        others, times = list[tuple[int, memoryview]](), list[int]()
-        at = 0
-        while at < len(data):
-            opcode, length = _RECORD.unpack_from(data, at)
-            at += _RECORD.size + length
-            if at > len(data):
-                raise McapError(f"a record of {length} bytes in a chunk ends behind it")
-            body = data[at - length : at]
-            if opcode == Opcode.MESSAGE:
-                times.append(message_head(body).log_time_ns)
-                yield body
+        others, entries = list[tuple[int, memoryview]](), list[IndexEntry]()
+        for item in records_in(data):
+            if item.opcode == Opcode.MESSAGE:
+                message = message_head(item.body)
+                entries.append((message.channel_id, message.log_time_ns, item.offset))
+                yield item.body
             else:
-                others.append((opcode, body))
+                others.append((item.opcode, item.body))
         if chunk.start not in self._seen:
-            self._seen[chunk.start] = self._contents(head, data, others, times)
+            is_indexed = sorted(entries) == sorted(index_entries(indexes))
+            times = [log_time_ns for _, log_time_ns, _ in entries]
+            is_tidy = is_indexed and all(earlier <= later for earlier, later in pairwise(times))
+            self._seen[chunk.start] = self._contents(head, data, others, is_tidy=is_tidy)
 
     def _contents(
-        self, head: ChunkHead, data: memoryview, others: Iterable[tuple[int, memoryview]], times: Sequence[int]
+        self, head: ChunkHead, data: memoryview, others: Iterable[tuple[int, memoryview]], *, is_tidy: bool
     ) -> ChunkContents:
-        """What there is to know of a chunk, from its data, the records besides messages, and its log times."""
+        """What there is to know of a chunk, from its data, the records besides messages, and whether those are tidy."""
         crc, described = crc32(data), {(opcode, int.from_bytes(body[:2], "little")): body for opcode, body in others}
         is_known = all(self._describes(key, body) for key, body in described.items())
         is_as_said = head.crc in {0, crc} and head.size_bytes == len(data)
-        in_order = all(earlier <= later for earlier, later in pairwise(times))
-        return ChunkContents(crc, is_known and is_as_said and in_order, frozenset(described))
+        return ChunkContents(crc, is_tidy and is_known and is_as_said, frozenset(described))
 
     def _describes(self, key: tuple[int, int], body: memoryview) -> bool:
         """Whether a record of a chunk is a channel or a schema of the index."""

@@ -16,7 +16,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from zstandard import ZstdCompressor
 
-from roadperc_stream.log.chunks import chunk_head
+from roadperc_stream.log.chunks import chunk_of
 from roadperc_stream.log.integrity import CRC_BYTES, MAGIC
 from roadperc_stream.log.records import Message
 
@@ -29,6 +29,8 @@ _ENTRY: Final = struct.Struct("<QQ")
 _COMPRESSION: Final = b"zstd"
 _LEVEL: Final = 1
 """Takes a third of the time of zstandard's default, for 4 % more bytes."""
+IndexEntry = tuple[int, int, int]
+"""Channel and log time of a message, and its place in the chunk's data."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +53,7 @@ class ChunkRecords:
 
     def places(self) -> Iterator[tuple[int, int, int]]:
         """Channel of each message index, its first byte, counted from the first one's, and its number of messages."""
-        at = 0
-        while at < len(self.indexes):
-            _, length, channel_id, entries_bytes = _INDEX.unpack_from(self.indexes, at)
-            yield channel_id, at, entries_bytes // _ENTRY.size
-            at += _RECORD.size + length
+        return _index_places(self.indexes)
 
     def with_crc(self, crc: int) -> "ChunkRecords":
         """With another CRC of its data; all else stays."""
@@ -63,6 +61,22 @@ class ChunkRecords:
         return ChunkRecords(
             b"".join((self.record[:at], crc.to_bytes(CRC_BYTES, "little"), self.record[at + CRC_BYTES :])), self.indexes
         )
+
+
+def index_entries(indexes: bytes) -> Iterator[IndexEntry]:
+    """The messages that the message indexes behind a chunk name."""
+    for channel_id, at, messages in _index_places(indexes):
+        start = at + _INDEX.size
+        for entry in _ENTRY.iter_unpack(memoryview(indexes)[start : start + messages * _ENTRY.size]):
+            yield (channel_id, *entry)
+
+
+def _index_places(indexes: bytes) -> Iterator[tuple[int, int, int]]:
+    at = 0
+    while at < len(indexes):
+        _, length, channel_id, entries_bytes = _INDEX.unpack_from(indexes, at)
+        yield channel_id, at, entries_bytes // _ENTRY.size
+        at += _RECORD.size + length
 
 
 @dataclass
@@ -158,7 +172,7 @@ class McapFile:
         Returns:
             The byte its record starts at, and the one behind that.
         """
-        head, start = chunk_head(memoryview(chunk.record)[_RECORD.size :]), self._stream.tell()
+        head, start = chunk_of(chunk.record), self._stream.tell()
         end = start + len(chunk.record)
         offsets = dict[int, int]()
         for channel_id, at, messages in chunk.places():

@@ -3,16 +3,21 @@
 import zlib
 
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap import records
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
+from roadperc_stream.core.config import DEFAULT_LIMITS
+from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
 from roadperc_stream.log.indexed import IndexedFile
-from roadperc_stream.log.mcap_file import ChunkRecords
+from roadperc_stream.log.mcap_file import ChunkRecords, McapFile, OpenChunk
+from roadperc_stream.log.reading import in_file_order
 
 A, B = Channel("/a", "x", "S", "y", b"s", source_id=1), Channel("/b", "x", source_id=2)
 RESULT = Channel("/result", "x", "S", "y", b"s", metadata=(("producer", "roadperc"),))
@@ -171,6 +176,56 @@ def test_a_chunk_whose_own_crc_is_wrong_is_written_anew(tmp_path):
     pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
     assert whole(pieces)[:2] == [False, False]
     assert whole(pieces)[-1] is True
+
+
+@pytest.mark.parametrize("byte", [9, 17, 25], ids=["channel", "log time", "place"])
+def test_a_chunk_whose_message_indexes_are_wrong_is_written_anew(tmp_path, byte):
+    """Who trusts them would not find its messages; and one that they do not name may be of any channel."""
+    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
+    file = log.summarise(source).source
+    assert isinstance(file, IndexedFile)
+    last = file.chunks[-1]
+    data = bytearray(source.read_bytes())
+    data[last.start + last.length + byte] ^= 3
+    source.write_bytes(data)
+    unchecked = IndexedFile(file.path, False, file.limits, file.channels, file.chunks, file._descriptions)
+    pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
+    assert whole(pieces) == [True] * (len(file.chunks) - 1) + [False] * 2
+
+
+def test_messages_that_no_index_names_are_no_results_of_the_copy(tmp_path):
+    """The id of their channel, which nothing describes, is free for a channel of results."""
+    source, hidden = tmp_path / "a.mcap", 2
+    with source.open("wb") as stream:
+        file, chunk = McapFile(stream, "", ""), OpenChunk()
+        file.add_schema(records.Schema(1, b"s", "y", "S"))
+        file.add_channel(records.Channel(A.source_id, A.topic, A.message_encoding, {}, 1))
+        chunk.add(A.source_id, Message(A, 1, 1, 0, b"a"))
+        chunk.add(hidden, Message(B, 1, 1, 0, b"hidden"))
+        del chunk._entries[hidden]
+        file.add_chunk(chunk.records())
+        file.finish()
+    with pytest.raises(LogError, match="message of channel 2, which nothing describes"):
+        copied(source, tmp_path / "b.mcap", topics=["/a"], results=[1])
+
+
+@pytest.mark.parametrize("crcs", [True, False])
+def test_a_chunk_of_several_frames_of_zstandard_is_read_to_its_end(tmp_path, monkeypatch, crcs):
+    compress = zstandard.compress
+    monkeypatch.setattr(zstandard, "compress", lambda data: compress(data[:100]) + compress(data[100:]))
+    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=1000, enable_crcs=crcs)
+    summary = log.summarise(source)
+    assert isinstance(summary.source, IndexedFile)
+    assert [m[:2] for m in plain(log.read(summary))] == IN_ORDER
+    assert [m[:2] for m in plain(in_file_order(source, DEFAULT_LIMITS))] == IN_ORDER
+    with LogWriter(tmp_path / "b.mcap") as writer:
+        copy = MessageCopy(
+            writer, summary.channels, log.pieces(summary, summary.channels, None, None), summary.schema_ids
+        )
+        growing = writer.while_written()
+        copy.rest()
+        assert [m[:2] for m in plain(growing.read())] == IN_ORDER
+    assert [m[:2] for m in inputs(tmp_path / "b.mcap")] == IN_ORDER
 
 
 @settings(max_examples=60, deadline=None)

@@ -45,7 +45,7 @@ def count_of_class(const uint8_t[:, :] tags, const uint8_t[::1] of_class):
     """
     cdef Py_ssize_t y, x, count = 0
     if of_class.shape[0] != 256:
-        raise ValueError(f"a class of {of_class.shape[0]} tags: expected one size")
+        raise ValueError(f"a class of {of_class.shape[0]} tags: expected 256")
     with nogil:
         for y in range(tags.shape[0]):
             for x in range(tags.shape[1]):

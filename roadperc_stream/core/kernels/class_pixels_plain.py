@@ -29,8 +29,8 @@ def count_of_class(tags: Image, of_class: Image) -> int:
     """How many of (h, w) tags are of a class: not 0 in (256,).
 
     Raises:
-        ValueError: not so many.
+        ValueError: ``of_class`` is of another length.
     """
     if len(of_class) != np.iinfo(np.uint8).max + 1:
-        raise ValueError(f"a class of {len(of_class)} tags: expected one size")
+        raise ValueError(f"a class of {len(of_class)} tags: expected 256")
     return int(np.count_nonzero(of_class[tags]))

@@ -58,5 +58,5 @@ def mean_direction(points: Float, ranges_m: Float, most_m: float) -> tuple[float
     nearest = points[ranges_m <= most_m]
     if not len(nearest):
         return np.nan, np.nan
-    x, y = (np.cumsum(nearest[:, :2] / nearest[:, 2:], axis=0)[-1] / len(nearest)).tolist()
+    x, y = ((np.cumsum(nearest[:, :2] / nearest[:, 2:], axis=0)[-1] + 0.0) / len(nearest)).tolist()  # no sum is -0
     return x, y

@@ -99,11 +99,12 @@ def marked(const uint8_t[:, ::1] marks, const int64_t[::1] ranks):
     cdef Py_ssize_t height = marks.shape[0], width = marks.shape[1], v, u, n, low, high, middle
     cdef int64_t left
     cdef int64_t[::1] before = np.zeros(height + 1, np.int64), places = np.empty(ranks.shape[0], np.int64)
-    for v in range(height):
-        left = 0
-        for u in range(width):
-            left += marks[v, u]
-        before[v + 1] = before[v] + left
+    with nogil:
+        for v in range(height):
+            left = 0
+            for u in range(width):
+                left += marks[v, u]
+            before[v + 1] = before[v] + left
     for n in range(ranks.shape[0]):
         if not 0 <= ranks[n] < before[height]:
             raise IndexError(f"mark {ranks[n]} of {before[height]}")
@@ -119,7 +120,7 @@ def marked(const uint8_t[:, ::1] marks, const int64_t[::1] ranks):
                     high = middle
             left = ranks[n] - before[low] + 1
             u = -1
-            while left:
+            while left > 0:  # ends within the row whatever the marks are
                 u += 1
                 left -= marks[low, u]
             places[n] = low * width + u

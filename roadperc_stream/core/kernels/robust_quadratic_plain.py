@@ -138,7 +138,7 @@ def _fitted(points: Points, in_row: Numbers, state: State, weighing: Weighing) -
 
 def _sums(*terms: Numbers) -> list[float]:
     """The sum of each from the first to the last: NumPy's own adds in another order."""
-    sums: list[float] = np.cumsum(terms, axis=1)[:, -1].tolist()
+    sums: list[float] = (np.cumsum(terms, axis=1)[:, -1] + 0.0).tolist()  # no sum that begins with 0 ends with -0
     return sums
 
 

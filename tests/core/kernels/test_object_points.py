@@ -46,6 +46,12 @@ def test_compiled_points_have_the_same_bits(seed, height, width, of_any, distanc
 
 
 @pytest.mark.parametrize("way", WAYS)
+def test_a_mean_of_negative_zeros_is_zero(way):
+    direction = kernel(way).mean_direction(np.array([[-0.0, -0.0, 1.0]]), np.ones(1), 2.0)
+    assert not np.signbit(direction).any()
+
+
+@pytest.mark.parametrize("way", WAYS)
 def test_what_does_not_fit_is_refused(way):
     depth_m, x, y, tags = np.zeros((2, 3), np.float32), np.zeros(3), np.zeros(2), np.zeros((2, 3), np.uint8)
     for asked in (

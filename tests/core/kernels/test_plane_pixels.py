@@ -74,6 +74,11 @@ def test_a_mark_that_is_not_there_is_refused(kernel, rank):
         kernel.marked(np.array([[0, 1, 1], [0, 0, 1]], np.uint8), np.array([0, rank]))
 
 
+def test_marks_that_are_no_marks_are_looked_for_in_the_image_alone():
+    marks = np.full((2, 3), 255, np.uint8)
+    assert set(compiled.marked(marks, np.arange(6 * 255)).tolist()) == set(range(6))
+
+
 @BOTH
 def test_what_does_not_fit_is_refused(kernel):
     depth, column, row, marks, ray = image(0, 4, 5)
