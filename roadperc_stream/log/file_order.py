@@ -29,7 +29,7 @@ _LENGTH: Final = struct.Struct("<Q")
 
 
 def _zstd(stream: IO[bytes]) -> IO[bytes]:
-    return BufferedReader(ZstdDecompressor().stream_reader(stream))
+    return BufferedReader(ZstdDecompressor().stream_reader(stream, read_across_frames=True))
 
 
 _DECOMPRESSORS: Final[Mapping[str, Callable[[IO[bytes]], Any]]] = {

@@ -20,7 +20,7 @@ from mcap.records import ChunkIndex, McapRecord
 from mcap.summary import Summary
 
 from roadperc_stream.core.config import LimitsConfig
-from roadperc_stream.log.chunks import MESSAGE_HEAD_BYTES, ChunkHead, chunk_head, message_head, unpacked
+from roadperc_stream.log.chunks import MESSAGE_HEAD_BYTES, ChunkHead, Unpacked, chunk_head, message_head, unpacked
 from roadperc_stream.log.index import UNREADABLE, channel_of, most_at_once
 from roadperc_stream.log.mcap_file import ChunkRecords
 from roadperc_stream.log.opening import opened
@@ -33,6 +33,8 @@ _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
 _NEVER_NS: Final = 2**64
 Piece = Message | ChunkRecords
 """A message, or a chunk as it stands in a file."""
+_Place = tuple[int, int, int]
+"""A message's log time, its first byte in its chunk, and its channel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +69,8 @@ class ChunkContents:
 
     crc: int
     """Of its data."""
+    places: int
+    """Hash of ``_Place`` of each message, in order."""
     is_tidy: bool
     """Whether it is as it says, and its messages stand in the order of log time."""
     described: frozenset[tuple[int, int]]
@@ -133,12 +137,13 @@ class IndexedFile:
     def _as_is(self, stream: IO[bytes], chunk: IndexedChunk, kept: frozenset[int]) -> Iterator[Piece]:
         """A chunk as it stands in the file, or its messages where it is not tidy."""
         contents = self._seen.get(chunk.start) or self._looked_into(stream, chunk)
-        if not contents.is_tidy or not contents.described <= self._known_by(kept):
-            yield from self._in_order(stream, [chunk], kept, None, None)
-            return
-        stream.seek(chunk.start)
-        found = ChunkRecords(stream.read(chunk.length), stream.read(chunk.index_length))
-        yield found if found.crc else found.with_crc(contents.crc)
+        if contents.is_tidy and contents.described <= self._known_by(kept):
+            data = _read(stream, chunk.start, chunk.length + chunk.index_length)
+            found = ChunkRecords(data[: chunk.length], data[chunk.length :])
+            if len(found.channels) == len(set(found.channels)) and _hash_of(found.entries()) == contents.places:
+                yield found if found.crc else found.with_crc(contents.crc)
+                return
+        yield from self._in_order(stream, [chunk], kept, None, None)
 
     def _looked_into(self, stream: IO[bytes], chunk: IndexedChunk) -> ChunkContents:
         for _ in self._bodies(stream, chunk):
@@ -187,34 +192,36 @@ class IndexedFile:
 
     def _bodies(self, stream: IO[bytes], chunk: IndexedChunk) -> Iterator[memoryview]:
         """The message records of a chunk; what else stands in it is skipped."""
-        stream.seek(chunk.start + _RECORD.size)
-        head = chunk_head(stream.read(chunk.length - _RECORD.size))
-        data = unpacked(head, check_crc=self.check_chunks)
-        others, times = list[tuple[int, memoryview]](), list[int]()
+        head = chunk_head(_read(stream, chunk.start + _RECORD.size, chunk.length - _RECORD.size))
+        found = unpacked(head, check_crc=self.check_chunks)
+        data = found.data
+        others, places = list[tuple[int, memoryview]](), list[_Place]()
         at = 0
         while at < len(data):
+            start = at
             opcode, length = _RECORD.unpack_from(data, at)
             at += _RECORD.size + length
             if at > len(data):
                 raise McapError(f"a record of {length} bytes in a chunk ends behind it")
             body = data[at - length : at]
             if opcode == Opcode.MESSAGE:
-                times.append(message_head(body).log_time_ns)
+                message = message_head(body)
+                places.append((message.log_time_ns, start, message.channel_id))
                 yield body
             else:
                 others.append((opcode, body))
         if chunk.start not in self._seen:
-            self._seen[chunk.start] = self._contents(head, data, others, times)
+            self._seen[chunk.start] = self._contents(head, found, others, places)
 
     def _contents(
-        self, head: ChunkHead, data: memoryview, others: Iterable[tuple[int, memoryview]], times: Sequence[int]
+        self, head: ChunkHead, found: Unpacked, others: Sequence[tuple[int, memoryview]], places: Sequence[_Place]
     ) -> ChunkContents:
-        """What there is to know of a chunk, from its data, the records besides messages, and its log times."""
-        crc, described = crc32(data), {(opcode, int.from_bytes(body[:2], "little")): body for opcode, body in others}
-        is_known = all(self._describes(key, body) for key, body in described.items())
-        is_as_said = head.crc in {0, crc} and head.size_bytes == len(data)
-        in_order = all(earlier <= later for earlier, later in pairwise(times))
-        return ChunkContents(crc, is_known and is_as_said and in_order, frozenset(described))
+        """What there is to know of a chunk, from its data, the records besides messages, and where these stand."""
+        crc, described = crc32(found.data), [(opcode, int.from_bytes(body[:2], "little")) for opcode, body in others]
+        is_known = all(self._describes(key, body) for key, (_, body) in zip(described, others, strict=True))
+        is_as_said = found.is_plain and head.crc in {0, crc} and _span_ns(places) == (head.first_ns, head.last_ns)
+        in_order = all(earlier <= later for earlier, later in pairwise(time_ns for time_ns, _, _ in places))
+        return ChunkContents(crc, _hash_of(places), is_known and is_as_said and in_order, frozenset(described))
 
     def _describes(self, key: tuple[int, int], body: memoryview) -> bool:
         """Whether a record of a chunk is a channel or a schema of the index."""
@@ -241,6 +248,30 @@ def apart(chunks: Sequence[IndexedChunk]) -> Iterator[IndexedChunk]:
         if latest_ns <= chunk.first_ns and chunk.last_ns <= next_ns:
             yield chunk
         latest_ns = max(latest_ns, chunk.last_ns)
+
+
+def _span_ns(places: Sequence[_Place]) -> tuple[int, int] | None:
+    """First and last log time of messages; None without any."""
+    times = [time_ns for time_ns, _, _ in places]
+    return (min(times), max(times)) if times else None
+
+
+def _hash_of(places: Iterable[_Place]) -> int:
+    """The same of the same places, however they come."""
+    return hash(tuple(sorted(places)))
+
+
+def _read(stream: IO[bytes], start: int, length: int) -> bytes:
+    """Some bytes of a file.
+
+    Raises:
+        McapError: it has fewer, now.
+    """
+    stream.seek(start)
+    data = stream.read(length)
+    if len(data) < length:
+        raise McapError(f"{length} bytes expected at byte {start}, {len(data)} are left")
+    return data
 
 
 def _indexed(entry: ChunkIndex, groups: dict[frozenset[int], frozenset[int]]) -> IndexedChunk:

@@ -57,6 +57,18 @@ class ChunkRecords:
             yield channel_id, at, entries_bytes // _ENTRY.size
             at += _RECORD.size + length
 
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Of the message indexes, one by one."""
+        return tuple(channel_id for channel_id, _, _ in self.places())
+
+    def entries(self) -> Iterator[tuple[int, int, int]]:
+        """Log time, first byte in the data, and channel of each message, by the message indexes."""
+        for channel_id, at, messages in self.places():
+            start = at + _INDEX.size
+            entries = _ENTRY.iter_unpack(memoryview(self.indexes)[start : start + messages * _ENTRY.size])
+            yield from ((time_ns, place, channel_id) for time_ns, place in entries)
+
     def with_crc(self, crc: int) -> "ChunkRecords":
         """With another CRC of its data; all else stays."""
         at = _CHUNK.size - 2 * CRC_BYTES
