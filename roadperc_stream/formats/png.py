@@ -31,6 +31,7 @@ _HEADER: Final = struct.Struct(">IIBBBBB")
 _PIXEL_SIZE: Final = b"pHYs"
 """The one chunk with no say in the pixels that recorders write (ffmpeg does)."""
 _PIXEL_SIZE_BYTES: Final = 9
+_PALETTE_BYTES: Final = range(3, 3 * 256 + 1, 3)
 _LONGEST_SIDE: Final = 1 << 14
 """OpenCV refuses some sizes beyond; what it does with those it decides itself."""
 _HISTORY: Final = 1 << 15
@@ -131,10 +132,11 @@ def _lines_of(data: bytes, kinds: set[tuple[int, int]]) -> _Lines | None:
 
 
 def _in_order(chunks: list[tuple[bytes, memoryview]], colour_type: int) -> bool:
-    """Whether there is what has to be, once, and nothing else; the content may come in parts."""
+    """Whether there is what has to be, once, and nothing else; the pixels may come in parts."""
     names = [name for name, _ in chunks]
     palette = [b"PLTE"] * (colour_type == PALETTE)
-    return names == [b"IHDR", *palette, *[b"IDAT"] * names.count(b"IDAT"), b"IEND"]
+    in_size = all(len(content) in _PALETTE_BYTES for name, content in chunks if name == b"PLTE")
+    return in_size and names == [b"IHDR", *palette, *[b"IDAT"] * names.count(b"IDAT"), b"IEND"]
 
 
 def _chunks(data: bytes) -> list[tuple[bytes, memoryview]] | None:
