@@ -31,7 +31,7 @@ _HEADER: Final = struct.Struct(">IIBBBBB")
 _PIXEL_SIZE: Final = b"pHYs"
 """The one chunk with no say in the pixels that recorders write (ffmpeg does)."""
 _PIXEL_SIZE_BYTES: Final = 9
-_PALETTE_BYTES: Final = 3 * 256
+_PALETTE_BYTES: Final = range(3, 3 * 256 + 1, 3)
 _LONGEST_SIDE: Final = 1 << 14
 """OpenCV refuses some sizes beyond; what it does with those it decides itself."""
 _HISTORY: Final = 1 << 15
@@ -135,9 +135,8 @@ def _in_order(chunks: list[tuple[bytes, memoryview]], colour_type: int) -> bool:
     """Whether there is what has to be, once, and nothing else; the pixels may come in parts."""
     names = [name for name, _ in chunks]
     palette = [b"PLTE"] * (colour_type == PALETTE)
-    if any(name == b"PLTE" and len(content) > _PALETTE_BYTES for name, content in chunks):
-        return False  # Pillow refuses it
-    return names == [b"IHDR", *palette, *[b"IDAT"] * names.count(b"IDAT"), b"IEND"]
+    in_size = all(len(content) in _PALETTE_BYTES for name, content in chunks if name == b"PLTE")
+    return in_size and names == [b"IHDR", *palette, *[b"IDAT"] * names.count(b"IDAT"), b"IEND"]
 
 
 def _chunks(data: bytes) -> list[tuple[bytes, memoryview]] | None:

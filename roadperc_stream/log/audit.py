@@ -9,7 +9,7 @@ from roadperc_stream.log.damage import DamagedLogError, nothing_saved
 from roadperc_stream.log.salvage import Salvage
 
 
-def require_undamaged(path: Path, limits: LimitsConfig, *, check_chunks: bool = False) -> bool:
+def require_undamaged(path: Path, limits: LimitsConfig, *, check_chunks: bool = False) -> Salvage:
     """Check all CRCs, and that index, message indexes and statistics say what stands in the file.
 
     Args:
@@ -18,7 +18,7 @@ def require_undamaged(path: Path, limits: LimitsConfig, *, check_chunks: bool = 
         check_chunks: as ``audited``.
 
     Returns:
-        Whether the CRCs inside chunks were checked, too: where each chunk has one, that is left to who reads it.
+        The finished account: unless it is ``sealed``, the CRCs inside chunks are left to who reads them.
 
     Raises:
         DamagedLogError: they do not; it says what can be saved.
@@ -27,7 +27,7 @@ def require_undamaged(path: Path, limits: LimitsConfig, *, check_chunks: bool = 
     found = audited(path, limits, check_chunks=check_chunks)
     if not found.whole:
         raise damage_in(found)
-    return found.sealed
+    return found
 
 
 def damage_in(found: Salvage) -> LogError:

@@ -7,6 +7,7 @@ never more than the chunk says that it holds. Layout: https://mcap.dev/spec.
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
 from typing import Final
 
 import lz4.frame
@@ -22,6 +23,8 @@ _RECORD: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQQ")
 _INSIDE: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _PIECE_BYTES: Final = 1024 * 1024
+_LZ4_PIECE_BYTES: Final = 16 * 1024
+"""What is given at once: behind each frame the rest of it is copied."""
 
 
 @dataclass(frozen=True)
@@ -126,21 +129,37 @@ def contents_of(head: ChunkHead, workspace: Workspace, limits: LimitsConfig = DE
     return Contents(items)
 
 
-def unpacked(head: ChunkHead, *, check_crc: bool) -> memoryview:
-    """A chunk's decompressed data, in memory of its own; of a chunk that was held against the limits before.
+@dataclass(frozen=True)
+class Unpacked:
+    """A chunk's decompressed data, in memory of its own."""
+
+    data: memoryview
+    is_plain: bool
+    """Whether they are as many bytes as the chunk says, in one frame: many readers see no other than the first."""
+
+
+def unpacked(head: ChunkHead, *, check_crc: bool) -> Unpacked:
+    """A chunk's data, decompressed at once where that can be; of a chunk that was held against the limits before.
 
     Raises:
-        ValueError: the CRC is to be checked, and is wrong; of bytes that make no sense the decompressor's own errors
-            come.
+        ValueError: the bytes make no sense, or the CRC is to be checked, and is wrong.
     """
-    data = memoryview(_UNPACKED[head.compression](head))
-    if head.compression == "zstd" and len(data) < head.size_bytes:  # in several frames, of which that was the first
-        data, fault = _zstd(head, Workspace())
-        if fault:
-            raise ValueError(fault)
+    at_once = _at_once(head)
+    data, fault = (at_once, "") if at_once is not None else _DECOMPRESSED[head.compression](head, Workspace())
+    if fault:
+        raise ValueError(fault)
     if check_crc and head.crc and (crc := crc32(data)) != head.crc:
         raise ValueError(wrong_crc(crc, head.crc))
-    return data
+    return Unpacked(data, at_once is not None)
+
+
+def _at_once(head: ChunkHead) -> memoryview | None:
+    """A chunk's data where they are a single frame of the size that it says."""
+    try:
+        data = memoryview(_UNPACKED[head.compression](head))
+    except (ZstdError, RuntimeError):
+        return None
+    return data if len(data) == head.size_bytes else None
 
 
 def records_in(data: memoryview) -> Iterator[Item]:
@@ -223,15 +242,19 @@ def _zstd(head: ChunkHead, workspace: Workspace) -> _Data:
 
 
 def _lz4(head: ChunkHead, _: Workspace) -> _Data:
-    decompressor, given, data, fault = lz4.frame.LZ4FrameDecompressor(), bytes(head.stored), bytearray(), ""
+    decompressor, stored, data, fault = lz4.frame.LZ4FrameDecompressor(), BytesIO(head.stored), bytearray(), ""
+    is_open, given = True, b""
     try:
-        while not decompressor.eof and len(data) <= head.size_bytes:
-            piece = decompressor.decompress(given, max_length=_PIECE_BYTES)
-            given = b""
-            if not piece and decompressor.needs_input:
-                fault = "ends before its contents do"
+        while len(data) <= head.size_bytes:
+            given = given or (stored.read(_LZ4_PIECE_BYTES) if decompressor.needs_input else b"")
+            if not given and decompressor.needs_input:
+                fault = "ends before its contents do" if is_open else ""
                 break
-            data += piece
+            data += decompressor.decompress(given, max_length=_PIECE_BYTES)
+            is_open, given = not decompressor.eof, b""
+            if decompressor.eof:  # another frame may follow
+                given = decompressor.unused_data or b""
+                decompressor.reset()
     except RuntimeError as error:
         fault = str(error)
     return _as_promised(memoryview(data), head, fault)

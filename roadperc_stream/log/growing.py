@@ -148,7 +148,7 @@ class GrowingLog:
             return stream.read(chunk.end_byte - chunk.start_byte)
 
     def _messages(self, data: bytes) -> Iterator[Message]:
-        for item in records_in(unpacked(chunk_of(data), check_crc=True)):
+        for item in records_in(unpacked(chunk_of(data), check_crc=True).data):
             if item.opcode == Opcode.MESSAGE:
                 head, content = message_head(item.body), bytes(item.body[MESSAGE_HEAD_BYTES:])
                 channel = self._channels[head.channel_id]

@@ -19,9 +19,17 @@ from mcap.records import ChunkIndex, McapRecord
 from mcap.summary import Summary
 
 from roadperc_stream.core.config import LimitsConfig
-from roadperc_stream.log.chunks import MESSAGE_HEAD_BYTES, ChunkHead, chunk_of, message_head, records_in, unpacked
+from roadperc_stream.log.chunks import (
+    MESSAGE_HEAD_BYTES,
+    ChunkHead,
+    Unpacked,
+    chunk_of,
+    message_head,
+    records_in,
+    unpacked,
+)
 from roadperc_stream.log.index import UNREADABLE, channel_of, most_at_once
-from roadperc_stream.log.mcap_file import ChunkRecords, IndexEntry, index_entries
+from roadperc_stream.log.mcap_file import ChunkRecords, IndexEntry, index_entries, indexed_channels
 from roadperc_stream.log.opening import opened
 from roadperc_stream.log.parsing import parse
 from roadperc_stream.log.records import Channel, Message
@@ -131,12 +139,14 @@ class IndexedFile:
     def _as_is(self, stream: IO[bytes], chunk: IndexedChunk, kept: frozenset[int]) -> Iterator[Piece]:
         """A chunk as it stands in the file, or its messages where it is not tidy."""
         contents = self._seen.get(chunk.start) or self._looked_into(stream, chunk)
-        if not contents.is_tidy or not contents.described <= self._known_by(kept):
+        if contents.is_tidy and contents.described <= self._known_by(kept):
+            indexes_at = chunk.start + chunk.length
+            found = ChunkRecords(
+                _read(stream, chunk.start, chunk.length), _read(stream, indexes_at, chunk.index_length)
+            )
+            yield found if found.crc else found.with_crc(contents.crc)
+        else:
             yield from self._in_order(stream, [chunk], kept, None, None)
-            return
-        stream.seek(chunk.start)
-        found = ChunkRecords(stream.read(chunk.length), stream.read(chunk.index_length))
-        yield found if found.crc else found.with_crc(contents.crc)
 
     def _looked_into(self, stream: IO[bytes], chunk: IndexedChunk) -> ChunkContents:
         for _ in self._bodies(stream, chunk):
@@ -185,12 +195,10 @@ class IndexedFile:
 
     def _bodies(self, stream: IO[bytes], chunk: IndexedChunk) -> Iterator[memoryview]:
         """The message records of a chunk; what else stands in it is skipped."""
-        stream.seek(chunk.start)
-        head = chunk_of(stream.read(chunk.length))
-        indexes = b"" if chunk.start in self._seen else stream.read(chunk.index_length)
-        data = unpacked(head, check_crc=self.check_chunks)
+        head = chunk_of(_read(stream, chunk.start, chunk.length))
+        found = unpacked(head, check_crc=self.check_chunks)
         others, entries = list[tuple[int, memoryview]](), list[IndexEntry]()
-        for item in records_in(data):
+        for item in records_in(found.data):
             if item.opcode == Opcode.MESSAGE:
                 message = message_head(item.body)
                 entries.append((message.channel_id, message.log_time_ns, item.offset))
@@ -198,18 +206,17 @@ class IndexedFile:
             else:
                 others.append((item.opcode, item.body))
         if chunk.start not in self._seen:
-            is_indexed = sorted(entries) == sorted(index_entries(indexes))
-            times = [log_time_ns for _, log_time_ns, _ in entries]
-            is_tidy = is_indexed and all(earlier <= later for earlier, later in pairwise(times))
-            self._seen[chunk.start] = self._contents(head, data, others, is_tidy=is_tidy)
+            indexes = _read(stream, chunk.start + chunk.length, chunk.index_length)
+            is_tidy = _in_order_and_indexed(entries, indexes) and _span_ns(entries) == (head.first_ns, head.last_ns)
+            self._seen[chunk.start] = self._contents(head, found, others, is_tidy=is_tidy)
 
     def _contents(
-        self, head: ChunkHead, data: memoryview, others: Iterable[tuple[int, memoryview]], *, is_tidy: bool
+        self, head: ChunkHead, found: Unpacked, others: Sequence[tuple[int, memoryview]], *, is_tidy: bool
     ) -> ChunkContents:
         """What there is to know of a chunk, from its data, the records besides messages, and whether those are tidy."""
-        crc, described = crc32(data), {(opcode, int.from_bytes(body[:2], "little")): body for opcode, body in others}
-        is_known = all(self._describes(key, body) for key, body in described.items())
-        is_as_said = head.crc in {0, crc} and head.size_bytes == len(data)
+        crc, described = crc32(found.data), [(opcode, int.from_bytes(body[:2], "little")) for opcode, body in others]
+        is_known = all(self._describes(key, body) for key, (_, body) in zip(described, others, strict=True))
+        is_as_said = found.is_plain and head.crc in {0, crc}
         return ChunkContents(crc, is_tidy and is_known and is_as_said, frozenset(described))
 
     def _describes(self, key: tuple[int, int], body: memoryview) -> bool:
@@ -237,6 +244,32 @@ def apart(chunks: Sequence[IndexedChunk]) -> Iterator[IndexedChunk]:
         if latest_ns <= chunk.first_ns and chunk.last_ns <= next_ns:
             yield chunk
         latest_ns = max(latest_ns, chunk.last_ns)
+
+
+def _span_ns(entries: Sequence[IndexEntry]) -> tuple[int, int] | None:
+    """First and last log time of messages; None without any."""
+    times = [time_ns for _, time_ns, _ in entries]
+    return (min(times), max(times)) if times else None
+
+
+def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: bytes) -> bool:
+    """Whether messages stand in the order of log time, and one message index of each channel names them all."""
+    in_order = all(earlier[1] <= later[1] for earlier, later in pairwise(entries))
+    channels = indexed_channels(indexes)
+    return in_order and len(channels) == len(set(channels)) and sorted(entries) == sorted(index_entries(indexes))
+
+
+def _read(stream: IO[bytes], start: int, length: int) -> bytes:
+    """Some bytes of a file.
+
+    Raises:
+        McapError: it has fewer, now.
+    """
+    stream.seek(start)
+    data = stream.read(length)
+    if len(data) < length:
+        raise McapError(f"{length} bytes expected at byte {start}, {len(data)} are left")
+    return data
 
 
 def _indexed(entry: ChunkIndex, groups: dict[frozenset[int], frozenset[int]]) -> IndexedChunk:

@@ -55,12 +55,22 @@ class ChunkRecords:
         """Channel of each message index, its first byte, counted from the first one's, and its number of messages."""
         return _index_places(self.indexes)
 
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Of the message indexes, one by one."""
+        return indexed_channels(self.indexes)
+
     def with_crc(self, crc: int) -> "ChunkRecords":
         """With another CRC of its data; all else stays."""
         at = _CHUNK.size - 2 * CRC_BYTES
         return ChunkRecords(
             b"".join((self.record[:at], crc.to_bytes(CRC_BYTES, "little"), self.record[at + CRC_BYTES :])), self.indexes
         )
+
+
+def indexed_channels(indexes: bytes) -> tuple[int, ...]:
+    """The channels of message indexes, one by one."""
+    return tuple(channel_id for channel_id, _, _ in _index_places(indexes))
 
 
 def index_entries(indexes: bytes) -> Iterator[IndexEntry]:

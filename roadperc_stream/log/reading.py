@@ -126,17 +126,17 @@ def _inspected(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> Part:
     Raises:
         LogError: as ``summarise``.
     """
-    sealed = require_undamaged(path, limits, check_chunks=check_chunks)
+    found = require_undamaged(path, limits, check_chunks=check_chunks)
     with opened(path, limits) as stream:
         reader = make_reader(stream)
         profile = reader.get_header().profile
-        index = usable_index(reader)
+        index = usable_index(reader) if found.all_in_chunks else None
         attachments, metadata = _besides_messages(reader, stream)
         in_order = SortedMessages(str(path), partial(in_file_order, path, limits))
         summary = LogSummary(path, in_order, profile, (), {}, attachments, metadata)
         if index is None:
             return Part(_scanned(summary, stream), None, partial(in_file_order, limits=limits))
-    file = IndexedFile.of(path, index, limits, check_chunks=not sealed)
+    file = IndexedFile.of(path, index, limits, check_chunks=not found.sealed)
     statistics = index.statistics
     assert statistics is not None
     indexed = replace(

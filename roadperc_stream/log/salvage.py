@@ -78,6 +78,8 @@ class Salvage:
     """What a log may do without, and this one does: its index, CRCs."""
     last_good_ns: int | None = None
     """Log time of the last message before the first damage."""
+    all_in_chunks: bool = True
+    """Whether every message that was read stands in a chunk: no index names the others."""
 
     def __post_init__(self) -> None:
         try:
@@ -192,7 +194,7 @@ class Salvage:
         self._hold(record)
         try:
             if record.opcode == Opcode.MESSAGE:
-                self._covered = False
+                self.all_in_chunks = self._covered = False
                 yield self._counted(record.body)
             elif record.opcode == Opcode.MESSAGE_INDEX:
                 if len(record.body) > self.limits.chunk_messages * INDEX_ENTRY_BYTES + INDEX_ENTRY_BYTES:

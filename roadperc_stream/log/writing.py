@@ -104,7 +104,7 @@ class LogWriter:
             start, end = self._file.add_chunk(chunk)
             if self._growing is not None:
                 self._stream.flush()
-                self._growing.add_chunk(start, end, chunk.span_ns, (place[0] for place in chunk.places()))
+                self._growing.add_chunk(start, end, chunk.span_ns, chunk.channels)
 
     def while_written(self) -> GrowingLog:
         """The log for a reader in another thread, from now to the end; before the first message.

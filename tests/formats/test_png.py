@@ -128,6 +128,13 @@ def test_what_the_reader_only_warns_of_is_no_error():
     assert_same_as_others(file_of(chunks[:4]))
 
 
+@pytest.mark.parametrize("size", [0, 1, 3, 4, 6, 767, 768, 769, 771])
+@given(chunks=plain_chunks(tuple((3, bits) for bits in BITS[3])))
+def test_palettes_of_any_size(chunks, size):
+    palette = (b"PLTE", bytes(k % 256 for k in range(size)))
+    assert_same_as_others(file_of([palette if chunk == PALETTE else chunk for chunk in chunks]))
+
+
 @given(plain_chunks(), st.integers(0, 5), st.integers(0, 5))
 def test_chunks_missing_twice_or_out_of_order(chunks, one, other):
     chunks = list(chunks)
