@@ -1,5 +1,6 @@
 """Replays in several threads: files, order and errors of one, whichever thread is faster; nothing is left."""
 
+import errno
 import random
 import signal
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import threading
 import time
 from functools import partial
+from pathlib import Path
 
 import polars as pl
 import pytest
@@ -270,3 +272,23 @@ def test_no_threads_are_too_few(tmp_path, capsys, threads):
         main([str(source), str(tmp_path / "out.mcap"), "--threads", str(threads)])
     assert end.value.code == 2
     assert "expected 1 or more" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("threads", [1, *THREADS])
+def test_a_folder_that_cannot_be_written_is_one_error_that_names_the_output(tmp_path, monkeypatch, threads):
+    """Removing what is not complete fails there as well, and says nothing more."""
+    source, target = logs.write(tmp_path / "in.mcap", drive(1)), tmp_path / "out" / "out.mcap"
+    opened, removed = Path.open, Path.unlink
+
+    def refusing(original):
+        def refused(path, *arguments, **options):
+            if path.parent == target.parent:
+                raise OSError(errno.EROFS, "Read-only file system", str(path))
+            return original(path, *arguments, **options)
+
+        return refused
+
+    monkeypatch.setattr(Path, "open", refusing(opened))
+    monkeypatch.setattr(Path, "unlink", refusing(removed))
+    with pytest.raises(TargetError, match=r"/out\.mcap: Read-only file system$"):
+        replay(source, target, LIGHT, threads=threads)

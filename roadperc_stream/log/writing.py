@@ -217,8 +217,9 @@ class LogWriter:
             self._temporary.replace(self.path)
 
     def discard(self) -> None:
-        """Remove what is not complete."""
-        self._temporary.unlink(missing_ok=True)
+        """Remove what is not complete; where nothing can be removed, nothing could be written either."""
+        with suppress(OSError):
+            self._temporary.unlink(missing_ok=True)
 
 
 @dataclass

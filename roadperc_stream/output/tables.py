@@ -216,5 +216,6 @@ class TableWriter:
             self.discard()
 
     def discard(self) -> None:
-        """Remove what is not complete."""
-        self._temporary.unlink(missing_ok=True)
+        """Remove what is not complete; where nothing can be removed, nothing could be written either."""
+        with suppress(OSError):
+            self._temporary.unlink(missing_ok=True)
