@@ -13,7 +13,7 @@ import numpy as np
 
 from roadperc_stream.core.datatypes import HeightGrid, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32, Plane, intersect_plane, rays, transform
-from roadperc_stream.core.kernels.ray_points import points_along_rays
+from roadperc_stream.core.kernels.ray_points import Rays, points_along_rays
 
 try:
     from roadperc_stream.core.kernels.height_field_compiled import first_meetings
@@ -82,19 +82,18 @@ def ego_points(camera: Camera, ego_T_camera: Float, depth_m: Float32, top: int =
         depth_m: (h, W) rows of its image.
         top: the first of these rows.
     """
-    column, row = _ray_parts(camera, ego_T_camera, top, len(depth_m))
     points = np.empty((3, *depth_m.shape), np.float32)
-    points_along_rays(depth_m, column, row, ego_T_camera[:3, 3].astype(np.float32), points)
+    points_along_rays(depth_m, *ego_rays(camera, ego_T_camera, top, len(depth_m)), points)
     return points[0], points[1], points[2]
 
 
-def _ray_parts(camera: Camera, ego_T_camera: Float, top: int, rows: int) -> tuple[Float32, Float32]:
-    """(3, W) part of every column, and (3, rows) of every row, of their pixels' rays in the ego frame."""
+def ego_rays(camera: Camera, ego_T_camera: Float, top: int, rows: int) -> Rays:
+    """The rays in the ego frame of some rows of an image, ``top`` the first of them."""
     rotation = ego_T_camera[:3, :3]
     column = (np.arange(camera.width) - camera.cx) / camera.fx
     row = (np.arange(top, top + rows) - camera.cy) / camera.fy
     parts = np.outer(rotation[:, 0], column), rotation[:, 1:2] * row + rotation[:, 2:]
-    return parts[0].astype(np.float32), parts[1].astype(np.float32)
+    return Rays(*(part.astype(np.float32) for part in (*parts, ego_T_camera[:3, 3])))
 
 
 def height_above(surface: Surface, x: Float32, y: Float32, z: Float32) -> Float32:

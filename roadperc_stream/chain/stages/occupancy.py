@@ -12,15 +12,16 @@ obstacle's tag.
 
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.core.config import OccupancyConfig, scaled
 from roadperc_stream.core.datatypes import Absent, Image, Mask, Occupancy, Reason, Surface
-from roadperc_stream.core.geometry import Camera, Float, Float32, inverse, project, transform
-from roadperc_stream.core.ground import ego_points, height_above, height_at, part
+from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.core.ground import ego_points, ego_rays, height_above, height_at, part
 from roadperc_stream.core.kernels.cell_counts import Cells, count_points
+from roadperc_stream.core.kernels.reprojection_plain import Projection
+from roadperc_stream.core.kernels.visible_cells import mark_visible
 from roadperc_stream.core.scene import Scene
 
 Counts = NDArray[np.int64]
@@ -31,8 +32,6 @@ OCCUPIED: Final = 100
 
 _ROWS_AT_ONCE: Final = 64
 """Rows whose points stay in the processor's cache from one operation on them to the next."""
-_MEDIAN_PX: Final = 3
-"""A single drivable pixel among others frees no cell, a single hole among drivable ones leaves none unknown."""
 
 
 def build(cfg: OccupancyConfig, scene: Scene, surface: Surface | Absent, drivable: Mask | Absent) -> Occupancy | Absent:
@@ -68,19 +67,20 @@ def _points_in_cells(
     cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask, depth_m: Float32
 ) -> tuple[Counts, Counts]:
     """(rows, columns) numbers of drivable points and of points that are obstacles in each cell."""
-    dense = scene.dense_depth_m is not None
-    step = _pixel_step(cfg, scene.camera) if dense else 1
+    step = _pixel_step(cfg, scene.camera) if scene.dense_depth_m is not None else 1
     camera, depth_m, marks = part(scene.camera, step, step), depth_m[::step, ::step], drivable[::step, ::step]
-    obstacles = _obstacles(cfg, scene, step) if dense else None
-    if obstacles is None:
-        obstacles = np.zeros(camera.size, np.uint8)
+    tags, obstacle_tags = _obstacles(cfg, scene, step)
     cells = Cells(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cfg.min_height_m, cfg.max_height_m)
+    abd = np.array(surface.abd, np.float32)
     free, occupied = np.zeros(_shape(cfg), np.int64), np.zeros(_shape(cfg), np.int64)
     for top in range(0, camera.height, _ROWS_AT_ONCE):
         rows = slice(top, top + _ROWS_AT_ONCE)
-        x, y, z = ego_points(camera, scene.ego_T_camera, depth_m[rows], top)
-        height = height_above(surface, x, y, z)
-        count_points(cells, x, y, height, marks[rows].view(np.uint8), obstacles[rows], free, occupied)
+        heights = None
+        if surface.height_grid is not None:
+            heights = height_above(surface, *ego_points(camera, scene.ego_T_camera, depth_m[rows], top))
+        rays = ego_rays(camera, scene.ego_T_camera, top, len(depth_m[rows]))
+        few = marks[rows].view(np.uint8), tags[rows], obstacle_tags
+        count_points(cells, depth_m[rows], rays, abd, heights, *few, free, occupied)
     return free, occupied
 
 
@@ -94,31 +94,35 @@ def _shape(cfg: OccupancyConfig) -> tuple[int, int]:
     return int(rows + 1e-6), int(columns + 1e-6)
 
 
-def _obstacles(cfg: OccupancyConfig, scene: Scene, step: int) -> Image | None:
-    """1 at every ``step``-th pixel in both directions that is of an obstacle's class; None without tags."""
-    if scene.tags is None or scene.table is None:
-        return None
-    few = np.ascontiguousarray(scene.tags[::step, ::step])
-    return np.asarray(cv2.LUT(few, scene.table.lookup(cfg.obstacle_classes)), np.uint8)
+def _obstacles(cfg: OccupancyConfig, scene: Scene, step: int) -> tuple[Image, Image]:
+    """Tags of every ``step``-th pixel in both directions, and (256,) 1 of those of an obstacle.
+
+    Without tags, and among a lidar's points, none is.
+    """
+    if scene.tags is None or scene.table is None or scene.dense_depth_m is None:
+        size = part(scene.camera, step, step).size
+        return np.broadcast_to(np.zeros((), np.uint8), size), np.zeros(256, np.uint8)
+    return scene.tags[::step, ::step], scene.table.lookup(cfg.obstacle_classes)
 
 
 def _visible_drivable(cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask) -> Mask:
     """(rows, columns) cells whose middle is visible as drivable road, at its own distance where the depth is dense."""
-    camera, depth_m = scene.camera, scene.dense_depth_m
+    camera = scene.camera
     x, y = _middles(cfg)
-    points = np.empty((len(y), len(x), 3))
-    points[..., 0], points[..., 1], points[..., 2] = x, y[:, None], height_at(surface, x, y[:, None])
-    points = transform(inverse(scene.ego_T_camera), points)
-    columns, rows = np.moveaxis(np.rint(project(camera, points)), -1, 0)
-    inside: Mask = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
-    u, v, distance = columns[inside].astype(np.intp), rows[inside].astype(np.intp), points[..., 2][inside]
-    road = np.asarray(cv2.medianBlur(drivable.view(np.uint8), _MEDIAN_PX), np.uint8).view(np.bool_)
-    visible = road[v, u]
-    if depth_m is not None:
-        with np.errstate(invalid="ignore"):
-            visible &= np.abs(depth_m[v, u] - distance) <= cfg.depth_tolerance * distance + cfg.resolution_m
-    inside[inside] = visible
-    return inside
+    visible = np.empty(_shape(cfg), np.uint8)
+    mark_visible(
+        Projection(camera.fx, camera.fy, camera.cx, camera.cy),
+        inverse(scene.ego_T_camera),
+        x,
+        y,
+        height_at(surface, x, y[:, None]),
+        drivable.view(np.uint8),
+        scene.dense_depth_m,
+        cfg.depth_tolerance,
+        cfg.resolution_m,
+        visible,
+    )
+    return visible.view(bool)
 
 
 def _middles(cfg: OccupancyConfig) -> tuple[Float, Float]:

@@ -1,33 +1,124 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Points in the cells of a grid, counted one by one: ``cell_counts_plain`` says which."""
+"""Points in the cells of a grid, counted one by one: ``cell_counts_plain`` says which.
 
-from libc.math cimport isfinite
-from libc.stdint cimport int64_t, uint8_t
+A row at a time: first what vectors can do, the points, their heights and cells; then the counting.
+"""
+
+from libc.float cimport FLT_MAX
+from libc.math cimport fabsf
+from libc.stdint cimport int32_t, int64_t, uint8_t
+
+from roadperc_stream.core.kernels.cell_counts_plain import require_belonging
+
+cdef enum:
+    DRIVABLE = 1
+    MOST = 256
+
+cdef struct Rules:
+    float x_min, y_min, resolution, lowest, highest
+    int32_t columns, rows
+
+cdef struct Road:
+    float a, b, d
+
+cdef struct Points:  # of neighbouring pixels: numbers of one size in one place, for loops over them to become vectors
+    float depth[MOST]
+    float x_part[MOST]
+    float y_part[MOST]
+    float z_part[MOST]
+    float x[MOST]
+    float y[MOST]
+    float height[MOST]
+    int32_t drivable[MOST]
+    int32_t obstacle[MOST]
+    int32_t place[MOST]
+    int32_t kind[MOST]
+
+
+cdef void _point(Points* points, float x, float y, float z, const Road* road, int count) noexcept nogil:
+    """The points at their depths, and how high above a plane they are."""
+    cdef int k
+    cdef float at_z
+    for k in range(count):
+        points.x[k] = points.x_part[k] * points.depth[k] + x
+        points.y[k] = points.y_part[k] * points.depth[k] + y
+        at_z = points.z_part[k] * points.depth[k] + z
+        points.height[k] = at_z - ((road.d - road.a * points.x[k]) - road.b * points.y[k])
+
+
+cdef void _sort(const Rules* rules, Points* points, int count) noexcept nogil:
+    """Each point's cell, 0 where it lies in none, and what it counts as, nothing there."""
+    cdef int k
+    cdef int32_t kind, inside
+    cdef float i, j, height
+    for k in range(count):
+        height = points.height[k]
+        kind = points.drivable[k] & (fabsf(height) <= FLT_MAX)
+        kind |= (((height >= rules.lowest) | points.obstacle[k]) & (height <= rules.highest)) << 1
+        i = (points.x[k] - rules.x_min) / rules.resolution
+        j = (points.y[k] - rules.y_min) / rules.resolution
+        inside = (i >= 0) & (i < rules.columns) & (j >= 0) & (j < rules.rows)
+        i = i if inside else <float>0.0
+        j = j if inside else <float>0.0
+        points.place[k] = <int32_t>j * rules.columns + <int32_t>i  # what is cut off is what floor takes
+        points.kind[k] = kind if inside else 0
+
+
+cdef void _count(const Points* points, int64_t* free, int64_t* occupied, int count) noexcept nogil:
+    """Neighbours mostly lie in one cell, to which they are added together."""
+    cdef int k
+    cdef int32_t place = 0, on_road = 0, in_the_way = 0
+    for k in range(count):
+        if points.place[k] != place:
+            free[place] += on_road
+            occupied[place] += in_the_way
+            place, on_road, in_the_way = points.place[k], 0, 0
+        on_road += points.kind[k] & DRIVABLE
+        in_the_way += points.kind[k] >> 1
+    free[place] += on_road
+    occupied[place] += in_the_way
 
 
 def count_points(
-    cells, const float[:, :] x, const float[:, :] y, const float[:, :] height, const uint8_t[:, :] drivable,
-    const uint8_t[:, :] obstacles, int64_t[:, ::1] free, int64_t[:, ::1] occupied,
+    cells, const float[:, :] depth_m, rays, const float[::1] abd, const float[:, :] height_m,
+    const uint8_t[:, :] drivable, const uint8_t[:, :] tags, const uint8_t[::1] obstacle_tags, int64_t[:, ::1] free,
+    int64_t[:, ::1] occupied,
 ):
-    cdef float x_min = cells.x_min, y_min = cells.y_min, resolution = cells.resolution
-    cdef float lowest = cells.min_height, highest = cells.max_height, i, j
-    cdef Py_ssize_t rows = free.shape[0], columns = free.shape[1], v, u
-    cdef bint on_road, in_the_way
-    if not x.shape[0] == y.shape[0] == height.shape[0] == drivable.shape[0] == obstacles.shape[0] or not (
-        x.shape[1] == y.shape[1] == height.shape[1] == drivable.shape[1] == obstacles.shape[1]
-    ):
-        raise ValueError(f"{(x.shape[0], x.shape[1])} points of other sizes")
-    if (occupied.shape[0], occupied.shape[1]) != (rows, columns):
-        raise ValueError(f"counts of {(rows, columns)} and {(occupied.shape[0], occupied.shape[1])}")
+    cdef const float[:, ::1] column = rays[0], parts = rays[1]
+    cdef const float[::1] start = rays[2]
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, u, first, block
+    cdef bint is_plane = height_m is None
+    cdef Rules rules
+    cdef Road road
+    cdef Points points
+    cdef int count, k
+    require_belonging(
+        (height, width), (column.shape[0], column.shape[1]), (parts.shape[0], parts.shape[1]), (start.shape[0],),
+        (abd.shape[0],), None if is_plane else (height_m.shape[0], height_m.shape[1]),
+        (drivable.shape[0], drivable.shape[1]), (tags.shape[0], tags.shape[1]), (obstacle_tags.shape[0],),
+        (free.shape[0], free.shape[1]), (occupied.shape[0], occupied.shape[1]),
+    )
+    rules.x_min, rules.y_min, rules.resolution = cells.x_min, cells.y_min, cells.resolution
+    rules.lowest, rules.highest = cells.min_height, cells.max_height
+    rules.rows, rules.columns = free.shape[0], free.shape[1]
+    if not free.size or not width:
+        return
+    road = Road(abd[0], abd[1], abd[2])
     with nogil:
-        for v in range(x.shape[0]):
-            for u in range(x.shape[1]):
-                on_road = drivable[v, u] and isfinite(height[v, u])
-                in_the_way = (height[v, u] >= lowest or obstacles[v, u]) and height[v, u] <= highest
-                if not on_road and not in_the_way:
-                    continue
-                i = (x[v, u] - x_min) / resolution
-                j = (y[v, u] - y_min) / resolution
-                if i >= 0 and i < columns and j >= 0 and j < rows:  # then what is cut off is what floor takes
-                    free[<Py_ssize_t>j, <Py_ssize_t>i] += on_road
-                    occupied[<Py_ssize_t>j, <Py_ssize_t>i] += in_the_way
+        for v in range(height):
+            for block in range((width + MOST - 1) // MOST):
+                first = block * MOST
+                count = <int>min(width - first, <Py_ssize_t>MOST)
+                for k in range(count):
+                    u = first + k
+                    points.depth[k] = depth_m[v, u]
+                    points.x_part[k] = parts[0, v] + column[0, u]
+                    points.y_part[k] = parts[1, v] + column[1, u]
+                    points.z_part[k] = parts[2, v] + column[2, u]
+                    points.drivable[k] = drivable[v, u]
+                    points.obstacle[k] = obstacle_tags[tags[v, u]]
+                _point(&points, start[0], start[1], start[2], &road, count)
+                for k in range(0 if is_plane else count):
+                    points.height[k] = height_m[v, first + k]
+                _sort(&rules, &points, count)
+                _count(&points, &free[0, 0], &occupied[0, 0], count)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.core.kernels.ray_points_plain import Rays, points_along_rays
+
 Float32 = NDArray[np.float32]
 Marks = NDArray[np.uint8]
 Counts = NDArray[np.int64]
@@ -26,11 +28,13 @@ class Cells:
 
 def count_points(
     cells: Cells,
-    x: Float32,
-    y: Float32,
-    height: Float32,
+    depth_m: Float32,
+    rays: Rays,
+    abd: Float32,
+    height_m: Float32 | None,
     drivable: Marks,
-    obstacles: Marks,
+    tags: Marks,
+    obstacle_tags: Marks,
     free: Counts,
     occupied: Counts,
 ) -> None:
@@ -41,25 +45,50 @@ def count_points(
 
     Args:
         cells: the grid.
-        x: (H, W) metres; NaN lies in no cell.
-        y: (H, W).
-        height: (H, W) over the road; NaN where it is not known.
+        depth_m: (H, W) of the points, metres; those of NaN lie in no cell.
+        rays: of their pixels.
+        abd: (3,) the road as a x + b y + z = d.
+        height_m: (H, W) over a road that is no plane, NaN where it is not known; None: over the plane.
         drivable: (H, W) 0 or 1.
-        obstacles: (H, W) 0 or 1.
+        tags: (H, W) of each pixel's class.
+        obstacle_tags: (256,) 1 of tags of an obstacle, else 0.
         free: (rows along y, columns along x), changed.
         occupied: likewise.
 
     Raises:
         ValueError: the arrays do not fit each other.
     """
-    if len({x.shape, y.shape, height.shape, drivable.shape, obstacles.shape}) > 1 or free.shape != occupied.shape:
-        raise ValueError(f"{x.shape} points of other sizes, or counts of {free.shape} and {occupied.shape}")
-    with np.errstate(invalid="ignore"):
+    require_belonging(
+        depth_m.shape,
+        *(part.shape for part in rays),
+        abd.shape,
+        None if height_m is None else height_m.shape,
+        *(a.shape for a in (drivable, tags, obstacle_tags, free, occupied)),
+    )
+    points = np.empty((3, *depth_m.shape), np.float32)
+    points_along_rays(depth_m, *rays, points)
+    x, y, z = points
+    with np.errstate(invalid="ignore", over="ignore"):
+        height = z - (abd[2] - abd[0] * x - abd[1] * y) if height_m is None else height_m
         high = height >= np.float32(cells.min_height)
-        in_the_way = (high | obstacles.view(bool)) & (height <= np.float32(cells.max_height))
+        in_the_way = (high | obstacle_tags[tags].view(bool)) & (height <= np.float32(cells.max_height))
     on_road = drivable.view(bool) & np.isfinite(height)
     free += _counts(cells, x[on_road], y[on_road], free.shape)
     occupied += _counts(cells, x[in_the_way], y[in_the_way], free.shape)
+
+
+def require_belonging(*shapes: tuple[int, ...] | None) -> None:
+    """Check the shapes of the arrays that ``count_points`` takes, in its order.
+
+    Raises:
+        ValueError: sizes that do not belong together.
+    """
+    depth, column, row, start, abd, height, drivable, tags, obstacle_tags, free, occupied = shapes
+    marks, sizes = {drivable, tags, height or depth}, (column, row, start, abd, obstacle_tags)
+    if depth is None or marks != {depth} or sizes != ((3, depth[1]), (3, depth[0]), (3,), (3,), (256,)):
+        raise ValueError(f"rays, marks, tags or heights of other sizes than {depth} depths")
+    if free != occupied:
+        raise ValueError(f"counts of {free} and {occupied}")
 
 
 def _counts(cells: Cells, x: Float32, y: Float32, shape: tuple[int, ...]) -> Counts:

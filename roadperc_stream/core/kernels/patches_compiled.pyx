@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
 """Patches of one image aligned with another one, as ``patches_plain`` has them: the same sums, in its order."""
 
-from libc.math cimport sqrt
+from libc.math cimport fabs, sqrt
 from libc.stdint cimport uint8_t
 
 from roadperc_stream.core.kernels.patches_plain import require_belonging
@@ -25,6 +25,10 @@ cdef struct Patch:
     double gy[PIXELS]
     double xx, xy, yy, power
 
+cdef struct Stretched:
+    double across[PIXELS]
+    double along[PIXELS]
+    double reach_x, reach_y
 
 cdef struct Places:
     int column[MOST]
@@ -44,8 +48,11 @@ cdef void _placed(double* px, int* whole, double last, int count) noexcept nogil
         px[k] = at - whole[k]
 
 
-cdef void _sampled(const Levels* image, Places* places, int count, double* found) noexcept nogil:
-    """Grey levels at pixels, linear between them: in turns of one kind of work each, which become vectors."""
+cdef void _sampled(const Levels* image, Places* places, int count, bint is_inside, double* found) noexcept nogil:
+    """Grey levels at pixels, linear between them: in turns of one kind of work each, which become vectors.
+
+    Of pixels that all lie inside, and none on the image's edge, nobody asks where they are.
+    """
     cdef int upper[MOST]
     cdef int lower[MOST]
     cdef int upper_step[MOST]
@@ -54,20 +61,41 @@ cdef void _sampled(const Levels* image, Places* places, int count, double* found
     cdef Py_ssize_t next_row
     cdef int k, beside, last_column = <int>image.width - 1, last_row = <int>image.height - 1
     cdef double above, below
-    _placed(places.x, places.column, last_column, count)
-    _placed(places.y, places.row, last_row, count)
-    for k in range(count):
-        row = image.at + places.row[k] * image.width + places.column[k]
-        next_row = image.width if places.row[k] < last_row else 0
-        beside = places.column[k] < last_column
-        upper[k] = row[0]
-        upper_step[k] = row[beside] - upper[k]
-        lower[k] = row[next_row]
-        lower_step[k] = row[next_row + beside] - lower[k]
+    if is_inside:
+        for k in range(count):
+            places.column[k] = <int>places.x[k]
+            places.x[k] -= places.column[k]
+        for k in range(count):
+            places.row[k] = <int>places.y[k]
+            places.y[k] -= places.row[k]
+        for k in range(count):
+            row = image.at + places.row[k] * image.width + places.column[k]
+            upper[k] = row[0]
+            upper_step[k] = row[1] - upper[k]
+            lower[k] = row[image.width]
+            lower_step[k] = row[image.width + 1] - lower[k]
+    else:
+        _placed(places.x, places.column, last_column, count)
+        _placed(places.y, places.row, last_row, count)
+        for k in range(count):
+            row = image.at + places.row[k] * image.width + places.column[k]
+            next_row = image.width if places.row[k] < last_row else 0
+            beside = places.column[k] < last_column
+            upper[k] = row[0]
+            upper_step[k] = row[beside] - upper[k]
+            lower[k] = row[next_row]
+            lower_step[k] = row[next_row + beside] - lower[k]
     for k in range(count):
         above = upper[k] + places.x[k] * upper_step[k]
         below = lower[k] + places.x[k] * lower_step[k]
         found[k] = above + places.y[k] * (below - above)
+
+
+cdef bint _is_inside(const Levels* image, double x, double y, double reach_x, double reach_y) noexcept nogil:
+    """Whether all within reach of a pixel lies at least a pixel from the image's edge; of NaN nothing does."""
+    return (
+        x - reach_x >= 1 and y - reach_y >= 1 and x + reach_x <= image.width - 3 and y + reach_y <= image.height - 3
+    )
 
 
 cdef void _centre(double* levels) noexcept nogil:
@@ -80,12 +108,36 @@ cdef void _centre(double* levels) noexcept nogil:
         levels[k] -= total
 
 
-cdef double _product(const double* a, const double* b) noexcept nogil:
-    cdef double total = 0
+cdef void _centre_patch(Patch* patch) noexcept nogil:
+    """Template and gradients without their means: three sums that do not wait for each other."""
+    cdef double levels = 0, x = 0, y = 0
     cdef int k
     for k in range(PIXELS):
-        total += a[k] * b[k]
-    return total
+        levels += patch.template[k]
+        x += patch.gx[k]
+        y += patch.gy[k]
+    levels /= PIXELS
+    x /= PIXELS
+    y /= PIXELS
+    for k in range(PIXELS):
+        patch.template[k] -= levels
+        patch.gx[k] -= x
+        patch.gy[k] -= y
+
+
+cdef void _multiply_patch(Patch* patch) noexcept nogil:
+    """The products of template and gradients."""
+    cdef double xx = 0, xy = 0, yy = 0, power = 0
+    cdef int k
+    for k in range(PIXELS):
+        xx += patch.gx[k] * patch.gx[k]
+        xy += patch.gx[k] * patch.gy[k]
+        yy += patch.gy[k] * patch.gy[k]
+        power += patch.template[k] * patch.template[k]
+    patch.xx = xx + FLAT
+    patch.xy = xy
+    patch.yy = yy + FLAT
+    patch.power = power
 
 
 cdef void _cut(const Levels* image, double x, double y, Patch* patch) noexcept nogil:
@@ -97,7 +149,7 @@ cdef void _cut(const Levels* image, double x, double y, Patch* patch) noexcept n
         for column in range(WIDE):
             places.x[row * WIDE + column] = x + (column - REACH_PX - 1)
             places.y[row * WIDE + column] = y + (row - REACH_PX - 1)
-    _sampled(image, &places, MOST, around)
+    _sampled(image, &places, MOST, _is_inside(image, x, y, REACH_PX + 1, REACH_PX + 1), around)
     for row in range(SIDE):
         for column in range(SIDE):
             k = row * SIDE + column
@@ -105,35 +157,44 @@ cdef void _cut(const Levels* image, double x, double y, Patch* patch) noexcept n
             patch.template[k] = around[at]
             patch.gx[k] = 0.5 * (around[at + 1] - around[at - 1])
             patch.gy[k] = 0.5 * (around[at + WIDE] - around[at - WIDE])
-    _centre(patch.template)
-    _centre(patch.gx)
-    _centre(patch.gy)
-    patch.xx = _product(patch.gx, patch.gx) + FLAT
-    patch.xy = _product(patch.gx, patch.gy)
-    patch.yy = _product(patch.gy, patch.gy) + FLAT
-    patch.power = _product(patch.template, patch.template)
+    _centre_patch(patch)
+    _multiply_patch(patch)
 
 
-cdef void _stretched(const Levels* image, const double* px, const double* stretch, double* found) noexcept nogil:
-    """The grey levels of a stretched patch around a pixel."""
-    cdef Places places
+cdef void _stretch(const double* stretch, Stretched* stretched) noexcept nogil:
     cdef int row, column
     cdef double right, down
     for row in range(SIDE):
         for column in range(SIDE):
             right = column - REACH_PX
             down = row - REACH_PX
-            places.x[row * SIDE + column] = px[0] + (stretch[0] * right + stretch[1] * down)
-            places.y[row * SIDE + column] = px[1] + (stretch[2] * right + stretch[3] * down)
-    _sampled(image, &places, PIXELS, found)
+            stretched.across[row * SIDE + column] = stretch[0] * right + stretch[1] * down
+            stretched.along[row * SIDE + column] = stretch[2] * right + stretch[3] * down
+    stretched.reach_x = REACH_PX * (fabs(stretch[0]) + fabs(stretch[1]))
+    stretched.reach_y = REACH_PX * (fabs(stretch[2]) + fabs(stretch[3]))
 
 
-cdef void _shift(const Levels* image, const Patch* patch, const double* stretch, double* px) noexcept nogil:
+cdef void _found(const Levels* image, const double* px, const Stretched* stretched, double* found) noexcept nogil:
+    """The grey levels of a stretched patch around a pixel."""
+    cdef Places places
+    cdef int k
+    for k in range(PIXELS):
+        places.x[k] = px[0] + stretched.across[k]
+    for k in range(PIXELS):
+        places.y[k] = px[1] + stretched.along[k]
+    _sampled(
+        image, &places, PIXELS, _is_inside(image, px[0], px[1], stretched.reach_x, stretched.reach_y), found
+    )
+
+
+cdef void _shift(
+    const Levels* image, const Patch* patch, const Stretched* stretched, const double* stretch, double* px
+) noexcept nogil:
     """One step of the search."""
     cdef double found[PIXELS]
     cdef double error, x = 0, y = 0, determinant = patch.xx * patch.yy - patch.xy * patch.xy, shift_x, shift_y
     cdef int k
-    _stretched(image, px, stretch, found)
+    _found(image, px, stretched, found)
     for k in range(PIXELS):
         error = found[k] - patch.template[k]
         x += patch.gx[k] * error
@@ -144,11 +205,18 @@ cdef void _shift(const Levels* image, const Patch* patch, const double* stretch,
     px[1] -= stretch[2] * shift_x + stretch[3] * shift_y
 
 
-cdef double _correlation(const Levels* image, const Patch* patch, const double* stretch, const double* px) noexcept nogil:
+cdef double _correlation(
+    const Levels* image, const Patch* patch, const Stretched* stretched, const double* px
+) noexcept nogil:
     cdef double found[PIXELS]
-    _stretched(image, px, stretch, found)
+    cdef double product = 0, power = 0
+    cdef int k
+    _found(image, px, stretched, found)
     _centre(found)
-    return _product(found, patch.template) / sqrt(_product(found, found) * patch.power + FLAT)
+    for k in range(PIXELS):
+        product += found[k] * patch.template[k]
+        power += found[k] * found[k]
+    return product / sqrt(power * patch.power + FLAT)
 
 
 def align_patches(
@@ -163,6 +231,7 @@ def align_patches(
     cdef Py_ssize_t count = correlation.shape[0], i
     cdef Levels first, second
     cdef Patch patch
+    cdef Stretched stretched
     cdef int step
     require_belonging(
         (before.shape[0], before.shape[1]),
@@ -177,6 +246,7 @@ def align_patches(
     with nogil:
         for i in range(count):
             _cut(&first, before_px[i, 0], before_px[i, 1], &patch)
+            _stretch(&stretch[i, 0, 0], &stretched)
             for step in range(iterations):
-                _shift(&second, &patch, &stretch[i, 0, 0], &px[i, 0])
-            correlation[i] = _correlation(&second, &patch, &stretch[i, 0, 0], &px[i, 0])
+                _shift(&second, &patch, &stretched, &stretch[i, 0, 0], &px[i, 0])
+            correlation[i] = _correlation(&second, &patch, &stretched, &px[i, 0])

@@ -2,25 +2,49 @@
 """The pixels of a depth image near a plane, each row in one pass: ``plane_pixels_plain`` says what they are."""
 
 from libc.math cimport fabsf
-from libc.stdint cimport int64_t, uint8_t
+from libc.stdint cimport int64_t, uint8_t, uint64_t
 from libc.stdlib cimport free, malloc
+from libc.string cimport memcpy
 
 import numpy as np
 
 cdef enum:
     MOMENTS = 6
+    WORDS = 8  # of eight marks
+    BLOCK = 64  # marks in so many words, of which only the number is kept
+
+cdef uint64_t EACH_BYTE = 0x0101010101010101
 
 
-cdef int _mark_row(
-    const float* depth, const float* column, float row, float offset, float within, uint8_t* near, Py_ssize_t width
+cdef void _known_row(
+    const float* depth, float limit, const uint8_t* among, uint8_t* known, Py_ssize_t width
+) noexcept nogil:
+    cdef Py_ssize_t u
+    for u in range(width):
+        known[u] = among[u] & (depth[u] < limit)
+
+
+cdef void _mark_row(
+    const float* depth, const float* column, float row, float offset, float within, const uint8_t* among, uint8_t* near,
+    Py_ssize_t width,
+) noexcept nogil:
+    cdef Py_ssize_t u
+    cdef float distance
+    for u in range(width):
+        distance = depth[u] * (row + column[u]) + offset
+        near[u] = among[u] & (fabsf(distance) <= within)
+
+
+cdef int _count_row(
+    const float* depth, const float* column, float row, float offset, float within, const uint8_t* among,
+    Py_ssize_t width,
 ) noexcept nogil:
     cdef Py_ssize_t u
     cdef int count = 0
     cdef float distance
     for u in range(width):
         distance = depth[u] * (row + column[u]) + offset
-        near[u] = near[u] & (fabsf(distance) <= within)
-        count += near[u]
+        count += (fabsf(distance) <= within) & among[u]
     return count
 
 
@@ -40,12 +64,15 @@ cdef int _choose_row(
     return count
 
 
-cdef void _sum_row(
-    const float* z, const float* ray_x, double* sums, Py_ssize_t width
-) noexcept nogil:
-    cdef Py_ssize_t u
+cdef void _sum_row(const float* z, const float* ray_x, double* sums, Py_ssize_t width) noexcept nogil:
+    """From the first depth that is not 0 to the last one: what is beside them adds nothing."""
+    cdef Py_ssize_t u, first = 0
     cdef double depth, x, one_z = 0.0, one_x = 0.0, zz = 0.0, xz = 0.0, xx = 0.0
-    for u in range(width):
+    while first < width and z[first] == 0:
+        first += 1
+    while first < width and z[width - 1] == 0:
+        width -= 1
+    for u in range(first, width):
         depth = z[u]
         x = ray_x[u] * z[u]
         one_z += depth
@@ -60,15 +87,38 @@ cdef void _sum_row(
     sums[5] = xx
 
 
+def mark_known(
+    const float[:, ::1] depth_m, float limit_m, const uint8_t[:, ::1] among, uint8_t[:, ::1] known,
+):
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v
+    _require_fitting(height, width, width, height, among.shape[0], among.shape[1])
+    _require_fitting(height, width, width, height, known.shape[0], known.shape[1])
+    with nogil:
+        for v in range(height if width else 0):
+            _known_row(&depth_m[v, 0], limit_m, &among[v, 0], &known[v, 0], width)
+
+
 def mark_near(
     const float[:, ::1] depth_m, const float[::1] column, const float[::1] row, float offset_m, float within_m,
-    uint8_t[:, ::1] near,
+    const uint8_t[:, ::1] among, uint8_t[:, ::1] near,
 ):
-    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, count = 0
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v
+    _require_fitting(height, width, column.shape[0], row.shape[0], among.shape[0], among.shape[1])
     _require_fitting(height, width, column.shape[0], row.shape[0], near.shape[0], near.shape[1])
     with nogil:
         for v in range(height if width else 0):
-            count += _mark_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &near[v, 0], width)
+            _mark_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], &near[v, 0], width)
+
+
+def count_near(
+    const float[:, ::1] depth_m, const float[::1] column, const float[::1] row, float offset_m, float within_m,
+    const uint8_t[:, ::1] among,
+):
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, count = 0
+    _require_fitting(height, width, column.shape[0], row.shape[0], among.shape[0], among.shape[1])
+    with nogil:
+        for v in range(height if width else 0):
+            count += _count_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], width)
     return count
 
 
@@ -95,23 +145,36 @@ def moments_near(
     return np.asarray(sums)
 
 
+cdef int64_t _sum_of_block(const uint8_t* marks) noexcept nogil:
+    """How many of a block are 1: eight at once, for eight bytes in a word can be added up to 255 each."""
+    cdef uint64_t words[WORDS]
+    cdef uint64_t total = 0
+    cdef int k
+    memcpy(words, marks, BLOCK)
+    for k in range(WORDS):
+        total += words[k]
+    return <int64_t>((total * EACH_BYTE) >> 56)
+
+
 def marked(const uint8_t[:, ::1] marks, const int64_t[::1] ranks):
-    cdef Py_ssize_t height = marks.shape[0], width = marks.shape[1], v, u, n, low, high, middle
-    cdef int64_t left
-    cdef int64_t[::1] before = np.zeros(height + 1, np.int64), places = np.empty(ranks.shape[0], np.int64)
+    cdef Py_ssize_t size = marks.shape[0] * marks.shape[1], blocks = size // BLOCK, n, low, high, middle, at
+    cdef const uint8_t* first = &marks[0, 0] if size else NULL
+    cdef int64_t left, total
+    cdef int64_t[::1] before = np.empty(blocks + 1, np.int64), places = np.empty(ranks.shape[0], np.int64)
+    before[0] = 0
     with nogil:
-        for v in range(height):
-            left = 0
-            for u in range(width):
-                left += marks[v, u]
-            before[v + 1] = before[v] + left
+        for n in range(blocks):
+            before[n + 1] = before[n] + _sum_of_block(first + n * BLOCK)
+        total = before[blocks]
+        for at in range(blocks * BLOCK, size):
+            total += first[at]
     for n in range(ranks.shape[0]):
-        if not 0 <= ranks[n] < before[height]:
-            raise IndexError(f"mark {ranks[n]} of {before[height]}")
+        if not 0 <= ranks[n] < total:
+            raise IndexError(f"mark {ranks[n]} of {total}")
     with nogil:
         for n in range(ranks.shape[0]):
             low = 0
-            high = height
+            high = blocks + 1
             while high - low > 1:
                 middle = (low + high) // 2
                 if before[middle] <= ranks[n]:
@@ -119,11 +182,11 @@ def marked(const uint8_t[:, ::1] marks, const int64_t[::1] ranks):
                 else:
                     high = middle
             left = ranks[n] - before[low] + 1
-            u = -1
-            while left > 0:  # ends within the row whatever the marks are
-                u += 1
-                left -= marks[low, u]
-            places[n] = low * width + u
+            at = low * BLOCK - 1
+            while left > 0 and at + 1 < size:  # ends within the image whatever the marks are
+                at += 1
+                left -= first[at]
+            places[n] = at
     return np.asarray(places)
 
 

@@ -8,12 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
+Marks = NDArray[np.uint8]
+
+
+def mark_known(depth_m: Float32, limit_m: float, among: Marks, known: Marks) -> None:
+    """Write which marked pixels have a depth, one below a limit.
+
+    Args:
+        depth_m: (H, W), NaN unknown.
+        limit_m: the limit.
+        among: (H, W) 0 or 1, the pixels that count.
+        known: (H, W), written: 0 or 1.
+
+    Raises:
+        ValueError: the arrays do not fit each other.
+    """
+    if not depth_m.shape == among.shape == known.shape:
+        height, width = depth_m.shape
+        raise ValueError(f"{among.shape} and {known.shape} marks of {height}x{width} depths")
+    with np.errstate(invalid="ignore"):
+        np.bitwise_and(among, depth_m < np.float32(limit_m), out=known)
 
 
 def mark_near(
-    depth_m: Float32, column: Float32, row: Float32, offset_m: float, within_m: float, near: NDArray[np.uint8]
-) -> int:
-    """Set to 0 all marked pixels that are not within a distance of a plane, and say how many are left.
+    depth_m: Float32, column: Float32, row: Float32, offset_m: float, within_m: float, among: Marks, near: Marks
+) -> None:
+    """Write which marked pixels are within a distance of a plane.
 
     Args:
         depth_m: (H, W); of NaN the pixel is nowhere near.
@@ -21,13 +41,25 @@ def mark_near(
         row: (H,) distance per depth.
         offset_m: distance at depth 0.
         within_m: the largest distance, either side.
-        near: (H, W) 0 or 1, changed.
+        among: (H, W) 0 or 1, the pixels that count.
+        near: (H, W), written: 0 or 1.
 
     Raises:
         ValueError: the arrays do not fit each other.
     """
-    _require_fitting(depth_m, column, row, near)
-    near &= _near(depth_m, column, row, offset_m, within_m)
+    for marks in (among, near):
+        _require_fitting(depth_m, column, row, marks)
+    np.bitwise_and(among, _near(depth_m, column, row, offset_m, within_m), out=near)
+
+
+def count_near(depth_m: Float32, column: Float32, row: Float32, offset_m: float, within_m: float, among: Marks) -> int:
+    """How many pixels ``mark_near`` marks.
+
+    Raises:
+        ValueError: the arrays do not fit each other.
+    """
+    near = np.empty_like(among)
+    mark_near(depth_m, column, row, offset_m, within_m, among, near)
     return int(np.count_nonzero(near))
 
 

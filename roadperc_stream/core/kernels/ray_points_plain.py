@@ -1,9 +1,22 @@
 """Points of depth pixels in a turned and moved frame, by numpy."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 Float32 = NDArray[np.float32]
+
+
+class Rays(NamedTuple):
+    """The rays of an image's pixels, whose coordinates are parts of the column and the row.
+
+    ``column`` is (3, W), ``row`` (3, H); ``start_m`` (3,) is where they begin.
+    """
+
+    column: Float32
+    row: Float32
+    start_m: Float32
 
 
 def points_along_rays(depth_m: Float32, column: Float32, row: Float32, start_m: Float32, points: Float32) -> None:

@@ -31,6 +31,12 @@ def aligned(kernel, before, before_px, stretch, after, start, iterations=4):
     return px, correlation
 
 
+def assert_same_bits(plain, compiled):
+    for a, b in zip(plain, compiled, strict=True):
+        np.testing.assert_array_equal(a.view(np.int64)[~np.isnan(a)], b.view(np.int64)[~np.isnan(b)])
+        np.testing.assert_array_equal(np.isnan(a), np.isnan(b))
+
+
 @BOTH
 def test_a_shift_is_found_to_a_part_of_a_pixel(kernel):
     centres = np.array([(15.0, 15.0), (20.5, 17.25), (25.0, 24.0)])
@@ -85,9 +91,19 @@ def test_any_patches_have_the_same_bits(before, after, numbers, iterations):
             )
             for kernel in (patches_plain, patches_compiled)
         )
-    for a, b in zip(plain, compiled, strict=True):
-        np.testing.assert_array_equal(a.view(np.int64)[~np.isnan(a)], b.view(np.int64)[~np.isnan(b)])
-        np.testing.assert_array_equal(np.isnan(a), np.isnan(b))
+    assert_same_bits(plain, compiled)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_patches_inside_and_at_the_edges_of_an_image_have_the_same_bits(seed):
+    rng = np.random.default_rng(seed)
+    before, after = rng.integers(0, 256, (2, 40, 50), np.uint8)
+    px, start = rng.uniform(-3, (53, 43), (2, 30, 2))
+    px[::5], start[::3] = np.rint(px[::5]), np.rint(start[::3])
+    stretch = UNSTRETCHED + rng.normal(0.0, rng.choice((0.0, 0.05, 0.8)), (30, 2, 2))
+    assert_same_bits(
+        *(aligned(kernel, before, px, stretch, after, start) for kernel in (patches_plain, patches_compiled))
+    )
 
 
 @BOTH

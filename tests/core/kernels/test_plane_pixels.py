@@ -25,10 +25,19 @@ def image(seed, height, width):
 @BOTH
 def test_near_are_marked_pixels_of_known_depth_within_the_distance(kernel):
     depth = np.array([[1.0, 2.0, np.nan, 2.0], [1.0, 1.5, 2.0, 4.0]], np.float32)
-    near = np.array([[1, 1, 1, 0], [1, 1, 1, 1]], np.uint8)
-    column, row = np.zeros(4, np.float32), np.ones(2, np.float32)
-    assert kernel.mark_near(depth, column, row, -1.5, 0.5, near) == 5
+    among, near = np.array([[1, 1, 1, 0], [1, 1, 1, 1]], np.uint8), np.full((2, 4), 9, np.uint8)
+    plane = np.zeros(4, np.float32), np.ones(2, np.float32), -1.5, 0.5
+    kernel.mark_near(depth, *plane, among, near)
     np.testing.assert_array_equal(near, [[1, 1, 0, 0], [1, 1, 1, 0]])
+    assert kernel.count_near(depth, *plane, among) == 5
+
+
+@BOTH
+def test_known_are_marked_pixels_with_a_depth_below_the_limit(kernel):
+    depth = np.array([[1.0, 2.0, np.nan, 1.0]], np.float32)
+    known = np.full((1, 4), 9, np.uint8)
+    kernel.mark_known(depth, 2.0, np.array([[1, 1, 1, 0]], np.uint8), known)
+    np.testing.assert_array_equal(known, [[1, 0, 0, 0]])
 
 
 @BOTH
@@ -41,13 +50,16 @@ def test_moments_are_those_of_the_points(kernel):
 
 @given(*SIZES)
 def test_compiled_marks_are_the_same(seed, height, width):
-    depth, column, row, marks, _ = image(seed, height, width)
-    other = marks.copy()
-    counts = [
-        k.mark_near(depth, column, row, 0.25, 0.7, m) for k, m in ((plane_pixels_plain, marks), (compiled, other))
-    ]
-    assert counts[0] == counts[1] == np.count_nonzero(marks)
-    np.testing.assert_array_equal(marks, other)
+    depth, column, row, among, _ = image(seed, height, width)
+    near, known = np.full((2, 2, height, width), 9, np.uint8)
+    counts = []
+    for k, kernel in enumerate((plane_pixels_plain, compiled)):
+        kernel.mark_near(depth, column, row, 0.25, 0.7, among, near[k])
+        kernel.mark_known(depth, 2.0, among, known[k])
+        counts.append(kernel.count_near(depth, column, row, 0.25, 0.7, among))
+    assert counts[0] == counts[1] == np.count_nonzero(near[0])
+    np.testing.assert_array_equal(*near)
+    np.testing.assert_array_equal(*known)
 
 
 @given(*SIZES)
@@ -59,9 +71,9 @@ def test_compiled_moments_have_the_same_bits(seed, height, width):
     assert expected.tobytes() == found.tobytes()
 
 
-@given(*SIZES)
-def test_marks_are_counted_row_by_row(seed, height, width):
-    marks = image(seed, height, width)[3]
+@given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 90), st.sampled_from([0.01, 0.5, 1.0]))
+def test_marks_are_counted_row_by_row(seed, height, width, share):
+    marks = (np.random.default_rng(seed).random((height, width)) < share).astype(np.uint8)
     ranks = np.random.default_rng(seed).permutation(np.count_nonzero(marks))
     for kernel in (plane_pixels_plain, compiled):
         np.testing.assert_array_equal(kernel.marked(marks, ranks), np.flatnonzero(marks)[ranks])
@@ -82,10 +94,15 @@ def test_marks_that_are_no_marks_are_looked_for_in_the_image_alone():
 @BOTH
 def test_what_does_not_fit_is_refused(kernel):
     depth, column, row, marks, ray = image(0, 4, 5)
-    with pytest.raises(ValueError, match="of 4x5 depths"):
-        kernel.mark_near(depth, column[1:], row, 0.0, 1.0, marks)
-    with pytest.raises(ValueError, match="of 4x5 depths"):
-        kernel.mark_near(depth, column, row, 0.0, 1.0, marks[:3])
+    for wrong in ((column[1:], row, marks, marks), (column, row, marks[:3], marks), (column, row, marks, marks[:3])):
+        with pytest.raises(ValueError, match="of 4x5 depths"):
+            kernel.mark_near(depth, *wrong[:2], 0.0, 1.0, *wrong[2:])
+    for wrong in ((column[1:], row, marks), (column, row, marks[:3])):
+        with pytest.raises(ValueError, match="of 4x5 depths"):
+            kernel.count_near(depth, *wrong[:2], 0.0, 1.0, *wrong[2:])
+    for wrong in ((marks[:3], marks), (marks, marks[:3])):
+        with pytest.raises(ValueError, match="of 4x5 depths"):
+            kernel.mark_known(depth, 1.0, *wrong)
     with pytest.raises(ValueError, match="of 4x5 depths"):
         kernel.moments_near(depth, column, row[1:], 0.0, 1.0, marks, ray)
     with pytest.raises(ValueError, match="of 4x5 depths"):

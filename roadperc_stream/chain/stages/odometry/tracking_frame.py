@@ -8,6 +8,7 @@ import numpy as np
 from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Image, Mask, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32
+from roadperc_stream.core.kernels.class_masks import mark_class
 from roadperc_stream.core.scene import Scene
 
 _MOVABLE = ("vehicle", "pedestrian")
@@ -82,7 +83,8 @@ def _movable(cfg: OdometryConfig, scene: Scene, grey: Image) -> Image | None:
         return None
     rows, columns = grey.shape
     tags = cv2.resize(scene.tags, (columns, rows), interpolation=cv2.INTER_NEAREST)
-    movable = np.asarray(cv2.LUT(tags, scene.table.lookup(_MOVABLE)), np.uint8)
+    movable = np.empty((rows, columns), np.uint8)
+    mark_class(np.asarray(tags, np.uint8), scene.table.lookup(_MOVABLE), movable)
     if not movable.any():
         return movable
     side = max(round(scaled(cfg.window_px, rows)), 1) | 1

@@ -7,7 +7,7 @@ the distance to the plane, never an error along one axis.
 
 import numpy as np
 
-from roadperc_stream.chain.stages.surface.points import pixels_near, plane_near, points_of
+from roadperc_stream.chain.stages.surface.points import count_of_pixels_near, plane_near, points_of
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.datatypes import Absent, Mask, Reason
 from roadperc_stream.core.geometry import Camera, Float, Float32, Plane, facing, fit_plane
@@ -51,8 +51,7 @@ def road_plane(
         tilt_deg = 180.0 - tilt_deg
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
-    _, near = pixels_near(camera, depth_m, plane, cfg.inlier_m, usable)
-    return plane, near / count
+    return plane, count_of_pixels_near(camera, depth_m, plane, cfg.inlier_m, usable) / count
 
 
 def _refitted(cfg: SurfaceConfig, plane: Plane, points: Float) -> Plane | None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.datatypes import Mask
 from roadperc_stream.core.geometry import Camera, Float, Float32, Plane, distance_per_depth, plane_of_scatter
-from roadperc_stream.core.kernels.plane_pixels import mark_near, moments_near
+from roadperc_stream.core.kernels.plane_pixels import count_near, mark_known, mark_near, moments_near
 
 _LOWER_IMAGE = 0.6
 """Rows below this share of the image show the road in front of the car, where there is no segmentation."""
@@ -20,10 +20,8 @@ def usable_pixels(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, drivable
     """Pixels that may belong to the road and whose depth is known (a comparison with NaN is False)."""
     top = int(camera.height * _LOWER_IMAGE) if drivable is None else first_row(drivable)
     usable = np.zeros(camera.size, bool)
-    with np.errstate(invalid="ignore"):
-        np.less(depth_m[top:], np.float32(cfg.max_depth_m), out=usable[top:])
-    if drivable is not None:
-        usable[top:] &= drivable[top:]
+    among = np.ones(camera.size, bool) if drivable is None else np.ascontiguousarray(drivable)
+    mark_known(depth_m[top:], cfg.max_depth_m, among[top:].view(np.uint8), usable[top:].view(np.uint8))
     return usable
 
 
@@ -35,8 +33,8 @@ def points_of(camera: Camera, depth_m: Float32, pixels: NDArray[np.intp]) -> Flo
     return np.stack((x[columns] * z, y[rows] * z, z), axis=-1).astype(float)
 
 
-def pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> tuple[Mask, int]:
-    """Which pixels of a mask lie within a distance of a plane, and how many; none of unknown depth.
+def pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> Mask:
+    """Which pixels of a mask lie within a distance of a plane; none of unknown depth.
 
     Args:
         camera: of the depth.
@@ -45,10 +43,18 @@ def pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float,
         within_m: the distance, either side.
         among: (H, W).
     """
-    top, near = first_row(among), among.copy()
+    top, near = first_row(among), np.zeros(camera.size, bool)
     column, row = distance_per_depth(camera, plane)
-    count = mark_near(depth_m[top:], column, row[top:], plane.offset_m, within_m, near[top:].view(np.uint8))
-    return near, count
+    marks = among[top:].view(np.uint8), near[top:].view(np.uint8)
+    mark_near(depth_m[top:], column, row[top:], plane.offset_m, within_m, *marks)
+    return near
+
+
+def count_of_pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> int:
+    """How many the same pixels are."""
+    top = first_row(among)
+    column, row = distance_per_depth(camera, plane)
+    return count_near(depth_m[top:], column, row[top:], plane.offset_m, within_m, among[top:].view(np.uint8))
 
 
 def plane_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> Plane | None:
@@ -82,5 +88,5 @@ def ray_parts(camera: Camera) -> tuple[Float32, Float32]:
 
 def first_row(mask: Mask) -> int:
     """The first row in which a mask is set; the last one where none is."""
-    rows = np.flatnonzero(mask.any(axis=1))
-    return int(rows[0]) if len(rows) else len(mask) - 1
+    first = int(mask.argmax())  # which looks no further than the first one
+    return first // mask.shape[1] if mask.flat[first] else len(mask) - 1

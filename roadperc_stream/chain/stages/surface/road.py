@@ -130,7 +130,7 @@ def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -
         return Absent(Reason("drivable", "depth_misses_road")) if drivable is None else drivable.view(bool)
     among = np.ones(camera.size, bool) if drivable is None else drivable.view(bool)
     if surface.height_grid is None:
-        return pixels_near(camera, depth_m, surface.plane, cfg.drivable_m, among)[0]
+        return pixels_near(camera, depth_m, surface.plane, cfg.drivable_m, among)
     top = max(first_row(among), _horizon_row(surface, camera, scene.ego_T_camera))
     mask = np.zeros(camera.size, bool)
     for first in range(top, camera.height, _ROWS_AT_ONCE):

@@ -23,9 +23,10 @@ from roadperc_stream.chain.stages.surface.points import first_row
 from roadperc_stream.core.config import SurfaceConfig
 from roadperc_stream.core.datatypes import HeightGrid, Mask, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32
-from roadperc_stream.core.ground import REACH_M, ego_points, height_above, part
+from roadperc_stream.core.ground import REACH_M, ego_rays, part
 from roadperc_stream.core.kernels.bands import normal_equations
 from roadperc_stream.core.kernels.medians import median_places
+from roadperc_stream.core.kernels.strip_points import Strip, points_on_strip
 
 _STEP_M = 1.0
 """Side of the fit's cells, and of the grid's."""
@@ -97,10 +98,11 @@ def road_cells(
     """
     columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
     top = first_row(usable)
-    sampled = usable[top:, ::columns]
-    x, y, z = ego_points(part(camera, 1, columns), ego_T_camera, depth_m[top:, ::columns], top)
-    x, y, z = x[sampled], y[sampled], z[sampled]
-    return _cells(cfg, x, y, height_above(surface, x, y, z))
+    sampled, depth_m = usable[top:, ::columns], depth_m[top:, ::columns]
+    rays = ego_rays(part(camera, 1, columns), ego_T_camera, top, len(depth_m))
+    abd = np.array(surface.abd, np.float32)
+    points, cells = points_on_strip(_strip(cfg), depth_m, rays, abd, sampled.view(np.uint8))
+    return _medians(cfg, points, cells)
 
 
 def fit_height_grid(cfg: SurfaceConfig, surface: Surface, cells: RoadCells) -> HeightGrid | None:
@@ -121,20 +123,20 @@ def fit_height_grid(cfg: SurfaceConfig, surface: Surface, cells: RoadCells) -> H
     return _grid(cfg, surface, _grow(cfg, points, certainty))
 
 
-def _cells(cfg: SurfaceConfig, x: Float32, y: Float32, height: Float32) -> RoadCells:
-    """Each cell's point of median height.
+def _strip(cfg: SurfaceConfig) -> Strip:
+    half = cfg.spline_half_width_m
+    return Strip(_length_m(cfg), half, _STEP_M, int(np.ceil(2 * half / _STEP_M)))
+
+
+def _medians(cfg: SurfaceConfig, points: Float32, cells: NDArray[np.int32]) -> RoadCells:
+    """Each cell's point of median height, of (3, N) points.
 
     A true point, not a mean of places and a median of heights: on a slope these do not belong together.
     """
-    half = cfg.spline_half_width_m
-    inside = (x >= 0) & (x < _length_m(cfg)) & (np.abs(y) < half)
-    x, y, height = x[inside], y[inside], height[inside]
-    across = int(np.ceil(2 * half / _STEP_M))
     along = int(np.ceil(_length_m(cfg) / _STEP_M))
-    cell = (x / _STEP_M).astype(np.int32) * across + ((y + half) / _STEP_M).astype(np.int32)
     # One row of cells more: y at the left edge may be rounded up to it.
-    chosen, counts = median_places(cell, height, (along + 1) * across)
-    return RoadCells(np.stack((x[chosen], y[chosen], height[chosen]), axis=-1).astype(float), counts)
+    chosen, counts = median_places(cells, points[2], (along + 1) * _strip(cfg).across)
+    return RoadCells(np.ascontiguousarray(points[:, chosen].T, np.float64), counts)
 
 
 def _length_m(cfg: SurfaceConfig) -> float:

@@ -1,0 +1,17 @@
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.core.kernels.reprojection_plain import Projection
+
+def mark_visible(
+    projection: Projection,
+    camera_T_ego: NDArray[np.float64],
+    x_m: NDArray[np.float64],
+    y_m: NDArray[np.float64],
+    z_m: NDArray[np.float64],
+    drivable: NDArray[np.uint8],
+    depth_m: NDArray[np.float32] | None,
+    tolerance: float,
+    slack_m: float,
+    visible: NDArray[np.uint8],
+) -> None: ...
