@@ -32,11 +32,15 @@ class Measured:
     beyond_range: bool = False
 
 
+UNKNOWN = Measured()
+"""Nothing could be measured."""
+
+
 def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
     """The distance of a region's pixels, each the mean of the region's pixels around it."""
     distances, noise = region.distances_m, region.noise
     if distances is None or noise is None:
-        return Measured()
+        return UNKNOWN
     near, noise_of_finite = region_distances(region.labels, region.of_region, distances, noise)
     measured = _of_known(cfg, near)
     if measured.distance_m is None or measured.std_m is None:
@@ -77,7 +81,7 @@ def nearest(cfg: ObjectsConfig, distances_m: Float32) -> Measured:
 
 def _of_known(cfg: ObjectsConfig, known: Float32) -> Measured:
     if not len(known):
-        return Measured()
+        return UNKNOWN
     quantile = cfg.distance_quantile
     nearest, chosen, beside = ranked(known, 0.0, quantile, 2 * quantile)
     if not isfinite(chosen):
