@@ -8,8 +8,7 @@ Numbers = tuple[float, float, float, float]
 def object_points(
     depth_m: NDArray[np.float32],
     camera: Numbers,
-    box: tuple[int, int, int, int],
-    step: int,
+    box: tuple[int, int, int, int, int],
     of_class: tuple[Image, Image] | None,
     distance_m: float,
     behind_m: tuple[float, float],

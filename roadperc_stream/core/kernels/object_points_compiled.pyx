@@ -8,7 +8,7 @@ from libc.stdint cimport uint8_t
 
 
 def object_points(
-    const float[:, :] depth_m, camera, box, Py_ssize_t step, of_class, double distance_m, behind_m,
+    const float[:, :] depth_m, camera, box, of_class, double distance_m, behind_m,
     const double[:, :] ego_T_camera, circle,
 ):
     """As ``object_points_plain``.
@@ -17,7 +17,7 @@ def object_points(
         ValueError: as there.
     """
     cdef double fx = camera[0], fy = camera[1], cx = camera[2], cy = camera[3]
-    cdef Py_ssize_t x0 = box[0], y0 = box[1], x1 = box[2], y1 = box[3], row, column, count = 0, most
+    cdef Py_ssize_t x0 = box[0], y0 = box[1], x1 = box[2], y1 = box[3], step = box[4], row, column, count = 0, most
     cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1]
     cdef double least_m = behind_m[0], most_m = behind_m[1], x, y, z, beyond_m
     cdef double offset_m = circle[0], cosine = circle[1], sine = circle[2], bend = circle[3]
@@ -34,7 +34,7 @@ def object_points(
         or ego_T_camera.shape[0] != 4 or ego_T_camera.shape[1] != 4
     ):
         raise ValueError(f"{height}x{width} depths, every {step}. of {x0, y0, x1, y1}, do not fit "
-                         "their tags, 256 of them or a (4, 4) transform")
+                         "their tags, 256 of them or (4, 4)")
     for row in range(2):
         for column in range(4):
             T[row][column] = ego_T_camera[row, column]

@@ -11,8 +11,7 @@ Numbers = tuple[float, float, float, float]
 def object_points(
     depth_m: NDArray[np.float32],
     camera: Numbers,
-    box: tuple[int, int, int, int],
-    step: int,
+    box: tuple[int, int, int, int, int],
     of_class: tuple[Image, Image] | None,
     distance_m: float,
     behind_m: tuple[float, float],
@@ -26,8 +25,8 @@ def object_points(
     Args:
         depth_m: (H, W) NaN unknown.
         camera: fx, fy, cx and cy in pixels.
-        box: first column and row and those behind the last, in the image.
-        step: of its pixels every one is looked at, or every second of each row and column.
+        box: first column and row and those behind the last, in the image, and the step from one pixel that is looked
+            at to the next of a row or column.
         of_class: (H, W) tags, and (256,) above 0 at those that the points may have; None for all.
         distance_m: of the object.
         behind_m: by how much more their own are at least and at most, both exclusive.
@@ -42,11 +41,11 @@ def object_points(
     Raises:
         ValueError: other sizes.
     """
-    (height, width), (x0, y0, x1, y1) = depth_m.shape, box
+    (height, width), (x0, y0, x1, y1, step) = depth_m.shape, box
     fits = x0 >= 0 and x1 <= width and y0 >= 0 and y1 <= height and step > 0 and ego_T_camera.shape == (4, 4)
     if not fits or (of_class and (of_class[0].shape, of_class[1].shape) != ((height, width), (256,))):
         raise ValueError(
-            f"{height}x{width} depths, every {step}. of {box}, do not fit their tags, 256 of them or a (4, 4) transform"
+            f"{height}x{width} depths, every {step}. of {box[:4]}, do not fit their tags, 256 of them or (4, 4)"
         )
     fx, fy, cx, cy = camera
     part = slice(y0, max(y1, y0), step), slice(x0, max(x1, x0), step)

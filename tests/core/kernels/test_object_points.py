@@ -23,15 +23,15 @@ def test_points_of_the_class_behind_a_distance(way):
     depth_m[1:4:2, 1:6:2] = [[3, 4, np.nan], [3, 3, 9]]
     tags[1:4:2, 1:6:2] = [[7, 7, 7], [7, 0, 7]]
     camera, straight = (4.0, 2.0, 1.0, 1.0), (0.5, 1.0, 0.0, 0.0)
-    asked = depth_m, camera, (1, 1, 6, 4), 2, (tags, WANTED), 3.0, (-0.5, 3.0), EGO_T_CAMERA, straight
+    asked = depth_m, camera, (1, 1, 6, 4, 2), (tags, WANTED), 3.0, (-0.5, 3.0), EGO_T_CAMERA, straight
     points, ranges_m, lateral_m = kernel(way).object_points(*asked)
     assert points.tolist() == [[0, 0, 3], [2, 0, 4], [0, 3, 3]]
     assert ranges_m.tolist() == [3.0, np.sqrt(20), np.sqrt(18)]
     assert lateral_m.tolist() == [-0.5, -2.5, -0.5]
     assert kernel(way).mean_direction(points, ranges_m, 4.5) == (0.5 / 3, 1 / 3)
     assert np.isnan(kernel(way).mean_direction(points, ranges_m, 1.0)).all()
-    assert len(kernel(way).object_points(*asked[:4], None, *asked[5:])[0]) == 4
-    nothing = kernel(way).object_points(*asked[:2], (6, 1, 3, 4), *asked[3:])
+    assert len(kernel(way).object_points(*asked[:3], None, *asked[4:])[0]) == 4
+    nothing = kernel(way).object_points(*asked[:2], (6, 1, 3, 4, 2), *asked[3:])
     assert [found.shape for found in nothing] == [(0, 3), (0,), (0,)]
 
 
@@ -53,7 +53,7 @@ def test_compiled_points_have_the_same_bits(seed, height, width, step, of_any, d
     camera, circle = tuple(rng.uniform(1, 30, 4).tolist()), tuple(rng.normal(size=4).tolist())
     of_class = None if of_any else (tags, WANTED)
     ego_T_camera = rng.normal(size=(4, 4)).T
-    asked = depth_m, camera, (x0, y0, x1, y1), step, of_class, distance_m, (-3.0, 9.0), ego_T_camera, circle
+    asked = depth_m, camera, (x0, y0, x1, y1, step), of_class, distance_m, (-3.0, 9.0), ego_T_camera, circle
     found, expected = compiled.object_points(*asked), plain.object_points(*asked)
     for ours, theirs in zip(found, expected, strict=True):
         assert (ours.dtype, ours.shape) == (theirs.dtype, theirs.shape)
@@ -65,17 +65,17 @@ def test_compiled_points_have_the_same_bits(seed, height, width, step, of_any, d
 @pytest.mark.parametrize("way", WAYS)
 def test_what_does_not_fit_is_refused(way):
     depth_m, tags = np.zeros((2, 3), np.float32), np.zeros((2, 3), np.uint8)
-    for box, step, of_class, shape in (
-        ((0, 0, 4, 2), 1, None, (4, 4)),
-        ((0, 0, 3, 3), 1, None, (4, 4)),
-        ((-1, 0, 3, 2), 1, None, (4, 4)),
-        ((0, -1, 3, 2), 1, None, (4, 4)),
-        ((0, 0, 3, 2), 0, None, (4, 4)),
-        ((0, 0, 3, 2), 1, None, (3, 4)),
-        ((0, 0, 3, 2), 1, (tags.T, WANTED), (4, 4)),
-        ((0, 0, 3, 2), 1, (tags, WANTED[:9]), (4, 4)),
+    for box, of_class, shape in (
+        ((0, 0, 4, 2, 1), None, (4, 4)),
+        ((0, 0, 3, 3, 1), None, (4, 4)),
+        ((-1, 0, 3, 2, 1), None, (4, 4)),
+        ((0, -1, 3, 2, 1), None, (4, 4)),
+        ((0, 0, 3, 2, 0), None, (4, 4)),
+        ((0, 0, 3, 2, 1), None, (3, 4)),
+        ((0, 0, 3, 2, 1), (tags.T, WANTED), (4, 4)),
+        ((0, 0, 3, 2, 1), (tags, WANTED[:9]), (4, 4)),
     ):
-        asked = depth_m, (1.0,) * 4, box, step, of_class, 3.0, (0.0, 1.0), np.zeros(shape), (0.0,) * 4
+        asked = depth_m, (1.0,) * 4, box, of_class, 3.0, (0.0, 1.0), np.zeros(shape), (0.0,) * 4
         with pytest.raises(ValueError, match="do not fit"):
             kernel(way).object_points(*asked)
     with pytest.raises(ValueError, match="points of"):

@@ -69,10 +69,12 @@ def _points(
     They are of pixels spread over its box: of every one of a small box.
     """
     camera = scene.camera
-    x0, y0, x1, y1 = box = detection.box_px.rounded(camera.width, camera.height)
+    x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
     step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
     lookup = None if scene.table is None else label_lookup(scene.table, detection.label)
     of_class = None if scene.tags is None or lookup is None else (scene.tags, lookup)
     behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, cfg.object_length_m
     pinhole = camera.fx, camera.fy, camera.cx, camera.cy
-    return object_points(depth_m, pinhole, box, step, of_class, distance_m, behind_m, scene.ego_T_camera, path.circle)
+    return object_points(
+        depth_m, pinhole, (x0, y0, x1, y1, step), of_class, distance_m, behind_m, scene.ego_T_camera, path.circle
+    )

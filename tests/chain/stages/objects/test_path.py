@@ -45,7 +45,7 @@ def test_places_beside_a_circle_are_square_to_it(radius_m, offset_m, heading):
     for (x, y), expected in zip(points, aside, strict=True):
         # One pixel, at whose place the camera's coordinates are the ego frame's.
         depth_m, pinhole = np.ones((1, 1), np.float32), (1.0, 1.0, -x, -y)
-        lateral = object_points(depth_m, pinhole, (0, 0, 1, 1), 1, None, 0.0, (0.0, 99.0), np.eye(4), path.circle)[2]
+        lateral = object_points(depth_m, pinhole, (0, 0, 1, 1, 1), None, 0.0, (0.0, 99.0), np.eye(4), path.circle)[2]
         assert lateral == pytest.approx([expected], abs=1e-5)
 
 
