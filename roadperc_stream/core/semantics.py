@@ -10,7 +10,7 @@ metadata ``tag_table``). Where a dataset splits what is one class here, each par
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from roadperc_stream.errors import ConfigError
 
+_LABELS = 1024
+"""Labels whose classes are remembered: a detector has fewer, but a log may hold anything."""
 Colour = tuple[int, int, int]
 """Red, green, blue, 0 to 255."""
 
@@ -31,6 +33,10 @@ class TagTable:
     colours: tuple[Colour, ...] = field(repr=False)
     other_colours: tuple[tuple[Colour, int], ...] = field(default=(), repr=False)
     """Colours that some versions in the range use for a tag, beside the one in ``colours``."""
+
+    def __hash__(self) -> int:
+        """The names of tables differ: hashing every class and colour takes longer than what is looked up by them."""
+        return hash(self.name)
 
     def tags_of(self, classes: Iterable[str]) -> tuple[int, ...]:
         """Tags of the classes named; a group's name stands for its members.
@@ -170,6 +176,7 @@ LABEL_CLASSES: Final[dict[str, tuple[str, ...]]] = {
 """Detector labels (lower case, blanks as underscores) and the classes their pixels may carry."""
 
 
+@lru_cache(maxsize=_LABELS)
 def classes_of_label(label: str) -> tuple[str, ...] | None:
     """Classes whose tags a detection of this label should cover; None where the label is not known."""
     return LABEL_CLASSES.get(label.strip().lower().replace(" ", "_").replace("-", "_"))

@@ -36,16 +36,31 @@ cdef void _join_neighbours(
                     _join(parent, at, at - width)
 
 
-cdef int32_t _number(
-    const uint8_t* of_class, int32_t* parent, int32_t* labels, int32_t* first_place, int32_t size
+cdef void _join_regions(
+    const float* log_depth, const int32_t* labels, int32_t* parent, int32_t height, int32_t width, float jump
 ) noexcept nogil:
-    """The label of each pixel and the first pixel of each label; how many there are."""
+    """As ``_join_neighbours``, of labels counted from 1: most neighbours have the same one already."""
+    cdef int32_t y, x, at, label
+    for y in range(height):
+        for x in range(width):
+            at = y * width + x
+            label = labels[at]
+            if label:
+                if x and labels[at - 1] not in (0, label) and fabsf(log_depth[at] - log_depth[at - 1]) < jump:
+                    _join(parent, label - 1, labels[at - 1] - 1)
+                if y and labels[at - width] not in (0, label) and fabsf(log_depth[at] - log_depth[at - width]) < jump:
+                    _join(parent, label - 1, labels[at - width] - 1)
+
+
+cdef int32_t _number(
+    const uint8_t* of_class, int32_t* parent, int32_t* labels, int32_t size
+) noexcept nogil:
+    """The label of each pixel; how many there are, in the order of their first pixels."""
     cdef int32_t at, count = 0
     for at in range(size):
         labels[at] = 0
         if of_class[at]:
             if parent[at] == at:
-                first_place[count] = at
                 count += 1
                 labels[at] = count
             else:
@@ -65,18 +80,17 @@ cdef inline void _add(
 
 def divided(const float[:, ::1] log_depth, const uint8_t[:, ::1] of_class, const float[::1] jumps):
     """As ``division_plain``."""
-    cdef int32_t height = of_class.shape[0], width = of_class.shape[1], size = height * width, at, count, k
+    cdef int32_t height = of_class.shape[0], width = of_class.shape[1], size = height * width, x, y, at, count, k
     cdef Py_ssize_t regions, way, root, number, most = jumps.shape[0]
     if log_depth.shape[0] != height or log_depth.shape[1] != width or not size or not most:
         raise ValueError(f"{height}x{width} pixels, {log_depth.shape[0]}x{log_depth.shape[1]} depths, {most} jumps")
     all_labels = np.empty((height, width), np.int32)
     cdef int32_t[::1] labels = all_labels.ravel(), parent = np.arange(size, dtype=np.int32)
-    cdef int32_t[::1] first_place = np.empty(size, np.int32)
     cdef const float* depths = &log_depth[0, 0]
     cdef const uint8_t* chosen = &of_class[0, 0]
     with nogil:
         _join_neighbours(depths, chosen, &parent[0], height, width, jumps[0])
-        count = _number(chosen, &parent[0], &labels[0], &first_place[0], size)
+        count = _number(chosen, &parent[0], &labels[0], size)
     all_names, all_ways = np.zeros((most, count + 1), np.int64), np.zeros(most * count, np.int64)
     all_bounds, all_pixels = np.zeros((4, most * count), np.int64), np.zeros(most * count, np.int64)
     all_bounds[:2] = size
@@ -84,20 +98,24 @@ def divided(const float[:, ::1] log_depth, const uint8_t[:, ::1] of_class, const
     cdef int64_t[::1] ways = all_ways, pixels = all_pixels
     cdef int64_t[::1] members = np.empty(count, np.int64), before = np.ones(count, np.int64)
     with nogil:
-        for at in range(size):
-            if labels[at]:
-                _add(bounds, pixels, labels[at] - 1, at % width, at // width, at % width + 1, at // width + 1, 1)
+        at = 0
+        for y in range(height):
+            for x in range(width):
+                if labels[at]:
+                    _add(bounds, pixels, labels[at] - 1, x, y, x + 1, y + 1, 1)
+                at += 1
         for k in range(count):
             names[0, k + 1] = k + 1
+            parent[k] = k  # from here on regions are joined, no longer pixels
         regions = count
         for way in range(1, most):
-            _join_neighbours(depths, chosen, &parent[0], height, width, jumps[way])
+            _join_regions(depths, &labels[0], &parent[0], height, width, jumps[way])
             for k in range(count):
                 members[k] = 0
             for k in range(count):
-                members[labels[_root(&parent[0], first_place[k])] - 1] += 1
+                members[_root(&parent[0], k)] += 1
             for k in range(count):  # the root of a set is the first of its members, and so comes before the others
-                root = labels[_root(&parent[0], first_place[k])] - 1
+                root = _root(&parent[0], k)
                 if members[root] == before[root]:
                     continue
                 if root == k:

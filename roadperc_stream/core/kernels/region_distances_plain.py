@@ -6,14 +6,17 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 
 
-def region_distances(mask: NDArray[np.bool_], distances_m: Float32, noise: Float32) -> tuple[Float32, Float32]:
+def region_distances(
+    labels: NDArray[np.int32], of_region: NDArray[np.bool_], distances_m: Float32, noise: Float32
+) -> tuple[Float32, Float32]:
     """The distances of a region's pixels, each the mean of the region's known ones in the 3x3 around it.
 
     Those are summed in float64, each row and then the rows. Pixels without a distance are left out; an infinite one
     stays as it is.
 
     Args:
-        mask: (h, w) the region's pixels.
+        labels: (h, w) of the pixels.
+        of_region: (n,) of each label whether its pixels are the region's.
         distances_m: (h, w) NaN unknown and infinite beyond the depth's range.
         noise: (h, w) of the distances.
 
@@ -23,8 +26,9 @@ def region_distances(mask: NDArray[np.bool_], distances_m: Float32, noise: Float
     Raises:
         ValueError: other sizes.
     """
-    if not mask.shape == distances_m.shape == noise.shape:
-        raise ValueError(f"{mask.shape} pixels, {distances_m.shape} distances and {noise.shape} noise")
+    if not labels.shape == distances_m.shape == noise.shape:
+        raise ValueError(f"{labels.shape} pixels, {distances_m.shape} distances and {noise.shape} noise")
+    mask = of_region[labels]
     finite = mask & (distances_m < np.inf)
     sums = _sums(np.where(finite, distances_m, 0.0).astype(np.float64)).astype(np.float32)
     means = sums / np.maximum(_sums(finite.astype(np.float64)), 1.0).astype(np.float32)

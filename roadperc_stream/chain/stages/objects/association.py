@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from roadperc_stream.chain.stages.objects.boxes import corners, overlaps
 from roadperc_stream.chain.stages.objects.kinds import kinds
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
+from roadperc_stream.core.assignment import largest_total
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Box, Object
 from roadperc_stream.core.geometry import Float
@@ -35,21 +36,7 @@ def assign(
     """
     if not tracks or not items:
         return {}
-    scores = similarities(cfg, tracks, items, boxes)
-    best = scores.max(axis=1)
-    rows, columns = np.nonzero((scores == best[:, None]) & (best[:, None] > 0))
-    if len(np.unique(rows)) < len(rows) or len(np.unique(columns)) < len(columns):
-        rows, columns = _largest_total(scores)
-    return {row: column for row, column in zip(rows.tolist(), columns.tolist(), strict=True) if scores[row, column] > 0}
-
-
-def _largest_total(scores: Float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the pairs of the largest total, where not each row has a largest score of its own alone."""
-    # Most frames do without; its import takes half a second.
-    from scipy.optimize import linear_sum_assignment
-
-    rows, columns = linear_sum_assignment(scores, maximize=True)
-    return rows, columns
+    return largest_total(similarities(cfg, tracks, items, boxes))
 
 
 def similarities(

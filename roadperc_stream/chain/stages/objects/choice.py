@@ -4,7 +4,7 @@ A detector also finds cars that are hidden, by what is seen around them: their b
 detection of those has is not theirs, and of what remains they get what fits, or nothing.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import inf, log
@@ -18,12 +18,13 @@ from roadperc_stream.chain.stages.objects.boxes import areas, corners, shared_ar
 from roadperc_stream.chain.stages.objects.distance import Measured
 from roadperc_stream.chain.stages.objects.kinds import kinds
 from roadperc_stream.chain.stages.objects.regions import Region
-from roadperc_stream.core.geometry import Float
 
 SAME_DISTANCE = 0.03
 """Share by which the distances of regions of one object differ at most: their nearest point is the same."""
 SAME_PLACE = 0.5
 """Least share of the smaller one's bounds that regions of one object have in common."""
+_ROWS = 64
+"""Candidates that are compared with all others at once: a detector may give thousands."""
 
 NOWHERE: Final[Mapping[int, float | None]] = MappingProxyType({})
 """No object is expected."""
@@ -55,20 +56,18 @@ def choose(
         measure: gives a region's distance; it is asked for what may be chosen alone.
         expected_m: how far the object of a detection is, by its position, where that is known from before.
     """
-    flat = [region for of_one in candidates for region in of_one]
-    table = _table(labels, flat)
+    fits = _fits(candidates, measure := cache(measure), expected_m)
+    unordered = [region for of_one in candidates for region in of_one]
+    flat = [unordered[k] for k in sorted(range(len(fits)), key=lambda k: (-fits[k], k))]
     chosen: list[MeasuredRegion | None] = [None] * len(labels)
     claims: list[list[Measured]] = [[] for _ in flat]
-    measure = cache(measure)
-    fits = _fits(candidates, measure, expected_m)
-    for row in sorted(range(len(flat)), key=lambda k: (-fits[k], k)):
-        region = flat[row]
+    for row, (region, together) in enumerate(zip(flat, _same_places(labels, flat), strict=True)):
         if chosen[region.owner] is not None:
             continue
         measured = measure(region)
         if not any(_same_distance(measured, claim) for claim in claims[row]):
             chosen[region.owner] = MeasuredRegion(region, measured)
-            for other in table.same_place(row):
+            for other in np.flatnonzero(together).tolist():
                 claims[other].append(measured)
     return chosen
 
@@ -91,26 +90,15 @@ def _fits(
     return [fit for of_one in fits for fit in of_one]
 
 
-@dataclass(frozen=True)
-class _Table:
-    """The candidates of all detections, one in each row."""
-
-    kind: NDArray[np.int64]
-    corners: Float
-    areas: Float
-
-    def same_place(self, row: int) -> list[int]:
-        """Candidates that may be of the object that a row is of, by their place in the image."""
-        smaller = np.minimum(self.areas[row], self.areas)
-        together = shared_areas(self.corners[:, row : row + 1], self.corners)[0] > SAME_PLACE * smaller
-        rows: list[int] = np.flatnonzero(together & (self.kind == self.kind[row])).tolist()
-        return rows
-
-
-def _table(labels: Sequence[str], flat: Sequence[Region]) -> _Table:
-    owner = np.array([region.owner for region in flat], np.int64)
+def _same_places(labels: Sequence[str], flat: Sequence[Region]) -> Iterator[NDArray[np.bool_]]:
+    """For each of M candidates, (M,) which may be of the object that it is of, by their place in the image."""
+    kind = kinds(labels)[0][np.array([region.owner for region in flat], np.int64)]
     boxes = corners(region.box_px for region in flat)
-    return _Table(kinds(labels)[0][owner], boxes, areas(boxes))
+    sizes = areas(boxes)
+    for first in range(0, len(flat), _ROWS):
+        rows = slice(first, first + _ROWS)
+        smaller = np.minimum(sizes[rows, None], sizes)
+        yield from (shared_areas(boxes[:, rows], boxes) > SAME_PLACE * smaller) & (kind[rows, None] == kind)
 
 
 def _same_distance(one: Measured, other: Measured) -> bool:

@@ -4,7 +4,8 @@ The bare minimum jumps with every stray pixel.
 """
 
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,16 +32,21 @@ class Measured:
     beyond_range: bool = False
 
 
+UNKNOWN = Measured()
+"""Nothing could be measured."""
+
+
 def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
     """The distance of a region's pixels, each the mean of the region's pixels around it."""
     distances, noise = region.distances_m, region.noise
     if distances is None or noise is None:
-        return Measured()
-    near, noise_of_finite = region_distances(region.mask, distances, noise)
+        return UNKNOWN
+    near, noise_of_finite = region_distances(region.labels, region.of_region, distances, noise)
     measured = _of_known(cfg, near)
     if measured.distance_m is None or measured.std_m is None:
         return measured
-    share = NOISE_LEFT * float(noise_of_finite.mean()) + SMOOTHING_STD
+    # The mean, without what NumPy's own makes of axes and types: that takes four times as long.
+    share = NOISE_LEFT * float(np.add.reduce(noise_of_finite) / len(noise_of_finite)) + SMOOTHING_STD
     return Measured(measured.distance_m, hypot(measured.std_m, share * measured.distance_m))
 
 
@@ -75,16 +81,18 @@ def nearest(cfg: ObjectsConfig, distances_m: Float32) -> Measured:
 
 def _of_known(cfg: ObjectsConfig, known: Float32) -> Measured:
     if not len(known):
-        return Measured()
-    ranks = [_rank(share * cfg.distance_quantile, len(known)) for share in (0, 1, 2)]
-    nearest, chosen, beside = np.partition(known, ranks)[ranks]
-    if not np.isfinite(chosen):
+        return UNKNOWN
+    quantile = cfg.distance_quantile
+    nearest, chosen, beside = ranked(known, 0.0, quantile, 2 * quantile)
+    if not isfinite(chosen):
         return Measured(beyond_range=True)
-    spread = float(beside) - float(nearest)
-    std = max(spread / 2, cfg.min_distance_std_m) if np.isfinite(spread) else None
-    return Measured(float(chosen), std)
+    spread = beside - nearest
+    return Measured(chosen, max(spread / 2, cfg.min_distance_std_m) if isfinite(spread) else None)
 
 
-def _rank(quantile: float, count: int) -> int:
-    """Position of a quantile among sorted values, the nearest one below."""
-    return min(int(quantile * (count - 1)), count - 1)
+def ranked(values: NDArray[np.floating[Any]], *quantiles: float) -> list[float]:
+    """Quantiles of values, each the nearest one below: what NumPy's own costs ten times as much for."""
+    last = len(values) - 1
+    ranks = [min(int(quantile * last), last) for quantile in quantiles]
+    parted = np.partition(values, ranks)
+    return [parted.item(rank) for rank in ranks]

@@ -34,12 +34,11 @@ class Division:
     bounds: Indices
     pixels: Indices
 
-    def mask(self, k: int) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
-        """(h, w) the pixels of a region within its bounds, and where those are in the mosaic."""
+    def of_region(self, k: int) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
+        """(labels,) which labels are a region's, and where its bounds are in the mosaic: no other pixels have them."""
         x0, y0, x1, y1 = self.bounds[:, k].tolist()
-        part = slice(y0, y1), slice(x0, x1)
         inside: NDArray[np.bool_] = self.names[self.ways[k]] == k + 1
-        return inside[self.labels[part]], part
+        return inside, (slice(y0, y1), slice(x0, x1))
 
 
 def divide(mosaic: Mosaic) -> Division:

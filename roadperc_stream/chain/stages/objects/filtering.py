@@ -12,7 +12,7 @@ import numpy as np
 
 from roadperc_stream.chain.stages.objects import distance
 from roadperc_stream.chain.stages.objects.choice import NOWHERE, MeasuredRegion, choose
-from roadperc_stream.chain.stages.objects.distance import Measured
+from roadperc_stream.chain.stages.objects.distance import UNKNOWN, Measured
 from roadperc_stream.chain.stages.objects.mosaic import cut_out
 from roadperc_stream.chain.stages.objects.regions import find_regions
 from roadperc_stream.chain.stages.objects.sparse import own_distances
@@ -93,14 +93,15 @@ def _filtered(
     if scene.tags is not None and lookup is not None:
         ratio = count_of_class(scene.tags[y0:y1, x0:x1], lookup) / ((y1 - y0) * (x1 - x0))
     fit = 0.0 if candidate is None else candidate.region.fit
-    beyond = fit <= cfg.min_fit and divides(scene) and _mostly_beyond(scene, box, lookup)
+    measured = UNKNOWN if candidate is None or cfg.distance_pixels != "region" else candidate.measured
+    of_class = _of_class(scene, lookup, box) if fit <= cfg.min_fit or measured == UNKNOWN else None
+    beyond = fit <= cfg.min_fit and divides(scene) and _mostly_beyond(scene, box, of_class)
     kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
-    measured = Measured() if candidate is None or cfg.distance_pixels != "region" else candidate.measured
     if beyond and cfg.distance_pixels == "region":
         measured = Measured(beyond_range=True)
-    if scene.depth_m is not None and measured == Measured():
+    if scene.depth_m is not None and measured == UNKNOWN:
         distances = distance.of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
-        measured = distance.nearest(cfg, _counted(cfg, scene, distances, _of_class(scene, lookup, box)))
+        measured = distance.nearest(cfg, _counted(cfg, scene, distances, of_class))
     return Object(
         detection,
         kept,
@@ -128,10 +129,9 @@ def _of_class(scene: Scene, lookup: Image | None, box: tuple[int, int, int, int]
     return np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[y0:y1, x0:x1]), lookup), np.uint8)
 
 
-def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], lookup: Image | None) -> bool:
+def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image | None) -> bool:
     """Whether most of its class in a box is beyond the depth's range, where nothing tells one object from the next."""
     depth_m = scene.dense_depth_m
-    of_class = _of_class(scene, lookup, box)
     if depth_m is None or of_class is None or scene.instances is not None:
         return False
     x0, y0, x1, y1 = box

@@ -112,10 +112,12 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
         return Mosaic(first_px, steps, tops, of_class, None, None, None, ids)
     depth_m = _placed(scene.dense_depth_m, cutouts, places, np.full(size, np.nan, np.float32))
     beyond = depth_m >= np.float32(scene.depth_limit_m)
-    log_depth, noise = _smoothed(np.where(beyond, depth_m * np.float32(1 + BEYOND), depth_m))
-    distances = np.exp(log_depth) * _ray_lengths(scene.camera, first_px, steps, tops, size)
+    unknown = ~(depth_m > 0)
+    log_depth, noise = _smoothed(np.multiply(depth_m, np.float32(1 + BEYOND), out=depth_m, where=beyond), unknown)
+    distances = _ray_lengths(scene.camera, first_px, steps, tops, size)
+    distances *= np.exp(log_depth)
     distances[beyond] = np.inf
-    distances[~(depth_m > 0)] = np.nan
+    distances[unknown] = np.nan
     return Mosaic(first_px, steps, tops, of_class, log_depth, distances, noise, ids)
 
 
@@ -146,13 +148,12 @@ def _placed(
     return into
 
 
-def _smoothed(depth_m: Float32) -> tuple[Float32, Float32]:
+def _smoothed(depth_m: Float32, unknown: NDArray[np.bool_]) -> tuple[Float32, Float32]:
     """The logarithm of the depth, in which noise and jumps are shares of it, smoothed; and what was smoothed away.
 
     What is not known is far away.
     """
-    known = (depth_m > 0) & (depth_m < np.inf)
-    log_depth = np.log(np.where(known, depth_m, np.float32(_UNKNOWN_M)))
+    log_depth = np.log(np.where(unknown | (depth_m == np.inf), np.float32(_UNKNOWN_M), depth_m))
     smoothed = np.asarray(cv2.bilateralFilter(log_depth, _SMOOTHED_PX, _ALIKE, _NEAR_PX), np.float32)
     return smoothed, np.abs(log_depth - smoothed)
 

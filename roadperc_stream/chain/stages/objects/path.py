@@ -5,9 +5,7 @@ subject vehicle's trajectory, not one beside it (ISO 15623; GB/T 33577-2017, whi
 """
 
 from dataclasses import dataclass
-from math import atan2, exp, fsum, hypot
-
-import numpy as np
+from math import atan2, cos, exp, fsum, hypot, sin
 
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import SIDES, Boundary, Lanes, PathSource
@@ -38,18 +36,10 @@ class EgoPath:
         """Whether it is the path of the frame before, so that places beside it can be compared."""
         return (self.source, self.lane_changes) == (before.source, before.lane_changes)
 
-    def lateral(self, points_m: Float) -> Float:
-        """(N,) how far (N, 2) ego points lie to the left of the path's middle, square to it.
-
-        Exact on the circle, and without a singularity where it is a straight line.
-        """
-        cos, sin = np.cos(self.heading), np.sin(self.heading)
-        x, y = points_m[:, 0], points_m[:, 1] - self.offset_m
-        ahead, aside = cos * x + sin * y, cos * y - sin * x
-        bend = self.curvature_per_m
-        to_centre = np.hypot(bend * ahead, 1.0 - bend * aside)
-        lateral: Float = (2.0 * aside - bend * (ahead**2 + aside**2)) / (1.0 + to_centre)
-        return lateral
+    @property
+    def circle(self) -> tuple[float, float, float, float]:
+        """Its place at x = 0, cosine and sine of its heading there, and its curvature."""
+        return self.offset_m, cos(self.heading), sin(self.heading), self.curvature_per_m
 
 
 @dataclass(frozen=True)

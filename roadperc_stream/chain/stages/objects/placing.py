@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 from math import ceil, sqrt
 
-import numpy as np
-
+from roadperc_stream.chain.stages.objects.distance import ranked
 from roadperc_stream.chain.stages.objects.path import EgoPath
 from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Object
-from roadperc_stream.core.geometry import Float, Float32, transform
+from roadperc_stream.core.datatypes import Detection, Object
+from roadperc_stream.core.geometry import Float, Float32
 from roadperc_stream.core.kernels.object_points import mean_direction, object_points
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.semantics import label_lookup
@@ -54,34 +53,28 @@ def extent(cfg: ObjectsConfig, scene: Scene, path: EgoPath, item: Object) -> Ext
     """
     if item.distance_m is None or scene.depth_m is None:
         return None
-    points, ranges_m = _points(cfg, scene, scene.depth_m, item, item.distance_m)
+    points, ranges_m, lateral_m = _points(cfg, scene, scene.depth_m, path, item.detection, item.distance_m)
     if len(points) < _FEWEST_PIXELS:
         return None
-    lateral = path.lateral(transform(scene.ego_T_camera, points)[:, :2])
-    right, left = _ranked(lateral, _OUTERMOST, 1.0 - _OUTERMOST)
-    nearest_ray = *mean_direction(points, ranges_m, _ranked(ranges_m, _NEAREST)[0]), 1.0
+    right, left = ranked(lateral_m, _OUTERMOST, 1.0 - _OUTERMOST)
+    nearest_ray = *mean_direction(points, ranges_m, ranked(ranges_m, _NEAREST)[0]), 1.0
     return Extent(right, left, cfg.lateral_std_m + _STD_SHARE * item.distance_m, nearest_ray)
 
 
-def _ranked(values: Float, *quantiles: float) -> list[float]:
-    """Quantiles of values, each one of them: what NumPy's own costs ten times as much for."""
-    ranks = [int(quantile * (len(values) - 1)) for quantile in quantiles]
-    found: list[float] = np.partition(values, ranks)[ranks].tolist()
-    return found
-
-
-def _points(cfg: ObjectsConfig, scene: Scene, depth_m: Float32, item: Object, distance_m: float) -> tuple[Float, Float]:
-    """(N, 3) points of the object in the camera's frame, and their distances.
+def _points(
+    cfg: ObjectsConfig, scene: Scene, depth_m: Float32, path: EgoPath, detection: Detection, distance_m: float
+) -> tuple[Float, Float, Float]:
+    """(N, 3) points of the object in the camera's frame, their distances, and how far they are left of the path.
 
     They are of pixels spread over its box: of every one of a small box.
     """
     camera = scene.camera
-    x0, y0, x1, y1 = item.detection.box_px.rounded(camera.width, camera.height)
+    x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
     step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
-    part = slice(y0, y1, step), slice(x0, x1, step)
-    x = (np.arange(x0, x1, step, dtype=np.float64) - camera.cx) / camera.fx
-    y = (np.arange(y0, y1, step, dtype=np.float64) - camera.cy) / camera.fy
-    lookup = None if scene.table is None else label_lookup(scene.table, item.detection.label)
-    of_class = None if scene.tags is None or lookup is None else (scene.tags[part], lookup)
+    lookup = None if scene.table is None else label_lookup(scene.table, detection.label)
+    of_class = None if scene.tags is None or lookup is None else (scene.tags, lookup)
     behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, cfg.object_length_m
-    return object_points(depth_m[part], x, y, of_class, distance_m, behind_m)
+    pinhole = camera.fx, camera.fy, camera.cx, camera.cy
+    return object_points(
+        depth_m, pinhole, (x0, y0, x1, y1, step), of_class, distance_m, behind_m, scene.ego_T_camera, path.circle
+    )

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects.boxes import areas, corners
-from roadperc_stream.chain.stages.objects.division import Division, divide
+from roadperc_stream.chain.stages.objects.division import Division, Labels, divide
 from roadperc_stream.chain.stages.objects.mosaic import Mosaic, boxes_of
 from roadperc_stream.core.datatypes import Box
 from roadperc_stream.core.geometry import Camera, Float, Float32
@@ -33,8 +33,9 @@ LEAST_PIXELS = 3
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Pixels that may be the object of detection ``owner``: those of the (h, w) ``mask``. No two are equal.
+    """Pixels that may be the object of detection ``owner``. No two are equal.
 
+    They are those among the (h, w) ``labels`` whose label is the region's, ``of_region`` (n,) of each label.
     ``distances_m`` and their ``noise``, as a share of them, are None without depth. ``box_px`` bounds the pixels in the
     image, as far as they are around the detection's box; ``fit``, 0 to 1, says how well it fits that.
     """
@@ -42,7 +43,8 @@ class Region:
     owner: int
     box_px: Box
     fit: float
-    mask: NDArray[np.bool_]
+    labels: Labels
+    of_region: NDArray[np.bool_]
     distances_m: Float32 | None
     noise: Float32 | None
 
@@ -83,7 +85,7 @@ def _fits(boxes: Float, around: Float) -> Float:
 
 
 def _region(mosaic: Mosaic, division: Division, k: int, owner: int, box: Float, fit: float) -> Region:
-    mask, part = division.mask(k)
+    of_region, part = division.of_region(k)
     distances = None if mosaic.distances_m is None else mosaic.distances_m[part]
     noise = None if mosaic.noise is None else mosaic.noise[part]
-    return Region(owner, Box(*box.tolist()), float(fit), mask, distances, noise)
+    return Region(owner, Box(*box.tolist()), float(fit), division.labels[part], of_region, distances, noise)

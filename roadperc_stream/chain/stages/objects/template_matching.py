@@ -27,7 +27,7 @@ def correlate(image: Image, template: Image, around: Box) -> Correlation | None:
     """
     x0, y0, x1, y1 = around.rounded(image.shape[1], image.shape[0])
     rows, columns = template.shape
-    if not template.size or float(template.std()) <= _FLAT or columns > x1 - x0 or rows > y1 - y0:
+    if not template.size or columns > x1 - x0 or rows > y1 - y0 or float(template.std()) <= _FLAT:
         return None
     window = image[y0:y1, x0:x1]
     scores = np.asarray(cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED), np.float32)

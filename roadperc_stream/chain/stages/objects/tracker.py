@@ -12,7 +12,7 @@ from roadperc_stream.chain.stages.objects.impact import judged
 from roadperc_stream.chain.stages.objects.obstacle import find_obstacle
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, path_of
 from roadperc_stream.chain.stages.objects.placing import extent
-from roadperc_stream.chain.stages.objects.template import cut
+from roadperc_stream.chain.stages.objects.template import Template, cut
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Absent, Box, Correlation, Lanes, Object, Objects
@@ -94,8 +94,10 @@ def step(
     own = () if isinstance(filtered, Absent) else filtered.objects
     kept = _kept(scene.camera, own)
     pairs = assign(cfg, known, kept.items, kept.boxes)
-    detected = _detected(cfg, state.next_number, scene, known, kept, pairs)
-    detected = {k: tracking.placed(track, extent(cfg, scene, path, own[k])) for k, track in detected.items()}
+    detected = {
+        k: tracking.placed(track, extent(cfg, scene, path, own[k]), _template(cfg, scene, track))
+        for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
+    }
     missed = [track for k, track in enumerate(known) if k not in pairs]
     searched = [_searched(cfg, scene, path, track, kept) for track in missed]
     found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
@@ -165,16 +167,16 @@ def _detected(
         else:
             track = tracking.start(cfg, next_number, item, box, scene.stamp_ns)
             next_number += 1
-        tracks[position] = _with_template(cfg, scene, track)
+        tracks[position] = track
     return tracks
 
 
-def _with_template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> ObjectTrack:
-    """The track with its template from this frame; without an image the last one is still good for a while."""
+def _template(cfg: ObjectsConfig, scene: Scene, track: ObjectTrack) -> Template | None:
+    """The track's template from this frame; without an image the last one is still good for a while."""
     if scene.grey is None or not cfg.template_search:
-        return track
+        return track.template
     distance_m = track.distance_m.value if track.distance_m else None
-    return replace(track, template=cut(scene.grey, track.box_px, distance_m))
+    return cut(scene.grey, track.box_px, distance_m)
 
 
 def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrack, kept: _Kept) -> _Searched:
@@ -201,7 +203,7 @@ def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrac
     detected = similarities(cfg, [after], kept.items, kept.boxes).any()
     if detected:
         return lost
-    return _Searched(tracking.placed(after, extent(cfg, scene, path, item)), item, correlation)
+    return _Searched(tracking.placed(after, extent(cfg, scene, path, item), after.template), item, correlation)
 
 
 def _around(track: ObjectTrack) -> Box:

@@ -156,17 +156,17 @@ def carried(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> ObjectTrack
     return _updated(cfg, track, item, item.detection.box_px, track.detection, track.detected_ns, cut=False)
 
 
-def placed(track: ObjectTrack, extent: Extent | None) -> ObjectTrack:
-    """The track after its edges were seen beside the path."""
+def placed(track: ObjectTrack, extent: Extent | None, template: Template | None) -> ObjectTrack:
+    """The track with its template, after its edges were seen beside the path."""
     if extent is None:
-        return track
+        return track if template is track.template else replace(track, template=template)
     if track.right_m is None or track.left_m is None:
         edges = (rate_filter.start(m, extent.std_m, _FIRST_DRIFT_STD_MPS) for m in (extent.right_m, extent.left_m))
         right_m, left_m = edges
     else:
         right_m = track.right_m.update(extent.right_m, extent.std_m)
         left_m = track.left_m.update(extent.left_m, extent.std_m)
-    return replace(track, right_m=right_m, left_m=left_m, nearest_ray=extent.nearest_ray)
+    return replace(track, right_m=right_m, left_m=left_m, nearest_ray=extent.nearest_ray, template=template)
 
 
 def expired(cfg: ObjectsConfig, track: ObjectTrack) -> bool:

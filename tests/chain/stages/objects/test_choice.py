@@ -13,7 +13,7 @@ BOX = Box(10, 10, 30, 30)
 
 def candidate(owner, fit, distance_m, box=BOX):
     distances = None if distance_m is None else np.full((1, 1), distance_m, np.float32)
-    return Region(owner, box, fit, np.ones((1, 1), bool), distances, None)
+    return Region(owner, box, fit, np.ones((1, 1), np.int32), np.array([False, True]), distances, None)
 
 
 def measure(region):

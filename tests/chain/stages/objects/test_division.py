@@ -26,7 +26,8 @@ def connected(of_class, log_depth, jump):
 
 def regions_of(division):
     for k in range(len(division.pixels)):
-        mask, (rows, columns) = division.mask(k)
+        of_region, (rows, columns) = division.of_region(k)
+        mask = of_region[division.labels[rows, columns]]
         assert mask.any(axis=0)[[0, -1]].all()
         assert mask.any(axis=1)[[0, -1]].all()
         assert mask.sum() == division.pixels[k]
