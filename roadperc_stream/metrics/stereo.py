@@ -9,6 +9,7 @@ import numpy as np
 
 from roadperc_stream.core.datatypes import Absent, Mask, Sample, StereoDepth
 from roadperc_stream.core.geometry import Camera, Float32
+from roadperc_stream.core.kernels.disparity_errors import disparity_errors
 from roadperc_stream.core.kernels.occlusion import seen_by_both
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.schemas.columns.errors import StereoErrorColumns
@@ -87,21 +88,18 @@ def stereo_errors(
     """
     if estimated_m.shape != true_m.shape:
         raise ValueError(f"estimated depth is {estimated_m.shape}, true depth is {true_m.shape}")
-    scale = np.float32(camera.fx * baseline_m)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        true_px, estimated_px = scale / true_m, scale / estimated_m
-        counted = both_see(true_px) & (true_m < max_depth_m)
-        known = counted & np.isfinite(estimated_px)
-        error = np.abs(estimated_px - true_px)
-        bad = known & (error > D1_PX) & (error > D1_SHARE * true_px)
-        relative = np.abs(estimated_m - true_m) / true_m
-    counts, knowns, bads = (int(np.count_nonzero(mask)) for mask in (counted, known, bad))
-    if not counts:
+    scale_px_m = float(np.float32(camera.fx * baseline_m))
+    with np.errstate(divide="ignore"):
+        true_px = np.float32(scale_px_m) / true_m
+    error_px, relative, counted, bad = disparity_errors(
+        estimated_m, true_m, both_see(true_px), scale_px_m, max_depth_m, D1_PX, D1_SHARE
+    )
+    if not counted:
         return StereoErrors(None, None, None, None)
-    if not knowns:
+    if not len(error_px):
         return StereoErrors(None, None, None, 0.0)
-    mean_px, mean_relative = (float(values[known].mean(dtype=float)) for values in (error, relative))
-    return StereoErrors(mean_px, bads / knowns, mean_relative, knowns / counts)
+    mean_px, mean_relative = (float(values.mean(dtype=float)) for values in (error_px, relative))
+    return StereoErrors(mean_px, bad / len(error_px), mean_relative, len(error_px) / counted)
 
 
 def low_quantile(values: Float32, share: float) -> float:

@@ -73,10 +73,9 @@ def disparities_needed(left: Camera, baseline_m: float, ego_T_rectified: Float) 
 
 def depth_of(cfg: StereoConfig, left: Camera, baseline_m: float, disparity_px: Float32) -> Float32:
     """(H, W) metres along z of (H, W) disparities in pixels; NaN below ``min_disparity_px`` and where unknown."""
-    depth_m = np.full_like(disparity_px, np.nan)
-    with np.errstate(invalid="ignore"):
-        known = disparity_px >= np.float32(cfg.min_disparity_px)
-    np.divide(np.float32(left.fx * baseline_m), disparity_px, out=depth_m, where=known)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        depth_m = np.divide(np.float32(left.fx * baseline_m), disparity_px)
+        np.copyto(depth_m, np.float32(np.nan), where=~(disparity_px >= np.float32(cfg.min_disparity_px)))
     return depth_m
 
 
@@ -114,20 +113,22 @@ def _rectified_disparity(
     """(H, W) disparities visible to both cameras; images not rectified, or to other intrinsics, are resampled."""
     if left.lens is None and right.lens is None and right.same_view(left):
         disparity_px = disparity(cfg, count, left_grey, right_grey)
-        return _visible_to_right(disparity_px, None)
+        disparity_px[_hidden_from_right(disparity_px, None)] = np.nan
+        return disparity_px
     left_rectified, left_valid = resampled(left, left, left_grey)
     right_rectified, right_valid = resampled(right, left, right_grey)
     disparity_px = disparity(cfg, count, left_rectified, right_rectified)
     disparity_px[~left_valid] = np.nan
-    return _visible_to_right(disparity_px, right_valid)
+    disparity_px[_hidden_from_right(disparity_px, right_valid)] = np.nan
+    return disparity_px
 
 
-def _visible_to_right(disparity_px: Float32, right_valid: Mask | None) -> Float32:
-    """The disparities (H, W) whose partner lies in the right image, at one of its pixels that are valid."""
-    partner = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
+def _hidden_from_right(disparity_px: Float32, right_valid: Mask | None) -> Mask:
+    """(H, W) pixels whose partner is unknown, outside the right image, or one of its pixels that are not valid."""
+    columns = np.arange(disparity_px.shape[1], dtype=np.float32)
     with np.errstate(invalid="ignore"):
-        inside = partner >= 0
+        inside = disparity_px <= columns
     if right_valid is not None:
-        columns = np.rint(np.where(inside, partner, 0)).astype(np.intp)
-        inside &= np.take_along_axis(right_valid, columns, axis=1)
-    return np.where(inside, disparity_px, np.float32(np.nan))
+        partner = np.rint(np.where(inside, columns - disparity_px, 0)).astype(np.intp)
+        inside &= np.take_along_axis(right_valid, partner, axis=1)
+    return ~inside

@@ -6,7 +6,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.stages.stereo.matching import within_one_thing
+from roadperc_stream.chain.stages.stereo.matching import STEP_PX
 from roadperc_stream.core.datatypes import Image, Mask, Reason
 from roadperc_stream.core.geometry import Camera, Float, Float32, Lens, pinhole_fault, project, rays
 
@@ -87,7 +87,7 @@ def turned_back(left: Camera, disparity_px: Float32) -> Float32:
         np.asarray(cv2.remap(disparity_px, columns, rows, how, borderValue=np.nan), np.float32)
         for how in (cv2.INTER_NEAREST, cv2.INTER_LINEAR)
     )
-    return within_one_thing(nearest, smooth) * z
+    return _within_one_thing(nearest, smooth) * z
 
 
 @lru_cache(maxsize=4)
@@ -97,3 +97,10 @@ def _turned_rays(left: Camera) -> tuple[Float32, Float32, Float32]:
     turned = rays(left, np.stack((columns, rows), axis=-1)) @ rectification(left).T
     pixels = project(left, turned).astype(np.float32)
     return pixels[..., 0], pixels[..., 1], turned[..., 2].astype(np.float32)
+
+
+def _within_one_thing(nearest: Float32, smooth: Float32) -> Float32:
+    """Interpolated disparities, but the nearest at the border of two things: between them is a point in mid-air."""
+    with np.errstate(invalid="ignore"):
+        within = np.abs(smooth - nearest) < np.float32(STEP_PX)
+    return np.where(within, smooth, nearest)
