@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 
 from roadperc_stream.core.datatypes import Detection, Ids, Image, SurfaceSource
 from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.core.kernels.class_pixels import mark
 from roadperc_stream.core.registration import sample_labels, warp_depth
 from roadperc_stream.core.semantics import TagTable
 
@@ -97,7 +97,7 @@ class Scene:
         if self.table is None or self.tags is None:
             return None
         if classes not in self._labels:
-            self._labels[classes] = np.asarray(cv2.LUT(self.tags, self.table.lookup(classes)), np.uint8)
+            self._labels[classes] = mark(self.tags, self.table.lookup(classes))
             self._labels[classes].setflags(write=False)
         return self._labels[classes]
 

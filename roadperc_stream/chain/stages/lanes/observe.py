@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.lanes import lines
@@ -14,6 +13,7 @@ from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import SIDES, Image, Mask, Side, Surface
 from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
 from roadperc_stream.core.ground import ground_points, height_at
+from roadperc_stream.core.kernels.class_pixels import mark
 from roadperc_stream.core.semantics import TagTable
 
 _INSIDE_M = (0.2, 0.4, 0.6)
@@ -130,7 +130,7 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     far = lines.road_far_end(drivable)
     if far is None:
         return Observation(projection, tags, table, float(projection.camera.cy))
-    separators = np.asarray(cv2.LUT(tags, table.lookup(cfg.separators)), np.uint8)
+    separators = mark(tags, table.lookup(cfg.separators))
     edge_pixels = lines.edges_of(cfg, separators)
     proposals = lines.propose(cfg, edge_pixels)
     groups = lines.merge(cfg, lines.on_road(cfg, proposals, drivable), projection.camera.height)
