@@ -1,3 +1,6 @@
 from roadperc_stream.core.kernels.robust_quadratic_plain import Following, Points, Quadratic, State, Weighing
 
 def follow(points: Points, first: State, how: Following, weighing: Weighing) -> Quadratic | None: ...
+def rows_beside(
+    points: Points, state: State, inward: float, reach: float, asides: tuple[float, ...]
+) -> tuple[int, ...]: ...

@@ -94,6 +94,16 @@ def follow(points: Points, first: State, how: Following, weighing: Weighing) -> 
         state, reach = fit.state, min(reach + how.step, how.farthest)
 
 
+def rows_beside(
+    points: Points, state: State, inward: float, reach: float, asides: tuple[float, ...]
+) -> tuple[int, ...]:
+    """How many rows have a point up to x = ``reach`` beside the lines that run so far inside of a quadratic."""
+    aside = inward * (points.y - _at(state, points.x))
+    ahead = points.x <= reach
+    beside = (ahead & (aside - line < points.inside) & (aside - line > -points.outside) for line in asides)
+    return tuple(int(np.count_nonzero(np.bincount(points.rows[chosen]))) for chosen in beside)
+
+
 def _chosen(points: Points, state: State, how: Following, reach: float) -> Points:
     """Those beside a quadratic."""
     aside = how.inward * (points.y - _at(state, points.x))
