@@ -5,6 +5,8 @@ from libc.math cimport fabs
 from libc.stdint cimport int64_t
 from libc.stdlib cimport free, malloc
 
+import numpy as np
+
 from roadperc_stream.core.kernels.robust_quadratic_plain import Quadratic
 
 cdef enum:
@@ -42,9 +44,12 @@ cdef struct Chosen:
     double* weight
 
 
+cdef inline double _aside(const Fit* fit, double x, double y) noexcept nogil:
+    return y - (fit.s0 + fit.s1 * x + 0.5 * fit.s2 * (x * x))
+
+
 cdef inline double _beside(const Given* points, const Fit* fit, Py_ssize_t i) noexcept nogil:
-    cdef double x = points.x[i]
-    return points.y[i] - (fit.s0 + fit.s1 * x + 0.5 * fit.s2 * (x * x))
+    return _aside(fit, points.x[i], points.y[i])
 
 
 cdef void _choose(const Given* points, const Fit* fit, const Rules* rules, double reach, Chosen* chosen) noexcept nogil:
@@ -212,6 +217,34 @@ def rows_beside(points, state, double inward, double reach, asides):
     cdef Fit fit
     fit.s0, fit.s1, fit.s2 = state
     return tuple([_rows_beside(&held.given, &fit, inward, reach, line) for line in asides])
+
+
+def counts_aside(const double[:] x, const double[:] y, state, double inward, const double[::1] edges):
+    """See ``robust_quadratic_plain.counts_aside``.
+
+    Raises:
+        ValueError: there are not as many x as y, or no two edges that ascend.
+    """
+    cdef Py_ssize_t count = x.shape[0], bins = edges.shape[0] - 1, i, at
+    if y.shape[0] != count or bins < 1 or not edges[0] < edges[bins]:
+        raise ValueError(f"{count} x, {y.shape[0]} y, {bins + 1} edges: expected numbers that belong together")
+    cdef double least = edges[0], most = edges[bins], per_bin = bins / (most - least), aside
+    cdef Fit fit
+    fit.s0, fit.s1, fit.s2 = state
+    all_counts = np.zeros(bins, np.intp)
+    cdef Py_ssize_t[::1] counts = all_counts
+    with nogil:
+        for i in range(count):
+            aside = inward * _aside(&fit, x[i], y[i])
+            if not (aside >= least and aside <= most):
+                continue
+            at = min(<Py_ssize_t>((aside - least) * per_bin), bins - 1)  # nearly, for edges that are evenly spaced
+            while aside < edges[at]:
+                at -= 1
+            while at < bins - 1 and aside >= edges[at + 1]:
+                at += 1
+            counts[at] += 1
+    return all_counts
 
 
 def follow(points, first, how, weighing):

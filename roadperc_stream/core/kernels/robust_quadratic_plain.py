@@ -104,6 +104,17 @@ def rows_beside(
     return tuple(int(np.count_nonzero(np.bincount(points.rows[chosen]))) for chosen in beside)
 
 
+def counts_aside(x: Numbers, y: Numbers, state: State, inward: float, edges: Numbers) -> NDArray[np.intp]:
+    """(M - 1,) how many of (N,) points lie so far inside of a quadratic as between each two of (M,) ascending edges.
+
+    What lies on an edge is beyond it, on the last one before it.
+    """
+    ordered = np.sort(inward * (y - _at(state, x)))
+    below = ordered.searchsorted(edges)
+    below[-1] = ordered.searchsorted(edges[-1], "right")
+    return np.diff(below)
+
+
 def _chosen(points: Points, state: State, how: Following, reach: float) -> Points:
     """Those beside a quadratic."""
     aside = how.inward * (points.y - _at(state, points.x))
