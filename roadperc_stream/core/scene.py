@@ -7,7 +7,7 @@ import numpy as np
 
 from roadperc_stream.core.datatypes import Detection, Ids, Image, SurfaceSource
 from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
-from roadperc_stream.core.kernels.class_masks import mark_class
+from roadperc_stream.core.kernels.class_pixels import mark
 from roadperc_stream.core.registration import sample_labels, warp_depth
 from roadperc_stream.core.semantics import TagTable
 
@@ -97,10 +97,8 @@ class Scene:
         if self.table is None or self.tags is None:
             return None
         if classes not in self._labels:
-            labels = np.empty_like(self.tags)
-            mark_class(self.tags, self.table.lookup(classes), labels)
-            labels.setflags(write=False)
-            self._labels[classes] = labels
+            self._labels[classes] = mark(self.tags, self.table.lookup(classes))
+            self._labels[classes].setflags(write=False)
         return self._labels[classes]
 
     @cached_property

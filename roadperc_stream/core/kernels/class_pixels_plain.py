@@ -7,6 +7,20 @@ from numpy.typing import NDArray
 Image = NDArray[np.uint8]
 
 
+def mark(tags: Image, of_class: Image) -> Image:
+    """1 at the pixels of a class, 0 at the others.
+
+    Args:
+        tags: (H, W).
+        of_class: (256,) 1 at the tags of the class, else 0.
+
+    Raises:
+        ValueError: not so many.
+    """
+    _require_every_tag(of_class)
+    return np.asarray(cv2.LUT(np.ascontiguousarray(tags), of_class), np.uint8)
+
+
 def mark_together(tags: Image, of_class: Image, least: int, marked: Image) -> None:
     """Write 1 at pixels of a class with enough of it around them, 0 at the others.
 
@@ -21,7 +35,7 @@ def mark_together(tags: Image, of_class: Image, least: int, marked: Image) -> No
     """
     if tags.shape != marked.shape or not tags.size or len(of_class) != np.iinfo(np.uint8).max + 1:
         raise ValueError(f"{tags.shape} tags of {len(of_class)} into {marked.shape}: expected one size")
-    found = np.asarray(cv2.LUT(np.ascontiguousarray(tags), of_class), np.uint8)
+    found = mark(tags, of_class)
     marked[...] = found & (cv2.boxFilter(found, -1, (3, 3), normalize=False) >= least)
 
 
@@ -31,6 +45,10 @@ def count_of_class(tags: Image, of_class: Image) -> int:
     Raises:
         ValueError: ``of_class`` is of another length.
     """
+    _require_every_tag(of_class)
+    return int(np.count_nonzero(of_class[tags]))
+
+
+def _require_every_tag(of_class: Image) -> None:
     if len(of_class) != np.iinfo(np.uint8).max + 1:
         raise ValueError(f"a class of {len(of_class)} tags: expected 256")
-    return int(np.count_nonzero(of_class[tags]))

@@ -5,6 +5,8 @@ from libc.math cimport fabs
 from libc.stdint cimport int64_t
 from libc.stdlib cimport free, malloc
 
+import numpy as np
+
 from roadperc_stream.core.kernels.robust_quadratic_plain import Quadratic
 
 cdef enum:
@@ -42,9 +44,12 @@ cdef struct Chosen:
     double* weight
 
 
+cdef inline double _aside(const Fit* fit, double x, double y) noexcept nogil:
+    return y - (fit.s0 + fit.s1 * x + 0.5 * fit.s2 * (x * x))
+
+
 cdef inline double _beside(const Given* points, const Fit* fit, Py_ssize_t i) noexcept nogil:
-    cdef double x = points.x[i]
-    return points.y[i] - (fit.s0 + fit.s1 * x + 0.5 * fit.s2 * (x * x))
+    return _aside(fit, points.x[i], points.y[i])
 
 
 cdef void _choose(const Given* points, const Fit* fit, const Rules* rules, double reach, Chosen* chosen) noexcept nogil:
@@ -165,21 +170,94 @@ cdef bint _followed(const Given* points, Chosen* chosen, const Rules* rules, Fit
         reach = min(reach + rules.step, rules.farthest)
 
 
+cdef class _Held:
+    """Points, and what keeps them where they are."""
+
+    cdef const double[::1] x, y, std, inside, outside
+    cdef const int64_t[::1] rows
+    cdef Given given
+
+    def __init__(self, points):
+        self.x, self.y, self.std, self.rows = points.x, points.y, points.std, points.rows
+        self.inside, self.outside = points.inside, points.outside
+        cdef Py_ssize_t count = self.x.shape[0]
+        for length in (self.y.shape[0], self.std.shape[0], self.rows.shape[0], self.inside.shape[0],
+                       self.outside.shape[0]):
+            if length != count:
+                raise ValueError(f"expected {count} numbers of every kind, got {length}")
+        self.given.count = count
+        if count:
+            self.given = Given(
+                count, &self.x[0], &self.y[0], &self.std[0], &self.rows[0], &self.inside[0], &self.outside[0]
+            )
+
+
+cdef Py_ssize_t _rows_beside(
+    const Given* points, const Fit* fit, double inward, double reach, double line
+) noexcept nogil:
+    cdef Py_ssize_t i, last = -1, found = 0
+    cdef double aside
+    for i in range(points.count):
+        if not points.x[i] <= reach or (last >= 0 and points.rows[i] == points.rows[last]):
+            continue
+        aside = inward * _beside(points, fit, i) - line
+        if aside < points.inside[i] and aside > -points.outside[i]:
+            last = i
+            found += 1
+    return found
+
+
+def rows_beside(points, state, double inward, double reach, asides):
+    """See ``robust_quadratic_plain.rows_beside``.
+
+    Raises:
+        ValueError: there are not as many numbers of every kind.
+    """
+    cdef _Held held = _Held(points)
+    cdef Fit fit
+    fit.s0, fit.s1, fit.s2 = state
+    return tuple([_rows_beside(&held.given, &fit, inward, reach, line) for line in asides])
+
+
+def counts_aside(const double[:] x, const double[:] y, state, double inward, const double[::1] edges):
+    """See ``robust_quadratic_plain.counts_aside``.
+
+    Raises:
+        ValueError: there are not as many x as y, or no two edges that ascend.
+    """
+    cdef Py_ssize_t count = x.shape[0], bins = edges.shape[0] - 1, i, at
+    if y.shape[0] != count or bins < 1 or not edges[0] < edges[bins]:
+        raise ValueError(f"{count} x, {y.shape[0]} y, {bins + 1} edges: expected numbers that belong together")
+    cdef double least = edges[0], most = edges[bins], per_bin = bins / (most - least), aside
+    cdef Fit fit
+    fit.s0, fit.s1, fit.s2 = state
+    all_counts = np.zeros(bins, np.intp)
+    cdef Py_ssize_t[::1] counts = all_counts
+    with nogil:
+        for i in range(count):
+            aside = inward * _aside(&fit, x[i], y[i])
+            if not (aside >= least and aside <= most):
+                continue
+            at = min(<Py_ssize_t>((aside - least) * per_bin), bins - 1)  # nearly, for edges that are evenly spaced
+            while aside < edges[at]:
+                at -= 1
+            while at < bins - 1 and aside >= edges[at + 1]:
+                at += 1
+            counts[at] += 1
+    return all_counts
+
+
 def follow(points, first, how, weighing):
     """See ``robust_quadratic_plain.follow``.
 
     Raises:
         ValueError: there are not as many numbers of every kind.
     """
-    cdef const double[::1] x = points.x, y = points.y, std = points.std, inside = points.inside, outside = points.outside
-    cdef const int64_t[::1] rows = points.rows
-    cdef Py_ssize_t count = x.shape[0]
-    for length in (y.shape[0], std.shape[0], rows.shape[0], inside.shape[0], outside.shape[0]):
-        if length != count:
-            raise ValueError(f"expected {count} numbers of every kind, got {length}")
+    cdef _Held held = _Held(points)
+    cdef Given given = held.given
+    cdef Py_ssize_t count = given.count
     if not count:
         return None
-    cdef Given given = Given(count, &x[0], &y[0], &std[0], &rows[0], &inside[0], &outside[0])
     cdef Rules rules = Rules(
         how.inward, how.reach, how.step, how.farthest, how.innermost, how.least_points, how.least_rows,
         weighing.huber, weighing.alike, weighing.prior,

@@ -94,6 +94,27 @@ def follow(points: Points, first: State, how: Following, weighing: Weighing) -> 
         state, reach = fit.state, min(reach + how.step, how.farthest)
 
 
+def rows_beside(
+    points: Points, state: State, inward: float, reach: float, asides: tuple[float, ...]
+) -> tuple[int, ...]:
+    """How many rows have a point up to x = ``reach`` beside the lines that run so far inside of a quadratic."""
+    aside = inward * (points.y - _at(state, points.x))
+    ahead = points.x <= reach
+    beside = (ahead & (aside - line < points.inside) & (aside - line > -points.outside) for line in asides)
+    return tuple(int(np.count_nonzero(np.bincount(points.rows[chosen]))) for chosen in beside)
+
+
+def counts_aside(x: Numbers, y: Numbers, state: State, inward: float, edges: Numbers) -> NDArray[np.intp]:
+    """(M - 1,) how many of (N,) points lie so far inside of a quadratic as between each two of (M,) ascending edges.
+
+    What lies on an edge is beyond it, on the last one before it.
+    """
+    ordered = np.sort(inward * (y - _at(state, x)))
+    below = ordered.searchsorted(edges)
+    below[-1] = ordered.searchsorted(edges[-1], "right")
+    return np.diff(below)
+
+
 def _chosen(points: Points, state: State, how: Following, reach: float) -> Points:
     """Those beside a quadratic."""
     aside = how.inward * (points.y - _at(state, points.x))

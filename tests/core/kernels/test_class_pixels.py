@@ -37,11 +37,23 @@ def test_compiled_pixels_are_the_same(seed, height, width, least):
     assert compiled.count_of_class(tags, CLASS) == plain.count_of_class(tags, CLASS)
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(0, 90), st.integers(0, 200), st.integers(0, 256))
+def test_both_ways_mark_the_pixels_of_a_class(seed, height, width, tags_of_class):
+    rng = np.random.default_rng(seed)
+    of_class = (rng.permutation(256) < tags_of_class).astype(np.uint8)
+    tags = rng.integers(0, 256, (2 * height, 3 * width), np.uint8)[::2, ::3]
+    for way in WAYS if tags.size else WAYS[1:]:  # OpenCV has no empty image
+        marked = kernel(way).mark(tags, of_class)
+        np.testing.assert_array_equal(marked, of_class[tags])
+        assert marked.dtype == np.uint8
+
+
 @pytest.mark.parametrize("way", WAYS)
 def test_what_does_not_fit_is_refused(way):
     tags = np.zeros((2, 3), np.uint8)
     for asked in ((tags, CLASS, 3, tags.T.copy()), (tags, CLASS[:9], 3, tags), (tags[:0], CLASS, 3, tags[:0])):
         with pytest.raises(ValueError, match="expected one size"):
             kernel(way).mark_together(*asked)
-    with pytest.raises(ValueError, match="expected 256"):
-        kernel(way).count_of_class(tags, CLASS[:9])
+    for counting in ("count_of_class", "mark"):
+        with pytest.raises(ValueError, match="expected 256"):
+            getattr(kernel(way), counting)(tags, CLASS[:9])

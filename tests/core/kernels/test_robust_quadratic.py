@@ -100,6 +100,40 @@ def test_both_ways_give_the_same_bits(seed, count, noise_m, innermost, inward):
     assert ours == theirs
 
 
+@EVERY_WAY
+@pytest.mark.parametrize("inward", [1.0, -1.0])
+def test_rows_are_counted_once_and_only_beside_the_line(way, inward):
+    x = np.array([1.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    aside = np.array([0.1, 0.2, -0.1, 0.9, np.nan, 0.1])
+    y = STATE[0] + STATE[1] * x + 0.5 * STATE[2] * x**2 + inward * aside
+    wide = np.full(6, 0.3)
+    points = plain.Points(x, y, wide, np.array([3, 3, 4, 5, 6, 7]), wide, wide / 2)
+    assert way.rows_beside(points, STATE, inward, 4.5, (0.0, 1.0)) == (2, 1)
+    assert way.rows_beside(points, STATE, inward, 5.0, (0.0,)) == (3,)
+    none = plain.Points(*(values[:0] for values in (x, y, wide, points.rows, wide, wide)))
+    assert way.rows_beside(none, STATE, inward, 5.0, (0.0, 1.0)) == (0, 0)
+
+
+@pytest.mark.skipif(compiled is None, reason="not compiled")
+@given(st.integers(0, 2**32 - 1), st.integers(0, 300), st.floats(0.0, 0.5), st.sampled_from((-1.0, 1.0)))
+def test_both_ways_count_the_same_rows(seed, count, noise_m, inward):
+    x, y, std, rows = drawn(noise_m=noise_m, seed=seed, count=count)
+    points = plain.Points(x, y, std, rows, 2.5 * std, std)
+    ours, theirs = (way.rows_beside(points, STATE, inward, 30.0, (0.0, 0.1, -0.2)) for way in (plain, compiled))
+    assert ours == theirs
+
+
+@EVERY_WAY
+@given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.integers(2, 40), st.sampled_from((-1.0, 1.0)))
+def test_counts_aside_are_those_of_a_histogram(way, seed, count, places, inward):
+    rng = np.random.default_rng(seed)
+    edges = np.cumsum(rng.choice([0.25, 0.5], places)) - 5.0
+    aside = np.where(rng.random(count) < 0.5, rng.choice(edges, count), rng.uniform(-6.0, 6.0, count))
+    found = way.counts_aside(np.zeros(count), inward * aside + 1.0, (1.0, 2.0, 3.0), inward, edges)
+    exactly = inward * (inward * aside + 1.0 - 1.0)
+    np.testing.assert_array_equal(found, np.histogram(exactly, edges)[0])
+
+
 @pytest.mark.skipif(compiled is None, reason="not compiled")
 def test_arrays_that_do_not_belong_together_are_refused():
     x, y, std, rows = drawn()
@@ -109,3 +143,6 @@ def test_arrays_that_do_not_belong_together_are_refused():
         follow(compiled, x.astype(np.float32), y, std, rows)
     with pytest.raises((ValueError, TypeError)):
         follow(compiled, x, y, std, rows.astype(np.float64))
+    for others, edges in ((y[1:], np.arange(3.0)), (y, np.arange(1.0)), (y, np.zeros(2)), (y, np.full(3, np.nan))):
+        with pytest.raises(ValueError, match="expected numbers that belong together"):
+            compiled.counts_aside(x, others, STATE, 1.0, edges)

@@ -15,7 +15,15 @@ from roadperc_stream.chain.stages.lanes.sides import outward
 from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import Mask, Side
 from roadperc_stream.core.geometry import Float
-from roadperc_stream.core.kernels.robust_quadratic import Following, Points, Quadratic, Weighing, follow
+from roadperc_stream.core.kernels.robust_quadratic import (
+    Following,
+    Points,
+    Quadratic,
+    Weighing,
+    counts_aside,
+    follow,
+    rows_beside,
+)
 
 _REACH_STEP_M = 6.0
 _SHORTEST_M = 0.25
@@ -59,19 +67,27 @@ _CHANCE_ROWS = 5.0
 
 
 @dataclass(frozen=True)
-class _Edges:
-    """Edges on the ground, by (N,) image rows: (N,) x and y in metres in the ego frame."""
+class Edges:
+    """Edges on the ground that face the ego lane from one side: (N,) x and y in metres in the ego frame, image rows.
+
+    Those ahead, as far as boundaries are fitted, from the first row to the last.
+    """
 
     x: Float
     y: Float
     rows: NDArray[np.int64]
 
     @classmethod
-    def of(cls, points: Float, rows: Float) -> "_Edges":
-        """Of (N, 2) points and the image row of each."""
-        order = np.argsort(rows, kind="stable")
-        x, y = np.ascontiguousarray(points[order].T)
-        return cls(x, y, rows[order].astype(np.int64))
+    def of(cls, cfg: LanesConfig, points: Float, rows: Float) -> "Edges":
+        """Of (N, 2) points and the image row of each; what is no number is left out."""
+        ahead = np.flatnonzero((points[:, 0] > 0) & (points[:, 0] <= cfg.fit_max_m) & np.isfinite(points[:, 1]))
+        ahead = ahead[np.argsort(rows[ahead], kind="stable")]
+        x, y = np.ascontiguousarray(points[ahead].T)
+        return cls(x, y, rows[ahead].astype(np.int64))
+
+    def within(self, aside_m: Float) -> Points:
+        """As points that lie beside a curve up to (N,) distances from it."""
+        return Points(self.x, self.y, aside_m, self.rows, aside_m, aside_m)
 
 
 @dataclass(frozen=True)
@@ -159,15 +175,12 @@ def line_on_ground(points: Float) -> Float | None:
     return np.array([offset, heading, 0.0])
 
 
-def fit_curve(
-    cfg: LanesConfig, points: Float, rows: Float, line: Float, side: Side, metres_per_px: float
-) -> Curve | None:
-    """The boundary near a line, from edge points on the ground.
+def fit_curve(cfg: LanesConfig, edges: Edges, line: Float, side: Side, metres_per_px: float) -> Curve | None:
+    """The boundary near a line, from edges on the ground.
 
     Args:
         cfg: reach and robustness.
-        points: (N, 2) x, y in metres of edges that face the ego lane, ego frame.
-        rows: (N,) the image row of each.
+        edges: those of its side.
         line: (3,) where the Hough line has it.
         side: the boundary's side.
         metres_per_px: width of a pixel one metre ahead.
@@ -175,8 +188,6 @@ def fit_curve(
     Returns:
         The curve, or None where too few edges support it.
     """
-    ahead = (points[:, 0] > 0) & (points[:, 0] <= cfg.fit_max_m)
-    edges = _Edges.of(points[ahead], rows[ahead])
     near = np.abs(edges.y - lateral(line, edges.x)) < _SEARCH_M
     if np.count_nonzero(near) < _MIN_POINTS or edges.x[near].min() > cfg.near_m:
         return None
@@ -184,7 +195,7 @@ def fit_curve(
         noise = _Noise(noise_px, metres_per_px)
         std_m = noise.std_m(edges.x)
         curve = _fit_at(cfg, edges, near, std_m, line, side, noise)
-        if curve is not None and _explained(curve, edges, std_m) >= _EXPLAINED:
+        if curve is not None and _explained(curve, edges, std_m, side) >= _EXPLAINED:
             curve = replace(curve, contrast=_contrast(curve, edges, std_m, side))
             return _without_clutter(curve, side, noise) if curve.is_clear or curve.contrast >= _CONTRAST else None
     return None
@@ -204,7 +215,7 @@ def _without_clutter(curve: Curve, side: Side, noise: _Noise) -> Curve:
 
 
 def _fit_at(
-    cfg: LanesConfig, edges: _Edges, near: Mask, std_m: Float, line: Float, side: Side, noise: _Noise
+    cfg: LanesConfig, edges: Edges, near: Mask, std_m: Float, line: Float, side: Side, noise: _Noise
 ) -> Curve | None:
     """The boundary near a line where edges err as much as the noise says."""
     inward = -outward(side)
@@ -233,33 +244,35 @@ def _covariance(fit: Quadratic, noise: _Noise) -> Float:
     return np.asarray(np.linalg.inv(known), np.float64)
 
 
-def _explained(curve: Curve, edges: _Edges, std_m: Float) -> float:
+def _explained(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
     """Share of the rows with edges near a curve in which one lies on it."""
-    aside = np.abs(edges.y - curve.y(edges.x))
-    ahead = edges.x <= curve.reach_m
-    on_it = _rows_in(edges.rows[ahead & (aside < _ON_CURVE_STD * std_m)])
-    return on_it / max(_rows_in(edges.rows[ahead & (aside < _SEARCH_M)]), 1)
+    inward = -outward(side)
+    (on_it,) = _rows_near(curve, edges.within(_ON_CURVE_STD * std_m), inward, (0.0,))
+    (around,) = _rows_near(curve, edges.within(np.full_like(std_m, _SEARCH_M)), inward, (0.0,))
+    return on_it / max(around, 1)
 
 
-def _contrast(curve: Curve, edges: _Edges, std_m: Float, side: Side) -> float:
+def _contrast(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
     """How many times as many rows have an edge on the curve as have one farther inside, where the road is."""
-    inside = -outward(side) * (edges.y - curve.y(edges.x))
-    ahead = edges.x <= curve.reach_m
-    found = [_rows_in(edges.rows[ahead & (np.abs(inside - aside_m) < std_m)]) for aside_m in (0.0, *_INSIDE_M)]
-    return found[0] / (float(np.mean(found[1:])) + _CHANCE_ROWS)
+    on_it, *inside = _rows_near(curve, edges.within(std_m), -outward(side), (0.0, *_INSIDE_M))
+    return on_it / (float(np.mean(inside)) + _CHANCE_ROWS)
 
 
-def _rows_in(rows: NDArray[np.int64]) -> int:
-    """How many different rows there are."""
-    return int(np.count_nonzero(np.bincount(rows)))
+def _rows_near(curve: Curve, edges: Points, inward: float, asides_m: tuple[float, ...]) -> tuple[int, ...]:
+    """How many rows have an edge beside each of the lines so far inside the curve, as far as that reaches."""
+    offset, heading, curvature = curve.state.tolist()
+    return rows_beside(edges, (offset, heading, curvature), inward, curve.reach_m, asides_m)
 
 
 def _best_aside(x: Float, y: Float, line: Float, inward: float, noise: _Noise) -> float:
     """How far inside the line, in metres, the innermost well supported parallel edge lies."""
-    aside = inward * (y - lateral(line, x))
     bin_m = min(max(_BIN_M, float(noise.std_m(np.array(_PEAK_AT_M)))), 2 * _SEARCH_M / _LEAST_BINS)
     edges = np.arange(-_SEARCH_M, _SEARCH_M + bin_m, bin_m)
-    counts = np.convolve(np.histogram(aside, edges)[0], np.ones(3), "same")
-    peaks = np.flatnonzero((counts >= np.roll(counts, 1)) & (counts >= np.roll(counts, -1)))
-    strong = peaks[counts[peaks] >= (_PEAK_SHARE if noise.is_low else _NOISY_PEAK_SHARE) * counts.max()]
+    offset, heading, curvature = line.tolist()
+    counts = [0, *counts_aside(x, y, (offset, heading, curvature), inward, edges).tolist(), 0]
+    support = [sum(counts[at - 1 : at + 2]) for at in range(1, len(counts) - 1)]
+    least = (_PEAK_SHARE if noise.is_low else _NOISY_PEAK_SHARE) * max(support)
+    # The first and the last are neighbours too: neither is a peak beside a higher one at the other end.
+    after = (*support[1:], support[0])
+    strong = [at for at, here in enumerate(support) if here >= max(support[at - 1], after[at]) and here >= least]
     return float(edges[strong[-1]] + bin_m / 2)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from roadperc_stream.core.config import LanesConfig, scaled
 from roadperc_stream.core.datatypes import Image, Line, Mask
 from roadperc_stream.core.geometry import Float
+from roadperc_stream.core.kernels.line_shares import line_shares
 
 _ON_ROAD = 0.5
 _ROAD_MARGIN_PX = 2.0
@@ -91,9 +92,8 @@ def on_road(cfg: LanesConfig, proposals: Float, drivable: Mask) -> Float:
     The surface is widened by a pixel or two, for a curb's edge lies just outside it.
     """
     steep = proposals[_steep(cfg, proposals)]
-    if not len(steep):
-        return steep
-    kept: Float = steep[_shares_on(steep, _widened(drivable, steep[:, 1::2])) > _ON_ROAD]
+    margin_px = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
+    kept: Float = steep[line_shares(steep, drivable.view(np.uint8), margin_px) > _ON_ROAD]
     return kept
 
 
@@ -147,27 +147,3 @@ def _steep(cfg: LanesConfig, lines: Float) -> Mask:
     dx, dy = np.abs(lines[:, 2] - lines[:, 0]), np.abs(lines[:, 3] - lines[:, 1])
     steep: Mask = (dy > 0) & (dy >= cfg.min_slope * dx)
     return steep
-
-
-def _widened(drivable: Mask, asked: Float) -> Image:
-    """(H, W) 1 at and around the drivable surface, known between the first and the last of the rows asked for."""
-    radius = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
-    kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-    top, end = max(int(asked.min()) - radius, 0), int(asked.max()) + 1 + radius
-    widened = np.zeros(drivable.shape, np.uint8)
-    widened[top:end] = cv2.dilate(drivable[top:end].view(np.uint8), kernel)
-    return widened
-
-
-def _shares_on(lines: Float, drivable: Image) -> Float:
-    """(N,) how much of each of (N, 4) lines lies on the (H, W) drivable surface, pixel by pixel."""
-    start, end = lines[:, :2], lines[:, 2:]
-    steps = np.abs(end - start).max(axis=1).astype(int)
-    first = np.cumsum(steps + 1) - (steps + 1)
-    owner = np.repeat(np.arange(len(lines)), steps + 1)
-    along = np.arange(len(owner)) - first[owner]
-    places = along[:, None] * ((end - start) / np.maximum(steps, 1)[:, None])[owner] + start[owner]
-    places[first + steps] = end
-    columns, rows = np.rint(places).astype(int).T
-    shares: Float = np.add.reduceat(drivable[rows, columns], first, dtype=float) / (steps + 1)
-    return shares

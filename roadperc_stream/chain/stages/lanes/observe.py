@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.lanes import lines
-from roadperc_stream.chain.stages.lanes.curves import Curve, fit_curve, lateral, line_on_ground
+from roadperc_stream.chain.stages.lanes.curves import Curve, Edges, fit_curve, lateral, line_on_ground
 from roadperc_stream.chain.stages.lanes.facing import facing_edges
 from roadperc_stream.chain.stages.lanes.lines import LineGroup
 from roadperc_stream.chain.stages.lanes.sides import outward
@@ -14,6 +13,7 @@ from roadperc_stream.core.config import LanesConfig
 from roadperc_stream.core.datatypes import SIDES, Image, Mask, Side, Surface
 from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
 from roadperc_stream.core.ground import ground_points, height_at
+from roadperc_stream.core.kernels.class_pixels import mark
 from roadperc_stream.core.semantics import TagTable
 
 _INSIDE_M = (0.2, 0.4, 0.6)
@@ -60,14 +60,6 @@ class ObservedBoundary:
 
 
 @dataclass(frozen=True)
-class Edges:
-    """Edge pixels that face the ego lane from one side: (N, 2) x and y in the ego frame, and their (N,) image rows."""
-
-    points: Float
-    rows: Float
-
-
-@dataclass(frozen=True)
 class Observation:
     """Everything one frame shows of the lane; ``far`` is the row of the road's far end.
 
@@ -95,8 +87,7 @@ class Observation:
         """The boundary as the edges near a (3,) state have it; None where too few do."""
         if side not in self.edges:
             return None
-        edges = self.edges[side]
-        return fit_curve(cfg, edges.points, edges.rows, line, side, 1.0 / self.projection.camera.fx)
+        return fit_curve(cfg, self.edges[side], line, side, 1.0 / self.projection.camera.fx)
 
     def classes_beside(self, side: Side, curve: Curve) -> tuple[str, str]:
         """The class inside and the class outside a boundary, empty where that is out of sight."""
@@ -130,13 +121,13 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     far = lines.road_far_end(drivable)
     if far is None:
         return Observation(projection, tags, table, float(projection.camera.cy))
-    separators = np.asarray(cv2.LUT(tags, table.lookup(cfg.separators)), np.uint8)
+    separators = mark(tags, table.lookup(cfg.separators))
     edge_pixels = lines.edges_of(cfg, separators)
     proposals = lines.propose(cfg, edge_pixels)
     groups = lines.merge(cfg, lines.on_road(cfg, proposals, drivable), projection.camera.height)
     edges = {}
     if cfg.model == "curve":
-        edges = {side: _edges(projection, separators[far:], drivable, side, far) for side in SIDES}
+        edges = {side: _edges(cfg, projection, separators[far:], drivable, side, far) for side in SIDES}
     found = Observation(projection, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
     near = _near_lines(cfg, projection, groups)
     curves = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
@@ -144,11 +135,11 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     return replace(found, boundaries=boundaries, near=near)
 
 
-def _edges(projection: RoadProjection, separators: Image, drivable: Mask, side: Side, top: int) -> Edges:
+def _edges(
+    cfg: LanesConfig, projection: RoadProjection, separators: Image, drivable: Mask, side: Side, top: int
+) -> Edges:
     pixels = facing_edges(separators, drivable, side, top)
-    points = projection.ground(pixels)[:, :2]
-    known = np.isfinite(points).all(axis=1)
-    return Edges(points[known], pixels[known, 1])
+    return Edges.of(cfg, projection.ground(pixels)[:, :2], pixels[:, 1])
 
 
 def _near_lines(

@@ -8,7 +8,7 @@ import numpy as np
 from roadperc_stream.core.config import OdometryConfig, scaled
 from roadperc_stream.core.datatypes import Image, Mask, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32
-from roadperc_stream.core.kernels.class_masks import mark_class
+from roadperc_stream.core.kernels.class_pixels import mark
 from roadperc_stream.core.scene import Scene
 
 _MOVABLE = ("vehicle", "pedestrian")
@@ -83,8 +83,7 @@ def _movable(cfg: OdometryConfig, scene: Scene, grey: Image) -> Image | None:
         return None
     rows, columns = grey.shape
     tags = cv2.resize(scene.tags, (columns, rows), interpolation=cv2.INTER_NEAREST)
-    movable = np.empty((rows, columns), np.uint8)
-    mark_class(np.asarray(tags, np.uint8), scene.table.lookup(_MOVABLE), movable)
+    movable: Image = mark(np.asarray(tags, np.uint8), scene.table.lookup(_MOVABLE))
     if not movable.any():
         return movable
     side = max(round(scaled(cfg.window_px, rows)), 1) | 1

@@ -114,14 +114,3 @@ def test_edges_are_those_of_the_whole_image(aperture, top):
     whole = cv2.Canny(mask * np.uint8(255), cfg.canny_low, cfg.canny_high, apertureSize=aperture)
     np.testing.assert_array_equal(lines.edges_of(cfg, mask), whole)
     assert not lines.edges_of(cfg, np.zeros_like(mask)).any()
-
-
-def test_a_lines_share_on_the_road_is_that_of_its_pixels():
-    rng = np.random.default_rng(0)
-    road = (rng.random((60, 80)) < 0.5).astype(np.uint8)
-    proposals = np.concatenate((rng.integers(0, 60, (50, 4)), [[7, 7, 7, 7]])).astype(float)
-    for line, share in zip(proposals, lines._shares_on(proposals, road), strict=True):
-        x1, y1, x2, y2 = line
-        count = int(max(abs(x2 - x1), abs(y2 - y1))) + 1
-        along = (np.rint(np.linspace(*ends, count)).astype(int) for ends in ((y1, y2), (x1, x2)))
-        assert share == road[tuple(along)].mean()
