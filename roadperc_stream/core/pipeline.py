@@ -15,8 +15,8 @@ import numpy as np
 
 T = TypeVar("T")
 U = TypeVar("U")
-_SPARE: Final = 2
-"""Items under way beyond one for each thread: those that wait between two steps."""
+_SPARE: Final = 1
+"""Items under way beyond one for each thread, that whoever is done finds another one: more gain nothing."""
 _END: Final = object()
 """What the first step gives behind the last item."""
 
