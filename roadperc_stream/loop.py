@@ -3,15 +3,13 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import count
 from pathlib import Path
 from time import perf_counter, thread_time
 from typing import Final
 
 from roadperc_stream import log
-from roadperc_stream.chain.ahead import decode_ahead
-from roadperc_stream.chain.step import Timer
+from roadperc_stream.chain.step import Sight, Timer, Whereabouts, see
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.core.files import all_or_none, sync_folder
@@ -33,7 +31,7 @@ from roadperc_stream.state.checkpoint_folder import CheckpointFolder
 from roadperc_stream.state.identity import finished, run_of
 from roadperc_stream.state.opening import BY_ITSELF, Beginning, OpenedLog, open_replay
 from roadperc_stream.state.replay_state import ReplayMemory
-from roadperc_stream.state.running import run_chain
+from roadperc_stream.state.running import run_locating, run_perceiving
 
 _MATCHING_THREADS: Final = 2
 """More of them gain little."""
@@ -112,7 +110,7 @@ def _replay(
     outputs = Outputs(target, cfg, opened)
     with one_thread(), kept, all_or_none(*outputs.files):
         outputs.begin(watcher.opened, kept.counted)
-        end = _Frames(cfg, opened, outputs, kept, watcher).replayed(threads)
+        end = _Frames(cfg, opened, outputs, kept, watcher, threads).replayed()
         outputs.end(end)
         target.require_free(source.files, force=may_replace)  # another program may have written them meanwhile
         if kept.are_durable:
@@ -142,44 +140,55 @@ def _summary_of_finished(target: ReplayTarget, opened: OpenedLog, output: LogSum
     return ReplaySummary(log_id, frames, messages, 0.0, notes, {}, {}, (), warnings, frames, is_new=False)
 
 
+@dataclass(frozen=True)
+class _Given:
+    """A sample of the log, counted from 1, and what measures all that is done with it."""
+
+    number: int
+    sample: Sample
+    timer: StageTimer
+
+
+_Seen = tuple[_Given, Sight | None]
+_Located = tuple[_Given, Whereabouts | None]
+_Perceived = tuple[_Given, ComputedFrame | None, ReplayMemory]
+
+
 class _Frames:
     """The frames of one replay, each from the log through the chain into the outputs, in their order.
 
-    Reading and decoding are ahead of the chain, measuring and writing behind it; ``threads`` says how far in threads of
-    their own. What a checkpoint holds is not computed again.
+    The steps on the way remember what they need from one frame to the next, each for itself, so that several threads
+    can be at several of them. What a checkpoint holds is not computed again.
     """
 
     def __init__(
-        self, cfg: ReplayConfig, opened: OpenedLog, outputs: Outputs, checkpoints: Checkpoints, watcher: Watcher
+        self,
+        cfg: ReplayConfig,
+        opened: OpenedLog,
+        outputs: Outputs,
+        checkpoints: Checkpoints,
+        watcher: Watcher,
+        threads: int,
     ) -> None:
         self._cfg, self._opened, self._input, self._outputs = cfg, opened, opened.input, outputs
-        self._checkpoints, self._progress = checkpoints, watcher.progress
+        self._checkpoints, self._progress, self._threads = checkpoints, watcher.progress, threads
         self._complete = self._input.plan.first_pass.complete_frames
         self._expected = self._input.expected_frames
         self._written = 0
+        self._located = self._perceived = self._end = opened.memory_for(cfg)
 
-    def replayed(self, threads: int) -> ReplayMemory:
+    def replayed(self) -> ReplayMemory:
         """Go through all frames.
 
         Returns:
             What is remembered after the last one that no later message can alter.
         """
-        clock = perf_counter if threads == 1 else thread_time
-        memory = end = self._opened.memory_for(self._cfg)
-        with Pipeline(threads) as pipeline:
-            for number, sample, timer in pipeline.ahead(self._decoded(clock)):
-                frame = None
-                if number <= self._checkpoints.samples:
-                    memory = self._checkpoints.memory
-                else:
-                    memory, frame = self._computed(memory, sample, timer, threads)
-                if number <= self._complete:
-                    end = memory
-                pipeline.behind(partial(self._finish, number, sample, frame, memory))
-        return end
+        frames = Pipeline[_Given](self._read())
+        frames.then(self._see).then(self._locate).then(self._perceive).then(self._finish).run(self._threads)
+        return self._end
 
-    def _decoded(self, clock: Callable[[], float]) -> Iterator[tuple[int, Sample, StageTimer]]:
-        """The samples, counted from 1, with the pixels that the chain will ask for."""
+    def _read(self) -> Iterator[_Given]:
+        clock = perf_counter if self._threads == 1 else thread_time
         samples = self._input.samples()
         for number in count(1):
             timer = StageTimer(clock)
@@ -187,32 +196,50 @@ class _Frames:
                 sample = next(samples, None)
             if sample is None:
                 return
-            if number > self._checkpoints.samples:
-                with timer("decode"):
-                    decode_ahead(self._cfg, sample.frame)
-            yield number, sample, timer
+            yield _Given(number, sample, timer)
 
-    def _computed(
-        self, memory: ReplayMemory, sample: Sample, timer: StageTimer, threads: int
-    ) -> tuple[ReplayMemory, ComputedFrame]:
-        """Run the chain on a sample."""
-        before = memory
-        memory, result, written = run_chain(self._cfg, memory, sample, _matching_in(threads, timer))
-        if sample.is_written and self._opened.strict:
-            require_sound(self._input.summary.path, sample.frame.stamp_ns, result.reasons())
-        return memory, ComputedFrame(sample, result, written, before.shown, before.earlier, timer)
+    def _is_computed(self, given: _Given) -> bool:
+        """Whether an earlier run has been through all steps."""
+        return given.number <= self._checkpoints.samples
 
-    def _finish(self, number: int, sample: Sample, frame: ComputedFrame | None, memory: ReplayMemory) -> None:
+    def _see(self, given: _Given) -> _Seen:
+        if self._is_computed(given):
+            return given, None
+        return given, see(self._cfg, given.sample.frame, _matching_in(self._threads, given.timer))
+
+    def _locate(self, seen: _Seen) -> _Located:
+        given, sight = seen
+        if sight is None:
+            self._located = self._checkpoints.memory
+            return given, None
+        self._located, place = run_locating(self._cfg, self._located, given.sample, sight, given.timer)
+        return given, place
+
+    def _perceive(self, located: _Located) -> _Perceived:
+        (given, place), before, frame = located, self._perceived, None
+        if place is None:
+            self._perceived = self._checkpoints.memory
+        else:
+            sample, timer = given.sample, given.timer
+            self._perceived, result, written = run_perceiving(self._cfg, before, sample, place, timer)
+            if sample.is_written and self._opened.strict:
+                require_sound(self._input.summary.path, sample.frame.stamp_ns, result.reasons())
+            frame = ComputedFrame(sample, result, written, before.shown, before.earlier, timer)
+        return given, frame, self._perceived
+
+    def _finish(self, perceived: _Perceived) -> None:
         """Write what is to be written of a sample; of one that only warms up the chain nothing is."""
-        outputs, checkpoints = self._outputs, self._checkpoints
+        given, frame, memory = perceived
+        sample, outputs, checkpoints = given.sample, self._outputs, self._checkpoints
         if sample.is_written:
             if frame is None:
                 outputs.write_again(sample, checkpoints.next_output(sample.index))
             else:
                 checkpoints.keep(outputs.write(frame))
             self._written += 1
-        if number <= self._complete:
-            checkpoints.reached(sample.log_time_ns, number, memory, lambda: outputs.counted)
+        if given.number <= self._complete:
+            self._end = memory
+            checkpoints.reached(sample.log_time_ns, given.number, memory, lambda: outputs.counted)
         self._progress(self._written, self._expected)
 
 

@@ -15,8 +15,10 @@ import pytest
 
 import roadperc_stream as rp
 from roadperc_stream import loop, outputs
+from roadperc_stream.chain import pixels
 from roadperc_stream.cli.replay import main
 from roadperc_stream.core.config import load_config
+from roadperc_stream.core.pipeline import Pipeline
 from roadperc_stream.errors import ConfigError, LogError, TargetError
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.encoding import encode_image
@@ -30,7 +32,8 @@ CFG = load_config(None, ("sync.max_wait_s=0.1",))
 FEW_STAGES = ("stereo.method=off", "odometry.enabled=false", "lanes.enabled=false", "objects.enabled=false")
 LIGHT = load_config(None, ("sync.max_wait_s=0.1", *FEW_STAGES))
 TINY = Road(width=160, height=120)
-THREADS = (2, 3)
+THREADS = (2, 3, 5)
+CHAIN = ("see", "run_locating", "run_perceiving")
 FRAMES = 5
 
 
@@ -78,8 +81,8 @@ def jittered(monkeypatch, seed):
 
         return slowed
 
-    monkeypatch.setattr(loop, "decode_ahead", slow(loop.decode_ahead))
-    monkeypatch.setattr(loop, "run_chain", slow(loop.run_chain))
+    for step in CHAIN:
+        monkeypatch.setattr(loop, step, slow(getattr(loop, step)))
     monkeypatch.setattr(outputs, "frame_metrics", slow(outputs.frame_metrics))
 
 
@@ -152,7 +155,7 @@ def test_an_image_that_cannot_be_decoded_names_its_frame(tmp_path, threads):
 
 
 @pytest.mark.parametrize("threads", [1, *THREADS])
-@pytest.mark.parametrize("step", ["decode_ahead", "run_chain", "write"])
+@pytest.mark.parametrize("step", [*CHAIN, "write"])
 def test_an_error_in_any_step_ends_the_replay_and_leaves_nothing(tmp_path, monkeypatch, threads, step):
     source, calls = logs.write(tmp_path / "in.mcap", drive()), []
 
@@ -223,7 +226,7 @@ def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
         return worked
 
     monkeypatch.setattr(loop, "perf_counter", lambda: now_s[0])
-    monkeypatch.setattr(loop, "decode_ahead", taking(3, loop.decode_ahead))
+    monkeypatch.setattr(pixels, "tags_of", taking(3, pixels.tags_of))
     monkeypatch.setattr(outputs, "frame_metrics", taking(5, outputs.frame_metrics))
     monkeypatch.setattr(outputs.MessageCopy, "through", taking(7, outputs.MessageCopy.through))
     monkeypatch.setattr(outputs.ResultWriter, "messages", taking(11, outputs.ResultWriter.messages))
@@ -251,8 +254,8 @@ def test_the_times_of_several_threads_add_up(tmp_path, threads):
 
 def test_the_command_and_the_api_take_a_number_of_threads(tmp_path, monkeypatch):
     source, told = logs.write(tmp_path / "in.mcap", drive(2)), []
-    pipeline = loop.Pipeline
-    monkeypatch.setattr(loop, "Pipeline", lambda threads: (told.append(threads), pipeline(threads))[1])
+    run = Pipeline.run
+    monkeypatch.setattr(Pipeline, "run", lambda frames, threads: (told.append(threads), run(frames, threads))[1])
     monkeypatch.setattr("roadperc_stream.api.usable_cores", lambda: 7)
     monkeypatch.setattr("roadperc_stream.cli.replay_log.usable_cores", lambda: 5)
     options = [str(source), str(tmp_path / "out.mcap"), "--quiet", "--force", "--only", "surface"]

@@ -1,4 +1,4 @@
-"""The perception chain of one frame, as one straight function."""
+"""The perception chain of one frame, as one straight line: what it shows, where the car is, what is on the road."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from roadperc_stream.chain import pixels
-from roadperc_stream.chain.ahead import left_is_front, needs_front_grey, needs_scene
+from roadperc_stream.chain.needs import left_is_front, needs_front_grey, needs_scene
 from roadperc_stream.chain.stages import lanes, objects, occupancy, odometry, stereo, surface
 from roadperc_stream.chain.stages.lanes import LanesState
 from roadperc_stream.chain.stages.objects import ObjectsState
@@ -57,25 +57,77 @@ def _if_enabled(cfg: ReplayConfig, timer: Timer) -> Timer:
     return lambda stage: timer(stage) if getattr(cfg, stage).enabled else nullcontext()
 
 
+@dataclass(frozen=True)
+class Sight:
+    """What a frame shows by itself, whatever came before it: its pixels as a scene, and the depth of its pair.
+
+    ``undecoded`` are the front camera's images that cannot be used, ``problems`` what else is wrong.
+    """
+
+    frame: Frame
+    scene: Scene
+    matched: StereoDepth | Absent
+    undecoded: tuple[Reason, ...]
+    problems: tuple[Reason, ...]
+
+
+@dataclass(frozen=True)
+class Whereabouts:
+    """Where the car is: the road below it and its motion.
+
+    ``state`` is that after surface and odometry; of lanes and objects it remembers what it did before.
+    """
+
+    sight: Sight
+    state: ChainState
+    motion: Odometry | Absent
+    road: Surface | Absent
+    front_road: Surface | Absent
+    drivable: Mask | Absent
+    problems: tuple[Reason, ...]
+
+    def counted_from_here(self) -> "Whereabouts":
+        """The same with odometry counted from its frame on: that frame's pose is the identity, exactly."""
+        state = replace(self.state, odometry=odometry.counted_from_here(self.state.odometry))
+        if isinstance(self.motion, Absent):
+            return replace(self, state=state)
+        return replace(self, state=state, motion=replace(self.motion, odom_T_ego=state.odometry.odom_T_ego))
+
+
 def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = untimed) -> tuple[ChainState, FrameResult]:
     """Run every stage on one frame, in the order of what needs what.
 
     Pure: the same configuration, state and frame give the same result, bit for bit; the timer's readings stay out of
     it. Random numbers are seeded by the configuration's seed and the frame's stamp.
     """
-    state, problems = _in_order(state, frame)
-    rng = np.random.default_rng((cfg.seed, frame.stamp_ns % 2**63))
+    sight = see(cfg, frame, timer)
+    place = locate(cfg, state, sight, timer)
+    return perceive(cfg, state, place, timer)
+
+
+def see(cfg: ReplayConfig, frame: Frame, timer: Timer = untimed) -> Sight:
+    """Decode what the stages in use ask for, and match the pair: all that needs no memory of the frames before."""
+    undecoded, problems = list[Reason](), list[Reason]()
     with timer("decode"):
-        tags = pixels.tags_of(frame, problems) if needs_scene(cfg) else None
-        sensor = pixels.sensor_depth(frame, problems) if needs_scene(cfg) else None
-        instances = pixels.instances_of(frame, problems) if cfg.objects.enabled else None
-        grey = pixels.grey_of("image", frame.image, frame.camera, problems) if _needs_grey(cfg, state, frame) else None
+        tags = pixels.tags_of(frame, undecoded) if needs_scene(cfg) else None
+        sensor = pixels.sensor_depth(frame, undecoded) if needs_scene(cfg) else None
+        instances = pixels.instances_of(frame, undecoded) if cfg.objects.enabled else None
+        grey = _front_grey(frame, undecoded) if needs_front_grey(cfg, frame) else None
     timed = _if_enabled(cfg, timer)
     with timed("stereo"):
         matched = _stereo(cfg, frame, grey, problems)
     with timed("surface"):
         depth = _best_depth(frame, sensor, matched, problems) if needs_scene(cfg) else None
-        scene = _scene(frame, tags, grey, depth, instances)
+    return Sight(frame, _scene(frame, tags, grey, depth, instances), matched, tuple(undecoded), tuple(problems))
+
+
+def locate(cfg: ReplayConfig, state: ChainState, sight: Sight, timer: Timer = untimed) -> Whereabouts:
+    """Find the road and the car's motion; of the state what lanes and objects remember is not asked for."""
+    frame, scene, problems = sight.frame, sight.scene, list[Reason]()
+    state, _ = _in_order(state, frame)
+    rng = np.random.default_rng((cfg.seed, frame.stamp_ns % 2**63))
+    timed = _if_enabled(cfg, timer)
+    with timed("surface"):
         seen, failed = _seen_road(cfg, scene, rng)
     with timed("odometry"):
         odometry_state, motion = _odometry(cfg, state, scene, _in_front_camera(scene, seen), rng)
@@ -83,36 +135,39 @@ def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = unti
         surface_state, road = _road(cfg, state, scene, seen, failed, motion, odometry_state, problems)
         front_road = _in_front_camera(scene, road)
         drivable = _drivable(cfg, scene, front_road)
+    state = replace(state, stamp_ns=frame.stamp_ns, surface=surface_state, odometry=odometry_state)
+    return Whereabouts(sight, state, motion, road, front_road, drivable, tuple(problems))
+
+
+def perceive(
+    cfg: ReplayConfig, state: ChainState, place: Whereabouts, timer: Timer = untimed
+) -> tuple[ChainState, FrameResult]:
+    """Find what is on the road; of the state only the stamp and what lanes and objects remember is asked for."""
+    sight, frame, motion, drivable = place.sight, place.sight.frame, place.motion, place.drivable
+    state, out_of_order = _in_order(state, frame)
+    scene, undecoded = _with_grey_for_tracks(cfg, state, sight, timer)
+    timed = _if_enabled(cfg, timer)
     with timed("lanes"):
-        lanes_state, ego_lane = _lanes(cfg, state, scene, front_road, drivable, motion)
+        lanes_state, ego_lane = _lanes(cfg, state, scene, place.front_road, drivable, motion)
     with timed("objects"):
         objects_state, tracked = _objects(cfg, state, scene, ego_lane, motion)
     with timed("occupancy"):
-        grid = _occupancy(cfg, scene, front_road, drivable)
-    problems += (*_odd_camera(scene), *(_missing_inputs(scene, road, tracked) if needs_scene(cfg) else ()))
+        grid = _occupancy(cfg, scene, place.front_road, drivable)
+    missing = _missing_inputs(scene, place.road, tracked) if needs_scene(cfg) else ()
     result = FrameResult(
         frame.stamp_ns,
         frame.camera.frame_id,
-        road,
+        place.road,
         drivable,
         ego_lane,
         tracked,
-        tuple(problems),
-        matched,
+        (*out_of_order, *undecoded, *sight.problems, *place.problems, *_odd_camera(scene), *missing),
+        sight.matched,
         motion,
         grid,
-        front_road,
+        place.front_road,
     )
-    return ChainState(frame.stamp_ns, surface_state, odometry_state, lanes_state, objects_state), result
-
-
-def counted_from_here(state: ChainState, result: FrameResult) -> tuple[ChainState, FrameResult]:
-    """What a step gave, with odometry counted from its frame on: that frame's pose is the identity, exactly."""
-    state = replace(state, odometry=odometry.counted_from_here(state.odometry))
-    if isinstance(result.odometry, Absent):
-        return state, result
-    here = replace(result.odometry, odom_T_ego=state.odometry.odom_T_ego)
-    return state, replace(result, odometry=here)
+    return replace(place.state, lanes=lanes_state, objects=objects_state), result
 
 
 def _in_order(state: ChainState, frame: Frame) -> tuple[ChainState, list[Reason]]:
@@ -263,10 +318,26 @@ def _metric_step(motion: Odometry | Absent, since_ns: int | None) -> Float | Non
     return None if moved is None else moved.step
 
 
-def _needs_grey(cfg: ReplayConfig, state: ChainState, frame: Frame) -> bool:
-    """Whether any stage needs the front camera's pixels."""
+def _front_grey(frame: Frame, problems: list[Reason]) -> Image | None:
+    return pixels.grey_of("image", frame.image, frame.camera, problems)
+
+
+def _with_grey_for_tracks(
+    cfg: ReplayConfig, state: ChainState, sight: Sight, timer: Timer
+) -> tuple[Scene, tuple[Reason, ...]]:
+    """The scene with the front camera's pixels where the objects remembered are to be searched in them.
+
+    Returns:
+        That scene, and the images that cannot be used.
+    """
+    frame = sight.frame
     searches = cfg.objects.enabled and cfg.objects.template_search and bool(state.objects.tracks)
-    return searches or needs_front_grey(cfg, frame)
+    if not searches or needs_front_grey(cfg, frame):
+        return sight.scene, sight.undecoded
+    undecoded = list(sight.undecoded)
+    with timer("decode"):
+        grey = _front_grey(frame, undecoded)
+    return replace(sight.scene, grey=grey, image_unusable=frame.image is not None and grey is None), tuple(undecoded)
 
 
 def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[Reason]) -> StereoDepth | Absent:

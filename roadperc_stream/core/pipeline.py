@@ -1,94 +1,143 @@
-"""A job over many items in up to three threads: what is ahead of the caller, the caller, and what is behind it.
+"""A job over many items in several threads: each item goes through the same steps, one after the other.
 
-Everything comes in the order of the items, errors too: so what is made does not depend on how many threads there are,
-nor on which of them is faster.
+Every step takes the items in their order, one at a time, so it may remember what it likes from one to the next, and
+what is made depends neither on how many threads there are nor on which of them is faster. No step has a thread of its
+own: whoever is free does what is next, so that none waits while another has more than its share.
 """
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
-from types import TracebackType
-from typing import Final, Self, TypeVar
+from dataclasses import dataclass
+from threading import Condition, Thread
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
 T = TypeVar("T")
-_DEPTH: Final = 2
-"""Items made ahead, and tasks left behind, at most: a spare one while the other is worked on."""
+U = TypeVar("U")
+_SPARE: Final = 1
+"""Items under way beyond one for each thread, that whoever is done finds another one: more gain nothing."""
+_END: Final = object()
+"""What the first step gives behind the last item."""
 
 
-class Pipeline:
-    """Use it as a context manager: no thread outlives it.
+@dataclass(frozen=True)
+class Pipeline(Generic[T]):
+    """Items, and the steps that each of them goes through."""
 
-    Args:
-        threads: 1: everything is done in the caller's; 2: items are made ahead, and tasks done behind, in a second one;
-            3 or more: each of both has its own.
-    """
+    items: Iterator[Any]
+    steps: tuple[Callable[[Any], Any], ...] = ()
 
-    def __init__(self, threads: int) -> None:
-        self._ahead = _worker() if threads > 1 else None
-        self._behind = _worker() if threads > 2 else self._ahead
-        self._tasks = deque[Future[object]]()
-        self._has_failed = False
+    def then(self, step: Callable[[T], U]) -> "Pipeline[U]":
+        """The same with one more step, which takes what the one before gives."""
+        return Pipeline(self.items, (*self.steps, step))
 
-    def ahead(self, items: Iterator[T]) -> Iterator[T]:
-        """The items of an iterator; its error comes where it stands among them."""
-        if self._ahead is None:
-            yield from items
-            return
-        made = deque(self._ahead.submit(_next, items) for _ in range(_DEPTH))
-        while found := made.popleft().result():
-            made.append(self._ahead.submit(_next, items))
-            yield from found
+    def run(self, threads: int) -> None:
+        """Take all items through all steps.
 
-    def behind(self, task: Callable[[], object]) -> None:
-        """Do one more task, after those before it.
+        Args:
+            threads: how many share the work; 1: everything is done in the caller's. No thread outlives this.
 
         Raises:
-            Exception: an earlier task's, or this one's; none is begun after it.
+            Exception: an item's error, the one that a single thread would have met first; all items before it are
+                complete then.
         """
-        if self._behind is None:
-            task()
+        if threads > 1:
+            _Work(self, threads).run()
             return
-        while len(self._tasks) >= _DEPTH:
-            self._tasks.popleft().result()
-        self._tasks.append(self._behind.submit(self._done, task))
+        for item in self.items:
+            made = item
+            for step in self.steps:
+                made = step(made)
 
-    def _done(self, task: Callable[[], object]) -> None:
-        if self._has_failed:
-            return
+
+class _Work:
+    """The steps of a pipeline, shared by several threads; the first step takes the next item from the iterator."""
+
+    def __init__(self, pipeline: Pipeline[Any], threads: int) -> None:
+        self._steps = (lambda _: next(pipeline.items, _END), *pipeline.steps)
+        self._threads = min(threads, len(self._steps))
+        self._changed = Condition()
+        self._waiting = tuple(deque[tuple[int, Any]]() for _ in self._steps)
+        self._waiting[0].append((0, None))
+        self._busy = [False] * len(self._steps)
+        self._under_way = 0
+        self._failed: tuple[int, BaseException] | None = None
+        self._is_stopped = False
+
+    def run(self) -> None:
+        """Do all of it, the caller as one of the threads."""
+        helpers = [Thread(target=self._help, name=f"roadperc_{number}") for number in range(1, self._threads)]
         try:
-            task()
-        except BaseException:
-            self._has_failed = True
-            raise
+            for helper in helpers:
+                helper.start()
+            self._work(Exception)
+        finally:  # a signal interrupts the caller: the others end after what they are at
+            self._stop()
+            for helper in filter(Thread.is_alive, helpers):
+                helper.join()
+        if self._failed is not None:
+            raise self._failed[1]
 
-    def _finish(self) -> None:
-        while self._tasks:
-            self._tasks.popleft().result()
+    def _help(self) -> None:
+        """Work in a thread in which numpy is as silent as in ``one_thread``: that setting is a thread's own."""
+        with np.errstate(all="ignore"):
+            self._work(BaseException)
 
-    def __enter__(self) -> Self:
-        return self
+    def _stop(self) -> None:
+        with self._changed:
+            self._is_stopped = True
+            self._changed.notify_all()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None or issubclass(kind, Exception):  # an earlier item's error comes first, as in one thread
-                self._finish()
-        finally:
-            for worker in filter(None, (self._ahead, self._behind)):
-                worker.shutdown(cancel_futures=True)
+    def _work(self, kept: type[BaseException]) -> None:
+        """Do what is next until nothing is left; an error of the kind ``kept`` is its item's."""
+        while (begun := self._begun()) is not None:
+            step, number, item = begun
+            try:
+                made = self._steps[step](item)
+            except kept as error:
+                self._fail(step, number, error)
+            else:
+                self._pass_on(step, number, made)
 
+    def _begun(self) -> tuple[int, int, Any] | None:
+        """The next step that can begin, with the item and its number; None where nothing is left to do."""
+        with self._changed:
+            while (step := self._next_step()) is None:
+                if self._is_stopped or not any(self._busy):
+                    return None
+                self._changed.wait()
+            self._busy[step] = True
+            self._under_way += step == 0
+            return step, *self._waiting[step].popleft()
 
-def _worker() -> ThreadPoolExecutor:
-    """A thread in which numpy is as silent as in ``one_thread``: that setting is a thread's own."""
-    return ThreadPoolExecutor(1, "roadperc", partial(np.seterr, all="ignore"))
+    def _next_step(self) -> int | None:
+        """The last step that can begin: what is nearly done goes first, and little is under way."""
+        last_first = reversed(range(len(self._steps)))
+        return None if self._is_stopped else next(filter(self._can_begin, last_first), None)
 
+    def _can_begin(self, step: int) -> bool:
+        if self._busy[step] or not self._waiting[step]:
+            return False
+        number, _ = self._waiting[step][0]
+        is_needed = self._failed is None or number < self._failed[0]
+        return is_needed and (step > 0 or self._under_way < self._threads + _SPARE)
 
-def _next(items: Iterator[T]) -> tuple[T, ...]:
-    """One more item; none at the end."""
-    for item in items:
-        return (item,)
-    return ()
+    def _fail(self, step: int, number: int, error: BaseException) -> None:
+        with self._changed:
+            self._busy[step] = False
+            if self._failed is None or number < self._failed[0]:
+                self._failed = number, error
+            self._changed.notify_all()
+
+    def _pass_on(self, step: int, number: int, made: Any) -> None:
+        """Hand to the next step what one made; behind the first step the next item is taken."""
+        with self._changed:
+            self._busy[step] = False
+            if made is not _END and step == 0:
+                self._waiting[0].append((number + 1, None))
+            if made is _END or step + 1 == len(self._steps):
+                self._under_way -= 1
+            else:
+                self._waiting[step + 1].append((number, made))
+            self._changed.notify_all()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.step import ChainState, locate, perceive, see, step
 from roadperc_stream.core import geometry as g
 from roadperc_stream.core.config import load_config
 from roadperc_stream.core.datatypes import Absent, PointCloud, Reason
@@ -87,6 +87,27 @@ def test_a_pickled_state_goes_on_as_if_nothing_had_happened(drive, request):
     frames = request.getfixturevalue(drive)
     state, _ = run(frames[:3])
     assert same(run(frames[3:], pickle.loads(pickle.dumps(state)))[1], run(frames)[1][3:])
+
+
+@pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
+def test_the_second_half_may_be_far_behind_the_first(drive, request):
+    """Each remembers for itself; the drive ends with a frame whose time steps back."""
+    frames = request.getfixturevalue(drive)
+    frames = [*frames[:4], replace(frames[1], stamp_ns=frames[3].stamp_ns)]
+    places, results, first, second = [], [], ChainState(), ChainState()
+    with one_thread():
+        sights = [see(CFG, frame) for frame in frames]
+        for sight in sights:
+            places.append(locate(CFG, first, sight))
+            first = places[-1].state
+        for place in places:
+            state, result = perceive(CFG, second, place)
+            second = replace(ChainState(state.stamp_ns), lanes=state.lanes, objects=state.objects)
+            results.append(result)
+    assert (first.lanes, first.objects) == (ChainState().lanes, ChainState().objects)
+    end, expected = run(frames)
+    assert same(tuple(results), expected)
+    assert same(state, end)
 
 
 @pytest.mark.parametrize("missing", ["image", "right", "right_camera", "depth", "segmentation", "detections", "points"])

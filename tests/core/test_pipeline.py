@@ -1,7 +1,8 @@
-"""Items ahead, tasks behind: everything in order, whatever is faster; errors where they belong; no thread is left."""
+"""Items through steps: everything in order, whatever is faster; errors where they belong; no thread is left."""
 
 import threading
 import time
+from itertools import count
 
 import numpy as np
 import pytest
@@ -11,11 +12,16 @@ from hypothesis import strategies as st
 from roadperc_stream.core.pipeline import Pipeline
 
 THREADS = (1, 2, 3, 4)
-DELAYS_MS = st.lists(st.tuples(*[st.integers(0, 3)] * 3), max_size=8)
+STEPS = ("read", "first", "second", "last")
+DELAYS_MS = st.lists(st.tuples(*[st.integers(0, 3)] * len(STEPS)), max_size=8)
 
 
 class FaultError(Exception):
     pass
+
+
+class StopError(BaseException):
+    """As a signal's KeyboardInterrupt, which no pytest stops for."""
 
 
 def threads_left():
@@ -26,99 +32,106 @@ def pause(milliseconds):
     time.sleep(milliseconds / 1000)
 
 
-def fail_at(broken, step, item):
-    if (step, item) in broken:
-        raise FaultError(f"{step} {item}")
+def run(threads, delays, broken=()):
+    """What each step has made of the items, and the job's error.
 
+    Every step takes so long for each item and adds what it has seen so far: it remembers. ``broken`` are steps that
+    fail, by item.
+    """
+    seen, failed = {step: [] for step in STEPS}, ""
 
-def run(threads, delays=((0, 0, 0),) * 8, broken=()):
-    """What happened in a job whose steps take so long each, and its error; ``broken`` are steps that fail, by item."""
-    done, failed = [], ""
+    def work(step, item, before):
+        pause(delays[item][STEPS.index(step)])
+        if (step, item) in broken:
+            raise FaultError(f"{step} {item}")
+        seen[step].append((item, *before))
+        return item, (*before, len(seen[step]))
 
-    def made():
-        for item, (slow, _, _) in enumerate(delays):
-            pause(slow)
-            fail_at(broken, "ahead", item)
-            yield item, slow
-
-    def finish(item, slow):
-        pause(slow)
-        fail_at(broken, "behind", item)
-        done.append(item)
-
+    items = (work("read", item, ()) for item in range(len(delays)))
+    pipeline = Pipeline(items)
+    for step in STEPS[1:]:
+        pipeline = pipeline.then(lambda made, step=step: work(step, *made))
     try:
-        with Pipeline(threads) as pipeline:
-            for item, _ in pipeline.ahead(made()):
-                pause(delays[item][1])
-                fail_at(broken, "caller", item)
-                pipeline.behind(lambda item=item: finish(item, delays[item][2]))
+        pipeline.run(threads)
     except FaultError as error:
         failed = str(error)
-    return done, failed
+    return seen, failed
 
 
-@given(DELAYS_MS, st.sampled_from(THREADS))
+@given(DELAYS_MS, st.sampled_from(THREADS[1:]))
 @settings(max_examples=40, deadline=None)
-def test_every_item_is_done_once_and_in_order(delays, threads):
-    assert run(threads, delays) == (list(range(len(delays))), "")
+def test_every_step_takes_every_item_once_and_in_order(delays, threads):
+    seen, failed = run(threads, delays)
+    assert (seen, failed) == run(1, delays)
+    assert [item for item, *_ in seen["last"]] == list(range(len(delays)))
     assert threads_left() == []
 
 
-@given(DELAYS_MS, st.sets(st.tuples(st.sampled_from(("ahead", "caller", "behind")), st.integers(0, 7)), min_size=1))
+@given(DELAYS_MS, st.sets(st.tuples(st.sampled_from(STEPS), st.integers(0, 7)), min_size=1))
 @settings(max_examples=60, deadline=None)
 def test_whatever_fails_the_first_error_is_that_of_one_thread(delays, broken):
+    expected, error = run(1, delays, broken)
     for threads in THREADS[1:]:
-        assert run(threads, delays, broken) == run(1, delays, broken)
+        seen, failed = run(threads, delays, broken)
+        assert failed == error
+        assert seen["last"] == expected["last"], "those before it are complete, and none behind it"
     assert threads_left() == []
 
 
-@pytest.mark.parametrize(("threads", "expected"), [(1, 1), (2, 2), (3, 3), (8, 3)])
-def test_it_works_in_as_many_threads_as_it_is_told(threads, expected):
-    seen = {threading.get_ident()}
-    with Pipeline(threads) as pipeline:
-        for _ in pipeline.ahead(seen.add(threading.get_ident()) for _ in range(4)):
-            pipeline.behind(lambda: seen.add(threading.get_ident()))
+@pytest.mark.parametrize(("threads", "expected"), [(1, 1), (2, 2), (4, 4), (9, 4)])
+def test_as_many_steps_are_at_work_as_there_are_threads(threads, expected):
+    together, seen = threading.Barrier(expected), set()
+
+    def meet(step, item):
+        """The last steps wait for each other, each at an item of its own: none gets on where they share a thread."""
+        if step >= len(STEPS) - expected and item == 10 - step:
+            together.wait(timeout=30)
+        seen.add(threading.get_ident())
+        return item
+
+    pipeline = Pipeline(meet(0, item) for item in range(20))
+    for step in range(1, len(STEPS)):
+        pipeline = pipeline.then(lambda item, step=step: meet(step, item))
+    pipeline.run(threads)
     assert len(seen) == expected
 
 
-def test_little_is_made_ahead_and_little_is_left_behind():
-    made, release = [], threading.Event()
-    with Pipeline(3) as pipeline:
-        items = pipeline.ahead(made.append(k) or k for k in range(100))
-        assert next(items) == 0
-        pause(50)
-        assert len(made) <= 4
-        waits = threading.Thread(target=lambda: [pipeline.behind(release.wait) for _ in range(10)])
-        waits.start()
-        pause(50)
-        assert waits.is_alive(), "who hands over more than is done waits"
-        release.set()
-        waits.join()
+@pytest.mark.parametrize("threads", THREADS)
+def test_little_is_under_way(threads):
+    under_way, most = set(), []
 
+    def finish(item):
+        pause(1)
+        under_way.remove(item)
 
-class StopError(BaseException):
-    """As a signal's KeyboardInterrupt, which no pytest stops for."""
+    items = (under_way.add(item) or most.append(len(under_way)) or item for item in range(50))
+    Pipeline(items).then(lambda item: item).then(finish).run(threads)
+    assert len(most) == 50
+    assert max(most) <= (threads + 1 if threads > 1 else 1)
 
 
 @pytest.mark.parametrize("threads", THREADS)
 def test_a_signal_ends_at_once_what_waits(threads):
-    done = []
+    """It comes to the caller's thread, whatever step that is at."""
+    done, caller = [], threading.current_thread()
 
-    def stopped():
-        with Pipeline(threads) as pipeline:
-            for item in pipeline.ahead(iter(range(100))):
-                pipeline.behind(lambda item=item: (pause(5), done.append(item)))
-                if item == 3:
-                    raise StopError
+    def stopped(item):
+        pause(1)
+        if item >= 3 and threading.current_thread() is caller:
+            raise StopError
+        return item
 
     with pytest.raises(StopError):
-        stopped()
-    assert len(done) <= 4
+        Pipeline(count()).then(stopped).then(stopped).then(done.append).run(threads)
+    assert done == list(range(len(done)))
     assert threads_left() == []
+    after = len(done)
+    pause(20)
+    assert len(done) == after
 
 
 def test_numpy_is_silent_in_every_thread(recwarn):
-    with Pipeline(3) as pipeline, np.errstate(all="ignore"):
-        for value in pipeline.ahead(np.float32(1e30) * np.float32(1e30) for _ in range(2)):
-            pipeline.behind(lambda value=value: np.log(-value))
+    with np.errstate(all="ignore"):
+        items = (np.float32(1e30) * np.float32(1e30) for _ in range(20))
+        Pipeline(items).then(lambda value: (pause(1), np.log(-value))).then(lambda _: np.log(np.float32(-1.0))).run(3)
     assert not recwarn.list

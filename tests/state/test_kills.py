@@ -127,8 +127,8 @@ def test_only_the_rest_is_computed(source, undisturbed, tmp_path, monkeypatch):
     assert names(tmp_path) == [".out.mcap.checkpoint"]
     from roadperc_stream import loop  # noqa: PLC0415 - to watch what it runs
 
-    run_chain = loop.run_chain
-    monkeypatch.setattr(loop, "run_chain", lambda *a: (computed.append(a[2].index), run_chain(*a))[1])
+    run_locating = loop.run_locating
+    monkeypatch.setattr(loop, "run_locating", lambda *a: (computed.append(a[2].index), run_locating(*a))[1])
     summary = replay(source, target, CFG, checkpoint_every_s=0.2, resume=True)
     assert summary.frames == 24
     assert 10 <= computed[0] <= 15

@@ -1,17 +1,16 @@
-"""What is decoded: what the stages in use ask for, all of it ahead of them, and nothing else."""
+"""What is decoded: what the stages in use ask for, before anything is remembered, and nothing else."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.ahead import decode_ahead
-from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.chain.step import ChainState, locate, perceive, see, step
 from roadperc_stream.core.config import STAGES, load_config, switched_off
 from roadperc_stream.core.datatypes import Absent, CameraImage, DepthImage, InstanceImage, PointCloud, Reason, TagImage
 from roadperc_stream.core.stage_names import NEEDS
 from roadperc_stream.errors import DecodeError
-from tests.analytic import box
+from tests.analytic import STEP_NS, box
 from tests.logs import SMALL
 
 GREY = np.random.default_rng(0).integers(0, 255, (SMALL.height, SMALL.width), np.uint8)
@@ -60,31 +59,58 @@ def watched(read, **without):
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_a_stage_alone_decodes_what_it_needs_ahead_of_its_turn(stage):
-    read, cfg = [], only(stage)
-    frame = watched(read)
-    decode_ahead(cfg, frame)
+def test_a_stage_alone_decodes_what_it_needs_by_the_frame_itself(stage):
+    read, cfg, nothing = [], only(stage), ChainState()
+    sight = see(cfg, watched(read))
     assert sorted(read) == sorted(ASKED[stage]), "each once"
-    step(cfg, ChainState(), frame)
-    assert sorted(read) == sorted(ASKED[stage]), "nothing is left for the step"
+    perceive(cfg, nothing, locate(cfg, nothing, sight))
+    assert sorted(read) == sorted(ASKED[stage]), "nothing is left for what remembers"
 
 
 @pytest.mark.parametrize("stages", [STAGES, ("stereo", "objects"), ("stereo", "lanes"), ("odometry", "objects"), ()])
 @pytest.mark.parametrize("without", [(), ("depth",), ("depth", "right"), ("right_camera",), ("image",)])
-def test_the_step_by_itself_decodes_the_same(stages, without):
-    ahead, alone, cfg = [], [], only(*stages)
-    frame = watched(ahead, **dict.fromkeys(without))
-    decode_ahead(cfg, frame)
-    before = list(ahead)
-    _, result = step(cfg, ChainState(), frame)
-    _, expected = step(cfg, ChainState(), watched(alone, **dict.fromkeys(without)))
-    assert sorted(before) == sorted(ahead) == sorted(alone)
-    assert result.reasons() == expected.reasons()
+def test_a_whole_step_decodes_the_same(stages, without):
+    first, alone, cfg = [], [], only(*stages)
+    see(cfg, watched(first, **dict.fromkeys(without)))
+    step(cfg, ChainState(), watched(alone, **dict.fromkeys(without)))
+    assert sorted(first) == sorted(alone)
+
+
+def searching():
+    """Objects alone, and the state after a frame with one."""
+    cfg, frame = only("objects"), watched([])
+    tags, table = SMALL.tags(), frame.segmentation.table
+    tags[60:90, 20:60] = table.tags_of(("vehicle",))[0]
+    frame = replace(frame, segmentation=TagImage("camera", table, lambda: tags), instances=None)
+    return cfg, step(cfg, ChainState(), frame)[0]
+
+
+def test_the_image_is_decoded_for_a_track_that_no_detection_asks_for():
+    (cfg, state), read, idle = searching(), [], []
+    assert state.objects.tracks
+    later = {"stamp_ns": state.stamp_ns + STEP_NS, "detections": ()}
+    step(cfg, state, watched(read, **later))
+    assert sorted(read) == sorted(ASKED["objects"])
+    step(cfg, ChainState(), watched(idle, **later))
+    assert sorted(idle) == sorted(ASKED["objects"] - {"image"}), "nothing is searched"
+
+
+def test_an_image_that_a_track_asks_for_stands_among_the_undecodable_in_their_order():
+    def fails():
+        raise DecodeError("no image")
+
+    cfg, state = searching()
+    frame = watched([], stamp_ns=state.stamp_ns + STEP_NS, detections=(), depth=None, points=None)
+    tags = TagImage("camera", frame.segmentation.table, fails)
+    frame = replace(frame, segmentation=tags, image=CameraImage("camera", fails, fails))
+    _, result = step(cfg, state, frame)
+    undecodable = [reason.source for reason in result.reasons() if reason.code == "undecodable"]
+    assert undecodable == ["segmentation", "image"]
 
 
 def test_without_depth_the_points_of_a_lidar_are_asked_for():
     read, cfg = [], only("surface")
-    decode_ahead(cfg, watched(read, depth=None))
+    see(cfg, watched(read, depth=None))
     assert sorted(read) == ["points", "tags"]
 
 
@@ -95,7 +121,6 @@ def test_what_cannot_be_decoded_is_said_by_the_step():
     cfg, read = only("lanes"), []
     frame = watched(read)
     frame = replace(frame, segmentation=TagImage("camera", frame.segmentation.table, fails))
-    decode_ahead(cfg, frame)
     _, result = step(cfg, ChainState(), frame)
     assert Reason("segmentation", "undecodable", ("no image",)) in result.reasons()
 
