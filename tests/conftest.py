@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from roadperc_stream.cli import launch
 from tests.commands import SCRIPTS
@@ -26,6 +27,9 @@ STREAM_VARIABLES = (
 
 for _name in STREAM_VARIABLES:
     os.environ.pop(_name, None)
+
+settings.register_profile("roadperc", settings(), deadline=None)  # a machine may be busy with other things
+settings.load_profile("roadperc")
 
 
 LONG_FILES = ("test_docs.py", "test_compare_replays.py", "test_accuracy.py")

@@ -36,7 +36,7 @@ def plain(item):
     return (channel.topic, channel.schema_name, channel.metadata, item.log_time_ns, item.sequence, item.data)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.lists(st.tuples(st.integers(0, 2**40), st.binary(max_size=50)), max_size=30))
 def test_messages_come_back_in_log_time_order(tmp_path_factory, items):
     path = tmp_path_factory.mktemp("log") / "a.mcap"
@@ -160,7 +160,7 @@ def test_a_log_that_is_not_whole_names_the_command_that_says_more(tmp_path, kind
     assert "roadperc-info" not in str(caught.value)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_any_flipped_byte_is_read_or_refused_never_a_crash(tmp_path_factory, data):
     tmp_path = tmp_path_factory.mktemp("flip")

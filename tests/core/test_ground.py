@@ -29,7 +29,7 @@ def pixels_of(points):
     return g.project(HILL.camera, g.transform(g.inverse(HILL.ego_T_camera), points))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))
 def test_a_grid_that_holds_a_plane_is_that_plane_everywhere(a, b, d, seed):
     plane, field = sloped(a, b, d)
@@ -108,7 +108,6 @@ def test_heights_above_the_road():
 
 
 @pytest.mark.skipif(not ground._COMPILED, reason="not compiled")
-@settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.booleans())
 def test_the_compiled_kernel_gives_the_same_bits(seed, rows, columns, has_gaps):
     rng = np.random.default_rng(seed)

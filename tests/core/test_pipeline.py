@@ -59,7 +59,7 @@ def run(threads, delays, broken=()):
 
 
 @given(DELAYS_MS, st.sampled_from(THREADS[1:]))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_every_step_takes_every_item_once_and_in_order(delays, threads):
     seen, failed = run(threads, delays)
     assert (seen, failed) == run(1, delays)
@@ -68,7 +68,7 @@ def test_every_step_takes_every_item_once_and_in_order(delays, threads):
 
 
 @given(DELAYS_MS, st.sets(st.tuples(st.sampled_from(STEPS), st.integers(0, 7)), min_size=1))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_whatever_fails_the_first_error_is_that_of_one_thread(delays, broken):
     expected, error = run(1, delays, broken)
     for threads in THREADS[1:]:

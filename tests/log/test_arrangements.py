@@ -95,7 +95,7 @@ def test_results_are_those_of_the_tidy_log_and_follow_its_chunks_in_nothing_but_
         assert plain(log.read(found)) == plain(log.read(tidy))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.one_of(st.integers(0, 20), st.integers(0, LATEST_NS)), max_size=40),
     st.sampled_from([*ARRANGEMENTS.values(), {"chunk_size": 100}]),

@@ -228,7 +228,7 @@ def test_a_chunk_of_several_frames_of_zstandard_is_read_to_its_end(tmp_path, mon
     assert [m[:2] for m in inputs(tmp_path / "b.mcap")] == IN_ORDER
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 30)), max_size=30),
     st.booleans(),

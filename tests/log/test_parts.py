@@ -85,7 +85,7 @@ def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
     assert summary.frames == 3
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.lists(st.tuples(st.sampled_from([A, B]), st.integers(0, 30)), max_size=12), min_size=2, max_size=5))
 def test_any_files_come_in_the_order_of_their_times(tmp_path_factory, files):
     folder = tmp_path_factory.mktemp("parts")

@@ -102,7 +102,7 @@ def edges_after_all_roles(messages):
     return max(first.values()) + 1, messages[-1].log_time_ns
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(st.data())
 def test_wherever_a_drive_is_cut_its_frames_are_those_of_the_whole(data):
     delays = data.draw(st.lists(st.integers(0, WAIT_NS), min_size=len(DRIVE), max_size=len(DRIVE)))

@@ -19,9 +19,9 @@ from roadperc_stream.core.config import OccupancyConfig, scaled
 from roadperc_stream.core.datatypes import Absent, Image, Mask, Occupancy, Reason, Surface
 from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
 from roadperc_stream.core.ground import ego_points, ego_rays, height_above, height_at, part
-from roadperc_stream.core.kernels.cell_counts import Cells, count_points
+from roadperc_stream.core.kernels.cell_counts import Cells, KnownPixels, count_points
 from roadperc_stream.core.kernels.reprojection_plain import Projection
-from roadperc_stream.core.kernels.visible_cells import mark_visible
+from roadperc_stream.core.kernels.visible_cells import Middles, mark_visible
 from roadperc_stream.core.scene import Scene
 
 Counts = NDArray[np.int64]
@@ -79,8 +79,8 @@ def _points_in_cells(
         if surface.height_grid is not None:
             heights = height_above(surface, *ego_points(camera, scene.ego_T_camera, depth_m[rows], top))
         rays = ego_rays(camera, scene.ego_T_camera, top, len(depth_m[rows]))
-        few = marks[rows].view(np.uint8), tags[rows], obstacle_tags
-        count_points(cells, depth_m[rows], rays, abd, heights, *few, free, occupied)
+        pixels = KnownPixels(depth_m[rows], heights, marks[rows].view(np.uint8), tags[rows])
+        count_points(cells, pixels, rays, abd, obstacle_tags, free, occupied)
     return free, occupied
 
 
@@ -113,9 +113,7 @@ def _visible_drivable(cfg: OccupancyConfig, scene: Scene, surface: Surface, driv
     mark_visible(
         Projection(camera.fx, camera.fy, camera.cx, camera.cy),
         inverse(scene.ego_T_camera),
-        x,
-        y,
-        height_at(surface, x, y[:, None]),
+        Middles(x, y, height_at(surface, x, y[:, None])),
         drivable.view(np.uint8),
         scene.dense_depth_m,
         cfg.depth_tolerance,

@@ -80,10 +80,11 @@ cdef void _count(const Points* points, int64_t* free, int64_t* occupied, int cou
 
 
 def count_points(
-    cells, const float[:, :] depth_m, rays, const float[::1] abd, const float[:, :] height_m,
-    const uint8_t[:, :] drivable, const uint8_t[:, :] tags, const uint8_t[::1] obstacle_tags, int64_t[:, ::1] free,
+    cells, pixels, rays, const float[::1] abd, const uint8_t[::1] obstacle_tags, int64_t[:, ::1] free,
     int64_t[:, ::1] occupied,
 ):
+    cdef const float[:, :] depth_m = pixels[0], height_m = pixels[1]
+    cdef const uint8_t[:, :] drivable = pixels[2], tags = pixels[3]
     cdef const float[:, ::1] column = rays[0], parts = rays[1]
     cdef const float[::1] start = rays[2]
     cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, u, first, block

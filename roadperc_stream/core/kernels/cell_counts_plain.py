@@ -1,6 +1,7 @@
 """How many points of the road and of obstacles lie in the cells of a grid, by numpy."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,17 +27,21 @@ class Cells:
     max_height: float
 
 
+class KnownPixels(NamedTuple):
+    """What is known of an image's pixels.
+
+    ``depth_m`` is (H, W), NaN where no point is; ``height_m`` (H, W) over a road that is no plane, NaN where it is not
+    known, None: over the plane; ``drivable`` (H, W) 0 or 1; ``tags`` (H, W) of their classes.
+    """
+
+    depth_m: Float32
+    height_m: Float32 | None
+    drivable: Marks
+    tags: Marks
+
+
 def count_points(
-    cells: Cells,
-    depth_m: Float32,
-    rays: Rays,
-    abd: Float32,
-    height_m: Float32 | None,
-    drivable: Marks,
-    tags: Marks,
-    obstacle_tags: Marks,
-    free: Counts,
-    occupied: Counts,
+    cells: Cells, pixels: KnownPixels, rays: Rays, abd: Float32, obstacle_tags: Marks, free: Counts, occupied: Counts
 ) -> None:
     """Add to each cell its drivable points of known height, and its points that stand in the way.
 
@@ -45,12 +50,9 @@ def count_points(
 
     Args:
         cells: the grid.
-        depth_m: (H, W) of the points, metres; those of NaN lie in no cell.
-        rays: of their pixels.
+        pixels: of which points are made.
+        rays: of the pixels.
         abd: (3,) the road as a x + b y + z = d.
-        height_m: (H, W) over a road that is no plane, NaN where it is not known; None: over the plane.
-        drivable: (H, W) 0 or 1.
-        tags: (H, W) of each pixel's class.
         obstacle_tags: (256,) 1 of tags of an obstacle, else 0.
         free: (rows along y, columns along x), changed.
         occupied: likewise.
@@ -58,6 +60,7 @@ def count_points(
     Raises:
         ValueError: the arrays do not fit each other.
     """
+    depth_m, height_m, drivable, tags = pixels
     require_belonging(
         depth_m.shape,
         *(part.shape for part in rays),

@@ -25,10 +25,11 @@ cdef inline bint _is_mostly(const uint8_t[:, :] drivable, Py_ssize_t v, Py_ssize
 
 
 def mark_visible(
-    projection, const double[:, ::1] camera_T_ego, const double[::1] x_m, const double[::1] y_m,
-    const double[:, ::1] z_m, const uint8_t[:, :] drivable, const float[:, :] depth_m, double tolerance, double slack_m,
-    uint8_t[:, ::1] visible,
+    projection, const double[:, ::1] camera_T_ego, middles, const uint8_t[:, :] drivable, const float[:, :] depth_m,
+    double tolerance, double slack_m, uint8_t[:, ::1] visible,
 ):
+    cdef const double[::1] x_m = middles[0], y_m = middles[1]
+    cdef const double[:, ::1] z_m = middles[2]
     cdef double fx, fy, cx, cy, x, y, z, right, down, ahead, column, row
     cdef Py_ssize_t j, i, v, u, height = drivable.shape[0], width = drivable.shape[1]
     cdef const double* T

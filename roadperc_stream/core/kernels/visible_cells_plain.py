@@ -1,6 +1,6 @@
 """Cells of a grid on the road that an image shows to be drivable, by numpy."""
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,18 @@ _BESIDE: Final = np.arange(-1, 2)[:, None]
 _NEAREST_M: Final = 1e-6
 
 
+class Middles(NamedTuple):
+    """Of a grid's cells, ego frame: ``x_m`` (C,) of columns, ``y_m`` (R,) of rows, the road's ``z_m`` (R, C)."""
+
+    x_m: Float
+    y_m: Float
+    z_m: Float
+
+
 def mark_visible(
     projection: Projection,
     camera_T_ego: Float,
-    x_m: Float,
-    y_m: Float,
-    z_m: Float,
+    middles: Middles,
     drivable: NDArray[np.uint8],
     depth_m: NDArray[np.float32] | None,
     tolerance: float,
@@ -35,9 +41,7 @@ def mark_visible(
     Args:
         projection: of the camera.
         camera_T_ego: (4, 4).
-        x_m: (C,) of the columns' middles, ego frame.
-        y_m: (R,) of the rows'.
-        z_m: (R, C) the road's height there.
+        middles: of the cells.
         drivable: (H, W) 0 or 1.
         depth_m: (H, W) of the same pixels, NaN hides the road; None: no depth can.
         tolerance: share of the distance by which the depth may differ from it.
@@ -47,6 +51,7 @@ def mark_visible(
     Raises:
         ValueError: the arrays do not fit each other.
     """
+    x_m, y_m, z_m = middles
     require_belonging(
         *(a.shape for a in (camera_T_ego, x_m, y_m, z_m, drivable)),
         None if depth_m is None else depth_m.shape,

@@ -141,7 +141,7 @@ def test_what_a_crest_hides_is_unknown():
     assert (area(occupancy, 8, 24, -2, 2) == FREE).all()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(5.0, 30.0), st.floats(-4.0, 4.0))
 def test_a_board_is_where_it_stands(x, y):
     occupancy = grid(*pictures(block=(x, y - 0.5, y + 0.5, 1.5)))

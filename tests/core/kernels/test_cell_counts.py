@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.core.kernels import cell_counts_plain
-from roadperc_stream.core.kernels.cell_counts import Cells
+from roadperc_stream.core.kernels.cell_counts import Cells, KnownPixels
 from roadperc_stream.core.kernels.ray_points import Rays
 
 compiled = pytest.importorskip("roadperc_stream.core.kernels.cell_counts_compiled")
@@ -18,9 +18,9 @@ OBSTACLE_TAGS = np.zeros(256, np.uint8)
 OBSTACLE_TAGS[[7, 255]] = 1
 
 
-def counted(kernel, *points):
+def counted(kernel, depth, rays, abd, height, drivable, tags):
     free, occupied = np.zeros(SHAPE, np.int64), np.zeros(SHAPE, np.int64)
-    kernel.count_points(CELLS, *points, OBSTACLE_TAGS, free, occupied)
+    kernel.count_points(CELLS, KnownPixels(depth, height, drivable, tags), rays, abd, OBSTACLE_TAGS, free, occupied)
     return free, occupied
 
 
@@ -94,4 +94,4 @@ def test_what_does_not_fit_is_refused(kernel):
         counted(kernel, depth[:, 1:], rays, LEVEL, None, marks[:, 1:], marks[:, 1:])
     counts = np.zeros((2, 2), np.int64), np.zeros((2, 3), np.int64)
     with pytest.raises(ValueError, match="counts of"):
-        kernel.count_points(CELLS, depth, rays, LEVEL, None, marks, marks, OBSTACLE_TAGS, *counts)
+        kernel.count_points(CELLS, KnownPixels(depth, None, marks, marks), rays, LEVEL, OBSTACLE_TAGS, *counts)

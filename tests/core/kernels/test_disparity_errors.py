@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
@@ -30,7 +30,6 @@ def test_a_row_worked_out_by_hand(kernel):
     assert (counted, bad) == (5, 2)
 
 
-@settings(deadline=None)
 @given(st.data(), SHAPES, st.floats(0.0, 80.0, width=32), st.floats(0.0, 3.0, width=32), st.floats(0, 1, width=32))
 def test_both_ways_have_the_same_bits(data, shape, max_depth_m, bad_px, bad_share):
     estimated_m, true_m = (data.draw(arrays(np.float32, shape, elements=DEPTHS)) for _ in range(2))

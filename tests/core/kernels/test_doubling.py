@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
@@ -32,7 +32,6 @@ def test_a_slope_is_interpolated_as_opencv_has_it(kernel):
     np.testing.assert_allclose(kernel.doubled(half, 100.0), expected, rtol=3e-7)
 
 
-@settings(deadline=None)
 @given(arrays(np.float32, SHAPES, elements=NUMBERS), st.sampled_from([0.5, 1.0, 1e9]))
 def test_both_ways_have_the_same_bits(half, step_px):
     np.testing.assert_array_equal(compiled.doubled(half, step_px), plain.doubled(half, step_px), strict=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -17,7 +17,6 @@ DISPARITIES = st.one_of(
 )
 
 
-@settings(deadline=None)
 @given(arrays(np.float32, st.tuples(st.integers(0, 4), st.integers(0, 12)), elements=DISPARITIES), st.floats(0.0, 2.0))
 def test_both_ways_see_the_same(disparity_px, occlusion_px):
     expected = occlusion_plain.seen_by_both(disparity_px, occlusion_px)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
@@ -39,7 +39,6 @@ def test_texture_is_moved_to_where_it_fits(kernel):
     assert np.median(np.abs(found[:, 8:52] - 3.3)) < 0.03
 
 
-@settings(deadline=None)
 @given(st.data(), SHAPES, SIZES)
 def test_both_ways_have_the_same_bits(data, shape, size):
     left, right = (data.draw(arrays(np.uint8, shape)) for _ in range(2))

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from roadperc_stream.core.geometry import inverse, level_mounting
 from roadperc_stream.core.kernels import visible_cells_plain
 from roadperc_stream.core.kernels.reprojection_plain import Projection
+from roadperc_stream.core.kernels.visible_cells import Middles
 
 compiled = pytest.importorskip("roadperc_stream.core.kernels.visible_cells_compiled")
 BOTH = pytest.mark.parametrize("kernel", [visible_cells_plain, compiled], ids=["plain", "compiled"])
@@ -22,7 +23,7 @@ FLAT = np.zeros((2, 3))
 
 def marked(kernel, drivable, depth=None, tolerance=0.1, slack_m=0.2, z=FLAT):
     visible = np.full(z.shape, 7, np.uint8)
-    kernel.mark_visible(PROJECTION, CAMERA_T_EGO, X, Y, z, drivable, depth, tolerance, slack_m, visible)
+    kernel.mark_visible(PROJECTION, CAMERA_T_EGO, Middles(X, Y, z), drivable, depth, tolerance, slack_m, visible)
     return visible
 
 
@@ -71,7 +72,9 @@ def test_most_of_nine_pixels_are_their_median(kernel, seed):
     for column in range(9):  # row 3 + column of the image: each cell in its own column of it
         at = x[column : column + 1]
         one = np.empty((16, 1), np.uint8)
-        kernel.mark_visible(PROJECTION, CAMERA_T_EGO, at, y * at, np.zeros((16, 1)), drivable, None, 0.0, 0.0, one)
+        kernel.mark_visible(
+            PROJECTION, CAMERA_T_EGO, Middles(at, y * at, np.zeros((16, 1))), drivable, None, 0.0, 0.0, one
+        )
         visible[:, column : column + 1] = one
     np.testing.assert_array_equal(visible, expected[3:12].T)
 

@@ -84,7 +84,7 @@ def test_standing_still_is_aligned_but_has_no_scale():
             align(estimated, true, "sim3")
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1), how=st.sampled_from(["se3", "sim3"]))
 def test_no_rigid_motion_of_the_estimate_changes_what_is_left(seed, how):
     estimated = noisy(TRUE, 7)
@@ -92,14 +92,14 @@ def test_no_rigid_motion_of_the_estimate_changes_what_is_left(seed, how):
     assert rmse_m(moved, TRUE, how) == pytest.approx(rmse_m(estimated, TRUE, how), rel=1e-9)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1), scale=st.floats(0.01, 100))
 def test_no_scale_of_the_estimate_changes_what_sim3_leaves(seed, scale):
     estimated = noisy(TRUE, seed)
     assert rmse_m(scaled(estimated, scale), TRUE, "sim3") == pytest.approx(rmse_m(estimated, TRUE, "sim3"), rel=1e-8)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_more_freedom_never_leaves_more(seed):
     estimated = rigid(seed) @ noisy(TRUE, seed)
@@ -107,7 +107,7 @@ def test_more_freedom_never_leaves_more(seed):
     assert left == sorted(left)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_small_turn_makes_it_better(seed):
     """The best turn is a best one: any other nearby leaves more."""

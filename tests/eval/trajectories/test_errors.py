@@ -72,7 +72,7 @@ def test_pairs_of_metres_by_hand():
     assert list(zip(first.tolist(), second.tolist(), strict=True)) == [(0, 2), (4, 5)]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     steps_m=st.lists(st.one_of(st.just(0.0), st.floats(0.001, 3.0)), min_size=1, max_size=40),
     length_m=st.floats(0.01, 10.0),
@@ -111,7 +111,7 @@ def test_no_stretch_fits_into_a_short_path():
     assert [len(part) for part in segment_errors(straight(11, 1.0), straight(11, 1.0), 10.0, 1)] == [0, 0]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_rigid_motion_of_either_path_changes_what_is_relative(seed):
     true = helix(60)

@@ -147,7 +147,7 @@ def test_a_mask_of_another_size_is_refused():
 coordinates = st.floats(-1e9, 1e9) | st.just(np.nan) | st.just(np.inf)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(1, 90),
     st.integers(1, 120),

@@ -19,7 +19,7 @@ from roadperc_stream.chain.stages.objects.sparse import own_distances
 from roadperc_stream.core.config import ObjectsConfig
 from roadperc_stream.core.datatypes import Absent, Detection, Image, Object, Objects, Reason
 from roadperc_stream.core.geometry import Float32
-from roadperc_stream.core.kernels.class_pixels import count_of_class
+from roadperc_stream.core.kernels.class_pixels import count_of_class, mark
 from roadperc_stream.core.scene import Scene
 from roadperc_stream.core.semantics import label_lookup
 
@@ -126,7 +126,7 @@ def _of_class(scene: Scene, lookup: Image | None, box: tuple[int, int, int, int]
     if scene.tags is None or lookup is None:
         return None
     x0, y0, x1, y1 = box
-    return np.asarray(cv2.LUT(np.ascontiguousarray(scene.tags[y0:y1, x0:x1]), lookup), np.uint8)
+    return mark(scene.tags[y0:y1, x0:x1], lookup)
 
 
 def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image | None) -> bool:

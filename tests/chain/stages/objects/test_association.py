@@ -36,7 +36,7 @@ def depth_image():
     return 5 + rows / 10 + columns / 20
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(drives, st.randoms(use_true_random=False))
 def test_the_order_of_detections_decides_nothing_but_the_order_of_objects(frames, random):
     usual, shuffled, depth = Follower(), Follower(), depth_image()
@@ -47,7 +47,7 @@ def test_the_order_of_detections_decides_nothing_but_the_order_of_objects(frames
         assert [item.detection for item in b] == other
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(drives)
 def test_names_are_unique_in_a_frame_and_never_given_anew(frames):
     follower, known = Follower(), set()

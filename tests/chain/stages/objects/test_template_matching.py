@@ -55,3 +55,20 @@ def test_a_flat_image_matches_nothing():
     assert correlate(flat, TEMPLATE, WHOLE).match(-1.0) is None
     flat[30:42, 50:70] = TEMPLATE
     assert correlate(flat, TEMPLATE, WHOLE).match(0.9)[0] == Box(50, 30, 70, 42)
+
+
+def test_the_score_at_the_peak_is_that_of_the_definition():
+    rng = np.random.default_rng(3)
+    image = rng.integers(0, 256, (90, 120), np.uint8)
+    template = (image[40:60, 30:70] * 0.5 + rng.integers(0, 90, (20, 40))).astype(np.uint8)
+    found = correlate(image, template, Box(0, 0, 120, 90))
+    expected = np.corrcoef(image[40:60, 30:70].ravel(), template.ravel())[0, 1]
+    box_px, score = found.peak
+    assert (box_px.x_min, box_px.y_min) == (30, 40)
+    assert score == np.float32(expected)
+
+
+def test_brightness_and_contrast_do_not_count():
+    image = np.random.default_rng(4).integers(0, 120, (300, 400), np.uint8)
+    _, score = correlate(image, 2 * image[100:180, 200:290] + 7, Box(0, 0, 400, 300)).peak
+    assert score == 1.0

@@ -44,7 +44,7 @@ def pixels_of(this_T_key, X):
     return g.project(CAMERA, g.transform(this_T_key, X)).astype(np.float32)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(this_T_key=motions)
 def test_points_give_the_motion_despite_outliers(this_T_key):
     X = cloud()
@@ -56,7 +56,7 @@ def test_points_give_the_motion_despite_outliers(this_T_key):
     assert not motion.inliers[::5].any()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(this_T_key=motions)
 def test_rays_give_rotation_direction_and_length(this_T_key):
     X = cloud()
@@ -151,7 +151,7 @@ def test_too_few_points_give_no_motion(points):
     assert motion_from_rays(FULL, CAMERA, pixels_of(np.eye(4), X), pixels_of(np.eye(4), X), X, 1.0) is None
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(nx=st.floats(-0.3, 0.3), nz=st.floats(-0.3, 0.3), shrink=st.sampled_from([1, 2]))
 def test_local_planes_of_a_plane_are_exact(nx, nz, shrink):
     plane = g.Plane.of(np.array([nx, -1.0, nz - 1.0]), 12.0)

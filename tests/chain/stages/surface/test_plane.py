@@ -24,7 +24,7 @@ def fit(road, depth_m, mask, cfg=CFG, seed=0):
     return fit_surface(cfg, depth, mask, np.random.default_rng(seed))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(0.8, 3.0))
 def test_recovers_any_plane(pitch, roll, height_m):
     road = Road(pitch=pitch, roll=roll, height_m=height_m, width=320, height=240)

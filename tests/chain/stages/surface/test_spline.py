@@ -57,7 +57,7 @@ def second_differences(surface):
     return np.diff(height_at(surface, x, np.zeros_like(x)), 2)
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(st.floats(-0.1, 0.1), st.floats(-0.04, 0.04), st.floats(-0.04, 0.04), st.floats(-0.03, 0.03))
 def test_recovers_any_gentle_hill(grade, bank, pitch, roll):
     hill = replace(HILL, grade=grade, bank=bank, pitch=pitch, roll=roll)
