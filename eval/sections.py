@@ -261,13 +261,13 @@ def _score(score: Score | None) -> tuple[str, ...]:
 
 
 def _speed(summary: Summary) -> str:
-    """Frames a second, and how that compares with the log's own time."""
+    """Frames a second of one core's time, and how that compares with the log's own time."""
     total = summary.statistics.get(TOTAL.column)
     if total is None or total.total <= 0:
         return ""
     rate_hz = 1000 * total.values / total.total
     against = f", {rate_hz / summary.rate_hz:.1f} times real time" if summary.rate_hz else ""
-    return f"{rate_hz:.1f} frames/s{against}"
+    return f"{rate_hz:.1f} frames/s a core{against}"
 
 
 def _remarks(summaries: Summaries, remark: Callable[[Summary], str]) -> Iterator[str]:

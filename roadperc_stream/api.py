@@ -303,6 +303,8 @@ def _config(config: Config) -> ReplayConfig:
 
 
 def _threads(threads: int | None) -> int:
+    if threads is not None and (isinstance(threads, bool) or not isinstance(threads, int)):
+        raise TypeError(f"threads: {threads!r}, expected a whole number of 1 or more")
     if threads is not None and threads < 1:
         raise ConfigError(f"threads: {threads}, expected 1 or more")
     return threads or usable_cores()

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import signal
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -27,6 +28,8 @@ STREAM_VARIABLES = (
 
 for _name in STREAM_VARIABLES:
     os.environ.pop(_name, None)
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it is ignored, and by all processes that tests start
 
 settings.register_profile("roadperc", settings(), deadline=None)  # a machine may be busy with other things
 settings.load_profile("roadperc")

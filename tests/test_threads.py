@@ -266,6 +266,15 @@ def test_the_command_and_the_api_take_a_number_of_threads(tmp_path, monkeypatch)
     assert told == [5, 2, 7, 1]
 
 
+@pytest.mark.parametrize("threads", ["x", 1.5, True])
+def test_threads_are_counted_in_whole_numbers(tmp_path, capsys, threads):
+    with pytest.raises(TypeError, match=f"threads: {threads!r}, expected a whole number of 1 or more"):
+        rp.replay(tmp_path / "in.mcap", tmp_path / "out.mcap", threads=threads)
+    with pytest.raises(SystemExit):
+        main(["in.mcap", str(tmp_path / "out.mcap"), "--threads", str(threads)])
+    assert f"--threads: '{threads}': expected a whole number of 1 or more" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("threads", [0, -1])
 def test_no_threads_are_too_few(tmp_path, capsys, threads):
     source = logs.write(tmp_path / "in.mcap", drive(1))

@@ -165,7 +165,10 @@ def _interrupt_again(ignored: "sys.UnraisableHookArgs") -> None:
 
 def whole_number(text: str) -> int:
     """An argument of 1 or more."""
-    number = int(text)
+    try:
+        number = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number of 1 or more") from None
     if number < 1:
         raise argparse.ArgumentTypeError(f"{text}: expected 1 or more")
     return number

@@ -100,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
         "--threads",
         metavar="N",
         type=whole_number,
-        help="how many threads share the work (default: the cores); OUT.mcap is the same with any number",
+        help="how many threads share the work, five at most (default: the cores); OUT.mcap is the same with any number",
     )
     add("--force", action="store_true", help="replace an existing OUT.mcap, but no recording")
     add("--quiet", action="store_true", help="print errors only")

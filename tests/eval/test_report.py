@@ -69,7 +69,7 @@ def test_times_and_share_of_the_total(drive, capsys):
     _, text, _ = report(capsys, drive)
     assert line_of(text, "surface  ") == ["surface", "2.00", "2.00", "2.00", "50.0"]
     assert line_of(text, "rest")[1:] == ["1.00", "1.00", "1.00", "25.0"]
-    assert "250.0 frames/s, 12.5 times real time" in text
+    assert "250.0 frames/s a core, 12.5 times real time" in text
 
 
 def test_worst_frames_with_their_times(drive, capsys):
