@@ -25,8 +25,6 @@ from roadperc_stream.formats import png
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
 
-DEPTH_LIMIT_MM: Final = 65535
-UNKNOWN_MM: Final = 0
 PNG_MAGIC: Final = png.MAGIC
 _JPEG_MAGIC: Final = b"\xff\xd8"
 _JPEG_FRAME: Final = struct.Struct(">BBHBHH")

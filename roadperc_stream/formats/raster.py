@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.core.datatypes import Image
 from roadperc_stream.core.geometry import Float32
+from roadperc_stream.core.kernels.depth import DEPTH_LIMIT_MM
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
@@ -134,7 +135,7 @@ class Raster:
             raise DecodeError(f"depth of encoding {self.encoding!r}: expected one of {', '.join(_DEPTHS)}")
         pixels = self.pixels()
         if pixels.dtype.kind == "u":
-            return images.depth_from_mm(pixels), images.DEPTH_LIMIT_MM / 1000
+            return images.depth_from_mm(pixels), DEPTH_LIMIT_MM / 1000
         depth_m = pixels.astype(np.float32)
         depth_m[~(depth_m > 0)] = np.nan
         return depth_m, np.inf

@@ -26,6 +26,7 @@ from mcap.stream_reader import StreamReader
 from PIL import Image as PillowImage
 
 from roadperc_stream.api import frames
+from roadperc_stream.chain.stages.stereo.matching import matcher_of
 from roadperc_stream.chain.stages.stereo.pair import disparities_needed
 from roadperc_stream.core.config import LanesConfig, ReplayConfig, StereoConfig, scaled
 from roadperc_stream.core.threads import one_thread
@@ -135,18 +136,7 @@ def disparities_of(log: Path) -> int:
 def match_pair(cfg: StereoConfig, disparities: int, left: Array, right: Array, times: Times) -> None:
     """Disparities at half resolution, as ``fast`` has them, with columns beside the image for those near its edge."""
     count = -(-disparities // 32) * 16
-    matcher = cv2.StereoSGBM.create(
-        minDisparity=0,
-        numDisparities=count,
-        blockSize=cfg.block_px,
-        P1=cfg.p1,
-        P2=cfg.p2,
-        disp12MaxDiff=cfg.left_right_px,
-        uniquenessRatio=cfg.uniqueness_percent,
-        speckleWindowSize=cfg.speckle_px,
-        speckleRange=cfg.speckle_step_px,
-        mode=cv2.StereoSGBM_MODE_SGBM_3WAY,
-    )
+    matcher = matcher_of(cfg, count)
     halves = [cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in (left, right)]
     wide = [cv2.copyMakeBorder(half, 0, 0, count, 0, cv2.BORDER_REPLICATE) for half in halves]
     with times("disparity"):

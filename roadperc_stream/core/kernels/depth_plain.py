@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-_UNKNOWN_MM: Final = 0
-_MOST_MM: Final = 65535
+UNKNOWN_MM: Final = 0
+DEPTH_LIMIT_MM: Final = 65535
 
 
 def metres_of_mm(depth_mm: NDArray[np.uint16], depth_m: NDArray[np.float32]) -> None:
@@ -22,7 +22,7 @@ def metres_of_mm(depth_mm: NDArray[np.uint16], depth_m: NDArray[np.float32]) -> 
     _require_equal(depth_mm, depth_m)
     depth_m[...] = depth_mm
     depth_m *= np.float32(0.001)
-    depth_m[depth_mm == _UNKNOWN_MM] = np.nan
+    depth_m[depth_mm == UNKNOWN_MM] = np.nan
 
 
 def mm_of_metres(depth_m: NDArray[np.float32], depth_mm: NDArray[np.uint16]) -> None:
@@ -38,9 +38,9 @@ def mm_of_metres(depth_m: NDArray[np.float32], depth_mm: NDArray[np.uint16]) -> 
     _require_equal(depth_m, depth_mm)
     known = depth_m > 0
     with np.errstate(over="ignore"):  # what is too far for a number is beyond the range
-        millimetres = np.clip(np.where(known, depth_m, 0.0) * np.float32(1000.0), _UNKNOWN_MM, _MOST_MM)
+        millimetres = np.clip(np.where(known, depth_m, 0.0) * np.float32(1000.0), UNKNOWN_MM, DEPTH_LIMIT_MM)
     depth_mm[...] = np.rint(millimetres)
-    depth_mm[known & (depth_mm == _UNKNOWN_MM)] = 1
+    depth_mm[known & (depth_mm == UNKNOWN_MM)] = 1
 
 
 def _require_equal(depths: NDArray[np.generic], into: NDArray[np.generic]) -> None:

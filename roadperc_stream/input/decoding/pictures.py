@@ -8,6 +8,7 @@ import numpy as np
 from roadperc_stream.core.config import LimitsConfig
 from roadperc_stream.core.datatypes import CameraImage, DepthImage, InstanceImage, TagImage
 from roadperc_stream.core.geometry import Float32
+from roadperc_stream.core.kernels.depth import DEPTH_LIMIT_MM, UNKNOWN_MM
 from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
@@ -139,12 +140,12 @@ def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[F
         raise DecodeError(f"depth of format {layout!r}: {len(content)} bytes, expected a header of 12 bytes")
     pixels = _png16(layout, content[_DEPTH_HEADER.size :] if headed else content, limits)
     if not layout.startswith("32FC1"):
-        return images.depth_from_mm(pixels), images.DEPTH_LIMIT_MM / 1000
+        return images.depth_from_mm(pixels), DEPTH_LIMIT_MM / 1000
     if not headed:
         raise DecodeError(f"depth of format {layout!r}: expected 16UC1, or compressedDepth")
     _, scale, offset = _DEPTH_HEADER.unpack_from(content)
     depth_m = np.float32(scale) / (pixels.astype(np.float32) - np.float32(offset))
-    depth_m[(pixels == images.UNKNOWN_MM) | ~(depth_m > 0)] = np.nan
+    depth_m[(pixels == UNKNOWN_MM) | ~(depth_m > 0)] = np.nan
     return depth_m, np.inf
 
 

@@ -59,15 +59,9 @@ def _found(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:
     return np.where(sixteenths > 0, sixteenths * np.float32(1 / _PARTS), np.float32(np.nan))
 
 
-def _matched(cfg: StereoConfig, count: int, left: Image, right: Image) -> NDArray[np.int16]:
-    """(H, W) disparities in sixteenths of a pixel of these images.
-
-    OpenCV marks the unknown with -1; 0 is what it finds where no disparity fits better than another.
-
-    OpenCV gives no disparity in the first ``count`` columns, where not all of them can be tried. Both images get that
-    many columns more: with 192 of 1280 columns that is a quarter more time, and a seventh more of the image.
-    """
-    matcher = cv2.StereoSGBM.create(
+def matcher_of(cfg: StereoConfig, count: int) -> cv2.StereoSGBM:
+    """OpenCV's matcher by the settings, for a number of disparities that it can try."""
+    return cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=count,
         blockSize=cfg.block_px,
@@ -79,6 +73,17 @@ def _matched(cfg: StereoConfig, count: int, left: Image, right: Image) -> NDArra
         speckleRange=cfg.speckle_step_px,
         mode=cv2.StereoSGBM_MODE_SGBM_3WAY,
     )
+
+
+def _matched(cfg: StereoConfig, count: int, left: Image, right: Image) -> NDArray[np.int16]:
+    """(H, W) disparities in sixteenths of a pixel of these images.
+
+    OpenCV marks the unknown with -1; 0 is what it finds where no disparity fits better than another.
+
+    OpenCV gives no disparity in the first ``count`` columns, where not all of them can be tried. Both images get that
+    many columns more: with 192 of 1280 columns that is a quarter more time, and a seventh more of the image.
+    """
+    matcher = matcher_of(cfg, count)
     wide = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
     sixteenths: NDArray[np.int16] = np.asarray(matcher.compute(*wide), np.int16)
     return sixteenths[:, count:]
