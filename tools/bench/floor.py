@@ -26,9 +26,10 @@ from mcap.stream_reader import StreamReader
 from PIL import Image as PillowImage
 
 from roadperc_stream.api import frames
+from roadperc_stream.chain.stages.lanes.lines import propose
 from roadperc_stream.chain.stages.stereo.matching import matcher_of
 from roadperc_stream.chain.stages.stereo.pair import disparities_needed
-from roadperc_stream.core.config import LanesConfig, ReplayConfig, StereoConfig, scaled
+from roadperc_stream.core.config import LanesConfig, ReplayConfig, StereoConfig
 from roadperc_stream.core.threads import one_thread
 from roadperc_stream.formats import images
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
@@ -112,17 +113,9 @@ def perceive(log: Path, cfg: ReplayConfig, times: Times) -> int:
 def propose_lines(cfg: LanesConfig, tags: Array, times: Times) -> None:
     """Hough lines of the separators' edges."""
     mask = np.isin(tags, (ROAD_LINE, SIDEWALK)).astype(np.uint8) * 255
-    scale = scaled(1.0, tags.shape[0])
     edges = cv2.Canny(cv2.medianBlur(mask, 5), cfg.canny_low, cfg.canny_high)
     with times("hough"):
-        cv2.HoughLinesP(
-            edges,
-            cfg.hough_rho_px * scale,
-            np.radians(cfg.hough_theta_deg),
-            max(round(cfg.hough_threshold * scale), 1),
-            minLineLength=cfg.hough_min_length_px * scale,
-            maxLineGap=cfg.hough_max_gap_px * scale,
-        )
+        propose(cfg, np.asarray(edges, np.uint8))
 
 
 def disparities_of(log: Path) -> int:
