@@ -45,5 +45,13 @@ class TargetError(RoadpercError):
     """A file that may not be written under the name asked for."""
 
 
+class StorageError(RoadpercError):
+    """A place that cannot be reached, read or written."""
+
+
+class ClusterError(RoadpercError):
+    """A cluster that cannot be joined, or that is lost."""
+
+
 class ProgramError(RoadpercError):
     """A program that was started for what it does or takes, and failed."""

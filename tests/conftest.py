@@ -6,12 +6,14 @@ import signal
 from collections import Counter
 from functools import cache
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 from hypothesis import settings
 
 from roadperc_stream.cli import launch
 from tests.commands import SCRIPTS
+from tests.object_store import environment_of, object_server
 
 DEFAULT_DATA = Path(__file__).parents[2] / "shared" / "data"
 STREAM_VARIABLES = (
@@ -77,3 +79,22 @@ def data_dir() -> Path:
     if not (path / "course_frames").is_dir():
         pytest.skip(f"no recordings at {path}; set ROADPERC_DATA to their folder")
     return path
+
+
+@pytest.fixture(scope="session")
+def s3_server(tmp_path_factory):
+    """An object store in a process of its own, started when the first test asks for it."""
+    with object_server(tmp_path_factory.mktemp("s3")) as server:
+        yield server
+
+
+@pytest.fixture
+def bucket(s3_server, monkeypatch):
+    """The address of an empty bucket, and what reaches it in the environment."""
+    for name in [name for name in os.environ if name.startswith("AWS_")]:
+        monkeypatch.delenv(name)
+    for name, value in environment_of(s3_server.url).items():
+        monkeypatch.setenv(name, value)
+    name = f"test-{uuid4().hex}"
+    s3_server.send("PUT", name)
+    return f"s3://{name}"

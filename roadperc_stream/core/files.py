@@ -4,11 +4,11 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from roadperc_stream.errors import TargetError
+from roadperc_stream.errors import RoadpercError, TargetError
 
 TABLE_SUFFIX: Final = ".parquet"
 METRICS_SUFFIX: Final = ".metrics.parquet"
@@ -66,17 +66,22 @@ def real_path(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def target_errors(target: Path) -> AbstractContextManager[None]:
+    """What the system refuses in writing a file, as a TargetError that names the file."""
+    return system_errors(target, TargetError)
+
+
 @contextmanager
-def target_errors(target: Path) -> Iterator[None]:
-    """What the system refuses in writing a file, as an error that names the file.
+def system_errors(path: str | Path, kind: type[RoadpercError]) -> Iterator[None]:
+    """What the system refuses, as an error that names the file.
 
     Raises:
-        TargetError: the folder or the file cannot be written.
+        RoadpercError: of this kind: the folder or the file cannot be read, or written.
     """
     try:
         yield
     except OSError as error:
-        raise TargetError(f"{target}: {error.strerror or error}") from error
+        raise kind(f"{path}: {error.strerror or error}") from error
 
 
 def sync_file(path: Path) -> None:
@@ -99,14 +104,15 @@ def sync_folder(folder: Path) -> None:
             os.close(number)
 
 
-def partial_of(target: Path, suffix: str = "") -> Path:
+def partial_of(target: Path, suffix: str = "", mark: str = "") -> Path:
     """The hidden name next to a target under which this process writes it.
 
     Args:
         target: the file or folder.
         suffix: how the name is to end, for libraries that go by it; by default as no file that is searched for does.
+        mark: a text of one writer alone, where processes of other machines, whose numbers may be the same, write there.
     """
-    return target.with_name(f".{target.name}.{os.getpid()}.partial{suffix}")
+    return target.with_name(f".{target.name}.{mark or os.getpid()}.partial{suffix}")
 
 
 def remove_dead_partials(target: Path) -> None:
@@ -137,18 +143,19 @@ def _is_alive(process: int) -> bool:
 
 
 @contextmanager
-def completing(target: Path, *, force: bool = True) -> Iterator[Path]:
+def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[Path]:
     """A name next to the target to write to, which becomes the target where the block ends without an error.
 
     Args:
         target: the file.
         force: replace what has come to stand there meanwhile.
+        mark: of this writer alone, where other machines write to the same folder.
 
     Raises:
         TargetError: the folder or the file cannot be written, or may not be.
     """
     require_plain(target)
-    temporary = partial_of(target, target.suffix)
+    temporary = partial_of(target, target.suffix, mark)
     try:
         with target_errors(target):
             target.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,144 @@
+"""A real object store on this machine: moto's S3 server in a process of its own, and a connection to it that breaks."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import threading
+import urllib.request
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import quote
+
+SERVER = """
+import sys
+from moto.server import ThreadedMotoServer
+server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+server.start()
+print(server.get_host_and_port()[1], flush=True)
+sys.stdin.read()
+"""
+"""Ends when the process that started it does."""
+
+
+@dataclass(frozen=True)
+class ObjectServer:
+    """An S3 server that takes any credentials until it is told otherwise."""
+
+    port: int
+    log: Path
+
+    @property
+    def url(self):
+        return f"http://127.0.0.1:{self.port}"
+
+    def send(self, method, path, data=None):
+        """An unsigned request, which the server grants as long as it checks no credentials."""
+        kind = {"Content-Type": "application/octet-stream"}
+        request = urllib.request.Request(f"{self.url}/{quote(path)}", data=data, method=method, headers=kind)
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return answer.read()
+
+    @contextmanager
+    def checking_credentials(self):
+        """Within the block requests are refused whose keys the server has not given out."""
+        self.send("POST", "moto-api/reset-auth", b"0")
+        try:
+            yield
+        finally:
+            self.send("POST", "moto-api/reset-auth", b"inf")
+
+    def requests(self):
+        """What was asked for so far: ``GET /bucket?list-type=2``, in order."""
+        return [line.split('"')[1].rpartition(" ")[0] for line in self.log.read_text().splitlines() if '"' in line]
+
+
+@contextmanager
+def object_server(folder):
+    """A server with nothing in it, and its log in a folder."""
+    log = folder / "requests.log"
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("AWS_")}
+    with log.open("wb") as stream:
+        process = subprocess.Popen(
+            [sys.executable, "-c", SERVER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=stream,
+            env={**environment, "PYTHONWARNINGS": "ignore"},
+        )
+    with process:
+        yield ObjectServer(int(process.stdout.readline()), log)
+        process.stdin.close()
+
+
+def environment_of(url):
+    """What a process needs in its environment to reach a server."""
+    return {
+        "AWS_ACCESS_KEY_ID": "testing",
+        "AWS_SECRET_ACCESS_KEY": "testing",
+        "AWS_ENDPOINT_URL": url,
+        "AWS_EC2_METADATA_DISABLED": "true",
+    }
+
+
+@dataclass
+class BreakingProxy:
+    """Passes connections on to a server, and breaks them off where they bring too much.
+
+    Attributes:
+        target: port of the server.
+        after_bytes: a connection breaks when it carried this much, in either direction.
+        breaks: how many more connections break; the others are passed on whole.
+        first_bytes: what comes before the first break, over all connections.
+        brought_bytes: what came from the server so far.
+    """
+
+    target: int
+    after_bytes: int
+    breaks: int
+    first_bytes: int = 0
+    brought_bytes: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def __enter__(self):
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._listening.getsockname()[1]}"
+        self._accepting = threading.Thread(target=self._accept)
+        self._accepting.start()
+        return self
+
+    def __exit__(self, *raised):
+        self._listening.shutdown(socket.SHUT_RDWR)
+        self._listening.close()
+        self._accepting.join()
+
+    def _accept(self):
+        with contextlib.suppress(OSError):
+            while True:
+                client = self._listening.accept()[0]
+                server = socket.create_connection(("127.0.0.1", self.target))
+                threading.Thread(target=self._pass, args=(client, server, False), daemon=True).start()
+                threading.Thread(target=self._pass, args=(server, client, True), daemon=True).start()
+
+    def _pass(self, source, target, is_answer):
+        brought = 0
+        with contextlib.suppress(OSError):
+            while data := source.recv(1 << 16):
+                brought += len(data)
+                if brought > self.after_bytes and self._breaks_now():
+                    break
+                target.sendall(data)
+                with self._lock:
+                    self.brought_bytes += len(data) * is_answer
+        for end in (source, target):
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+
+    def _breaks_now(self):
+        with self._lock:
+            breaks_now = self.breaks > 0 and self.brought_bytes >= self.first_bytes
+            self.breaks -= breaks_now
+            return breaks_now
