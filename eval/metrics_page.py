@@ -1,4 +1,4 @@
-"""Writes the tables of docs/metrics.md, which come from the table of columns: ``make pages``."""
+"""Writes the tables of columns into pages of docs/: ``make pages``."""
 
 import re
 import sys
@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.schemas.columns import FrameMetrics, ObjectMetrics, columns_of
+from roadperc_stream.schemas.columns.runs import RunRow
 
 _BLOCK: Final = re.compile(r"(<!-- columns: (?P<groups>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """A table in the page, below the names of the groups of columns it defines."""
 _HEADER: Final = "| column | meaning | unit | better | null where |\n|---|---|---|---|---|\n"
-_GROUPS: Final = {group.__name__: group for group in (*FrameMetrics.__bases__, ObjectMetrics)}
+_GROUPS: Final = {group.__name__: group for group in (*FrameMetrics.__bases__, ObjectMetrics, RunRow)}
 
 
 def with_tables(page: str) -> str:
@@ -33,9 +34,9 @@ def table(groups: list[str]) -> str:
 
 
 def main() -> None:
-    """Rewrite the page that is named."""
-    path = Path(sys.argv[1])
-    path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+    """Rewrite the pages that are named."""
+    for path in map(Path, sys.argv[1:]):
+        path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -136,8 +136,8 @@ def _summary_of_finished(target: ReplayTarget, opened: OpenedLog, output: LogSum
     """What an earlier replay of the same did."""
     frames, messages = int(replay_record(output.metadata).get(FRAMES_KEY, 0)), sum(output.counts.values())
     notes = (f"{target.path}: is complete, nothing is left to do",)
-    log_id, warnings = opened.input.log_id, opened.warnings
-    return ReplaySummary(log_id, frames, messages, 0.0, notes, {}, {}, (), warnings, frames, is_new=False)
+    log_id, warnings, first_ns = opened.input.log_id, opened.warnings, opened.input.summary.first_ns or 0
+    return ReplaySummary(log_id, frames, messages, 0.0, notes, {}, {}, (), warnings, frames, None, False, first_ns)
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,8 @@ class ReplaySummary:
     """How far into the log those went, in seconds; None where it was no earlier run that this one went on from."""
     is_new: bool = True
     """Whether anything was written: nothing where the output was complete already."""
+    first_ns: int = 0
+    """Log time of the input's first message, nanoseconds since 1970 where its clock counts so."""
 
     @property
     def frames_per_s(self) -> float:
@@ -154,6 +156,7 @@ class Outputs:
             self._opened.warnings,
             self._frames_before,
             None if resumed_ns is None else ns_to_seconds(resumed_ns - (log_in.summary.first_ns or 0)),
+            first_ns=log_in.summary.first_ns or 0,
         )
 
 

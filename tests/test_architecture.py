@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "formats": BELOW,
     "schemas": BELOW,
     "log": BELOW,
+    "storage": BELOW,
     "chain": BELOW,
     "metrics": BELOW | {"schemas", "chain"},
     "input": INPUT,
@@ -29,10 +30,12 @@ MAY_IMPORT = {
     "state": INPUT | {"input", "chain", "metrics", "output"},
     "outputs": INPUT | {"input", "metrics", "output", "state"},
     "loop": INPUT | {"input", "chain", "output", "state", "outputs"},
+    "batch": INPUT | {"input", "output", "state", "outputs", "loop", "storage"},
     "api": INPUT | {"input", "chain", "metrics", "output", "state", "outputs", "loop"},
     "info": INPUT | {"input", "output"},
     "view": INPUT | {"input", "output"},
-    "cli": INPUT | {"input", "chain", "metrics", "output", "state", "outputs", "loop", "info", "view"},
+    "cli": INPUT
+    | {"input", "chain", "metrics", "output", "state", "outputs", "loop", "batch", "storage", "info", "view"},
 }
 """What each folder, and each module at the root, imports at most; nothing of the package imports tools or eval."""
 MOST_ROOT_MODULES = 6
@@ -126,9 +129,16 @@ def test_only_the_log_package_imports_mcap():
     assert users == {"log"}
 
 
-def test_only_the_table_and_the_evaluation_know_parquet():
+def test_only_the_process_that_speaks_to_ray_imports_it():
+    """Ray prints, takes the signals and may end its process: none of that is to reach a batch."""
+    users = {p.name for p in sources("roadperc_stream") if any(n.split(".")[0] == "ray" for n in imports(p))}
+    assert users == {"ray_session.py"}
+
+
+def test_only_the_tables_the_evaluation_and_the_stores_know_pyarrow():
+    """It reads and writes Parquet, joins the tables of a log's parts by columns, and has the clients of stores."""
     users = {p.name for p in sources("roadperc_stream", "tools") if any(n.startswith("pyarrow") for n in imports(p))}
-    assert users == {"tables.py"}
+    assert users == {"tables.py", "joining.py", "stores.py", "fsspec_stores.py"}
 
 
 def test_functions_have_at_most_eight_parameters():

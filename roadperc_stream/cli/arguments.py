@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roadperc_stream.cli.completers import completed_by, files, settings, topics
+from roadperc_stream.cli.completers import completed_by, files, settings, topics, words
 from roadperc_stream.cli.plumbing import seconds, whole_number
-from roadperc_stream.core.stage_names import STAGES, switched_off
+from roadperc_stream.core.stage_names import NEEDS, STAGES, switched_off
 
 if TYPE_CHECKING:
     from roadperc_stream.core.config import ReplayConfig
@@ -32,6 +32,25 @@ def add_topic_argument(parser: argparse.ArgumentParser) -> None:
         "--topic", metavar="ROLE=/NAME", action="append", default=[], help="the topic of a role"
     )
     completed_by(action, topics)
+
+
+def add_only_argument(parser: argparse.ArgumentParser) -> None:
+    """``--only``, for every command that replays with all stages unless said."""
+    action = parser.add_argument(
+        "--only",
+        metavar="STAGES",
+        type=_stages,
+        help=f"some of {','.join(STAGES)}, with what they need; without a depth sensor name stereo among them",
+    )
+    completed_by(action, words(STAGES))
+
+
+def _stages(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    unknown = [name for name in names if name not in STAGES]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"no stage {unknown[0]!r}; stages: {', '.join(STAGES)}")
+    return names + tuple(needed for name in names for needed in NEEDS.get(name, ()))
 
 
 def time_range_of(arguments: argparse.Namespace) -> "TimeRange":

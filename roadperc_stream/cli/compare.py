@@ -12,6 +12,7 @@ example:
   roadperc-compare base.mcap other.mcap                    tables and, field by field, the messages of both logs
   roadperc-compare base.metrics.parquet other.metrics.parquet --allow surface_angle_error_deg=0.2 --allow 5%
   roadperc-compare reference/ runs/ --update-reference     folders: runs of the same log pair; reference/ is kept
+  roadperc-compare dataset --config default --config lanes.hold_s=2    two configurations of a batch, log by log
 
 exit code 0: no metric is worse than allowed, be the fields identical or not; 1: one is, or a run or frame of A is not
 in B, or, with --exact, a field differs beyond its tolerance; or a stated error. 2: wrong usage.
@@ -25,9 +26,22 @@ lane_left_status.measured). Times are shown, and judged only where --allow names
 
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-compare``: print where two runs part, and whether the second is worse."""
-    arguments = parse(_parser(), argv)
+    parser = _parser()
+    arguments = parse(parser, argv)
+    _require_two(parser, arguments)
     comparing = part("eval.compare")
     return run(lambda: comparing.compare(arguments))
+
+
+def _require_two(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """End with exit code 2 where arguments do not name two sides."""
+    if arguments.candidate is not None:
+        if arguments.config:
+            parser.error("--config: is for two configurations of one batch's OUT_DIR; expected no B")
+    elif part("eval.dataset.place").dataset_at(arguments.reference) is None:
+        parser.error(f"{arguments.reference}: is no OUT_DIR of a batch; expected B to compare it with")
+    elif arguments.update_reference:
+        parser.error("--update-reference: expected A and B; a batch's OUT_DIR is no reference to be replaced")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -39,7 +53,17 @@ def _parser() -> argparse.ArgumentParser:
     )
     inputs = "a metrics table (OUT.metrics.parquet), an OUT.mcap with its table next to it, or a folder of tables"
     reference = parser.add_argument("reference", metavar="A", help=f"the reference: {inputs}")
-    candidate = parser.add_argument("candidate", metavar="B", help="the candidate: the same")
+    candidate = parser.add_argument(
+        "candidate", metavar="B", nargs="?", help="the candidate: the same; not where A is the OUT_DIR of a batch"
+    )
+    parser.add_argument(
+        "--config",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="where A is the OUT_DIR of a batch, twice: the reference's configuration and the candidate's, by name, "
+        "first digits of it, or a setting such as lanes.hold_s=2, or default; of two, the older first if not given",
+    )
     _add_rules(parser)
     parser.add_argument(
         "--exact", action="store_true", help="list every field that differs; one beyond its tolerance is exit code 1"

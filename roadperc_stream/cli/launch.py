@@ -84,9 +84,10 @@ def _end(_number: int, _frame: FrameType | None) -> None:
     os._exit(EXIT_ERROR)
 
 
-COMMANDS = ("compare", "convert", "info", "lanes", "render", "replay", "report", "sweep", "trajectory", "view")
+COMMANDS = ("batch", "compare", "convert", "info", "lanes", "render", "replay", "report", "sweep", "trajectory", "view")
 """Each is a module beside this one, and the console script ``roadperc-...`` of that name."""
 
+batch = partial(_launch, "batch")
 compare = partial(_launch, "compare")
 convert = partial(_launch, "convert")
 info = partial(_launch, "info")

@@ -5,12 +5,11 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.cli.arguments import add_input_arguments
-from roadperc_stream.cli.completers import LOGS, completed_by, files, words
+from roadperc_stream.cli.arguments import add_input_arguments, add_only_argument
+from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.playback import add_serving_arguments, given_options, serving_options
 from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
 from roadperc_stream.core.folders import not_a_log
-from roadperc_stream.core.stage_names import NEEDS, STAGES
 
 _USAGE: Final = """\
 %(prog)s [options] IN.mcap [IN.mcap ...] OUT.mcap
@@ -76,12 +75,7 @@ def _parser() -> argparse.ArgumentParser:
         help="a log, or the parts of one, - for standard input; and last the log to write",
     )
     add_input_arguments(parser)
-    only = add(
-        "--only",
-        metavar="STAGES",
-        type=_stages,
-        help=f"some of {','.join(STAGES)}, with what they need; without a depth sensor name stereo among them",
-    )
+    add_only_argument(parser)
     _add_parts_arguments(parser)
     add("--results-only", action="store_true", help="leave the input's messages out of OUT.mcap")
     add("--overlay", action="store_true", help="write /perception/overlay: the camera image with everything drawn in")
@@ -108,7 +102,6 @@ def _parser() -> argparse.ArgumentParser:
     add_serving_arguments(parser)
     _add_settings_arguments(parser)
     completed_by(logs, files(*LOGS))
-    completed_by(only, words(STAGES))
     completed_by(template, files(".png", ".jpg"))
     return parser
 
@@ -181,11 +174,3 @@ def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespac
     if given:
         option = {"logs": "IN.mcap", "continued": "--continue"}.get(given[0], f"--{given[0].replace('_', '-')}")
         parser.error(f"{option}: not together with {asked}")
-
-
-def _stages(text: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in text.split(","))
-    unknown = [name for name in names if name not in STAGES]
-    if unknown:
-        raise argparse.ArgumentTypeError(f"no stage {unknown[0]!r}; stages: {', '.join(STAGES)}")
-    return names + tuple(needed for name in names for needed in NEEDS.get(name, ()))

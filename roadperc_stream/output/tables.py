@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from roadperc_stream import __version__
@@ -47,16 +48,20 @@ def table_facts(source: Path, target: Path, cfg: ReplayConfig, more: Mapping[str
         cfg: the configuration.
         more: other facts.
     """
-    toml = cfg.to_toml()
     facts = {
-        "config": toml,
-        "config_digest": hashlib.sha256(toml.encode()).hexdigest(),
+        "config": cfg.to_toml(),
+        "config_digest": config_digest(cfg),
         "version": __version__,
         "log": str(target.absolute()),
         "source": str(source.absolute()),
         **(more or {}),
     }
     return {f"{FACT_PREFIX}{key}": value for key, value in facts.items()}
+
+
+def config_digest(cfg: ReplayConfig) -> str:
+    """What tells a configuration from any other, defaults included."""
+    return hashlib.sha256(cfg.to_toml().encode()).hexdigest()
 
 
 def facts_in(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
@@ -129,6 +134,85 @@ def read_rows_around(
         spans = [table.metadata.row_group(i).column(frames).statistics for i in range(table.num_row_groups)]
         group = next((i for i, span in enumerate(spans) if span and span.min <= frame <= span.max), None)
         return [] if group is None else table.read_row_group(group, wanted).to_pylist()
+
+
+@dataclass(frozen=True)
+class TableTotals:
+    """Rows of a table, sums of its columns where they have a value, and the time from its first stamp to its last."""
+
+    rows: int
+    sums: Mapping[str, float]
+    span_ns: int
+
+
+def totals(path: Path, columns: Iterable[str]) -> TableTotals:
+    """What a table of frames adds up to, read in groups of rows.
+
+    Raises:
+        TableError: the file cannot be read, is not Parquet, or lacks a column.
+    """
+    sums: dict[str, float] = {}
+    first_ns, last_ns = None, 0
+    with _opened(path) as table:
+        wanted = _present(path, table, ("stamp_ns", *columns))
+        for batch in table.iter_batches(ROW_GROUP_ROWS, columns=wanted):
+            stamps = pc.min_max(batch["stamp_ns"])
+            first_ns = min(first_ns or stamps["min"].as_py(), stamps["min"].as_py())
+            last_ns = max(last_ns, stamps["max"].as_py())
+            for name in wanted[1:]:
+                total = pc.sum(batch[name]).as_py()
+                if total is not None:
+                    sums[name] = sums.get(name, 0.0) + total
+        rows = table.metadata.num_rows
+    return TableTotals(rows, sums, last_ns - (first_ns or 0))
+
+
+def copy_table(source: Path, target: Path, facts: Mapping[str, str], constant: Mapping[str, Scalar]) -> None:
+    """Copy a table, its row groups as they are, with more columns of one value and some facts replaced.
+
+    Raises:
+        TableError: it cannot be read.
+        TargetError: it cannot be written.
+    """
+    with _opened(source) as table:
+        old = table.schema_arrow
+        more = {f"{FACT_PREFIX}{key}": value for key, value in facts.items()}
+        metadata = {
+            **(old.metadata or {}),
+            **{k.encode(): v.encode("utf-8", "surrogateescape") for k, v in more.items()},
+        }
+        schema = pa.schema([*old, *(_field(name, type(value)) for name, value in constant.items())], metadata)
+        with target_errors(target), pq.ParquetWriter(target, schema, compression="zstd") as copy:
+            for group in range(table.num_row_groups):
+                rows = table.read_row_group(group)
+                columns = [pa.repeat(pa.scalar(value), len(rows)) for value in constant.values()]
+                copy.write_table(pa.Table.from_arrays([*rows.columns, *columns], schema=schema))
+
+
+def read_table(path: Path) -> pa.Table:
+    """A whole table, with the facts of its footer in its schema.
+
+    Raises:
+        TableError: the file cannot be read, or is not Parquet.
+    """
+    with _opened(path) as table:
+        return table.read()
+
+
+def write_table(path: Path, table: pa.Table) -> None:
+    """Write a whole table, as ``TableWriter`` writes its rows; it appears under its name only when complete.
+
+    Raises:
+        TargetError: it cannot be written.
+    """
+    temporary = partial_of(path)
+    try:
+        with target_errors(path):
+            pq.write_table(table, temporary, row_group_size=ROW_GROUP_ROWS, compression="zstd")
+            temporary.replace(path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager

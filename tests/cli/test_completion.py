@@ -79,6 +79,8 @@ def test_every_command_completes_its_options(command, folder):
         ("roadperc-view --video ", ["a.mp4", "drive/"]),
         ("roadperc-view --foxglove-layout ", ["a.json", "drive/"]),
         ("roadperc-sweep --out ", ["drive/"]),
+        ("roadperc-batch ", ["drive/"]),
+        ("roadperc-batch drive ", ["a.mcap", "b.mcap", "drive/"]),
     ],
 )
 def test_files_have_the_right_endings(line, expected, folder):

@@ -120,6 +120,7 @@ LOG_COMMANDS = ("replay LOG result.mcap",) * 8 + (
     "info LOG", "info LOG --json", "view LOG --save view.rrd", "view LOG --save view.rrd",
     "view LOG --foxglove-layout view.json", "view LOG --video view.mp4", "lanes LOG --tusimple lanes.json",
     "sweep LOG --vary lanes.hold_s=0.2,0.5 --out sweep --jobs 1",
+    "batch dataset LOG", "batch dataset LOG --recover --logs",
 )  # fmt: skip
 
 

@@ -101,6 +101,12 @@ def test_sweep(replayed, tmp_path):
     require_plain(run("roadperc-sweep", replayed[0], *options, *topic_options()))
 
 
+def test_batch(replayed, tmp_path):
+    shutil.copy(replayed[0], tmp_path / f"{EVIL[:7]}.mcap")
+    failed = run("roadperc-batch", tmp_path / "dataset", tmp_path, "--timeout", "0.001", *topic_options())
+    require_plain(failed, names=r"\x1b", codes=(1,))
+
+
 def test_trajectory_and_lanes(replayed):
     hostile = replayed[1].with_name(f"{EVIL[:7]}.mcap")
     for path in replayed[1].parent.glob("out.*"):

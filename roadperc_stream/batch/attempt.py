@@ -1,0 +1,209 @@
+"""One attempt at a log, in a process of its own that may take so much time and memory and no more.
+
+Both back ends call ``attempt``: a log that takes the process with it, hangs or fills the memory ends itself alone. The
+process is forked from one that has imported all that a replay needs, so that it starts in hundredths of a second.
+"""
+
+import faulthandler
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from time import monotonic
+from types import ModuleType
+from typing import Final
+from uuid import uuid4
+
+import psutil
+
+from roadperc_stream.batch.task import BUSY, Outcome, Task, megabytes, this_worker
+from roadperc_stream.batch.worker import scratch_of, work
+from roadperc_stream.core.progress import no_progress
+from roadperc_stream.errors import RoadpercError
+
+OUTPUT: Final = "log"
+"""The folder of a dataset for what workers print."""
+_LOOK_EVERY_S: Final = 0.1
+_SAY_EVERY_S: Final = 0.2
+_CONTEXT: Final = multiprocessing.get_context("forkserver")
+_PRELOADED: Final = ("roadperc_stream.batch.worker",)
+_ONE_THREAD: Final = "OPENBLAS_NUM_THREADS"
+_starting: Final = threading.Lock()
+Tell = Callable[[int, int], None]
+"""Takes the frames done and the frames expected of a log while it is replayed."""
+
+
+def attempt(task: Task, stop: threading.Event | None = None, tell: Tell = no_progress) -> Outcome:
+    """Replay a log into the dataset, whatever happens to the process that does it.
+
+    Args:
+        task: the log, and what to do with it.
+        stop: once set, the process is ended.
+        tell: takes its progress.
+
+    Returns:
+        What ``work`` gave, or ``timeout``, ``memory`` or ``killed``.
+    """
+    try:
+        return _attempt(task, stop or threading.Event(), tell)
+    except OSError as error:
+        said = f"{error.filename or scratch_of(task)}: {error.strerror or error}"
+        return Outcome("unreachable", said, worker=this_worker())
+
+
+def _attempt(task: Task, stop: threading.Event, tell: Tell) -> Outcome:
+    if task.out.is_local and not Path(task.out.address).is_dir():
+        return Outcome("unreachable", f"{task.out.address}: no such folder on this machine", worker=this_worker())
+    scratch = scratch_of(task)
+    printed = scratch.with_name(f"{scratch.name}.{uuid4().hex}.log")
+    printed.parent.mkdir(parents=True, exist_ok=True)
+    receiver, sender = _CONTEXT.Pipe(duplex=False)
+    process = _CONTEXT.Process(target=_run, args=(task, printed, sender), daemon=True)
+    started = monotonic()
+    with _starting, _clean_start():
+        process.start()
+    sender.close()
+    try:
+        outcome = _Watch(task, process, receiver, tell).outcome(stop)
+    finally:
+        process.kill()
+        process.join()
+        receiver.close()
+    _keep_printed(task, printed, outcome)
+    return replace(outcome, seconds=outcome.seconds or monotonic() - started, worker=outcome.worker or this_worker())
+
+
+@dataclass(frozen=True)
+class _Watch:
+    """Who looks after a process at work."""
+
+    task: Task
+    process: ForkServerProcess
+    receiver: Connection
+    tell: Tell
+
+    def outcome(self, stop: threading.Event) -> Outcome:
+        """Wait until it has ended, or is to be ended."""
+        limits, started = self.task.limits, monotonic()
+        while not stop.is_set():
+            wait([self.receiver, self.process.sentinel], _LOOK_EVERY_S)
+            if (outcome := self._said()) is not None:
+                return outcome
+            if limits.timeout_s is not None and monotonic() - started > limits.timeout_s:
+                return Outcome("timeout", f"took more than the {limits.timeout_s:g} s of --timeout")
+            if (held := self._memory_bytes()) > limits.memory_bytes:
+                asked = f"the {megabytes(limits.memory_bytes)} of --memory"
+                return Outcome("memory", f"held more than {asked}: {megabytes(held)}", peak_memory_mb=held / 1e6)
+        return Outcome("killed", "the batch was stopped")
+
+    def _said(self) -> Outcome | None:
+        """What came through the pipe, which closes when the process ends; progress is passed on."""
+        while self.receiver.poll():
+            try:
+                said = self.receiver.recv()
+            except (EOFError, OSError):  # it said nothing at its end
+                self.process.join()
+                return Outcome("killed", f"its process ended by {_ending(self.process.exitcode)}")
+            if isinstance(said, Outcome):
+                return said
+            self.tell(*said)
+        return None
+
+    def _memory_bytes(self) -> int:
+        with suppress(psutil.Error):
+            return int(psutil.Process(self.process.pid).memory_info().rss)
+        return 0
+
+
+def _ending(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    with suppress(ValueError):
+        return signal.Signals(-code).name
+    return f"signal {-code}"
+
+
+def _keep_printed(task: Task, printed: Path, outcome: Outcome) -> None:
+    """Put what the process printed into the dataset, where it is anything."""
+    with suppress(OSError, RoadpercError):
+        if outcome.status == BUSY:
+            printed.unlink()
+            return
+        if printed.stat().st_size:
+            task.out.put(printed, f"{OUTPUT}/{task.drive.stem}-{task.key}.txt")
+        for left_over in printed.parent.glob(f"{task.key}.*.log"):  # and of attempts whose batch was killed
+            left_over.unlink(missing_ok=True)
+
+
+@contextmanager
+def _clean_start() -> Iterator[None]:
+    """Around the start of a process, which needs nothing of the program that starts it but its modules.
+
+    The main module of a worker of Ray takes a second to import, and libraries that start threads when they are
+    imported must not in the process that is forked.
+    """
+    _CONTEXT.set_forkserver_preload(list(_PRELOADED))
+    main, threads = sys.modules["__main__"], os.environ.get(_ONE_THREAD)
+    sys.modules["__main__"] = ModuleType("__main__")
+    os.environ[_ONE_THREAD] = "1"
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+        if threads is None:
+            del os.environ[_ONE_THREAD]
+        else:
+            os.environ[_ONE_THREAD] = threads
+
+
+def _run(task: Task, printed: Path, sender: Connection) -> None:
+    """Begin as the process: say how far it is, and at last the outcome."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all processes; the batch ends this one
+    _print_to(printed)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        outcome = work(task, _Sender(sender).progress)
+    except Exception as error:
+        traceback.print_exc()
+        said = f"{type(error).__name__}: {error}; {OUTPUT}/ has the traceback"
+        outcome = Outcome("killed", " ".join(said.splitlines()), worker=this_worker())
+    sender.send(outcome)
+
+
+class _Sender:
+    """Sends the progress now and then."""
+
+    def __init__(self, sender: Connection) -> None:
+        self._sender, self._next_s = sender, 0.0
+
+    def progress(self, done: int, expected: int) -> None:
+        """Take the frames done and the frames expected."""
+        if monotonic() >= self._next_s:
+            self._next_s = monotonic() + _SAY_EVERY_S
+            self._sender.send((done, expected))
+
+
+def _end_with_parent() -> None:
+    """End when the process that watches this one has ended, as with a node of a cluster."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def _print_to(path: Path) -> None:
+    """Let all that this process and its libraries print go to a file, also of a crash."""
+    with path.open("wb") as file:
+        for number in (1, 2):
+            os.dup2(file.fileno(), number)
+    sys.stdout = open(1, "w", buffering=1, encoding="utf-8", errors="backslashreplace", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1, encoding="utf-8", errors="backslashreplace", closefd=False)  # noqa: SIM115
+    faulthandler.enable(sys.stderr)

@@ -1,0 +1,234 @@
+"""Tasks on the machines of a Ray cluster.
+
+A process of its own speaks to Ray (``ray_session``): Ray prints of its own accord, takes the signals, waits minutes for
+a cluster that is not there, and ends its process where the cluster's head dies. None of that reaches the batch.
+"""
+
+import contextlib
+import importlib.util
+import os
+import secrets
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Final, Self
+from urllib.parse import urlsplit
+
+from roadperc_stream.batch.configuration import code_digest
+from roadperc_stream.batch.task import Outcome, Task
+from roadperc_stream.errors import ClusterError
+
+LOCAL: Final = "local"
+"""The address that stands for a Ray of this batch alone, on this machine."""
+_CLIENT: Final = "ray"
+_CLIENT_PORT: Final = 10001
+_ANSWER_WITHIN_S: Final = 5.0
+_JOIN_WITHIN_S: Final = 90.0
+_START_WITHIN_S: Final = 120.0
+_LEAVE_WITHIN_S: Final = 15.0
+_SESSION: Final = "roadperc_stream.batch.ray_session"
+_ENVIRONMENT: Final = {
+    # Ray would send the working folder, with whatever logs are in it, to the machines and run uv there.
+    "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
+    "RAY_gcs_server_request_timeout_seconds": "20",
+    "RAY_USAGE_STATS_ENABLED": "0",
+}
+"""What Ray is told by variables, unless the user has."""
+
+
+@dataclass(frozen=True)
+class ClusterRequest:
+    """What a session is opened with.
+
+    Args:
+        address: of the cluster, or ``local``.
+        jobs: CPUs of a local one.
+        memory_bytes: what a task may take.
+        code: digest of the code that the machines are to have.
+    """
+
+    address: str
+    jobs: int
+    memory_bytes: int
+    code: str
+
+
+@dataclass(frozen=True)
+class ClusterState:
+    """CPUs of the cluster at the moment, and frames done of the tasks at work."""
+
+    slots: int
+    frames: int
+
+
+@dataclass(frozen=True)
+class TaskEnd:
+    """How the task of this key ended."""
+
+    key: str
+    outcome: Outcome
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a session cannot be opened, in a line."""
+
+    why: str
+
+
+SessionMessage = ClusterState | TaskEnd | Refusal
+
+
+class RayBackend:
+    """A task of Ray for each log.
+
+    Args:
+        address: of a cluster, as Ray takes it (``auto``, ``host:6379``, ``ray://host:10001``), or ``local``.
+        jobs: CPUs of a local one.
+        memory_bytes: what Ray is to keep free for a task.
+
+    Raises:
+        ClusterError: Ray is not installed.
+    """
+
+    def __init__(self, address: str, jobs: int, memory_bytes: int) -> None:
+        if importlib.util.find_spec("ray") is None:
+            raise ClusterError("--ray: Ray is not installed: pip install 'roadperc_stream[cluster]'")
+        self._request = ClusterRequest(address, jobs, memory_bytes, code_digest())
+        self._tasks: dict[str, Task] = {}
+        self._state = ClusterState(0, 0)
+
+    @property
+    def slots(self) -> int:
+        """CPUs of the cluster: they may come and go."""
+        return self._state.slots
+
+    @property
+    def frames(self) -> int:
+        """Frames done of the tasks at work, as far as their machines have told."""
+        return self._state.frames if self._tasks else 0
+
+    def __enter__(self) -> Self:
+        """Start Ray or join a cluster.
+
+        Raises:
+            ClusterError: there is none at the address, or none that fits.
+        """
+        _require_listener(self._request.address)
+        self._connection, other = Pipe()
+        self._process = _start_session(other, self._request.address)
+        other.close()
+        try:
+            self._connection.send(self._request)
+            self._open()
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def _open(self) -> None:
+        """Wait until the session is ready for tasks."""
+        within_s = _START_WITHIN_S if self._request.address == LOCAL else _JOIN_WITHIN_S
+        if not self._connection.poll(within_s):
+            raise ClusterError(f"--ray {self._request.address}: no cluster joined within {within_s:g} s")
+        self._take(self._received())
+
+    def submit(self, task: Task) -> None:
+        """Begin with a task."""
+        self._tasks[task.key] = task
+        try:
+            self._connection.send(task)
+        except OSError:
+            raise self._lost() from None
+
+    def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
+        """The tasks that have ended since.
+
+        Raises:
+            ClusterError: the cluster, or the way to it, is lost.
+        """
+        ended: list[tuple[Task, Outcome]] = []
+        until = time.monotonic() + timeout_s
+        while self._connection.poll(0 if ended else max(0, until - time.monotonic())):
+            if (end := self._take(self._received())) is not None:
+                ended.append((self._tasks.pop(end.key), end.outcome))
+        return ended
+
+    def _received(self) -> SessionMessage:
+        try:
+            message: SessionMessage = self._connection.recv()
+        except (EOFError, OSError):
+            raise self._lost() from None
+        return message
+
+    def _take(self, message: SessionMessage) -> TaskEnd | None:
+        match message:
+            case ClusterState():
+                self._state = message
+            case Refusal(why):
+                raise ClusterError(f"--ray {self._request.address}: {why}")
+            case TaskEnd():
+                return message
+        return None
+
+    def _lost(self) -> ClusterError:
+        address = self._request.address
+        return ClusterError(f"--ray {address}: the connection to the cluster is lost; the same command goes on later")
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End all that still runs, and leave the cluster."""
+        self._end()
+
+    def _end(self) -> None:
+        """The session leaves the cluster when nobody listens any more; Ray's own watchman ends what it leaves."""
+        self._connection.close()
+        has_begun = self._state.slots > 0 or self._request.address == LOCAL
+        try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_LEAVE_WITHIN_S if has_begun else 0)
+        finally:
+            self._process.kill()
+            self._process.wait()
+
+
+def _start_session(connection: Connection, address: str) -> "subprocess.Popen[bytes]":
+    """A group of processes of its own, which an interrupt from the terminal does not reach."""
+    environment = _ENVIRONMENT | dict(os.environ)
+    if address == LOCAL:  # nobody else may give it work; and no key is left in the user's home
+        environment |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", _SESSION, str(connection.fileno())],
+        env=environment,
+        pass_fds=[connection.fileno()],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def _require_listener(address: str) -> None:
+    """Say at once that nobody is there: Ray itself tries for minutes.
+
+    Raises:
+        ClusterError: nobody listens at the address, or it is none.
+    """
+    if address in {LOCAL, "auto"}:
+        return
+    parts = urlsplit(address if "://" in address else f"//{address}")
+    with contextlib.suppress(ValueError):
+        host, port = parts.hostname, parts.port or (_CLIENT_PORT if parts.scheme == _CLIENT else None)
+        if parts.scheme in {"", _CLIENT} and host and port:
+            try:
+                socket.create_connection((host, port), _ANSWER_WITHIN_S).close()
+            except OSError as error:
+                raise ClusterError(f"--ray {address}: no cluster there: {error}") from None
+            return
+    raise ClusterError(f"--ray {address}: expected local, auto, HOST:PORT or ray://HOST:PORT")

@@ -1,0 +1,319 @@
+"""The loop over many logs: gives them to a back end, tries again where a worker died, writes down what came of each."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream import __version__
+from roadperc_stream.batch.backend import Backend
+from roadperc_stream.batch.configuration import BatchConfiguration, code_digest, libraries
+from roadperc_stream.batch.plan import Step
+from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
+from roadperc_stream.batch.splitting import SplitPart
+from roadperc_stream.batch.task import BUSY, CUT, NO_TIMEOUT, DriveFiles, EndedPart, KeptLog, Outcome, Task, TaskLimits
+from roadperc_stream.log import DIGEST_ALGORITHM
+from roadperc_stream.output.tables import config_digest
+from roadperc_stream.schemas.columns.runs import RunRow
+from roadperc_stream.storage.folder import Folder
+
+_WAIT_S: Final = 0.2
+_SAVE_EVERY_S: Final = 1.0
+_BUSY_AGAIN_S: Final = 1.0
+_UNREACHED_AGAIN_S: Final = 1.0
+"""How long a log waits that is tried again, and each time so much longer."""
+_TRIED_AGAIN: Final = frozenset({"killed", "unreachable"})
+"""What another attempt may not meet again."""
+
+
+@dataclass(frozen=True)
+class BatchJob:
+    """What a batch does with each of its logs.
+
+    Args:
+        how: the configuration.
+        out: the dataset.
+        kept: the result log to keep.
+        recover: replay what can be read of damaged logs.
+        limits: of each attempt.
+        retries: how often a log is tried again whose worker died.
+        fail_fast: stop at the first log that fails.
+        scratch: folder for temporary files on the workers' machines; None: within the dataset, or the system's.
+    """
+
+    how: BatchConfiguration
+    out: Folder
+    kept: KeptLog = "no"
+    recover: bool = False
+    limits: TaskLimits = NO_TIMEOUT
+    retries: int = 2
+    fail_fast: bool = False
+    scratch: Path | None = None
+
+    def task(self, drive: DriveFiles, same_ids: tuple[str, ...] = ()) -> Task:
+        """The task of a whole log."""
+        return Task(
+            drive, self.how, self.out, self.kept, self.recover, self.limits, same_ids, code_digest(), self.scratch
+        )
+
+
+@dataclass
+class BatchProgress:
+    """How far a batch is."""
+
+    logs: int
+    bytes_expected: int
+    done: int = 0
+    failed: int = 0
+    bytes_done: int = 0
+    frames: int = 0
+    frames_at_work: int = 0
+
+
+@dataclass
+class _SplitLog:
+    """A log that is replayed in parts: what came of cutting it, and of its parts by number."""
+
+    cut: Outcome
+    ended: dict[int, EndedPart] = field(default_factory=dict)
+    has_failed: bool = False
+
+    @property
+    def is_replayed(self) -> bool:
+        """Whether all parts are."""
+        return len(self.ended) == len(self.cut.parts)
+
+
+@dataclass(frozen=True)
+class _Try:
+    """A log, or a part of one, that is to be done or is at work; ``split`` without a part is to be joined."""
+
+    step: Step
+    attempts: int = 1
+    not_before_s: float = 0.0
+    split: _SplitLog | None = None
+    part: SplitPart | None = None
+
+
+Watch = Callable[[BatchProgress], None]
+Failed = Callable[[RunRow], None]
+
+
+@dataclass
+class Driver:
+    """One batch at work."""
+
+    job: BatchJob
+    backend: Backend
+    table: RunsTable
+    known: KnownRuns
+    watch: Watch = lambda _: None
+    failed: Failed = lambda _: None
+    _waiting: deque[_Try] = field(default_factory=deque)
+    _at_work: dict[str, _Try] = field(default_factory=dict)
+    _save_at_s: float = 0.0
+    _started_ns: int = field(default_factory=time.time_ns)
+
+    def run(self, steps: Sequence[Step]) -> tuple[BatchProgress, list[RunRow]]:
+        """Do all steps that are to be done; the longest logs first, lest one of them is all that is left at the end.
+
+        Returns:
+            How far it came, and the rows of the logs that failed.
+        """
+        todo = sorted((step for step in steps if step.action != "leave"), key=lambda step: -step.drive.size_bytes)
+        self._waiting.extend(_Try(step) for step in todo)
+        self._progress = BatchProgress(len(todo), sum(step.drive.size_bytes for step in todo))
+        failed: list[RunRow] = []
+        try:
+            while self._waiting or self._at_work:
+                self._give()
+                for row in self._taken():
+                    failed.append(row)
+                    self.failed(row)
+                if failed and self.job.fail_fast:
+                    break
+        finally:
+            self.table.save()
+        return self._progress, failed
+
+    def _give(self) -> None:
+        """Keep the back end busy."""
+        for _ in range(len(self._waiting)):
+            if len(self._at_work) >= max(self.backend.slots, 1):  # a cluster may grow only once it is asked to
+                return
+            item = self._waiting.popleft()
+            if self._is_done_elsewhere(item):
+                self._end_split(item, has_failed=True)
+                self._count(item.step.drive)
+                continue
+            task = self._task(item)
+            if item.not_before_s > time.monotonic() or task.key in self._at_work or self._has_twin_at_work(item):
+                self._waiting.append(item)
+                continue
+            self._at_work[task.key] = item
+            self.backend.submit(task)
+
+    def _is_done_elsewhere(self, item: _Try) -> bool:
+        """Whether another batch on the same dataset has replayed the log meanwhile."""
+        drive = item.step.drive
+        rows = (run.row for run in self.known.named(drive.name))
+        return any(
+            (row.status, row.code) == ("done", code_digest())
+            and row.finished_ns > self._started_ns
+            and row.fingerprints[row.names.index(drive.name)] == drive.fingerprint
+            for row in rows
+        )
+
+    def _task(self, item: _Try) -> Task:
+        if item.split is None:
+            return self.job.task(item.step.drive, self._same_ids(item.step))
+        task = replace(self.job.task(item.step.drive), cut=item.split.cut)
+        if item.part is not None:
+            return replace(task, part=item.part)
+        return replace(task, ended=tuple(item.split.ended[part.index] for part in item.split.cut.parts))
+
+    def _same_ids(self, step: Step) -> tuple[str, ...]:
+        """Logs that were done since the batch was planned may be this one, too."""
+        if step.before is not None:
+            return step.same_ids
+        done = (run.row for run in self.known.done_of_size(step.drive.size_bytes))
+        new = (row.log_id for row in done if row.code == code_digest() and row.finished_ns > self._started_ns)
+        return (*step.same_ids, *filter(None, new))
+
+    def _has_twin_at_work(self, item: _Try) -> bool:
+        """Whether a file of the same size is: it may be the same log, and then this one need not be replayed."""
+        size = item.step.drive.size_bytes
+        others = (other.step.drive for other in self._at_work.values() if other.step.drive != item.step.drive)
+        return bool(self._waiting) and item.split is None and any(other.size_bytes == size for other in others)
+
+    def _taken(self) -> Iterable[RunRow]:
+        for task, outcome in self.backend.wait(_WAIT_S):
+            item = self._at_work.pop(task.key)
+            if item.split is not None and item.split.has_failed:
+                continue
+            if outcome.status == BUSY:
+                whole = item.split is not None and item.part is None  # its parts are gone: another batch joined them
+                self._wait_with(_Try(item.step) if whole else item, _BUSY_AGAIN_S)
+            elif outcome.status in _TRIED_AGAIN and item.attempts <= self.job.retries:
+                self._wait_with(replace(item, attempts=item.attempts + 1), _UNREACHED_AGAIN_S * item.attempts)
+            elif outcome.status == CUT:
+                split = _SplitLog(outcome)
+                self._waiting.extendleft(_Try(item.step, split=split, part=part) for part in reversed(outcome.parts))
+            elif item.split is not None and item.part is not None and outcome.status == "done":
+                self._part_done(item, item.split, item.part, outcome)
+            else:
+                row = self._written(item, outcome)
+                if row.status != "done":
+                    yield row
+        self._progress.frames_at_work = self.backend.frames
+        self.watch(self._progress)
+        self._save_now_and_then()
+
+    def _wait_with(self, item: _Try, seconds: float) -> None:
+        self._waiting.append(replace(item, not_before_s=time.monotonic() + seconds))
+
+    def _end_split(self, item: _Try, *, has_failed: bool) -> None:
+        """Have nothing more to do with the parts of a log."""
+        if item.split is not None:
+            item.split.has_failed = has_failed
+            self._waiting = deque(other for other in self._waiting if other.split is not item.split)
+
+    def _part_done(self, item: _Try, split: _SplitLog, part: SplitPart, outcome: Outcome) -> None:
+        self._progress.frames += outcome.frames
+        split.ended[part.index] = EndedPart(part, outcome)
+        if split.is_replayed:
+            self._waiting.appendleft(_Try(item.step, split=split))
+
+    def _save_now_and_then(self) -> None:
+        """Save what was done here and read what was done elsewhere, in a twentieth of the time at most."""
+        now_s = time.monotonic()
+        if now_s > self._save_at_s:
+            self.table.save()
+            for run in self.table.news().values():
+                if run.row.config == self.job.how.name:
+                    self.known.add(run)
+            self._save_at_s = time.monotonic() + max(_SAVE_EVERY_S, 20 * (time.monotonic() - now_s))
+
+    def _written(self, item: _Try, outcome: Outcome) -> RunRow:
+        """Write down what came of a log."""
+        drive, progress = item.step.drive, self._progress
+        if item.part is not None and item.split is not None:
+            text = f"part {item.part.index + 1} of {len(item.split.cut.parts)}: {outcome.error}"
+            outcome = replace(outcome, error=text)
+        self._end_split(item, has_failed=outcome.status != "done")
+        before = self.known.get(outcome.log_id or drive.name, self.job.how.name)
+        if not outcome.is_new and before is not None:
+            run = replace(before, row=_also_named(before.row, drive))
+        else:
+            run = BatchRow(self._row(item, outcome, before), outcome.stages_s)
+        for other in self._no_longer_there(drive, run):
+            self._add(other)
+        self._add(run)
+        self._count(drive)
+        progress.frames += outcome.frames if item.split is None else 0
+        progress.failed += run.row.status != "done"
+        return run.row
+
+    def _count(self, drive: DriveFiles) -> None:
+        self._progress.done += 1
+        self._progress.bytes_done += drive.size_bytes
+
+    def _add(self, run: BatchRow) -> None:
+        self.known.add(run)
+        self.table.add(run)
+
+    def _no_longer_there(self, drive: DriveFiles, run: BatchRow) -> list[BatchRow]:
+        """Rows of other logs that were under this name before; one without a digest goes by itself."""
+        return [
+            replace(other, row=_not_named(other.row, drive.name))
+            for other in self.known.named(drive.name)
+            if other.key != run.key and other.row.log_id
+        ]
+
+    def _row(self, item: _Try, outcome: Outcome, before: BatchRow | None) -> RunRow:
+        drive, how = item.step.drive, self.job.how
+        row = RunRow(
+            log_id=outcome.log_id,
+            config=how.name,
+            status=outcome.status,
+            error=outcome.error,
+            path=before.row.path if before else drive.name,
+            names=before.row.names if before else (),
+            fingerprints=before.row.fingerprints if before else (),
+            date=outcome.date,
+            duration_s=outcome.duration_s,
+            size_bytes=drive.size_bytes,
+            frames=outcome.frames,
+            dropped=outcome.dropped,
+            unreadable=outcome.unreadable,
+            warnings=outcome.warnings,
+            seconds=outcome.seconds,
+            peak_memory_mb=outcome.peak_memory_mb,
+            version=__version__,
+            code=code_digest(),
+            libraries=libraries(),
+            config_digest=config_digest(how.cfg),
+            settings=how.settings,
+            options=how.options,
+            recover=self.job.recover,
+            logs=self.job.kept,
+            digest_algorithm=DIGEST_ALGORITHM,
+            worker=outcome.worker,
+            attempts=item.attempts,
+            finished_ns=0,
+        )
+        return _also_named(row, drive)
+
+
+def _also_named(row: RunRow, drive: DriveFiles) -> RunRow:
+    """The row of a log that has been seen under this name."""
+    seen = dict(zip(row.names, row.fingerprints, strict=True)) | {drive.name: drive.fingerprint}
+    return replace(row, names=tuple(seen), fingerprints=tuple(seen.values()), finished_ns=time.time_ns())
+
+
+def _not_named(row: RunRow, name: str) -> RunRow:
+    """The row of a log that is under this name no more."""
+    seen = {n: print_ for n, print_ in zip(row.names, row.fingerprints, strict=True) if n != name}
+    return replace(row, names=tuple(seen), fingerprints=tuple(seen.values()), finished_ns=time.time_ns())

@@ -1,0 +1,55 @@
+"""Tasks on this machine: a thread for each, which watches the process that does the work."""
+
+import time
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from functools import partial
+from threading import Event
+from types import TracebackType
+from typing import Self
+
+from roadperc_stream.batch.attempt import attempt
+from roadperc_stream.batch.task import Outcome, Task
+
+
+class LocalBackend:
+    """As many tasks at a time as are asked for."""
+
+    def __init__(self, jobs: int) -> None:
+        self.slots = jobs
+        self._stop = Event()
+        self._threads = ThreadPoolExecutor(jobs, thread_name_prefix="batch")
+        self._tasks: dict[Future[Outcome], Task] = {}
+        self._frames: dict[str, int] = {}
+
+    def submit(self, task: Task) -> None:
+        """Begin with a task."""
+        self._tasks[self._threads.submit(attempt, task, self._stop, partial(self._told, task.key))] = task
+
+    def _told(self, key: str, done: int, _expected: int) -> None:
+        self._frames[key] = done
+
+    @property
+    def frames(self) -> int:
+        """Frames done of the tasks at work."""
+        return sum(self._frames.copy().values())
+
+    def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
+        """The tasks that have ended since."""
+        if not self._tasks:
+            time.sleep(timeout_s)
+        ended = wait(self._tasks, timeout_s, FIRST_COMPLETED).done
+        found = [(self._tasks.pop(future), future.result()) for future in ended]
+        for task, _ in found:
+            self._frames.pop(task.key, None)
+        return found
+
+    def __enter__(self) -> Self:
+        """Start: processes do with the first task."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End all that still runs."""
+        self._stop.set()
+        self._threads.shutdown(cancel_futures=True)

@@ -1,0 +1,119 @@
+"""Which logs a batch does, and why; what has been done and has not changed it leaves."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from roadperc_stream import __version__
+from roadperc_stream.batch.configuration import code_digest
+from roadperc_stream.batch.publishing import LOGS, METRICS, OBJECTS, name_in
+from roadperc_stream.batch.runs import BatchRow, KnownRuns
+from roadperc_stream.batch.task import DriveFiles, KeptLog
+from roadperc_stream.core.files import TABLE_SUFFIX
+from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE
+from roadperc_stream.storage.folder import Folder
+
+Action = Literal["replay", "check", "leave"]
+"""Replay it; read it to see whether it is a log that was replayed already; leave it as it is."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is done with a log, and why; ``before`` is its row, None where it has none."""
+
+    drive: DriveFiles
+    action: Action
+    why: str
+    before: BatchRow | None = None
+    same_ids: tuple[str, ...] = ()
+
+    @property
+    def is_failed(self) -> bool:
+        """Whether the log is left although it could not be replayed."""
+        return self.action == "leave" and self.before is not None and self.before.row.status != "done"
+
+
+@dataclass(frozen=True)
+class Again:
+    """What of that which was done already is done again.
+
+    Args:
+        verify: read every log, rather than trust its size and time.
+        retry_failed: logs that are damaged or empty, too.
+        recover: damaged logs that nobody tried to recover.
+        kept: those without the result log that is asked for.
+    """
+
+    verify: bool = False
+    retry_failed: bool = False
+    recover: bool = False
+    kept: KeptLog = "no"
+
+
+class Planner:
+    """Decides for one log after the other, by what a dataset holds."""
+
+    def __init__(self, known: KnownRuns, out: Folder, again: Again) -> None:
+        self._known, self._again = known, again
+        self._there = _files_of(out, (METRICS, OBJECTS), TABLE_SUFFIX) | _files_of(out, (LOGS,), ".mcap")
+
+    def step(self, drive: DriveFiles) -> Step:
+        """What to do with a log."""
+        run = next(iter(self._known.named(drive.name)), None)
+        if run is None:
+            return self._of_unknown(drive, "is new")
+        row = run.row
+        if row.status != "done":
+            return self._of_failed(drive, run)
+        if why := self._stale(run):
+            return Step(drive, "replay", why, run)
+        if row.fingerprints[row.names.index(drive.name)] != drive.fingerprint:
+            return Step(drive, "check", "the file has changed", run, (row.log_id or "",))
+        if self._again.verify:
+            return Step(drive, "check", "--verify", run, (row.log_id or "",))
+        return Step(drive, "leave", "is done", run)
+
+    def _of_unknown(self, drive: DriveFiles, why: str, before: BatchRow | None = None) -> Step:
+        """A log whose content nobody has read; it may be that of a file of the same size."""
+        same = (run.row.log_id for run in self._known.done_of_size(drive.size_bytes) if not self._stale(run))
+        return Step(drive, "replay", why, before, tuple(filter(None, same)))
+
+    def _of_failed(self, drive: DriveFiles, run: BatchRow) -> Step:
+        row, again = run.row, self._again
+        if row.status in OF_THE_MACHINE:
+            return Step(drive, "replay", f"failed before: {row.status}", run)
+        if row.fingerprints[row.names.index(drive.name)] != drive.fingerprint:
+            return self._of_unknown(drive, f"was {row.status}, and the file has changed", run)
+        if again.retry_failed:
+            return Step(drive, "replay", f"was {row.status}: --retry-failed", run)
+        if again.recover and not row.recover and row.status == "damaged":
+            return Step(drive, "replay", "was damaged: --recover", run)
+        return Step(drive, "leave", f"is {row.status}", run)
+
+    def _stale(self, run: BatchRow) -> str:
+        """Why what the dataset has of a log is to be made anew; empty where it is not."""
+        row = run.row
+        if row.version != __version__:
+            return f"version {row.version} did it, this is {__version__}"
+        if row.code != code_digest():
+            return "the chain's code has changed"
+        place = row.date or "", row.log_id or "", row.config
+        names = {folder: name_in(folder, *place) for folder in (METRICS, OBJECTS, LOGS)}
+        if names[METRICS] not in self._there or names[OBJECTS] not in self._there:
+            return "its tables are gone"
+        if self._again.kept != "no" and (row.logs != self._again.kept or names[LOGS] not in self._there):
+            return "has no such result log"
+        return ""
+
+
+def _files_of(out: Folder, folders: Sequence[str], suffix: str) -> set[str]:
+    return {out.name_of(file) for folder in folders for file in out.files(folder, suffix)}
+
+
+def counted(steps: Iterable[Step]) -> Mapping[str, int]:
+    """How many logs there are for each action and reason."""
+    counts: dict[str, int] = {}
+    for step in steps:
+        text = f"{step.action}: {step.why}"
+        counts[text] = counts.get(text, 0) + 1
+    return counts

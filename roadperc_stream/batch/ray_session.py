@@ -1,0 +1,171 @@
+"""The process that speaks to Ray: ``python -m roadperc_stream.batch.ray_session FILE_DESCRIPTOR``.
+
+Tasks come through the pipe; how they ended, and how large the cluster is, goes back. When the pipe is closed, this
+process leaves the cluster, or ends the Ray that it has started.
+"""
+
+import logging
+import re
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
+from functools import partial
+from multiprocessing.connection import Connection
+from typing import Any, Final
+
+import ray
+from ray.exceptions import NodeDiedError, OutOfMemoryError, RayError, RayTaskError, WorkerCrashedError
+
+from roadperc_stream.batch.cluster import LOCAL, ClusterRequest, ClusterState, Refusal, SessionMessage, TaskEnd
+from roadperc_stream.batch.ray_tasks import FrameCount, attempt_on_node, code_on_node
+from roadperc_stream.batch.task import Outcome, Task
+from roadperc_stream.errors import ClusterError
+
+_OBJECTS_BYTES: Final = 100_000_000
+"""Ray's store of objects: outcomes are small and bypass it."""
+_STATE_EVERY_S: Final = 1.0
+_CHECK_WITHIN_S: Final = 30.0
+_LONGEST_FOLDER: Final = 36
+"""Characters of a folder below which Ray's sockets have names short enough for the system."""
+_COLOURS: Final = re.compile(r"\x1b\[\d+m")
+
+
+def main() -> None:
+    """Serve the batch at the other end of the pipe until it closes it."""
+    connection = Connection(int(sys.argv[1]))
+    request: ClusterRequest = connection.recv()
+    try:
+        with _joined(request):
+            _Session(connection, request).serve()
+    except Exception as error:
+        with suppress(OSError):
+            connection.send(Refusal(_line(error)))
+
+
+@contextmanager
+def _joined(request: ClusterRequest) -> Iterator[None]:
+    """Within Ray, and the workers have the code that the batch was started with.
+
+    Raises:
+        ClusterError: they have another.
+    """
+    with _started(request) if request.address == LOCAL else _connected(request.address):
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler says what nobody asked for
+        try:
+            _require_code(request.code)
+            yield
+        finally:
+            ray.shutdown()
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[None]:
+    ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
+    yield
+
+
+@contextmanager
+def _started(request: ClusterRequest) -> Iterator[None]:
+    """A Ray on this machine that reserves no more than the local processes of a batch would take."""
+    usual = tempfile.gettempdir()
+    root = usual if len(usual) <= _LONGEST_FOLDER and " " not in usual else "/tmp"
+    with tempfile.TemporaryDirectory(prefix="ray-", dir=root, ignore_cleanup_errors=True) as folder:
+        ray.init(
+            LOCAL,
+            num_cpus=request.jobs,
+            num_gpus=0,
+            include_dashboard=False,
+            object_store_memory=_OBJECTS_BYTES,
+            log_to_driver=False,
+            logging_level=logging.CRITICAL,
+            _memory=request.jobs * request.memory_bytes,
+            _temp_dir=folder,
+        )
+        yield
+
+
+def _require_code(code: str) -> None:
+    check = ray.remote(code_on_node).options(num_cpus=0)
+    if ray.get(check.remote(), timeout=_CHECK_WITHIN_S) != code:
+        raise ClusterError("its machines have another version of roadperc_stream than this one: install the same")
+
+
+class _Session:
+    """A cluster, and the batch that it works for."""
+
+    def __init__(self, connection: Connection, request: ClusterRequest) -> None:
+        self._connection, self._request = connection, request
+        self._sending = threading.Lock()
+        self._tasks: dict[str, Any] = {}
+        # Where the machine with the count is lost, another one goes on with it.
+        self._count: Any = ray.remote(FrameCount).options(num_cpus=0, max_restarts=-1).remote()
+        self._attempt = ray.remote(attempt_on_node)
+        self._largest_bytes = 0
+
+    def serve(self) -> None:
+        """Work on tasks until the batch closes the pipe; then end those at work."""
+        self._tell_state()
+        threading.Thread(target=self._keep_telling, daemon=True).start()
+        with suppress(EOFError, OSError):
+            while True:
+                self._submit(self._connection.recv())
+        for reference in list(self._tasks.values()):
+            with suppress(Exception):
+                ray.cancel(reference, force=True)
+
+    def _submit(self, task: Task) -> None:
+        """Begin with a task; one that asks for more memory than any machine has would wait for ever."""
+        memory_bytes = min(self._request.memory_bytes, self._largest_bytes)
+        call = self._attempt.options(num_cpus=1, memory=memory_bytes, max_retries=0)
+        reference = call.remote(task, self._count)
+        self._tasks[task.key] = reference
+        reference.future().add_done_callback(partial(self._ended, task.key))
+
+    def _ended(self, key: str, future: "Future[Outcome]") -> None:
+        self._tasks.pop(key, None)
+        error = future.exception()
+        self._send(TaskEnd(key, future.result() if error is None else Outcome("killed", _line(error))))
+
+    def _keep_telling(self) -> None:
+        while not threading.Event().wait(_STATE_EVERY_S):
+            with suppress(RayError, OSError):
+                self._tell_state()
+
+    def _tell_state(self) -> None:
+        """Ray's own sum of resources still counts, for a while, the machines that are lost."""
+        nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
+        machines = [node["Resources"] for node in nodes if node["Alive"]]
+        self._largest_bytes = int(max((machine.get("memory", 0) for machine in machines), default=0))
+        self._send(ClusterState(int(sum(machine.get("CPU", 0) for machine in machines)), self._frames()))
+
+    def _frames(self) -> int:
+        with suppress(RayError):
+            return int(ray.get(self._count.total.remote(), timeout=_STATE_EVERY_S))
+        return 0
+
+    def _send(self, message: SessionMessage) -> None:
+        with self._sending, suppress(OSError):
+            self._connection.send(message)
+
+
+def _line(error: BaseException) -> str:
+    """What went wrong, in a line: the last one where Ray hands over a traceback."""
+    lines = [line.strip() for line in _COLOURS.sub("", str(error)).strip().splitlines()] or [type(error).__name__]
+    match error:
+        case RayTaskError():
+            return f"a fault on the machine it was given to: {lines[-1]}"
+        case NodeDiedError():
+            return "the machine it was on left the cluster"
+        case WorkerCrashedError():
+            return "the worker it was on died"
+        case OutOfMemoryError():
+            return "the machine it was on ran out of memory"
+    return lines[-1] if any(line.endswith("(most recent call last):") for line in lines) else " ".join(lines)
+
+
+if __name__ == "__main__":
+    main()

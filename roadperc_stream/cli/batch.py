@@ -1,0 +1,177 @@
+"""``roadperc-batch``: many logs into one dataset."""
+
+import argparse
+import re
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream.cli.arguments import add_input_arguments, add_only_argument
+from roadperc_stream.cli.completers import LOGS, completed_by, files
+from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, seconds, whole_number
+
+_EXAMPLE: Final = """\
+example:
+  roadperc-batch dataset drives/                        every log below drives/, on all cores
+  roadperc-batch dataset drives/                        again: does only what is new or has changed
+  roadperc-batch dataset drives/ --set lanes.hold_s=2   another configuration, beside the first
+  roadperc-report dataset
+  roadperc-batch dataset 'drives/2026-*/*.mcap' @more.txt --join '_\\d+$' --recover
+  roadperc-batch s3://bucket/dataset s3://bucket/drives/ --ray auto --memory 4GB
+
+In Python: polars.scan_parquet("dataset/metrics/**/*.parquet", hive_partitioning=True)
+"""
+_UNITS: Final = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+_WARM_UP_S: Final = 5.0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """``roadperc-batch``: replay many logs into one dataset."""
+    parser = _parser()
+    arguments = parse(parser, argv, intermixed=True)
+    _require_sense(parser, arguments)
+    from roadperc_stream.cli.batch_logs import batch_logs
+
+    return run(lambda: batch_logs(arguments))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser(
+        "batch",
+        "Replay many logs into one dataset: a row per frame in OUT_DIR/metrics, a row per detection in\n"
+        "OUT_DIR/objects, a row per log in OUT_DIR/runs.parquet. A log that fails is a row as well. The same\n"
+        "command again does only what is new, has changed, or was interrupted.",
+        _EXAMPLE,
+    )
+    add = parser.add_argument
+    out = add("out", metavar="OUT_DIR", help="folder of the dataset, or an address such as s3://bucket/dataset")
+    logs = add(
+        "logs",
+        metavar="LOG",
+        nargs="+",
+        help="a log, a folder, a glob in quotes, an address, or @FILE with one of these in each line",
+    )
+    join = add(
+        "--join",
+        metavar="PATTERN",
+        type=_pattern,
+        help="regular expression of what tells the parts of a drive apart: files of one folder whose names are the "
+        "same without it are one log, as with '_\\d+$' drive_0.mcap and drive_1.mcap",
+    )
+    add_input_arguments(parser)
+    add_only_argument(parser)
+    _add_dataset_arguments(parser)
+    _add_worker_arguments(parser)
+    completed_by(out, files())
+    completed_by(logs, files(*LOGS))
+    completed_by(join, files())
+    return parser
+
+
+def _add_dataset_arguments(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("what is done")
+    add = group.add_argument
+    add("--logs", dest="keep_logs", action="store_true", help="keep the result logs as well, in OUT_DIR/logs")
+    add("--results-only", action="store_true", help="with --logs: leave the inputs' messages out of them")
+    add("--recover", action="store_true", help="replay what can be read of damaged logs, and say what was lost")
+    add("--retry-failed", action="store_true", help="try damaged and empty logs again, although they have not changed")
+    add(
+        "--verify", action="store_true", help="read every log to see whether it has changed, not only its size and time"
+    )
+    add("--dry-run", action="store_true", help="list what would be done, and why")
+    add("--fail-fast", action="store_true", help="stop at the first log that fails")
+    add(
+        "--split",
+        metavar="SECONDS",
+        type=positive_seconds,
+        help="replay parts of so many seconds of each log at once, and join them; docs/scaling.md says what differs",
+    )
+    add(
+        "--warm-up",
+        metavar="SECONDS",
+        type=_warm_up,
+        help=f"with --split: seconds of log that the chain sees before each part (default {_WARM_UP_S:g})",
+    )
+
+
+def _add_worker_arguments(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("where, and how much it may take")
+    add = group.add_argument
+    add("--jobs", metavar="N", type=whole_number, help="logs at a time on this machine (default: one for each core)")
+    add(
+        "--ray",
+        metavar="ADDRESS",
+        help="work on a cluster of Ray: its address, auto for the one of this machine, or local to start one here",
+    )
+    add("--timeout", metavar="SECONDS", type=positive_seconds, help="give up a log that takes longer (default: never)")
+    add(
+        "--memory",
+        metavar="SIZE",
+        type=_bytes,
+        default="2GB",
+        help="give up a log that needs more, such as 500MB or 4GiB (default 2GB); Ray is told to keep so much free",
+    )
+    add(
+        "--retries",
+        metavar="N",
+        type=_retries,
+        default=2,
+        help="how often a log is tried again whose worker died or that could not be reached (default 2)",
+    )
+    scratch = add(
+        "--scratch",
+        metavar="DIR",
+        type=Path,
+        help="folder of the worker's machine for temporary files (default: OUT_DIR/.work, or of an address $TMPDIR)",
+    )
+    add("--quiet", action="store_true", help="print errors only")
+    completed_by(scratch, files())
+
+
+def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """End with a line on the usage, where an option has nothing to say."""
+    if arguments.results_only and not arguments.keep_logs:
+        parser.error("--results-only: only with --logs")
+    if arguments.warm_up is not None and arguments.split is None:
+        parser.error("--warm-up: only with --split")
+    if arguments.ray not in {None, "local"} and arguments.jobs is not None:
+        parser.error("--jobs: not together with --ray ADDRESS; the cluster says how many")
+    if arguments.split is not None and arguments.keep_logs:
+        parser.error("--logs: not together with --split, which joins tables")
+    if arguments.split is not None and arguments.frames is not None:
+        parser.error("--frames: not together with --split, whose parts are times")
+    if arguments.split is not None and arguments.warm_up is None:
+        arguments.warm_up = _WARM_UP_S
+
+
+def _pattern(text: str) -> "re.Pattern[str]":
+    try:
+        pattern = re.compile(text)
+    except re.error as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a regular expression: {error}") from None
+    if pattern.match(""):
+        raise argparse.ArgumentTypeError(f"{text!r}: finds nothing in particular")
+    return pattern
+
+
+def _bytes(text: str) -> int:
+    found = re.fullmatch(r"([0-9.]+)\s*([kmgt]i?)?b?", text.strip().lower())
+    try:
+        size = float(found[1]) * _UNITS[found[2] or ""] if found else 0.0
+    except ValueError:
+        size = 0.0
+    if size < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a size such as 500MB or 4GiB")
+    return int(size)
+
+
+def _retries(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number")
+    return int(text)
+
+
+def _warm_up(text: str) -> float:
+    value = seconds(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected seconds")
+    return value

@@ -1,0 +1,95 @@
+"""What ``roadperc-batch`` does with its arguments, and what it says of the logs."""
+
+import argparse
+from contextlib import AbstractContextManager
+from time import perf_counter
+
+from roadperc_stream.batch.backend import Backend
+from roadperc_stream.batch.configuration import BatchConfiguration
+from roadperc_stream.batch.display import Shows, batch_progress, failure
+from roadperc_stream.batch.driver import BatchJob
+from roadperc_stream.batch.local import LocalBackend
+from roadperc_stream.batch.plan import Again, counted
+from roadperc_stream.batch.running import BatchRun, BatchSummary
+from roadperc_stream.batch.task import KeptLog, TaskLimits
+from roadperc_stream.cli.arguments import config_of, time_range_of
+from roadperc_stream.core.process import optional_output
+from roadperc_stream.core.text import print_line
+from roadperc_stream.core.threads import usable_cores
+from roadperc_stream.errors import RoadpercError
+from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.storage.folder import Folder
+
+
+def batch_logs(arguments: argparse.Namespace) -> None:
+    """Replay many logs into one dataset as the arguments say.
+
+    Raises:
+        RoadpercError: a log failed, or nothing could be done at all.
+    """
+    started = perf_counter()
+    job = _job(arguments)
+    again = Again(arguments.verify, arguments.retry_failed, arguments.recover, job.kept)
+    batch = BatchRun(job, arguments.logs, arguments.join, again)
+    if arguments.dry_run:
+        _print_plan(batch)
+        return
+    summary = batch.run(lambda: _backend(arguments), lambda: _display(arguments))
+    with optional_output():
+        if not arguments.quiet:
+            _print_summary(job, summary, perf_counter() - started)
+        for row in summary.failed:
+            print_line(failure(row))
+    if summary.failed:
+        number = f"{len(summary.failed)} of {len(batch.steps)} logs"
+        raise RoadpercError(f"{job.out.address}: {number} failed; runs.parquet there says how")
+
+
+def _job(arguments: argparse.Namespace) -> BatchJob:
+    topics = tuple(sorted(parse_topic_options(arguments.topic).items()))
+    how = BatchConfiguration(
+        config_of(arguments), topics, time_range_of(arguments), arguments.split, arguments.warm_up or 0.0
+    )
+    kept: KeptLog = "no"
+    if arguments.keep_logs:
+        kept = "results" if arguments.results_only else "whole"
+    return BatchJob(
+        how,
+        Folder(arguments.out),
+        kept,
+        arguments.recover,
+        TaskLimits(arguments.timeout, arguments.memory),
+        arguments.retries,
+        arguments.fail_fast,
+        arguments.scratch,
+    )
+
+
+def _backend(arguments: argparse.Namespace) -> Backend:
+    jobs = arguments.jobs or usable_cores()
+    if arguments.ray is None:
+        return LocalBackend(jobs)
+    from roadperc_stream.batch.cluster import RayBackend
+
+    return RayBackend(arguments.ray, jobs, arguments.memory)
+
+
+def _display(arguments: argparse.Namespace) -> AbstractContextManager[Shows]:
+    return batch_progress(not arguments.quiet)
+
+
+def _print_plan(batch: BatchRun) -> None:
+    for step in batch.steps:
+        if step.action != "leave":
+            parts = f" and {len(step.drive.files) - 1} more parts" if len(step.drive.files) > 1 else ""
+            print_line(f"{step.action}  {step.drive.name}{parts}: {step.why}")
+    for text, number in sorted(counted(batch.steps).items()):
+        print_line(f"{number} logs  {text}")
+
+
+def _print_summary(job: BatchJob, summary: BatchSummary, seconds: float) -> None:
+    left = f", {summary.left} left as they are" if summary.left else ""
+    failed = f", {len(summary.failed)} failed" if summary.failed else ""
+    rate = f" ({summary.frames / seconds:.1f} frames/s)" if summary.frames else ""
+    print_line(f"{summary.done} logs done{left}{failed}: {summary.frames} frames in {seconds:.1f} s{rate}")
+    print_line(f"dataset {job.out.address}, configuration {job.how.name}")

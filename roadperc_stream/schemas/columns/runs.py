@@ -1,0 +1,63 @@
+"""The row of a log under one configuration, in the list of all that a batch has done."""
+
+from dataclasses import dataclass
+from typing import Annotated, Final, Literal, get_args
+
+from roadperc_stream.schemas.columns.column import COUNT, Column
+from roadperc_stream.schemas.columns.frame import TIME_COLUMNS
+
+RunStatus = Literal["done", "empty", "damaged", "unfit", "timeout", "memory", "killed", "unreachable"]
+"""How a log fared: ``empty`` has no frame, ``damaged`` cannot be read, ``unfit`` has channels or times that the chain
+cannot use; the last four are of the machine it ran on and not of the log."""
+STATUSES: Final[tuple[RunStatus, ...]] = get_args(RunStatus)
+
+
+def stage_column(name: str) -> str:
+    """The column of a stage's seconds in all frames of a log, for that of its milliseconds in one."""
+    return f"{name.removesuffix('_ms')}_s"
+
+
+OF_THE_MACHINE: Final = frozenset({"timeout", "memory", "killed", "unreachable"})
+"""How a log fared for reasons that may be gone by the next run."""
+RUN_TIME_COLUMNS: Final = tuple(map(stage_column, TIME_COLUMNS))
+"""A column for each time in the table of frames."""
+
+_UNKNOWN = "the log could not be read so far"
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """A log under one configuration: what came of it, how long it took, and what it was made with."""
+
+    log_id: Annotated[
+        str | None, Column("digest of the log's messages, the first 16 hexadecimal digits", null=_UNKNOWN)
+    ]
+    config: Annotated[str, Column("short name of the configuration: digest of settings and options, 8 digits")]
+    status: Annotated[
+        str, Column("`done`, `empty`, `damaged`, `unfit`, `timeout`, `memory`, `killed` or `unreachable`")
+    ]
+    error: Annotated[str | None, Column("what went wrong, in a line", null="nothing")]
+    path: Annotated[str, Column("path or address of the log, of its first part where it has several")]
+    names: Annotated[tuple[str, ...], Column("all paths and addresses under which the log has been seen")]
+    fingerprints: Annotated[tuple[str, ...], Column("size and time that the log had under each of the names")]
+    date: Annotated[str | None, Column("UTC date of the log's first message, YYYY-MM-DD", null=_UNKNOWN)]
+    duration_s: Annotated[float | None, Column("from the first frame to the last", "s", "no frame")]
+    size_bytes: Annotated[int, Column("of the log's files")]
+    frames: Annotated[int, Column("frames replayed", COUNT)]
+    dropped: Annotated[int, Column("messages that belong to no frame", COUNT)]
+    unreadable: Annotated[int, Column("messages that could not be decoded", COUNT)]
+    warnings: Annotated[tuple[str, ...], Column("what `--recover` saved and lost, and what else the replay warned of")]
+    seconds: Annotated[float, Column("the last attempt, from start to end", "s")]
+    peak_memory_mb: Annotated[float | None, Column("the most memory its process held", "MB", "the process was killed")]
+    version: Annotated[str, Column("version of the program")]
+    code: Annotated[str, Column("digest of the code that results depend on, 8 digits")]
+    libraries: Annotated[str, Column("versions of the libraries that compute")]
+    config_digest: Annotated[str, Column("digest of the settings, as in the tables' footers")]
+    settings: Annotated[str, Column("the settings that are not the default, as TOML")]
+    options: Annotated[str, Column("the other options that results depend on, as on the command line")]
+    recover: Annotated[bool, Column("whether what can be read of a damaged log was to be replayed")]
+    logs: Annotated[str, Column("the result log in the dataset: `no`, `whole`, or `results` without the input")]
+    digest_algorithm: Annotated[str, Column("what made `log_id`")]
+    worker: Annotated[str, Column("host and process of the last attempt")]
+    attempts: Annotated[int, Column("how often the log was begun, in the run that gave this row", COUNT)]
+    finished_ns: Annotated[int, Column("when this row was written, since 1970", "ns")]

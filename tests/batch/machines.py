@@ -1,0 +1,107 @@
+"""A real Ray cluster on this machine: each of its machines is a raylet with workers of its own."""
+
+import os
+import secrets
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import psutil
+
+ROOT = Path(__file__).parents[2]
+RAY = (sys.executable, "-c", "from ray.scripts.scripts import main; main()")
+START_WITHIN_S = 180
+
+
+class Machines:
+    """The head with one CPU, and whatever else is started; all end with the context."""
+
+    def __init__(self, folder):
+        self.address, self._folder = f"127.0.0.1:{free_port()}", folder
+        self.variables = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32), "PYTHONPATH": str(ROOT)}
+        patient = {"RAY_CLIENT_SERVER_CHECK_CHANNEL_TIMEOUT_S": "120", "RAY_USAGE_STATS_ENABLED": "0"}
+        self._environment = os.environ | self.variables | patient
+        self.client_address = f"ray://127.0.0.1:{(client_port := free_port())}"
+        port = self.address.partition(":")[2]
+        self.started = []
+        self.add("--head", f"--port={port}", f"--ray-client-server-port={client_port}", "--include-dashboard=false",
+                 f"--temp-dir={folder}", "--num-cpus=1")  # fmt: skip
+
+    def add(self, *options):
+        """A machine, with two CPUs unless said."""
+        words = options or (f"--address={self.address}", "--num-cpus=2")
+        always = ("--block", "--object-store-memory=80000000", "--min-worker-port=0", "--max-worker-port=0")
+        number = len(self.started)
+        said = self._folder / f"said_{number}.txt"
+        with said.open("w") as output:
+            process = subprocess.Popen(
+                [*RAY, "start", *words, *always],
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                start_new_session=True,
+            )
+        self.started.append(process)
+        wait_until(lambda: "Ray runtime started" in said.read_text() or process.poll() is not None, START_WITHIN_S)
+        assert process.poll() is None, said.read_text()
+        return psutil.Process(process.pid)
+
+    def held(self, machine):
+        """Workers of a machine that are at a log, stopped so that they stay at it."""
+        found = [child for child in machine.children(recursive=True) if "attempt_on_node" in title(child)]
+        for worker in found:
+            worker.suspend()
+        return [worker for worker in found if "attempt_on_node" in title(worker)]
+
+    def end(self):
+        for process in reversed(self.started):
+            kill(psutil.Process(process.pid)) if process.poll() is None else None
+            process.wait()
+
+
+def kill(machine):
+    """As a machine goes whose power is cut: with all that runs on it, at once."""
+    family = [machine, *machine.children(recursive=True)]
+    for process in family:
+        with suppress(psutil.NoSuchProcess):
+            process.kill()
+    psutil.wait_procs(family, timeout=10)
+
+
+def title(process):
+    with suppress(psutil.Error):
+        return " ".join(process.cmdline())
+    return ""
+
+
+def wait_until(holds, within_s):
+    until = time.monotonic() + within_s
+    while not holds():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.05)
+
+
+def free_port():
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+@contextmanager
+def machines():
+    """A cluster; its folder has a short name, for the sockets in it."""
+    folder = Path(tempfile.mkdtemp(prefix="ray-", dir="/tmp"))
+    found = None
+    try:
+        found = Machines(folder)
+        yield found
+    finally:
+        if found:
+            found.end()
+        shutil.rmtree(folder, ignore_errors=True)
