@@ -14,7 +14,7 @@ from .summary import Summary
 
 RUNS_LISTED: Final = 40
 """Runs that get a row of their own in the tables of what they are; of more, those with the least coverage."""
-_COVERED: Final = {
+COVERED: Final = {
     "surface": "camera_height_m",
     "drivable": "drivable_ratio",
     "left": "lane_left_offset_m",
@@ -29,7 +29,7 @@ def least_covered(summaries: Sequence[Summary]) -> list[Summary]:
     """The runs that get a row, in their order."""
     if len(summaries) <= RUNS_LISTED:
         return list(summaries)
-    least = sorted(range(len(summaries)), key=lambda place: sum(_shares(summaries[place], _COVERED.values())))
+    least = sorted(range(len(summaries)), key=lambda place: sum(_shares(summaries[place], COVERED.values())))
     return [summaries[place] for place in sorted(least[:RUNS_LISTED])]
 
 
@@ -48,7 +48,7 @@ def _run(summary: Summary, with_version: bool) -> TextRow:
 
 def coverage_by_run(summaries: Sequence[Summary]) -> TextTable:
     """A row per run: share of frames with all inputs' messages, and with a value of each stage that has any."""
-    shown = {what: column for what, column in _COVERED.items() if any(column in s.statistics for s in summaries)}
+    shown = {what: column for what, column in COVERED.items() if any(column in s.statistics for s in summaries)}
     rows = (row(summary.name, *map(percent, _shares(summary, shown.values()))) for summary in summaries)
     return TextTable("Coverage, %", ("inputs", *shown), tuple(rows), label_columns=15)
 

@@ -11,9 +11,11 @@ from roadperc_stream.output.terminal import console_for
 
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.display import print_comparison
-from .comparison.pairing import logged_runs, pair_runs
+from .comparison.pairing import Pairing, logged_runs, pair_runs
 from .comparison.reference import Copy, carry_out, first_copies, is_new, require_updatable, update_copies
 from .comparison.rules import Rules
+from .dataset.pairs import runs_of_configs
+from .dataset.place import Dataset
 from .names import listed
 
 
@@ -24,6 +26,9 @@ def compare(arguments: argparse.Namespace) -> None:
         RegressionError: it is, or a field differs where none may.
         RoadpercError: the runs cannot be read, or do not belong together.
     """
+    if arguments.candidate is None:
+        _compare_configurations(arguments)
+        return
     candidate = logged_runs(arguments.candidate)
     if arguments.update_reference:
         require_updatable(arguments.reference)
@@ -31,14 +36,26 @@ def compare(arguments: argparse.Namespace) -> None:
             _update(first_copies(arguments.reference, candidate))
             return
     pairing = pair_runs(logged_runs(arguments.reference), candidate, arguments.other_log)
-    rules = Rules(tuple(arguments.ignore), tuple(arguments.tolerance), tuple(arguments.allow))
-    found = compare_runs(pairing, _logs(arguments), rules)
-    with optional_output():
-        print_comparison(console_for(sys.stdout), found, all_fields=arguments.exact)
+    found = _compared(pairing, _logs(arguments), arguments)
     if arguments.update_reference:
         _update(update_copies(arguments.reference, pairing))
     else:
         _require_no_regression(found, arguments.exact)
+
+
+def _compare_configurations(arguments: argparse.Namespace) -> None:
+    reference, candidate = runs_of_configs(Dataset(arguments.reference), arguments.config)
+    found = _compared(pair_runs(reference, candidate, arguments.other_log), None, arguments)
+    _require_no_regression(found, arguments.exact)
+
+
+def _compared(pairing: Pairing, logs: tuple[Path, Path] | None, arguments: argparse.Namespace) -> Comparison:
+    """The comparison, printed."""
+    rules = Rules(tuple(arguments.ignore), tuple(arguments.tolerance), tuple(arguments.allow))
+    found = compare_runs(pairing, logs, rules)
+    with optional_output():
+        print_comparison(console_for(sys.stdout), found, all_fields=arguments.exact)
+    return found
 
 
 def _logs(arguments: argparse.Namespace) -> tuple[Path, Path] | None:

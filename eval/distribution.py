@@ -67,8 +67,10 @@ def thinned(whole: Distribution, points: int) -> Distribution:
     """At most ``points`` values of equal weight, those in the middle of equal parts; ranks move by half a part."""
     if len(whole.values) <= points:
         return whole
-    step = whole.heights[-1] / points
-    places = np.searchsorted(whole.heights, (np.arange(points) + 0.5) * step)
+    single = whole.exact and whole.weights.strides == (0,)  # as `exactly` gives them: each height is its rank
+    step = (len(whole.values) if single else whole.heights[-1]) / points
+    middles = (np.arange(points) + 0.5) * step
+    places = np.ceil(middles).astype(np.int64) - 1 if single else np.searchsorted(whole.heights, middles)
     return Distribution(whole.values[places], np.broadcast_to(step, points), whole.error_frames + step / 2)
 
 
@@ -105,6 +107,12 @@ class Sketch:
             part = merged(level)
             level.clear()
         self._levels.append([thinned(part, self._points)])
+
+    def limit(self, points: int) -> None:
+        """Allow no more than so many values a part, those taken in before included."""
+        if points < self._points:
+            self._points = points
+            self._levels = [[thinned(part, points) for part in level] for level in self._levels]
 
     def distribution(self) -> Distribution:
         """All that was added."""

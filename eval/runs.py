@@ -40,6 +40,8 @@ class Run:
     ``digest_algorithm`` made; its frames begin with ``first_frame``. Those from ``end_frame`` on do not count: the next
     part, which is among the runs under the name ``next_part``, gives them again, complete.
 
+    ``within`` are log and configuration of its rows where its file holds those of others, too.
+
     Of a drive in several parts ``parts`` are their runs in order, at least two; what else is here, but for the counts
     and the name, is the first part's.
     """
@@ -60,6 +62,7 @@ class Run:
     end_frame: int | None = None
     next_part: str = ""
     rows: int = 0
+    within: tuple[str, str] | None = None
     parts: tuple["Run", ...] = ()
 
     @property

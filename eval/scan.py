@@ -1,5 +1,8 @@
 """Metrics tables as lazy polars frames, and the expressions that boil their columns down."""
 
+from collections.abc import Container, Iterable
+from typing import Final
+
 import polars as pl
 
 from roadperc_stream.core.time import NS_PER_S
@@ -11,6 +14,12 @@ from .scores import COUNTS, TRACED, correlations
 from .segments import SEGMENT, difference, elapsed_ns, longest_gap_ns, segment, whole_span_ns
 
 _LANE_CHANGES = "lane_changes"
+NUMBER_COLUMNS: Final = tuple(
+    dict.fromkeys(
+        (*(quantity.column for quantity in STORED), *COUNTS, *(truth for _, truth in TRACED.values()), _LANE_CHANGES)
+    )
+)
+"""The numeric columns a report needs."""
 
 
 def scan(run: Run) -> pl.LazyFrame:
@@ -19,23 +28,40 @@ def scan(run: Run) -> pl.LazyFrame:
     Derived columns come behind: ``since_start_s`` counted from the table's first frame through its segments, the
     frame's time outside the stages, how many lane boundaries are lost, and the second differences of the lane offsets.
     """
-    truths = [truth for _, truth in TRACED.values()]
-    numbers = [*(quantity.column for quantity in STORED), *COUNTS, *truths, _LANE_CHANGES]
-    stored = rows_of(run).select(
+    stored = rows_of(run).select(stored_columns(run.columns)).with_columns(finite(NUMBER_COLUMNS))
+    return stored.with_columns(since_start_s(), *derived_columns())
+
+
+def stored_columns(columns: Container[str]) -> list[pl.Expr]:
+    """The columns a report needs; those that are not among ``columns`` are null."""
+    return [
         pl.col("log_id").cast(pl.String),
         pl.col("frame", "stamp_ns").cast(pl.Int64),
-        segment(run.columns),
+        segment(columns),
         pl.col("missing", "reasons").cast(pl.List(pl.String)),
-        *(_number(run, name) for name in dict.fromkeys(numbers)),
-        *(_text(run, name) for name in CATEGORIES),
-    )
+        *(_typed(columns, name, pl.Float64()) for name in NUMBER_COLUMNS),
+        *(_typed(columns, name, pl.String()) for name in CATEGORIES),
+    ]
+
+
+def finite(names: Iterable[str]) -> list[pl.Expr]:
+    """Numeric columns in which a value that is not finite counts as missing."""
+    return [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in names]
+
+
+def since_start_s() -> pl.Expr:
+    """Seconds from the table's first frame through its segments."""
+    return (elapsed_ns() / NS_PER_S).alias("since_start_s")
+
+
+def derived_columns() -> list[pl.Expr]:
+    """The frame's time outside the stages, how many lane boundaries are lost, second differences of lane offsets."""
     stages = [quantity.column for quantity in STAGE_TIMES if quantity not in {TOTAL, REST}]
-    return stored.with_columns(
-        (elapsed_ns() / NS_PER_S).alias("since_start_s"),
+    return [
         (pl.col(TOTAL.column) - pl.sum_horizontal(stages)).alias(REST.column),
         _lanes_lost().alias(LOST.column),
         *(column for side in SIDES for column in _second_differences(side)),
-    )
+    ]
 
 
 def rows_of(run: Run) -> pl.LazyFrame:
@@ -45,36 +71,25 @@ def rows_of(run: Run) -> pl.LazyFrame:
 
 def _rows_of_table(table: Run) -> pl.LazyFrame:
     rows = pl.scan_parquet(table.path, glob=False)
+    if table.within is not None:
+        log_id, config = table.within
+        rows = rows.filter(pl.col("log_id") == log_id, pl.col("config") == config)
     return rows if table.end_frame is None else rows.filter(pl.col("frame") < table.end_frame)
 
 
 def extent() -> list[pl.Expr]:
-    """Which logs, how long, how evenly and how completely."""
+    """Which logs, how long and how evenly."""
     return [
         pl.col("log_id").unique(maintain_order=True).implode().alias("log_ids"),
         pl.col(SEGMENT).n_unique().alias("segments"),
         (whole_span_ns() / NS_PER_S).alias("span_s"),
         (longest_gap_ns() / NS_PER_S).alias("longest_gap_s"),
-        (pl.col("missing").list.len() > 0).sum().alias("incomplete"),
     ]
-
-
-def totals() -> list[pl.Expr]:
-    """The sums of the columns that count, null where no frame has a value."""
-    return [pl.when(pl.col(name).count() > 0).then(pl.col(name).sum()).cast(pl.Int64) for name in COUNTS]
 
 
 def traces() -> list[pl.Expr]:
     """How each side's smoothed offset follows its truth."""
     return [correlations(*columns).alias(f"correlations {side}") for side, columns in TRACED.items()]
-
-
-def counts(name: str, *, of_lists: bool = False) -> pl.Expr:
-    """How often each text occurs: a list of structs of ``text`` and ``count``, by text."""
-    column = pl.col(name)
-    texts = (column.explode() if of_lists else column).drop_nulls()
-    counted = texts.value_counts(sort=True)
-    return counted.struct.rename_fields(["text", "count"]).implode().alias(name)
 
 
 def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
@@ -90,16 +105,8 @@ def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
     return row.sort_by(order, descending=[True, False, False]).head(number).implode().alias(f"worst {quantity.column}")
 
 
-def _number(run: Run, name: str) -> pl.Expr:
-    """A numeric column; a value that is not finite counts as missing."""
-    if name not in run.columns:
-        return pl.lit(None, pl.Float64).alias(name)
-    value = pl.col(name).cast(pl.Float64)
-    return pl.when(value.is_finite()).then(value).alias(name)
-
-
-def _text(run: Run, name: str) -> pl.Expr:
-    return pl.col(name).cast(pl.String) if name in run.columns else pl.lit(None, pl.String).alias(name)
+def _typed(columns: Container[str], name: str, kind: pl.DataType) -> pl.Expr:
+    return pl.col(name).cast(kind) if name in columns else pl.lit(None, kind).alias(name)
 
 
 def _lanes_lost() -> pl.Expr:

@@ -32,13 +32,14 @@ _SECONDS: Final = "s: seconds from the log's first frame"
 _SEGMENTS: Final = "a segment begins at the instant at which the one before ended"
 
 
-def sections(summaries: Summaries) -> Iterator[TextTable]:
-    """All tables in their order, those without rows included."""
+def sections(summaries: Summaries, *, consistency: bool = True) -> Iterator[TextTable]:
+    """All tables in their order, those without rows included; ``consistency`` is left out where nobody computed it."""
     yield coverage(summaries)
     yield lane_boundaries(summaries)
     yield missing_outputs(summaries)
     yield accuracy(summaries)
-    yield consistency_table(summaries)
+    if consistency:
+        yield consistency_table(summaries)
     yield detection_counts(summaries)
     yield latency(summaries)
 
@@ -60,8 +61,9 @@ def lane_boundaries(summaries: Summaries) -> TextTable:
     """Per side: how often measured, held or lost, where it lies, and its jitter, smoothed and raw."""
     present = any(summary.categories[f"lane_{side}_status"] for summary in summaries for side in SIDES)
     rows = [TextRow(side, tuple(_boundary(summary, side) for summary in summaries)) for side in SIDES if present]
-    notes = (_JITTER, _LAG, *_remarks(summaries, _beyond_lanes)) if present else ()
-    headers = (*(f"{status} %" for status in _STATUSES), "offset m", "jitter cm", "raw cm", "lag")
+    lag = any(summary.correlations for summary in summaries)
+    notes = (_JITTER, *([_LAG] if lag else []), *_remarks(summaries, _beyond_lanes)) if present else ()
+    headers = (*(f"{status} %" for status in _STATUSES), "offset m", "jitter cm", "raw cm", *(["lag"] if lag else []))
     return _table("Lane boundary", headers, rows, summaries, notes, label_columns=13)
 
 
@@ -223,12 +225,12 @@ def _boundary(summary: Summary, side: str) -> tuple[str, ...]:
     """Percent measured, held, lost; offset in m, jitter in cm smoothed and raw, lag in frames; empty where unknown."""
     offset = summary.statistics.get(f"lane_{side}_offset_m")
     jitters = [summary.statistics.get(f"lane_{side}_{kind}second_difference_m") for kind in ("", "raw_")]
-    lag = summary.lag_frames(side)
+    lag = summary.lag_frames(side) if summary.correlations else None
     return (
         *(percent(summary.share(f"lane_{side}_status", status)) for status in _STATUSES),
         f"{offset.median:z.2f}" if offset else "",
         *(f"{100 * jitter.std:.2f}" if jitter else "" for jitter in jitters),
-        "\N{EN DASH}" if lag is None else str(lag),
+        *(["\N{EN DASH}" if lag is None else str(lag)] if summary.correlations else []),
     )
 
 

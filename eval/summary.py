@@ -4,7 +4,6 @@ A table is read once. All it gives to the whole is exact and small, but for the 
 whole while all tables together have no more than EXACT_FRAMES rows, and are thinned where they have more.
 """
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -15,17 +14,17 @@ import numpy as np
 import polars as pl
 
 from roadperc_stream.core.datatypes import ReasonKind
-from roadperc_stream.core.reasons import ReasonCounts, grouped, merged
 
 from .collecting import collect
 from .configurations import Group
 from .consistency import Consistency, added, consistency_of_run
 from .distribution import Distribution, Sketch, exactly, thinned
-from .quantities import CATEGORIES, NUMBERS, SUSPECT, TRUTH, Quantity
+from .quantities import NUMBERS, SUSPECT, TRUTH, Quantity
 from .runs import Run
-from .scan import counts, extent, scan, totals, traces, worst_frames
-from .scores import COUNTS, TRACED, Score, averaged, lag_frames, scores
+from .scan import extent, scan, traces, worst_frames
+from .scores import TRACED, Score, averaged, lag_frames, scores
 from .statistics import Statistics, statistics, statistics_of_all
+from .tallies import Tallies, tallied, tallied_together, tallies
 
 EXACT_FRAMES: Final = 2**18
 """Rows up to which quantiles over all tables are exact: 8 bytes each and column, 160 MB in all."""
@@ -51,17 +50,15 @@ class WorstFrame:
 
 
 @dataclass(frozen=True)
-class Summary:
+class Summary(Tallies):
     """A metrics table in numbers, or several together.
 
     ``log_ids`` are digests of the logs' messages, ``configs`` and ``versions`` what made the tables. ``segments``
     are stretches of one recording, one a table but where its stamps begin anew; ``span_s`` are the seconds from first
     to last frame of each, ``longest_gap_s`` the longest time between two frames of one.
-    ``statistics`` holds the numeric columns that have values; ``categories`` counts the values of each text column;
-    ``missing`` counts frames per role without a message, ``incomplete`` frames where any role is without, ``reasons``
-    say why something is absent; ``worst`` holds the worst frames, the worst first. ``totals`` are the sums of the
-    counting columns that have values, ``correlations`` per side those of the smoothed offset with its truth, by shift;
-    ``consistency`` holds the quantities whose truth is known, with their errors in units of their standard deviations.
+    ``statistics`` holds the numeric columns that have values; ``worst`` the worst frames, the worst first.
+    ``correlations`` are per side those of the smoothed offset with its truth, by shift; ``consistency`` holds the
+    quantities whose truth is known, with their errors in units of their standard deviations.
     """
 
     name: str
@@ -73,12 +70,7 @@ class Summary:
     segments: int
     span_s: float
     longest_gap_s: float
-    incomplete: int
     statistics: Mapping[str, Statistics]
-    categories: Mapping[str, Counter[str]]
-    missing: Counter[str]
-    reasons: ReasonCounts
-    totals: Mapping[str, int]
     correlations: Mapping[str, tuple[float | None, ...]]
     consistency: Mapping[str, Consistency]
     worst: Mapping[str, tuple[WorstFrame, ...]] = field(repr=False)
@@ -180,48 +172,44 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
     distributions = {name: exactly(np.sort(values.to_numpy())) for name, values in columns.items() if len(values)}
     present = {name: statistics(distribution) for name, distribution in distributions.items()}
     summary = Summary(
-        run.name,
-        run.frames,
-        1,
-        tuple(found["log_ids"]),
-        (run.config_digest,),
-        (run.version,),
-        found["segments"],
-        found["span_s"],
-        found["longest_gap_s"] or 0.0,
-        found["incomplete"],
-        present,
-        {name: _counter(found[name]) for name in CATEGORIES},
-        _counter(found["missing"]),
-        grouped(_counter(found["reasons"])),
-        {name: found[name] for name in COUNTS if found[name] is not None},
-        {side: tuple(found[f"correlations {side}"]) for side in TRACED},
-        consistency_of_run(run),
-        {q.column: _ranking(run, found[f"worst {q.column}"]) for q in _RANKED if q.column in present},
+        **vars(tallied(found)),
+        name=run.name,
+        frames=run.frames,
+        runs=1,
+        log_ids=tuple(found["log_ids"]),
+        configs=(run.config_digest,),
+        versions=(run.version,),
+        segments=found["segments"],
+        span_s=found["span_s"],
+        longest_gap_s=found["longest_gap_s"] or 0.0,
+        statistics=present,
+        correlations={side: tuple(found[f"correlations {side}"]) for side in TRACED},
+        consistency=consistency_of_run(run),
+        worst={q.column: _ranking(run, found[f"worst {q.column}"]) for q in _RANKED if q.column in present},
     )
     return summary, {name: thinned(distribution, points) for name, distribution in distributions.items()}
 
 
 def _together(summaries: Sequence[Summary], sketches: Mapping[str, Sketch], worst: int) -> Summary:
     return Summary(
-        f"all {len(summaries)} logs",
-        sum(summary.frames for summary in summaries),
-        len(summaries),
-        _distinct(name for summary in summaries for name in summary.log_ids),
-        _distinct(name for summary in summaries for name in summary.configs),
-        _distinct(name for summary in summaries for name in summary.versions),
-        sum(summary.segments for summary in summaries),
-        sum(summary.span_s for summary in summaries),
-        max(summary.longest_gap_s for summary in summaries),
-        sum(summary.incomplete for summary in summaries),
-        {q.column: _statistics(summaries, q.column, sketches[q.column]) for q in NUMBERS if q.column in sketches},
-        {name: _added(summary.categories[name] for summary in summaries) for name in CATEGORIES},
-        _added(summary.missing for summary in summaries),
-        merged(summary.reasons for summary in summaries),
-        _added(summary.totals for summary in summaries),
-        {side: averaged((summary.frames, summary.correlations[side]) for summary in summaries) for side in TRACED},
-        added(summary.consistency for summary in summaries),
-        {q.column: ranking for q in _RANKED if (ranking := _merged(summaries, q, worst))},
+        **vars(tallied_together(summaries)),
+        name=f"all {len(summaries)} logs",
+        frames=sum(summary.frames for summary in summaries),
+        runs=len(summaries),
+        log_ids=_distinct(name for summary in summaries for name in summary.log_ids),
+        configs=_distinct(name for summary in summaries for name in summary.configs),
+        versions=_distinct(name for summary in summaries for name in summary.versions),
+        segments=sum(summary.segments for summary in summaries),
+        span_s=sum(summary.span_s for summary in summaries),
+        longest_gap_s=max(summary.longest_gap_s for summary in summaries),
+        statistics={
+            q.column: _statistics(summaries, q.column, sketches[q.column]) for q in NUMBERS if q.column in sketches
+        },
+        correlations={
+            side: averaged((summary.frames, summary.correlations[side]) for summary in summaries) for side in TRACED
+        },
+        consistency=added(summary.consistency for summary in summaries),
+        worst={q.column: ranking for q in _RANKED if (ranking := _merged(summaries, q, worst))},
     )
 
 
@@ -229,9 +217,7 @@ def _together(summaries: Sequence[Summary], sketches: Mapping[str, Sketch], wors
 def _facts(worst: int) -> list[pl.Expr]:
     return [
         *extent(),
-        *(counts(name) for name in CATEGORIES),
-        *(counts(name, of_lists=True) for name in ("missing", "reasons")),
-        *totals(),
+        *tallies(),
         *traces(),
         *(worst_frames(quantity, worst) for quantity in _RANKED),
     ]
@@ -252,17 +238,6 @@ def _merged(summaries: Iterable[Summary], quantity: Quantity, worst: int) -> tup
     if quantity.worse == "low":
         return tuple(sorted(frames, key=lambda frame: frame.value)[:worst])
     return tuple(sorted(frames, key=lambda frame: -abs(frame.value))[:worst])
-
-
-def _counter(rows: Iterable[Mapping[str, Any]]) -> Counter[str]:
-    return Counter({row["text"]: row["count"] for row in rows})
-
-
-def _added(counters: Iterable[Mapping[str, int]]) -> Counter[str]:
-    total: Counter[str] = Counter()
-    for counter in counters:
-        total.update(counter)
-    return total
 
 
 def _distinct(names: Iterable[str]) -> tuple[str, ...]:

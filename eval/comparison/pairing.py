@@ -127,8 +127,22 @@ def _logged(run: Run, argument: Path) -> LoggedRun:
     if not run.frames:
         raise TableError(f"{run.why_empty}, so there is nothing to compare")
     log_ids = "+".join(_log_id(table) for table in run.tables if table.rows)
+    return logged(run, log_ids, _relative(run, argument))
+
+
+def logged(run: Run, log_id: str, relative: str) -> LoggedRun:
+    """A run of one row at least, of a log that is known.
+
+    Args:
+        run: the run.
+        log_id: digest of the log.
+        relative: what the run is called among those of its side.
+
+    Raises:
+        TableError: its data cannot be read.
+    """
     rows = rows_of(run).select(segment(run.columns).n_unique().alias("segments"))
-    return LoggedRun(run, log_ids, collect(rows, run.source_name).item(), _relative(run, argument))
+    return LoggedRun(run, log_id, collect(rows, run.source_name).item(), relative)
 
 
 def _log_id(run: Run) -> str:

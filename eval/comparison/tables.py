@@ -15,7 +15,8 @@ from .agreement import ABSENT, Agreement, Difference, Value
 from .pairing import KEY, STAMP, LoggedRun, RunPair, numbered, segments_of
 from .rules import Rules
 
-NOT_COMPARED = (STAMP, *TIME_COLUMNS)
+NOT_COMPARED = (STAMP, "config", *TIME_COLUMNS)
+"""What pairs frames, names what made the tables, or is no two runs' the same."""
 _CANDIDATE = " of the candidate"
 _PLAIN: Final = (pl.String, pl.Boolean, pl.Null)
 

@@ -1,0 +1,72 @@
+"""Two configurations of a dataset as two sets of runs, for a comparison of each log with itself."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import polars as pl
+
+from roadperc_stream.errors import TableError
+
+from ..comparison.pairing import LoggedRun, logged
+from ..runs import Run, open_run
+from .configs import in_order_of_runs, settings_by_config, two_configs
+from .keys import LOG
+from .naming import log_names
+from .place import FILE, Dataset, first_line, metrics_files, scan_tables
+from .run_rows import read_runs
+
+_ROWS = "rows"
+
+
+def runs_of_configs(dataset: Dataset, asked: Sequence[str]) -> tuple[tuple[LoggedRun, ...], tuple[LoggedRun, ...]]:
+    """The runs of the reference and those of the candidate, one for each log.
+
+    Args:
+        dataset: in a local folder.
+        asked: which configurations, as ``two_configs`` takes them.
+
+    Raises:
+        TableError: there are no two such configurations, or a table cannot be read.
+    """
+    if dataset.folder is None:
+        raise TableError(f"{dataset.address}: is an address; expected a dataset in a local folder to compare")
+    files = metrics_files(dataset)
+    if not files:
+        raise TableError(f"{dataset.address}: no tables in metrics/date=.../, so there is nothing to compare")
+    runs, found = read_runs(dataset), _where(files)
+    present = in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
+    reference, candidate = two_configs(asked, settings_by_config(runs, present))
+    names = log_names(found["log_id"].unique(maintain_order=True), runs)
+    return tuple(_runs(found, reference, names)), tuple(_runs(found, candidate, names))
+
+
+def _where(files: Sequence[str]) -> pl.DataFrame:
+    """The file of each log and configuration, of several a row each, and how many rows it has in it."""
+    tables = scan_tables(files)
+    lacking = [name for name in LOG if name not in tables.collect_schema()]
+    if lacking:
+        raise TableError(f"{files[0]}: is not a metrics table of a dataset: it has no column {', '.join(lacking)}")
+    counted = tables.select(*LOG, FILE).group_by(*LOG, FILE).agg(pl.len().alias(_ROWS)).sort(*LOG, FILE)
+    try:
+        return counted.collect(engine="streaming")
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+        raise TableError(f"{files[0]} and others: their data cannot be read: {first_line(error)}") from error
+
+
+def _runs(found: pl.DataFrame, config: str, names: Mapping[str, str]) -> Iterator[LoggedRun]:
+    of_config = found.filter(pl.col("config") == config)
+    for (log_id,), rows in of_config.group_by("log_id", maintain_order=True):
+        parts = tuple(_run(row, names[str(log_id)]) for row in rows.iter_rows(named=True))
+        whole = (
+            parts[0] if len(parts) == 1 else replace(parts[0], frames=sum(part.frames for part in parts), parts=parts)
+        )
+        yield logged(whole, str(log_id), names[str(log_id)])
+
+
+def _run(row: Mapping[str, object], name: str) -> Run:
+    """The rows of a log in one file."""
+    run = open_run(Path(str(row[FILE])), name)
+    count = int(str(row[_ROWS]))
+    within = None if count == run.rows else (str(row["log_id"]), str(row["config"]))
+    return replace(run, frames=count, rows=count, within=within)

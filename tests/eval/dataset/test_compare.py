@@ -1,0 +1,96 @@
+"""Two configurations of a dataset against each other, log by log."""
+
+import pytest
+
+from roadperc_stream.cli.compare import main
+from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, log_id, small_dataset, write_runs
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    return small_dataset(tmp_path / "dataset")
+
+
+def compare(capsys, *arguments):
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_of_two_the_older_is_the_reference(dataset, capsys):
+    code, text, error = compare(capsys, dataset)
+    assert code == 1
+    assert "10 frames compared in 2 pairs of runs" in text
+    assert "worse: lane_left_error_m 0.1033 → 0.27" in text
+    assert "worse than the reference: lane_left_error_m" in error
+
+
+def test_the_other_way_round_it_is_better(dataset, capsys):
+    code, text, _ = compare(capsys, dataset, "--config", B[:2], "--config", "default")
+    assert code == 0
+    assert "better: lane_left_error_m 0.27" in text
+
+
+def test_a_setting_names_a_configuration(dataset, capsys):
+    assert compare(capsys, dataset, "--config", "lanes.hold_s=2.0", "--config", A)[0] == 0
+
+
+def test_compacted_tables_compare_alike(dataset, capsys):
+    before = compare(capsys, dataset)
+    compact(dataset, "2026-01-01")
+    assert compare(capsys, dataset) == before
+
+
+def test_logs_of_one_side_alone_are_named(dataset, capsys):
+    add_table(dataset, frames(8, [0.1, 0.1]), A)
+    add_table(dataset, frames(9, [0.1, 0.1]), B)
+    code, text, error = compare(capsys, dataset, "--allow", "100%", "--allow", "lane_left_error_m=1")
+    assert code == 1
+    assert f"only in the reference: {log_id(8)} (log {log_id(8)})" in text
+    assert f"only in the candidate: {log_id(9)} (log {log_id(9)})" in text
+    assert f"worse than the reference: no run of {log_id(8)}" in error
+
+
+@pytest.mark.parametrize(
+    ("configs", "said"),
+    [
+        (("x", A), "--config x: is the name, its beginning or a setting of no configuration"),
+        ((A, A[:3]), "are the same"),
+        ((A,), "expected --config twice, found it 1 times"),
+    ],
+)
+def test_what_is_no_pair_of_configurations(dataset, capsys, configs, said):
+    code, _, error = compare(capsys, dataset, *(word for name in configs for word in ("--config", name)))
+    assert code == 1
+    assert said in error
+    assert f"the dataset has {A} (default); {B} (lanes.hold_s=2.0)" in error
+
+
+def test_of_three_two_must_be_named(dataset, capsys):
+    add_table(dataset, frames(1, [0.1] * 4), "cccc0000")
+    code, _, error = compare(capsys, dataset)
+    assert code == 1
+    assert "expected --config twice, found it 0 times" in error
+    assert "cccc0000 (unknown)" in error
+
+
+def test_no_tables(tmp_path, capsys):
+    write_runs(tmp_path / "runs.parquet", [done(1)])
+    code, _, error = compare(capsys, tmp_path)
+    assert code == 1
+    assert "no tables in metrics/date=.../" in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("elsewhere",), "elsewhere: is no OUT_DIR of a batch; expected B"),
+        (("a", "b", "--config", "c"), "--config: is for two configurations of one batch's OUT_DIR"),
+        (("DATASET", "--update-reference"), "--update-reference: expected A and B"),
+    ],
+)
+def test_wrong_usage(dataset, capsys, arguments, said):
+    with pytest.raises(SystemExit) as ended:
+        main([str(dataset) if word == "DATASET" else word for word in arguments])
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err

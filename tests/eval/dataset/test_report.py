@@ -1,0 +1,314 @@
+"""The report over a batch's dataset: known answers, one pass over batches, and what is wrong said in a line."""
+
+import polars as pl
+import pytest
+
+from roadperc_stream.cli.report import main
+from roadperc_stream.eval.bench import write_dataset
+from roadperc_stream.eval.configurations import grouped
+from roadperc_stream.eval.dataset import reading
+from roadperc_stream.eval.dataset.grouped import group_frames, summaries_of
+from roadperc_stream.eval.dataset.place import dataset_at, metrics_files
+from roadperc_stream.eval.dataset.run_rows import read_runs
+from roadperc_stream.eval.runs import find_runs
+from roadperc_stream.eval.summary import summarise_group
+from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, log_id, small_dataset, write_runs
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    return small_dataset(tmp_path / "dataset")
+
+
+def report(capsys, *arguments):
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def rows_below(text, table, label):
+    """The cells of the lines below a label of a table, by their own label."""
+    lines = iter(text.splitlines())
+    next(line for line in lines if line.startswith(table))
+    next(line for line in lines if line == label)
+    found = {}
+    for line in lines:
+        if not line.startswith("  "):
+            return found
+        name, *cells = line.split()
+        found[name] = cells
+    return found
+
+
+def summaries(folder, *by):
+    dataset = dataset_at(str(folder))
+    found = group_frames(metrics_files(dataset), read_runs(dataset), by)
+    return summaries_of(found, {}, [A, B])
+
+
+def test_the_heading_says_what_there_is_and_what_failed(dataset, capsys):
+    code, text, _ = report(capsys, dataset)
+    assert code == 0
+    lines = text.splitlines()
+    assert lines[0] == f"{dataset}: 2 logs, 2 configurations, 20 frames, 0.80 s of log"
+    assert lines[1] == "runs: 4 done, 2 damaged, 1 timeout"
+    assert lines[2] == "  damaged: /drives/bad.mcap: cut off at byte 7"
+    assert lines[3] == f"  timeout ({A}): /drives/drive4.mcap: took more than 60 s"
+    assert ["lanes.hold_s", "default", "2.0"] in [line.split() for line in lines]
+
+
+def test_configurations_stand_side_by_side(dataset, capsys):
+    _, text, _ = report(capsys, dataset)
+    assert [line.split() for line in text.splitlines() if line.startswith((A, B))][:2] == [
+        [A, "2", "10", "0.40", "s", "40.0"],
+        [B, "2", "10", "0.40", "s", "40.0"],
+    ]
+    errors = rows_below(text, "Accuracy", "lane left at 10 m, m")
+    assert errors == {A: ["90.0", "0.100", "0.100", "0.220", "0.300"], B: ["90.0", "0.100", "0.100", "0.688", "0.800"]}
+
+
+def test_a_column_of_the_frames_groups_them(dataset, capsys):
+    _, text, _ = report(capsys, dataset, "--by", "lane_left_status,config")
+    errors = rows_below(text, "Accuracy", "lane left at 10 m, m")
+    assert set(errors) == {"held,", "measured,"}
+    _, text, _ = report(capsys, dataset, "--by", "lane_left_status")
+    errors = rows_below(text, "Accuracy", "lane left at 10 m, m")
+    assert errors["held"] == ["100.0", "0.100", "0.100", "0.100", "0.100"]
+    assert errors["measured"][0] == "75.0"
+    assert "groups are over several configurations: --by lane_left_status,config" in text
+
+
+@pytest.mark.parametrize(
+    ("by", "names"),
+    [
+        ("log", ["drive1", "drive2"]),
+        ("date", ["2026-01-01", "2026-01-02"]),
+        ("path", ["/drives/drive1.mcap", "/drives/drive2.mcap"]),
+        ("missing", ["depth", "none"]),
+        ("config_digest", [A * 8, B * 8]),
+    ],
+)
+def test_what_groups_are_called(dataset, by, names):
+    found = dataset_at(str(dataset))
+    grouping = group_frames(metrics_files(found), read_runs(found), [by])
+    logs = {log_id(number): f"drive{number}" for number in (1, 2)}
+    assert [summary.name for summary in summaries_of(grouping, logs, [A, B])] == names
+
+
+def test_worst_logs_come_with_their_path_and_the_frames_to_look_at(dataset, capsys):
+    _, text, _ = report(capsys, dataset, "--worst", "2")
+    lines = text.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("Worst logs"))
+    assert lines[at + 2] == "lane left at 10 m, m"
+    assert lines[at + 3].split() == ["drive1", B, "0.610", "0.800", "75.0", "2(0.10s),", "1(0.05s)"]
+    assert lines[at + 4].split() == ["drive2", A, "0.100", "0.100", "100.0", "0(0.00s),", "1(0.05s)"]
+    assert f"  drive1: /drives/drive1.mcap (log {log_id(1)})" in lines
+
+
+def test_the_longest_stretch_without_an_output(tmp_path, capsys):
+    offsets = [1.0, None, 1.0, None, None, None, 1.0, None]
+    rows = [frames(1, [0.1] * len(offsets))[k] for k in range(len(offsets))]
+    rows = [
+        type(item)(**{**vars(item), "lane_left_offset_m": offset}) for item, offset in zip(rows, offsets, strict=True)
+    ]
+    add_table(tmp_path, rows)
+    _, text, _ = report(capsys, tmp_path)
+    at = text.index("Least covered logs")
+    assert [line.split() for line in text[at:].splitlines()[2:4]] == [
+        ["left"],
+        [log_id(1), "37.5", "3-5", "(0.15-0.25", "s)"],
+    ]
+
+
+def test_one_pass_in_batches_gives_what_table_after_table_gives(tmp_path, monkeypatch):
+    """Batches end within logs; the differences from frame to frame across their ends are there all the same."""
+    write_dataset(tmp_path / "dataset", 6, 500)
+    monkeypatch.setattr(reading, "_ROWS", 330)
+    found = summaries(tmp_path / "dataset", "config")
+    folder = tmp_path / "tables"
+    folder.mkdir()
+    for path in (tmp_path / "dataset").glob("metrics/*/*-11111111.parquet"):
+        path.rename(folder / f"{path.stem}.metrics.parquet")
+    (group,) = grouped(find_runs([str(folder)]))
+    alone = summarise_group(group, 1).together
+    (of_config,) = (summary for summary in found if summary.name == "11111111")
+    for name in (
+        "frames",
+        "runs",
+        "segments",
+        "longest_gap_s",
+        "incomplete",
+        "categories",
+        "missing",
+        "reasons",
+        "totals",
+    ):
+        assert getattr(of_config, name) == getattr(alone, name), name
+    assert of_config.span_s == pytest.approx(alone.span_s)
+    assert of_config.statistics.keys() == alone.statistics.keys()
+    for name, expected in alone.statistics.items():
+        assert vars(of_config.statistics[name]) == pytest.approx(vars(expected), rel=1e-9, abs=1e-12), name
+
+
+def test_many_rows_are_thinned_within_the_bound(tmp_path, monkeypatch):
+    write_dataset(tmp_path, 6, 500)
+    (exact, _) = summaries(tmp_path, "config")
+    monkeypatch.setattr(reading, "EXACT_FRAMES", 500)
+    monkeypatch.setattr(reading, "POINTS", 64)
+    monkeypatch.setattr(reading, "_FEWEST_POINTS", 64)
+    monkeypatch.setattr(reading, "_ROWS", 400)
+    (thinned, _) = summaries(tmp_path, "config")
+    assert 0 < thinned.rank_error < 0.05
+    assert thinned.statistics["step_m"].total == pytest.approx(exact.statistics["step_m"].total)
+    assert thinned.statistics["step_m"].median != exact.statistics["step_m"].median
+    values = pl.concat([pl.read_parquet(path) for path in tmp_path.glob("metrics/*/*-00000000.parquet")])[
+        "step_m"
+    ].drop_nulls()
+    rank = (values < thinned.statistics["step_m"].median).mean()
+    assert abs(rank - 0.5) <= thinned.rank_error
+
+
+def test_of_too_many_logs_the_worst_are_listed(dataset, monkeypatch, capsys):
+    monkeypatch.setattr(reading, "MOST_GROUPS", 1)
+    monkeypatch.setattr("roadperc_stream.eval.dataset.grouped.MOST_GROUPS", 1)
+    _, text, _ = report(capsys, dataset, "--by", "log")
+    assert "listed: 1 of 2 groups, those with the worst mean errors" in text
+    lines = [line.split() for line in text.splitlines()]
+    assert ["drive1", "1", "8", "0.30", "s", "100.0"] in lines
+
+
+def test_compacted_tables_give_the_same_report(dataset, monkeypatch, capsys):
+    _, before, _ = report(capsys, dataset)
+    for day in ("2026-01-01", "2026-01-02"):
+        compact(dataset, day)
+    assert len(list(dataset.glob("metrics/*/*"))) == 2
+    assert report(capsys, dataset) == (0, before, "")
+
+
+def test_frames_that_stand_twice_are_an_error(dataset, capsys):
+    day = dataset / "metrics" / "date=2026-01-01"
+    (first, *_) = sorted(day.iterdir())
+    pl.read_parquet(first, hive_partitioning=False).write_parquet(day / "part-0.parquet")
+    code, _, error = report(capsys, dataset)
+    assert code == 1
+    assert f"log {log_id(1)}, configuration {A}: has frames that stand twice, in " in error
+    assert "part-0.parquet" in error
+
+
+def test_columns_of_other_versions_are_null_where_they_lack(dataset):
+    (path, *_) = sorted(dataset.glob(f"metrics/*/*-{A}.parquet"))
+    table = pl.read_parquet(path, hive_partitioning=False)
+    table.drop("lane_left_error_m", "segment").with_columns(new=pl.lit(1)).write_parquet(path)
+    first, second = summaries(dataset, "config")
+    assert first.frames == second.frames == 10
+    assert first.statistics["lane_left_error_m"].values == 6
+    assert second.statistics["lane_left_error_m"].values == 9
+
+
+def test_a_column_that_only_the_newest_version_has_groups(dataset):
+    *_, path = sorted(dataset.glob("metrics/*/*.parquet"))
+    pl.read_parquet(path, hive_partitioning=False).with_columns(weather=pl.lit("rain")).write_parquet(path)
+    assert [(summary.name, summary.frames) for summary in summaries(dataset, "weather")] == [("rain", 6), ("none", 14)]
+
+
+def test_values_that_are_not_finite_count_as_missing(dataset):
+    (path, *_) = sorted(dataset.glob(f"metrics/*/*-{A}.parquet"))
+    table = pl.read_parquet(path, hive_partitioning=False)
+    table.with_columns(lane_left_error_m=pl.Series([float("nan"), float("inf"), 0.5, None])).write_parquet(path)
+    first, _ = summaries(dataset, "config")
+    assert (first.statistics["lane_left_error_m"].values, first.statistics["lane_left_error_m"].abs_most) == (7, 0.5)
+
+
+def test_what_the_list_of_runs_does_not_know_is_taken_and_said(dataset, capsys):
+    add_table(dataset, frames(9, [0.0]))
+    (dataset / "metrics" / "date=2026-01-02" / f"{log_id(2)}-{B}.parquet").unlink()
+    _, text, _ = report(capsys, dataset)
+    assert "3 logs, 2 configurations, 15 frames" in text
+    assert f"not in runs.parquet, taken all the same, for another batch may be at work: 1 ({log_id(9)}-{A})" in text
+    assert "done, as runs.parquet says, but without a table: 1 (/drives/drive2.mcap)" in text
+
+
+def test_the_newest_row_counts_and_a_path_that_has_become_a_log_is_no_failure(dataset):
+    (dataset / "runs").mkdir()
+    known = {"path": "/drives/bad.mcap", "names": ("/drives/bad.mcap", "/other/bad.mcap")}
+    write_runs(
+        dataset / "runs" / "now.parquet", [done(3, A, 5, **known, finished_ns=500), done(4, A, 7, finished_ns=600)]
+    )
+    runs = read_runs(dataset_at(str(dataset)))
+    found = {(row["path"], row["config"]): row["status"] for row in runs.iter_rows(named=True)}
+    assert found["/drives/bad.mcap", A] == found["/drives/drive4.mcap", A] == "done"
+    assert found["/drives/bad.mcap", B] == "damaged"
+    assert runs.height == 7
+
+
+def test_without_a_list_of_runs_the_tables_are_reported(dataset, capsys):
+    (dataset / "runs.parquet").unlink()
+    code, text, _ = report(capsys, dataset, "--by", "config")
+    assert code == 0
+    assert "runs: no runs.parquet says how they fared" in text
+    assert f"  {log_id(1)}: path unknown (log {log_id(1)})" in text
+
+
+def test_without_tables_the_failures_are_printed(tmp_path, capsys):
+    write_runs(tmp_path / "runs.parquet", [done(1, status="empty", error="no frame")])
+    code, text, error = report(capsys, tmp_path)
+    assert code == 1
+    assert "empty: /drives/drive1.mcap: no frame" in text
+    assert "no log gave a table" in error
+
+
+@pytest.mark.parametrize(
+    ("by", "said"),
+    [
+        (
+            "lane_left_stats",
+            "--by lane_left_stats: no column of the metrics tables or of the list of runs; there are lane_",
+        ),
+        ("stamp_ns", "--by stamp_ns: has more than 3 different values"),
+    ],
+)
+def test_a_grouping_that_cannot_be(dataset, monkeypatch, capsys, by, said):
+    monkeypatch.setattr(reading, "MOST_GROUPS", 3)
+    code, _, error = report(capsys, dataset, "--by", by)
+    assert code == 1
+    assert said in error
+
+
+def test_a_damaged_table_is_named(dataset, capsys):
+    *_, path = sorted(dataset.glob("metrics/*/*.parquet"))
+    path.write_bytes(path.read_bytes()[:-100])
+    code, _, error = report(capsys, dataset)
+    assert code == 1
+    assert str(path) in error
+    assert len(error.splitlines()) == 1
+
+
+def test_a_table_of_a_single_replay_is_none_of_a_dataset(dataset, capsys):
+    for path in dataset.glob("metrics/*/*.parquet"):
+        pl.read_parquet(path, hive_partitioning=False).drop("config").write_parquet(path)
+    code, _, error = report(capsys, dataset)
+    assert code == 1
+    assert "it has no column config" in error
+
+
+def test_a_list_of_runs_that_is_none_is_named(dataset, capsys):
+    pl.DataFrame({"a": [1]}).write_parquet(dataset / "runs.parquet")
+    code, _, error = report(capsys, dataset)
+    assert code == 1
+    assert "runs.parquet: is not a list of runs: it has no column path" in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--by", "log", "elsewhere"), "--by: expected a batch's dataset"),
+        (("DATASET", "elsewhere"), "a batch's dataset is reported by itself"),
+        (("DATASET", "--html", "page.html"), "--html: the page is about runs"),
+        (("DATASET", "--by", "log,,date"), "expected names of columns"),
+    ],
+)
+def test_wrong_usage(dataset, capsys, arguments, said):
+    with pytest.raises(SystemExit) as ended:
+        main([str(dataset) if word == "DATASET" else word for word in arguments])
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
