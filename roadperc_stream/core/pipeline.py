@@ -8,6 +8,7 @@ own: whoever is free does what is next, so that none waits while another has mor
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 from threading import Condition, Thread
 from typing import Any, Final, Generic, TypeVar
 
@@ -19,6 +20,8 @@ _SPARE: Final = 1
 """Items under way beyond one for each thread, that whoever is done finds another one: more gain nothing."""
 _END: Final = object()
 """What the first step gives behind the last item."""
+_WAKES_EVERY_S: Final = 0.5
+"""For which a signal may go unheeded."""
 
 
 @dataclass(frozen=True)
@@ -66,36 +69,39 @@ class _Work:
         self._is_stopped = False
 
     def run(self) -> None:
-        """Do all of it, the caller as one of the threads."""
-        helpers = [Thread(target=self._help, name=f"roadperc_{number}") for number in range(1, self._threads)]
+        """Do all of it in threads of their own.
+
+        The caller's takes no lock: a signal that comes between the taking and the block that gives it back would let
+        the others wait for ever. It only waits, and wakes now and then, for a signal can come just before a wait.
+        """
+        ended = SimpleQueue[None]()
+        helpers = [Thread(target=self._help, args=(ended,), name=f"roadperc_{n}") for n in range(self._threads)]
         try:
             for helper in helpers:
                 helper.start()
-            self._work(Exception)
-        finally:  # a signal interrupts the caller: the others end after what they are at
-            self._stop()
+            for _ in helpers:
+                while not _comes(ended):
+                    pass
+        finally:  # those that are at a step end after it, and wake those that wait for it
+            self._is_stopped = True
             for helper in filter(Thread.is_alive, helpers):
                 helper.join()
         if self._failed is not None:
             raise self._failed[1]
 
-    def _help(self) -> None:
+    def _help(self, ended: SimpleQueue[None]) -> None:
         """Work in a thread in which numpy is as silent as in ``one_thread``: that setting is a thread's own."""
         with np.errstate(all="ignore"):
-            self._work(BaseException)
+            self._work()
+        ended.put(None)
 
-    def _stop(self) -> None:
-        with self._changed:
-            self._is_stopped = True
-            self._changed.notify_all()
-
-    def _work(self, kept: type[BaseException]) -> None:
-        """Do what is next until nothing is left; an error of the kind ``kept`` is its item's."""
+    def _work(self) -> None:
+        """Do what is next until nothing is left."""
         while (begun := self._begun()) is not None:
             step, number, item = begun
             try:
                 made = self._steps[step](item)
-            except kept as error:
+            except BaseException as error:
                 self._fail(step, number, error)
             else:
                 self._pass_on(step, number, made)
@@ -141,3 +147,11 @@ class _Work:
             else:
                 self._waiting[step + 1].append((number, made))
             self._changed.notify_all()
+
+
+def _comes(ended: SimpleQueue[None]) -> bool:
+    try:
+        ended.get(timeout=_WAKES_EVERY_S)
+    except Empty:
+        return False
+    return True

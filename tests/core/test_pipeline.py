@@ -1,5 +1,7 @@
 """Items through steps: everything in order, whatever is faster; errors where they belong; no thread is left."""
 
+import signal
+import sys
 import threading
 import time
 from itertools import count
@@ -9,8 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadperc_stream.core import pipeline
 from roadperc_stream.core.pipeline import Pipeline
 
+CONDITION = {getattr(threading.Condition, name).__code__ for name in ("__enter__", "__exit__", "wait", "notify_all")}
 THREADS = (1, 2, 3, 4)
 STEPS = ("read", "first", "second", "last")
 DELAYS_MS = st.lists(st.tuples(*[st.integers(0, 3)] * len(STEPS)), max_size=8)
@@ -48,11 +52,11 @@ def run(threads, delays, broken=()):
         return item, (*before, len(seen[step]))
 
     items = (work("read", item, ()) for item in range(len(delays)))
-    pipeline = Pipeline(items)
+    job = Pipeline(items)
     for step in STEPS[1:]:
-        pipeline = pipeline.then(lambda made, step=step: work(step, *made))
+        job = job.then(lambda made, step=step: work(step, *made))
     try:
-        pipeline.run(threads)
+        job.run(threads)
     except FaultError as error:
         failed = str(error)
     return seen, failed
@@ -89,10 +93,10 @@ def test_as_many_steps_are_at_work_as_there_are_threads(threads, expected):
         seen.add(threading.get_ident())
         return item
 
-    pipeline = Pipeline(meet(0, item) for item in range(20))
+    job = Pipeline(meet(0, item) for item in range(20))
     for step in range(1, len(STEPS)):
-        pipeline = pipeline.then(lambda item, step=step: meet(step, item))
-    pipeline.run(threads)
+        job = job.then(lambda item, step=step: meet(step, item))
+    job.run(threads)
     assert len(seen) == expected
 
 
@@ -112,22 +116,72 @@ def test_little_is_under_way(threads):
 
 @pytest.mark.parametrize("threads", THREADS)
 def test_a_signal_ends_at_once_what_waits(threads):
-    """It comes to the caller's thread, whatever step that is at."""
-    done, caller = [], threading.current_thread()
+    """It interrupts the caller's thread, whoever is at what step."""
+    done = []
+
+    def stop(_number, _frame):
+        raise StopError
 
     def stopped(item):
         pause(1)
-        if item >= 3 and threading.current_thread() is caller:
-            raise StopError
+        if item == 3:
+            signal.raise_signal(signal.SIGALRM)
         return item
 
-    with pytest.raises(StopError):
-        Pipeline(count()).then(stopped).then(stopped).then(done.append).run(threads)
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        with pytest.raises(StopError):
+            Pipeline(count()).then(stopped).then(stopped).then(done.append).run(threads)
+    finally:
+        signal.signal(signal.SIGALRM, before)
     assert done == list(range(len(done)))
     assert threads_left() == []
     after = len(done)
     pause(20)
     assert len(done) == after
+
+
+def test_a_signal_may_come_anywhere():
+    """Also where the caller has just taken a lock: an error at each of its instructions in turn.
+
+    Those of the standard library's ``Thread`` are left out: it has locks of its own, which it takes once in a job.
+    """
+
+    def is_of_condition(frame):
+        return frame.f_code in CONDITION and frame.f_back.f_code.co_filename == pipeline.__file__
+
+    def interrupted(instruction):
+        """Whether the caller's run is over with the error, at the instruction of that number."""
+        left, outcome = [instruction], []
+
+        def trace(frame, event, _):
+            frame.f_trace_opcodes = frame.f_code.co_filename == pipeline.__file__ or is_of_condition(frame)
+            left[0] -= event == "opcode"
+            if left[0] < 0:
+                raise StopError
+            return trace
+
+        def call():
+            sys.settrace(trace)
+            try:
+                Pipeline(iter(range(6))).then(lambda _: pause(1)).then(lambda _: pause(1)).run(2)
+            except StopError:
+                outcome.append("interrupted")
+            finally:
+                sys.settrace(None)
+
+        caller = threading.Thread(target=call, daemon=True)
+        caller.start()
+        caller.join(timeout=30)
+        assert not caller.is_alive(), f"it hangs, interrupted at instruction {instruction}"
+        return bool(outcome)
+
+    number = next(number for number in count() if not interrupted(number))
+    assert number > 100
+    deadline = time.monotonic() + 30
+    while threads_left() and time.monotonic() < deadline:  # one that had hardly started, and does nothing
+        pause(1)
+    assert threads_left() == []
 
 
 def test_numpy_is_silent_in_every_thread(recwarn):
