@@ -3,6 +3,8 @@
 import random
 import subprocess
 import time
+from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
 
 import psutil
@@ -10,6 +12,7 @@ import pytest
 
 from tests import logs
 from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
+from tests.batch.machines import title
 from tests.commands import words
 
 KILLS = 6
@@ -17,47 +20,63 @@ KILLS = 6
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory):
-    """Eight good logs of several lengths, one cut short, one empty, one that needs more memory than it may."""
+    """Eight good logs of several lengths and a huge one, one cut short, one empty, one that needs too much memory."""
     folder = tmp_path_factory.mktemp("drives")
     for number in range(8):
         write_log(folder / f"good_{number}.mcap", frames=10 + 5 * number, lane_m=0.04 * number)
+    write_log(folder / "good_huge.mcap", frames=250, lane_m=-0.04)
     whole = (folder / "good_7.mcap").read_bytes()
     (folder / "cut.mcap").write_bytes(whole[: len(whole) // 3])
     (folder / "nothing.mcap").write_bytes(b"")
-    logs.write(folder / "huge.mcap", logs.items(6, road=replace(logs.SMALL, width=5600, height=4200)))
+    logs.write(folder / "heavy.mcap", logs.items(6, road=replace(logs.SMALL, width=5600, height=4200)))
     return folder
 
 
-def replaying(process):
-    """The processes of a batch in which logs are at work: those that were forked from the one that imported it all."""
-    try:
-        servers = [p for p in process.children() if "forkserver" in " ".join(p.cmdline())]
-        return [child for server in servers for child in server.children()]
-    except psutil.Error:
-        return []
+def replaying(batch_process):
+    """The processes in which logs are at work: each was forked from one that has imported all."""
+    return [found for found in batch_process.children(recursive=True) if "forkserver" in title(parent_of(found))]
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_workers_killed_at_random(drives, tmp_path, jobs):
-    out, rng, killed = tmp_path / "out", random.Random(jobs), 0
+def watching(batch_process):
+    """The processes in which Ray looks after those."""
+    return [found for found in batch_process.children(recursive=True) if "attempt_on_node" in title(found)]
+
+
+def parent_of(process):
+    with suppress(psutil.NoSuchProcess):
+        return process.parent() or process
+    return process
+
+
+@pytest.mark.parametrize(
+    ("back_end", "kinds"),
+    [
+        (["--jobs", 1], [replaying]),
+        (["--jobs", 2], [replaying]),
+        (["--ray", "local", "--jobs", 2], [replaying, watching]),
+    ],
+)
+def test_workers_killed_at_random(drives, tmp_path, back_end, kinds):
+    out, rng, killed = tmp_path / "out", random.Random(str(back_end)), Counter()
     with subprocess.Popen(
-        words("roadperc-batch", out, drives, "--jobs", jobs, "--retries", "10", "--memory", "280MB"),
+        words("roadperc-batch", out, drives, *back_end, "--retries", "10", "--memory", "280MB"),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     ) as process:
         while process.poll() is None:
             time.sleep(rng.uniform(0.1, 0.6))
-            workers = replaying(psutil.Process(process.pid))
-            if workers and killed < KILLS:
+            kind = kinds[killed.total() % len(kinds)]
+            workers = kind(psutil.Process(process.pid))
+            if workers and killed.total() < KILLS:
                 rng.choice(workers).kill()
-                killed += 1
+                killed[kind] += 1
         printed, errors = process.communicate()
     assert process.returncode == 1, printed + errors
     assert "Traceback" not in printed + errors
-    assert killed == KILLS
-    good = {f"good_{number}.mcap": "done" for number in range(8)}
-    assert statuses(out) == good | {"cut.mcap": "damaged", "nothing.mcap": "empty", "huge.mcap": "memory"}
+    assert killed == dict.fromkeys(kinds, KILLS // len(kinds))
+    good = {source.name: "done" for source in drives.glob("good_*.mcap")}
+    assert statuses(out) == good | {"cut.mcap": "damaged", "nothing.mcap": "empty", "heavy.mcap": "memory"}
     assert runs(out)["attempts"].sum() > 10
     for source in sorted(drives.glob("good_*.mcap")):
         assert_as_single(out, source, tmp_path)
