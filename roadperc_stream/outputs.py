@@ -58,6 +58,19 @@ class ReplaySummary:
         """Frames computed in a second."""
         return (self.frames - self.frames_before) / self.seconds
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a person should know of it, a line each."""
+        unreadable = (
+            f"warning: {number} messages on {topic} could not be read; their frames go without"
+            for topic, number in self.problems.items()
+        )
+        return (
+            *(f"warning: {warning}" for warning in self.warnings),
+            *(f"note: {note}" for note in (*self.notes, *self.throughout)),
+            *unreadable,
+        )
+
 
 class Outputs:
     """What a replay writes: the log and its two tables."""

@@ -171,7 +171,7 @@ def _run(task: Task, printed: Path, sender: Connection) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         outcome = work(task, _Sender(sender).progress)
-    except Exception as error:
+    except Exception as error:  # whatever it is, it is this log's: the batch goes on with the others
         traceback.print_exc()
         said = f"{type(error).__name__}: {error}; {OUTPUT}/ has the traceback"
         outcome = Outcome("killed", " ".join(said.splitlines()), worker=this_worker())

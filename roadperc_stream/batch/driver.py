@@ -13,7 +13,18 @@ from roadperc_stream.batch.configuration import BatchConfiguration, code_digest,
 from roadperc_stream.batch.plan import Step
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
 from roadperc_stream.batch.splitting import SplitPart
-from roadperc_stream.batch.task import BUSY, CUT, NO_TIMEOUT, DriveFiles, EndedPart, KeptLog, Outcome, Task, TaskLimits
+from roadperc_stream.batch.task import (
+    BUSY,
+    NO_TIMEOUT,
+    CutLog,
+    DriveFiles,
+    EndedPart,
+    EndedParts,
+    KeepLogs,
+    Outcome,
+    Task,
+    TaskLimits,
+)
 from roadperc_stream.log import DIGEST_ALGORITHM
 from roadperc_stream.output.tables import config_digest
 from roadperc_stream.schemas.columns.runs import RunRow
@@ -35,7 +46,7 @@ class BatchJob:
     Args:
         how: the configuration.
         out: the dataset.
-        kept: the result log to keep.
+        keep_logs: the result log to keep.
         recover: replay what can be read of damaged logs.
         limits: of each attempt.
         retries: how often a log is tried again whose worker died.
@@ -45,7 +56,7 @@ class BatchJob:
 
     how: BatchConfiguration
     out: Folder
-    kept: KeptLog = "no"
+    keep_logs: KeepLogs = "no"
     recover: bool = False
     limits: TaskLimits = NO_TIMEOUT
     retries: int = 2
@@ -55,7 +66,7 @@ class BatchJob:
     def task(self, drive: DriveFiles, same_ids: tuple[str, ...] = ()) -> Task:
         """The task of a whole log."""
         return Task(
-            drive, self.how, self.out, self.kept, self.recover, self.limits, same_ids, code_digest(), self.scratch
+            drive, self.how, self.out, self.keep_logs, self.recover, self.limits, same_ids, code_digest(), self.scratch
         )
 
 
@@ -74,16 +85,22 @@ class BatchProgress:
 
 @dataclass
 class _SplitLog:
-    """A log that is replayed in parts: what came of cutting it, and of its parts by number."""
+    """A log that is replayed in parts: how it was cut, and what came of its parts by number."""
 
-    cut: Outcome
+    cut: CutLog
     ended: dict[int, EndedPart] = field(default_factory=dict)
+    most_attempts: int = 1
     has_failed: bool = False
 
     @property
     def is_replayed(self) -> bool:
         """Whether all parts are."""
         return len(self.ended) == len(self.cut.parts)
+
+    @property
+    def ended_parts(self) -> EndedParts:
+        """All parts in their order."""
+        return EndedParts(self.cut, tuple(self.ended[part.index] for part in self.cut.parts))
 
 
 @dataclass(frozen=True)
@@ -169,10 +186,8 @@ class Driver:
     def _task(self, item: _Try) -> Task:
         if item.split is None:
             return self.job.task(item.step.drive, self._same_ids(item.step))
-        task = replace(self.job.task(item.step.drive), cut=item.split.cut)
-        if item.part is not None:
-            return replace(task, part=item.part)
-        return replace(task, ended=tuple(item.split.ended[part.index] for part in item.split.cut.parts))
+        piece, is_audited = item.part or item.split.ended_parts, item.split.cut.is_audited
+        return replace(self.job.task(item.step.drive), piece=piece, is_audited=is_audited)
 
     def _same_ids(self, step: Step) -> tuple[str, ...]:
         """Logs that were done since the batch was planned may be this one, too."""
@@ -198,9 +213,9 @@ class Driver:
                 self._wait_with(_Try(item.step) if whole else item, _BUSY_AGAIN_S)
             elif outcome.status in _TRIED_AGAIN and item.attempts <= self.job.retries:
                 self._wait_with(replace(item, attempts=item.attempts + 1), _UNREACHED_AGAIN_S * item.attempts)
-            elif outcome.status == CUT:
-                split = _SplitLog(outcome)
-                self._waiting.extendleft(_Try(item.step, split=split, part=part) for part in reversed(outcome.parts))
+            elif outcome.cut is not None:
+                split = _SplitLog(outcome.cut)
+                self._waiting.extendleft(_Try(item.step, split=split, part=part) for part in reversed(split.cut.parts))
             elif item.split is not None and item.part is not None and outcome.status == "done":
                 self._part_done(item, item.split, item.part, outcome)
             else:
@@ -223,6 +238,7 @@ class Driver:
     def _part_done(self, item: _Try, split: _SplitLog, part: SplitPart, outcome: Outcome) -> None:
         self._progress.frames += outcome.frames
         split.ended[part.index] = EndedPart(part, outcome)
+        split.most_attempts = max(split.most_attempts, item.attempts)
         if split.is_replayed:
             self._waiting.appendleft(_Try(item.step, split=split))
 
@@ -298,10 +314,10 @@ class Driver:
             settings=how.settings,
             options=how.options,
             recover=self.job.recover,
-            logs=self.job.kept,
+            logs=self.job.keep_logs,
             digest_algorithm=DIGEST_ALGORITHM,
             worker=outcome.worker,
-            attempts=item.attempts,
+            attempts=max(item.attempts, item.split.most_attempts if item.split else 1),
             finished_ns=0,
         )
         return _also_named(row, drive)

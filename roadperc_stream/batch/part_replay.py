@@ -8,11 +8,12 @@ import msgspec
 
 from roadperc_stream.batch.publishing import of_summary, publish
 from roadperc_stream.batch.splitting import SplitPart, parts_of_log
-from roadperc_stream.batch.task import BUSY, CUT, EndedPart, Outcome, Task
+from roadperc_stream.batch.task import BUSY, CUT, CutLog, EndedPart, EndedParts, Outcome, Task
 from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.progress import Progress
 from roadperc_stream.core.text import print_line
 from roadperc_stream.input import ReplayInput, ReplaySource
+from roadperc_stream.log import is_indexed
 from roadperc_stream.loop import NOBODY, Watcher, replay
 from roadperc_stream.output.tables import read_table, write_table
 from roadperc_stream.output.target import ReplayTarget
@@ -82,7 +83,8 @@ def cut_log(task: Task, log_in: ReplayInput) -> Outcome | None:
     if how.split_s is None:
         return None
     parts = parts_of_log(log_in, how.cfg, how.split_s, how.time_range)
-    return Outcome(CUT, log_id=log_in.log_id, parts=parts, first_ns=log_in.summary.first_ns or 0) if parts[1:] else None
+    cut = CutLog(log_in.log_id, log_in.summary.first_ns or 0, parts, is_indexed(log_in.summary))
+    return Outcome(CUT, log_id=log_in.log_id, cut=cut) if parts[1:] else None
 
 
 def replayed_part(task: Task, part: SplitPart, source: ReplaySource, folder: Path, progress: Progress) -> Outcome:
@@ -102,7 +104,7 @@ def replayed_part(task: Task, part: SplitPart, source: ReplaySource, folder: Pat
     summary = replay_part(
         source, part, how.cfg, target.path, how.warm_up_s, checkpoints=CHECKPOINTS, watcher=Watcher(progress)
     )
-    print_summary(summary)
+    print_remarks(summary)
     for name, table in (("metrics", target.metrics), ("objects", target.objects)):
         task.out.put(table, f"{place}.{name}.parquet")
     outcome = of_summary(summary)
@@ -127,12 +129,12 @@ def _finished(data: bytes, made_of: str) -> Outcome | None:
     return outcome if was_made_of == made_of else None
 
 
-def joined_parts(task: Task, cut: Outcome, folder: Path) -> Outcome:
+def joined_parts(task: Task, ended: EndedParts, folder: Path) -> Outcome:
     """Join the tables of all parts, and put them into the dataset.
 
     Args:
-        task: with the parts that have ended.
-        cut: what is known of the whole log.
+        task: of the log.
+        ended: its parts.
         folder: for temporary files.
 
     Raises:
@@ -140,19 +142,19 @@ def joined_parts(task: Task, cut: Outcome, folder: Path) -> Outcome:
     """
     from roadperc_stream.batch.joining import join
 
-    target, log_id = ReplayTarget(folder / "out.mcap"), cut.log_id or ""
-    parts = [_fetched_part(task, ended, folder) for ended in task.ended]
-    if None in parts:
+    target, log_id = ReplayTarget(folder / "out.mcap"), ended.cut.log_id
+    tables = [_fetched_part(task, part, folder) for part in ended.parts]
+    if None in tables:
         return Outcome(BUSY)
-    joined = join(log_id, [part for part in parts if part is not None])
+    joined = join(log_id, [table for table in tables if table is not None])
     for note in joined.notes:
         print_line(f"note: {note}")
     write_table(target.metrics, joined.metrics)
     write_table(target.objects, joined.objects)
-    outcome = publish(task, target, log_id, cut.first_ns, _together([ended.outcome for ended in task.ended]))
-    for ended in task.ended:
+    outcome = publish(task, target, log_id, ended.cut.first_ns, _together([part.outcome for part in ended.parts]))
+    for part in ended.parts:
         for suffix in ("json", "metrics.parquet", "objects.parquet"):
-            task.out.remove(f"{_place(task, ended.part)}.{suffix}")
+            task.out.remove(f"{_place(task, part.part)}.{suffix}")
     return outcome
 
 
@@ -179,10 +181,7 @@ def _together(outcomes: list[Outcome]) -> Outcome:
     )
 
 
-def print_summary(summary: ReplaySummary) -> None:
-    """Print what a person should know of a replay."""
-    for kind, texts in (("warning", summary.warnings), ("note", (*summary.notes, *summary.throughout))):
-        for text in texts:
-            print_line(f"{kind}: {text}")
-    for topic, number in summary.problems.items():
-        print_line(f"warning: {number} messages on {topic} could not be read")
+def print_remarks(summary: ReplaySummary) -> None:
+    """Print what a person should know of a replay: it comes to stand beside the dataset's tables."""
+    for remark in summary.remarks:
+        print_line(remark)

@@ -8,7 +8,7 @@ from roadperc_stream import __version__
 from roadperc_stream.batch.configuration import code_digest
 from roadperc_stream.batch.publishing import LOGS, METRICS, OBJECTS, name_in
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
-from roadperc_stream.batch.task import DriveFiles, KeptLog
+from roadperc_stream.batch.task import DriveFiles, KeepLogs
 from roadperc_stream.core.files import TABLE_SUFFIX
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE
 from roadperc_stream.storage.folder import Folder
@@ -41,13 +41,13 @@ class Again:
         verify: read every log, rather than trust its size and time.
         retry_failed: logs that are damaged or empty, too.
         recover: damaged logs that nobody tried to recover.
-        kept: those without the result log that is asked for.
+        keep_logs: those without the result log that is asked for.
     """
 
     verify: bool = False
     retry_failed: bool = False
     recover: bool = False
-    kept: KeptLog = "no"
+    keep_logs: KeepLogs = "no"
 
 
 class Planner:
@@ -101,7 +101,7 @@ class Planner:
         names = {folder: name_in(folder, *place) for folder in (METRICS, OBJECTS, LOGS)}
         if names[METRICS] not in self._there or names[OBJECTS] not in self._there:
             return "its tables are gone"
-        if self._again.kept != "no" and (row.logs != self._again.kept or names[LOGS] not in self._there):
+        if self._again.keep_logs != "no" and (row.logs != self._again.keep_logs or names[LOGS] not in self._there):
             return "has no such result log"
         return ""
 

@@ -54,11 +54,11 @@ def publish(task: Task, target: ReplayTarget, log_id: str, first_ns: int, replay
     """
     date = date_of(first_ns)
     names = {folder: name_in(folder, date, log_id, task.how.name) for folder in (METRICS, OBJECTS, LOGS)}
-    kept = task.kept != "no"
-    facts = {"source": task.drive.name, "log": joined(task.out.address, names[LOGS]) if kept else ""}
+    keeps_log = task.keep_logs != "no"
+    facts = {"source": task.drive.name, "log": joined(task.out.address, names[LOGS]) if keeps_log else ""}
     facts["options"] = task.how.options
     measured = totals(target.metrics, TIME_COLUMNS)
-    if kept:
+    if keeps_log:
         task.out.put(target.path, names[LOGS])
     else:
         task.out.remove(names[LOGS])  # of an earlier run: it would stand beside tables of this one

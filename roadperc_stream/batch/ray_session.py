@@ -41,7 +41,7 @@ def main() -> None:
     try:
         with _joined(request):
             _Session(connection, request).serve()
-    except Exception as error:
+    except Exception as error:  # Ray raises of many kinds; the batch at the other end tells its user
         with suppress(OSError):
             connection.send(Refusal(_line(error)))
 

@@ -15,7 +15,7 @@ from roadperc_stream.schemas.columns.runs import RunStatus
 from roadperc_stream.storage.folder import Folder
 from roadperc_stream.storage.stored import StoredFile
 
-KeptLog = Literal["no", "whole", "results"]
+KeepLogs = Literal["no", "whole", "results"]
 """Which result log stays in the dataset: none, one as a replay writes it, or one without the input's messages."""
 BUSY: Final = "busy"
 """The status of a task whose log another batch is at work on."""
@@ -74,30 +74,29 @@ class Task:
         drive: the log.
         how: the configuration.
         out: the dataset.
-        kept: the result log to keep.
+        keep_logs: the result log to keep.
         recover: replay what can be read of a damaged log.
         limits: of each attempt.
         same_ids: logs that are in the dataset already and that this one may be, under another name or another time of
             change: then nothing is left to do.
         code: digest of the code that the batch was started with, which is to be the worker's.
         scratch: a folder for temporary files on the worker's machine; None: within the dataset, or the system's.
-        part: replay this part of the log alone.
-        cut: what came of cutting the log into parts; None where nobody has, or it is not to be split.
-        ended: the parts, which have been replayed and are to be joined.
+        piece: the part of the log that is to be replayed, or the replayed parts that are to be joined; None: replay it
+            whole, or find out in what parts.
+        is_audited: as ``CutLog``.
     """
 
     drive: DriveFiles
     how: BatchConfiguration
     out: Folder
-    kept: KeptLog = "no"
+    keep_logs: KeepLogs = "no"
     recover: bool = False
     limits: TaskLimits = NO_TIMEOUT
     same_ids: tuple[str, ...] = ()
     code: str = ""
     scratch: Path | None = None
-    part: SplitPart | None = None
-    cut: "Outcome | None" = None
-    ended: "tuple[EndedPart, ...]" = ()
+    piece: "SplitPart | EndedParts | None" = None
+    is_audited: bool = False
 
     @cached_property
     def content_key(self) -> str:
@@ -112,7 +111,18 @@ class Task:
     @property
     def key(self) -> str:
         """Names the task among all that are at work."""
-        return self.log_key if self.part is None else f"{self.log_key}-{self.part.index}"
+        return f"{self.log_key}-{self.piece.index}" if isinstance(self.piece, SplitPart) else self.log_key
+
+
+@dataclass(frozen=True)
+class CutLog:
+    """A log that is to be replayed in parts; ``first_ns`` is the log time of its first message."""
+
+    log_id: str
+    first_ns: int
+    parts: tuple[SplitPart, ...]
+    is_audited: bool = False
+    """Whether it has been checked so that its parts need not be, nor fetched whole (``input.ReplaySource``)."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +130,7 @@ class Outcome:
     """How an attempt ended; what is not known is None or 0.
 
     ``is_new`` is False where the log was in the dataset already, ``stages_s`` are the seconds of each stage by column,
-    ``parts`` those that a log was cut into.
+    ``cut`` is how a log was cut.
     """
 
     status: RunStatus | Literal["busy", "cut"]
@@ -137,9 +147,7 @@ class Outcome:
     seconds: float = 0.0
     peak_memory_mb: float | None = None
     worker: str = ""
-    parts: tuple[SplitPart, ...] = ()
-    first_ns: int = 0
-    """Log time of the first message of a log that was cut."""
+    cut: CutLog | None = None
 
 
 @dataclass(frozen=True)
@@ -148,6 +156,14 @@ class EndedPart:
 
     part: SplitPart
     outcome: Outcome
+
+
+@dataclass(frozen=True)
+class EndedParts:
+    """All parts of a log."""
+
+    cut: CutLog
+    parts: tuple[EndedPart, ...]
 
 
 def this_worker() -> str:

@@ -7,8 +7,8 @@ import shutil
 import socket
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace as changed
 from pathlib import Path
 from time import perf_counter
@@ -16,20 +16,22 @@ from typing import Final
 
 import roadperc_stream
 from roadperc_stream.batch.configuration import code_digest
-from roadperc_stream.batch.part_replay import CHECKPOINTS, cut_log, joined_parts, print_summary, replayed_part
+from roadperc_stream.batch.part_replay import CHECKPOINTS, cut_log, joined_parts, print_remarks, replayed_part
 from roadperc_stream.batch.publishing import of_summary, publish
-from roadperc_stream.batch.task import BUSY, Outcome, Task, as_text, this_worker
+from roadperc_stream.batch.splitting import SplitPart
+from roadperc_stream.batch.task import BUSY, EndedParts, Outcome, Task, as_text, this_worker
 from roadperc_stream.core.memory import keep_freed_memory
 from roadperc_stream.core.progress import Progress
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
+from roadperc_stream.log.stored import StoredLog
 from roadperc_stream.loop import Watcher, replay
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE
 from roadperc_stream.state.lock import FolderLock
 from roadperc_stream.state.opening import open_log
 from roadperc_stream.storage.addresses import is_address
-from roadperc_stream.storage.fetching import fetch
+from roadperc_stream.storage.fetching import fetch, partial_copy
 
 SCRATCH: Final = ".work"
 """The folder of a local dataset in which logs are at work."""
@@ -119,16 +121,21 @@ def _claimed(task: Task) -> Iterator[Path | None]:
 
 def _replayed(task: Task, folder: Path, progress: Progress) -> Outcome:
     _require_same_code(task)
-    if task.cut is not None and task.ended:
-        return joined_parts(task, task.cut, folder)
-    source = ReplaySource(_fetched(task, folder), dict(task.how.topics), task.how.time_range, task.recover)
-    if task.part is not None:
-        return replayed_part(task, task.part, source, folder, progress)
+    if isinstance(task.piece, EndedParts):
+        return joined_parts(task, task.piece, folder)
+    with _fetched(task, folder) as paths:
+        return _replayed_files(task, paths, folder, progress)
+
+
+def _replayed_files(task: Task, paths: Sequence[Path], folder: Path, progress: Progress) -> Outcome:
+    source = ReplaySource(paths, dict(task.how.topics), task.how.time_range, task.recover, is_audited=task.is_audited)
+    if isinstance(task.piece, SplitPart):
+        return replayed_part(task, task.piece, source, folder, progress)
     if (outcome := _without_replay(task, source)) is not None:
         return outcome
-    target = ReplayTarget(folder / "out.mcap", results_only=task.kept != "whole", force=True)
+    target = ReplayTarget(folder / "out.mcap", results_only=task.keep_logs != "whole", force=True)
     summary = replay(source, target, task.how.cfg, checkpoints=CHECKPOINTS, watcher=Watcher(progress))
-    print_summary(summary)
+    print_remarks(summary)
     return publish(task, target, summary.log_id, summary.first_ns, of_summary(summary))
 
 
@@ -153,13 +160,20 @@ def _require_same_code(task: Task) -> None:
         raise StorageError(f"{this_worker()}: has another version of roadperc_stream ({found}); expected {task.code}")
 
 
-def _fetched(task: Task, folder: Path) -> list[Path]:
-    """The log's files on this machine.
+@contextmanager
+def _fetched(task: Task, folder: Path) -> Iterator[list[Path]]:
+    """The log's files on this machine; those of a store whole, or as far as they are read where nobody reads all.
 
     Raises:
-        StorageError: one is not to be had.
+        StorageError: one is not to be had, or changed meanwhile.
     """
-    return [_file(file.address, folder / f"{number}.mcap") for number, file in enumerate(task.drive.files)]
+    with ExitStack() as opened:
+        yield [
+            _file(file.address, folder / f"{number}.mcap")
+            if not task.is_audited or not is_address(file.address)
+            else StoredLog.of(folder / f"{number}.mcap", opened.enter_context(partial_copy(file.address, folder)))
+            for number, file in enumerate(task.drive.files)
+        ]
 
 
 def _file(address: str, copy: Path) -> Path:

@@ -11,7 +11,7 @@ from roadperc_stream.batch.driver import BatchJob
 from roadperc_stream.batch.local import LocalBackend
 from roadperc_stream.batch.plan import Again, counted
 from roadperc_stream.batch.running import BatchRun, BatchSummary
-from roadperc_stream.batch.task import KeptLog, TaskLimits
+from roadperc_stream.batch.task import KeepLogs, TaskLimits
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.core.process import optional_output
 from roadperc_stream.core.text import print_line
@@ -29,7 +29,7 @@ def batch_logs(arguments: argparse.Namespace) -> None:
     """
     started = perf_counter()
     job = _job(arguments)
-    again = Again(arguments.verify, arguments.retry_failed, arguments.recover, job.kept)
+    again = Again(arguments.verify, arguments.retry_failed, arguments.recover, job.keep_logs)
     batch = BatchRun(job, arguments.logs, arguments.join, again)
     if arguments.dry_run:
         _print_plan(batch)
@@ -50,13 +50,13 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
     how = BatchConfiguration(
         config_of(arguments), topics, time_range_of(arguments), arguments.split, arguments.warm_up or 0.0
     )
-    kept: KeptLog = "no"
+    keep_logs: KeepLogs = "no"
     if arguments.keep_logs:
-        kept = "results" if arguments.results_only else "whole"
+        keep_logs = "results" if arguments.results_only else "whole"
     return BatchJob(
         how,
         Folder(arguments.out),
-        kept,
+        keep_logs,
         arguments.recover,
         TaskLimits(arguments.timeout, arguments.memory),
         arguments.retries,

@@ -96,12 +96,8 @@ def _requests(arguments: argparse.Namespace) -> tuple[Request, ...]:
 
 
 def _print_summary(target: ReplayTarget, summary: ReplaySummary) -> None:
-    for warning in summary.warnings:
-        print_line(f"warning: {warning}")
-    for note in (*summary.notes, *summary.throughout):
-        print_line(f"note: {note}")
-    for topic, number in summary.problems.items():
-        print_line(f"warning: {number} messages on {topic} could not be read; they are copied, their frames go without")
+    for remark in summary.remarks:
+        print_line(remark)
     if not summary.is_new:
         print_line(f"{summary.frames} frames, log {summary.log_id}")
         return

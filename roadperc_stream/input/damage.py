@@ -123,7 +123,12 @@ class ReadableLog:
 
 
 def readable_log(
-    paths: Sequence[Path], limits: LimitsConfig, asked: TimeRange = WHOLE, *, recover: bool = False
+    paths: Sequence[Path],
+    limits: LimitsConfig,
+    asked: TimeRange = WHOLE,
+    *,
+    recover: bool = False,
+    is_audited: bool = False,
 ) -> ReadableLog:
     """A log, or what can be read of it where that is asked for, or where only some of it is to be replayed.
 
@@ -132,6 +137,7 @@ def readable_log(
         limits: of its records and chunks.
         asked: the part to replay; damage elsewhere is none of it.
         recover: whether damage is no error.
+        is_audited: as ``log.summarise``.
 
     Raises:
         LogError: it cannot be read, or is damaged.
@@ -140,7 +146,7 @@ def readable_log(
     sources = log.received(paths)
     despite_damage = recover or asked != WHOLE
     try:
-        return ReadableLog(log.summarise(sources, limits, check_chunks=despite_damage))
+        return ReadableLog(log.summarise(sources, limits, check_chunks=despite_damage, is_audited=is_audited))
     except DamagedLogError as error:
         if not despite_damage:
             raise

@@ -19,6 +19,8 @@ class ReplaySource:
         time_range: the part to replay; the copy of the input is cut with it.
         recover: replay what can be read of a damaged log; frames behind what was lost say so.
         strict: the first message that cannot be used is an error, instead of costing that message alone.
+        is_audited: whether an earlier reading has checked the log, as ``log.summarise``: then no more of it is read
+            than is replayed.
     """
 
     paths: Path | Sequence[Path]
@@ -26,6 +28,7 @@ class ReplaySource:
     time_range: TimeRange = WHOLE
     recover: bool = False
     strict: bool = False
+    is_audited: bool = False
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -39,4 +42,4 @@ class ReplaySource:
             LogError: it cannot, or is damaged where that is an error.
             TargetError: there is no space for temporary files, where the log needs some.
         """
-        return readable_log(self.files, limits, self.time_range, recover=self.recover)
+        return readable_log(self.files, limits, self.time_range, recover=self.recover, is_audited=self.is_audited)

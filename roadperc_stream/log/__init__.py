@@ -11,7 +11,7 @@ from roadperc_stream.log.growing import GrowingLog
 from roadperc_stream.log.indexed import Piece
 from roadperc_stream.log.order import in_order_within
 from roadperc_stream.log.parts import gone_on_ns
-from roadperc_stream.log.reading import read, summarise
+from roadperc_stream.log.reading import is_indexed, read, summarise
 from roadperc_stream.log.records import (
     RECOVERY_RECORD,
     Attachment,
@@ -47,6 +47,7 @@ __all__ = [
     "audited",
     "gone_on_ns",
     "in_order_within",
+    "is_indexed",
     "number_of",
     "pieces",
     "read",

@@ -20,10 +20,15 @@ from roadperc_stream.log.opening import opened
 from roadperc_stream.log.parts import Part, united
 from roadperc_stream.log.records import Attachment, LogSummary, Message, Metadata
 from roadperc_stream.log.sorting import SortedMessages
+from roadperc_stream.log.stored import StoredLog
 
 
 def summarise(
-    source: Path | Sequence[Path], limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False
+    source: Path | Sequence[Path],
+    limits: LimitsConfig = DEFAULT_LIMITS,
+    *,
+    check_chunks: bool = False,
+    is_audited: bool = False,
 ) -> LogSummary:
     """Channels, counts, attachments and metadata of a log, from its index where it has one.
 
@@ -36,13 +41,15 @@ def summarise(
         source: the log, or the files that are one log.
         limits: of their records and chunks.
         check_chunks: check them now.
+        is_audited: whether an earlier summary of the same file, ``is_indexed``, has checked it: then only what is read
+            of it is looked at, and chunks are checked when they are read.
 
     Raises:
         LogError: a file cannot be read, is no MCAP, is cut or damaged, or is beyond the limits.
         TargetError: there is no space to put several files in order.
     """
     paths = [source] if isinstance(source, Path) else source
-    parts = list(_all_inspected(paths, limits, check_chunks=check_chunks))
+    parts = list(_all_inspected(paths, limits, check_chunks=check_chunks, is_audited=is_audited))
     if len(parts) > 1:
         return united(parts)
     summary = parts[0].summary
@@ -103,7 +110,14 @@ def in_file_order(path: Path, limits: LimitsConfig) -> Iterator[Message]:
         yield from FileOrder().messages(stream)
 
 
-def _all_inspected(paths: Sequence[Path], limits: LimitsConfig, *, check_chunks: bool) -> Iterator[Part]:
+def is_indexed(summary: LogSummary) -> bool:
+    """Whether a log is one file, and no repaired copy of it, whose index gives all its messages."""
+    return isinstance(summary.source, IndexedFile | IndexedOrSorted) and not isinstance(summary.path, StoredLog)
+
+
+def _all_inspected(
+    paths: Sequence[Path], limits: LimitsConfig, *, check_chunks: bool, is_audited: bool
+) -> Iterator[Part]:
     """What each file holds, as long as all of them together have no more attachments than may be.
 
     Raises:
@@ -111,7 +125,7 @@ def _all_inspected(paths: Sequence[Path], limits: LimitsConfig, *, check_chunks:
     """
     held_bytes = 0
     for path in paths:
-        part = _inspected(path, limits, check_chunks=check_chunks)
+        part = _inspected(path, limits, check_chunks=check_chunks, is_audited=is_audited)
         held_bytes += sum(len(attachment.data) for attachment in part.summary.attachments)
         try:
             require_attachments(held_bytes, limits)
@@ -120,23 +134,23 @@ def _all_inspected(paths: Sequence[Path], limits: LimitsConfig, *, check_chunks:
         yield part
 
 
-def _inspected(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> Part:
+def _inspected(path: Path, limits: LimitsConfig, *, check_chunks: bool, is_audited: bool) -> Part:
     """What one file holds.
 
     Raises:
         LogError: as ``summarise``.
     """
-    found = require_undamaged(path, limits, check_chunks=check_chunks)
+    found = None if is_audited else require_undamaged(path, limits, check_chunks=check_chunks)
     with opened(path, limits) as stream:
         reader = make_reader(stream)
         profile = reader.get_header().profile
-        index = usable_index(reader) if found.all_in_chunks else None
+        index = usable_index(reader) if found is None or found.all_in_chunks else None
         attachments, metadata = _besides_messages(reader, stream)
         in_order = SortedMessages(str(path), partial(in_file_order, path, limits))
         summary = LogSummary(path, in_order, profile, (), {}, attachments, metadata)
         if index is None:
             return Part(_scanned(summary, stream), None, partial(in_file_order, limits=limits))
-    file = IndexedFile.of(path, index, limits, check_chunks=not found.sealed)
+    file = IndexedFile.of(path, index, limits, check_chunks=found is None or not found.sealed)
     statistics = index.statistics
     assert statistics is not None
     indexed = replace(

@@ -8,7 +8,7 @@ import tempfile
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import IO, Final
+from typing import IO, Final, Protocol
 
 from roadperc_stream.errors import TargetError
 
@@ -48,6 +48,17 @@ def _folder() -> str:
         return tempfile.gettempdir()
     except OSError:
         return "the folder of temporary files"
+
+
+class StoredBytes(Protocol):
+    """Bytes that can be read from any place."""
+
+    @property
+    def size_bytes(self) -> int:
+        """How many there are."""
+
+    def read(self, start: int, length: int) -> bytes:
+        """Some of the bytes, fewer at the end."""
 
 
 class Spool:
@@ -103,17 +114,18 @@ class Spool:
             found += data
         return found
 
-    def open(self) -> IO[bytes]:
-        """A stream over all bytes, with a position of its own."""
-        return io.BufferedReader(_Reader(self), buffer_size=io.DEFAULT_BUFFER_SIZE * 8)
+
+def stream_over(stored: StoredBytes) -> IO[bytes]:
+    """A stream over all bytes, with a position of its own."""
+    return io.BufferedReader(_Reader(stored), buffer_size=io.DEFAULT_BUFFER_SIZE * 8)
 
 
 class _Reader(io.RawIOBase):
-    """Reads a spool from a position of its own."""
+    """Reads bytes from a position of its own."""
 
-    def __init__(self, spool: Spool) -> None:
+    def __init__(self, stored: StoredBytes) -> None:
         super().__init__()
-        self._spool, self._at = spool, 0
+        self._stored, self._at = stored, 0
 
     def readable(self) -> bool:
         """It is."""
@@ -125,7 +137,7 @@ class _Reader(io.RawIOBase):
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Go to a byte."""
-        origin = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._spool.size_bytes}[whence]
+        origin = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._stored.size_bytes}[whence]
         if origin + offset < 0:
             raise OSError(f"no byte {origin + offset}")
         self._at = origin + offset
@@ -133,7 +145,7 @@ class _Reader(io.RawIOBase):
 
     def readinto(self, buffer: "memoryview") -> int:  # type: ignore[override]  # a buffer of any kind is a memoryview
         """Fill a buffer as far as there are bytes."""
-        data = self._spool.read(self._at, len(buffer))
+        data = self._stored.read(self._at, len(buffer))
         buffer[: len(data)] = data
         self._at += len(data)
         return len(data)

@@ -1,4 +1,4 @@
-"""Logs whose bytes do not stand under their name, piped ones and repaired ones: stored, and read like files."""
+"""Logs whose bytes do not stand under their name, such as piped and repaired ones: read like files."""
 
 import os
 import stat
@@ -9,7 +9,7 @@ from typing import IO, Any, Final, Self
 
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.integrity import MAGIC, require_magic, unopened
-from roadperc_stream.log.spool import Spool
+from roadperc_stream.log.spool import Spool, StoredBytes, stream_over
 
 STANDARD_INPUT: Final = Path("-")
 _BLOCK_BYTES: Final = 1024 * 1024
@@ -18,10 +18,10 @@ _BLOCK_BYTES: Final = 1024 * 1024
 class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of this system
     """The name a log came by, and its bytes, which do not stand there; a path derived from it is like any other."""
 
-    stored: Spool | None = None
+    stored: StoredBytes | None = None
 
     @classmethod
-    def of(cls, path: Path, stored: Spool) -> Self:
+    def of(cls, path: Path, stored: StoredBytes) -> Self:
         """A name with its bytes."""
         made = cls(path)
         made.stored = stored
@@ -29,7 +29,7 @@ class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of th
 
     def open(self, *arguments: Any, **options: Any) -> IO[Any]:
         """A stream over the bytes."""
-        return self.stored.open() if self.stored else super().open(*arguments, **options)
+        return stream_over(self.stored) if self.stored else super().open(*arguments, **options)
 
     def is_dir(self, **_: Any) -> bool:
         """It is none."""

@@ -1,5 +1,8 @@
-"""A file of a store, or of this machine, to a file here: whole, or not at all."""
+"""A file of a store, or of this machine, to a file here: whole or not at all, or as far as it is read."""
 
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import IO, Final
@@ -14,6 +17,8 @@ from roadperc_stream.storage.stores import Store, store_errors, store_of, tried
 _PIECE_BYTES: Final = 16 << 20
 _SMALLEST_PIECE_BYTES: Final = 256 << 10
 """A connection that breaks often brings at least this much."""
+_BLOCK_BYTES: Final = 8 << 20
+"""What is fetched at once of a file that is not fetched whole: a second of a drive with several cameras, or a few."""
 
 
 def fetch(address: str, target: Path) -> None:
@@ -45,10 +50,68 @@ def _copy(source: str, target: IO[bytes]) -> None:
         raise _changed(source)
 
 
+@contextmanager
+def partial_copy(address: str, folder: Path) -> Iterator["PartialCopy"]:
+    """A file of a store, of which only what is read is fetched; at the end it must be what it was.
+
+    Args:
+        address: of the file.
+        folder: in which the copy is, without a name: it is gone with the process, even with one that is killed.
+
+    Raises:
+        StorageError: the file cannot be read, or changed while it was.
+        OSError: there is no space for what is read.
+    """
+    source = _Source(store_of(address))
+    with tempfile.TemporaryFile(dir=folder) as kept:
+        yield PartialCopy(source, kept)
+    tried(source.check)
+
+
+class PartialCopy:
+    """A file of a store as far as it has been read; ``log.spool.StoredBytes``."""
+
+    def __init__(self, source: "_Source", kept: IO[bytes]) -> None:
+        self._source, self._kept = source, kept
+        self._fetched = set[int]()
+        """Numbers of blocks."""
+
+    @property
+    def size_bytes(self) -> int:
+        """Of the whole file."""
+        return self._source.size_bytes
+
+    def read(self, start: int, length: int) -> bytes:
+        """Some of the bytes, fewer at the end.
+
+        Raises:
+            StorageError: they cannot be fetched.
+            OSError: there is no space for them.
+        """
+        end = min(start + length, self.size_bytes)
+        if start >= end:
+            return b""
+        for number in range(start // _BLOCK_BYTES, (end - 1) // _BLOCK_BYTES + 1):
+            if number not in self._fetched:
+                self._fetch(number)
+        self._kept.seek(start)
+        return self._kept.read(end - start)
+
+    def _fetch(self, number: int) -> None:
+        at = number * _BLOCK_BYTES
+        end = min(at + _BLOCK_BYTES, self.size_bytes)
+        self._kept.seek(at)
+        while at < end:
+            piece = tried(partial(self._source.piece, at, end))
+            self._kept.write(piece)
+            at += len(piece)
+        self._fetched.add(number)
+
+
 def _download(store: Store, target: IO[bytes]) -> None:
     source = _Source(store)
     while target.tell() < source.size_bytes:
-        target.write(tried(partial(source.piece, target.tell())))
+        target.write(tried(partial(source.piece, target.tell(), source.size_bytes)))
     tried(source.check)
 
 
@@ -77,8 +140,8 @@ class _Source:
         if _Source(self._store)._identity != self._identity:
             raise _changed(self._store.address)
 
-    def piece(self, start: int) -> bytes:
-        """Some bytes from ``start`` on.
+    def piece(self, start: int, end: int) -> bytes:
+        """Some bytes from ``start`` on, none of them from ``end`` on.
 
         Raises:
             StorageError: they were not read, and the next try asks for fewer; or the file changed.
@@ -86,7 +149,7 @@ class _Source:
         if self._is_in_doubt:
             self.check()
         self._is_in_doubt = True
-        size = min(self._piece_bytes, self.size_bytes - start)
+        size = min(self._piece_bytes, end - start)
         self._piece_bytes = max(self._piece_bytes // 4, _SMALLEST_PIECE_BYTES)
         with store_errors(self._store.address):
             data: bytes = self._file.read_at(size, start)

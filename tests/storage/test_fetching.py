@@ -1,12 +1,16 @@
 """Files are fetched whole or not at all, over connections that break and while others write."""
 
 import os
+import tempfile
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from roadperc_stream.errors import StorageError, TargetError
 from roadperc_stream.storage import fetching
-from roadperc_stream.storage.fetching import fetch
+from roadperc_stream.storage.fetching import PartialCopy, fetch, partial_copy
 from roadperc_stream.storage.folder import Folder
 from tests.object_store import BreakingProxy
 
@@ -93,3 +97,48 @@ def test_a_file_that_changes_meanwhile_is_an_error(place, tmp_path, monkeypatch,
     with pytest.raises(StorageError, match="changed while it was read"):
         fetch(f"{place}/a.mcap", tmp_path / "new" / "log.mcap")
     assert names_in(tmp_path / "new") == []
+
+
+def test_of_a_partial_copy_only_what_is_read_is_fetched(bucket, s3_server, tmp_path, monkeypatch):
+    """Blocks here and there, over a connection that breaks, and no byte of them twice."""
+    monkeypatch.setattr("roadperc_stream.storage.stores.WAITS_S", (0.01,) * 5)
+    monkeypatch.setattr(fetching, "_BLOCK_BYTES", 1 << 20)
+    Folder(bucket).write(NAME, BIG)
+    with BreakingProxy(s3_server.port, after_bytes=700_000, breaks=2, first_bytes=1_500_000) as proxy:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
+        with partial_copy(f"{bucket}/{NAME}", tmp_path) as copy:
+            assert names_in(tmp_path) == []
+            assert copy.size_bytes == len(BIG)
+            for start, length in ((0, 8), (len(BIG) - 9, 100), (5_000_000, 2_000_000), (5_500_000, 10), (len(BIG), 1)):
+                assert copy.read(start, length) == BIG[start : start + length]
+        assert proxy.breaks == 0
+        assert proxy.brought_bytes < 7_000_000 < len(BIG)
+
+
+def test_a_partial_copy_of_what_changes_meanwhile_is_an_error(bucket, tmp_path, monkeypatch):
+    monkeypatch.setattr("roadperc_stream.storage.stores.WAITS_S", (0.01,))
+    Folder(bucket).write(NAME, BIG)
+
+    def read():
+        with partial_copy(f"{bucket}/{NAME}", tmp_path) as copy:
+            copy.read(0, 10)
+            Folder(bucket).write(NAME, BIG[::-1])
+
+    with pytest.raises(StorageError, match="changed while it was read"):
+        read()
+
+
+@given(reads=st.lists(st.tuples(st.integers(0, 5000), st.integers(0, 3000)), max_size=12), block=st.integers(1, 4000))
+def test_a_partial_copy_reads_as_the_file(reads, block):
+    data = np.random.default_rng(1).bytes(4321)
+
+    class Source:
+        size_bytes = len(data)
+
+        def piece(self, start, end):
+            return data[start : min(end, start + 1000)]
+
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryFile() as kept:
+        patch.setattr(fetching, "_BLOCK_BYTES", block)
+        copy = PartialCopy(Source(), kept)
+        assert [copy.read(*asked) for asked in reads] == [data[start : start + n] for start, n in reads]

@@ -88,7 +88,7 @@ class _Done:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        pass
+        """Nothing was begun that would have to end."""
 
 
 def driver_s(logs: int, slots: int, folder: Path) -> float:
