@@ -1,9 +1,13 @@
 """What works on tasks: the driver knows no more of it than this."""
 
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Protocol, Self
 
 from roadperc_stream.batch.task import Outcome, Task
+
+Frames = tuple[int, int]
+"""Frames done of a task, and frames expected."""
 
 
 class Backend(Protocol):
@@ -23,8 +27,8 @@ class Backend(Protocol):
         ...
 
     @property
-    def frames(self) -> int:
-        """Frames done of the tasks at work, as far as that is known."""
+    def at_work(self) -> Mapping[str, Frames]:
+        """How far the tasks at work are, by their keys, as far as that is known."""
         ...
 
     def __enter__(self) -> Self:

@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -19,6 +20,7 @@ from types import TracebackType
 from typing import Final, Self
 from urllib.parse import urlsplit
 
+from roadperc_stream.batch.backend import Frames
 from roadperc_stream.batch.configuration import code_digest
 from roadperc_stream.batch.task import Outcome, Task
 from roadperc_stream.errors import ClusterError
@@ -60,10 +62,10 @@ class ClusterRequest:
 
 @dataclass(frozen=True)
 class ClusterState:
-    """CPUs of the cluster at the moment, and frames done of the tasks at work."""
+    """CPUs of the cluster at the moment, and how far the tasks at work are, by their keys."""
 
     slots: int
-    frames: int
+    at_work: Mapping[str, Frames]
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class RayBackend:
             raise ClusterError("--ray: Ray is not installed: pip install 'roadperc_stream[cluster]'")
         self._request = ClusterRequest(address, jobs, memory_bytes, code_digest())
         self._tasks: dict[str, Task] = {}
-        self._state = ClusterState(0, 0)
+        self._state = ClusterState(0, {})
 
     @property
     def slots(self) -> int:
@@ -109,9 +111,9 @@ class RayBackend:
         return self._state.slots
 
     @property
-    def frames(self) -> int:
-        """Frames done of the tasks at work, as far as their machines have told."""
-        return self._state.frames if self._tasks else 0
+    def at_work(self) -> Mapping[str, Frames]:
+        """How far the tasks at work are, by their keys, as far as their machines have told."""
+        return {key: frames for key, frames in self._state.at_work.items() if key in self._tasks}
 
     def __enter__(self) -> Self:
         """Start Ray or join a cluster.

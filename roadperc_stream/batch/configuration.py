@@ -58,7 +58,14 @@ class BatchConfiguration:
             "warm-up": self.warm_up_s if self.split_s is not None else None,
         }
         topics = (f"--topic {role}={topic}" for role, topic in sorted(self.topics))
-        return " ".join((*topics, *(f"--{name} {value:g}" for name, value in given.items() if value is not None)))
+        return " ".join(
+            (*topics, *(f"--{name} {_exactly(value)}" for name, value in given.items() if value is not None))
+        )
+
+
+def _exactly(value: float) -> str:
+    """A number with all its digits: another one is another configuration."""
+    return str(value).removesuffix(".0")
 
 
 @cache

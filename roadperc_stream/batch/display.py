@@ -28,7 +28,8 @@ def batch_progress(enabled: bool) -> Iterator[Shows]:
 
         def watch(now: BatchProgress) -> None:
             text = progress_text(now, monotonic() - started_s)
-            bar.update(task, completed=now.bytes_done, total=now.bytes_expected or None, description=text)
+            completed, total = now.bytes_done + now.bytes_at_work, now.bytes_expected or None
+            bar.update(task, completed=completed, total=total, description=text)
 
         yield watch, lambda row: console.print(shown(failure(row)), soft_wrap=True)
 

@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -25,9 +25,10 @@ from roadperc_stream.batch.task import (
     Task,
     TaskLimits,
 )
+from roadperc_stream.batch.worker import discard
 from roadperc_stream.log import DIGEST_ALGORITHM
 from roadperc_stream.output.tables import config_digest
-from roadperc_stream.schemas.columns.runs import RunRow
+from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, RunRow
 from roadperc_stream.storage.folder import Folder
 
 _WAIT_S: Final = 0.2
@@ -72,13 +73,14 @@ class BatchJob:
 
 @dataclass
 class BatchProgress:
-    """How far a batch is."""
+    """How far a batch is; ``frames`` are those it has computed itself, of the logs done."""
 
     logs: int
     bytes_expected: int
     done: int = 0
     failed: int = 0
     bytes_done: int = 0
+    bytes_at_work: int = 0
     frames: int = 0
     frames_at_work: int = 0
 
@@ -90,6 +92,8 @@ class _SplitLog:
     cut: CutLog
     ended: dict[int, EndedPart] = field(default_factory=dict)
     most_attempts: int = 1
+    frames: int = 0
+    bytes_done: int = 0
     has_failed: bool = False
 
     @property
@@ -113,6 +117,14 @@ class _Try:
     split: _SplitLog | None = None
     part: SplitPart | None = None
 
+    @property
+    def bytes(self) -> int:
+        """Of the log, or the part."""
+        size = self.step.drive.size_bytes
+        if self.split is None:
+            return size
+        return size // len(self.split.cut.parts) if self.part is not None else size - self.split.bytes_done
+
 
 Watch = Callable[[BatchProgress], None]
 Failed = Callable[[RunRow], None]
@@ -131,7 +143,9 @@ class Driver:
     _waiting: deque[_Try] = field(default_factory=deque)
     _at_work: dict[str, _Try] = field(default_factory=dict)
     _save_at_s: float = 0.0
-    _started_ns: int = field(default_factory=time.time_ns)
+    _from_elsewhere: set[tuple[str, str]] = field(default_factory=set)
+    _since_planned: set[tuple[str, str]] = field(default_factory=set)
+    """Keys of the rows that other batches have written meanwhile, and of all that are new: clocks do not tell."""
 
     def run(self, steps: Sequence[Step]) -> tuple[BatchProgress, list[RunRow]]:
         """Do all steps that are to be done; the longest logs first, lest one of them is all that is left at the end.
@@ -162,8 +176,9 @@ class Driver:
                 return
             item = self._waiting.popleft()
             if self._is_done_elsewhere(item):
+                discard(self._task(item))
                 self._end_split(item, has_failed=True)
-                self._count(item.step.drive)
+                self._count(item)
                 continue
             task = self._task(item)
             if item.not_before_s > time.monotonic() or task.key in self._at_work or self._has_twin_at_work(item):
@@ -175,17 +190,22 @@ class Driver:
     def _is_done_elsewhere(self, item: _Try) -> bool:
         """Whether another batch on the same dataset has replayed the log meanwhile."""
         drive = item.step.drive
-        rows = (run.row for run in self.known.named(drive.name))
         return any(
-            (row.status, row.code) == ("done", code_digest())
-            and row.finished_ns > self._started_ns
-            and row.fingerprints[row.names.index(drive.name)] == drive.fingerprint
-            for row in rows
+            self._is_as_asked(run.row) and run.row.fingerprints[run.row.names.index(drive.name)] == drive.fingerprint
+            for run in self.known.named(drive.name)
+            if run.key in self._from_elsewhere
         )
+
+    def _is_as_asked(self, row: RunRow) -> bool:
+        """Whether this batch would have come to the same row."""
+        has_log = self.job.keep_logs in {"no", row.logs}
+        return (row.status, row.code) == ("done", code_digest()) and has_log
 
     def _task(self, item: _Try) -> Task:
         if item.split is None:
-            return self.job.task(item.step.drive, self._same_ids(item.step))
+            before = item.step.before
+            task = self.job.task(item.step.drive, self._same_ids(item.step))
+            return replace(task, was_recovered=before is not None and before.row.recover)
         piece, is_audited = item.part or item.split.ended_parts, item.split.cut.is_audited
         return replace(self.job.task(item.step.drive), piece=piece, is_audited=is_audited)
 
@@ -193,8 +213,8 @@ class Driver:
         """Logs that were done since the batch was planned may be this one, too."""
         if step.before is not None:
             return step.same_ids
-        done = (run.row for run in self.known.done_of_size(step.drive.size_bytes))
-        new = (row.log_id for row in done if row.code == code_digest() and row.finished_ns > self._started_ns)
+        done = (run for run in self.known.done_of_size(step.drive.size_bytes) if run.key in self._since_planned)
+        new = (run.row.log_id for run in done if self._is_as_asked(run.row))
         return (*step.same_ids, *filter(None, new))
 
     def _has_twin_at_work(self, item: _Try) -> bool:
@@ -222,9 +242,18 @@ class Driver:
                 row = self._written(item, outcome)
                 if row.status != "done":
                     yield row
-        self._progress.frames_at_work = self.backend.frames
+        self._look_at_work()
         self.watch(self._progress)
         self._save_now_and_then()
+
+    def _look_at_work(self) -> None:
+        progress, at_work = self._progress, self.backend.at_work
+        progress.frames_at_work = sum(done for done, _ in at_work.values())
+        progress.bytes_at_work = sum(
+            self._at_work[key].bytes * min(done, expected) // expected
+            for key, (done, expected) in at_work.items()
+            if expected and key in self._at_work
+        )
 
     def _wait_with(self, item: _Try, seconds: float) -> None:
         self._waiting.append(replace(item, not_before_s=time.monotonic() + seconds))
@@ -236,7 +265,11 @@ class Driver:
             self._waiting = deque(other for other in self._waiting if other.split is not item.split)
 
     def _part_done(self, item: _Try, split: _SplitLog, part: SplitPart, outcome: Outcome) -> None:
-        self._progress.frames += outcome.frames
+        frames = outcome.frames - outcome.frames_before
+        self._progress.frames += frames
+        self._progress.bytes_done += item.bytes
+        split.frames += frames
+        split.bytes_done += item.bytes
         split.ended[part.index] = EndedPart(part, outcome)
         split.most_attempts = max(split.most_attempts, item.attempts)
         if split.is_replayed:
@@ -249,8 +282,16 @@ class Driver:
             self.table.save()
             for run in self.table.news().values():
                 if run.row.config == self.job.how.name:
-                    self.known.add(run)
+                    self._take_news(run)
             self._save_at_s = time.monotonic() + max(_SAVE_EVERY_S, 20 * (time.monotonic() - now_s))
+
+    def _take_news(self, run: BatchRow) -> None:
+        """Take in a row that may be another batch's, and may be known already."""
+        before = self.known.get(*run.key)
+        if before is None or run.row.finished_ns > before.row.finished_ns:
+            self.known.add(run)
+            self._from_elsewhere.add(run.key)
+            self._since_planned.add(run.key)
 
     def _written(self, item: _Try, outcome: Outcome) -> RunRow:
         """Write down what came of a log."""
@@ -264,21 +305,26 @@ class Driver:
             run = replace(before, row=_also_named(before.row, drive))
         else:
             run = BatchRow(self._row(item, outcome, before), outcome.stages_s)
-        for other in self._no_longer_there(drive, run):
-            self._add(other)
+        if outcome.status not in OF_THE_MACHINE:  # else nobody knows what is in the file
+            for other in self._no_longer_there(drive, run):
+                self._add(other)
         self._add(run)
-        self._count(drive)
-        progress.frames += outcome.frames if item.split is None else 0
+        self._count(item)
+        if item.split is None:
+            progress.frames += outcome.frames - outcome.frames_before
+        elif run.row.status == "done":  # some were in two parts
+            progress.frames += min(0, outcome.frames - item.split.frames)
         progress.failed += run.row.status != "done"
         return run.row
 
-    def _count(self, drive: DriveFiles) -> None:
+    def _count(self, item: _Try) -> None:
         self._progress.done += 1
-        self._progress.bytes_done += drive.size_bytes
+        self._progress.bytes_done += item.step.drive.size_bytes - (item.split.bytes_done if item.split else 0)
 
     def _add(self, run: BatchRow) -> None:
         self.known.add(run)
         self.table.add(run)
+        self._since_planned.add(run.key)
 
     def _no_longer_there(self, drive: DriveFiles, run: BatchRow) -> list[BatchRow]:
         """Rows of other logs that were under this name before; one without a digest goes by itself."""
@@ -295,7 +341,7 @@ class Driver:
             config=how.name,
             status=outcome.status,
             error=outcome.error,
-            path=before.row.path if before else drive.name,
+            path=drive.name,
             names=before.row.names if before else (),
             fingerprints=before.row.fingerprints if before else (),
             date=outcome.date,
@@ -318,7 +364,7 @@ class Driver:
             digest_algorithm=DIGEST_ALGORITHM,
             worker=outcome.worker,
             attempts=max(item.attempts, item.split.most_attempts if item.split else 1),
-            finished_ns=0,
+            finished_ns=before.row.finished_ns if before else 0,
         )
         return _also_named(row, drive)
 
@@ -326,10 +372,17 @@ class Driver:
 def _also_named(row: RunRow, drive: DriveFiles) -> RunRow:
     """The row of a log that has been seen under this name."""
     seen = dict(zip(row.names, row.fingerprints, strict=True)) | {drive.name: drive.fingerprint}
-    return replace(row, names=tuple(seen), fingerprints=tuple(seen.values()), finished_ns=time.time_ns())
+    return _with_names(row, seen)
 
 
 def _not_named(row: RunRow, name: str) -> RunRow:
     """The row of a log that is under this name no more."""
     seen = {n: print_ for n, print_ in zip(row.names, row.fingerprints, strict=True) if n != name}
-    return replace(row, names=tuple(seen), fingerprints=tuple(seen.values()), finished_ns=time.time_ns())
+    return _with_names(row, seen)
+
+
+def _with_names(row: RunRow, seen: Mapping[str, str]) -> RunRow:
+    """The row with the fingerprints of a log's files by their names, newer than it was; its path is one of those."""
+    path = row.path if row.path in seen or not seen else next(iter(seen))
+    finished_ns = max(time.time_ns(), row.finished_ns + 1)
+    return replace(row, path=path, names=tuple(seen), fingerprints=tuple(seen.values()), finished_ns=finished_ns)

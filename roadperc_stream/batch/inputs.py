@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 from roadperc_stream.batch.publishing import LOGS
 from roadperc_stream.batch.task import DriveFiles
 from roadperc_stream.errors import StorageError
+from roadperc_stream.storage.addresses import is_address
 from roadperc_stream.storage.finding import find_files
 from roadperc_stream.storage.folder import Folder
 from roadperc_stream.storage.patterns import natural
@@ -25,11 +26,18 @@ def find_drives_in(arguments: Sequence[str], out: Folder, parts: re.Pattern[str]
         StorageError: one names no log, or a list cannot be read.
     """
     found = {file.address: file for argument in _said(arguments) for file in find_files(argument)}
-    own = f"{out.address}/{LOGS}/"
-    files = [file for address, file in found.items() if not address.startswith(own)]
+    files = [file for file in found.values() if not _is_in(file, out)]
     if not files:
-        raise StorageError(f"{' '.join(arguments)}: no log but those of the dataset itself")
+        reason = "no log but those of the dataset itself" if found else "names no log"
+        raise StorageError(f"{' '.join(arguments)}: {reason}")
     return [DriveFiles((file,)) for file in files] if parts is None else joined(files, parts)
+
+
+def _is_in(file: StoredFile, out: Folder) -> bool:
+    """Whether it is a result log of the dataset, whatever links lead there."""
+    if out.is_local and not is_address(file.address):
+        return Path(file.address).resolve().is_relative_to(Path(out.address).resolve() / LOGS)
+    return file.address.startswith(f"{out.address}/{LOGS}/")
 
 
 def joined(files: Iterable[StoredFile], parts: re.Pattern[str]) -> list[DriveFiles]:
@@ -53,7 +61,7 @@ def _said(arguments: Iterable[str]) -> Iterator[str]:
 def _lines(path: Path) -> list[str]:
     """What a list names; a name without a folder counts from where the command was started, as on the line itself."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "is no text in UTF-8"
         raise StorageError(f"{path}: cannot be read as a list of logs: {reason}") from error

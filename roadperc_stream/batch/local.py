@@ -1,6 +1,7 @@
 """Tasks on this machine: a thread for each, which watches the process that does the work."""
 
 import time
+from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import partial
 from threading import Event
@@ -8,6 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from roadperc_stream.batch.attempt import attempt
+from roadperc_stream.batch.backend import Frames
 from roadperc_stream.batch.task import Outcome, Task
 
 
@@ -19,19 +21,19 @@ class LocalBackend:
         self._stop = Event()
         self._threads = ThreadPoolExecutor(jobs, thread_name_prefix="batch")
         self._tasks: dict[Future[Outcome], Task] = {}
-        self._frames: dict[str, int] = {}
+        self._frames: dict[str, Frames] = {}
 
     def submit(self, task: Task) -> None:
         """Begin with a task."""
         self._tasks[self._threads.submit(attempt, task, self._stop, partial(self._told, task.key))] = task
 
-    def _told(self, key: str, done: int, _expected: int) -> None:
-        self._frames[key] = done
+    def _told(self, key: str, done: int, expected: int) -> None:
+        self._frames[key] = done, expected
 
     @property
-    def frames(self) -> int:
-        """Frames done of the tasks at work."""
-        return sum(self._frames.copy().values())
+    def at_work(self) -> Mapping[str, Frames]:
+        """How far the tasks at work are, by their keys."""
+        return self._frames.copy()
 
     def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
         """The tasks that have ended since."""

@@ -1,11 +1,13 @@
 """A log that is replayed in parts at once: how a worker cuts it, replays one part, and joins their tables."""
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 
+from roadperc_stream.batch.fetched import FetchedFiles, with_addresses
 from roadperc_stream.batch.publishing import of_summary, publish
 from roadperc_stream.batch.splitting import SplitPart, parts_of_log
 from roadperc_stream.batch.task import BUSY, CUT, CutLog, EndedPart, EndedParts, Outcome, Task
@@ -87,7 +89,9 @@ def cut_log(task: Task, log_in: ReplayInput) -> Outcome | None:
     return Outcome(CUT, log_id=log_in.log_id, cut=cut) if parts[1:] else None
 
 
-def replayed_part(task: Task, part: SplitPart, source: ReplaySource, folder: Path, progress: Progress) -> Outcome:
+def replayed_part(
+    task: Task, part: SplitPart, source: ReplaySource, files: FetchedFiles, folder: Path, progress: Progress
+) -> Outcome:
     """Replay one of the parts, its tables put where whoever joins them finds them.
 
     A part that an interrupted batch has finished is not replayed again.
@@ -104,7 +108,8 @@ def replayed_part(task: Task, part: SplitPart, source: ReplaySource, folder: Pat
     summary = replay_part(
         source, part, how.cfg, target.path, how.warm_up_s, checkpoints=CHECKPOINTS, watcher=Watcher(progress)
     )
-    print_remarks(summary)
+    files.require_unchanged()
+    print_remarks(summary, task, folder)
     for name, table in (("metrics", target.metrics), ("objects", target.objects)):
         task.out.put(table, f"{place}.{name}.parquet")
     outcome = of_summary(summary)
@@ -155,6 +160,10 @@ def joined_parts(task: Task, ended: EndedParts, folder: Path) -> Outcome:
     for part in ended.parts:
         for suffix in ("json", "metrics.parquet", "objects.parquet"):
             task.out.remove(f"{_place(task, part.part)}.{suffix}")
+    if task.out.is_local:
+        with suppress(OSError):  # parts of other logs are in it
+            for folder_of_parts in (f"{_PARTS}/{task.log_key}", _PARTS):
+                task.out.path(folder_of_parts).rmdir()
     return outcome
 
 
@@ -181,7 +190,7 @@ def _together(outcomes: list[Outcome]) -> Outcome:
     )
 
 
-def print_remarks(summary: ReplaySummary) -> None:
+def print_remarks(summary: ReplaySummary, task: Task, folder: Path) -> None:
     """Print what a person should know of a replay: it comes to stand beside the dataset's tables."""
     for remark in summary.remarks:
-        print_line(remark)
+        print_line(with_addresses(remark, task, folder))

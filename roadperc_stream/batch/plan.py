@@ -10,7 +10,7 @@ from roadperc_stream.batch.publishing import LOGS, METRICS, OBJECTS, name_in
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
 from roadperc_stream.batch.task import DriveFiles, KeepLogs
 from roadperc_stream.core.files import TABLE_SUFFIX
-from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE
+from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, STATUSES
 from roadperc_stream.storage.folder import Folder
 
 Action = Literal["replay", "check", "leave"]
@@ -80,8 +80,8 @@ class Planner:
 
     def _of_failed(self, drive: DriveFiles, run: BatchRow) -> Step:
         row, again = run.row, self._again
-        if row.status in OF_THE_MACHINE:
-            return Step(drive, "replay", f"failed before: {row.status}", run)
+        if row.status in OF_THE_MACHINE or row.status not in STATUSES:
+            return self._of_unknown(drive, f"failed before: {row.status}", run)
         if row.fingerprints[row.names.index(drive.name)] != drive.fingerprint:
             return self._of_unknown(drive, f"was {row.status}, and the file has changed", run)
         if again.retry_failed:
@@ -107,7 +107,9 @@ class Planner:
 
 
 def _files_of(out: Folder, folders: Sequence[str], suffix: str) -> set[str]:
-    return {out.name_of(file) for folder in folders for file in out.files(folder, suffix)}
+    """Their names; a file with nothing in it is none, as a machine that lost its power leaves them."""
+    found = (file for folder in folders for file in out.files(folder, suffix))
+    return {out.name_of(file) for file in found if file.size_bytes}
 
 
 def counted(steps: Iterable[Step]) -> Mapping[str, int]:

@@ -32,6 +32,7 @@ def of_summary(summary: ReplaySummary) -> Outcome:
         unreadable=unreadable,
         warnings=tuple(map(as_text, summary.warnings)),
         frames=summary.frames,
+        frames_before=summary.frames_before,
     )
 
 

@@ -20,6 +20,7 @@ from typing import Any, Final
 import ray
 from ray.exceptions import NodeDiedError, OutOfMemoryError, RayError, RayTaskError, WorkerCrashedError
 
+from roadperc_stream.batch.backend import Frames
 from roadperc_stream.batch.cluster import LOCAL, ClusterRequest, ClusterState, Refusal, SessionMessage, TaskEnd
 from roadperc_stream.batch.ray_tasks import FrameCount, attempt_on_node, code_on_node
 from roadperc_stream.batch.task import Outcome, Task
@@ -140,12 +141,13 @@ class _Session:
         nodes: list[dict[str, Any]] = ray.nodes()  # type: ignore[no-untyped-call]
         machines = [node["Resources"] for node in nodes if node["Alive"]]
         self._largest_bytes = int(max((machine.get("memory", 0) for machine in machines), default=0))
-        self._send(ClusterState(int(sum(machine.get("CPU", 0) for machine in machines)), self._frames()))
+        self._send(ClusterState(int(sum(machine.get("CPU", 0) for machine in machines)), self._at_work()))
 
-    def _frames(self) -> int:
+    def _at_work(self) -> dict[str, Frames]:
         with suppress(RayError):
-            return int(ray.get(self._count.total.remote(), timeout=_STATE_EVERY_S))
-        return 0
+            told: dict[str, Frames] = ray.get(self._count.told.remote(), timeout=_STATE_EVERY_S)
+            return told
+        return {}
 
     def _send(self, message: SessionMessage) -> None:
         with self._sending, suppress(OSError):

@@ -17,12 +17,13 @@ from roadperc_stream.schemas.columns.runs import RunRow
 
 @dataclass(frozen=True)
 class BatchSummary:
-    """What a batch came to: logs done and left, frames of those done, rows of the logs that failed, now or before."""
+    """What a batch came to: logs done, left and not begun, frames computed, rows of logs that failed, now or before."""
 
     done: int
     left: int
     frames: int
     failed: tuple[RunRow, ...]
+    undone: int = 0
 
 
 StartBackend = Callable[[], Backend]
@@ -69,4 +70,5 @@ class BatchRun:
                 progress, rows = driver.run(self.steps)
         finally:
             self._table.fold()
-        return BatchSummary(progress.done - progress.failed, left, progress.frames, (*before, *rows))
+        undone = progress.logs - progress.done
+        return BatchSummary(progress.done - progress.failed, left, progress.frames, (*before, *rows), undone)

@@ -14,7 +14,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
 
-from roadperc_stream.core.files import TABLE_SUFFIX
+import msgspec
+
+from roadperc_stream.batch.task import SCRATCH
+from roadperc_stream.core.files import TABLE_SUFFIX, target_errors
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import TableWriter, read_table
@@ -27,6 +30,7 @@ from roadperc_stream.storage.stored import StoredFile
 ALL: Final = f"runs{TABLE_SUFFIX}"
 PARTS: Final = "runs"
 _NAMES: Final = tuple(item.name for item in fields(RunRow))
+_REMEDY: Final = "remove it and all is done anew"
 _LOCK_WITHIN_S: Final = 10.0
 _TRIES: Final = 3
 _LEFT_OVER_NS: Final = 24 * 3600 * NS_PER_S
@@ -204,7 +208,11 @@ class RunsTable:
             lock.release()
 
     def _write(self, runs: Iterable[BatchRow], name: str) -> None:
-        with tempfile.TemporaryDirectory(prefix="roadperc-batch-") as folder:
+        scratch = self._folder.path(SCRATCH) if self._folder.is_local else None  # the system's may be full
+        if scratch is not None:
+            with target_errors(scratch):
+                scratch.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="roadperc-batch-", dir=scratch) as folder:
             path = Path(folder) / "runs.parquet"
             with TableWriter(path, RunRow, {}, RUN_TIME_COLUMNS) as table:
                 for run in sorted(runs, key=lambda run: (run.row.path, run.row.config)):
@@ -230,9 +238,7 @@ def _runs_in(data: bytes, address: str) -> list[BatchRow]:
         try:
             rows = read_table(Path(file.name)).to_pylist()
         except TableError as error:
-            raise TableError(
-                f"{address}: is not a list of runs that can be read; remove it and all is done anew"
-            ) from error
+            raise TableError(f"{address}: is not a list of runs that can be read; {_REMEDY}") from error
     return [_run_of(row, address) for row in rows]
 
 
@@ -240,6 +246,11 @@ def _run_of(row: Mapping[str, Any], address: str) -> BatchRow:
     missing = [name for name in _NAMES if name not in row]
     if missing:
         raise TableError(f"{address}: has no column {missing[0]}; another version of this program wrote it")
-    values: dict[str, Any] = {name: tuple(row[name]) if isinstance(row[name], list) else row[name] for name in _NAMES}
     stages_s = {name: row[name] for name in RUN_TIME_COLUMNS if row.get(name) is not None}
-    return BatchRow(RunRow(**values), stages_s)
+    try:
+        values = msgspec.convert({name: row[name] for name in _NAMES}, RunRow)
+    except msgspec.ValidationError as error:
+        raise TableError(f"{address}: is not a list of runs of this program: {error}; {_REMEDY}") from error
+    if len(values.names) != len(values.fingerprints):
+        raise TableError(f"{address}: is not a list of runs of this program: names without fingerprints; {_REMEDY}")
+    return BatchRow(values, stages_s)

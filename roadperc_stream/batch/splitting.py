@@ -50,6 +50,21 @@ class SplitPart:
         return 0.0 if self.start_s is None else asked_s
 
 
+def require_split(split_s: float, overlap_s: float) -> None:
+    """Check that parts would be longer than what they have in common.
+
+    Raises:
+        ConfigError: they would not.
+    """
+    if not split_s > overlap_s:
+        raise ConfigError(f"--split {split_s:g}: expected more than {overlap_s:g} s, which parts have in common")
+
+
+def overlap_s_of(cfg: ReplayConfig) -> float:
+    """What parts have in common at least: twice as long as a frame's messages may be late."""
+    return 2 * cfg.sync.max_wait_s
+
+
 def parts_of(
     span_ns: tuple[int, int], split_s: float, frame_times: FrameTimes, overlap_s: float, asked: TimeRange = WHOLE
 ) -> tuple[SplitPart, ...]:
@@ -69,8 +84,7 @@ def parts_of(
     Raises:
         ConfigError: parts would be no longer than what they have in common, or a number of frames is asked for.
     """
-    if not split_s > overlap_s:
-        raise ConfigError(f"split {split_s:g} s: expected more than {overlap_s:g} s, which parts have in common")
+    require_split(split_s, overlap_s)
     if asked.frames is not None:
         raise ConfigError(f"frames {asked.frames}: not together with a split, whose parts are times")
     first_ns, last_ns = span_ns
@@ -98,7 +112,7 @@ def parts_of_log(
         return [m.log_time_ns for m in log.read(summary, topics=[topic], start_ns=start_ns, end_ns=end_ns)]
 
     span_ns = summary.first_ns or 0, summary.last_ns or 0
-    return parts_of(span_ns, split_s, frame_times, 2 * cfg.sync.max_wait_s, asked)
+    return parts_of(span_ns, split_s, frame_times, overlap_s_of(cfg), asked)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from roadperc_stream.storage.stored import StoredFile
 
 KeepLogs = Literal["no", "whole", "results"]
 """Which result log stays in the dataset: none, one as a replay writes it, or one without the input's messages."""
+SCRATCH: Final = ".work"
+"""The folder of a local dataset for what is not complete."""
 BUSY: Final = "busy"
 """The status of a task whose log another batch is at work on."""
 CUT: Final = "cut"
@@ -76,6 +78,8 @@ class Task:
         out: the dataset.
         keep_logs: the result log to keep.
         recover: replay what can be read of a damaged log.
+        was_recovered: whether what the dataset has of it is so; it is looked at in the same way, to see whether it is
+            the same still.
         limits: of each attempt.
         same_ids: logs that are in the dataset already and that this one may be, under another name or another time of
             change: then nothing is left to do.
@@ -97,6 +101,7 @@ class Task:
     scratch: Path | None = None
     piece: "SplitPart | EndedParts | None" = None
     is_audited: bool = False
+    was_recovered: bool = False
 
     @cached_property
     def content_key(self) -> str:
@@ -130,7 +135,7 @@ class Outcome:
     """How an attempt ended; what is not known is None or 0.
 
     ``is_new`` is False where the log was in the dataset already, ``stages_s`` are the seconds of each stage by column,
-    ``cut`` is how a log was cut.
+    ``frames_before`` those that an interrupted attempt had computed, ``cut`` is how a log was cut.
     """
 
     status: RunStatus | Literal["busy", "cut"]
@@ -139,6 +144,7 @@ class Outcome:
     date: str | None = None
     duration_s: float | None = None
     frames: int = 0
+    frames_before: int = 0
     dropped: int = 0
     unreadable: int = 0
     warnings: tuple[str, ...] = ()

@@ -4,37 +4,32 @@ import hashlib
 import os
 import resource
 import shutil
-import socket
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace as changed
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Final
 
 import roadperc_stream
 from roadperc_stream.batch.configuration import code_digest
+from roadperc_stream.batch.fetched import FetchedFiles, fetched, with_addresses
 from roadperc_stream.batch.part_replay import CHECKPOINTS, cut_log, joined_parts, print_remarks, replayed_part
 from roadperc_stream.batch.publishing import of_summary, publish
 from roadperc_stream.batch.splitting import SplitPart
-from roadperc_stream.batch.task import BUSY, EndedParts, Outcome, Task, as_text, this_worker
+from roadperc_stream.batch.task import BUSY, SCRATCH, EndedParts, Outcome, Task, as_text, this_worker
 from roadperc_stream.core.memory import keep_freed_memory
 from roadperc_stream.core.progress import Progress
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
-from roadperc_stream.log.stored import StoredLog
 from roadperc_stream.loop import Watcher, replay
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE
 from roadperc_stream.state.lock import FolderLock
 from roadperc_stream.state.opening import open_log
-from roadperc_stream.storage.addresses import is_address
-from roadperc_stream.storage.fetching import fetch, partial_copy
 
-SCRATCH: Final = ".work"
-"""The folder of a local dataset in which logs are at work."""
 _DIGITS: Final = 16
 _MB: Final = 1e6
 _MEMORY_UNIT: Final = 1 if sys.platform == "darwin" else 1024
@@ -53,12 +48,14 @@ def work(task: Task, progress: Progress) -> Outcome:
     try:
         with _claimed(task) as folder:
             outcome = Outcome(BUSY) if folder is None else _tried(task, folder, progress)
-            if folder is not None and outcome.status not in OF_THE_MACHINE:
-                shutil.rmtree(folder, ignore_errors=True)
+            if folder is not None:
+                outcome = _with_addresses(outcome, task, folder)
+                if outcome.status not in OF_THE_MACHINE:
+                    shutil.rmtree(folder, ignore_errors=True)
     except OSError as error:
         outcome = Outcome("unreachable", _line(error))
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _MEMORY_UNIT / _MB
-    return changed(
+    return replace(
         outcome,
         seconds=outcome.seconds + perf_counter() - started,
         peak_memory_mb=max(outcome.peak_memory_mb or 0.0, peak_mb),
@@ -82,6 +79,14 @@ def _tried(task: Task, folder: Path, progress: Progress) -> Outcome:
         return Outcome("memory", "not enough memory")
 
 
+def _with_addresses(outcome: Outcome, task: Task, folder: Path) -> Outcome:
+    """What is said of a copy that is gone by now, said of the file in the store."""
+    error = None if outcome.error is None else with_addresses(outcome.error, task, folder)
+    return replace(
+        outcome, error=error, warnings=tuple(with_addresses(text, task, folder) for text in outcome.warnings)
+    )
+
+
 def _line(error: Exception) -> str:
     return as_text(" ".join(str(error).splitlines())) or type(error).__name__
 
@@ -93,6 +98,14 @@ def scratch_of(task: Task) -> Path:
     user = os.getuid() if hasattr(os, "getuid") else 0
     root = task.scratch or Path(tempfile.gettempdir()) / f"roadperc-batch-{user}"
     return root / hashlib.sha256(task.out.address.encode()).hexdigest()[:_DIGITS] / f"{task.key}.{task.content_key}"
+
+
+def discard(task: Task) -> None:
+    """Remove what an interrupted attempt has left on this machine, unless somebody is at work on it."""
+    if scratch_of(task).exists():
+        with suppress(OSError), _claimed(task) as folder:
+            if folder is not None:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager
@@ -123,19 +136,21 @@ def _replayed(task: Task, folder: Path, progress: Progress) -> Outcome:
     _require_same_code(task)
     if isinstance(task.piece, EndedParts):
         return joined_parts(task, task.piece, folder)
-    with _fetched(task, folder) as paths:
-        return _replayed_files(task, paths, folder, progress)
+    with fetched(task, folder) as files:
+        return _replayed_files(task, files, folder, progress)
 
 
-def _replayed_files(task: Task, paths: Sequence[Path], folder: Path, progress: Progress) -> Outcome:
-    source = ReplaySource(paths, dict(task.how.topics), task.how.time_range, task.recover, is_audited=task.is_audited)
+def _replayed_files(task: Task, files: FetchedFiles, folder: Path, progress: Progress) -> Outcome:
+    paths, (topics, time_range) = files.paths, (dict(task.how.topics), task.how.time_range)
+    source = ReplaySource(paths, topics, time_range, task.recover, is_audited=task.is_audited)
     if isinstance(task.piece, SplitPart):
-        return replayed_part(task, task.piece, source, folder, progress)
-    if (outcome := _without_replay(task, source)) is not None:
+        return replayed_part(task, task.piece, source, files, folder, progress)
+    if (outcome := _without_replay(task, replace(source, recover=task.recover or task.was_recovered))) is not None:
         return outcome
     target = ReplayTarget(folder / "out.mcap", results_only=task.keep_logs != "whole", force=True)
     summary = replay(source, target, task.how.cfg, checkpoints=CHECKPOINTS, watcher=Watcher(progress))
-    print_remarks(summary)
+    files.require_unchanged()
+    print_remarks(summary, task, folder)
     return publish(task, target, summary.log_id, summary.first_ns, of_summary(summary))
 
 
@@ -158,31 +173,3 @@ def _require_same_code(task: Task) -> None:
     if task.code and task.code != code_digest():
         found = f"{roadperc_stream.__version__}, code {code_digest()}"
         raise StorageError(f"{this_worker()}: has another version of roadperc_stream ({found}); expected {task.code}")
-
-
-@contextmanager
-def _fetched(task: Task, folder: Path) -> Iterator[list[Path]]:
-    """The log's files on this machine; those of a store whole, or as far as they are read where nobody reads all.
-
-    Raises:
-        StorageError: one is not to be had, or changed meanwhile.
-    """
-    with ExitStack() as opened:
-        yield [
-            _file(file.address, folder / f"{number}.mcap")
-            if not task.is_audited or not is_address(file.address)
-            else StoredLog.of(folder / f"{number}.mcap", opened.enter_context(partial_copy(file.address, folder)))
-            for number, file in enumerate(task.drive.files)
-        ]
-
-
-def _file(address: str, copy: Path) -> Path:
-    if is_address(address):
-        if not copy.exists():
-            fetch(address, copy)
-        return copy
-    if not Path(address).is_file():
-        raise StorageError(
-            f"{address}: no such file on {socket.gethostname()}; machines without a disk in common need addresses"
-        )
-    return Path(address)

@@ -11,8 +11,10 @@ from roadperc_stream.batch.driver import BatchJob
 from roadperc_stream.batch.local import LocalBackend
 from roadperc_stream.batch.plan import Again, counted
 from roadperc_stream.batch.running import BatchRun, BatchSummary
+from roadperc_stream.batch.splitting import overlap_s_of, require_split
 from roadperc_stream.batch.task import KeepLogs, TaskLimits
 from roadperc_stream.cli.arguments import config_of, time_range_of
+from roadperc_stream.core.files import target_errors
 from roadperc_stream.core.process import optional_output
 from roadperc_stream.core.text import print_line
 from roadperc_stream.core.threads import usable_cores
@@ -34,14 +36,17 @@ def batch_logs(arguments: argparse.Namespace) -> None:
     if arguments.dry_run:
         _print_plan(batch)
         return
-    summary = batch.run(lambda: _backend(arguments), lambda: _display(arguments))
+    try:
+        summary = batch.run(lambda: _backend(arguments), lambda: _display(arguments))
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("interrupted; the same command goes on with what is not done") from None
     with optional_output():
         if not arguments.quiet:
             _print_summary(job, summary, perf_counter() - started)
         for row in summary.failed:
             print_line(failure(row))
     if summary.failed:
-        number = f"{len(summary.failed)} of {len(batch.steps)} logs"
+        number = f"{len(summary.failed)} of {logs_of(len(batch.steps))}"
         raise RoadpercError(f"{job.out.address}: {number} failed; runs.parquet there says how")
 
 
@@ -50,6 +55,8 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
     how = BatchConfiguration(
         config_of(arguments), topics, time_range_of(arguments), arguments.split, arguments.warm_up or 0.0
     )
+    if how.split_s is not None:
+        require_split(how.split_s, overlap_s_of(how.cfg))
     keep_logs: KeepLogs = "no"
     if arguments.keep_logs:
         keep_logs = "results" if arguments.results_only else "whole"
@@ -68,6 +75,9 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
 def _backend(arguments: argparse.Namespace) -> Backend:
     jobs = arguments.jobs or usable_cores()
     if arguments.ray is None:
+        if arguments.scratch is not None:
+            with target_errors(arguments.scratch):
+                arguments.scratch.mkdir(parents=True, exist_ok=True)
         return LocalBackend(jobs)
     from roadperc_stream.batch.cluster import RayBackend
 
@@ -81,15 +91,21 @@ def _display(arguments: argparse.Namespace) -> AbstractContextManager[Shows]:
 def _print_plan(batch: BatchRun) -> None:
     for step in batch.steps:
         if step.action != "leave":
-            parts = f" and {len(step.drive.files) - 1} more parts" if len(step.drive.files) > 1 else ""
+            parts = f" ({len(step.drive.files)} parts)" if len(step.drive.files) > 1 else ""
             print_line(f"{step.action}  {step.drive.name}{parts}: {step.why}")
     for text, number in sorted(counted(batch.steps).items()):
-        print_line(f"{number} logs  {text}")
+        print_line(f"{logs_of(number)}  {text}")
+
+
+def logs_of(number: int) -> str:
+    """A number of logs, in words."""
+    return f"{number} log{'s' * (number != 1)}"
 
 
 def _print_summary(job: BatchJob, summary: BatchSummary, seconds: float) -> None:
     left = f", {summary.left} left as they are" if summary.left else ""
     failed = f", {len(summary.failed)} failed" if summary.failed else ""
     rate = f" ({summary.frames / seconds:.1f} frames/s)" if summary.frames else ""
-    print_line(f"{summary.done} logs done{left}{failed}: {summary.frames} frames in {seconds:.1f} s{rate}")
+    undone = f", {summary.undone} not begun" if summary.undone else ""
+    print_line(f"{logs_of(summary.done)} done{left}{failed}{undone}: {summary.frames} frames in {seconds:.1f} s{rate}")
     print_line(f"dataset {job.out.address}, configuration {job.how.name}")

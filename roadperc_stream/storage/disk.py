@@ -2,7 +2,7 @@
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -60,10 +60,18 @@ def _walked(
     number = (facts.st_dev, facts.st_ino)
     for entry in entries if number not in within else ():
         below = (*names, entry.name)
-        if entry.is_file():
+        if _is(entry.is_file):
             yield below, _stored(entry.path, entry.stat())
-        elif entry.is_dir() and leads_on(pattern, below):
+        elif _is(entry.is_dir) and leads_on(pattern, below):
             yield from _walked(entry.path, below, pattern, within | {number})
+
+
+def _is(kind: Callable[[], bool]) -> bool:
+    """What an entry says of itself; a link to itself is nothing."""
+    try:
+        return kind()
+    except OSError:
+        return False
 
 
 def _stored(path: str, facts: os.stat_result) -> StoredFile:

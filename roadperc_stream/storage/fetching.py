@@ -52,20 +52,18 @@ def _copy(source: str, target: IO[bytes]) -> None:
 
 @contextmanager
 def partial_copy(address: str, folder: Path) -> Iterator["PartialCopy"]:
-    """A file of a store, of which only what is read is fetched; at the end it must be what it was.
+    """A file of a store, of which only what is read is fetched.
 
     Args:
         address: of the file.
         folder: in which the copy is, without a name: it is gone with the process, even with one that is killed.
 
     Raises:
-        StorageError: the file cannot be read, or changed while it was.
-        OSError: there is no space for what is read.
+        StorageError: the file cannot be read.
     """
     source = _Source(store_of(address))
     with tempfile.TemporaryFile(dir=folder) as kept:
         yield PartialCopy(source, kept)
-    tried(source.check)
 
 
 class PartialCopy:
@@ -96,6 +94,14 @@ class PartialCopy:
                 self._fetch(number)
         self._kept.seek(start)
         return self._kept.read(end - start)
+
+    def require_unchanged(self) -> None:
+        """Check that the file is what it was at first.
+
+        Raises:
+            StorageError: it is not, or cannot be reached.
+        """
+        tried(self._source.check)
 
     def _fetch(self, number: int) -> None:
         at = number * _BLOCK_BYTES

@@ -122,7 +122,7 @@ def test_recover_takes_the_damaged_ones_alone(drives, tmp_path):
     (folder / "cut.mcap").write_bytes(whole[: len(whole) // 4])
     batch(out, folder)
     done = batch(out, folder, "--recover")
-    assert done.stdout.splitlines()[0].startswith("1 logs done, 4 left as they are")
+    assert done.stdout.splitlines()[0].startswith("1 log done, 4 left as they are")
     (row,) = runs(out).filter(pl.col("name") == "cut.mcap").to_dicts()
     assert row["status"] == "done"
     assert any("damaged" in text for text in row["warnings"])
@@ -158,7 +158,7 @@ def test_changed_content_that_size_and_time_do_not_show_is_found_by_verify(tmp_p
         out / "runs.parquet"
     )
     assert batch(out, folder).stdout.startswith("0 logs done")
-    assert batch(out, folder, "--verify").stdout.startswith("1 logs done")
+    assert batch(out, folder, "--verify").stdout.startswith("1 log done")
     assert runs(out).height == 2
     (named,) = (row["names"] for row in runs(out).to_dicts() if row["names"])
     assert named == [str(folder / "a.mcap")]
@@ -301,7 +301,7 @@ def test_a_name_that_is_no_text_is_a_row_like_others(tmp_path):
 
 def test_what_lies_in_the_dataset_folder_is_input_but_its_own_logs_are_not(drives, tmp_path):
     shutil.copy(drives / "drive_0.mcap", tmp_path)
-    assert batch(tmp_path, tmp_path, "--logs").stdout.startswith("1 logs done")
+    assert batch(tmp_path, tmp_path, "--logs").stdout.startswith("1 log done")
     assert batch(tmp_path, tmp_path, "--logs").stdout.startswith("0 logs done, 1 left")
     nothing = batch(tmp_path, tmp_path / "logs")
     assert (nothing.returncode, nothing.stderr.count("\n")) == (1, 1)

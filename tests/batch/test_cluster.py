@@ -16,6 +16,7 @@ from tests.batch.machines import free_port, kill, machines, title, wait_until
 from tests.commands import words
 
 LOGS = 4
+INTERRUPTED = "interrupted; the same command goes on with what is not done"
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +89,7 @@ def test_a_ray_of_its_own_ends_with_the_batch(drives, tmp_path, sent):
         process.send_signal(sent)
         _, wrong = process.communicate(timeout=60)
     killed = sent == signal.SIGKILL
-    assert (process.returncode, wrong) == (-sent if killed else 1, "" if killed else "error: interrupted\n")
+    assert (process.returncode, wrong) == (-sent if killed else 1, "" if killed else f"error: {INTERRUPTED}\n")
     _, left = psutil.wait_procs(family, timeout=20)
     assert [title(p) for p in left] == []
 

@@ -123,6 +123,7 @@ def test_a_partial_copy_of_what_changes_meanwhile_is_an_error(bucket, tmp_path, 
         with partial_copy(f"{bucket}/{NAME}", tmp_path) as copy:
             copy.read(0, 10)
             Folder(bucket).write(NAME, BIG[::-1])
+            copy.require_unchanged()
 
     with pytest.raises(StorageError, match="changed while it was read"):
         read()

@@ -10,6 +10,7 @@ from typing import Any, Final, Self
 import numpy as np
 import polars as pl
 
+from roadperc_stream.batch.backend import Frames
 from roadperc_stream.batch.configuration import BatchConfiguration
 from roadperc_stream.batch.driver import BatchJob, Driver
 from roadperc_stream.batch.plan import Again, Planner
@@ -68,10 +69,9 @@ def measured(runs: Path, logs: int, seed: int, costs: FleetCosts) -> tuple[list[
 class _Done:
     """A back end that has done every task at once."""
 
-    frames = 0
-
     def __init__(self, slots: int) -> None:
         self.slots = slots
+        self.at_work: dict[str, Frames] = {}
         self._tasks: list[Task] = []
 
     def submit(self, task: Task) -> None:
