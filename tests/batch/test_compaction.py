@@ -25,9 +25,12 @@ def test_the_recipe_keeps_every_row_in_a_file_a_day(tmp_path):
                 {"log_id": f"{day}{log:06d}", "frame": range(4), "lanes": [None, 0.5, 1.5, float(log)]}
             )
             frames.write_parquet(folder / f"{log}.parquet")
+    runs = pl.DataFrame({"log_id": ["a"], "status": ["done"]})
+    runs.write_parquet(tmp_path / "dataset" / "runs.parquet")
     (recipe,) = re.findall(
         r"^### Many small files$.*?^```python\n(.*?)^```$", PAGE.read_text(), re.DOTALL | re.MULTILINE
     )
     subprocess.run([sys.executable, "-c", recipe], cwd=tmp_path, check=True, timeout=60)
     assert rows(tmp_path / "compact").equals(rows(tmp_path / "dataset"))
-    assert len(list((tmp_path / "compact").rglob("*.parquet"))) == len(DAYS)
+    assert len(list((tmp_path / "compact" / "metrics").rglob("*.parquet"))) == len(DAYS)
+    assert pl.read_parquet(tmp_path / "compact" / "runs.parquet").equals(runs)

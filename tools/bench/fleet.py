@@ -1,14 +1,16 @@
 """A fleet of workers over many logs, simulated event by event: what a batch would take, and what holds it up.
 
 Each worker takes the longest log that is left, as the batch does, starts a process, fetches the log from the store,
-replays it and puts its tables back. The store's bandwidth is shared fairly, the driver serves one worker at a time.
+replays it and puts its tables back. A log that is to be split is first fetched and checked whole by one worker; its
+parts then fetch their own bytes. The store's bandwidth is shared fairly, the driver serves one worker at a time.
 """
 
 import heapq
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from itertools import count
-from typing import Any, Literal
+from math import ceil
+from typing import Any, Literal, Self
 
 import simpy
 
@@ -22,6 +24,7 @@ class FleetCosts:
     Args:
         frames_per_s: of a log.
         frame_s: a processor's time for a frame.
+        cut_s: a processor's time for a frame of a log that is cut into parts: it is checked, and its digest computed.
         start_s: a worker's time for a log but for fetching and frames: its process, opening, publishing.
         frame_bytes: of a log in the store.
         result_bytes: of a frame in the tables.
@@ -32,6 +35,7 @@ class FleetCosts:
 
     frames_per_s: float = 20.0
     frame_s: float = 0.0854
+    cut_s: float = 0.0044
     start_s: float = 1.0
     frame_bytes: float = 1.2e6
     result_bytes: float = 600.0
@@ -39,23 +43,70 @@ class FleetCosts:
     worker_bytes_per_s: float = 1.0e8
     driver_s: float = 0.002
 
-    def work_s(self, length_s: float) -> float:
-        """A worker's time for a log of so many seconds, the store's apart."""
-        return self.start_s + length_s * self.frames_per_s * self.frame_s
+    def job(self, length_s: float) -> "FleetJob":
+        """A log, or a part of one, of so many seconds."""
+        frames = length_s * self.frames_per_s
+        return FleetJob(frames * self.frame_bytes, self.start_s + frames * self.frame_s, frames * self.result_bytes)
 
-    def fetched_bytes(self, length_s: float) -> float:
-        """A log's size."""
-        return length_s * self.frames_per_s * self.frame_bytes
+    def cutting(self, length_s: float) -> "FleetJob":
+        """Before the parts of a log."""
+        frames = length_s * self.frames_per_s
+        return FleetJob(frames * self.frame_bytes, self.start_s + frames * self.cut_s, 0.0)
 
-    def put_bytes(self, length_s: float) -> float:
-        """Size of a log's tables."""
-        return length_s * self.frames_per_s * self.result_bytes
-
-    def alone_s(self, length_s: float) -> float:
-        """A log from start to end, with nobody else at work."""
-        moved_bytes = self.fetched_bytes(length_s) + self.put_bytes(length_s)
+    def alone_s(self, job: "FleetJob") -> float:
+        """A job from start to end, with nobody else at work."""
         rate = min(self.store_bytes_per_s, self.worker_bytes_per_s)
-        return self.driver_s + moved_bytes / rate + self.work_s(length_s)
+        return self.driver_s + job.moved_bytes / rate + job.work_s
+
+
+@dataclass(frozen=True)
+class FleetJob:
+    """What one worker does in one go: fetch so many bytes, compute for so long, put so many bytes."""
+
+    fetched_bytes: float
+    work_s: float
+    put_bytes: float
+
+    @property
+    def moved_bytes(self) -> float:
+        """By the store in all."""
+        return self.fetched_bytes + self.put_bytes
+
+
+@dataclass(frozen=True)
+class FleetSplit:
+    """Logs are replayed in parts of so many seconds, all but the first of which see a warm-up."""
+
+    part_s: float
+    warm_up_s: float
+
+    def parts_s(self, length_s: float) -> list[float]:
+        """Lengths of what is replayed at once of a log."""
+        begins = range(ceil(length_s / self.part_s))
+        return [min(self.part_s, length_s - k * self.part_s) + (self.warm_up_s if k else 0.0) for k in begins]
+
+
+@dataclass(frozen=True)
+class _Log:
+    """The jobs of a log: ``parts`` at once, after ``cutting`` where there is one."""
+
+    cutting: FleetJob | None
+    parts: tuple[FleetJob, ...]
+
+    @classmethod
+    def of(cls, length_s: float, costs: FleetCosts, split: FleetSplit | None) -> Self:
+        parts_s = split.parts_s(length_s) if split is not None else [length_s]
+        cutting = costs.cutting(length_s) if len(parts_s) > 1 else None
+        return cls(cutting, tuple(map(costs.job, parts_s)))
+
+    @property
+    def jobs(self) -> tuple[FleetJob, ...]:
+        return (*([] if self.cutting is None else [self.cutting]), *self.parts)
+
+    def alone_s(self, costs: FleetCosts) -> float:
+        """With a worker for each part."""
+        cutting_s = 0.0 if self.cutting is None else costs.alone_s(self.cutting)
+        return cutting_s + max(map(costs.alone_s, self.parts))
 
 
 @dataclass(frozen=True)
@@ -135,48 +186,50 @@ class SharedLink:
         self._wake()
 
 
-def simulate(lengths_s: Sequence[float], workers: int, costs: FleetCosts) -> FleetRun:
-    """Replay logs of these lengths with so many workers."""
+def simulate(lengths_s: Sequence[float], workers: int, costs: FleetCosts, split: FleetSplit | None = None) -> FleetRun:
+    """Replay logs of these lengths with so many workers, in parts where a split is given."""
     environment = simpy.Environment()
     link = SharedLink(environment, costs.store_bytes_per_s, costs.worker_bytes_per_s)
     driver = simpy.Resource(environment)
-    waiting = sorted(lengths_s)
+    waiting = simpy.PriorityStore(environment)
+    end_s = 0.0
+
+    def give(log: _Log, *jobs: FleetJob) -> None:
+        for job in jobs:
+            waiting.put(simpy.PriorityItem(-costs.alone_s(job), (log, job)))
 
     def worker() -> Generator[simpy.Event, Any, None]:
-        while waiting:
-            length_s = waiting.pop()
+        nonlocal end_s
+        while True:
+            log, job = (yield waiting.get()).item
             with driver.request() as turn:
                 yield turn
                 yield environment.timeout(costs.driver_s)
-            yield link.transfer(costs.fetched_bytes(length_s))
-            yield environment.timeout(costs.work_s(length_s))
-            yield link.transfer(costs.put_bytes(length_s))
+            yield link.transfer(job.fetched_bytes)
+            yield environment.timeout(job.work_s)
+            yield link.transfer(job.put_bytes)
+            if job is log.cutting:
+                give(log, *log.parts)
+            end_s = environment.now
 
+    logs = [_Log.of(length_s, costs, split) for length_s in lengths_s]
+    for log in logs:
+        give(log, *log.jobs[:1])
     for _ in range(workers):
         environment.process(worker())
     environment.run()
-    return FleetRun(workers, float(environment.now), sum(lengths_s), bounds(lengths_s, workers, costs))
+    return FleetRun(workers, end_s, sum(lengths_s), bounds(lengths_s, workers, costs, split))
 
 
-def bounds(lengths_s: Sequence[float], workers: int, costs: FleetCosts) -> dict[Bottleneck, float]:
+def bounds(
+    lengths_s: Sequence[float], workers: int, costs: FleetCosts, split: FleetSplit | None = None
+) -> dict[Bottleneck, float]:
     """The least that a batch can take, seconds: by its workers, its longest log, its store and its driver."""
-    alone_s = [costs.alone_s(length_s) for length_s in lengths_s]
-    moved_bytes = sum(costs.fetched_bytes(length_s) + costs.put_bytes(length_s) for length_s in lengths_s)
+    logs = [_Log.of(length_s, costs, split) for length_s in lengths_s]
+    jobs = [job for log in logs for job in log.jobs]
     return {
-        "workers": sum(alone_s) / workers,
-        "longest log": max(alone_s, default=0.0),
-        "store": moved_bytes / costs.store_bytes_per_s,
-        "driver": costs.driver_s * len(lengths_s),
+        "workers": sum(map(costs.alone_s, jobs)) / workers,
+        "longest log": max((log.alone_s(costs) for log in logs), default=0.0),
+        "store": sum(job.moved_bytes for job in jobs) / costs.store_bytes_per_s,
+        "driver": costs.driver_s * len(jobs),
     }
-
-
-def in_parts(lengths_s: Sequence[float], split_s: float, warm_up_s: float) -> list[float]:
-    """Lengths of what is replayed at once where logs are split: all parts but the first see a warm-up."""
-    parts = []
-    for length_s in lengths_s:
-        parts.append(min(length_s, split_s))
-        begun_s = split_s
-        while begun_s < length_s:
-            parts.append(min(split_s, length_s - begun_s) + warm_up_s)
-            begun_s += split_s
-    return parts

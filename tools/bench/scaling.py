@@ -16,7 +16,7 @@ from roadperc_stream.cli.plumbing import positive_seconds, run, whole_number
 from roadperc_stream.core.text import print_line
 from roadperc_stream.output.text_table import TextTable, row
 
-from .fleet import FleetCosts, FleetRun, in_parts, simulate
+from .fleet import FleetCosts, FleetRun, FleetSplit, simulate
 from .fleet_costs import driver_s, measured, quantiles, scan_s, usual_lengths
 from .printing import print_tables
 
@@ -26,6 +26,19 @@ _MEASURED_FILES: Final = 200
 _MEASURED_ROWS: Final = 500
 _MEASURED_SLOTS: Final = 100
 _H: Final = 3600.0
+_COSTS: Final = {
+    "frames_per_s": ("frames a second of a log", "N"),
+    "frame_s": ("a processor's time for a frame", "S"),
+    "cut_s": ("a processor's time for a frame where a log is cut into parts", "S"),
+    "start_s": ("a worker's time for a log, fetching and frames apart", "S"),
+    "frame_bytes": ("size of a frame in the log", "B"),
+    "result_bytes": ("size of a frame in the tables", "B"),
+    "store_bytes_per_s": ("what the store gives and takes a second", "B"),
+    "worker_bytes_per_s": ("what a worker gets of that at most", "B"),
+    "driver_s": ("the driver's time for a log", "S"),
+}
+"""What each of ``FleetCosts`` is, and in what it counts."""
+_UNITS: Final = {"N": "frames", "S": "s", "B": "bytes"}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -43,9 +56,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--seed", type=int, default=1, metavar="N", help="of the logs' lengths (1)")
     add("--split", type=positive_seconds, metavar="S", help="logs are replayed in parts of so many seconds")
     add("--warm-up", type=float, default=5.0, metavar="S", help="with --split: what each part sees before (5)")
-    for field in fields(FleetCosts):
-        name = f"--{field.name.replace('_', '-')}"
-        add(name, type=float, metavar="X", help=f"see FleetCosts ({field.default:g}, or as measured)")
+    for name, (words, unit) in _COSTS.items():
+        default = f"{getattr(FleetCosts, name):g}" if name != "driver_s" else "as measured here"
+        add(f"--{name.replace('_', '-')}", type=float, metavar=unit, help=f"{words} ({default})")
     return parser
 
 
@@ -62,8 +75,8 @@ def _bench(arguments: argparse.Namespace) -> None:
             costs = replace(costs, driver_s=driver_s(_MEASURED_LOGS, _MEASURED_SLOTS, Path(folder)))
     given = {field.name: getattr(arguments, field.name) for field in fields(FleetCosts)}
     costs = replace(costs, **{name: value for name, value in given.items() if value is not None})
-    parts_s = in_parts(lengths_s, arguments.split, arguments.warm_up) if arguments.split else lengths_s
-    found = [simulate(parts_s, workers, costs) for workers in arguments.workers]
+    split = FleetSplit(arguments.split, arguments.warm_up) if arguments.split else None
+    found = [simulate(lengths_s, workers, costs, split) for workers in arguments.workers]
     _print(lengths_s, costs, found, scanned_s)
 
 
@@ -72,8 +85,8 @@ def _print(lengths_s: Sequence[float], costs: FleetCosts, found: Sequence[FleetR
     hours = sum(lengths_s) / _H
     spread = f"median {half:.0f} s, 99 % below {most:.0f} s, at most {longest:.0f} s"
     print_line(f"{len(lengths_s)} logs, {hours:.0f} h: {spread}")
-    for field in fields(costs):
-        print_line(f"{field.name} {getattr(costs, field.name):.4g}")
+    for name, (words, unit) in _COSTS.items():
+        print_line(f"{words}: {getattr(costs, name):.4g} {_UNITS[unit]}")
     print_line(f"CPU s an hour of log {_H * costs.frames_per_s * costs.frame_s:.0f}")
     print_tables([fleet_table(found)])
     logs = len(lengths_s)

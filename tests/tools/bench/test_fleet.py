@@ -5,7 +5,7 @@ import simpy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.tools.bench.fleet import FleetCosts, SharedLink, bounds, in_parts, simulate
+from roadperc_stream.tools.bench.fleet import FleetCosts, FleetSplit, SharedLink, bounds, simulate
 
 FREE = 1e18
 ALONE = FleetCosts(
@@ -80,17 +80,34 @@ def test_a_transfer_shares_with_those_beside_it():
     assert ends == {"short": pytest.approx(10), "long": pytest.approx(14)}
 
 
-@given(lengths, st.integers(1, 40))
-def test_no_batch_beats_its_bounds(some, workers):
-    real = FleetCosts(store_bytes_per_s=1e8)
-    found = simulate(some, workers, real)
-    assert found.seconds >= max(bounds(some, workers, real).values()) * (1 - 1e-9)
-    assert found.seconds <= simulate(some, 1, real).seconds * (1 + 1e-9)
+@given(lengths, st.integers(1, 40), st.none() | st.floats(1, 100))
+def test_no_batch_beats_its_bounds(some, workers, part_s):
+    real, split = FleetCosts(store_bytes_per_s=1e8), part_s and FleetSplit(part_s, 5.0)
+    found = simulate(some, workers, real, split)
+    assert found.seconds >= max(bounds(some, workers, real, split).values()) * (1 - 1e-9)
+    assert found.seconds <= simulate(some, 1, real, split).seconds * (1 + 1e-9)
     assert 0 < found.efficiency <= 1 + 1e-9
 
 
-@given(lengths, st.floats(1, 100))
-def test_parts_are_the_whole_and_their_warm_ups(some, split_s):
-    parts = in_parts(some, split_s, 5.0)
-    assert max(parts) <= split_s + 5
-    assert sum(parts) - 5.0 * (len(parts) - len(some)) == pytest.approx(sum(some))
+@given(st.floats(0.1, 1000), st.floats(1, 100))
+def test_parts_are_the_whole_and_their_warm_ups(length_s, part_s):
+    parts_s = FleetSplit(part_s, 5.0).parts_s(length_s)
+    assert max(parts_s) <= part_s + 5
+    assert sum(parts_s) - 5.0 * (len(parts_s) - 1) == pytest.approx(length_s)
+
+
+def test_parts_begin_when_their_log_is_cut():
+    """1 s to start and 10 frames a second of 0.1 s: 31 s to cut 30 s of log; then parts of 10, 12 and 12 s at once."""
+    found = simulate([30.0], 3, costs(cut_s=0.1), FleetSplit(10.0, 2.0))
+    assert found.seconds == pytest.approx(31 + 1 + 2 * 12)
+    assert found.bottleneck == "longest log"
+    assert simulate([30.0], 1, costs(cut_s=0.1), FleetSplit(10.0, 2.0)).seconds == pytest.approx(31 + 3 + 2 * 34)
+
+
+def test_a_log_of_one_part_is_not_cut():
+    assert simulate([10.0], 1, ALONE, FleetSplit(10.0, 2.0)).seconds == pytest.approx(21)
+
+
+def test_a_store_gives_a_log_twice_that_is_split():
+    found = simulate([30.0], 3, costs(worker_bytes_per_s=1e7, cut_s=0.0), FleetSplit(10.0, 0.0))
+    assert found.seconds == pytest.approx(30 + 1 + 10 + 1 + 20)
