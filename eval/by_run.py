@@ -21,8 +21,10 @@ COVERED: Final = {
     "right": "lane_right_offset_m",
     "objects": "detections",
     "stereo": "stereo_valid_ratio",
-    "odom.": "step_m",
+    "odometry": "step_m",
 }
+_NARROW: Final = {"odometry": "odom."}
+"""Where columns are many."""
 
 
 def least_covered(summaries: Sequence[Summary]) -> list[Summary]:
@@ -50,7 +52,9 @@ def coverage_by_run(summaries: Sequence[Summary]) -> TextTable:
     """A row per run: share of frames with all inputs' messages, and with a value of each stage that has any."""
     shown = {what: column for what, column in COVERED.items() if any(column in s.statistics for s in summaries)}
     rows = (row(summary.name, *map(percent, _shares(summary, shown.values()))) for summary in summaries)
-    return TextTable("Coverage, %", ("inputs", *shown), tuple(rows), label_columns=15)
+    return TextTable(
+        "Coverage, %", ("inputs", *(_NARROW.get(what, what) for what in shown)), tuple(rows), label_columns=15
+    )
 
 
 def tables_by_run(summaries: Sequence[Summary]) -> Iterator[TextTable]:

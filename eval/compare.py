@@ -14,6 +14,7 @@ from .comparison.display import print_comparison
 from .comparison.pairing import Pairing, logged_runs, pair_runs
 from .comparison.reference import Copy, carry_out, first_copies, is_new, require_updatable, update_copies
 from .comparison.rules import Rules
+from .dataset.copying import in_a_folder
 from .dataset.pairs import runs_of_configs
 from .dataset.place import Dataset
 from .names import listed
@@ -44,8 +45,9 @@ def compare(arguments: argparse.Namespace) -> None:
 
 
 def _compare_configurations(arguments: argparse.Namespace) -> None:
-    reference, candidate = runs_of_configs(Dataset(arguments.reference), arguments.config)
-    found = _compared(pair_runs(reference, candidate, arguments.other_log), None, arguments)
+    with in_a_folder(Dataset(arguments.reference)) as dataset:
+        reference, candidate = runs_of_configs(dataset, arguments.config)
+        found = _compared(pair_runs(reference, candidate, arguments.other_log), None, arguments)
     _require_no_regression(found, arguments.exact)
 
 

@@ -57,12 +57,25 @@ def two_configs(asked: Sequence[str], configs: Mapping[str, Settings | None]) ->
 
 def _found(name: str, configs: Mapping[str, Settings | None]) -> str:
     matching = [config for config in configs if config.startswith(name)] or [
-        config for config, settings in configs.items() if settings is not None and name in _texts(settings)
+        config
+        for config, settings in configs.items()
+        if settings is not None and any(_is_same(name, text) for text in _texts(settings))
     ]
     if len(matching) != 1:
         number = "no configuration" if not matching else f"{len(matching)} configurations"
-        raise TableError(f"--config {name}: is the name, its beginning or a setting of {number}; {_listed(configs)}")
+        raise TableError(f"--config {name}: names {number}; {_listed(configs)}")
     return matching[0]
+
+
+def _is_same(asked: str, text: str) -> bool:
+    """Whether two settings are one: 2 is 2.0."""
+    (key, _, value), (other_key, _, other_value) = asked.partition("="), text.partition("=")
+    if key != other_key:
+        return False
+    try:
+        return float(value) == float(other_value)
+    except ValueError:
+        return value == other_value
 
 
 def _texts(settings: Settings) -> list[str]:

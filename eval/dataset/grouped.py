@@ -1,7 +1,7 @@
 """The frames of a dataset by group: a summary of each, the worst groups where there are too many for all."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import polars as pl
 
@@ -13,7 +13,7 @@ from .naming import group_name, in_order
 from .place import scan_tables
 from .pools import GroupExtent, Pool
 from .reading import FILES, GAP_NS, MOST_GROUPS, SEGMENTS, SPAN_NS, read_contents
-from .run_rows import DONE, RUN_COLUMNS
+from .run_rows import DONE, RUN_COLUMNS, without_file
 from .worst import chosen
 
 
@@ -43,17 +43,30 @@ def group_frames(files: Sequence[str], runs: pl.DataFrame, asked: Sequence[str])
         TableError: a table cannot be read, or there is no such column.
     """
     known = runs.filter(pl.col("log_id").is_not_null())
-    made = known.filter(pl.col("status") == DONE).select("config", "version")
-    by = grouping(asked or default_columns(made.iter_rows()), scan_tables(files).collect_schema().names())
+    versions = known.filter(pl.col("status") == DONE)["version"].unique().to_list()
+    by = grouping(asked or default_columns(versions), scan_tables(files).collect_schema().names())
+    found = _grouped(files, known, by)
+    return found if asked else _without_columns_of_one_value(found)
+
+
+def _grouped(files: Sequence[str], known: pl.DataFrame, by: Grouping) -> GroupedFrames:
     run_keys = known.select(*LOG, *(as_key(name, RUN_COLUMNS[name]) for name in by.of_runs))
-    contents = read_contents(files, by, run_keys)
+    gone = without_file(known).select(LOG)
+    contents = read_contents(files, by, run_keys, gone)
     logs = _with_keys(contents.logs, by, run_keys)
     if contents.pools is not None:
         return GroupedFrames(logs, by, contents.pools, len(contents.pools))
     keys = [key_name(name) for name in by.columns]
     only = logs.join(chosen(logs, keys, MOST_GROUPS), on=keys, how="semi", nulls_equal=True)
-    again = read_contents(only[FILES].explode().unique(maintain_order=True).to_list(), by, run_keys, only.select(LOG))
+    in_files = only[FILES].explode().unique(maintain_order=True).to_list()
+    again = read_contents(in_files, by, run_keys, gone, only.select(LOG))
     return GroupedFrames(logs, by, again.pools or {}, logs.select(keys).n_unique())
+
+
+def _without_columns_of_one_value(found: GroupedFrames) -> GroupedFrames:
+    keep = [k for k, name in enumerate(found.by.columns) if found.logs[key_name(name)].n_unique() > 1]
+    by = grouping([found.by.columns[k] for k in keep], ())
+    return replace(found, by=by, pools={tuple(key[k] for k in keep): pool for key, pool in found.pools.items()})
 
 
 def summaries_of(found: GroupedFrames, log_names: Mapping[str, str], configs: Sequence[str]) -> list[Summary]:
@@ -67,7 +80,7 @@ def summaries_of(found: GroupedFrames, log_names: Mapping[str, str], configs: Se
     extents = _extents(found)
     return [
         found.pools[key].summary(group_name(key, found.by.columns, log_names), extents.get(key, GroupExtent()))
-        for key in in_order(found.pools, found.by.columns, configs)
+        for key in in_order(found.pools, found.by.columns, configs, log_names)
     ]
 
 

@@ -63,15 +63,13 @@ def grouping(by: Sequence[str], table_columns: Collection[str]) -> Grouping:
     return Grouping(names, of_runs, of_rows)
 
 
-def default_columns(runs: Iterable[tuple[str, str | None]]) -> tuple[str, ...]:
-    """What to group by where nobody says: what made the tables, as far as they differ in that.
+def default_columns(versions: Collection[str | None]) -> tuple[str, ...]:
+    """What to group by where nobody says: what made the tables.
 
     Args:
-        runs: configuration and version of each.
+        versions: of the program, as far as they are known.
     """
-    known = list(runs)
-    configs, versions = {config for config, _ in known}, {version for _, version in known}
-    return tuple(name for name, found in (("config", configs), ("version", versions)) if len(found) > 1)
+    return ("config", "version") if len(versions) > 1 else ("config",)
 
 
 def as_key(name: str, kind: pl.DataType) -> pl.Expr:

@@ -3,9 +3,11 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePosixPath
-from typing import Final
+from typing import Any, Final
 
 import polars as pl
+
+from roadperc_stream.storage.patterns import natural
 
 from .keys import UNKNOWN_GROUP, Key
 
@@ -31,23 +33,26 @@ def group_name(key: Key, columns: Sequence[str], logs: Mapping[str, str]) -> str
     """A group by the values of its key; a log by its name."""
     values = zip(columns, key, strict=True)
     words = (logs.get(value or "", value) if column == "log_id" else value for column, value in values)
-    return ", ".join(UNKNOWN_GROUP if word is None else word for word in words) or "all"
+    return ", ".join(UNKNOWN_GROUP if word is None else " ".join(word.split()) for word in words) or "all"
 
 
-def in_order(keys: Iterable[Key], columns: Sequence[str], configs: Sequence[str]) -> list[Key]:
+def in_order(keys: Iterable[Key], columns: Sequence[str], configs: Sequence[str], logs: Mapping[str, str]) -> list[Key]:
     """Keys of groups: numbers by size, texts by the alphabet, the older configuration first, what is unknown last.
 
     Args:
         keys: of the groups.
         columns: what the keys are values of.
         configs: in the order in which they were first finished.
+        logs: what each log is called.
     """
-    return sorted(keys, key=lambda key: [_place(*item, configs) for item in zip(columns, key, strict=True)])
+    return sorted(keys, key=lambda key: [_place(*item, configs, logs) for item in zip(columns, key, strict=True)])
 
 
-def _place(column: str, value: str | None, configs: Sequence[str]) -> tuple[bool, float, str]:
+def _place(column: str, value: str | None, configs: Sequence[str], logs: Mapping[str, str]) -> tuple[bool, float, Any]:
     if value is None:
         return (True, 0.0, "")
+    if column == "log_id":
+        return (False, 0.0, natural(logs.get(value, value)))
     if column == "config":
         return (False, float(configs.index(value)) if value in configs else float("inf"), value)
     try:

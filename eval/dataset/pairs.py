@@ -13,8 +13,9 @@ from ..runs import Run, open_run
 from .configs import in_order_of_runs, settings_by_config, two_configs
 from .keys import LOG
 from .naming import log_names
-from .place import FILE, Dataset, first_line, metrics_files, scan_tables
-from .run_rows import read_runs
+from .place import FILE, Dataset, metrics_files, scan_tables
+from .reading import require_named, unreadable
+from .run_rows import read_runs, without_file
 
 _ROWS = "rows"
 
@@ -29,13 +30,12 @@ def runs_of_configs(dataset: Dataset, asked: Sequence[str]) -> tuple[tuple[Logge
     Raises:
         TableError: there are no two such configurations, or a table cannot be read.
     """
-    if dataset.folder is None:
-        raise TableError(f"{dataset.address}: is an address; expected a dataset in a local folder to compare")
     files = metrics_files(dataset)
     if not files:
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../, so there is nothing to compare")
     runs, found = read_runs(dataset), _where(files)
     present = in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
+    found = found.join(without_file(runs), on=LOG, how="anti", maintain_order="left")
     reference, candidate = two_configs(asked, settings_by_config(runs, present))
     names = log_names(found["log_id"].unique(maintain_order=True), runs)
     return tuple(_runs(found, reference, names)), tuple(_runs(found, candidate, names))
@@ -49,9 +49,11 @@ def _where(files: Sequence[str]) -> pl.DataFrame:
         raise TableError(f"{files[0]}: is not a metrics table of a dataset: it has no column {', '.join(lacking)}")
     counted = tables.select(*LOG, FILE).group_by(*LOG, FILE).agg(pl.len().alias(_ROWS)).sort(*LOG, FILE)
     try:
-        return counted.collect(engine="streaming")
+        found = counted.collect(engine="streaming")
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        raise TableError(f"{files[0]} and others: their data cannot be read: {first_line(error)}") from error
+        raise TableError(unreadable(files, error)) from error
+    require_named(found)
+    return found
 
 
 def _runs(found: pl.DataFrame, config: str, names: Mapping[str, str]) -> Iterator[LoggedRun]:

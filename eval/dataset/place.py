@@ -60,7 +60,7 @@ def metrics_files(dataset: Dataset) -> list[str]:
 
 
 def scan_tables(files: Sequence[str]) -> pl.LazyFrame:
-    """All rows of metrics tables with their ``date`` and ``FILE``; columns that a table lacks are null in its rows.
+    """All rows of metrics tables with their ``FILE``; columns that a table lacks are null in its rows.
 
     The columns are those of all versions that are among the files' first and last, which differ where versions do.
 
@@ -79,14 +79,18 @@ def scan_tables(files: Sequence[str]) -> pl.LazyFrame:
         list(files),
         glob=is_address(files[0]),
         schema=known,
-        hive_partitioning=True,
-        hive_schema={DATE: pl.String},
+        hive_partitioning=False,  # it would take every folder above as a column, too
         hidden_file_prefix=_HIDDEN if is_address(files[0]) else None,
         include_file_paths=FILE,
         missing_columns="insert",
         extra_columns="ignore",
         cast_options=pl.ScanCastOptions(integer_cast="upcast", float_cast=["upcast", "downcast"]),
     )
+
+
+def date_of(file: pl.Expr) -> pl.Expr:
+    """The date of a table, which its folder names."""
+    return file.str.extract(rf"(?:^|[/\\]){_PARTITION}([^/\\]*)[/\\][^/\\]*$")
 
 
 def _schema(name: str) -> pl.Schema:

@@ -19,7 +19,7 @@ from ..scan import NUMBER_COLUMNS, derived_columns, finite, stored_columns
 from ..segments import SEGMENT, difference
 from ..summary import EXACT_FRAMES, POINTS
 from .keys import LOG, Grouping, Key, as_key, key_name
-from .place import DATE, FILE, first_line, scan_tables
+from .place import DATE, FILE, date_of, first_line, scan_tables
 from .pools import POOLED, Pool
 
 MOST_GROUPS: Final = 40
@@ -31,6 +31,7 @@ _ROWS: Final = 131_072
 """Rows of a batch: 130 MB."""
 _AT_ONCE: Final = 2
 _FEWEST_POINTS: Final = 256
+_NAMED: Final = (*LOG, "frame", "stamp_ns")
 _SECOND: Final = 2
 """Rows before a batch that its first rows' second differences need."""
 _OWN_SEGMENT: Final = "segment of the log"
@@ -62,7 +63,11 @@ def summed(column: str) -> str:
 
 
 def read_contents(
-    files: Sequence[str], by: Grouping, run_keys: pl.DataFrame, only: pl.DataFrame | None = None
+    files: Sequence[str],
+    by: Grouping,
+    run_keys: pl.DataFrame,
+    without: pl.DataFrame,
+    only: pl.DataFrame | None = None,
 ) -> TableContents:
     """Read metrics tables.
 
@@ -70,6 +75,7 @@ def read_contents(
         files: one at least; at an address a pattern.
         by: how frames are grouped.
         run_keys: ``LOG`` and the keys from the list of runs, a row for each log and configuration.
+        without: ``LOG`` of those that are left out.
         only: ``LOG`` of those that are read; all if None.
 
     Raises:
@@ -77,6 +83,8 @@ def read_contents(
             they are no groups.
     """
     rows = _rows(files, by)
+    if without.height:
+        rows = rows.join(without.lazy(), on=LOG, how="anti", maintain_order="left")
     if only is not None:
         rows = rows.join(only.lazy(), on=LOG, how="semi", maintain_order="left")
     parts: list[pl.DataFrame] = []
@@ -147,9 +155,12 @@ def _rows(files: Sequence[str], by: Grouping) -> pl.LazyFrame:
     lacking = [name for name in (*LOG, "frame", "stamp_ns", "missing", "reasons", "total_ms") if name not in schema]
     if lacking:
         raise TableError(f"{files[0]}: is not a metrics table of a dataset: it has no column {', '.join(lacking)}")
-    keys = [as_key(name, schema[name]) for name in by.columns if name not in by.of_runs]
-    own = [pl.col("config", DATE).cast(pl.String), pl.col(FILE)]
-    return tables.select(*own, *keys, *stored_columns(frozenset(schema)))
+    keys = [
+        date_of(pl.col(FILE)).alias(key_name(name)) if name == DATE else as_key(name, schema[name])
+        for name in by.columns
+        if name not in by.of_runs
+    ]
+    return tables.select(pl.col("config").cast(pl.String), pl.col(FILE), *keys, *stored_columns(frozenset(schema)))
 
 
 def _batches(rows: pl.LazyFrame, files: Sequence[str]) -> Iterator[pl.DataFrame]:
@@ -159,11 +170,24 @@ def _batches(rows: pl.LazyFrame, files: Sequence[str]) -> Iterator[pl.DataFrame]
         for found in rows.collect_batches(chunk_size=_ROWS, maintain_order=True, engine="streaming"):
             if not found.height:
                 continue
+            require_named(found)
             whole = _finite(found.rechunk() if before is None else pl.concat([before, found], rechunk=True))
             before = whole.tail(_SECOND)
             yield _derived(whole).slice(whole.height - found.height)
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        raise TableError(_unreadable(files, error)) from error
+        raise TableError(unreadable(files, error)) from error
+
+
+def require_named(rows: pl.DataFrame) -> None:
+    """Check that rows tell what they are of.
+
+    Raises:
+        TableError: one has no log, configuration, frame number or stamp, as those of another program's table.
+    """
+    named = [name for name in _NAMED if name in rows.columns]
+    if any(rows.select(pl.col(named).null_count()).row(0)):
+        file = rows.filter(pl.any_horizontal(pl.col(named).is_null()))[FILE][0]
+        raise TableError(f"{file}: is not a metrics table of a dataset: it has rows without {', '.join(named)}")
 
 
 def _finite(rows: pl.DataFrame) -> pl.DataFrame:
@@ -192,7 +216,7 @@ def _ledger(batch: pl.DataFrame) -> pl.DataFrame:
     """What a batch holds of each segment of each log, a row for each file; where logs alternate several."""
     counted = dict.fromkeys([*(quantity.column for quantity in RANKED), *COVERED.values()])
     return batch.group_by(_STRETCH, maintain_order=True).agg(  # one whole number: five times as fast as by five texts
-        pl.first(*LOG, DATE, FILE, _OWN_SEGMENT),
+        pl.first(*LOG, FILE, _OWN_SEGMENT),
         pl.len().cast(pl.Int64).alias(FRAMES),
         pl.min("frame").alias("first"),
         pl.max("frame").alias("last"),
@@ -214,14 +238,13 @@ def _logs(parts: Sequence[pl.DataFrame]) -> pl.DataFrame:
     rows = pl.concat(parts)
     totals = [name for name in rows.columns if name.startswith(("valued ", "summed "))]
     segments = rows.group_by(*LOG, _OWN_SEGMENT, maintain_order=True).agg(
-        pl.first(DATE),
         pl.col(FILE).unique(maintain_order=True).alias(FILES),
         pl.min("first", "first ns"),
         pl.max("last", "last ns", GAP_NS),
         pl.sum(FRAMES, *totals),
     )
     return segments.group_by(LOG, maintain_order=True).agg(
-        pl.first(DATE),
+        date_of(pl.first(FILES).list.first()).alias(DATE),
         pl.col(FILES).explode().unique(maintain_order=True),
         pl.sum(FRAMES),
         (pl.max("last") - pl.min("first") + 1).alias("numbers"),
@@ -241,7 +264,7 @@ def _require_frames_once(logs: pl.DataFrame) -> None:
         raise TableError(f"log {log_id}, configuration {config}: has frames that stand twice, in {where}")
 
 
-def _unreadable(files: Sequence[str], error: BaseException) -> str:
+def unreadable(files: Sequence[str], error: BaseException) -> str:
     """What cannot be read: polars does not always name the file."""
     for file in files:
         try:

@@ -67,7 +67,9 @@ def _contents(dataset: Dataset, logs: pl.DataFrame) -> str:
         "frame": logs[FRAMES].sum(),
     }
     counts = ", ".join(f"{number} {what}{'s' * (number != 1)}" for what, number in numbers.items())
-    return f"{dataset.address}: {counts}, {tables.log_time(int(logs[SPAN_NS].sum()) / NS_PER_S)} of log"
+    return (
+        f"{dataset.address}: {counts}, {tables.log_time(int(logs.unique('log_id')[SPAN_NS].sum()) / NS_PER_S)} of log"
+    )
 
 
 def _fared(runs: pl.DataFrame) -> Iterator[str]:
@@ -79,7 +81,7 @@ def _fared(runs: pl.DataFrame) -> Iterator[str]:
 
 
 def _print_groups(console: Console, summaries: Sequence[Summary], found: GroupedFrames) -> None:
-    shown = short_names([summary.name for summary in summaries], console.width - _GROUP_COLUMNS)
+    shown = _short([summary.name for summary in summaries], found.by.columns, console.width - _GROUP_COLUMNS)
     called = [replace(summary, name=shown[summary.name]) for summary in summaries]
     if found.by.columns:
         print_table(console, tables.groups_table(called, found, tuple(legend(shown))))
@@ -91,6 +93,13 @@ def _print_groups(console: Console, summaries: Sequence[Summary], found: Grouped
         print_table(console, table)
     if len(called) > LISTED:
         print_lines(console, f"by group: at most {LISTED} of {len(called)} each time, those with the worst p95")
+
+
+def _short(names: Sequence[str], columns: Sequence[str], width: int) -> dict[str, str]:
+    """What groups are called in tables: by themselves or their ends, those by several columns by their number."""
+    if len(columns) > 1 and any(len(name) > width for name in names):
+        return {name: f"group {number}" for number, name in enumerate(names, 1)}
+    return short_names(names, width)
 
 
 def _print_worst(

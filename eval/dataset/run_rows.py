@@ -32,6 +32,11 @@ def read_runs(dataset: Dataset) -> pl.DataFrame:
     return _without_superseded(newest)
 
 
+def without_file(runs: pl.DataFrame) -> pl.DataFrame:
+    """The rows of logs that no file holds any more: another log is under their names since."""
+    return runs.filter(pl.col("log_id").is_not_null(), pl.col("names").list.len() == 0)
+
+
 def _rows(dataset: Dataset, name: str) -> pl.DataFrame | None:
     """The rows of a list, or of all that match; None where there is none."""
     files = dataset.tables(name)

@@ -15,7 +15,7 @@ from ..quantities import Quantity
 from ..summary import Summary
 from .configs import DEFAULT, Settings
 from .grouped import GroupedFrames
-from .run_rows import DONE
+from .run_rows import DONE, without_file
 from .worst import LeastCovered, LogKey, WorstLog, WorstLogs
 
 FAILED_LISTED: Final = 20
@@ -89,7 +89,7 @@ def worst_logs_table(worst: WorstLogs, names: Mapping[LogKey, str]) -> TextTable
     """The worst logs by each quantity, and the frames to look at in each."""
     rows = tuple(line for quantity, logs in worst.by_quantity.items() for line in _of_quantity(quantity, logs, names))
     notes = (
-        "each log under the configuration where it is worst; mean and worst are of the absolute error",
+        "each log under the configuration where it is worst; the mean is of the absolute error",
         "frames to look at, the worst first: numbers, in brackets seconds from the log's first frame",
     )
     headers = ("mean", "worst", "frames %", "frames to look at")
@@ -114,7 +114,10 @@ def _folded(label: str) -> TextRow:
 def least_covered_table(worst: WorstLogs, names: Mapping[LogKey, str]) -> TextTable:
     """The logs in which the fewest frames have an output, and the longest stretch without it in each."""
     rows = tuple(line for what, logs in worst.by_coverage.items() for line in _of_output(what, logs, names))
-    notes = ("without: the longest stretch of frames, in brackets seconds from the log's first frame",)
+    notes = (
+        "without: the longest stretch of frames, in brackets seconds from the log's first frame",
+        "outputs that a configuration gives in no frame are left out",
+    )
     headers = ("frames %", "without")
     return TextTable("Least covered logs", headers, rows, notes if rows else (), last_is_text=True, label_columns=15)
 
@@ -147,11 +150,15 @@ def not_listed(runs: pl.DataFrame, logs: pl.DataFrame) -> Iterator[str]:
     """What the list of runs and the tables do not agree on."""
     known = runs.filter(pl.col("log_id").is_not_null())
     keys = ["log_id", "config"]
+    gone = without_file(runs)
+    if gone.height:
+        names = listed([f"{log_id}-{config}" for log_id, config in gone.select(keys).iter_rows()], 3)
+        yield f"left out, for another log has taken the place of their files: {_count(gone, names)}"
     extra = logs.join(known, on=keys, how="anti")
     if extra.height:
         names = listed([f"{log_id}-{config}" for log_id, config in extra.select(keys).iter_rows()], 3)
         yield f"not in runs.parquet, taken all the same, for another batch may be at work: {_count(extra, names)}"
-    done = known.filter(pl.col("status") == DONE, pl.col("frames") > 0)
+    done = known.join(gone, on=keys, how="anti").filter(pl.col("status") == DONE, pl.col("frames") > 0)
     lacking = done.join(logs, on=keys, how="anti")
     if lacking.height:
         names = listed(lacking["path"].to_list(), 3)

@@ -124,10 +124,9 @@ def _worst(logs: pl.DataFrame, quantity: Quantity, number: int) -> pl.DataFrame:
 
 
 def _uncovered(logs: pl.DataFrame, column: str, number: int) -> pl.DataFrame:
-    """The logs with the least share of frames with a value, where any has one and it is not all frames."""
-    if not logs[valued(column)].sum():
-        return logs.head(0)
-    ranked = logs.with_columns((pl.col(valued(column)) / pl.col(FRAMES)).alias("share"))
+    """The logs with the least share of frames with a value, where that is not all, and the configuration gives any."""
+    given = logs.filter(pl.col(valued(column)).sum().over("config") > 0)  # else it was switched off
+    ranked = given.with_columns((pl.col(valued(column)) / pl.col(FRAMES)).alias("share"))
     return _each_once(ranked.filter(pl.col("share") < 1).sort("share", *LOG), number)
 
 

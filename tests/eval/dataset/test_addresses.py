@@ -24,23 +24,39 @@ def store():
     server.stop()
 
 
-def report(address, store, *options):
-    return run("roadperc-report", address, *options, env=environment(**store), timeout=120)
-
-
-def test_it_reads_as_in_a_folder(tmp_path, store):
-    dataset = small_dataset(tmp_path / "dataset")
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory, store):
+    """On the disk; s3://drives/all has the same."""
+    dataset = small_dataset(tmp_path_factory.mktemp("drives") / "dataset")
     keys = {"aws_access_key_id": "key", "aws_secret_access_key": "secret", "region_name": "us-east-1"}
     client = boto3.client("s3", endpoint_url=store["AWS_ENDPOINT_URL"], **keys)
     client.create_bucket(Bucket="drives")
     for path in dataset.rglob("*.parquet"):
         client.upload_file(str(path), "drives", f"all/{path.relative_to(dataset).as_posix()}")
-    here, there = report(dataset, store), report("s3://drives/all/", store)
+    return dataset
+
+
+def of_dataset(command, address, store, *options):
+    return run(command, address, *options, env=environment(**store), timeout=120)
+
+
+def test_it_is_reported_as_in_a_folder(dataset, store):
+    here, there = (of_dataset("roadperc-report", place, store) for place in (dataset, "s3://drives/all/"))
     assert (here.returncode, there.returncode, there.stderr) == (0, 0, "")
     assert there.stdout.replace("s3://drives/all", str(dataset)) == here.stdout
-    nothing = report("s3://drives/none", store)
+    nothing = of_dataset("roadperc-report", "s3://drives/none", store)
     assert nothing.returncode == 1
     assert nothing.stderr.startswith(
         "error: s3://drives/none/metrics/date=*/*.parquet: is not a table that can be read"
     )
     assert len(nothing.stderr.splitlines()) == 1
+
+
+def test_it_compares_as_in_a_folder(dataset, store):
+    options = ("--config", "default", "--config", "lanes.hold_s=2")
+    here, there = (of_dataset("roadperc-compare", place, store, *options) for place in (dataset, "s3://drives/all/"))
+    assert "worse" in here.stdout
+    assert (there.returncode, there.stdout, there.stderr) == (here.returncode, here.stdout, here.stderr)
+    nothing = of_dataset("roadperc-compare", "s3://drives/none", store)
+    wanted = "error: s3://drives/none: no tables in metrics/date=.../, so there is nothing to compare\n"
+    assert (nothing.returncode, nothing.stderr) == (1, wanted)

@@ -31,8 +31,9 @@ def test_the_other_way_round_it_is_better(dataset, capsys):
     assert "better: lane_left_error_m 0.27" in text
 
 
-def test_a_setting_names_a_configuration(dataset, capsys):
-    assert compare(capsys, dataset, "--config", "lanes.hold_s=2.0", "--config", A)[0] == 0
+@pytest.mark.parametrize("setting", ["lanes.hold_s=2.0", "lanes.hold_s=2"])
+def test_a_setting_names_a_configuration(dataset, capsys, setting):
+    assert compare(capsys, dataset, "--config", setting, "--config", A)[0] == 0
 
 
 def test_compacted_tables_compare_alike(dataset, capsys):
@@ -54,7 +55,7 @@ def test_logs_of_one_side_alone_are_named(dataset, capsys):
 @pytest.mark.parametrize(
     ("configs", "said"),
     [
-        (("x", A), "--config x: is the name, its beginning or a setting of no configuration"),
+        (("x", A), "--config x: names no configuration"),
         ((A, A[:3]), "are the same"),
         ((A,), "expected --config twice, found it 1 times"),
     ],
@@ -94,3 +95,11 @@ def test_wrong_usage(dataset, capsys, arguments, said):
         main([str(dataset) if word == "DATASET" else word for word in arguments])
     assert ended.value.code == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_table_that_is_cut_off_is_named(dataset, capsys):
+    tables = sorted(dataset.glob("metrics/*/*.parquet"))
+    tables[1].write_bytes(tables[1].read_bytes()[:-100])
+    code, _, said = compare(capsys, dataset)
+    assert (code, said.count("\n")) == (1, 1)
+    assert str(tables[1]) in said

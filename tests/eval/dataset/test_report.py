@@ -1,5 +1,7 @@
 """The report over a batch's dataset: known answers, one pass over batches, and what is wrong said in a line."""
 
+from dataclasses import replace
+
 import polars as pl
 import pytest
 
@@ -50,7 +52,7 @@ def test_the_heading_says_what_there_is_and_what_failed(dataset, capsys):
     code, text, _ = report(capsys, dataset)
     assert code == 0
     lines = text.splitlines()
-    assert lines[0] == f"{dataset}: 2 logs, 2 configurations, 20 frames, 0.80 s of log"
+    assert lines[0] == f"{dataset}: 2 logs, 2 configurations, 20 frames, 0.40 s of log"
     assert lines[1] == "runs: 4 done, 2 damaged, 1 timeout"
     assert lines[2] == "  damaged: /drives/bad.mcap: cut off at byte 7"
     assert lines[3] == f"  timeout ({A}): /drives/drive4.mcap: took more than 60 s"
@@ -312,3 +314,66 @@ def test_wrong_usage(dataset, capsys, arguments, said):
         main([str(dataset) if word == "DATASET" else word for word in arguments])
     assert ended.value.code == 2
     assert said in capsys.readouterr().err
+
+
+def test_configurations_are_apart_also_where_no_list_knows_them(dataset, capsys):
+    before = report(capsys, dataset)[1]
+    (dataset / "runs.parquet").unlink()
+    text = report(capsys, dataset)[1]
+    assert "By config" in before
+    assert accuracy_of(text) == accuracy_of(before)
+
+
+def accuracy_of(text):
+    return [line for line in text.splitlines() if line.startswith((A, B))]
+
+
+def test_logs_whose_file_is_another_log_now_are_left_out(dataset, capsys):
+    rows = pl.read_parquet(dataset / "runs.parquet")
+    of_first = pl.col("log_id") == log_id(1)
+    none = pl.lit([], pl.List(pl.String))
+    gone = rows.with_columns(
+        pl.when(of_first).then(none).otherwise(pl.col(n)).alias(n) for n in ("names", "fingerprints")
+    )
+    gone.write_parquet(dataset / "runs.parquet")
+    text = report(capsys, dataset)[1]
+    assert text.startswith(f"{dataset}: 1 log, 2 configurations, 12 frames")
+    said = f"left out, for another log has taken the place of their files: 2 ({log_id(1)}-{A}, {log_id(1)}-{B})"
+    assert said in text.splitlines()
+
+
+@pytest.mark.parametrize("name", ["site=berlin", "config=zz", "frame=7", "date=1999-01-01"])
+def test_folders_above_that_look_like_columns_are_none(tmp_path, capsys, name):
+    dataset = small_dataset(tmp_path / name / "dataset")
+    code, text, said = report(capsys, dataset, "--by", "date,config")
+    assert (code, said) == (0, "")
+    assert "2026-01-02, bbbb0000" in text
+
+
+@pytest.mark.parametrize("column", ["log_id", "config", "stamp_ns", "frame"])
+def test_a_foreign_table_among_others_is_named(dataset, capsys, column):
+    tables = sorted(dataset.glob("metrics/*/*.parquet"))
+    pl.read_parquet(tables[1], hive_partitioning=False).drop(column).write_parquet(tables[1])
+    code, _, said = report(capsys, dataset)
+    assert code == 1
+    assert said.startswith(f"error: {tables[1]}: is not a metrics table of a dataset: it has rows without ")
+    assert said.count("\n") == 1
+
+
+def test_groups_by_several_columns_go_by_a_number_that_a_line_explains(dataset, capsys):
+    text = report(capsys, dataset, "--by", "config,log,date,lane_left_status")[1]
+    assert f"group 1: {A}, drive1, 2026-01-01, measured" in text.splitlines()
+    assert "group 1 " in text
+
+
+def test_an_output_that_was_switched_off_is_not_the_least_covered(tmp_path, capsys):
+    folder = tmp_path / "dataset"
+    for config, covered in ((A, 0.5), (B, None)):
+        for number in (1, 2):
+            ratios = [covered if k < 2 * number else None for k in range(6)]
+            rows = [replace(item, drivable_ratio=r) for item, r in zip(frames(number, [0.1] * 6), ratios, strict=True)]
+            add_table(folder, rows, config)
+    write_runs(folder / "runs.parquet", [done(number, config, 6) for config in (A, B) for number in (1, 2)])
+    lines = report(capsys, folder)[1].splitlines()
+    start = lines.index("drivable")
+    assert [line.split()[:2] for line in lines[start + 1 : start + 3]] == [["drive1", A], ["drive2", A]]
