@@ -34,8 +34,8 @@ def runs_of_configs(dataset: Dataset, asked: Sequence[str]) -> tuple[tuple[Logge
     if not files:
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../, so there is nothing to compare")
     runs, found = read_runs(dataset), _where(files)
-    present = in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
     found = found.join(without_file(runs), on=LOG, how="anti", maintain_order="left")
+    present = in_order_of_runs(found["config"].unique(maintain_order=True).to_list(), runs)
     reference, candidate = two_configs(asked, settings_by_config(runs, present))
     names = log_names(found["log_id"].unique(maintain_order=True), runs)
     return tuple(_runs(found, reference, names)), tuple(_runs(found, candidate, names))

@@ -93,6 +93,8 @@ def read_contents(
         for batch in _batches(rows, files):
             parts.append(_ledger(batch))
             groups.add(_with_run_keys(batch, run_keys), threads)
+    if not parts:
+        raise TableError("no log is left to report: the files of all are of other logs now, of which none gave a table")
     logs = _logs(parts)
     _require_frames_once(logs)
     return TableContents(logs, groups.pools)

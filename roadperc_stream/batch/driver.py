@@ -172,7 +172,8 @@ class Driver:
     def _give(self) -> None:
         """Keep the back end busy."""
         for _ in range(len(self._waiting)):
-            if len(self._at_work) >= max(self.backend.slots, 1):  # a cluster may grow only once it is asked to
+            is_full = len(self._at_work) >= max(self.backend.slots, 1)  # a cluster may grow only once it is asked to
+            if is_full or not self._waiting:  # with a part that is done elsewhere all others go
                 return
             item = self._waiting.popleft()
             if self._is_done_elsewhere(item):
@@ -229,8 +230,7 @@ class Driver:
             if item.split is not None and item.split.has_failed:
                 continue
             if outcome.status == BUSY:
-                whole = item.split is not None and item.part is None  # its parts are gone: another batch joined them
-                self._wait_with(_Try(item.step) if whole else item, _BUSY_AGAIN_S)
+                self._wait_with(self._anew(item), _BUSY_AGAIN_S)
             elif outcome.status in _TRIED_AGAIN and item.attempts <= self.job.retries:
                 self._wait_with(replace(item, attempts=item.attempts + 1), _UNREACHED_AGAIN_S * item.attempts)
             elif outcome.cut is not None:
@@ -245,6 +245,14 @@ class Driver:
         self._look_at_work()
         self.watch(self._progress)
         self._save_now_and_then()
+
+    def _anew(self, item: _Try) -> _Try:
+        """What waits for another batch; where that has joined a log's parts, and removed them, the log as a whole."""
+        if item.split is None or item.part is not None:
+            return item
+        self._progress.bytes_done -= item.split.bytes_done
+        self._progress.frames -= item.split.frames
+        return _Try(item.step)
 
     def _look_at_work(self) -> None:
         progress, at_work = self._progress, self.backend.at_work
@@ -288,10 +296,12 @@ class Driver:
     def _take_news(self, run: BatchRow) -> None:
         """Take in a row that may be another batch's, and may be known already."""
         before = self.known.get(*run.key)
-        if before is None or run.row.finished_ns > before.row.finished_ns:
-            self.known.add(run)
+        if before is not None and run.row.finished_ns <= before.row.finished_ns:
+            return
+        self.known.add(run)
+        self._since_planned.add(run.key)
+        if before is None or _but_for_names(run.row) != _but_for_names(before.row):
             self._from_elsewhere.add(run.key)
-            self._since_planned.add(run.key)
 
     def _written(self, item: _Try, outcome: Outcome) -> RunRow:
         """Write down what came of a log."""
@@ -379,6 +389,11 @@ def _not_named(row: RunRow, name: str) -> RunRow:
     """The row of a log that is under this name no more."""
     seen = {n: print_ for n, print_ in zip(row.names, row.fingerprints, strict=True) if n != name}
     return _with_names(row, seen)
+
+
+def _but_for_names(row: RunRow) -> RunRow:
+    """What only a replay changes in a row."""
+    return replace(row, path="", names=(), fingerprints=(), finished_ns=0)
 
 
 def _with_names(row: RunRow, seen: Mapping[str, str]) -> RunRow:

@@ -6,11 +6,15 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from roadperc_stream.batch.splitting import SplitPart
 from roadperc_stream.batch.task import Task
 from roadperc_stream.errors import StorageError
 from roadperc_stream.log.stored import StoredLog
+from roadperc_stream.storage import disk
 from roadperc_stream.storage.addresses import is_address
 from roadperc_stream.storage.fetching import PartialCopy, fetch, partial_copy
+from roadperc_stream.storage.stored import StoredFile
+from roadperc_stream.storage.stores import store_of
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,13 @@ def fetched(task: Task, folder: Path) -> Iterator[FetchedFiles]:
     """The log's files here; those of a store whole, or as far as they are read where nobody reads all.
 
     Raises:
-        StorageError: one is not to be had.
+        StorageError: one is not to be had, or is not the one whose parts others replay.
     """
     with ExitStack() as opened:
         paths, partial, identities = list[Path](), list[PartialCopy](), dict[str, tuple[int, ...]]()
         for file, copy in zip(task.drive.files, copies_in(task, folder), strict=True):
+            if isinstance(task.piece, SplitPart):
+                _require_as_listed(file)
             if not is_address(file.address):
                 identities[file.address] = _identity(file.address)
             elif task.is_audited:
@@ -68,6 +74,12 @@ def with_addresses(text: str, task: Task, folder: Path) -> str:
     for file, copy in zip(task.drive.files, copies_in(task, folder), strict=True):
         text = text.replace(str(copy), file.address)
     return text
+
+
+def _require_as_listed(file: StoredFile) -> None:
+    found = store_of(file.address).file() if is_address(file.address) else disk.stored_file(file.address)
+    if found is None or found.fingerprint != file.fingerprint:
+        raise StorageError(f"{file.address}: changed while its parts were replayed")
 
 
 def _identity(name: str) -> tuple[int, ...]:

@@ -113,7 +113,8 @@ def replayed_part(
     for name, table in (("metrics", target.metrics), ("objects", target.objects)):
         task.out.put(table, f"{place}.{name}.parquet")
     outcome = of_summary(summary)
-    task.out.write(f"{place}.json", msgspec.json.encode((made_of, outcome)))
+    for_later = replace(outcome, seconds=summary.seconds)
+    task.out.write(f"{place}.json", msgspec.json.encode((made_of, for_later)))
     return outcome
 
 
@@ -131,7 +132,7 @@ def _finished(data: bytes, made_of: str) -> Outcome | None:
         was_made_of, outcome = msgspec.json.decode(data, type=tuple[str, Outcome])
     except msgspec.DecodeError:
         return None
-    return outcome if was_made_of == made_of else None
+    return replace(outcome, frames_before=outcome.frames) if was_made_of == made_of else None
 
 
 def joined_parts(task: Task, ended: EndedParts, folder: Path) -> Outcome:

@@ -5,11 +5,12 @@ do not undo each other, and what one was killed at is not lost. The newest row o
 """
 
 import os
+import shutil
 import socket
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +21,7 @@ from roadperc_stream.batch.task import SCRATCH
 from roadperc_stream.core.files import TABLE_SUFFIX, target_errors
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.tables import TableWriter, read_table
+from roadperc_stream.output.tables import TableWriter, rows_in
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 from roadperc_stream.state.lock import FolderLock
 from roadperc_stream.storage.addresses import joined
@@ -33,6 +34,7 @@ _NAMES: Final = tuple(item.name for item in fields(RunRow))
 _REMEDY: Final = "remove it and all is done anew"
 _LOCK_WITHIN_S: Final = 10.0
 _TRIES: Final = 3
+_UNFINISHED: Final = "runs-"
 _LEFT_OVER_NS: Final = 24 * 3600 * NS_PER_S
 
 
@@ -157,6 +159,7 @@ class RunsTable:
 
         Raises:
             StorageError: the dataset cannot be written.
+            TargetError: it is on this machine, and cannot be written.
         """
         if self._own:
             self._write(self._own.values(), self._part)
@@ -169,6 +172,7 @@ class RunsTable:
 
         Raises:
             StorageError: the dataset cannot be written.
+            TargetError: it is on this machine, and cannot be written.
         """
         with self._locked():
             for _ in range(_TRIES):
@@ -182,12 +186,22 @@ class RunsTable:
             for file in parts:
                 if self._folder.name_of(file) == self._part or _is_left_over(file):
                     self._folder.remove(self._folder.name_of(file))
+            self._remove_unfinished()
+
+    def _remove_unfinished(self) -> None:
+        """Remove what batches that were killed had begun to write."""
+        if self._folder.is_local:
+            for folder in self._folder.path(SCRATCH).glob(f"{_UNFINISHED}*"):
+                with suppress(OSError):
+                    if time.time_ns() - folder.stat().st_mtime_ns > _LEFT_OVER_NS:
+                        shutil.rmtree(folder)
 
     def fold_left_over(self) -> None:
         """Write all that is known to the one list, where a batch that was killed has left its part.
 
         Raises:
             StorageError: the dataset cannot be written.
+            TargetError: it is on this machine, and cannot be written.
         """
         if self._parts():
             self.fold()
@@ -212,7 +226,7 @@ class RunsTable:
         if scratch is not None:
             with target_errors(scratch):
                 scratch.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix="roadperc-batch-", dir=scratch) as folder:
+        with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=scratch) as folder:
             path = Path(folder) / "runs.parquet"
             with TableWriter(path, RunRow, {}, RUN_TIME_COLUMNS) as table:
                 for run in sorted(runs, key=lambda run: (run.row.path, run.row.config)):
@@ -232,13 +246,10 @@ def _is_left_over(part: StoredFile) -> bool:
 
 
 def _runs_in(data: bytes, address: str) -> list[BatchRow]:
-    with tempfile.NamedTemporaryFile(suffix=TABLE_SUFFIX) as file:
-        file.write(data)
-        file.flush()
-        try:
-            rows = read_table(Path(file.name)).to_pylist()
-        except TableError as error:
-            raise TableError(f"{address}: is not a list of runs that can be read; {_REMEDY}") from error
+    try:
+        rows = rows_in(data, address)
+    except TableError as error:
+        raise TableError(f"{address}: is not a list of runs that can be read; {_REMEDY}") from error
     return [_run_of(row, address) for row in rows]
 
 

@@ -137,7 +137,12 @@ def _replayed(task: Task, folder: Path, progress: Progress) -> Outcome:
     if isinstance(task.piece, EndedParts):
         return joined_parts(task, task.piece, folder)
     with fetched(task, folder) as files:
-        return _replayed_files(task, files, folder, progress)
+        try:
+            outcome = _replayed_files(task, files, folder, progress)
+        except RoadpercError:
+            files.require_unchanged()  # what is wrong with it may be that it is half another file
+            raise
+    return outcome
 
 
 def _replayed_files(task: Task, files: FetchedFiles, folder: Path, progress: Progress) -> Outcome:
@@ -145,7 +150,8 @@ def _replayed_files(task: Task, files: FetchedFiles, folder: Path, progress: Pro
     source = ReplaySource(paths, topics, time_range, task.recover, is_audited=task.is_audited)
     if isinstance(task.piece, SplitPart):
         return replayed_part(task, task.piece, source, files, folder, progress)
-    if (outcome := _without_replay(task, replace(source, recover=task.recover or task.was_recovered))) is not None:
+    if (outcome := _without_replay(task, source)) is not None:
+        files.require_unchanged()
         return outcome
     target = ReplayTarget(folder / "out.mcap", results_only=task.keep_logs != "whole", force=True)
     summary = replay(source, target, task.how.cfg, checkpoints=CHECKPOINTS, watcher=Watcher(progress))
@@ -156,12 +162,12 @@ def _replayed_files(task: Task, files: FetchedFiles, folder: Path, progress: Pro
 
 def _without_replay(task: Task, source: ReplaySource) -> Outcome | None:
     """What comes of a log that is in the dataset already, or is to be replayed in parts."""
-    if not task.same_ids and task.how.split_s is None:
-        return None
-    log_in = open_log(source, task.how.cfg).input
-    if log_in.log_id in task.same_ids:
-        return Outcome("done", log_id=log_in.log_id, is_new=False)
-    return cut_log(task, log_in)
+    if task.same_ids:
+        as_before = replace(source, recover=task.recover or task.was_recovered)
+        log_id = open_log(as_before, task.how.cfg).input.log_id
+        if log_id in task.same_ids:
+            return Outcome("done", log_id=log_id, is_new=False)
+    return None if task.how.split_s is None else cut_log(task, open_log(source, task.how.cfg).input)
 
 
 def _require_same_code(task: Task) -> None:

@@ -20,6 +20,8 @@ _SPARE: Final = 1
 """Items under way beyond one for each thread, that whoever is done finds another one: more gain nothing."""
 _END: Final = object()
 """What the first step gives behind the last item."""
+_BEFORE_ALL: Final = -1
+"""Number of an item that there is not."""
 _WAKES_EVERY_S: Final = 0.5
 """For which a signal may go unheeded."""
 
@@ -91,9 +93,15 @@ class _Work:
 
     def _help(self, ended: SimpleQueue[None]) -> None:
         """Work in a thread in which numpy is as silent as in ``one_thread``: that setting is a thread's own."""
-        with np.errstate(all="ignore"):
-            self._work()
-        ended.put(None)
+        try:
+            with np.errstate(all="ignore"):
+                self._work()
+        except BaseException as error:  # of no step: there is no memory to hand on what one made, say
+            with self._changed:
+                self._failed, self._is_stopped = (_BEFORE_ALL, error), True
+                self._changed.notify_all()
+        finally:
+            ended.put(None)
 
     def _work(self) -> None:
         """Do what is next until nothing is left."""

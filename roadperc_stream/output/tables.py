@@ -199,6 +199,17 @@ def read_table(path: Path) -> pa.Table:
         return table.read()
 
 
+def rows_in(data: bytes, address: str) -> list[dict[str, Any]]:
+    """The rows of a table that has been fetched from an address.
+
+    Raises:
+        TableError: it is not Parquet.
+    """
+    with _opened(address, pa.BufferReader(data)) as table:
+        rows: list[dict[str, Any]] = table.read().to_pylist()
+    return rows
+
+
 def write_table(path: Path, table: pa.Table) -> None:
     """Write a whole table, as ``TableWriter`` writes its rows; it appears under its name only when complete.
 
@@ -216,9 +227,10 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[pq.ParquetFile]:
+def _opened(path: Path | str, data: pa.BufferReader | None = None) -> Iterator[pq.ParquetFile]:
+    """A table; ``data`` are its bytes where they are not read from the path."""
     try:
-        with pq.ParquetFile(path) as table:
+        with pq.ParquetFile(path if data is None else data) as table:
             yield table
     except OSError as error:
         raise TableError(f"{path}: {error.strerror or error}") from error

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, Final
 from uuid import uuid4
 
-from roadperc_stream.core.files import completing
+from roadperc_stream.core.files import completing, target_errors
 from roadperc_stream.errors import StorageError
 from roadperc_stream.storage import disk
 from roadperc_stream.storage.addresses import is_address, whole
@@ -63,14 +63,14 @@ def partial_copy(address: str, folder: Path) -> Iterator["PartialCopy"]:
     """
     source = _Source(store_of(address))
     with tempfile.TemporaryFile(dir=folder) as kept:
-        yield PartialCopy(source, kept)
+        yield PartialCopy(source, kept, folder)
 
 
 class PartialCopy:
     """A file of a store as far as it has been read; ``log.spool.StoredBytes``."""
 
-    def __init__(self, source: "_Source", kept: IO[bytes]) -> None:
-        self._source, self._kept = source, kept
+    def __init__(self, source: "_Source", kept: IO[bytes], folder: Path) -> None:
+        self._source, self._kept, self._folder = source, kept, folder
         self._fetched = set[int]()
         """Numbers of blocks."""
 
@@ -84,7 +84,7 @@ class PartialCopy:
 
         Raises:
             StorageError: they cannot be fetched.
-            OSError: there is no space for them.
+            TargetError: there is no space for them.
         """
         end = min(start + length, self.size_bytes)
         if start >= end:
@@ -92,8 +92,9 @@ class PartialCopy:
         for number in range(start // _BLOCK_BYTES, (end - 1) // _BLOCK_BYTES + 1):
             if number not in self._fetched:
                 self._fetch(number)
-        self._kept.seek(start)
-        return self._kept.read(end - start)
+        with target_errors(self._folder):
+            self._kept.seek(start)
+            return self._kept.read(end - start)
 
     def require_unchanged(self) -> None:
         """Check that the file is what it was at first.
@@ -106,10 +107,12 @@ class PartialCopy:
     def _fetch(self, number: int) -> None:
         at = number * _BLOCK_BYTES
         end = min(at + _BLOCK_BYTES, self.size_bytes)
-        self._kept.seek(at)
         while at < end:
             piece = tried(partial(self._source.piece, at, end))
-            self._kept.write(piece)
+            with target_errors(self._folder):
+                self._kept.seek(at)
+                self._kept.write(piece)
+                self._kept.flush()
             at += len(piece)
         self._fetched.add(number)
 

@@ -31,6 +31,12 @@ def change_rows(out, **columns):
     pl.read_parquet(path).with_columns(**columns).write_parquet(path)
 
 
+def task(source, out, **how):
+    out.mkdir(exist_ok=True)
+    configuration = BatchConfiguration(load_config(None), **how)
+    return Task(DriveFiles(tuple(find_files(str(source)))), configuration, Folder(str(out)))
+
+
 def test_numbers_that_hardly_differ_are_other_configurations():
     ends_s = [0.2, 0.1999999, 0.2000001, 1234.561, 1234.564]
     configs = [BatchConfiguration(load_config(None), time_range=TimeRange(None, end_s)) for end_s in ends_s]
@@ -48,11 +54,22 @@ def test_a_log_that_is_replaced_while_it_is_replayed_gives_no_row_of_two(tmp_pat
 
     replay = worker.replay
     monkeypatch.setattr(worker, "replay", replaced)
-    out.mkdir()
-    files = tuple(find_files(str(source)))
-    outcome = worker.work(Task(DriveFiles(files), BatchConfiguration(load_config(None)), Folder(str(out))), no_progress)
+    outcome = worker.work(task(source, out), no_progress)
     assert (outcome.status, outcome.error) == ("unreachable", f"{source}: changed while it was replayed")
     assert not list(out.glob("metrics/*/*"))
+
+
+def test_a_log_that_is_cut_off_while_it_is_replayed_is_not_damaged(tmp_path, out, monkeypatch):
+    source = write_log(tmp_path / "in" / "a.mcap")
+
+    def cut_off(*given, **options):
+        source.write_bytes(source.read_bytes()[:-3000])
+        return replay(*given, **options)
+
+    replay = worker.replay
+    monkeypatch.setattr(worker, "replay", cut_off)
+    outcome = worker.work(task(source, out), no_progress)
+    assert (outcome.status, outcome.error) == ("unreachable", f"{source}: changed while it was replayed")
 
 
 def test_a_clock_that_was_set_back_hides_nothing(tmp_path, out):

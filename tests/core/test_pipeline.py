@@ -184,6 +184,26 @@ def test_a_signal_may_come_anywhere():
     assert threads_left() == []
 
 
+@pytest.mark.parametrize("threads", THREADS[1:])
+def test_an_error_of_no_step_ends_the_job_too(threads, monkeypatch):
+    def no_memory(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(pipeline._Work, "_pass_on", no_memory)
+    outcome = []
+
+    def call():
+        with pytest.raises(MemoryError):
+            Pipeline(count()).then(lambda item: item).then(lambda item: item).run(threads)
+        outcome.append("ended")
+
+    caller = threading.Thread(target=call, daemon=True)
+    caller.start()
+    caller.join(timeout=30)
+    assert outcome == ["ended"]
+    assert threads_left() == []
+
+
 def test_numpy_is_silent_in_every_thread(recwarn):
     with np.errstate(all="ignore"):
         items = (np.float32(1e30) * np.float32(1e30) for _ in range(20))

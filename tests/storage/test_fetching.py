@@ -1,7 +1,9 @@
 """Files are fetched whole or not at all, over connections that break and while others write."""
 
 import os
+import re
 import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -141,5 +143,17 @@ def test_a_partial_copy_reads_as_the_file(reads, block):
 
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryFile() as kept:
         patch.setattr(fetching, "_BLOCK_BYTES", block)
-        copy = PartialCopy(Source(), kept)
+        copy = PartialCopy(Source(), kept, Path())
         assert [copy.read(*asked) for asked in reads] == [data[start : start + n] for start, n in reads]
+
+
+def test_a_full_disk_is_of_the_machine_and_not_of_the_file(tmp_path):
+    class Source:
+        size_bytes = 10
+
+        def piece(self, start, end):
+            return bytes(end - start)
+
+    (tmp_path / "full").touch()
+    with (tmp_path / "full").open("rb") as kept, pytest.raises(TargetError, match=re.escape(str(tmp_path))):
+        PartialCopy(Source(), kept, tmp_path).read(0, 1)

@@ -1,8 +1,9 @@
 """A fleet of workers over many logs, simulated event by event: what a batch would take, and what holds it up.
 
-Each worker takes the longest log that is left, as the batch does, starts a process, fetches the log from the store,
-replays it and puts its tables back. A log that is to be split is first fetched and checked whole by one worker; its
-parts then fetch their own bytes. The store's bandwidth is shared fairly, the driver serves one worker at a time.
+Each worker takes the longest log that is left, but parts of one before all else, as the batch does, starts a process,
+fetches the log from the store, replays it and puts its tables back. A log that is to be split is first fetched and
+checked whole by one worker; its parts then fetch their own bytes. The store's bandwidth is shared fairly, the driver
+serves one worker at a time.
 """
 
 import heapq
@@ -90,6 +91,7 @@ class FleetSplit:
 class _Log:
     """The jobs of a log: ``parts`` at once, after ``cutting`` where there is one."""
 
+    length_s: float
     cutting: FleetJob | None
     parts: tuple[FleetJob, ...]
 
@@ -97,7 +99,7 @@ class _Log:
     def of(cls, length_s: float, costs: FleetCosts, split: FleetSplit | None) -> Self:
         parts_s = split.parts_s(length_s) if split is not None else [length_s]
         cutting = costs.cutting(length_s) if len(parts_s) > 1 else None
-        return cls(cutting, tuple(map(costs.job, parts_s)))
+        return cls(length_s, cutting, tuple(map(costs.job, parts_s)))
 
     @property
     def jobs(self) -> tuple[FleetJob, ...]:
@@ -194,9 +196,9 @@ def simulate(lengths_s: Sequence[float], workers: int, costs: FleetCosts, split:
     waiting = simpy.PriorityStore(environment)
     end_s = 0.0
 
-    def give(log: _Log, *jobs: FleetJob) -> None:
+    def give(log: _Log, *jobs: FleetJob, first: bool = False) -> None:
         for job in jobs:
-            waiting.put(simpy.PriorityItem(-costs.alone_s(job), (log, job)))
+            waiting.put(simpy.PriorityItem((not first, -log.length_s), (log, job)))
 
     def worker() -> Generator[simpy.Event, Any, None]:
         nonlocal end_s
@@ -209,7 +211,7 @@ def simulate(lengths_s: Sequence[float], workers: int, costs: FleetCosts, split:
             yield environment.timeout(job.work_s)
             yield link.transfer(job.put_bytes)
             if job is log.cutting:
-                give(log, *log.parts)
+                give(log, *log.parts, first=True)
             end_s = environment.now
 
     logs = [_Log.of(length_s, costs, split) for length_s in lengths_s]

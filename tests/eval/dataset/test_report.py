@@ -377,3 +377,12 @@ def test_an_output_that_was_switched_off_is_not_the_least_covered(tmp_path, caps
     lines = report(capsys, folder)[1].splitlines()
     start = lines.index("drivable")
     assert [line.split()[:2] for line in lines[start + 1 : start + 3]] == [["drive1", A], ["drive2", A]]
+
+
+def test_where_all_logs_are_gone_there_is_nothing_to_report(dataset, capsys):
+    none = pl.lit([], pl.List(pl.String))
+    rows = pl.read_parquet(dataset / "runs.parquet")
+    rows.with_columns(names=none, fingerprints=none).write_parquet(dataset / "runs.parquet")
+    code, _, said = report(capsys, dataset)
+    assert (code, said.count("\n")) == (1, 1)
+    assert said.startswith("error: no log is left to report")
