@@ -84,9 +84,12 @@ def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:
     """Fields that are not identical with their first difference, under the frame where that is, the earliest first."""
     differing = sorted((agreement for agreement in found.fields.values() if agreement.first), key=_place)
     shown = differing if all_fields else differing[:FIELDS_SHOWN]
+    are_several = len(found.pairing.pairs) > 1
+    if are_several and shown:
+        yield from ("", "where fields differ first, and in how many frames of all pairs")
     for place, group in groupby(shown, key=_place):
         run, stamp_ns, frame = place
-        several = f"{run}: " if len(found.pairing.pairs) > 1 else ""
+        several = f"{run}: " if are_several else ""
         yield from ("", f"{several}frame {frame}, stamp {stamp_ns}")
         yield from (f"  {_difference(agreement)}" for agreement in group)
     if len(shown) < len(differing):

@@ -113,7 +113,7 @@ class RunsTable:
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._part = f"{PARTS}/{started}-{socket.gethostname()}-{os.getpid()}{TABLE_SUFFIX}"
         self._own: Rows = {}
-        self._seen: set[StoredFile] = set()
+        self._seen: tuple[set[StoredFile], StoredFile | None] = (set(), None)
 
     def read(self) -> Rows:
         """All rows, those of other batches at work included.
@@ -122,7 +122,12 @@ class RunsTable:
             StorageError: the dataset cannot be read.
             TableError: a table in it is not a list of runs.
         """
+        self._seen = self._of_others()
         return merged(*self._in_all(self._parts()), self._own.values())
+
+    def _of_others(self) -> tuple[set[StoredFile], StoredFile | None]:
+        """The parts of other batches at work, and the one list, to which those that end write."""
+        return {file for file in self._parts() if self._folder.name_of(file) != self._part}, self._folder.file(ALL)
 
     def _parts(self) -> list[StoredFile]:
         return self._folder.files(PARTS, TABLE_SUFFIX)
@@ -144,11 +149,8 @@ class RunsTable:
             StorageError: the dataset cannot be read.
             TableError: a table in it is not a list of runs.
         """
-        others = {file for file in self._parts() if self._folder.name_of(file) != self._part}
-        if others == self._seen:
-            return {}
-        self._seen = others  # of a batch that has ended the part is gone, and its rows are in the one list
-        return merged(*self._in_all(others))
+        before, self._seen = self._seen, self._of_others()
+        return {} if self._seen == before else merged(*self._in_all(self._seen[0]))
 
     def add(self, run: BatchRow) -> None:
         """Add a row, or replace the one of the same log and configuration."""

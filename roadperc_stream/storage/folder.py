@@ -13,7 +13,7 @@ from uuid import uuid4
 from roadperc_stream.core.files import completing, require_plain, target_errors
 from roadperc_stream.errors import StorageError
 from roadperc_stream.storage.addresses import is_address, joined, whole
-from roadperc_stream.storage.disk import disk_errors, pieces_of
+from roadperc_stream.storage.disk import disk_errors, pieces_of, stored_file
 from roadperc_stream.storage.finding import files_below
 from roadperc_stream.storage.stored import StoredFile
 from roadperc_stream.storage.stores import Store, store_errors, store_of, tried
@@ -95,6 +95,14 @@ class Folder:
             StorageError: it cannot be listed.
         """
         return files_below(joined(self.address, below) if below else self.address, suffix)
+
+    def file(self, name: str) -> StoredFile | None:
+        """A file as it is now; None where there is none.
+
+        Raises:
+            StorageError: it cannot be looked at.
+        """
+        return stored_file(str(self.path(name))) if self.is_local else self._stored(name).file()
 
     def name_of(self, stored: StoredFile) -> str:
         """The name, relative to the folder, of a file that ``files`` found.

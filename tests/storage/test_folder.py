@@ -205,3 +205,14 @@ def test_an_upload_that_is_interrupted_makes_no_file(bucket, tmp_path, monkeypat
         Folder(bucket).put(tmp_path / "source", "a")
     assert Folder(bucket).files() == []
     assert (tmp_path / "source").exists()
+
+
+def test_a_file_is_looked_at_as_a_listing_shows_it(place):
+    folder = Folder(place)
+    assert folder.file("a b/1.parquet") is None
+    folder.write("a b/1.parquet", b"table")
+    (listed,) = folder.files("a b")
+    assert folder.file("a b/1.parquet") == listed
+    folder.write("a b/1.parquet", b"other table")
+    assert folder.file("a b/1.parquet").fingerprint != listed.fingerprint
+    assert folder.file("a b") is None
