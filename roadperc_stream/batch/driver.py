@@ -2,34 +2,27 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Final
 
-from roadperc_stream import __version__
 from roadperc_stream.batch.backend import Backend
-from roadperc_stream.batch.configuration import BatchConfiguration, code_digest, libraries
+from roadperc_stream.batch.configuration import code_digest
+from roadperc_stream.batch.job import BatchJob, also_named, but_for_names, not_named
 from roadperc_stream.batch.plan import Step
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
 from roadperc_stream.batch.splitting import SplitPart
 from roadperc_stream.batch.task import (
     BUSY,
-    NO_TIMEOUT,
     CutLog,
     DriveFiles,
     EndedPart,
     EndedParts,
-    KeepLogs,
     Outcome,
     Task,
-    TaskLimits,
 )
 from roadperc_stream.batch.worker import discard
-from roadperc_stream.log import DIGEST_ALGORITHM
-from roadperc_stream.output.tables import config_digest
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, RunRow
-from roadperc_stream.storage.folder import Folder
 
 _WAIT_S: Final = 0.2
 _SAVE_EVERY_S: Final = 1.0
@@ -38,37 +31,6 @@ _UNREACHED_AGAIN_S: Final = 1.0
 """How long a log waits that is tried again, and each time so much longer."""
 _TRIED_AGAIN: Final = frozenset({"killed", "unreachable"})
 """What another attempt may not meet again."""
-
-
-@dataclass(frozen=True)
-class BatchJob:
-    """What a batch does with each of its logs.
-
-    Args:
-        how: the configuration.
-        out: the dataset.
-        keep_logs: the result log to keep.
-        recover: replay what can be read of damaged logs.
-        limits: of each attempt.
-        retries: how often a log is tried again whose worker died.
-        fail_fast: stop at the first log that fails.
-        scratch: folder for temporary files on the workers' machines; None: within the dataset, or the system's.
-    """
-
-    how: BatchConfiguration
-    out: Folder
-    keep_logs: KeepLogs = "no"
-    recover: bool = False
-    limits: TaskLimits = NO_TIMEOUT
-    retries: int = 2
-    fail_fast: bool = False
-    scratch: Path | None = None
-
-    def task(self, drive: DriveFiles, same_ids: tuple[str, ...] = ()) -> Task:
-        """The task of a whole log."""
-        return Task(
-            drive, self.how, self.out, self.keep_logs, self.recover, self.limits, same_ids, code_digest(), self.scratch
-        )
 
 
 @dataclass
@@ -116,6 +78,11 @@ class _Try:
     not_before_s: float = 0.0
     split: _SplitLog | None = None
     part: SplitPart | None = None
+
+    @property
+    def attempts_of_log(self) -> int:
+        """How often it was begun, or of a log in parts the one that was begun most often."""
+        return max(self.attempts, self.split.most_attempts if self.split is not None else 1)
 
     @property
     def bytes(self) -> int:
@@ -300,7 +267,7 @@ class Driver:
             return
         self.known.add(run)
         self._since_planned.add(run.key)
-        if before is None or _but_for_names(run.row) != _but_for_names(before.row):
+        if before is None or but_for_names(run.row) != but_for_names(before.row):
             self._from_elsewhere.add(run.key)
 
     def _written(self, item: _Try, outcome: Outcome) -> RunRow:
@@ -312,9 +279,9 @@ class Driver:
         self._end_split(item, has_failed=outcome.status != "done")
         before = self.known.get(outcome.log_id or drive.name, self.job.how.name)
         if not outcome.is_new and before is not None:
-            run = replace(before, row=_also_named(before.row, drive))
+            run = replace(before, row=also_named(before.row, drive))
         else:
-            run = BatchRow(self._row(item, outcome, before), outcome.stages_s)
+            run = BatchRow(self.job.row(drive, outcome, before, item.attempts_of_log), outcome.stages_s)
         if outcome.status not in OF_THE_MACHINE:  # else nobody knows what is in the file
             for other in self._no_longer_there(drive, run):
                 self._add(other)
@@ -339,65 +306,7 @@ class Driver:
     def _no_longer_there(self, drive: DriveFiles, run: BatchRow) -> list[BatchRow]:
         """Rows of other logs that were under this name before; one without a digest goes by itself."""
         return [
-            replace(other, row=_not_named(other.row, drive.name))
+            replace(other, row=not_named(other.row, drive.name))
             for other in self.known.named(drive.name)
             if other.key != run.key and other.row.log_id
         ]
-
-    def _row(self, item: _Try, outcome: Outcome, before: BatchRow | None) -> RunRow:
-        drive, how = item.step.drive, self.job.how
-        row = RunRow(
-            log_id=outcome.log_id,
-            config=how.name,
-            status=outcome.status,
-            error=outcome.error,
-            path=drive.name,
-            names=before.row.names if before else (),
-            fingerprints=before.row.fingerprints if before else (),
-            date=outcome.date,
-            duration_s=outcome.duration_s,
-            size_bytes=drive.size_bytes,
-            frames=outcome.frames,
-            dropped=outcome.dropped,
-            unreadable=outcome.unreadable,
-            warnings=outcome.warnings,
-            seconds=outcome.seconds,
-            peak_memory_mb=outcome.peak_memory_mb,
-            version=__version__,
-            code=code_digest(),
-            libraries=libraries(),
-            config_digest=config_digest(how.cfg),
-            settings=how.settings,
-            options=how.options,
-            recover=self.job.recover,
-            logs=self.job.keep_logs,
-            digest_algorithm=DIGEST_ALGORITHM,
-            worker=outcome.worker,
-            attempts=max(item.attempts, item.split.most_attempts if item.split else 1),
-            finished_ns=before.row.finished_ns if before else 0,
-        )
-        return _also_named(row, drive)
-
-
-def _also_named(row: RunRow, drive: DriveFiles) -> RunRow:
-    """The row of a log that has been seen under this name."""
-    seen = dict(zip(row.names, row.fingerprints, strict=True)) | {drive.name: drive.fingerprint}
-    return _with_names(row, seen)
-
-
-def _not_named(row: RunRow, name: str) -> RunRow:
-    """The row of a log that is under this name no more."""
-    seen = {n: print_ for n, print_ in zip(row.names, row.fingerprints, strict=True) if n != name}
-    return _with_names(row, seen)
-
-
-def _but_for_names(row: RunRow) -> RunRow:
-    """What only a replay changes in a row."""
-    return replace(row, path="", names=(), fingerprints=(), finished_ns=0)
-
-
-def _with_names(row: RunRow, seen: Mapping[str, str]) -> RunRow:
-    """The row with the fingerprints of a log's files by their names, newer than it was; its path is one of those."""
-    path = row.path if row.path in seen or not seen else next(iter(seen))
-    finished_ns = max(time.time_ns(), row.finished_ns + 1)
-    return replace(row, path=path, names=tuple(seen), fingerprints=tuple(seen.values()), finished_ns=finished_ns)

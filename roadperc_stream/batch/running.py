@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from roadperc_stream.batch.backend import Backend
-from roadperc_stream.batch.driver import BatchJob, BatchProgress, Driver, Failed
+from roadperc_stream.batch.driver import BatchProgress, Driver, Failed
 from roadperc_stream.batch.inputs import find_drives_in
+from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.plan import Again, Planner
 from roadperc_stream.batch.runs import KnownRuns, RunsTable
 from roadperc_stream.core.files import target_errors

@@ -7,7 +7,7 @@ from time import perf_counter
 from roadperc_stream.batch.backend import Backend
 from roadperc_stream.batch.configuration import BatchConfiguration
 from roadperc_stream.batch.display import Shows, batch_progress, failure
-from roadperc_stream.batch.driver import BatchJob
+from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.local import LocalBackend
 from roadperc_stream.batch.plan import Again, counted
 from roadperc_stream.batch.running import BatchRun, BatchSummary

@@ -9,7 +9,7 @@ import pytest
 
 from roadperc_stream.batch import worker
 from roadperc_stream.batch.configuration import BatchConfiguration
-from roadperc_stream.batch.driver import BatchJob
+from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.plan import Again
 from roadperc_stream.batch.running import BatchRun
 from roadperc_stream.batch.task import DriveFiles, Outcome, Task

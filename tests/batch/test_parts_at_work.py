@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from roadperc_stream.batch.configuration import BatchConfiguration
-from roadperc_stream.batch.driver import BatchJob
+from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.plan import Again
 from roadperc_stream.batch.running import BatchRun
 from roadperc_stream.batch.splitting import SplitPart

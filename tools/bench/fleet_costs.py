@@ -12,7 +12,8 @@ import polars as pl
 
 from roadperc_stream.batch.backend import Frames
 from roadperc_stream.batch.configuration import BatchConfiguration
-from roadperc_stream.batch.driver import BatchJob, Driver
+from roadperc_stream.batch.driver import Driver
+from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.plan import Again, Planner
 from roadperc_stream.batch.runs import KnownRuns, RunsTable
 from roadperc_stream.batch.task import DriveFiles, Outcome, Task
