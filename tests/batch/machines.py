@@ -3,6 +3,7 @@
 import os
 import secrets
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import psutil
 ROOT = Path(__file__).parents[2]
 RAY = (sys.executable, "-c", "from ray.scripts.scripts import main; main()")
 START_WITHIN_S = 180
+STARTS = 3
 
 
 class Machines:
@@ -33,11 +35,21 @@ class Machines:
                  f"--temp-dir={folder}", "--num-cpus=1")  # fmt: skip
 
     def add(self, *options):
-        """A machine, with two CPUs unless said."""
+        """A machine, with two CPUs unless said; Ray gives up a start after half a minute, as on a busy computer."""
         words = options or (f"--address={self.address}", "--num-cpus=2")
+        for _ in range(STARTS):
+            process, said = self._started(words)
+            if process.poll() is None:
+                self.started.append(process)
+                return psutil.Process(process.pid)
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+        raise AssertionError(said)
+
+    def _started(self, words):
+        """The process of a machine, and what it has said when it was ready or had ended."""
         always = ("--block", "--object-store-memory=80000000", "--min-worker-port=0", "--max-worker-port=0")
-        number = len(self.started)
-        said = self._folder / f"said_{number}.txt"
+        said = self._folder / f"said_{time.monotonic_ns()}.txt"
         with said.open("w") as output:
             process = subprocess.Popen(
                 [*RAY, "start", *words, *always],
@@ -47,10 +59,8 @@ class Machines:
                 stderr=output,
                 start_new_session=True,
             )
-        self.started.append(process)
         wait_until(lambda: "Ray runtime started" in said.read_text() or process.poll() is not None, START_WITHIN_S)
-        assert process.poll() is None, said.read_text()
-        return psutil.Process(process.pid)
+        return process, said.read_text()
 
     def held(self, machine):
         """Workers of a machine that are at a log, stopped so that they stay at it."""
