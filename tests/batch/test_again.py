@@ -18,6 +18,7 @@ from roadperc_stream.core.progress import no_progress
 from roadperc_stream.core.time import TimeRange
 from roadperc_stream.storage.finding import find_files
 from roadperc_stream.storage.folder import Folder
+from tests.batch.backends import Scripted
 from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
 
 
@@ -108,32 +109,15 @@ def test_a_table_with_nothing_in_it_is_none(tmp_path, out):
     assert_as_single(out, source, tmp_path)
 
 
-class Stalled:
-    """A back end on which every log takes too long."""
-
-    def __init__(self):
-        self.slots, self.at_work, self._tasks = 1, {}, []
-
-    def submit(self, task):
-        self._tasks.append(task)
-
-    def wait(self, _timeout_s):
-        tasks, self._tasks = self._tasks, []
-        return [(task, Outcome("timeout", "took too long")) for task in tasks]
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *raised):
-        pass
-
-
 def test_a_check_that_fails_leaves_what_is_done_as_it_is(tmp_path, out):
     source = write_log(tmp_path / "in" / "a.mcap")
     batch(out, source)
     job = BatchJob(BatchConfiguration(load_config(None)), Folder(str(out)))
     verifying = BatchRun(job, [str(source)], None, Again(verify=True))
-    verifying.run(Stalled, lambda: nullcontext((lambda _: None, lambda _: None)))
+    verifying.run(
+        lambda: Scripted(lambda _: Outcome("timeout", "took too long")),
+        lambda: nullcontext((lambda _: None, lambda _: None)),
+    )
     assert sorted(row["status"] for row in runs(out).to_dicts()) == ["done", "timeout"]
     assert set(runs(out)["names"].list.len()) == {1}
     written = [path.stat().st_mtime_ns for path in out.glob("metrics/*/*")]

@@ -18,6 +18,7 @@ from roadperc_stream.core.config import load_config
 from roadperc_stream.core.progress import no_progress
 from roadperc_stream.storage.finding import find_files
 from roadperc_stream.storage.folder import Folder
+from tests.batch.backends import Scripted
 from tests.batch.dataset import batch, runs, write_log
 
 SPLIT = {"split_s": 2.5, "warm_up_s": 0.5}
@@ -65,26 +66,6 @@ def test_a_damaged_log_is_not_split_because_it_was_recovered_before(tmp_path, ou
     shutil.rmtree(out / "metrics")
     refused = batch(out, source, "--split", "2.5")
     assert (refused.returncode, refused.stdout.splitlines()[0].startswith("0 logs done, 1 failed")) == (1, True)
-
-
-class Scripted:
-    """A back end that cuts every log into three parts, and tells of each task what a script says."""
-
-    def __init__(self, script):
-        self.slots, self.at_work, self._tasks, self._script = 1, {}, [], script
-
-    def submit(self, task):
-        self._tasks.append(task)
-
-    def wait(self, _timeout_s):
-        tasks, self._tasks = self._tasks, []
-        return [(task, self._script(task)) for task in tasks]
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *raised):
-        pass
 
 
 def run_scripted(out, source, script):
