@@ -162,6 +162,7 @@ def test_a_signal_may_come_anywhere():
             return trace
 
         def call():
+            sys._getframe().f_trace_opcodes = True  # Python 3.12 traces none unless one asks before it traces
             sys.settrace(trace)
             try:
                 Pipeline(iter(range(6))).then(lambda _: pause(1)).then(lambda _: pause(1)).run(2)
