@@ -33,11 +33,9 @@ TESTS ?=
 test: $(VENV)/.installed  # all, or those that pytest takes with TESTS, such as TESTS=tests/cli
 	$(BIN)/python -m pytest $(PARALLEL) $(TESTS)
 
-test-hostile: $(VENV)/.installed  # the tests that run commands, on a machine unlike a developer's, in which Ray does not join a second raylet
+test-hostile: $(VENV)/.installed  # the tests that run commands, on a machine unlike a developer's
 	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy' \
-		--deselect tests/test_docs.py::test_every_command_runs_in_order \
-		--deselect tests/batch/test_cluster.py::test_a_machine_that_is_lost_takes_no_log_with_it \
-		--deselect tests/batch/test_cluster.py::test_a_cluster_that_is_lost_is_an_error_in_a_line
+		--deselect tests/test_docs.py::test_every_command_runs_in_order
 
 N ?= 200
 SEED ?= 1

@@ -15,7 +15,7 @@ from pathlib import Path
 import psutil
 
 ROOT = Path(__file__).parents[2]
-RAY = (sys.executable, "-c", "from ray.scripts.scripts import main; main()")
+RAY = ("-c", "from ray.scripts.scripts import main; main()")
 START_WITHIN_S = 180
 STARTS = 3
 
@@ -30,6 +30,8 @@ class Machines:
         self._environment = os.environ | self.variables | patient
         self.client_address = f"ray://127.0.0.1:{(client_port := free_port())}"
         port = self.address.partition(":")[2]
+        self._python = folder / "venv" / Path(sys.executable).relative_to(sys.prefix)
+        (folder / "venv").symlink_to(sys.prefix)  # Ray starts its client server by a shell, which splits at blanks
         self.started = []
         self.add("--head", f"--port={port}", f"--ray-client-server-port={client_port}", "--include-dashboard=false",
                  f"--temp-dir={folder}", "--num-cpus=1")  # fmt: skip
@@ -40,8 +42,8 @@ class Machines:
         for _ in range(STARTS):
             process, said = self._started(words)
             if process.poll() is None:
-                self.started.append(process)
                 return psutil.Process(process.pid)
+            self.started.remove(process)
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
         raise AssertionError(said)
@@ -52,15 +54,19 @@ class Machines:
         said = self._folder / f"said_{time.monotonic_ns()}.txt"
         with said.open("w") as output:
             process = subprocess.Popen(
-                [*RAY, "start", *words, *always],
+                [self._python, *RAY, "start", *words, *always],
                 env=self._environment,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
                 start_new_session=True,
             )
-        wait_until(lambda: "Ray runtime started" in said.read_text() or process.poll() is not None, START_WITHIN_S)
+        self.started.append(process)
+        wait_until(lambda: "Ray runtime started" in said.read_text() or self._has_ended(), START_WITHIN_S)
         return process, said.read_text()
+
+    def _has_ended(self):
+        return any(process.poll() is not None for process in self.started)
 
     def held(self, machine):
         """Workers of a machine that are at a log, stopped so that they stay at it."""
