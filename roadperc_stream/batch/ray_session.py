@@ -121,7 +121,8 @@ class _Session:
     def _submit(self, task: Task) -> None:
         """Begin with a task; one that asks for more memory than any machine has would wait for ever."""
         memory_bytes = min(self._request.memory_bytes, self._largest_bytes)
-        call = self._attempt.options(num_cpus=1, memory=memory_bytes, max_retries=0)
+        name = f"replay {task.drive.stem}"  # in the dashboard, and of the worker's process
+        call = self._attempt.options(name=name, num_cpus=1, memory=memory_bytes, max_retries=0)
         reference = call.remote(task, self._count)
         self._tasks[task.key] = reference
         reference.future().add_done_callback(partial(self._ended, task.key))

@@ -70,10 +70,10 @@ class Machines:
 
     def held(self, machine):
         """Workers of a machine that are at a log, stopped so that they stay at it."""
-        found = [child for child in machine.children(recursive=True) if "attempt_on_node" in title(child)]
+        found = [child for child in machine.children(recursive=True) if is_at_log(child)]
         for worker in found:
             worker.suspend()
-        return [worker for worker in found if "attempt_on_node" in title(worker)]
+        return [worker for worker in found if is_at_log(worker)]
 
     def end(self):
         for process in reversed(self.started):
@@ -94,6 +94,11 @@ def title(process):
     with suppress(psutil.Error):
         return " ".join(process.cmdline())
     return ""
+
+
+def is_at_log(process):
+    """Whether it is a worker of Ray that is at a log."""
+    return title(process).startswith("ray::replay ")
 
 
 def wait_until(holds, within_s):

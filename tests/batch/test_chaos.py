@@ -12,7 +12,7 @@ import pytest
 
 from tests import logs
 from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
-from tests.batch.machines import title
+from tests.batch.machines import is_at_log, title
 from tests.commands import words
 
 KILLS = 6
@@ -39,7 +39,7 @@ def replaying(batch_process):
 
 def watching(batch_process):
     """The processes in which Ray looks after those."""
-    return [found for found in batch_process.children(recursive=True) if "attempt_on_node" in title(found)]
+    return [found for found in batch_process.children(recursive=True) if is_at_log(found)]
 
 
 def parent_of(process):

@@ -12,7 +12,7 @@ from roadperc_stream.batch import cluster
 from roadperc_stream.batch.cluster import RayBackend
 from roadperc_stream.errors import ClusterError
 from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
-from tests.batch.machines import free_port, kill, machines, title, wait_until
+from tests.batch.machines import free_port, is_at_log, kill, machines, title, wait_until
 from tests.commands import words
 
 LOGS = 4
@@ -83,7 +83,7 @@ def test_a_ray_of_its_own_ends_with_the_batch(drives, tmp_path, sent):
 
         def is_at_work():
             family[:] = psutil.Process(process.pid).children(recursive=True)
-            return any("attempt_on_node" in title(p) for p in family) or process.poll() is not None
+            return any(is_at_log(p) for p in family) or process.poll() is not None
 
         wait_until(is_at_work, 180)
         process.send_signal(sent)
