@@ -185,6 +185,8 @@ def _tables(argument: str) -> list[Path]:
 def _in_folder(folder: Path) -> list[Path]:
     paths = sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
     if not paths:
+        if any(folder.glob("date=*/")):
+            raise TableError(f"{folder}: tables of a dataset of roadperc-batch; name its folder, {folder.parent}")
         raise TableError(f"{folder}: no *{METRICS_SUFFIX} in this folder or below; roadperc-replay writes them")
     return paths
 

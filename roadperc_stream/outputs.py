@@ -7,6 +7,7 @@ from roadperc_stream.core.config import ReplayConfig
 from roadperc_stream.core.datatypes import Sample
 from roadperc_stream.core.files import partial_of, sync_file
 from roadperc_stream.core.reasons import throughout
+from roadperc_stream.core.text import number
 from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.errors import StateError
 from roadperc_stream.input import ReplayInput
@@ -62,8 +63,8 @@ class ReplaySummary:
     def remarks(self) -> tuple[str, ...]:
         """What a person should know of it, a line each."""
         unreadable = (
-            f"warning: {number} messages on {topic} could not be read; their frames go without"
-            for topic, number in self.problems.items()
+            f"warning: {number(count, 'message')} on {topic} could not be read; frames go without"
+            for topic, count in self.problems.items()
         )
         return (
             *(f"warning: {warning}" for warning in self.warnings),

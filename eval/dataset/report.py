@@ -8,6 +8,7 @@ from typing import Final
 import polars as pl
 from rich.console import Console
 
+from roadperc_stream.core.text import number
 from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines, print_table
@@ -64,9 +65,9 @@ def _contents(dataset: Dataset, logs: pl.DataFrame) -> str:
     numbers = {
         "log": logs["log_id"].n_unique(),
         "configuration": logs["config"].n_unique(),
-        "frame": logs[FRAMES].sum(),
+        "frame": int(logs[FRAMES].sum()),
     }
-    counts = ", ".join(f"{number} {what}{'s' * (number != 1)}" for what, number in numbers.items())
+    counts = ", ".join(number(count, what) for what, count in numbers.items())
     return (
         f"{dataset.address}: {counts}, {tables.log_time(int(logs.unique('log_id')[SPAN_NS].sum()) / NS_PER_S)} of log"
     )

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from roadperc_stream.core.text import number
 from roadperc_stream.output.text_table import TextTable, row
 
 from ..grid import percent
@@ -141,7 +142,7 @@ def delta_text(delta: Delta) -> str:
     """How far apart the poses of a pair are."""
     if delta.unit == "metres":
         return f"{delta.size:g} m"
-    return f"{delta.size:g} frame{'s' * (delta.size != 1)}"
+    return number(int(delta.size), "frame")
 
 
 def _used_lengths(found: Sequence[Segments]) -> str:

@@ -1,5 +1,6 @@
 """Which logs a command line means: files, folders, globs, lists of them, here or at addresses."""
 
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
@@ -36,7 +37,8 @@ def find_drives_in(arguments: Sequence[str], out: Folder, parts: re.Pattern[str]
 def _is_in(file: StoredFile, out: Folder) -> bool:
     """Whether it is a result log of the dataset, whatever links lead there."""
     if out.is_local and not is_address(file.address):
-        return Path(file.address).resolve().is_relative_to(Path(out.address).resolve() / LOGS)
+        place = Path(os.path.realpath(file.address))  # resolve() refuses a link to itself
+        return place.is_relative_to(Path(out.address).resolve() / LOGS)
     return file.address.startswith(f"{out.address}/{LOGS}/")
 
 

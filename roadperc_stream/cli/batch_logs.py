@@ -16,7 +16,7 @@ from roadperc_stream.batch.task import KeepLogs, TaskLimits
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.core.files import target_errors
 from roadperc_stream.core.process import optional_output
-from roadperc_stream.core.text import print_line
+from roadperc_stream.core.text import number, print_line
 from roadperc_stream.core.threads import usable_cores
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.schemas.roles import parse_topic_options
@@ -46,8 +46,8 @@ def batch_logs(arguments: argparse.Namespace) -> None:
         for row in summary.failed:
             print_line(failure(row))
     if summary.failed:
-        number = f"{len(summary.failed)} of {logs_of(len(batch.steps))}"
-        raise RoadpercError(f"{job.out.address}: {number} failed; runs.parquet there says how")
+        failed = f"{len(summary.failed)} of {number(len(batch.steps), 'log')}"
+        raise RoadpercError(f"{job.out.address}: {failed} failed; runs.parquet there says how")
 
 
 def _job(arguments: argparse.Namespace) -> BatchJob:
@@ -93,13 +93,8 @@ def _print_plan(batch: BatchRun) -> None:
         if step.action != "leave":
             parts = f" ({len(step.drive.files)} parts)" if len(step.drive.files) > 1 else ""
             print_line(f"{step.action}  {step.drive.name}{parts}: {step.why}")
-    for text, number in sorted(counted(batch.steps).items()):
-        print_line(f"{logs_of(number)}  {text}")
-
-
-def logs_of(number: int) -> str:
-    """A number of logs, in words."""
-    return f"{number} log{'s' * (number != 1)}"
+    for text, logs in sorted(counted(batch.steps).items()):
+        print_line(f"{number(logs, 'log')}  {text}")
 
 
 def _print_summary(job: BatchJob, summary: BatchSummary, seconds: float) -> None:
@@ -107,5 +102,7 @@ def _print_summary(job: BatchJob, summary: BatchSummary, seconds: float) -> None
     failed = f", {len(summary.failed)} failed" if summary.failed else ""
     rate = f" ({summary.frames / seconds:.1f} frames/s)" if summary.frames else ""
     undone = f", {summary.undone} not begun" if summary.undone else ""
-    print_line(f"{logs_of(summary.done)} done{left}{failed}{undone}: {summary.frames} frames in {seconds:.1f} s{rate}")
+    print_line(
+        f"{number(summary.done, 'log')} done{left}{failed}{undone}: {summary.frames} frames in {seconds:.1f} s{rate}"
+    )
     print_line(f"dataset {job.out.address}, configuration {job.how.name}")

@@ -1,4 +1,4 @@
-"""Text that came from outside, on a terminal: what would command it is shown as an escape sequence of Python's."""
+"""Lines for a terminal: what came from outside commands it by no character; and how a number of things is said."""
 
 from typing import Final, TextIO
 
@@ -19,6 +19,11 @@ def shown(text: str) -> str:
 def print_line(line: str, stream: TextIO | None = None) -> None:
     """Print a line, whatever is in it, on stdout where no stream is named."""
     print(shown(line), file=stream)
+
+
+def number(count: int, what: str) -> str:
+    """So many of something: 1 frame, 2 frames."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _escaped(sign: str) -> str:

@@ -5,11 +5,12 @@ from pathlib import Path
 
 from rich.console import Console
 
+from roadperc_stream.core.text import number
 from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.info.facts import LogFacts
 from roadperc_stream.info.replay_printing import print_roles
 from roadperc_stream.info.role_states import roles_of
-from roadperc_stream.info.text import listed, number
+from roadperc_stream.info.text import listed
 from roadperc_stream.input.parts import PartSpan, joins
 from roadperc_stream.input.roles import no_probe
 from roadperc_stream.log import Channel

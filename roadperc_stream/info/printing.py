@@ -8,12 +8,12 @@ from typing import Final
 
 from rich.console import Console
 
-from roadperc_stream.core.text import shown
+from roadperc_stream.core.text import number, shown
 from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.info.facts import ChannelFacts, LogFacts
 from roadperc_stream.info.provenance import Provenance
 from roadperc_stream.info.replay_printing import print_replay
-from roadperc_stream.info.text import listed, number, rounded, size
+from roadperc_stream.info.text import listed, rounded, size
 from roadperc_stream.log import MessageDigest, number_of
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row

@@ -5,9 +5,10 @@ from typing import Final
 
 from rich.console import Console
 
+from roadperc_stream.core.text import number
 from roadperc_stream.info.facts import CameraFacts, LogFacts, ReplayFacts
 from roadperc_stream.info.role_states import RoleState
-from roadperc_stream.info.text import listed, number, rounded
+from roadperc_stream.info.text import listed, rounded
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 

@@ -15,11 +15,6 @@ def size(length: int) -> str:
     return f"{length} bytes" if units[0] == "bytes" else f"{value:.1f} {units[0]}"
 
 
-def number(count: int, what: str) -> str:
-    """So many of something."""
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
 def listed(names: Sequence[str], most: int = _MOST_LISTED) -> str:
     """Names by commas; of many the first ones."""
     rest = len(names) - most

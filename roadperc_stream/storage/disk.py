@@ -38,7 +38,8 @@ def stored_file(path: str) -> StoredFile | None:
 def files_below(folder: str, pattern: Parts) -> Iterator[tuple[Parts, StoredFile]]:
     """The files below a folder, in no order, with their names from there on.
 
-    Folders behind links are entered, but none within itself.
+    Folders behind links are entered, but none within itself. A link that leads nowhere is listed, as a file that
+    cannot be read: what it stood for is missed.
 
     Args:
         folder: an absolute path; where there is no such folder, there are no files.
@@ -62,6 +63,8 @@ def _walked(
         below = (*names, entry.name)
         if _is(entry.is_file):
             yield below, _stored(entry.path, entry.stat())
+        elif _leads_nowhere(entry):
+            yield below, StoredFile(entry.path, 0, fingerprint(0, 0))
         elif _is(entry.is_dir) and leads_on(pattern, below):
             yield from _walked(entry.path, below, pattern, within | {number})
 
@@ -72,6 +75,15 @@ def _is(kind: Callable[[], bool]) -> bool:
         return kind()
     except OSError:
         return False
+
+
+def _leads_nowhere(entry: os.DirEntry[str]) -> bool:
+    """Whether it is a link to what is not there, or cannot be reached."""
+    try:
+        entry.stat()
+    except OSError:
+        return entry.is_symlink()
+    return False
 
 
 def _stored(path: str, facts: os.stat_result) -> StoredFile:

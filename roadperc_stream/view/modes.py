@@ -7,7 +7,7 @@ from pathlib import Path
 from shlex import quote
 
 from roadperc_stream import log
-from roadperc_stream.core.text import print_line
+from roadperc_stream.core.text import number, print_line
 from roadperc_stream.input.damage import warnings_of
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.roles import parse_topic_options
@@ -96,5 +96,5 @@ def _open(arguments: argparse.Namespace) -> None:
 def _print_summary(notes: Iterable[str], problems: Mapping[str, int]) -> None:
     for note in notes:
         print_line(f"note: {note}")
-    for topic, number in problems.items():
-        print_line(f"warning: {number} messages on {topic} could not be read; they are not shown")
+    for topic, count in problems.items():
+        print_line(f"warning: {number(count, 'message')} on {topic} could not be read, nor shown")

@@ -142,11 +142,24 @@ def test_a_recovered_log_is_looked_at_as_it_was_replayed(tmp_path, out):
     )
 
 
-def test_a_link_to_itself_stops_nobody(tmp_path, out):
+def test_a_link_that_leads_nowhere_is_a_log_that_is_not_to_be_had(tmp_path, out):
+    """Others in its folder are; to itself, to what is gone, or behind a disk that is not there today."""
     source = write_log(tmp_path / "in" / "a.mcap")
+    gone, back = source.with_name("gone.mcap"), tmp_path / "elsewhere.mcap"
     (source.parent / "loop.txt").symlink_to("loop.txt")
     (source.parent / "loop.mcap").symlink_to("loop.mcap")
-    assert batch(out, source.parent).stdout.startswith("1 log done")
+    gone.symlink_to(back)
+    once = batch(out, source.parent, "--retries", 0)
+    assert (once.returncode, once.stdout.partition(":")[0]) == (1, "1 log done, 2 failed")
+    assert statuses(out) == {"a.mcap": "done", "gone.mcap": "unreachable", "loop.mcap": "unreachable"}
+    assert set(runs(out).filter(status="unreachable")["error"].str.split(": ").list.first()) == {
+        str(source.with_name("loop.mcap")),
+        str(gone),
+    }
+    (source.parent / "loop.mcap").unlink()
+    write_log(back, lane_m=0.2)
+    assert batch(out, source.parent).stdout.startswith("1 log done, 1 left")
+    assert statuses(out)["gone.mcap"] == "done"
 
 
 def test_result_logs_are_no_input_by_whatever_name_the_dataset_goes(tmp_path):

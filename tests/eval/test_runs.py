@@ -51,6 +51,12 @@ def test_log_without_table(tmp_path):
         find_runs([str(tmp_path / "in.mcap")])
 
 
+def test_the_tables_of_a_dataset_are_no_runs(tmp_path):
+    (tmp_path / "metrics" / "date=2026-01-01").mkdir(parents=True)
+    with pytest.raises(TableError, match=f"tables of a dataset of roadperc-batch; name its folder, {tmp_path}"):
+        find_runs([str(tmp_path / "metrics")])
+
+
 def test_folder_and_glob_without_tables(tmp_path):
     (tmp_path / "in.mcap").touch()
     with pytest.raises(TableError, match=r"no \*\.metrics\.parquet in this folder"):

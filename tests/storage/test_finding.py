@@ -102,13 +102,14 @@ def test_relative_paths_become_absolute(tmp_path, monkeypatch):
 
 def test_links_are_followed_but_not_in_circles(tmp_path):
     (tmp_path / "disk").mkdir()
-    (tmp_path / "disk" / "a.mcap").touch()
+    (tmp_path / "disk" / "a.mcap").write_bytes(b"log")
     (tmp_path / "drives").mkdir()
     (tmp_path / "drives" / "linked").symlink_to(tmp_path / "disk")
     (tmp_path / "drives" / "dead.mcap").symlink_to(tmp_path / "nowhere")
     (tmp_path / "disk" / "up").symlink_to(tmp_path / "drives")
     drives = tmp_path / "drives"
-    assert [stored.address for stored in find_files(str(drives))] == [str(drives / "linked" / "a.mcap")]
+    found = {stored.address: stored.size_bytes for stored in find_files(str(drives))}
+    assert found == {str(drives / "dead.mcap"): 0, str(drives / "linked" / "a.mcap"): 3}
 
 
 def test_what_is_no_file_is_not_found(tmp_path):

@@ -129,7 +129,7 @@ def test_the_video_goes_on_and_says_what_is_not_in_it(tmp_path, capsys):
     assert main([str(source), "--video", str(tmp_path / "video.mp4")]) == 0
     said = capsys.readouterr().out
     assert "note: /perception/lanes: message at" in said
-    assert "warning: 1 messages on /perception/lanes could not be read" in said
+    assert "warning: 1 message on /perception/lanes could not be read" in said
     assert "(3 pictures at 20 Hz, of 3 frames)" in said
 
 
