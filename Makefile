@@ -12,9 +12,9 @@ SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --dep
 
 EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 
-.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long kills cluster parts bench bench-long bench-split bench-compare bench-report bench-scaling image fuzz lint pages proto sample pictures docs clean
+.PHONY: $(EVENT_LOGS) demo test test-hostile mutants accuracy accuracy-long kills cluster parts bench bench-long bench-compare bench-report image fuzz lint pages proto sample pictures docs clean
 
-$(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/core/kernels/*.pyx)
+$(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx roadperc_stream/*/*/*.pyx)
 	@echo "installing into $(VENV), compiling inner loops: a minute or two"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
@@ -57,14 +57,14 @@ accuracy-long: $(VENV)/.installed  # the tests of accuracy at full size
 
 KILLS ?= 100
 kills: $(VENV)/.installed  # a replay with checkpoints is killed so often at random moments: are its files the same?
-	KILLS=$(KILLS) $(BIN)/python -m pytest -m accuracy -s tests/state/test_kills.py
+	KILLS=$(KILLS) $(BIN)/python -m pytest -m accuracy -s tests/resume/test_kills.py
 
 cluster: $(VENV)/.installed  # a batch on a Ray cluster of two machines, from outside too
 	$(BIN)/python -m pytest -m 'accuracy or not accuracy' tests/batch/test_cluster.py
 
 PARTS ?= 500
 parts: $(VENV)/.installed  # drives cut at so many random places: are the results of the parts those of the whole?
-	PARTS=$(PARTS) $(BIN)/python -m pytest -m accuracy -s tests/state/test_parts.py
+	PARTS=$(PARTS) $(BIN)/python -m pytest -m accuracy -s tests/resume/test_parts.py
 
 BENCH := logs/runs/bench
 BENCH_OPTIONS ?=
@@ -75,20 +75,13 @@ bench: $(VENV)/.installed  # how fast a replay is, beside the course's method: m
 bench-long: $(VENV)/.installed  # memory and encoding over 3000 frames: a quarter of an hour, and 5 GB
 	$(BIN)/python -m roadperc_stream.tools.bench.long $(BENCH) $(BENCH_OPTIONS)
 
-bench-split: $(VENV)/.installed  # a log in parts beside one pass; two hours on two cores, less with fewer: BENCH_OPTIONS='--seeds 1'
-	$(BIN)/python -m roadperc_stream.tools.bench.split $(BENCH)/split $(BENCH_OPTIONS)
-
 bench-compare: $(VENV)/.installed  # what is slower than at a commit: make bench-compare BASE=main
 	@test -n "$(BASE)" || { echo "make bench-compare BASE=<commit>"; exit 2; }
 	$(BIN)/python -m roadperc_stream.tools.bench.compare $(BENCH) $(BASE) $(BENCH_OPTIONS)
 
 bench-report: $(VENV)/.installed  # writes 10 GB; the bare group-by wants 8 GB of memory
-	$(BIN)/python -m roadperc_stream.eval.bench logs/runs/bench-report
-	$(BIN)/python -m roadperc_stream.eval.bench logs/runs/bench-report --dataset --files 5000 --rows 2000
-
-RUNS ?=
-bench-scaling: $(VENV)/.installed  # 10 to 1000 workers, simulated: make bench-scaling RUNS=dataset/runs.parquet
-	$(BIN)/python -m roadperc_stream.tools.bench.scaling $(if $(RUNS),--runs $(RUNS)) $(BENCH_OPTIONS)
+	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report
+	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report --dataset --files 5000 --rows 2000
 
 ENGINE ?= docker
 IMAGE ?= roadperc
@@ -136,4 +129,4 @@ $(EVENT_LOGS): $(PICTURES)/%.mcap: $(VENV)/.installed
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info
-	rm -f $(addprefix roadperc_stream/core/kernels/*.,c so pyd)
+	rm -f $(foreach folder,chain/kernels system,$(addprefix roadperc_stream/$(folder)/*.,c so pyd))

@@ -5,9 +5,11 @@ from pathlib import Path
 from Cython.Build import cythonize
 from setuptools import Extension, setup
 
-KERNELS = Path("roadperc_stream/core/kernels")
+KERNELS = Path("roadperc_stream/chain/kernels")
 SHARED = KERNELS / "_cyutility.c"
 """What Cython's modules have in common, compiled once instead of in each of them; written by Cython."""
+FATAL_OUTPUT = Path("roadperc_stream/system/fatal_output.pyx")
+"""Commands import it before anything else, so it does without SHARED, whose package imports numpy."""
 OLDEST_PYTHON = "cp311"
 """One extension for it and all later ones: only the stable ABI is used."""
 STABLE_ABI = ("Py_LIMITED_API", "0x030B0000")
@@ -40,6 +42,7 @@ def kernels() -> list[Extension]:
         language_level=3,
         quiet=True,
     )
+    found += cythonize([kernel(FATAL_OUTPUT)], language_level=3, quiet=True)
     for extension in found:
         extension.optional = True  # not kept by cythonize
     return found

@@ -1,23 +1,100 @@
-"""A run against a reference, field by field and metric by metric."""
+"""A run against a reference, field by field and metric by metric; the reference may be kept and updated."""
 
 import argparse
+import shutil
 import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-from roadperc_stream.core.process import optional_output
-from roadperc_stream.core.text import print_line
-from roadperc_stream.errors import RegressionError
+from roadperc_stream.errors import RegressionError, TableError
 from roadperc_stream.output.terminal import console_for
+from roadperc_stream.system.files import METRICS_SUFFIX, TABLE_SUFFIX, completing
+from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.text import print_line
 
+from .comparison.agreement import same_but_for_times
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.display import print_comparison
-from .comparison.pairing import Pairing, logged_runs, pair_runs
-from .comparison.reference import Copy, carry_out, first_copies, is_new, require_updatable, update_copies
-from .comparison.rules import Rules
-from .dataset.copying import in_a_folder
-from .dataset.pairs import runs_of_configs
+from .comparison.pairing import LoggedRun, Pairing, RunPair, logged_runs, pair_runs
+from .dataset.pairs import in_a_folder, runs_of_configs
 from .dataset.place import Dataset
 from .names import listed
+from .options import Rules
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A table to be copied from the candidate into the reference."""
+
+    source: Path
+    target: Path
+
+
+def _require_updatable(reference: str) -> None:
+    """Check that an argument names tables that can be replaced.
+
+    Raises:
+        TableError: it is a log, which a new table would no longer fit, or a glob.
+    """
+    path = Path(reference)
+    if path.suffix == ".mcap":
+        raise TableError(f"{reference}: is a log; to update a reference, keep its table or a folder of tables")
+    if any(sign in reference for sign in "*?[") and not path.exists():
+        raise TableError(f"{reference}: expected a folder or a table to update, found a glob")
+
+
+def _is_new(reference: str) -> bool:
+    """Whether there is no reference yet: nothing of that name, or a folder without tables."""
+    path = Path(reference)
+    return not path.exists() or (path.is_dir() and not any(path.rglob(f"*{METRICS_SUFFIX}")))
+
+
+def _first_copies(reference: str, candidate: Iterable[LoggedRun]) -> tuple[Copy, ...]:
+    """Copies that make a reference of a candidate.
+
+    Raises:
+        TableError: several tables are to become one file.
+    """
+    runs, path = list(candidate), Path(reference)
+    if path.suffix != TABLE_SUFFIX:
+        return tuple(copy for item in runs for copy in _into_folder(path, item))
+    tables = sum(len(item.run.tables) for item in runs)
+    if tables > 1:
+        raise TableError(f"{reference}: is to hold {tables} tables, expected the name of a folder")
+    return (Copy(runs[0].run.path, path),)
+
+
+def _update_copies(reference: str, pairing: Pairing) -> tuple[Copy, ...]:
+    """Copies that bring a reference up to date: tables whose results differ, and those it has none of.
+
+    Raises:
+        TableError: a drive of one is in more parts than the other's.
+    """
+    differing = (pair for pair in pairing.pairs if not same_but_for_times(pair))
+    changed = tuple(copy for pair in differing for copy in _replacements(pair))
+    path = Path(reference)
+    if not path.is_dir():
+        return changed
+    return (*changed, *(copy for item in pairing.added for copy in _into_folder(path, item)))
+
+
+def _replacements(pair: RunPair) -> Iterator[Copy]:
+    ours, theirs = pair.reference.run.tables, pair.candidate.run.tables
+    if len(ours) != len(theirs):
+        raise TableError(
+            f"{pair.candidate.run.source_name}: a drive of {len(theirs)} tables cannot replace one of {len(ours)}; "
+            "expected the same parts, or a new reference"
+        )
+    return (Copy(new.path, old.path) for old, new in zip(ours, theirs, strict=True))
+
+
+def _into_folder(folder: Path, item: LoggedRun) -> Iterator[Copy]:
+    """The tables under their names below the candidate's folder; those of a drive's parts next to the first."""
+    first, *others = item.run.tables
+    target = folder / f"{item.relative}{METRICS_SUFFIX}"
+    yield Copy(first.path, target)
+    yield from (Copy(part.path, target.with_name(f"{part.name.replace('/', '-')}{METRICS_SUFFIX}")) for part in others)
 
 
 def compare(arguments: argparse.Namespace) -> None:
@@ -28,31 +105,28 @@ def compare(arguments: argparse.Namespace) -> None:
         RoadpercError: the runs cannot be read, or do not belong together.
     """
     if arguments.candidate is None:
-        _compare_configurations(arguments)
+        with in_a_folder(Dataset(arguments.reference)) as dataset:
+            reference, candidate = runs_of_configs(dataset, arguments.config)
+            found = _compared(pair_runs(reference, candidate, arguments.other_log), None, arguments)
+        _require_no_regression(found, arguments.exact)
         return
     candidate = logged_runs(arguments.candidate)
     if arguments.update_reference:
-        require_updatable(arguments.reference)
-        if is_new(arguments.reference):
-            _update(first_copies(arguments.reference, candidate))
+        _require_updatable(arguments.reference)
+        if _is_new(arguments.reference):
+            _update(_first_copies(arguments.reference, candidate))
             return
     pairing = pair_runs(logged_runs(arguments.reference), candidate, arguments.other_log)
-    found = _compared(pairing, _logs(arguments), arguments)
+    paths = Path(arguments.reference), Path(arguments.candidate)
+    found = _compared(pairing, paths if {path.suffix for path in paths} == {".mcap"} else None, arguments)
     if arguments.update_reference:
-        _update(update_copies(arguments.reference, pairing))
+        _update(_update_copies(arguments.reference, pairing))
     else:
         _require_no_regression(found, arguments.exact)
 
 
-def _compare_configurations(arguments: argparse.Namespace) -> None:
-    with in_a_folder(Dataset(arguments.reference)) as dataset:
-        reference, candidate = runs_of_configs(dataset, arguments.config)
-        found = _compared(pair_runs(reference, candidate, arguments.other_log), None, arguments)
-    _require_no_regression(found, arguments.exact)
-
-
 def _compared(pairing: Pairing, logs: tuple[Path, Path] | None, arguments: argparse.Namespace) -> Comparison:
-    """The comparison, printed."""
+    """The comparison, printed; of two logs that were named also that of their results."""
     rules = Rules(tuple(arguments.ignore), tuple(arguments.tolerance), tuple(arguments.allow))
     found = compare_runs(pairing, logs, rules)
     with optional_output():
@@ -60,14 +134,11 @@ def _compared(pairing: Pairing, logs: tuple[Path, Path] | None, arguments: argpa
     return found
 
 
-def _logs(arguments: argparse.Namespace) -> tuple[Path, Path] | None:
-    """Both logs, where logs were named."""
-    reference, candidate = Path(arguments.reference), Path(arguments.candidate)
-    return (reference, candidate) if reference.suffix == candidate.suffix == ".mcap" else None
-
-
 def _update(copies: tuple[Copy, ...]) -> None:
-    carry_out(copies)
+    """Copy each table, which appears under its name only when complete, and say so."""
+    for copy in copies:
+        with completing(copy.target) as temporary:
+            shutil.copyfile(copy.source, temporary)
     for copy in copies:
         print_line(f"reference: {copy.target} is now {copy.source}")
     if not copies:

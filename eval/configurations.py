@@ -7,8 +7,7 @@ from itertools import chain
 from typing import Any, Final
 
 from roadperc_stream import log
-from roadperc_stream.core.config.settings import as_typed, settings_in
-from roadperc_stream.core.files import METRICS_SUFFIX
+from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, LogError
 from roadperc_stream.output.text_table import TextRow, TextTable
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
@@ -96,13 +95,19 @@ def settings_table(runs: Mapping[str, Run]) -> TextTable:
     if len({_made_by(run) for run in runs.values()}) < 2:
         return TextTable("Settings that differ", ("",), ())
     found = {name: settings_of(run) for name, run in runs.items()}
-    values = differing([settings for settings in found.values() if settings is not None])
-    rows = tuple(_row(key, dict(zip(_known(found), in_each, strict=True)), found) for key, in_each in values.items())
+    rows = rows_that_differ(found)
     return TextTable("Settings that differ", ("",), rows, tuple(_notes(found, rows)), tuple(runs))
 
 
 def _row(key: str, values: Mapping[str, str], found: Mapping[str, Settings | None]) -> TextRow:
     return TextRow(key, tuple((values.get(name, UNKNOWN),) for name in found))
+
+
+def rows_that_differ(found: Mapping[str, Settings | None]) -> tuple[TextRow, ...]:
+    """A row for each setting that differs, with a cell for each of the settings by their names; None is unknown."""
+    known = {name: settings for name, settings in found.items() if settings is not None}
+    values = {key: dict(zip(known, row, strict=True)) for key, row in differing(list(known.values())).items()}
+    return tuple(TextRow(key, tuple((row.get(name, UNKNOWN),) for name in found)) for key, row in values.items())
 
 
 def _notes(found: Mapping[str, Settings | None], rows: Sequence[TextRow]) -> Iterator[str]:
@@ -113,10 +118,6 @@ def _notes(found: Mapping[str, Settings | None], rows: Sequence[TextRow]) -> Ite
         yield "none: the versions differ"
     if any(cells[0] == NO_SUCH_SETTING for row in rows for cells in row.cells):
         yield f"{NO_SUCH_SETTING}: the version that made the run has no such setting"
-
-
-def _known(found: Mapping[str, Settings | None]) -> list[str]:
-    return [name for name, settings in found.items() if settings is not None]
 
 
 def _value(settings: Settings, key: str) -> str:
@@ -130,7 +131,7 @@ def _stored(run: Run) -> Iterator[bytes]:
     written = run.path.with_name(CONFIG_ATTACHMENT)
     if written.is_file():
         yield written.read_bytes()
-    recorded = run.path.with_name(run.path.name.removesuffix(METRICS_SUFFIX) + ".mcap")
+    recorded = run.beside(".mcap")
     if recorded.is_file():
         try:
             yield from (item.data for item in log.summarise(recorded).attachments if item.name == CONFIG_ATTACHMENT)

@@ -7,7 +7,7 @@ the rows of one object: the interval is that of a ratio of sums over blocks (Coc
 that may be taken as independent: stretches of frames as long as the errors' own correlation asks for, or objects.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
@@ -18,12 +18,11 @@ import polars.selectors as cs
 from numpy.typing import NDArray
 from scipy import stats
 
-from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.geometry import Float
+from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX
 
-from .collecting import collect
 from .comparison.bootstrap import LEVEL, block_length
-from .runs import Run
+from .runs import Run, collect
 from .scan import rows_of
 
 _FARTHEST: Final = 1e6
@@ -118,13 +117,11 @@ def consistency(normalised: Float, blocks: NDArray[np.int64], errors: int) -> Co
     sizes = np.abs(normalised)
     squares = np.bincount(blocks, sizes**2)
     numbers = np.bincount(blocks)
-    within_1, within_2, within_3 = (int(np.count_nonzero(sizes <= sigmas)) for sigmas in (1, 2, 3))
+    within = {f"within_{sigmas}": int(np.count_nonzero(sizes <= sigmas)) for sigmas in (1, 2, 3)}
     return Consistency(
         errors=errors,
         values=len(sizes),
-        within_1=within_1,
-        within_2=within_2,
-        within_3=within_3,
+        **within,
         blocks=int(np.count_nonzero(numbers)),
         squares=float(squares.sum()),
         s_s=float(squares @ squares),
@@ -146,12 +143,13 @@ def consistency_of_run(run: Run) -> dict[str, Consistency]:
         TableError: the data of a table cannot be read.
     """
     frames = collect(rows_of(run).select(_columns(FRAME_QUANTITIES)), run.source_name)
-    found = {judged.name: _of_frames(errors_of(frames, judged)) for judged in FRAME_QUANTITIES}
-    for objects in (kept_objects(path, end_frame) for path, end_frame in _objects_tables(run)):
-        for judged in OBJECT_QUANTITIES:
-            part = _of_objects(errors_of(objects, judged), objects)
-            found[judged.name] = found.get(judged.name, Consistency()) + part
-    return {name: sums for name, sums in found.items() if sums.errors}
+    parts = [{judged.name: _of_frames(errors_of(frames, judged)) for judged in FRAME_QUANTITIES}]
+    for table in run.tables:
+        path = table.beside(OBJECTS_SUFFIX)
+        if table.path.name.endswith(METRICS_SUFFIX) and path.is_file():
+            seen = kept_objects(path, table.end_frame)
+            parts.append({judged.name: _of_objects(errors_of(seen, judged), seen) for judged in OBJECT_QUANTITIES})
+    return {name: sums for name, sums in added(parts).items() if sums.errors}
 
 
 def added(parts: Iterable[Mapping[str, Consistency]]) -> dict[str, Consistency]:
@@ -216,14 +214,6 @@ def _of_frames(found: Errors) -> Consistency:
 def _of_objects(found: Errors, objects: pl.DataFrame) -> Consistency:
     known = np.isfinite(found.normalised)
     return consistency(found.normalised[known], object_numbers(objects)[found.rows[known]], len(found.error))
-
-
-def _objects_tables(run: Run) -> Iterator[tuple[Path, int | None]]:
-    """The tables of detections beside those of frames, where there are any, and where their part of a drive ends."""
-    for table in run.tables:
-        path = table.path.with_name(table.path.name.removesuffix(METRICS_SUFFIX) + OBJECTS_SUFFIX)
-        if table.path.name.endswith(METRICS_SUFFIX) and path.is_file():
-            yield path, table.end_frame
 
 
 def _columns(judged: Sequence[Judged]) -> pl.Expr:

@@ -7,9 +7,8 @@ from typing import Final
 
 import pyarrow.parquet as pq
 
-from .collecting import collect
 from .names import listed
-from .runs import Run, cut_before, find_runs
+from .runs import Run, collect, cut_before, find_runs
 from .scan import rows_of
 
 _PARTS_NAMED: Final = 12
@@ -61,11 +60,8 @@ def in_drives(runs: Sequence[Run]) -> Drives:
 
 def _parts_before(run: Run, runs: Iterable[Run]) -> list[Run]:
     """The results that a part may go on from: several only where neither version nor folder tells them apart."""
-    return _nearest(run, [other for other in runs if other is not run and _goes_on(run, other)])
-
-
-def _goes_on(run: Run, other: Run) -> bool:
-    return other.log_id == run.continues and other.config_digest == run.config_digest
+    same = (run.continues, run.config_digest)
+    return _nearest(run, [other for other in runs if other is not run and (other.log_id, other.config_digest) == same])
 
 
 def _nearest(run: Run, others: list[Run]) -> list[Run]:
@@ -79,23 +75,20 @@ def _across_gaps(orphans: Sequence[Run], ends: Sequence[Run]) -> list[_Link]:
     keys = cache(_keys)
     pairs = []
     for run in orphans:
-        earlier = [o for o in ends if o is not run and _alike(o, run) and _ends_within(keys(o), keys(run))]
-        nearest = _nearest(run, earlier)
+        earlier = [
+            other
+            for other in ends
+            if other is not run and other.config_digest == run.config_digest and other.first_frame <= run.first_frame
+        ]
+        # each ends with a frame that is one of the run's, but not its last
+        nearest = _nearest(run, [o for o in earlier if keys(o) and keys(o)[-1] in keys(run)[:-1]])
         pairs += [(run, nearest[0])] if len(nearest) == 1 else []
     return pairs
-
-
-def _alike(other: Run, run: Run) -> bool:
-    return other.config_digest == run.config_digest and other.first_frame <= run.first_frame
 
 
 def _keys(run: Run) -> tuple[tuple[int, int], ...]:
     """Number and stamp of each frame."""
     return tuple(collect(rows_of(run).select("frame", "stamp_ns"), run.source_name).iter_rows())
-
-
-def _ends_within(earlier: Sequence[tuple[int, int]], later: Sequence[tuple[int, int]]) -> bool:
-    return bool(earlier) and earlier[-1] in later[:-1]
 
 
 def _apart(run: Run, before: Run, links: Sequence[_Link]) -> str:

@@ -1,25 +1,114 @@
 """A run's lanes as TuSimple's JSON lines, and their score against true ones."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final
 
-from roadperc_stream.core.files import real_path
-from roadperc_stream.output.terminal import console_for, print_parts
-from roadperc_stream.output.text_table import TextRow, TextTable, row
+import numpy as np
 
-from .grid import percent
-from .lane_files.recorded import RunLanes, default_rows, lane_frame, open_lanes
-from .lane_files.scoring import FrameScore, LaneScores, by_key, paired, score_frame, summed, unanswered
-from .lane_files.tusimple import LaneFileError, LaneFrame, lane_writer, read_frames
+from roadperc_stream.geometry import Float
+from roadperc_stream.metrics import lane_scores
+from roadperc_stream.metrics.lane_scores import Counts, TuSimpleScore
+from roadperc_stream.metrics.lanes import CULANE_THRESHOLDS as THRESHOLDS
+from roadperc_stream.output.terminal import console_for, print_parts
+from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.system.files import real_path
+
+from .lane_files import (
+    LaneFileError,
+    LaneFrame,
+    RunFrame,
+    RunLanes,
+    default_rows,
+    lane_frame,
+    lane_writer,
+    open_lanes,
+    read_frames,
+)
+from .names import listed, percent
 from .options import LanePairing
 from .scores import Score
 
 NAMED: Final = 10
 """Missing frames that are named; of more only the number."""
+
+
+@dataclass(frozen=True)
+class FrameScore:
+    """The accuracy of one frame's lanes: TuSimple's figures, and CULane's counts at each of ``THRESHOLDS``."""
+
+    tusimple: TuSimpleScore
+    counts: tuple[Counts, ...]
+    answered: bool
+    """Whether the run saw any lane in it."""
+
+
+def by_key(truth: Sequence[LaneFrame], pairing: LanePairing) -> dict[int, LaneFrame]:
+    """True frames by their stamp in ns, which is the last part of ``raw_file``, or by their place in the file.
+
+    Raises:
+        LaneFileError: a ``raw_file`` names no stamp, or one that another line has named.
+    """
+    if pairing == "order":
+        return dict(enumerate(truth))
+    found: dict[int, LaneFrame] = {}
+    for frame in truth:
+        stamp = PurePosixPath(frame.raw_file).stem
+        if not (stamp.isascii() and stamp.isdecimal() and len(stamp) <= len(str(2**63))):
+            raise LaneFileError(
+                f"{frame.place}: unknown raw_file {frame.raw_file!r}; expected a frame's stamp in ns behind the last "
+                "/, such as drive/1600000000000000000, or --pair order"
+            )
+        if int(stamp) in found:
+            raise LaneFileError(f"{frame.place}: raw_file {frame.raw_file!r} again, after {found[int(stamp)].place}")
+        found[int(stamp)] = frame
+    return found
+
+
+def paired(
+    frames: Iterable[RunFrame], truth: Mapping[int, LaneFrame], pairing: LanePairing
+) -> Iterator[tuple[RunFrame, LaneFrame]]:
+    """A run's frames that have a truth, each with it, in the run's order.
+
+    Raises:
+        LaneFileError: paired by order, there are not as many true frames as frames in the run.
+    """
+    count = 0
+    for count, frame in enumerate(frames, 1):
+        key = frame.stamp_ns if pairing == "stamp" else count - 1
+        if key in truth:
+            yield frame, truth[key]
+    if pairing == "order" and count != len(truth):
+        source = next(iter(truth.values())).place.rpartition(":")[0]
+        raise LaneFileError(f"{source}: {len(truth)} lines; expected {count}, one for each frame of the run, in order")
+
+
+def score_frame(found: LaneFrame, truth: LaneFrame, size: tuple[int, int]) -> FrameScore:
+    """Score one frame; thresholds in px scale with the image's width, which has the benchmark's 1280 and 1640 px.
+
+    Args:
+        found: lanes at the rows of ``truth``.
+        truth: the true ones; for CULane those with two points or more.
+        size: columns and rows of the image.
+    """
+    columns, rows = size
+    threshold_px = lane_scores.tusimple_px(columns)
+    width_px = lane_scores.culane_width_px(columns)
+    overlaps = lane_scores.line_overlaps(_polylines(found), _polylines(truth), (rows, columns), width_px)
+    return FrameScore(
+        lane_scores.tusimple(found.lanes, truth.lanes, truth.rows, threshold_px),
+        tuple(lane_scores.counts_above(overlaps, threshold) for threshold in THRESHOLDS),
+        bool(found.lanes),
+    )
+
+
+def _polylines(frame: LaneFrame) -> list[Float]:
+    """(N, 2) x, y of each lane that is a line."""
+    lanes = (np.column_stack((lane, frame.rows))[np.isfinite(lane)] for lane in frame.lanes)
+    return [lane for lane in lanes if len(lane) > 1]
 
 
 @dataclass(frozen=True)
@@ -49,69 +138,65 @@ def print_lanes(path: Path, options: LaneOptions) -> None:
     truth = by_key(read_frames(options.truth), options.pairing) if options.truth else {}
     source = open_lanes(path)
     size = options.size or (source.camera.width, source.camera.height)
-    with lane_writer(options.target) if options.target else nullcontext(_pass) as write:
-        parts = _score(source, truth, options.pairing, size, write) if truth else [_export(source, size, write)]
+    with lane_writer(options.target) if options.target else nullcontext() as write:
+        parts = (
+            _write_and_score(source, truth, options.pairing, size, write) if truth else [_export(source, size, write)]
+        )
     print_parts(console_for(sys.stdout), *parts)
 
 
-def _pass(_frame: LaneFrame) -> None:
-    """Where nothing is to be written."""
-
-
-def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], None]) -> str:
+def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], object] | None) -> str:
     """Write every frame; how many there are, and in how many there are lanes."""
     rows = default_rows(size[1])
     frames = detected = 0
     for frames, frame in enumerate(source.frames(), 1):  # noqa: B007
         found = lane_frame(frame, source.camera, size, f"{source.summary.path.stem}/{frame.stamp_ns}", rows)
         detected += bool(found.lanes)
-        write(found)
+        if write:
+            write(found)
     return f"{source.summary.path.stem}: {frames} frames, lanes in {detected}"
 
 
-def _score(
+def _write_and_score(
     source: RunLanes,
     true_frames: Mapping[int, LaneFrame],
     pairing: LanePairing,
     size: tuple[int, int],
-    write: Callable[[LaneFrame], None],
+    write: Callable[[LaneFrame], object] | None,
 ) -> list[str | TextTable]:
     """Write and score the frames that have a truth; what there is to say of them."""
     scores: list[FrameScore] = []
     missing = {truth.raw_file: truth for truth in true_frames.values()}
     for frame, truth in paired(source.frames(), true_frames, pairing):
         found = lane_frame(frame, source.camera, size, truth.raw_file, truth.rows)
-        write(found)
+        if write:
+            write(found)
         scores.append(score_frame(found, truth, size))
         missing.pop(truth.raw_file, None)
-    scores += [unanswered(truth, size) for truth in missing.values()]
-    result = summed(scores)
-    return [_coverage(source.summary.path.stem, result), *_missing(list(missing)), _points(result), _lines(result)]
+    # a frame that the run lacks is one without lanes
+    scores += [score_frame(LaneFrame(name, truth.rows, ()), truth, size) for name, truth in missing.items()]
+    return _figures(source.summary.path.stem, scores, list(missing))
 
 
-def _coverage(name: str, scores: LaneScores) -> str:
-    share = percent(scores.answered / scores.frames)
-    return f"{name}: {scores.frames} true frames, lanes in {scores.answered} of them ({share} %)"
+def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) -> list[str | TextTable]:
+    """TuSimple's figures as means over frames and CULane's counts as sums, as either benchmark does; of at least one.
 
+    The ``run_time`` above which TuSimple's script refuses a frame (200 ms) is not applied to a replay.
 
-def _missing(names: Sequence[str]) -> list[str]:
-    """The true frames that the run lacks, by name; nothing where there are none."""
-    rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return [f"missing in the run, scored as empty: {len(names)}: {', '.join(names[:NAMED])}{rest}"] if names else []
-
-
-def _points(scores: LaneScores) -> TextTable:
-    shares = (f"{value:.4f}" for value in scores.tusimple)
-    found = row("lane points", percent(scores.answered / scores.frames), *shares)
-    return TextTable("TuSimple", ("frames %", "accuracy", "FP", "FN"), (found,))
-
-
-def _lines(scores: LaneScores) -> TextTable:
+    Args:
+        name: of the run.
+        scores: of all true frames, those that the run lacks or is silent on included.
+        missing: names of the true frames that the run lacks.
+    """
+    answered = sum(score.answered for score in scores)
+    share = percent(answered / len(scores))
+    points = (f"{value:.4f}" for value in np.mean([score.tusimple for score in scores], axis=0).tolist())
+    counts = np.array([score.counts for score in scores]).sum(axis=0).tolist()
+    culane = (Score(f"lanes at IoU {limit:g}", *each) for limit, each in zip(THRESHOLDS, counts, strict=True))
     headers = ("frames %", "precision", "recall", "F1", "TP", "FP", "FN")
-    answered = percent(scores.answered / scores.frames)
-    return TextTable("CULane", headers, tuple(_line(score, answered) for score in scores.culane))
-
-
-def _line(score: Score, answered: str) -> TextRow:
-    ratios = ("" if ratio is None else f"{ratio:.4f}" for ratio in (score.precision, score.recall, score.f1))
-    return row(score.name, answered, *ratios, *(str(count) for count in (score.tp, score.fp, score.fn)))
+    return [
+        f"{name}: {len(scores)} true frames, lanes in {answered} of them ({share} %)",
+        *([f"missing in the run, scored as empty: {len(missing)}: {listed(missing, NAMED)}"] if missing else []),
+        TextTable("TuSimple", ("frames %", "accuracy", "FP", "FN"), (row("lane points", share, *points),)),
+        TextTable("CULane", headers, tuple(row(score.name, share, *score.cells(4)) for score in culane)),
+    ]

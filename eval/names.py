@@ -1,10 +1,12 @@
-"""Names of runs that fit on a line."""
+"""Names and numbers as a report writes them."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from rich.console import Console
+
+from .quantities import Quantity
 
 _NUMBERS_COLUMNS: Final = 65
 """Characters that the widest row of numbers needs next to a run's name."""
@@ -50,3 +52,13 @@ def _cut(name: str, columns: int) -> str:
 def _numbered(name: str, number: int, columns: int) -> str:
     prefix = f"{number} "
     return f"{prefix}{_cut(name, columns - len(prefix))}"
+
+
+def rounded(value: float, quantity: Quantity) -> str:
+    """A value with the quantity's digits and never a negative zero."""
+    return f"{value:z.{quantity.decimals}f}"
+
+
+def percent(share: float) -> str:
+    """A share from 0 to 1 in percent."""
+    return f"{100 * share:.1f}"

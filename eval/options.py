@@ -1,6 +1,13 @@
-"""Choices that a command line offers, by name alone: what they mean stands where they are used."""
+"""What command lines offer: choices by name, rules on fields and metrics by glob, settings to vary."""
 
+import argparse
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from typing import Final, Literal
+
+from roadperc_stream.errors import RoadpercError
 
 Alignment = Literal["se3", "sim3", "origin", "none"]
 """How an estimated path is aligned to the true one."""
@@ -8,3 +15,123 @@ DeltaUnit = Literal["frames", "metres"]
 LanePairing = Literal["stamp", "order"]
 """How a true lane frame finds its own."""
 WORST_FRAMES: Final = 3
+
+
+EVERYTHING = "*"
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A number for the fields or metrics that ``pattern`` matches; ``relative`` says it is a share."""
+
+    pattern: str
+    value: float
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Globs over names; of several amounts that match, the last one given holds.
+
+    ``tolerances`` are absolute differences between fields that count as none; ``allowances`` how much worse a metric
+    may become, in its own unit or as a share of the reference's mean.
+    """
+
+    ignored: tuple[str, ...] = ()
+    tolerances: tuple[Amount, ...] = ()
+    allowances: tuple[Amount, ...] = ()
+
+    def ignores(self, name: str) -> bool:
+        """Whether a field or metric is left out."""
+        return any(fnmatchcase(name, pattern) for pattern in self.ignored)
+
+    def tolerance(self, field: str) -> float:
+        """Absolute difference that counts as none, 0 by default."""
+        found = _last(self.tolerances, field)
+        return found.value if found else 0.0
+
+    def allowance(self, metric: str, reference_mean: float) -> float:
+        """How much worse a metric may become, in its unit; 0 by default."""
+        found = _last(self.allowances, metric)
+        if found is None:
+            return 0.0
+        return found.value * abs(reference_mean) if found.relative else found.value
+
+    def names(self, metric: str) -> bool:
+        """Whether an allowance is given to this metric, not just to everything."""
+        return any(item.pattern != EVERYTHING and fnmatchcase(metric, item.pattern) for item in self.allowances)
+
+    def require_use(self, names: Iterable[str]) -> None:
+        """Check that every pattern matches some name: a misspelt one would silently do nothing.
+
+        Raises:
+            RoadpercError: one matches none; the message says which.
+        """
+        known = list(names)
+        patterns = [*self.ignored, *(amount.pattern for amount in (*self.tolerances, *self.allowances))]
+        idle = [pattern for pattern in patterns if not any(fnmatchcase(name, pattern) for name in known)]
+        if idle:
+            raise RoadpercError(f"{idle[0]}: matches no field and no metric of these runs")
+
+
+def tolerance(text: str) -> Amount:
+    """``FIELD=VALUE`` as an argument."""
+    pattern, separator, number = text.rpartition("=")
+    if not separator or not pattern:
+        raise argparse.ArgumentTypeError(f"{text}: expected FIELD=VALUE, such as lane_left_offset_m=0.001")
+    return Amount(pattern, _positive(text, number))
+
+
+def allowance(text: str) -> Amount:
+    """``METRIC=VALUE``, ``METRIC=N%`` or ``N%`` as an argument."""
+    pattern, _, number = text.rpartition("=")
+    if number.endswith("%"):
+        return Amount(pattern or EVERYTHING, _positive(text, number[:-1]) / 100, relative=True)
+    if not pattern:
+        raise argparse.ArgumentTypeError(f"{text}: expected METRIC=VALUE, METRIC=N% or N%: metrics differ in unit")
+    return Amount(pattern, _positive(text, number))
+
+
+def _positive(text: str, number: str) -> float:
+    try:
+        value = float(number)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}: {number!r} is not a number") from error
+    if not math.isfinite(value) or value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected 0 or more")
+    return value
+
+
+def _last(amounts: Sequence[Amount], name: str) -> Amount | None:
+    return next((item for item in reversed(amounts) if fnmatchcase(name, item.pattern)), None)
+
+
+@dataclass(frozen=True)
+class Varied:
+    """A setting and the values it takes, as they were typed."""
+
+    key: str
+    texts: tuple[str, ...]
+
+
+def varied(text: str) -> Varied:
+    """An argument such as ``lanes.fit_strip_m=0.2,0.3,0.5``.
+
+    Raises:
+        ArgumentTypeError: not of this form, or a value twice.
+    """
+    key, _, values = text.partition("=")
+    texts = tuple(value.strip() for value in values.split(","))
+    if not key.strip() or not all(texts):
+        raise argparse.ArgumentTypeError(f"{text}: expected KEY=VALUE,VALUE,... such as lanes.fit_strip_m=0.2,0.3,0.5")
+    if len({number_or_text(value) for value in texts}) < len(texts):
+        raise argparse.ArgumentTypeError(f"{text}: a value stands there twice")
+    return Varied(key.strip(), texts)
+
+
+def number_or_text(text: str) -> float | str:
+    """A value as two that were typed compare: 2 is 2.0."""
+    try:
+        return float(text)
+    except ValueError:
+        return text

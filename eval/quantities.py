@@ -97,3 +97,22 @@ STORED: Final = tuple(q for q in (*SEEN, *TRUTH, *STAGE_TIMES, SKEW, *OFFSETS) i
 NUMBERS: Final = (*STORED, *DERIVED)
 SUSPECT: Final = (LOST, SEEN[0], TOTAL)
 """Signs of trouble that need no truth."""
+COVERED: Final = {
+    "surface": "camera_height_m",
+    "drivable": "drivable_ratio",
+    "left": "lane_left_offset_m",
+    "right": "lane_right_offset_m",
+    "objects": "detections",
+    "stereo": "stereo_valid_ratio",
+    "odometry": "step_m",
+}
+"""The column that says of each output whether a frame has it."""
+COUNTED: Final = {
+    "detections kept": ("filter_tp", "filter_fp", "filter_fn"),
+    "lanes at IoU 0.5": ("lane_culane_tp_50", "lane_culane_fp_50", "lane_culane_fn_50"),
+    "lanes at IoU 0.3": ("lane_culane_tp_30", "lane_culane_fp_30", "lane_culane_fn_30"),
+}
+COUNTS: Final = tuple(column for columns in COUNTED.values() for column in columns)
+"""Columns whose sums over a run are the counts of its scores."""
+TRACED: Final = {side: (f"lane_{side}_offset_m", f"lane_{side}_true_offset_m") for side in SIDES}
+"""What is smoothed and might lag, and the truth it follows."""

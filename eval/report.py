@@ -1,23 +1,30 @@
 """What came out of one replay or many, on the terminal and as a page."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from rich.console import Console
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.terminal import console_for, print_lines
+from roadperc_stream.output.terminal import console_for, print_lines, print_table
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 
-from .configurations import grouped, settings_table
+from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .drives import find_drives
-from .names import name_columns, short_names
+from .names import legend, listed, name_columns, percent, short_names
+from .quantities import COVERED, SKEW
 from .runs import Run
-from .summary import summarise_group, summarise_run
-from .terminal import print_one, print_several
+from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
+from .summary import Summary, summarise_group, summarise_run
 
 WritePage = Callable[[Path, list[Run]], None]
+RUNS_LISTED: Final = 40
+"""Runs that get a row of their own in the tables of what they are; of more, those with the least coverage."""
+_NARROW: Final = {"odometry": "odom."}
+"""Where columns are many."""
 
 
 def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_page: WritePage | None) -> None:
@@ -41,15 +48,143 @@ def print_report(arguments: Sequence[str], worst: int, html: Path | None, write_
     console = console_for(sys.stdout)
     print_lines(console, *found.notes, *(item.why_empty for item in found.runs if not item.frames), unbroken=True)
     if len(filled) == 1:
-        print_one(console, summarise_run(filled[0], worst))
+        summary = summarise_run(filled[0], worst)
+        print_lines(console, identity(summary), extent(summary), inputs(summary))
+        print_tables(console, *sections([summary]), worst_frames([summary]))
     else:
         _print_several(console, filled, worst)
     if html is not None:
         print_lines(console, "", f"page   {html}", unbroken=True)
 
 
-def _print_several(console: Console, runs: Sequence[Run], worst: int) -> None:
-    names = short_names([run.name for run in runs], name_columns(console))
-    groups = grouped([replace(run, name=names[run.name]) for run in runs])
-    settings = settings_table({group.name: group.example for group in groups})
-    print_several(console, [summarise_group(group, worst) for group in groups], settings, names)
+def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
+    """The report over several runs, and each next to the others; no statistic is over two groups."""
+    names = short_names([run.name for run in found], name_columns(console))
+    grouped_runs = grouped([replace(run, name=names[run.name]) for run in found])
+    settings = settings_table({group.name: group.example for group in grouped_runs})
+    groups = [summarise_group(group, worst) for group in grouped_runs]
+    runs = [summary for group in groups for summary in group.runs]
+    rows = least_covered(runs)
+    print_lines(console, contents(runs))
+    print_tables(console, settings, runs_table(rows, tuple(legend(names))))
+    for group in groups[:LISTED]:
+        name = [f"{group.together.name}:"] if len(groups) > 1 else []
+        print_lines(console, "", *name, extent(group.together), inputs(group.together))
+        if group.together.rank_error:
+            print_lines(console, precision(group.together))
+    together = [group.together for group in groups]
+    print_tables(console, *sections(together), worst_frames(together), coverage_by_run(rows))
+    if len(runs) > len(groups):
+        print_tables(console, *tables_by_run(runs))
+    if len(runs) > len(rows):
+        print_lines(console, f"listed: the {len(rows)} of {len(runs)} runs with the least coverage")
+    each_time = f"at most {LISTED} of {{}} each time, those with the worst p95"
+    if len(groups) > LISTED:
+        print_lines(console, f"by configuration: {each_time.format(len(groups))}")
+    if len(runs) > max(len(groups), LISTED):
+        print_lines(console, f"by run: {each_time.format(len(runs))}")
+
+
+def print_tables(console: Console, *tables: TextTable) -> None:
+    """Print tables, of which those without rows take no space."""
+    for table in tables:
+        print_table(console, table)
+
+
+def identity(summary: Summary) -> str:
+    """Which log, made by which configuration and version."""
+    if summary.runs > 1:
+        return contents([summary])
+    config, version = short_digest(summary.configs[0]), summary.versions[0] or UNKNOWN
+    return f"{summary.name}: log {listed(summary.log_ids)}, configuration {config}, version {version}"
+
+
+def contents(summaries: Sequence[Summary]) -> str:
+    """How many runs, of how many logs, configurations and versions."""
+    kinds = {
+        "log": [name for summary in summaries for name in summary.log_ids],
+        "configuration": [name for summary in summaries for name in summary.configs],
+        "version": [name for summary in summaries for name in summary.versions],
+    }
+    numbers = {kind: len(set(names)) for kind, names in kinds.items()}
+    counts = ", ".join(f"{number} {kind}{'s' * (number > 1)}" for kind, number in numbers.items())
+    return f"{sum(summary.runs for summary in summaries)} runs: {counts}"
+
+
+def extent(summary: Summary) -> str:
+    """How many frames over how long."""
+    frames = f"{summary.frames} frame{'s' * (summary.frames > 1)}{in_segments(summary)}"
+    if summary.rate_hz is None:
+        return frames
+    return (
+        f"{frames} over {summary.span_s:.2f} s, {summary.rate_hz:.1f} frames/s, "
+        f"longest gap {summary.longest_gap_s:.2f} s"
+    )
+
+
+def in_segments(summary: Summary) -> str:
+    """How often stamps began anew, where they did."""
+    return f" in {summary.segments} segments" if summary.segments > summary.runs else ""
+
+
+def inputs(summary: Summary) -> str:
+    """Whose messages were missing, usable or not, and how far apart the sensors' stamps lie."""
+    if summary.incomplete:
+        roles = ", ".join(f"{role} {percent(n / summary.frames)} %" for role, n in summary.missing.most_common())
+        text = f"something missing in {percent(summary.incomplete / summary.frames)} % of the frames: {roles}"
+    else:
+        text = "no message missing in any frame"
+    skew = summary.statistics.get(SKEW.column)
+    return text if skew is None else f"{text}; sync skew median {skew.median:.1f} ms, p95 {skew.p95:.1f} ms"
+
+
+def precision(summary: Summary) -> str:
+    """How exact the quantiles are where not all values were at hand."""
+    error = 100 * summary.rank_error
+    return (
+        f"quantiles over all {summary.frames} frames are within {error:.2f} % in rank, "
+        f"those of absolute values within {2 * error:.2f} %"
+    )
+
+
+def least_covered(summaries: Sequence[Summary]) -> list[Summary]:
+    """The runs that get a row, in their order."""
+    if len(summaries) <= RUNS_LISTED:
+        return list(summaries)
+    least = sorted(range(len(summaries)), key=lambda place: sum(_shares(summaries[place], COVERED.values())))
+    return [summaries[place] for place in sorted(least[:RUNS_LISTED])]
+
+
+def runs_table(summaries: Sequence[Summary], notes: tuple[str, ...]) -> TextTable:
+    """A row per run: what it is and how long; the version where there are several."""
+    versions = len({summary.versions for summary in summaries}) > 1
+    headers = ("log id", "config", *(["version"] if versions else []), "frames", "s", "frames/s")
+    return TextTable("Run", headers, tuple(_run(s, versions) for s in summaries), notes, label_columns=15)
+
+
+def _run(summary: Summary, with_version: bool) -> TextRow:
+    version = [summary.versions[0] or "unknown"] if with_version else []
+    extent = (str(summary.frames), f"{summary.span_s:.2f}", f"{summary.rate_hz:.1f}" if summary.rate_hz else "")
+    return row(summary.name, listed(summary.log_ids, 1), short_digest(summary.configs[0]), *version, *extent)
+
+
+def coverage_by_run(summaries: Sequence[Summary]) -> TextTable:
+    """A row per run: share of frames with all inputs' messages, and with a value of each stage that has any."""
+    shown = {what: column for what, column in COVERED.items() if any(column in s.statistics for s in summaries)}
+    rows = (row(summary.name, *map(percent, _shares(summary, shown.values()))) for summary in summaries)
+    return TextTable(
+        "Coverage, %", ("inputs", *(_NARROW.get(what, what) for what in shown)), tuple(rows), label_columns=15
+    )
+
+
+def tables_by_run(summaries: Sequence[Summary]) -> Iterator[TextTable]:
+    """Missing outputs that are not the same in all runs, accuracy and latency, each with a line per run."""
+    missing = missing_outputs(summaries)
+    vary = tuple(item for item in missing.rows if len({cells[-1:] for cells in item.cells}) > 1)
+    for table in (replace(missing, rows=vary), accuracy(summaries), latency(summaries)):
+        yield replace(table, title=f"{table.title} by run", notes=())
+
+
+def _shares(summary: Summary, columns: Iterable[str]) -> list[float]:
+    """The share of frames with all inputs' messages, and that with a value in each column."""
+    return [1 - summary.incomplete / summary.frames, *(summary.coverage(column) for column in columns)]

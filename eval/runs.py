@@ -1,17 +1,19 @@
-"""Which metrics tables a command line means: files, folders, globs and logs with results."""
+"""Which metrics tables a command line means: files, folders, globs, logs with results; and what their columns hold."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pyarrow.types as kinds
 
-from roadperc_stream.core.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX, real_path
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.tables import facts_in, sidecar_path
+from roadperc_stream.output.tables import arrow_schema, facts_in, sidecar_path
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.schemas.record import (
     CONTINUES_KEY,
     DIGEST_ALGORITHM_KEY,
@@ -19,13 +21,97 @@ from roadperc_stream.schemas.record import (
     FIRST_FRAME_KEY,
     LOG_ID_KEY,
 )
+from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX, real_path
+from roadperc_stream.system.text import number
 
-from .column_types import require_columns_as_written
-
+_COMPLETE: Final = ("log_id", "stamp_ns", "total_ms")
+"""Columns with a value in every row."""
+_WHOLE: Final = ("frame", "stamp_ns")
+"""Columns that rows are found by."""
+_LARGEST: Final[Mapping[str, float]] = {"int64": 2.0**63 - 1024, "double": 1e100}
+"""By the type a column has; squares of the largest number, and sums of these, are numbers still."""
 REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
 """What makes a metrics table. Others may be absent, as in tables of older versions: they count as null."""
 _MOST_DIGITS: Final = 16
 """Of a frame's number."""
+
+
+def collect(frame: pl.LazyFrame, source: str) -> pl.DataFrame:
+    """The rows of a query on one table.
+
+    In memory: of a table of 10 000 rows that takes 25 ms, where the streaming engine takes 300.
+
+    Raises:
+        TableError: the data of ``source`` cannot be read.
+    """
+    try:
+        return frame.collect(engine="in-memory")
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+        cause = (str(error).splitlines() or [type(error).__name__])[0]
+        raise TableError(f"{source}: its data cannot be read: {cause}") from error
+
+
+def require_columns_as_written(path: Path, found: pa.Schema) -> None:
+    """Check the columns that a replay writes: their types, their largest numbers, and that rows have their values.
+
+    The numbers are those of the rows. The footer has the least and the largest too, but of a damaged footer pyarrow
+    cannot always give them: parquet's own exception then ends the process.
+
+    Raises:
+        TableError: a column is of another type, lacks values, or holds a number that nobody can compute with; or the
+            data cannot be read.
+    """
+    present = [expected for expected in arrow_schema(FrameMetrics, TIME_COLUMNS) if expected.name in found.names]
+    for expected in present:
+        if found.names.count(expected.name) > 1:
+            raise TableError(f"{path}: several columns are called {expected.name}")
+        kind = found.field(expected.name).type
+        if not _fits(expected, kind):
+            raise TableError(f"{path}: column {expected.name} is of type {kind}, expected {expected.type}")
+    largest = {field.name: _LARGEST[str(field.type)] for field in present if str(field.type) in _LARGEST}
+    numbers = {name: limit for name, limit in largest.items() if not kinds.is_null(found.field(name).type)}
+    _require_values(path, numbers)
+
+
+def _require_values(path: Path, largest: Mapping[str, float]) -> None:
+    """Check that no row lacks what each has, and that the finite numbers of columns are within their limits."""
+    finite = {name: pl.col(name).filter(pl.col(name).is_finite()) for name in largest}
+    values = collect(
+        pl.scan_parquet(path, glob=False).select(
+            *(pl.col(name).null_count().alias(f"{name} without") for name in _COMPLETE),
+            *(column.min().alias(f"{name} least") for name, column in finite.items()),
+            *(column.max().alias(f"{name} most") for name, column in finite.items()),
+        ),
+        str(path),
+    ).row(0, named=True)
+    for name in _COMPLETE:
+        if values[f"{name} without"]:
+            raise TableError(f"{path}: is not a metrics table: its column {name} has rows without a value")
+    for name, limit in largest.items():
+        for value in (values[f"{name} least"], values[f"{name} most"]):
+            if value is not None and abs(value) > limit:
+                raise TableError(f"{path}: column {name} holds {value:g}, expected {limit:g} at most")
+
+
+def _fits(expected: pa.Field, kind: pa.DataType) -> bool:
+    """Whether values of a kind can stand for those expected; a column without values may have none."""
+    if kinds.is_null(kind):
+        return bool(expected.nullable)
+    if kinds.is_list(expected.type):
+        listed = kinds.is_list(kind) or kinds.is_large_list(kind)
+        return listed and (kinds.is_null(kind.value_type) or _is_text(kind.value_type))
+    number: Callable[[Any], bool] = kinds.is_integer if expected.name in _WHOLE else _is_number
+    checks: dict[str, Callable[[Any], bool]] = {"string": _is_text, "bool": kinds.is_boolean}
+    return checks.get(str(expected.type), number)(kind)
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    plain = kind.value_type if kinds.is_dictionary(kind) else kind
+    return any(check(plain) for check in (kinds.is_string, kinds.is_large_string, kinds.is_string_view))
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(kinds.is_integer(kind) or kinds.is_floating(kind))
 
 
 @dataclass(frozen=True)
@@ -69,6 +155,10 @@ class Run:
     def tables(self) -> tuple["Run", ...]:
         """The run of each metrics table."""
         return self.parts or (self,)
+
+    def beside(self, suffix: str) -> Path:
+        """The file that a replay writes next to its table, such as its log: ``.mcap``."""
+        return self.path.with_name(self.path.name.removesuffix(METRICS_SUFFIX) + suffix)
 
     @property
     def source_name(self) -> str:
@@ -125,9 +215,9 @@ def open_run(path: Path, name: str) -> Run:
     except UnicodeDecodeError as error:
         raise TableError(f"{path}: has a column whose name is no text ({error.reason})") from error
     except pa.ArrowException as error:
-        raise TableError(f"{path}: is not a Parquet file, or was cut short ({_first_line(error)})") from error
+        raise TableError(f"{path}: is not a Parquet file, or was cut short ({first_line(error)})") from error
     except OSError as error:
-        raise TableError(f"{path}: {error.strerror or _first_line(error)}") from error
+        raise TableError(f"{path}: {error.strerror or first_line(error)}") from error
     _require_columns(path, found.names)
     require_columns_as_written(path, found)
     facts = facts_in(footer.metadata)
@@ -206,12 +296,9 @@ def _in_glob(pattern: str) -> list[Path]:
     files = [path for path in matches if path.suffix == TABLE_SUFFIX and not path.name.endswith(OBJECTS_SUFFIX)]
     below = [path for folder in matches if folder.is_dir() for path in sorted(folder.rglob(f"*{METRICS_SUFFIX}"))]
     if not files and not below:
-        raise TableError(f"{pattern}: matches no metrics table ({_count(matches)} of other kinds)")
+        others = number(len(matches), "file") if matches else "no file"
+        raise TableError(f"{pattern}: matches no metrics table ({others} of other kinds)")
     return [*files, *below]
-
-
-def _count(matches: Sequence[Path]) -> str:
-    return "no file" if not matches else f"{len(matches)} file{'s' * (len(matches) > 1)}"
 
 
 def _require_columns(path: Path, columns: Iterable[str]) -> None:
@@ -224,5 +311,8 @@ def _require_columns(path: Path, columns: Iterable[str]) -> None:
     raise TableError(f"{path}: is not a metrics table: it has no column {', '.join(missing)}{hint}")
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: BaseException) -> str:
+    """What an error of a library says, without its particulars."""
+    if "expanded paths were empty" in str(error):
+        return "no file has such a name"
     return (str(error).splitlines() or [type(error).__name__])[0].rstrip(". ")

@@ -1,24 +1,19 @@
-"""What a whole run says and no single frame can: counts summed to precision, recall and F1, and how far lanes lag."""
+"""What is counted over the frames of a table, and what no single frame says: precision, recall, F1, and lag."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from functools import cache
+from typing import Any, Final
 
 import polars as pl
 
-from .quantities import SIDES
-from .segments import before
+from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
 
-_COUNTED: Final = {
-    "detections kept": ("filter_tp", "filter_fp", "filter_fn"),
-    "lanes at IoU 0.5": ("lane_culane_tp_50", "lane_culane_fp_50", "lane_culane_fn_50"),
-    "lanes at IoU 0.3": ("lane_culane_tp_30", "lane_culane_fp_30", "lane_culane_fn_30"),
-}
-COUNTS: Final = tuple(column for columns in _COUNTED.values() for column in columns)
-"""Columns whose sums over a run are the counts of its scores."""
-TRACED: Final = {side: (f"lane_{side}_offset_m", f"lane_{side}_true_offset_m") for side in SIDES}
-"""What is smoothed and might lag, and the truth it follows."""
+from .quantities import CATEGORIES, COUNTED, COUNTS, TRACED
+from .scan import before
+
 _FARTHEST: Final = 6
 _SHIFTS: Final = tuple(sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs))
 """Frames by which an estimate may lie behind its truth, the likeliest first: that decides between equals."""
@@ -55,12 +50,17 @@ class Score:
         """Harmonic mean of precision and recall, by which CULane ranks; None where nothing is there nor was found."""
         return _share(2 * self.tp, 2 * self.tp + self.fp + self.fn)
 
+    def cells(self, decimals: int) -> tuple[str, ...]:
+        """Precision, recall and F1, empty where there is none, and the counts."""
+        ratios = ("" if ratio is None else f"{ratio:.{decimals}f}" for ratio in (self.precision, self.recall, self.f1))
+        return (*ratios, *map(str, (self.tp, self.fp, self.fn)))
+
 
 def scores(totals: Mapping[str, int]) -> list[Score]:
     """The scores whose three counts are known, from the sums of ``COUNTS`` over the frames."""
     return [
         Score(name, *(totals[column] for column in columns))
-        for name, columns in _COUNTED.items()
+        for name, columns in COUNTED.items()
         if all(column in totals for column in columns)
     ]
 
@@ -71,6 +71,11 @@ def correlations(estimate: str, truth: str) -> pl.Expr:
     Null or not finite where they are known together in fewer than half of the frames, or one does not vary there.
     """
     return pl.concat_list(_correlation(before(pl.col(estimate), -shift), pl.col(truth)) for shift in _SHIFTS)
+
+
+def traces() -> list[pl.Expr]:
+    """How each side's smoothed offset follows its truth."""
+    return [correlations(*columns).alias(f"correlations {side}") for side, columns in TRACED.items()]
 
 
 def _correlation(a: pl.Expr, b: pl.Expr) -> pl.Expr:
@@ -106,3 +111,72 @@ def averaged(parts: Iterable[tuple[int, Sequence[float | None]]]) -> tuple[float
 
 def _share(part: int, whole: int) -> float | None:
     return part / whole if whole else None
+
+
+@dataclass(frozen=True)
+class Tallies:
+    """Counts over frames.
+
+    ``incomplete`` counts frames where any role is without a message; ``categories`` the values of each text column;
+    ``missing`` the frames per role without a message; ``reasons`` say why something is absent; ``totals`` are the sums
+    of the counting columns that have values.
+    """
+
+    incomplete: int
+    categories: Mapping[str, Counter[str]]
+    missing: Counter[str]
+    reasons: ReasonCounts
+    totals: Mapping[str, int]
+
+
+@cache  # a thousand tables are asked the same
+def tallies() -> list[pl.Expr]:
+    """What ``tallied`` takes: counts of frames and texts, and sums, null where no frame has a value."""
+    return [
+        (pl.col("missing").list.len() > 0).sum().alias("incomplete"),
+        *(_texts(name) for name in CATEGORIES),
+        *(_texts(name, of_lists=True) for name in ("missing", "reasons")),
+        *(pl.when(pl.col(name).count() > 0).then(pl.col(name).sum()).cast(pl.Int64) for name in COUNTS),
+    ]
+
+
+def tallied(found: Mapping[str, Any]) -> Tallies:
+    """The counts in a row of ``tallies``."""
+    return Tallies(
+        incomplete=found["incomplete"],
+        categories={name: _counter(found[name]) for name in CATEGORIES},
+        missing=_counter(found["missing"]),
+        reasons=grouped(_counter(found["reasons"])),
+        totals={name: found[name] for name in COUNTS if found[name] is not None},
+    )
+
+
+def tallied_together(parts: Iterable[Tallies]) -> Tallies:
+    """The counts over all parts."""
+    listed = list(parts)
+    return Tallies(
+        incomplete=sum(part.incomplete for part in listed),
+        categories={name: _added(part.categories[name] for part in listed) for name in CATEGORIES},
+        missing=_added(part.missing for part in listed),
+        reasons=merged(part.reasons for part in listed),
+        totals=_added(part.totals for part in listed),
+    )
+
+
+def _texts(name: str, *, of_lists: bool = False) -> pl.Expr:
+    """How often each text occurs: a list of structs of ``text`` and ``count``, by text."""
+    column = pl.col(name)
+    texts = (column.explode() if of_lists else column).drop_nulls()
+    counted = texts.value_counts(sort=True)
+    return counted.struct.rename_fields(["text", "count"]).implode().alias(name)
+
+
+def _counter(rows: Iterable[Mapping[str, Any]]) -> Counter[str]:
+    return Counter({row["text"]: row["count"] for row in rows})
+
+
+def _added(counters: Iterable[Mapping[str, int]]) -> Counter[str]:
+    total: Counter[str] = Counter()
+    for counter in counters:
+        total.update(counter)
+    return total

@@ -6,16 +6,32 @@ from dataclasses import replace
 from itertools import islice
 from typing import Final
 
-from roadperc_stream.core.datatypes import ReasonKind
-from roadperc_stream.core.reasons import merged, ranked
+from roadperc_stream.model import ReasonKind
+from roadperc_stream.output.reason_counts import merged, ranked
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
-from .consistency_rows import CONSISTENCY_HEADERS, consistency_notes, consistency_rows
-from .grid import percent, rounded
+from .comparison.bootstrap import LEVEL
+from .consistency import JUDGED, Consistency
+from .names import percent, rounded
 from .quantities import CATEGORIES, SEEN, SIDES, STAGE_TIMES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
-from .scores import Score
 from .statistics import Statistics
 from .summary import Summary, WorstFrame
+
+_CONSISTENCY_HEADERS: Final = (
+    "errors",
+    "with std %",
+    "1\N{GREEK SMALL LETTER SIGMA} %",
+    "2\N{GREEK SMALL LETTER SIGMA} %",
+    ">3\N{GREEK SMALL LETTER SIGMA} %",
+    "NEES",
+    f"{LEVEL:.0%} interval",
+)
+_LARGE: Final = 100
+_LEGEND: Final = (
+    "with std %: errors whose standard deviation is given; of these within 1 and 2 of it, and beyond 3",
+    "NEES: mean of the squared errors in units of it: 1 is right, more claims too much; interval by blocks",
+)
+
 
 REASONS_SHOWN: Final = 10
 LISTED: Final = 12
@@ -91,15 +107,22 @@ def accuracy(summaries: Summaries) -> TextTable:
 
 def consistency_table(summaries: Summaries) -> TextTable:
     """Errors in units of the standard deviations that the chain gives, where truth is known."""
-    rows, notes = consistency_rows(summaries), consistency_notes(summaries)
-    return _table("Consistency", CONSISTENCY_HEADERS, rows, summaries, notes, label_columns=17)
+    found = {judged.name: [summary.consistency.get(judged.name) for summary in summaries] for judged in JUDGED}
+    rows = [
+        TextRow(name, tuple(_consistency(item) if item and item.values else () for item in items))
+        for name, items in found.items()
+        if any(item and item.values for item in items)
+    ]
+    without = [name for name in found if any(found[name]) and name not in {item.label for item in rows}]
+    notes = [*(_LEGEND if rows else ()), *([f"no standard deviation: {', '.join(without)}"] if without else [])]
+    return _table("Consistency", _CONSISTENCY_HEADERS, rows, summaries, tuple(notes), label_columns=17)
 
 
 def detection_counts(summaries: Summaries) -> TextTable:
     """Precision, recall and F1 from the counts of all frames, and the counts."""
     found = [{score.name: score for score in summary.scores} for summary in summaries]
     names = dict.fromkeys(name for scores in found for name in scores)
-    rows = [TextRow(name, tuple(_score(scores.get(name)) for scores in found)) for name in names]
+    rows = [TextRow(name, tuple(scores[name].cells(3) if name in scores else () for scores in found)) for name in names]
     return _table("Detection counts", ("precision", "recall", "F1", "TP", "FP", "FN"), rows, summaries)
 
 
@@ -221,6 +244,13 @@ def _times(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str
     return (*(rounded(value, quantity) for value in (found.median, found.p95, found.p99)), share)
 
 
+def _consistency(found: Consistency) -> tuple[str, ...]:
+    """How many errors, the share with a deviation, shares within 1 and 2 and beyond 3 of it, NEES and its interval."""
+    shares = (found.values / found.errors, found.within(1), found.within(2), 1 - found.within(3))
+    nees, *ends = (f"{v:.2f}" if v < _LARGE else f"{v:.0f}" for v in (found.nees, *(found.nees_interval or ())))
+    return (str(found.errors), *map(percent, shares), nees, "-".join(ends))
+
+
 def _boundary(summary: Summary, side: str) -> tuple[str, ...]:
     """Percent measured, held, lost; offset in m, jitter in cm smoothed and raw, lag in frames; empty where unknown."""
     offset = summary.statistics.get(f"lane_{side}_offset_m")
@@ -253,13 +283,6 @@ def _reason(summaries: Summaries, kind: ReasonKind, text: str) -> TextRow:
     having = [k for k, share in enumerate(shares) if share >= least and frames[k]]
     cells = tuple((str(number), percent(share)) for number, share in zip(frames, shares, strict=True))
     return TextRow(text, cells, listed=tuple(having[:LISTED]))
-
-
-def _score(score: Score | None) -> tuple[str, ...]:
-    if score is None:
-        return ()
-    ratios = ("" if ratio is None else f"{ratio:.3f}" for ratio in (score.precision, score.recall, score.f1))
-    return (*ratios, *(str(count) for count in (score.tp, score.fp, score.fn)))
 
 
 def _speed(summary: Summary) -> str:

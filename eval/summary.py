@@ -4,27 +4,24 @@ A table is read once. All it gives to the whole is exact and small, but for the 
 whole while all tables together have no more than EXACT_FRAMES rows, and are thinned where they have more.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import polars as pl
 
-from roadperc_stream.core.datatypes import ReasonKind
+from roadperc_stream.model import ReasonKind
 
-from .collecting import collect
 from .configurations import Group
 from .consistency import Consistency, added, consistency_of_run
-from .distribution import Distribution, Sketch, exactly, thinned
-from .quantities import NUMBERS, SUSPECT, TRUTH, Quantity
-from .runs import Run
-from .scan import extent, scan, traces, worst_frames
-from .scores import TRACED, Score, averaged, lag_frames, scores
-from .statistics import Statistics, statistics, statistics_of_all
-from .tallies import Tallies, tallied, tallied_together, tallies
+from .quantities import NUMBERS, SUSPECT, TRACED, TRUTH, Quantity
+from .runs import Run, collect
+from .scan import extent, scan, worst_frames
+from .scores import Score, Tallies, averaged, lag_frames, scores, tallied, tallied_together, tallies, traces
+from .statistics import ColumnPools, Distribution, Statistics, exactly, statistics, thinned
 
 EXACT_FRAMES: Final = 2**18
 """Rows up to which quantiles over all tables are exact: 8 bytes each and column, 160 MB in all."""
@@ -67,13 +64,13 @@ class Summary(Tallies):
     log_ids: tuple[str, ...]
     configs: tuple[str, ...]
     versions: tuple[str, ...]
-    segments: int
-    span_s: float
-    longest_gap_s: float
     statistics: Mapping[str, Statistics]
-    correlations: Mapping[str, tuple[float | None, ...]]
-    consistency: Mapping[str, Consistency]
-    worst: Mapping[str, tuple[WorstFrame, ...]] = field(repr=False)
+    segments: int = 0
+    span_s: float = 0.0
+    longest_gap_s: float = 0.0
+    correlations: Mapping[str, tuple[float | None, ...]] = field(default_factory=dict)
+    consistency: Mapping[str, Consistency] = field(default_factory=dict)
+    worst: Mapping[str, tuple[WorstFrame, ...]] = field(default_factory=dict, repr=False)
 
     @property
     def rate_hz(self) -> float | None:
@@ -124,9 +121,10 @@ def summarise_group(group: Group, worst: int) -> GroupSummary:
         TableError: the data of a table cannot be read.
     """
     if len(group.runs) == 1:
-        summary = summarise_run(group.runs[0], worst)
-        return GroupSummary((summary,), replace(summary, name=group.name))
-    summaries, together = summarise_all(group.runs, worst)
+        together = summarise_run(group.runs[0], worst)
+        summaries = [together]
+    else:
+        summaries, together = summarise_all(group.runs, worst)
     return GroupSummary(tuple(summaries), replace(together, name=group.name))
 
 
@@ -147,21 +145,16 @@ def summarise_all(runs: Sequence[Run], worst: int) -> tuple[list[Summary], Summa
     """
     frames = sum(run.frames for run in runs)
     points = frames if frames <= EXACT_FRAMES else POINTS
-    sketches: dict[str, Sketch] = {}
+    columns = ColumnPools(points)
     summaries = []
-    for summary, distributions in _each(runs, worst, points):
-        summaries.append(summary)
-        for column, part in distributions.items():
-            sketches.setdefault(column, Sketch(points)).add(part)
-    return summaries, _together(summaries, sketches, worst)
-
-
-def _each(runs: Sequence[Run], worst: int, points: int) -> Iterator[tuple[Summary, dict[str, Distribution]]]:
-    """Read all tables in their order, some at the same time."""
     read = partial(_read, worst=worst, points=points)
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
+    with ThreadPoolExecutor(_AT_ONCE) as threads:
         for at in range(0, len(runs), _AHEAD):
-            yield from pool.map(read, runs[at : at + _AHEAD])
+            for summary, distributions in threads.map(read, runs[at : at + _AHEAD]):
+                summaries.append(summary)
+                for column, part in distributions.items():
+                    columns.add(column, summary.statistics[column], part)
+    return summaries, _together(summaries, columns.statistics(q.column for q in NUMBERS), worst)
 
 
 def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distribution]]:
@@ -185,12 +178,16 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
         statistics=present,
         correlations={side: tuple(found[f"correlations {side}"]) for side in TRACED},
         consistency=consistency_of_run(run),
-        worst={q.column: _ranking(run, found[f"worst {q.column}"]) for q in _RANKED if q.column in present},
+        worst={
+            q.column: tuple(WorstFrame(run.name, **row) for row in found[f"worst {q.column}"])
+            for q in _RANKED
+            if q.column in present
+        },
     )
     return summary, {name: thinned(distribution, points) for name, distribution in distributions.items()}
 
 
-def _together(summaries: Sequence[Summary], sketches: Mapping[str, Sketch], worst: int) -> Summary:
+def _together(summaries: Sequence[Summary], statistics_: Mapping[str, Statistics], worst: int) -> Summary:
     return Summary(
         **vars(tallied_together(summaries)),
         name=f"all {len(summaries)} logs",
@@ -202,9 +199,7 @@ def _together(summaries: Sequence[Summary], sketches: Mapping[str, Sketch], wors
         segments=sum(summary.segments for summary in summaries),
         span_s=sum(summary.span_s for summary in summaries),
         longest_gap_s=max(summary.longest_gap_s for summary in summaries),
-        statistics={
-            q.column: _statistics(summaries, q.column, sketches[q.column]) for q in NUMBERS if q.column in sketches
-        },
+        statistics=statistics_,
         correlations={
             side: averaged((summary.frames, summary.correlations[side]) for summary in summaries) for side in TRACED
         },
@@ -223,21 +218,11 @@ def _facts(worst: int) -> list[pl.Expr]:
     ]
 
 
-def _statistics(summaries: Iterable[Summary], column: str, sketch: Sketch) -> Statistics:
-    parts = [summary.statistics[column] for summary in summaries if column in summary.statistics]
-    return statistics_of_all(parts, sketch.distribution())
-
-
-def _ranking(run: Run, rows: Iterable[Mapping[str, Any]]) -> tuple[WorstFrame, ...]:
-    return tuple(WorstFrame(run.name, **row) for row in rows)
-
-
 def _merged(summaries: Iterable[Summary], quantity: Quantity, worst: int) -> tuple[WorstFrame, ...]:
     """The worst frames of all from the worst of each; equals stay in the order of the runs."""
     frames = [frame for summary in summaries for frame in summary.worst.get(quantity.column, ())]
-    if quantity.worse == "low":
-        return tuple(sorted(frames, key=lambda frame: frame.value)[:worst])
-    return tuple(sorted(frames, key=lambda frame: -abs(frame.value))[:worst])
+    low = quantity.worse == "low"
+    return tuple(sorted(frames, key=lambda frame: frame.value if low else -abs(frame.value))[:worst])
 
 
 def _distinct(names: Iterable[str]) -> tuple[str, ...]:

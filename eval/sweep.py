@@ -2,24 +2,104 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Final
 
 from roadperc_stream.cli.arguments import time_range_of
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.folders import not_a_log
-from roadperc_stream.core.text import print_line
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.output.terminal import console_for, frame_progress, print_lines, print_table
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.system.folders import not_a_log
+from roadperc_stream.system.text import print_line
 
-from .sweeping.dataset import dataset, describe, table_names, tables
-from .sweeping.influence import without_influence
-from .sweeping.processes import sweep_logs
-from .sweeping.ranking import METRICS, scores
-from .sweeping.settings import Combination, combinations, reference_of
-from .sweeping.sweep_log import Job
-from .sweeping.tables import LEGEND, best_settings, effects, values_taken, without_effect
+from .names import percent, rounded
+from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
+from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names, tables
+from .sweeping.sweep_log import Job, sweep_logs
+
+LEGEND: Final = (
+    "median of absolute values, of shares the mean; frames %: those with a value",
+    "best: of the settings with the highest coverage; lower coverage: better, but in fewer frames",
+    "time: compares settings, for they share what is decoded; a replay's is longer",
+)
+Scored = tuple[SweepMetric, Sequence[SettingScore]]
+"""A metric, and the score of every combination."""
+
+
+def values_taken(made: Sequence[Combination]) -> Iterator[str]:
+    """A line on each varied setting with its values."""
+    for key in made[0].settings:
+        yield f"  {key} {', '.join(dict.fromkeys(shown(item.settings[key]) for item in made))}"
+
+
+def best_settings(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> TextTable:
+    """A row per metric on which settings differ: score and coverage of the best and the reference, what it changes."""
+    headers = ("best", "frames %", "reference", "frames %", "setting")
+    rows = (line for scored in found if _differ(*scored) for line in _best_rows(scored, made, reference))
+    return TextTable("Best setting", headers, tuple(rows), last_is_text=True, label_columns=22)
+
+
+def _best_rows(scored: Scored, made: Sequence[Combination], reference: Combination) -> Iterator[TextRow]:
+    metric, scores = scored
+    ranked = best(metric, scores, made, reference)
+    places = (
+        () if ranked is None else ((metric.quantity.label, ranked.winner), ("  lower coverage", ranked.less_covered))
+    )
+    for label, at in places:
+        if at is not None:
+            pair = scores[at], scores[reference.number]
+            cells = (text for score in pair for text in (_cell(metric, score), percent(score.coverage)))
+            yield row(label, *cells, _changes(made[at], reference))
+
+
+def without_effect(found: Sequence[Scored]) -> str:
+    """The metrics that are the same under all settings, as a line; those without any value are left out."""
+    known = [(metric, scores) for metric, scores in found if any(score.value is not None for score in scores)]
+    same = [metric.quantity.name for metric, scores in known if not _differ(metric, scores)]
+    return f"no difference: {', '.join(same)}" if same else ""
+
+
+def effects(found: Sequence[Scored], made: Sequence[Combination], key: str) -> TextTable:
+    """A row per metric on which the setting has an effect: the mean score of the combinations with each value.
+
+    Where coverage differs between the values, a second row has the mean shares of frames, in percent.
+    """
+    values = dict.fromkeys(item.settings[key] for item in made)
+    rows = (line for scored in found for line in _effect_rows(scored, made, key))
+    return TextTable(key, tuple(shown(value) for value in values), tuple(rows), label_columns=22)
+
+
+def _effect_rows(scored: Scored, made: Sequence[Combination], key: str) -> Iterator[TextRow]:
+    metric, scores = scored
+    means = list(effect(scores, made, key).values())
+    if not _differ(metric, means):
+        return
+    yield row(metric.quantity.label, *(_cell(metric, score) for score in means))
+    shares = [percent(score.coverage) for score in means]
+    if len(set(shares)) > 1:
+        yield row("  frames %", *shares)
+
+
+def _differ(metric: SweepMetric, scores: Sequence[SettingScore]) -> bool:
+    """Whether scores differ by more than their noise, or coverage in the digits that are shown."""
+    known = [score.value for score in scores if score.value is not None]
+    return len({percent(score.coverage) for score in scores}) > 1 or (bool(known) and not metric.alike(known))
+
+
+def _cell(metric: SweepMetric, score: SettingScore) -> str:
+    return "" if score.value is None else rounded(score.value, metric.quantity)
+
+
+def _changes(item: Combination, reference: Combination) -> str:
+    """What is set otherwise than in the reference."""
+    keys = list(reference.settings)
+    short = [key.rpartition(".")[2] for key in keys]  # without their sections, where they are unambiguous without
+    names = short if len(set(short)) == len(keys) else keys
+    pairs = zip(names, item.settings.values(), reference.settings.values(), strict=True)
+    return " ".join(f"{name}={shown(value)}" for name, value, before in pairs if value != before) or "reference"
 
 
 def sweep(arguments: argparse.Namespace) -> None:
@@ -30,9 +110,13 @@ def sweep(arguments: argparse.Namespace) -> None:
     """
     made = combinations(arguments.config, arguments.set, arguments.vary)
     reference = reference_of(made, load_config(arguments.config, tuple(arguments.set)))
-    _require_files(arguments.logs)
+    for path in arguments.logs:  # fail at once rather than after the logs before it have been replayed
+        if not path.is_file():
+            raise LogError(not_a_log(path) if path.is_dir() else f"{path}: no such file")
+    overrides, time_range = parse_topic_options(arguments.topic), time_range_of(arguments)
+    named = list(zip(arguments.logs, table_names(arguments.logs), strict=True))
     with dataset(arguments.out, arguments.force) as folder:
-        jobs = _jobs(arguments, folder, made)
+        jobs = [Job(path, name, folder, made, overrides, time_range) for path, name in named]
         with frame_progress(f"{len(made)} combinations", enabled=True) as bar:
             notes = sweep_logs(jobs, arguments.jobs, bar)
         describe(folder, made, arguments.logs)
@@ -40,19 +124,6 @@ def sweep(arguments: argparse.Namespace) -> None:
         for note in texts:
             print_line(f"note: {job.source.name}: {note}")
     _print(arguments.out, made, reference)
-
-
-def _require_files(logs: Sequence[Path]) -> None:
-    """Fail at once rather than after the logs before it have been replayed."""
-    for path in logs:
-        if not path.is_file():
-            raise LogError(not_a_log(path) if path.is_dir() else f"{path}: no such file")
-
-
-def _jobs(arguments: argparse.Namespace, folder: Path, made: tuple[Combination, ...]) -> list[Job]:
-    overrides, time_range = parse_topic_options(arguments.topic), time_range_of(arguments)
-    named = zip(arguments.logs, table_names(arguments.logs), strict=True)
-    return [Job(path, name, folder, made, overrides, time_range) for path, name in named]
 
 
 def _print(folder: Path, made: Sequence[Combination], reference: Combination) -> None:

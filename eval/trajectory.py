@@ -1,23 +1,121 @@
 """How far runs' paths are from the true ones, and both as files for other tools."""
 
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines, print_parts
-from roadperc_stream.output.text_table import TextTable
+from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.system.text import number
 
-from .drives import Drives, find_drives
-from .names import legend, name_columns, short_names
+from .drives import find_drives
+from .names import legend, listed, name_columns, percent, short_names
 from .options import Alignment, DeltaUnit
-from .trajectories import tables
-from .trajectories.columns import read_poses
-from .trajectories.errors import Delta
-from .trajectories.evaluation import Evaluation, evaluate
-from .trajectories.files import export_kitti, export_tum
-from .trajectories.poses import RunPoses
+from .trajectories.errors import Delta, ErrorStatistics
+from .trajectories.evaluation import Evaluation, Segments, evaluate
+from .trajectories.poses import RunPoses, export_kitti, export_tum, read_poses
+
+_ALIGNED: Final[Mapping[Alignment, str]] = {
+    "se3": "aligned by SE(3)",
+    "sim3": "aligned by Sim(3)",
+    "origin": "first pose on the first true one",
+    "none": "not aligned",
+}
+
+_EACH: Final = ", each segment of the log by itself"
+
+
+def _in_segments(run: RunPoses) -> str:
+    """How many segments of the log have poses, where there are several."""
+    segments = len(run.of_segments)
+    return f" in {segments} segments of the log" if segments > 1 else ""
+
+
+def _without_scale(evaluation: Evaluation) -> str:
+    """What steps without scale mean for the figures; empty where there are none."""
+    run = evaluation.run
+    counted = f"{run.without_scale} of {run.steps} steps have no scale"
+    if run.up_to_scale:
+        rest = "" if evaluation.alignment == "sim3" else ", and these are not: --align sim3"
+        return f"up to scale ({counted}): only figures aligned by Sim(3) mean anything{rest}"
+    return f"{counted} of their own: those before and after them give it" if run.without_scale else ""
+
+
+def _error_table(evaluation: Evaluation) -> TextTable:
+    """Absolute and relative errors."""
+    rows = (
+        row("ATE, m", *_cells(evaluation.absolute_m)),
+        row("RPE, m", *_cells(evaluation.relative_m)),
+        row("RPE, deg", *_cells(evaluation.relative_deg)),
+    )
+    headers = ("values", "RMSE", "mean", "median", "std", "min", "max", "SSE")
+    return TextTable("Error", headers, rows, (_rpe(evaluation.delta),), label_columns=22)
+
+
+def _stretch_table(evaluation: Evaluation) -> TextTable:
+    """KITTI's errors by length; a length of which no stretch fits has none."""
+    segments = (*evaluation.stretches, evaluation.together)
+    rows = tuple(
+        row("all" if item.length_m is None else f"{item.length_m:.0f} m", str(item.count), *_segment_cells(item))
+        for item in segments
+    )
+    headers = ("segments", "translation %", "rotation deg/100 m")
+    own = f"a segment begins at every {evaluation.every}th frame, as in KITTI's benchmark"
+    short = "no 100 m driven: shorter lengths than KITTI's; a segment begins at every frame"
+    return TextTable("KITTI", headers, rows, (own if evaluation.every > 1 else short,))
+
+
+def _run_table(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
+    """How much of each of several runs the figures are over, and how they came about; a run by what it is called."""
+    headers = ("frames", "both %", "lost", "driven m", "scale", "KITTI over")
+    rows = tuple(row(names[item.run.name], *_overview(item)) for item in evaluations)
+    return TextTable("Run", headers, rows, tuple(legend(names)), last_is_text=True, label_columns=20)
+
+
+def _overview(evaluation: Evaluation) -> list[str]:
+    """Counts, the least and largest scale, and the lengths of which a stretch fits."""
+    run = evaluation.run
+    counts = [str(run.frames), percent(run.coverage), str(run.lost), f"{evaluation.driven_m:.1f}"]
+    least, most = (f"{scale:.4g}" for scale in (min(evaluation.scales), max(evaluation.scales)))
+    used = [f"{segments.length_m:.0f}" for segments in evaluation.stretches if segments.length_m and segments.count]
+    return [*counts, least if least == most else f"{least} to {most}", f"{', '.join(used)} m" if used else "no length"]
+
+
+def _side_by_side(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
+    """A row of figures for each of several runs."""
+    headers = ("align", "ATE m", "RPE m", "RPE deg", "KITTI %", "deg/100 m", "segments")
+    rows = tuple(row(names[item.run.name], *_figures(item)) for item in evaluations)
+    return TextTable("RMSE", headers, rows, (_rpe(evaluations[0].delta),), label_columns=20)
+
+
+def _figures(evaluation: Evaluation) -> list[str]:
+    found = (evaluation.absolute_m, evaluation.relative_m, evaluation.relative_deg)
+    rmse = [_number(statistics.rmse if statistics else None) for statistics in found]
+    together = evaluation.together
+    return [evaluation.alignment, *rmse, *_segment_cells(together), str(together.count)]
+
+
+def _rpe(delta: Delta) -> str:
+    """How far apart the poses of a pair are."""
+    return f"RPE over {f'{delta.size:g} m' if delta.unit == 'metres' else number(int(delta.size), 'frame')}"
+
+
+def _segment_cells(segments: Segments) -> list[str]:
+    return [_number(value) for value in (segments.translation_percent, segments.rotation_deg_per_100m)]
+
+
+def _cells(found: ErrorStatistics | None) -> list[str]:
+    if found is None:
+        return ["0"]
+    values = (found.rmse, found.mean, found.median, found.std, found.least, found.most, found.sse)
+    return [str(found.count), *(_number(value) for value in values)]
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:z.4f}"
 
 
 @dataclass(frozen=True)
@@ -34,6 +132,8 @@ class TrajectoryOptions:
 def print_trajectories(arguments: Sequence[str], options: TrajectoryOptions) -> None:
     """Print the errors of runs' paths, and export them.
 
+    A run that has none is named, and is an error where nothing else came of the command.
+
     Args:
         arguments: tables, logs, folders or globs.
         options: how.
@@ -41,18 +141,17 @@ def print_trajectories(arguments: Sequence[str], options: TrajectoryOptions) -> 
     Raises:
         TableError: there is no such run, or none with a path.
     """
-    _print_runs(find_drives(arguments), options)
-
-
-def _print_runs(found: Drives, options: TrajectoryOptions) -> None:
-    """Every run's figures; a run that has none is named, and is an error where nothing else came of the command."""
+    found = find_drives(arguments)
     evaluated: list[Evaluation] = []
     refused: list[TableError] = []
-    exported = 0
+    exported = False
     for item in found.runs:
         try:
             poses = read_poses(item)
-            exported += _export(poses, options)
+            for export, folder in ((export_tum, options.tum), (export_kitti, options.kitti)):
+                if folder:
+                    export(folder, poses)
+                    exported = True
             evaluated.append(evaluate(poses, options.alignment, Delta(options.delta, options.delta_unit)))
         except TableError as error:
             refused.append(error)
@@ -66,28 +165,29 @@ def _print_runs(found: Drives, options: TrajectoryOptions) -> None:
         print_parts(console, *_several(evaluated, name_columns(console)))
 
 
-def _export(poses: RunPoses, options: TrajectoryOptions) -> bool:
-    """Write the files that were asked for; whether there were any."""
-    if options.tum:
-        export_tum(options.tum, poses)
-    if options.kitti:
-        export_kitti(options.kitti, poses)
-    return bool(options.tum or options.kitti)
-
-
 def _one(evaluation: Evaluation) -> list[str | TextTable]:
-    about = tables.alignment(evaluation), *evaluation.left_out, tables.without_scale(evaluation)
-    facts = (*tables.coverage(evaluation), *about)
-    return [*filter(None, facts), tables.errors(evaluation), tables.stretches(evaluation)]
+    run, segments = evaluation.run, _in_segments(evaluation.run)
+    scales = listed([f"{scale:.6g}" for scale in evaluation.scales])
+    scaled = f", the estimate scaled by {scales}" if evaluation.alignment == "sim3" else ""
+    facts = (
+        f"{run.name}: {run.frames} frames{segments}, {evaluation.driven_m:.1f} m driven",
+        f"{percent(run.coverage)} % have both poses: "
+        f"estimated {run.estimated_frames}, true {run.true_frames}, lost {run.lost}",
+        f"{_ALIGNED[evaluation.alignment]}{_EACH if segments else ''}{scaled}",
+        *evaluation.left_out,
+        _without_scale(evaluation),
+    )
+    return [*filter(None, facts), _error_table(evaluation), _stretch_table(evaluation)]
 
 
 def _notes(evaluation: Evaluation) -> Iterator[str]:
     """What there is to say of a run's figures, without its alignment."""
-    yield from filter(None, (tables.segments(evaluation), *evaluation.left_out, tables.without_scale(evaluation)))
+    found = _in_segments(evaluation.run)
+    segments = f"{evaluation.run.frames} frames{found}{_EACH}" if found else ""
+    yield from filter(None, (segments, *evaluation.left_out, _without_scale(evaluation)))
 
 
 def _several(evaluated: Sequence[Evaluation], columns: int) -> list[str | TextTable]:
     names = short_names([item.run.name for item in evaluated], columns)
     notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
-    overview = replace(tables.runs(evaluated, names), notes=tuple(legend(names)))
-    return [f"{len(evaluated)} runs", overview, tables.side_by_side(evaluated, names), *notes]
+    return [f"{len(evaluated)} runs", _run_table(evaluated, names), _side_by_side(evaluated, names), *notes]

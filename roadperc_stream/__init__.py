@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from roadperc_stream.api import frames as frames
     from roadperc_stream.api import read_metrics as read_metrics
     from roadperc_stream.api import replay as replay
-    from roadperc_stream.core.config import ReplayConfig as ReplayConfig
-    from roadperc_stream.core.config import load_config as load_config
-    from roadperc_stream.core.datatypes import Absent as Absent
-    from roadperc_stream.core.datatypes import Box as Box
-    from roadperc_stream.core.datatypes import Detection as Detection
-    from roadperc_stream.core.datatypes import FrameResult as FrameResult
-    from roadperc_stream.core.geometry import Camera as Camera
+    from roadperc_stream.config import ReplayConfig as ReplayConfig
+    from roadperc_stream.config import load_config as load_config
     from roadperc_stream.errors import RoadpercError as RoadpercError
+    from roadperc_stream.geometry import Camera as Camera
+    from roadperc_stream.model import Absent as Absent
+    from roadperc_stream.model import Box as Box
+    from roadperc_stream.model import Detection as Detection
+    from roadperc_stream.model import FrameResult as FrameResult
 
 _HOMES = {
     "Chain": "api",
@@ -35,13 +35,13 @@ _HOMES = {
     "frames": "api",
     "read_metrics": "api",
     "replay": "api",
-    "ReplayConfig": "core.config",
-    "load_config": "core.config",
-    "Absent": "core.datatypes",
-    "Box": "core.datatypes",
-    "Detection": "core.datatypes",
-    "FrameResult": "core.datatypes",
-    "Camera": "core.geometry",
+    "ReplayConfig": "config",
+    "load_config": "config",
+    "Absent": "model",
+    "Box": "model",
+    "Detection": "model",
+    "FrameResult": "model",
+    "Camera": "geometry",
     "RoadpercError": "errors",
 }
 __all__ = [*_HOMES, "__version__"]  # noqa: PLE0604

@@ -16,13 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadperc_stream.chain.step import ChainState, step
-from roadperc_stream.core.config import ReplayConfig, load_config, validated
-from roadperc_stream.core.datatypes import DepthImage, Detection, Frame, FrameResult, TagImage, Truth
-from roadperc_stream.core.geometry import Camera, level_mounting
-from roadperc_stream.core.semantics import TagTable, table_for_version
-from roadperc_stream.core.threads import one_thread, usable_cores
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.errors import ConfigError, TableError
+from roadperc_stream.geometry import Camera, level_mounting
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.input.arrays import (
     camera_image,
@@ -34,12 +30,15 @@ from roadperc_stream.input.arrays import (
     tag_pixels,
 )
 from roadperc_stream.loop import replay as _replay
+from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.model import DepthImage, Detection, Frame, FrameResult, TagImage, Truth
+from roadperc_stream.model.tag_tables import TagTable, table_for_version
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.outputs import ReplaySummary
+from roadperc_stream.output.writing import ReplaySummary
+from roadperc_stream.resume.opening import ReplayOptions, open_log
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.state.checkpoint import CheckpointOptions
-from roadperc_stream.state.opening import Beginning, open_log
-from roadperc_stream.state.running import run_frame
+from roadperc_stream.system.threads import one_thread, usable_cores
+from roadperc_stream.system.time import TimeRange
 
 if TYPE_CHECKING:
     import polars as pl
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
 Config = ReplayConfig | Mapping[str, Any] | str | Path | None
 """A configuration, a nested mapping such as ``{"lanes": {"hold_s": 0.8}}``, a TOML file, or None for the defaults."""
 Source = str | Path | Sequence[str | Path]
-"""A log, or the files of a log in parts."""
+"""A log, or its files."""
 
 
 def replay(
@@ -72,7 +71,7 @@ def replay(
     """Replay a log through the chain, as ``roadperc-replay`` does.
 
     Args:
-        src: the log to read, or the files of a log in parts.
+        src: the log to read, or its files.
         dst: the log to write; ``dst`` with ``.metrics.parquet`` and ``.objects.parquet`` comes beside it.
         config: the chain's configuration.
         topics: topic by role, where the log's topics are not this project's, such as ``{"image": "/front/rgb"}``.
@@ -83,12 +82,12 @@ def replay(
         force: replace an existing ``dst``, but no recording, and start over where a checkpoint is of another replay.
         recover: replay what can be read of a damaged log; frames behind what was lost say so in their reasons.
         strict: the first message that cannot be used is an error, instead of costing that message alone.
-        continued: the result of the part of the drive before, to go on from; with the same configuration.
-        warm_up_s: seconds of log before ``start_s`` that the chain sees first, and of which nothing is written.
-        checkpoint_every_s: seconds of log after which what is complete is made durable; None: never.
-        resume: go on from the latest checkpoint, where there is one.
-        threads: how many share the work; None: as many as there are cores. What is written is the same with any number,
-            but for the times.
+        continued: the result that the replay continues; with the same configuration.
+        warm_up_s: seconds of log before ``start_s`` whose frames build the state and are not written.
+        checkpoint_every_s: seconds of log between two checkpoints; None: no checkpoints.
+        resume: go on from the latest checkpoint, if there is one.
+        threads: how many share the work; None: as many as there are cores. The output is the same with any number,
+            except for timing columns.
 
     Returns:
         Frames, dropped messages, notes, warnings of damage, and the reasons that held in all frames.
@@ -100,15 +99,15 @@ def replay(
         ReplaySource(_paths(src), dict(topics or {}), TimeRange(start_s, end_s, max_frames), recover, strict),
         ReplayTarget(Path(dst), results_only=results_only, force=force),
         _config(config),
-        beginning=Beginning(None if continued is None else Path(continued), warm_up_s),
-        checkpoints=CheckpointOptions(checkpoint_every_s, resume),
-        threads=_threads(threads),
+        ReplayOptions(
+            None if continued is None else Path(continued), warm_up_s, checkpoint_every_s, resume, _threads(threads)
+        ),
     )
 
 
 @dataclass(frozen=True)
 class LogFrame:
-    """A frame of a log: what the chain could see, what is true, what the chain made of it, and its row of metrics."""
+    """A frame of a log: the chain's input, the truth, the chain's result, and the row of metrics."""
 
     input: Frame
     truth: Truth
@@ -136,10 +135,13 @@ def frames(
     cfg = _config(config)
     source = ReplaySource(_paths(log), topics or {}, TimeRange(start_s, end_s, max_frames), recover)
     opened = open_log(source, cfg)
-    log_in, memory = opened.input, opened.memory_for(cfg)
-    for sample in log_in.samples():
+    state = opened.state_for(cfg)
+    chain, earlier = state.chain, state.earlier
+    for sample in opened.input.samples():
         with one_thread():  # the same bits as in a replay, whatever the caller's own settings
-            memory, result, _, row = run_frame(cfg, memory, log_in.log_id, sample)
+            chain, result = step(cfg, chain, sample.frame)
+            row = frame_metrics(cfg, opened.input.log_id, sample, result, earlier)
+        earlier = sample.as_earlier
         if sample.is_written:
             yield LogFrame(sample.frame, sample.truth, result, row)
 
@@ -147,7 +149,7 @@ def frames(
 class Chain:
     """The perception chain for arrays of your own: call ``step`` once per frame, in the order of time.
 
-    It remembers what the chain remembers from one frame to the next; ``reset`` forgets it.
+    It keeps the chain's state between frames; ``reset`` clears it.
     """
 
     def __init__(
@@ -185,7 +187,7 @@ class Chain:
         self._state = ChainState()
 
     def reset(self) -> None:
-        """Forget all earlier frames."""
+        """Clear the state."""
         self._state = ChainState()
 
     def step(
@@ -201,7 +203,7 @@ class Chain:
         """Run the chain on one frame; any input may be missing.
 
         Args:
-            stamp_ns: the frame's time, of any integer type; one not after the last frame's clears the memory.
+            stamp_ns: the frame's time, of any integer type; one not after the last frame's clears the state.
             image: (H, W, 3) uint8 in OpenCV's order blue, green, red, or (H, W) grey.
             depth_m: (H, W) floating-point metres along the camera's z axis, NaN unknown.
             tags: (H, W) class of each pixel, by ``tag_table``: any integer type, 0 to 255.
@@ -214,7 +216,7 @@ class Chain:
         Raises:
             TypeError: the stamp or a detection is of another type.
             ValueError: an array is of another shape or type, or a detection's box is impossible.
-            ConfigError: tags were given, and nobody said of which table.
+            ConfigError: tags were given without a tag table.
         """
         camera, ego_T_camera = self._camera, self._ego_T_camera
         right_camera = self._right_camera or camera

@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.datatypes import Box, DepthImage, Detection, Frame, TagImage
-from roadperc_stream.core.rotations import rotation_from_rpy
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream import geometry as g
+from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.model import Box, DepthImage, Detection, Frame, TagImage
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 
 OTHER, PEDESTRIAN, LINE, ROAD, SIDEWALK, VEHICLE = 0, 4, 6, 7, 8, 10
 STEP_NS = 50_000_000

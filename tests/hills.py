@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.datatypes import HeightGrid, Surface
+from roadperc_stream import geometry as g
+from roadperc_stream.model import HeightGrid, Surface
 from tests.analytic import Road
 
 DEPTHS_M = np.geomspace(0.5, 150.0, 90)

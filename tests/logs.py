@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.formats import images
 from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.model import Transform
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.registry import schema

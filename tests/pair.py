@@ -5,8 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream import geometry as g
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 
 CAR_X_M, CAR_HALF_WIDTH_M, CAR_HEIGHT_M = 12.0, 1.0, 1.6
 """The car's back stands across the lane so far ahead of the ego origin."""

@@ -3,25 +3,25 @@
 from roadperc_stream import loop
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.state.checkpoint import CheckpointOptions
-from roadperc_stream.state.opening import Beginning
+from roadperc_stream.output.writing import Callbacks
+from roadperc_stream.resume.opening import ReplayOptions
 
 _TARGET = ("results_only", "on_request", "force")
-_WATCHER = ("progress", "opened")
+_OPTIONS = ("continued", "warm_up_s", "checkpoint_every_s", "resume", "threads")
+_CALLBACKS = ("on_progress", "on_start", "on_frame")
 
 
-def replay(
-    source, target, cfg, *, continued=None, warm_up_s=0.0, checkpoint_every_s=None, resume=False, threads=1, **options
-):
-    """Replay a log; what is not named here are options of the source, the target and the watcher."""
-    of_target = {name: options.pop(name) for name in _TARGET if name in options}
-    of_watcher = {name: options.pop(name) for name in _WATCHER if name in options}
+def replay(source, target, cfg, *, progress=None, **options):
+    """Replay a log; what is not named here are options of the source, the target, the replay and the callbacks."""
+    if progress is not None:
+        options["on_progress"] = progress
+    of_target, of_replay, callbacks = (
+        {name: options.pop(name) for name in names if name in options} for names in (_TARGET, _OPTIONS, _CALLBACKS)
+    )
     return loop.replay(
         ReplaySource(source, **options),
         ReplayTarget(target, **of_target),
         cfg,
-        beginning=Beginning(continued, warm_up_s),
-        checkpoints=CheckpointOptions(checkpoint_every_s, resume),
-        watcher=loop.Watcher(**of_watcher),
-        threads=threads,
+        ReplayOptions(**of_replay),
+        Callbacks(**callbacks),
     )

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from roadperc_stream.core.scene import DepthMap, Scene
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.model.scene import DepthMap, Scene
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 
 
 def scene_of(camera, ego_T_camera=None, *, depth_m=None, limit_m=np.inf, source="depth", stamp_ns=1, **inputs):

@@ -13,7 +13,7 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli import convert, render
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.geometry import inverse
+from roadperc_stream.geometry import inverse
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.tables import sidecar_path

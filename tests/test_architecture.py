@@ -1,6 +1,7 @@
 """Who may import whom, and that the generated message module is the one its definition gives."""
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -10,36 +11,45 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+from packaging.version import Version
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "roadperc_stream"
+GENERATED = PACKAGE / "schemas" / "roadperc_pb2.py"
 
-BELOW = {"errors", "core"}
-INPUT = BELOW | {"formats", "schemas", "log"}
+DATA = {"errors", "chain.kernels", "geometry", "model"}
+BELOW = DATA | {"schemas", "config", "system"}
+INPUT = BELOW | {"formats", "log"}
+FRAME = INPUT | {"input", "chain", "metrics", "output"}
+REPLAY = FRAME | {"resume", "loop"}
 MAY_IMPORT = {
     "errors": set(),
-    "core": {"errors"},
+    "chain.kernels": set(),
+    "geometry": {"errors", "chain.kernels"},
+    "model": DATA - {"model"},
+    "system": {"errors"},
+    "schemas": DATA | {"system"},
+    "config": DATA | {"schemas", "system"},
     "formats": BELOW,
-    "schemas": BELOW,
     "log": BELOW,
-    "storage": BELOW,
-    "chain": BELOW,
-    "metrics": BELOW | {"schemas", "chain"},
+    "chain": BELOW - {"schemas"},
+    "metrics": BELOW | {"chain"},
     "input": INPUT,
-    "output": INPUT,
-    "state": INPUT | {"input", "chain", "metrics", "output"},
-    "outputs": INPUT | {"input", "metrics", "output", "state"},
-    "loop": INPUT | {"input", "chain", "output", "state", "outputs"},
-    "batch": INPUT | {"input", "output", "state", "outputs", "loop", "storage"},
-    "api": INPUT | {"input", "chain", "metrics", "output", "state", "outputs", "loop"},
+    "output": INPUT | {"input"},
+    "resume": FRAME,
+    "loop": FRAME | {"resume"},
+    "api": REPLAY,
     "info": INPUT | {"input", "output"},
     "view": INPUT | {"input", "output"},
-    "cli": INPUT
-    | {"input", "chain", "metrics", "output", "state", "outputs", "loop", "batch", "storage", "info", "view"},
+    "batch": REPLAY,
+    "cli": REPLAY | {"batch", "info", "view"},
 }
 """What each folder, and each module at the root, imports at most; nothing of the package imports tools or eval."""
-MOST_ROOT_MODULES = 6
-LONGEST_CHAIN = 9
+STAGES_MAY_IMPORT = {"errors", "model", "geometry", "config", "chain.kernels", "system.time", "numpy", "scipy", "cv2"}
+MOST_ROOT_MODULES = 4
+LONGEST_CHAIN = 15
+LONGEST_IMPORT_CHAIN = 26
+"""Modules, from the loop on."""
 
 
 def sources(*folders):
@@ -48,7 +58,7 @@ def sources(*folders):
 
 @cache
 def imports(path):
-    """What a module imports, in full; of the package's own modules their names without it, such as ``core.files``."""
+    """What a module imports, in full; of the package's own modules their names without it, such as ``system.files``."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -70,8 +80,8 @@ def module_of(path):
 
 
 def part_of(module):
-    """The folder, or the module at the root, that a module of the package belongs to."""
-    return module.partition(".")[0]
+    """The room of a module: a folder or a module at the root; the kernels have a room of their own."""
+    return "chain.kernels" if module.startswith("chain.kernels") else module.partition(".")[0]
 
 
 def crossings():
@@ -85,7 +95,7 @@ def crossings():
 
 def test_every_part_has_a_rule():
     parts = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
-    assert parts - {"__init__"} == set(MAY_IMPORT)
+    assert parts - {"__init__"} | {"chain.kernels"} == set(MAY_IMPORT)
 
 
 def test_parts_import_what_stands_below_them():
@@ -101,6 +111,25 @@ def test_the_parts_have_one_order_and_no_long_chain():
     for part in TopologicalSorter(edges).static_order():  # raises CycleError
         length[part] = 1 + max((length[below] for below in edges.get(part, ())), default=0)
     assert max(length.values()) <= LONGEST_CHAIN
+
+
+def test_no_module_is_far_below_the_loop():
+    modules = [path for path in sources("roadperc_stream") if path != PACKAGE / "__init__.py"]
+    edges = {module_of(path).removesuffix(".__init__"): imported_at_head(path) for path in modules}
+    length = {}
+    for module in TopologicalSorter(edges).static_order():  # raises CycleError
+        length[module] = 1 + max((length[below] for below in edges.get(module, ())), default=0)
+    assert length["loop"] <= LONGEST_IMPORT_CHAIN
+
+
+def imported_at_head(path):
+    """The package's modules that one imports when it is imported itself; of packages those that it is not in."""
+    found = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] == PACKAGE.name:
+            found |= {node.module, *(own_or_member(node.module, alias.name) for alias in node.names)}
+    around = {PACKAGE.name, *(module_of(folder) for folder in path.parents[:-1] if PACKAGE in folder.parents)}
+    return {name.removeprefix("roadperc_stream.") for name in found} - around
 
 
 def test_the_root_holds_the_loop_and_the_public_face():
@@ -121,7 +150,8 @@ def test_a_stage_knows_only_its_own_kind(path):
         if parts[:2] == ["chain", "stages"]:
             assert parts[2] == stage, f"{path.name} imports another stage: {name}"
         else:
-            assert parts[0] in {"core", "numpy", "scipy", "cv2"} | sys.stdlib_module_names, name
+            known = {name, part_of(name)} & STAGES_MAY_IMPORT
+            assert known or parts[0] in sys.stdlib_module_names, name
 
 
 def test_only_the_log_package_imports_mcap():
@@ -136,9 +166,9 @@ def test_only_the_process_that_speaks_to_ray_imports_it():
 
 
 def test_only_the_tables_the_evaluation_and_the_stores_know_pyarrow():
-    """It reads and writes Parquet, joins the tables of a log's parts by columns, and has the clients of stores."""
+    """It reads and writes Parquet, and has the clients of stores; the benchmark of reports writes tables by columns."""
     users = {p.name for p in sources("roadperc_stream", "tools") if any(n.startswith("pyarrow") for n in imports(p))}
-    assert users == {"tables.py", "joining.py", "stores.py", "fsspec_stores.py"}
+    assert users == {"tables.py", "clients.py", "report.py"}
 
 
 def test_functions_have_at_most_eight_parameters():
@@ -151,6 +181,22 @@ def test_functions_have_at_most_eight_parameters():
                 if len(given.posonlyargs) + len(given.args) + len(given.kwonlyargs) > 8:
                     many.add((path.name, node.name))
     assert many == {("api.py", "replay")}
+
+
+def test_the_loop_is_short():
+    """Its functions, and those that write and resume, take at most six arguments, five of them by position."""
+    assert len((PACKAGE / "loop.py").read_text().splitlines()) <= 150
+    for path in (PACKAGE / "loop.py", PACKAGE / "output" / "writing.py", *sources("roadperc_stream/resume")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                assert len(node.args.args) + len(node.args.kwonlyargs) <= 6, f"{path.name}: {node.name}"
+            if isinstance(node, ast.Call):
+                assert len(node.args) <= 5, f"{path.name}, line {node.lineno}"
+
+
+def test_persistence_knows_no_stage():
+    for path in sources("roadperc_stream/resume"):
+        assert not [name for name in imports(path) if name.startswith(("chain.stages", "chain.kernels"))], path.name
 
 
 def test_chain_and_stages_never_see_the_truth():
@@ -169,18 +215,20 @@ def test_the_generated_messages_are_those_of_the_definition(tmp_path):
     proto = "roadperc_stream/schemas/roadperc.proto"
     command = [sys.executable, "-m", "grpc_tools.protoc", f"--proto_path={ROOT}", f"--python_out={tmp_path}", proto]
     subprocess.run(command, cwd=ROOT, check=True, timeout=60)
-    generated = (tmp_path / proto).with_name("roadperc_pb2.py").read_text()
-    assert descriptor(generated) == descriptor((ROOT / proto).with_name("roadperc_pb2.py").read_text())
+    assert (tmp_path / proto).with_name(GENERATED.name).read_text() == GENERATED.read_text()
 
 
-def descriptor(module):
-    """The serialised definition: the rest of the file names the generator's version."""
-    return next(line for line in module.splitlines() if "AddSerializedFile" in line)
+def test_the_generated_messages_load_with_the_lowest_declared_protobuf():
+    """Generated code refuses a protobuf older than its generator."""
+    (lowest,) = re.findall(r'"protobuf>=([\d.]+)', (ROOT / "pyproject.toml").read_text())
+    (generator,) = re.findall(r"Protobuf Python Version: ([\d.]+)", GENERATED.read_text())
+    assert Version(generator) <= Version(lowest)
 
 
 def test_every_package_of_the_code_is_installed():
-    """An editable installation finds also what the list lacks; a wheel does not."""
+    """An editable installation also finds packages that the list lacks. Only the benchmark stays out of a wheel."""
     installed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
     folders = {path.parent.relative_to(ROOT) for path in sources("roadperc_stream", "eval", "tools")}
+    folders.remove(Path("tools/bench"))
     inside = {folder if folder.parts[0] == PACKAGE.name else PACKAGE.name / folder for folder in folders}
     assert sorted(installed) == sorted(".".join(folder.parts) for folder in inside)

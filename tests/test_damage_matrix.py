@@ -13,7 +13,7 @@ from roadperc_stream import log
 from roadperc_stream.api import replay
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.view import main as view_main
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.log import Recovery

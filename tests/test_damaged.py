@@ -11,18 +11,18 @@ from roadperc_stream.api import frames
 from roadperc_stream.cli.info import main as info_main
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.view import main as view_main
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import ChannelError, LogError
-from roadperc_stream.input.damage import LossTimes
+from roadperc_stream.input.source import LossTimes
 from roadperc_stream.log import Channel, LostSpan, Message
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.state.attached import state_at_end
+from roadperc_stream.resume.state import state_at_end
+from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.log.flips import flipped
 from tests.replaying import replay
-from tests.state.parts import cut, inputs, write
+from tests.resume.parts import cut, inputs, write
 from tests.test_sample import SAMPLE
 
 OFF = ("odometry", "lanes", "objects", "occupancy")

@@ -7,9 +7,9 @@ from mcap.reader import make_reader
 from roadperc_stream import log
 from roadperc_stream.api import replay
 from roadperc_stream.cli.info import main as info_main
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.log import Channel, LogWriter, Message, Recovery
-from roadperc_stream.log.integrity import data_end_of
+from roadperc_stream.log.index import data_end_of
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
 from tests.analytic import STEP_NS, Road

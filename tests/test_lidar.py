@@ -7,14 +7,14 @@ import numpy as np
 import polars as pl
 import pytest
 
+from roadperc_stream import geometry as g
 from roadperc_stream import log
 from roadperc_stream.chain.step import ChainState, step
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import ReplayConfig, load_config
-from roadperc_stream.core.datatypes import Absent, DepthImage, PointCloud, Reason, StereoDepth, Transform
-from roadperc_stream.core.registration import depth_of_points
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry.registration import depth_of_points
+from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.model import Absent, DepthImage, PointCloud, Reason, StereoDepth, Transform
 from roadperc_stream.output.encoding import encode_points, encode_transforms
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs

@@ -160,20 +160,6 @@ def test_a_log_that_is_not_whole_names_the_command_that_says_more(tmp_path, kind
     assert "roadperc-info" not in str(caught.value)
 
 
-@settings(max_examples=60)
-@given(st.data())
-def test_any_flipped_byte_is_read_or_refused_never_a_crash(tmp_path_factory, data):
-    tmp_path = tmp_path_factory.mktemp("flip")
-    whole = write(tmp_path / "a.mcap", [message(data=bytes(range(50)), time=t) for t in range(20)]).read_bytes()
-    at = data.draw(st.integers(0, len(whole) - 1))
-    (tmp_path / "b.mcap").write_bytes(whole[:at] + bytes([whole[at] ^ 0x55]) + whole[at + 1 :])
-    try:
-        log.summarise(tmp_path / "b.mcap")
-        list(log.read(log.summarise(tmp_path / "b.mcap")))
-    except LogError as error:
-        assert "b.mcap" in str(error)  # noqa: PT017 - either outcome is right, a crash is not
-
-
 def raw(path, messages=40, **options):
     """A log written with other settings than this project's."""
     with path.open("wb") as stream:
@@ -218,15 +204,6 @@ def test_any_byte_changed_in_the_data_is_found(tmp_path, options):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
         with pytest.raises(LogError, match="damaged"):
             read_whole(path)
-
-
-def test_a_chunk_is_checked_where_no_crc_covers_the_file(tmp_path):
-    path = raw(tmp_path / "a.mcap", index_types=IndexType.NONE, compression=CompressionType.NONE)
-    whole = path.read_bytes()
-    at = whole.index(bytes([7]) * 50)
-    path.write_bytes(whole[:at] + b"\0" + whole[at + 1 :])
-    with pytest.raises(LogError, match="damaged"):
-        read_whole(path)
 
 
 def test_a_changed_summary_is_found(tmp_path):

@@ -12,12 +12,12 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.topics import RESULTS
+from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.replaying import replay

@@ -10,8 +10,8 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli import convert, render
-from roadperc_stream.core.datatypes import CameraImage, DepthImage, TagImage
 from roadperc_stream.input.decoding import context_of_channel, decode
+from roadperc_stream.model import CameraImage, DepthImage, TagImage
 from roadperc_stream.schemas.roles import ROLES
 
 ROOT = Path(__file__).parents[1]

@@ -8,15 +8,15 @@ import polars as pl
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
+from roadperc_stream import geometry as g
 from roadperc_stream import log
 from roadperc_stream.cli.sweep import main as sweep
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.config import load_config
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.metrics.surface import intersection_over_union
+from roadperc_stream.model import Transform
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.roadperc_pb2 import Surface

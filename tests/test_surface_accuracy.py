@@ -7,12 +7,12 @@ import pytest
 
 from roadperc_stream.chain.stages.surface.road import drivable_mask, fit_surface
 from roadperc_stream.cli import convert, render
-from roadperc_stream.core.config import ReplayConfig, load_config
-from roadperc_stream.core.datatypes import Absent
-from roadperc_stream.core.ground import height_at
-from roadperc_stream.core.scene import DepthMap, Scene
+from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.geometry.ground import height_at
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.metrics.surface import surface_height_error_m
+from roadperc_stream.model import Absent
+from roadperc_stream.model.scene import DepthMap, Scene
 
 HILL = ("--scene", "hill", "--depth-noise", "0.01")
 MODELS = {model: load_config(None, (f"surface.model={model}",)).surface for model in ("plane", "spline")}

@@ -14,16 +14,17 @@ import polars as pl
 import pytest
 
 import roadperc_stream as rp
-from roadperc_stream import loop, outputs
+from roadperc_stream import loop
 from roadperc_stream.chain import pixels
 from roadperc_stream.cli.replay import main
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.pipeline import Pipeline
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import ConfigError, LogError, TargetError
 from roadperc_stream.log import LogWriter
+from roadperc_stream.output import writing
 from roadperc_stream.output.encoding import encode_image
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.system.pipeline import Pipeline
 from tests import logs
 from tests.analytic import STEP_NS, Road
 from tests.replaying import replay
@@ -33,7 +34,7 @@ FEW_STAGES = ("stereo.method=off", "odometry.enabled=false", "lanes.enabled=fals
 LIGHT = load_config(None, ("sync.max_wait_s=0.1", *FEW_STAGES))
 TINY = Road(width=160, height=120)
 THREADS = (2, 3, 5)
-CHAIN = ("see", "run_locating", "run_perceiving")
+CHAIN = ("observe", "localise", "perceive")
 FRAMES = 5
 
 
@@ -83,7 +84,7 @@ def jittered(monkeypatch, seed):
 
     for step in CHAIN:
         monkeypatch.setattr(loop, step, slow(getattr(loop, step)))
-    monkeypatch.setattr(outputs, "frame_metrics", slow(outputs.frame_metrics))
+    monkeypatch.setattr(loop, "frame_metrics", slow(loop.frame_metrics))
 
 
 def tables(target):
@@ -169,7 +170,7 @@ def test_an_error_in_any_step_ends_the_replay_and_leaves_nothing(tmp_path, monke
         return called
 
     if step == "write":
-        monkeypatch.setattr(outputs.Outputs, "write", failing(outputs.Outputs.write))
+        monkeypatch.setattr(writing.Outputs, "write", failing(writing.Outputs.write))
     else:
         monkeypatch.setattr(loop, step, failing(getattr(loop, step)))
     with pytest.raises(MemoryError, match=step):
@@ -227,10 +228,10 @@ def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
 
     monkeypatch.setattr(loop, "perf_counter", lambda: now_s[0])
     monkeypatch.setattr(pixels, "tags_of", taking(3, pixels.tags_of))
-    monkeypatch.setattr(outputs, "frame_metrics", taking(5, outputs.frame_metrics))
-    monkeypatch.setattr(outputs.MessageCopy, "through", taking(7, outputs.MessageCopy.through))
-    monkeypatch.setattr(outputs.ResultWriter, "messages", taking(11, outputs.ResultWriter.messages))
-    monkeypatch.setattr(outputs.ResultWriter, "write", taking(13, outputs.ResultWriter.write))
+    monkeypatch.setattr(loop, "frame_metrics", taking(5, loop.frame_metrics))
+    monkeypatch.setattr(writing.MessageCopy, "through", taking(7, writing.MessageCopy.through))
+    monkeypatch.setattr(writing.Outputs, "_messages", taking(11, writing.Outputs._messages))
+    monkeypatch.setattr(writing.Outputs, "_write_messages", taking(13, writing.Outputs._write_messages))
     target = tmp_path / "out.mcap"
     replay(logs.write(tmp_path / "in.mcap", drive()), target, LIGHT)
 

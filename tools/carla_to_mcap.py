@@ -12,13 +12,13 @@ from typing import Final
 from rich.progress import Progress
 
 from roadperc_stream import __version__
-from roadperc_stream.core.files import require_free
-from roadperc_stream.core.process import optional_output
-from roadperc_stream.core.text import print_line
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogWriter, Message, Metadata
 from roadperc_stream.output.terminal import PipeConsole, print_lines
 from roadperc_stream.schemas.record import CONVERSION_RECORD, PIXEL_ORIGIN_KEY
+from roadperc_stream.system.files import require_free
+from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.text import print_line
 
 from .carla_dump.messages import channels, messages
 from .carla_dump.plan import ConvertOptions, Plan, make_plan

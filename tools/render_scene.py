@@ -4,8 +4,8 @@ import time
 from itertools import count
 from pathlib import Path
 
-from roadperc_stream.core.text import print_line
 from roadperc_stream.output.terminal import frame_progress
+from roadperc_stream.system.text import print_line
 
 from .scene.job import render_dump
 from .scene.options import RenderOptions

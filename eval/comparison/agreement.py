@@ -1,4 +1,4 @@
-"""How far the fields of two runs agree, frame by frame."""
+"""How far the fields of two runs agree, frame by frame: first the columns of their tables."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -6,10 +6,25 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Final, Literal
 
+import polars as pl
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.record import LOG_ID_KEY
+
+from ..options import Rules
+from ..runs import collect
+from ..scan import rows_of
+from .pairing import KEY, STAMP, LoggedRun, RunPair, numbered
+
 Value = float | int | str | bool | None
 State = Literal["identical", "within tolerance", "differs"]
 ABSENT: Final = math.inf
 """Distance of a value from none, or from a value of another kind or text."""
+NOT_COMPARED = (STAMP, "config", *TIME_COLUMNS)
+"""What pairs frames, names what made the tables, or is no two runs' the same."""
+_CANDIDATE = " of the candidate"
+_PLAIN: Final = (pl.String, pl.Boolean, pl.Null)
 
 
 @dataclass(frozen=True)
@@ -22,6 +37,11 @@ class Difference:
     place: str
     reference: Value
     candidate: Value
+
+    @property
+    def at(self) -> tuple[str, int, int]:
+        """The frame it is in, in the order of time."""
+        return self.run, self.stamp_ns, self.frame
 
 
 @dataclass(frozen=True)
@@ -81,3 +101,100 @@ def together(parts: Iterable[Agreements]) -> dict[str, Agreement]:
     return {
         name: reduce(Agreement.and_then, (part[name] for part in listed if name in part), Agreement()) for name in names
     }
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """How many frames two tables share, and how many only one of them has."""
+
+    common: int
+    only_reference: int
+    only_candidate: int
+
+
+def overlap(pair: RunPair) -> Overlap:
+    """The frames of both tables, paired by their stamps.
+
+    Raises:
+        TableError: they share none, or a table's data cannot be read.
+    """
+    ours, theirs = (_whole(item, pair.by_segment).select(KEY) for item in (pair.reference, pair.candidate))
+    common = ours.join(theirs, on=KEY).height
+    if not common:
+        found, expected = (f"{side[STAMP].item(0)} to {side[STAMP].item(-1)}" for side in (theirs, ours))
+        raise TableError(
+            f"{pair.candidate.run.path}: shares no stamp with {pair.reference.run.path}: "
+            f"{found}, expected some of {expected}"
+        )
+    return Overlap(common, ours.height - common, theirs.height - common)
+
+
+def table_agreements(pair: RunPair, rules: Rules) -> dict[str, Agreement]:
+    """How each column agrees over the frames both tables have.
+
+    The times, which no two runs share, are left out, and ``log_id`` where two algorithms made it.
+    """
+    ours, theirs = (_whole(item, pair.by_segment) for item in (pair.reference, pair.candidate))
+    theirs = theirs.rename({name: name + _CANDIDATE for name in theirs.columns if name not in KEY})
+    joined = ours.join(theirs, on=KEY).sort(KEY)
+    left_out = NOT_COMPARED if pair.by_one_digest else (*NOT_COMPARED, LOG_ID_KEY)
+    listed = pl.scan_parquet(pair.reference.run.path, glob=False).collect_schema().names()
+    columns = [*listed, *sorted(pair.columns.difference(listed))]
+    compared = [name for name in columns if name not in left_out and not rules.ignores(name)]
+    return {name: _column(joined, name, pair.name, rules.tolerance(name)) for name in compared}
+
+
+def _whole(item: LoggedRun, by_segment: bool) -> pl.DataFrame:
+    return collect(numbered(rows_of(item.run), item, by_segment), item.run.source_name)
+
+
+def _column(joined: pl.DataFrame, name: str, run: str, tolerance: float) -> Agreement:
+    ours, theirs = _comparable(_side(joined, name), _side(joined, name + _CANDIDATE))
+    apart = _distances(ours, theirs)
+    beyond = apart > tolerance
+    first = beyond.arg_max() if beyond.any() else None
+    finite = apart.filter(apart.is_finite())
+    return Agreement(
+        within=int(((apart > 0) & ~beyond).sum()),
+        differing=int(beyond.sum()),
+        largest=float(finite.max() or 0.0),  # type: ignore[arg-type]
+        first=None
+        if first is None
+        else Difference(run, joined["frame"][first], joined[STAMP][first], name, ours[first], theirs[first]),
+    )
+
+
+def _side(joined: pl.DataFrame, name: str) -> pl.Series:
+    if name not in joined.columns:
+        return pl.Series(name, [None] * joined.height, pl.Float64)
+    column = joined[name]
+    if column.dtype in (pl.List(pl.String), pl.List(pl.Null)):
+        return column.cast(pl.List(pl.String)).list.join("; ")
+    if column.dtype.is_numeric() or column.dtype in _PLAIN:
+        return column
+    # of a type that no replay writes, such as a duration or a struct: not all of them can be cast
+    return pl.Series(name, [None if value is None else str(value) for value in column.to_list()], pl.String)
+
+
+def _comparable(ours: pl.Series, theirs: pl.Series) -> tuple[pl.Series, pl.Series]:
+    """Two columns of one type: numbers where both are, else text; a column of nulls takes the other's."""
+    numeric = all(side.dtype.is_numeric() or side.null_count() == side.len() for side in (ours, theirs))
+    kind = pl.Float64 if numeric else pl.String
+    return ours.cast(kind), theirs.cast(kind)
+
+
+def _distances(ours: pl.Series, theirs: pl.Series) -> pl.Series:
+    """``agreement.distance`` of every row."""
+    equal = ours.eq_missing(theirs)
+    if ours.dtype == pl.String:
+        return pl.select(pl.when(equal).then(0.0).otherwise(ABSENT)).to_series()
+    apart = (ours - theirs).abs().fill_nan(ABSENT).fill_null(ABSENT)
+    return pl.select(pl.when(equal).then(0.0).otherwise(apart)).to_series()
+
+
+def same_but_for_times(pair: RunPair) -> bool:
+    """Whether two tables hold the same frames with the same results, however long they took."""
+    ours, theirs = (
+        _whole(item, by_segment=False).drop(TIME_COLUMNS, strict=False) for item in (pair.reference, pair.candidate)
+    )
+    return ours.equals(theirs)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.geometry import Float
 
 LEVEL: Final = 0.99
 MANY_LOGS: Final = 8

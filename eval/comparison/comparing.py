@@ -1,17 +1,193 @@
-"""The whole comparison of a candidate with a reference."""
+"""The whole comparison of a candidate with a reference: the verdict on every metric, and where fields differ."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+import polars as pl
+
+from roadperc_stream.geometry import Float
+from roadperc_stream.schemas.columns import FrameMetrics, columns_of
 
 from ..configurations import Change, change
-from .agreement import Agreement, together
+from ..options import Rules
+from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
+from ..runs import collect
+from ..scan import scan
+from .agreement import NOT_COMPARED, Agreement, Overlap, overlap, table_agreements, together
+from .bootstrap import Interval, mean_interval
 from .messages import message_agreements
-from .metrics import FRAMES, METRICS
-from .pairing import Pairing
-from .rules import Rules
-from .tables import NOT_COMPARED, Overlap, overlap, table_agreements
-from .verdicts import Mark, Verdict, verdicts
+from .pairing import KEY, LoggedRun, Pairing, RunPair, numbered
+
+Mark = Literal["worse", "unchanged", "better"]
+_CANDIDATE: Final = " of the candidate"
+ROUNDING: Final = 1e-9
+"""Share of a metric's size below which a difference is another processor's rounding."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number per frame, float64, null where unknown.
+
+    ``name`` is what ``--allow`` and ``--ignore`` match; ``share`` says that the values are 1 and 0; ``timed`` that it
+    is a time, which depends on the machine and is judged on request only.
+    """
+
+    name: str
+    value: pl.Expr
+    higher_is_better: bool = False
+    share: bool = False
+    timed: bool = False
+
+
+def _of_quantity(quantity: Quantity, *, timed: bool = False) -> Metric:
+    """The absolute value of an error; the value itself of what is better high."""
+    column = pl.col(quantity.column)
+    high = quantity.worse == "low"
+    return Metric(quantity.column, column if high else column.abs(), high, timed=timed)
+
+
+def _share(name: str, holds: pl.Expr) -> Metric:
+    return Metric(name, holds.cast(pl.Float64), higher_is_better=True, share=True)
+
+
+_BEST_STATES: Final = {
+    "surface_source": "depth",
+    **{f"lane_{side}_status": "measured" for side in SIDES},
+    "odometry_status": "tracked",
+}
+_COVERING: Final = (
+    "surface_source",
+    *(q.column for q in (*SEEN, *OFFSETS, *TRUTH) if columns_of(FrameMetrics)[q.column].compares_coverage),
+)
+METRICS: Final = (
+    *map(_of_quantity, TRUTH),
+    *(replace(_of_quantity(q), name=q.column.replace("second_difference", "jitter")) for q in JITTERS),
+    *(_share(f"{name}.{best}", (pl.col(name) == best).fill_null(value=False)) for name, best in _BEST_STATES.items()),
+    *(_share(f"{name}.coverage", pl.col(name).is_not_null()) for name in _COVERING),
+    *(_of_quantity(quantity, timed=True) for quantity in STAGE_TIMES),
+)
+"""What two runs are judged by.
+
+Errors against truth and the jitter of the lane boundaries are judged over the frames in which both runs have them;
+states and coverage over all frames both runs have, as 1 or 0. What the chain says without truth to compare it with
+(camera height, lane width, inliers) has no better side and is left to the comparison of fields.
+"""
+FRAMES: Final = _share("frames.coverage", pl.lit(value=True))
+"""The reference's frames that the candidate has."""
+
+
+@dataclass
+class Paired:
+    """A metric's values of the frames that both runs have, log by log.
+
+    ``differences`` are candidate minus reference, (N,) float64 of each log, of which only logs with values are kept.
+    """
+
+    frames: int = 0
+    reference_sum: float = 0.0
+    candidate_sum: float = 0.0
+    differences: list[Float] = field(default_factory=list)
+
+    def add(self, reference: Float, candidate: Float) -> None:
+        """Take the values of one more log, (N,) each."""
+        if reference.size:
+            self.frames += reference.size
+            self.reference_sum += float(reference.sum())
+            self.candidate_sum += float(candidate.sum())
+            self.differences.append(candidate - reference)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A metric of both runs: means over the ``frames`` both have, their difference with its interval, and the mark.
+
+    ``judged`` is false for times that no allowance names.
+    """
+
+    metric: Metric
+    frames: int
+    reference: float
+    candidate: float
+    interval: Interval
+    mark: Mark
+    judged: bool
+
+    @property
+    def difference(self) -> float:
+        """Candidate minus reference."""
+        return self.candidate - self.reference
+
+
+def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules) -> tuple[Verdict, ...]:
+    """A verdict on each metric that any pair has values of, in the metrics' order.
+
+    Raises:
+        TableError: a table's data cannot be read.
+    """
+    paired = {metric.name: Paired() for metric in METRICS}
+    for pair in pairs:
+        ours, theirs = (_measured(item, pair.by_segment) for item in (pair.reference, pair.candidate))
+        joined = ours.join(theirs, on=KEY, suffix=_CANDIDATE).sort(KEY)
+        for name, values in paired.items():
+            known = joined.select(name, name + _CANDIDATE).drop_nulls()
+            values.add(known[name].to_numpy(), known[name + _CANDIDATE].to_numpy())
+    kept = Paired()
+    for found in overlaps:
+        had = np.ones(found.common + found.only_reference)
+        kept.add(had, np.where(np.arange(had.size) < found.common, 1.0, 0.0))
+    judged = ((FRAMES, kept), *((metric, paired[metric.name]) for metric in METRICS))
+    return tuple(judge(metric, values, rules) for metric, values in judged if _judgeable(metric, values, rules))
+
+
+def _measured(item: LoggedRun, by_segment: bool) -> pl.DataFrame:
+    values = [metric.value.cast(pl.Float64).alias(metric.name) for metric in METRICS]
+    rows = numbered(scan(item.run), item, by_segment)
+    return collect(rows.select(*KEY, *values), item.run.source_name)
+
+
+def _judgeable(metric: Metric, values: Paired, rules: Rules) -> bool:
+    """Whether there is anything to judge: a share that is 0 in both runs belongs to what neither has."""
+    if rules.ignores(metric.name) or not values.frames:
+        return False
+    return not metric.share or values.reference_sum > 0 or values.candidate_sum > 0
+
+
+def judge(metric: Metric, values: Paired, rules: Rules) -> Verdict:
+    """The verdict on a metric with values."""
+    reference, candidate = values.reference_sum / values.frames, values.candidate_sum / values.frames
+    interval = _interval(metric, values)
+    allowed = max(rules.allowance(metric.name, reference), ROUNDING * max(abs(reference), abs(candidate)))
+    judged = not metric.timed or rules.names(metric.name)
+    return Verdict(
+        metric, values.frames, reference, candidate, interval, _mark(metric, values, interval, allowed), judged
+    )
+
+
+def _interval(metric: Metric, values: Paired) -> Interval:
+    """The interval of the mean difference; of a share it ends at 0 where no frame was gained, or none lost.
+
+    A frame that lost its value is a fact: a single burst of them is worse, though it says little of other drives.
+    """
+    interval = mean_interval(values.differences)
+    if not metric.share:
+        return interval
+    least = min(float(part.min()) for part in values.differences)
+    most = max(float(part.max()) for part in values.differences)
+    return Interval(max(interval.low, least), min(interval.high, most))
+
+
+def _mark(metric: Metric, values: Paired, interval: Interval, allowed: float) -> Mark:
+    sign = 1 if metric.higher_is_better else -1
+    gain = sign * (values.candidate_sum - values.reference_sum) / values.frames
+    low, high = sorted((sign * interval.low, sign * interval.high))
+    if abs(gain) <= allowed:
+        return "unchanged"
+    if high < 0 or (metric.share and high == 0):
+        return "worse"
+    return "better" if low > 0 or (metric.share and low == 0) else "unchanged"
 
 
 @dataclass(frozen=True)
@@ -76,7 +252,8 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
         RoadpercError: a file cannot be read, a pair shares no stamp, or a rule names nothing there is.
     """
     if logs is None:  # the fields of messages are known where they differ, no sooner
-        rules.require_use({*_columns(pairing), *(metric.name for metric in METRICS), FRAMES.name})
+        columns = set[str]().union(*(pair.columns for pair in pairing.pairs)).difference(NOT_COMPARED)
+        rules.require_use({*columns, *(metric.name for metric in METRICS), FRAMES.name})
     overlaps = tuple(overlap(pair) for pair in pairing.pairs)
     return Comparison(
         pairing,
@@ -86,8 +263,3 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
         message_agreements(*logs, pairing.pairs[0].name, rules) if logs else {},
         verdicts(pairing.pairs, overlaps, rules),
     )
-
-
-def _columns(pairing: Pairing) -> set[str]:
-    sides = [side for pair in pairing.pairs for side in (pair.reference, pair.candidate)]
-    return set().union(*(side.run.columns for side in sides)) - {*NOT_COMPARED}

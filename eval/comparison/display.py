@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from itertools import groupby
+from typing import get_args
 
 from rich.console import Console
 
@@ -13,14 +14,14 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from ..configurations import UNKNOWN, Change, short_digest
 from .agreement import Agreement, Agreements, Value
 from .bootstrap import LEVEL, MANY_LOGS
-from .comparing import Comparison
-from .pairing import LoggedRun, RunPair
-from .verdicts import Mark, Verdict
+from .comparing import Comparison, Mark, Verdict
+from .pairing import LoggedRun
 
 TEXT_SHOWN = 48
 """Characters of a text value that are shown."""
 FIELDS_SHOWN = 10
 """Fields that differ, unless all are asked for."""
+_BOUNDS = f"{LEVEL:.0%} from", "to"
 
 
 def print_comparison(console: Console, found: Comparison, *, all_fields: bool) -> None:
@@ -36,7 +37,10 @@ def _heading(found: Comparison) -> Iterator[str]:
     if len(pairs) == 1:
         yield _identity("reference", pairs[0].reference)
         yield _identity("candidate", pairs[0].candidate)
-    yield from (_by_two_digests(pair) for pair in pairs if not pair.by_one_digest)
+    for pair in (pair for pair in pairs if not pair.by_one_digest):
+        ours, theirs = pair.reference.run.digest_algorithm, pair.candidate.run.digest_algorithm
+        said = "which cannot say whether they are the same"
+        yield f"{pair.name}: one log is named by {ours}, the other by {theirs}, {said}"
     yield from _settings(found)
     yield f"{found.frames} frames compared" + (f" in {len(pairs)} pairs of runs" if len(pairs) > 1 else "")
     for pair, part in zip(pairs, found.overlaps, strict=True):
@@ -45,11 +49,6 @@ def _heading(found: Comparison) -> Iterator[str]:
             yield f"{pair.name}: {only}"
     yield from (f"only in the reference: {item.relative} (log {item.log_id})" for item in found.pairing.missing)
     yield from (f"only in the candidate: {item.relative} (log {item.log_id})" for item in found.pairing.added)
-
-
-def _by_two_digests(pair: RunPair) -> str:
-    ours, theirs = pair.reference.run.digest_algorithm, pair.candidate.run.digest_algorithm
-    return f"{pair.name}: one log is named by {ours}, the other by {theirs}, which cannot say whether they are the same"
 
 
 def _settings(found: Comparison) -> Iterator[str]:
@@ -82,34 +81,23 @@ def _identity(side: str, item: LoggedRun) -> str:
 
 def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:
     """Fields that are not identical with their first difference, under the frame where that is, the earliest first."""
-    differing = sorted((agreement for agreement in found.fields.values() if agreement.first), key=_place)
+    first = [(difference, agreement) for agreement in found.fields.values() if (difference := agreement.first)]
+    differing = sorted(first, key=lambda item: item[0].at)
     shown = differing if all_fields else differing[:FIELDS_SHOWN]
     are_several = len(found.pairing.pairs) > 1
     if are_several and shown:
         yield from ("", "where fields differ first, and in how many frames of all pairs")
-    for place, group in groupby(shown, key=_place):
-        run, stamp_ns, frame = place
+    for (run, stamp_ns, frame), group in groupby(shown, key=lambda item: item[0].at):
         several = f"{run}: " if are_several else ""
         yield from ("", f"{several}frame {frame}, stamp {stamp_ns}")
-        yield from (f"  {_difference(agreement)}" for agreement in group)
+        for difference, agreement in group:
+            values = " → ".join(_apart(difference.reference, difference.candidate))
+            yield f"  {difference.place}: {values}, {_largest(agreement)}"
     if len(shown) < len(differing):
         yield from ("", f"{len(differing) - len(shown)} more fields differ: --exact lists all")
     within = [f"{n} ({_largest(a)})" for n, a in found.fields.items() if a.state == "within tolerance"]
     if within:
         yield from ("", f"within tolerance: {', '.join(within)}")
-
-
-def _place(agreement: Agreement) -> tuple[str, int, int]:
-    first = agreement.first
-    return (first.run, first.stamp_ns, first.frame) if first else ("", 0, 0)
-
-
-def _difference(agreement: Agreement) -> str:
-    first = agreement.first
-    if first is None:
-        return ""
-    values = " → ".join(_apart(first.reference, first.candidate))
-    return f"{first.place}: {values}, {_largest(agreement)}"
 
 
 def _largest(agreement: Agreement) -> str:
@@ -135,20 +123,12 @@ def _text(value: Value, digits: int) -> str:
 
 def _metrics(found: Comparison) -> TextTable:
     """The metrics that changed, by their mark: means of both runs, and the interval of the difference."""
-    headers = ("frames", "reference", "candidate", *_bounds())
-    rows = (line for mark in ("worse", "unchanged", "better") for line in _marked(found, mark))
-    return TextTable("Metric", headers, tuple(rows))
-
-
-def _marked(found: Comparison, mark: Mark) -> Iterator[TextRow]:
-    changed = [verdict for verdict in found.named(mark) if verdict.difference]
-    if changed:
-        yield row(mark)
-    yield from (row(f"  {verdict.metric.name}", *_compared(verdict)) for verdict in changed)
-
-
-def _bounds() -> tuple[str, str]:
-    return f"{LEVEL:.0%} from", "to"
+    rows: list[TextRow] = []
+    for mark in get_args(Mark):
+        changed = [verdict for verdict in found.named(mark) if verdict.difference]
+        rows += [row(mark)] if changed else []
+        rows += [row(f"  {verdict.metric.name}", *_compared(verdict)) for verdict in changed]
+    return TextTable("Metric", ("frames", "reference", "candidate", *_BOUNDS), tuple(rows))
 
 
 def _compared(verdict: Verdict) -> list[str]:
@@ -159,7 +139,7 @@ def _compared(verdict: Verdict) -> list[str]:
 def _times(found: Comparison) -> TextTable:
     """Means of the times, and the candidate's as a multiple of the reference's."""
     timed = [verdict for verdict in found.verdicts if verdict.metric.timed and verdict.reference > 0]
-    headers = ("reference ms", "candidate ms", "times", *_bounds())
+    headers = ("reference ms", "candidate ms", "times", *_BOUNDS)
     return TextTable("Latency", headers, tuple(row(verdict.metric.name, *_timed(verdict)) for verdict in timed))
 
 
@@ -178,8 +158,10 @@ def _verdict(found: Comparison) -> Iterator[str]:
     yield f"metrics: {len(judged)} judged, {len(same)} of them the same in every mean"
     changed = len(judged) - len(same)
     if changed:
+        many = len(found.pairing.pairs) >= MANY_LOGS
+        blocks = "whole logs as blocks" if many else "blocks of neighbouring frames"
         yield (
-            f"intervals: {LEVEL:.0%} each, from {_blocks(found)}; "
+            f"intervals: {LEVEL:.0%} each, from {blocks}; "
             f"chance alone marks about {changed * (1 - LEVEL):.2g} of {changed} metrics"
         )
     for mark in ("better", "worse"):
@@ -190,10 +172,6 @@ def _verdict(found: Comparison) -> Iterator[str]:
 def _states(agreements: Agreements) -> str:
     counts = Counter(agreement.state for agreement in agreements.values())
     return f"{counts['identical']} identical, {counts['within tolerance']} within tolerance, {counts['differs']} differ"
-
-
-def _blocks(found: Comparison) -> str:
-    return "whole logs as blocks" if len(found.pairing.pairs) >= MANY_LOGS else "blocks of neighbouring frames"
 
 
 def _sentence(verdict: Verdict) -> str:

@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
 from google.protobuf.message import Message as ProtobufMessage
-from numpy.typing import NDArray
 
 from roadperc_stream import log
 from roadperc_stream.errors import DecodeError, LogError
@@ -19,12 +18,11 @@ from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.log import Message
 from roadperc_stream.schemas import ros2
-from roadperc_stream.schemas.names import IMAGE_SCHEMA
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
-from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULT_PREFIX
+from roadperc_stream.schemas.topics import IMAGE_SCHEMA, METRICS_TOPIC, RESULT_PREFIX
 
+from ..options import Rules
 from .agreement import Agreement, Difference, Value, distance
-from .rules import Rules
 
 _MESSAGE: Final = "message"
 """Stands for the whole message where only one log has it."""
@@ -132,17 +130,17 @@ def _decoded(message: Message) -> Fields:
     schema, data = message.channel.schema_name, message.data
     if schema == ros2.IMAGE:
         image = unpack_image(data)
-        return {"stamp_ns": image.stamp_ns, "frame_id": image.frame_id, "pixels": _digest(image.pixels)}
+        return {"stamp_ns": image.stamp_ns, "frame_id": image.frame_id, "pixels": _digest(image.pixels.tobytes())}
     if schema == ros2.OCCUPANCY_GRID:
         stamp_ns, frame_id = ros2.unpack_header(data, schema)
-        return {"stamp_ns": stamp_ns, "frame_id": frame_id, "grid": hashlib.sha256(data).hexdigest()[:12]}
+        return {"stamp_ns": stamp_ns, "frame_id": frame_id, "grid": _digest(data)}
     if schema not in MESSAGE_TYPES:
-        return {"data": hashlib.sha256(data).hexdigest()[:12]}
+        return {"data": _digest(data)}
     decoded: Any = MESSAGE_TYPES[schema].FromString(data)
     fields = dict(_flat(decoded, ""))
     if schema == IMAGE_SCHEMA:
         pixels = images.decode_bgr if decoded.format == "jpeg" else images.decode_indices
-        fields["data"] = _digest(pixels(decoded.data))
+        fields["data"] = _digest(pixels(decoded.data).tobytes())
     return fields
 
 
@@ -167,7 +165,7 @@ def _item(field: Any, value: Any, place: str) -> Iterator[tuple[str, Value]]:
         known = field.enum_type.values_by_number.get(value)
         yield place, known.name if known else value
     else:
-        yield place, hashlib.sha256(value).hexdigest()[:12] if isinstance(value, bytes) else value
+        yield place, _digest(value) if isinstance(value, bytes) else value
 
 
 def without_indices(place: str) -> str:
@@ -175,5 +173,5 @@ def without_indices(place: str) -> str:
     return "".join(part.partition("]")[2] if index else part for index, part in enumerate(place.split("[")))
 
 
-def _digest(pixels: NDArray[Any]) -> str:
-    return hashlib.sha256(pixels.tobytes()).hexdigest()[:12]
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:12]

@@ -8,14 +8,12 @@ from typing import Final
 
 import polars as pl
 
-from roadperc_stream.core.files import METRICS_SUFFIX
 from roadperc_stream.errors import TableError
+from roadperc_stream.system.files import METRICS_SUFFIX
 
-from ..collecting import collect
 from ..drives import find_drives
-from ..runs import Run
-from ..scan import rows_of
-from ..segments import segment
+from ..runs import Run, collect
+from ..scan import rows_of, segment
 
 STAMP: Final = "stamp_ns"
 NTH: Final = "nth of stamp"
@@ -47,6 +45,11 @@ class RunPair:
     def name(self) -> str:
         """What to call the two."""
         return self.reference.relative
+
+    @property
+    def columns(self) -> frozenset[str]:
+        """Those of either table."""
+        return self.reference.run.columns | self.candidate.run.columns
 
     @property
     def by_one_digest(self) -> bool:
@@ -95,8 +98,11 @@ def pair_runs(reference: Sequence[LoggedRun], candidate: Sequence[LoggedRun], ot
     if len(reference) == len(candidate) == 1:
         partners = {reference[0].relative: candidate[0]}
     else:
-        partners = _by_log(reference, candidate) or {}
-        partners |= _by_name(reference, candidate, partners)
+        ours, theirs = _only_of_their_log(reference), _only_of_their_log(candidate)
+        partners = {ours[log_id].relative: theirs[log_id] for log_id in ours if log_id in theirs}
+        paired = {item.relative for item in partners.values()}
+        by_name = {item.relative: item for item in candidate if item.relative not in paired}
+        partners = {name: by_name[name] for item in reference if (name := item.relative) in by_name} | partners
     pairs = tuple(RunPair(item, partners[item.relative]) for item in reference if item.relative in partners)
     if not pairs:
         raise TableError(f"{candidate[0].run.path}: no run here has the log or the name of one in the reference")
@@ -107,27 +113,25 @@ def pair_runs(reference: Sequence[LoggedRun], candidate: Sequence[LoggedRun], ot
     return Pairing(pairs, missing, tuple(item for item in candidate if item.relative not in paired))
 
 
-def numbered(frame: pl.LazyFrame, segments: pl.Expr) -> pl.LazyFrame:
+def numbered(frame: pl.LazyFrame, item: LoggedRun, by_segment: bool) -> pl.LazyFrame:
     """The same rows with what tells frames of equal stamps apart: their segment, and ``nth of stamp`` within it.
 
     Args:
-        frame: rows of a run.
-        segments: of each row; one for all where stamps alone decide.
+        frame: rows of the run.
+        item: the run.
+        by_segment: whether frames pair by its segments, counted from 1; else stamps alone decide.
     """
+    segments = segment(item.run.columns).rank("dense").cast(pl.Int64) if by_segment else pl.lit(0, pl.Int64)
     within = frame.with_columns(segments.alias(WITHIN))
     return within.with_columns(pl.int_range(pl.len()).over(WITHIN, STAMP).alias(NTH))
-
-
-def segments_of(item: LoggedRun, by_segment: bool) -> pl.Expr:
-    """Which of the run's segments each row is of, counted from 1, where frames pair by segment."""
-    return segment(item.run.columns).rank("dense").cast(pl.Int64) if by_segment else pl.lit(0, pl.Int64)
 
 
 def _logged(run: Run, argument: Path) -> LoggedRun:
     if not run.frames:
         raise TableError(f"{run.why_empty}, so there is nothing to compare")
     log_ids = "+".join(_log_id(table) for table in run.tables if table.rows)
-    return logged(run, log_ids, _relative(run, argument))
+    below = run.path.relative_to(argument).as_posix().removesuffix(METRICS_SUFFIX) if argument.is_dir() else run.name
+    return logged(run, log_ids, below)
 
 
 def logged(run: Run, log_id: str, relative: str) -> LoggedRun:
@@ -154,30 +158,10 @@ def _log_id(run: Run) -> str:
     return str(names[0])
 
 
-def _relative(run: Run, argument: Path) -> str:
-    """Name below the folder that was named; of a table or a glob's match the shortest that tells it from others."""
-    return run.path.relative_to(argument).as_posix().removesuffix(METRICS_SUFFIX) if argument.is_dir() else run.name
-
-
-def _by_log(reference: Iterable[LoggedRun], candidate: Iterable[LoggedRun]) -> dict[str, LoggedRun]:
-    """Reference name to candidate, for the logs of which each side has exactly one run."""
-    ours, theirs = _only_of_their_log(reference), _only_of_their_log(candidate)
-    return {ours[log_id].relative: theirs[log_id] for log_id in ours if log_id in theirs}
-
-
-def _only_of_their_log(runs: Iterable[LoggedRun]) -> dict[str, LoggedRun]:
-    listed = list(runs)
-    counts = Counter(item.log_id for item in listed)
-    return {item.log_id: item for item in listed if counts[item.log_id] == 1}
-
-
-def _by_name(
-    reference: Iterable[LoggedRun], candidate: Iterable[LoggedRun], partners: dict[str, LoggedRun]
-) -> dict[str, LoggedRun]:
-    paired = {item.relative for item in partners.values()}
-    free = {item.relative: item for item in candidate if item.relative not in paired}
-    names = [item.relative for item in reference if item.relative not in partners]
-    return {name: free[name] for name in names if name in free}
+def _only_of_their_log(runs: Sequence[LoggedRun]) -> dict[str, LoggedRun]:
+    """By the logs of which there is exactly one run."""
+    counts = Counter(item.log_id for item in runs)
+    return {item.log_id: item for item in runs if counts[item.log_id] == 1}
 
 
 def _require_same_log(pairs: Iterable[RunPair]) -> None:

@@ -1,21 +1,53 @@
 """Two configurations of a dataset as two sets of runs, for a comparison of each log with itself."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
 
 import polars as pl
 
+from roadperc_stream.batch.storage.folder import Folder, fetch
 from roadperc_stream.errors import TableError
+from roadperc_stream.system.files import TABLE_SUFFIX
 
 from ..comparison.pairing import LoggedRun, logged
 from ..runs import Run, open_run
-from .configs import in_order_of_runs, settings_by_config, two_configs
-from .keys import LOG
-from .naming import log_names
-from .place import FILE, Dataset, metrics_files, scan_tables
+from .keys import LOG, in_order_of_runs, log_names, settings_by_config, two_configs
+from .place import FILE, RUNS, Dataset, metrics_files, read_runs, scan_tables, without_file
 from .reading import require_named, unreadable
-from .run_rows import read_runs, without_file
+
+_AT_ONCE: Final = 16
+"""Files are small: most of the time is waiting for the store."""
+
+
+@contextmanager
+def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
+    """The dataset itself, or for the time being a copy of its lists of runs and its metrics tables.
+
+    Raises:
+        TableError: it has no tables.
+        StorageError: the store cannot be read.
+    """
+    if dataset.folder is not None:
+        yield dataset
+        return
+    store = Folder(dataset.address)
+    files = [*store.files("metrics", TABLE_SUFFIX), *store.files("runs", TABLE_SUFFIX)]
+    if not files:
+        raise TableError(f"{dataset.address}: no tables in metrics/date=.../, so there is nothing to compare")
+    with TemporaryDirectory(prefix="roadperc-compare-") as folder, ThreadPoolExecutor(_AT_ONCE) as threads:
+        copies = {file.address: Path(folder, store.name_of(file)) for file in files}
+        for target in copies.values():
+            target.parent.mkdir(parents=True, exist_ok=True)
+        list(threads.map(fetch, copies, copies.values()))
+        if (runs := store.read(RUNS)) is not None:
+            Path(folder, RUNS).write_bytes(runs)
+        yield Dataset(folder)
+
 
 _ROWS = "rows"
 

@@ -1,6 +1,7 @@
 """What a batch's dataset holds, on the terminal."""
 
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
@@ -8,28 +9,171 @@ from typing import Final
 import polars as pl
 from rich.console import Console
 
-from roadperc_stream.core.text import number
-from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines, print_table
+from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.system.text import number
+from roadperc_stream.system.time import NS_PER_S
 
-from ..names import legend, short_names
-from ..overview import inputs, precision
+from ..configurations import rows_that_differ
+from ..names import legend, listed, percent, rounded, short_names
+from ..report import inputs, precision, print_tables
 from ..sections import LISTED, sections
 from ..summary import Summary
-from . import tables
-from .configs import in_order_of_runs, settings_by_config
-from .grouped import GroupedFrames, group_frames, summaries_of
-from .naming import log_names
-from .place import Dataset, metrics_files
+from .groups import GroupedFrames, group_frames, summaries_of
+from .keys import DEFAULT, LOG, Settings, in_order_of_runs, log_names, settings_by_config
+from .place import DONE, Dataset, metrics_files, read_runs, without_file
 from .reading import FRAMES, SPAN_NS
-from .run_rows import read_runs
-from .worst import worst_logs
+from .worst import LogKey, WorstLogs, worst_logs
 
+FAILED_LISTED: Final = 20
+_LABEL_COLUMNS: Final = 24
+_HOUR_S: Final = 3600
 _GROUP_COLUMNS: Final = 59
 """Characters that the widest row of numbers about a group needs next to its name."""
 _WORST_COLUMNS: Final = 59
 """Characters that the widest table of worst logs needs next to a log's name."""
+
+
+def _fared(runs: pl.DataFrame) -> Iterator[str]:
+    """How many runs fared how, those that were done first; a line on each log without a table, the first of many.
+
+    Which configurations it failed under is said where it is not all of them.
+    """
+    if not runs.height:
+        yield "runs: no runs.parquet says how they fared"
+        return
+    ranked = sorted(Counter(runs["status"]).items(), key=lambda item: (item[0] != DONE, -item[1], item[0]))
+    yield f"runs: {', '.join(f'{count} {status}' for status, count in ranked)}"
+    configs = runs["config"].n_unique()
+    failed = runs.filter(pl.col("status") != DONE).sort("status", "path", "config")
+    logs = failed.group_by("status", "path", "error", maintain_order=True).agg("config")
+    for status, path, error, under in logs.head(FAILED_LISTED).iter_rows():
+        where = "" if len(under) == configs else f" ({', '.join(under)})"
+        yield f"  {status}{where}: {path}: {(error or 'no reason given').removeprefix(f'{path}: ')}"
+    if logs.height > FAILED_LISTED:
+        yield f"  and {logs.height - FAILED_LISTED} more, in runs.parquet"
+
+
+def settings_that_differ(known: Mapping[str, Settings | None]) -> TextTable:
+    """The settings, and the options, that are not the same in all configurations.
+
+    Args:
+        known: by the configuration those that are not the default; None where nothing says them.
+    """
+    keys = dict.fromkeys(key for settings in known.values() for key in settings or ())
+    whole = {
+        config: None if settings is None else {key: settings.get(key, DEFAULT) for key in keys}
+        for config, settings in known.items()
+    }
+    return TextTable("Settings that differ", ("",), rows_that_differ(whole), (), tuple(known))
+
+
+def groups_table(summaries: Sequence[Summary], found: GroupedFrames, notes: tuple[str, ...]) -> TextTable:
+    """A row for each group: its logs, frames, time where it has whole logs, and frames with all inputs' messages."""
+    whole = found.by.of_whole_logs
+    headers = ("logs", "frames", *(["log time"] if whole else []), "inputs %")
+    rows = tuple(_group(summary, whole) for summary in summaries)
+    if found.groups > len(summaries):
+        notes += (f"listed: {len(summaries)} of {found.groups} groups, those with the worst mean errors",)
+    if any(len(summary.configs) > 1 for summary in summaries):
+        apart = ",".join((*found.by.asked, "config"))
+        notes += (f"groups are over several configurations: --by {apart} keeps these apart",)
+    return TextTable(f"By {', '.join(found.by.asked)}", headers, rows, notes, label_columns=15)
+
+
+def log_time(span_s: float) -> str:
+    """How long logs are together, in the unit that suits."""
+    return f"{span_s / _HOUR_S:.2f} h" if span_s >= _HOUR_S else f"{span_s:.2f} s"
+
+
+def _group(summary: Summary, whole: bool) -> TextRow:
+    extent = [log_time(summary.span_s)] if whole else []
+    complete = percent(1 - summary.incomplete / summary.frames)
+    return row(summary.name, str(len(summary.log_ids)), str(summary.frames), *extent, complete)
+
+
+def worst_logs_table(worst: WorstLogs, names: Mapping[LogKey, str]) -> TextTable:
+    """The worst logs by each quantity, and the frames to look at in each."""
+    rows: list[TextRow] = []
+    for quantity, logs in worst.by_quantity.items():
+        rows.append(_folded(quantity.label))
+        for item in logs:
+            values = rounded(item.mean, quantity), rounded(item.frames[0].value, quantity)
+            frames = ", ".join(f"{at.frame}({at.since_start_s:.2f}s)" for at in item.frames)
+            rows.append(row(f"  {names[item.log]}", *values, percent(item.share), frames))
+    notes = (
+        "each log under the configuration where it is worst; the mean is of the absolute error",
+        "frames to look at, the worst first: numbers, in brackets seconds from the log's first frame",
+    )
+    headers = ("mean", "worst", "frames %", "frames to look at")
+    return TextTable("Worst logs", headers, tuple(rows), notes if rows else (), last_is_text=True, label_columns=15)
+
+
+def _folded(label: str) -> TextRow:
+    """A label that leaves room for the others' words."""
+    name, bracket, more = label.rpartition(" (")
+    long = bracket and len(label) > _LABEL_COLUMNS
+    return TextRow(name, below=f"{bracket.strip()}{more}") if long else row(label)
+
+
+def least_covered_table(worst: WorstLogs, names: Mapping[LogKey, str]) -> TextTable:
+    """The logs in which the fewest frames have an output, and the longest stretch without it in each."""
+    rows: list[TextRow] = []
+    for what, logs in worst.by_coverage.items():
+        rows.append(row(what))
+        for item in logs:
+            first, last = item.first, item.last
+            stretch = f"{first.frame}-{last.frame} ({first.since_start_s:.2f}-{last.since_start_s:.2f} s)"
+            rows.append(row(f"  {names[item.log]}", percent(item.share), stretch))
+    notes = (
+        "without: the longest stretch of frames, in brackets seconds from the log's first frame",
+        "outputs that a configuration gives in no frame are left out",
+    )
+    headers = ("frames %", "without")
+    return TextTable(
+        "Least covered logs", headers, tuple(rows), notes if rows else (), last_is_text=True, label_columns=15
+    )
+
+
+def where_the_logs_are(worst: WorstLogs, names: Mapping[str, str], runs: pl.DataFrame) -> Iterator[str]:
+    """A line on each log that is named above: its path.
+
+    Args:
+        worst: the logs.
+        names: what each is called.
+        runs: the list of runs.
+    """
+    paths = dict(runs.filter(pl.col("log_id").is_not_null()).select("log_id", "path").iter_rows())
+    log_ids = {log_id for log_id, _ in worst.logs}
+    if log_ids:
+        yield "Logs named above"
+    for log_id in sorted(log_ids, key=lambda log_id: names[log_id]):
+        yield f"  {names[log_id]}: {paths.get(log_id, 'path unknown')} (log {log_id})"
+
+
+def not_listed(runs: pl.DataFrame, logs: pl.DataFrame) -> Iterator[str]:
+    """What the list of runs and the tables do not agree on."""
+    known = runs.filter(pl.col("log_id").is_not_null())
+    gone = without_file(runs)
+    if gone.height:
+        yield f"left out, for another log has taken the place of their files: {_count(gone)}"
+    extra = logs.join(known, on=LOG, how="anti")
+    if extra.height:
+        yield f"not in runs.parquet, taken all the same, for another batch may be at work: {_count(extra)}"
+    done = known.join(gone, on=LOG, how="anti").filter(pl.col("status") == DONE, pl.col("frames") > 0)
+    lacking = done.join(logs, on=LOG, how="anti")
+    if lacking.height:
+        names = listed(lacking["path"].to_list(), 3)
+        yield f"done, as runs.parquet says, but without a table: {lacking.height} ({names})"
+    failed = logs.join(known.filter(pl.col("status") != DONE), on=LOG, how="semi")
+    if failed.height:
+        yield f"{failed.height} tables are of an earlier run than the one that failed: they count"
+
+
+def _count(rows: pl.DataFrame) -> str:
+    names = [f"{log_id}-{config}" for log_id, config in rows.select(LOG).iter_rows()]
+    return f"{rows.height} ({listed(names, 3)})"
 
 
 def print_dataset(dataset: Dataset, by: Sequence[str], worst: int) -> None:
@@ -55,43 +199,29 @@ def print_dataset(dataset: Dataset, by: Sequence[str], worst: int) -> None:
     names = log_names(found.logs["log_id"].unique(maintain_order=True), runs)
     summaries = summaries_of(found, names, configs)
     print_lines(console, _contents(dataset, found.logs), *_fared(runs), unbroken=True)
-    print_lines(console, *tables.not_listed(runs, found.logs), unbroken=True)
-    print_table(console, tables.settings_that_differ(settings_by_config(runs, configs)))
+    print_lines(console, *not_listed(runs, found.logs), unbroken=True)
+    print_table(console, settings_that_differ(settings_by_config(runs, configs)))
     _print_groups(console, summaries, found)
     _print_worst(console, found.logs, runs, names, worst)
 
 
 def _contents(dataset: Dataset, logs: pl.DataFrame) -> str:
-    numbers = {
-        "log": logs["log_id"].n_unique(),
-        "configuration": logs["config"].n_unique(),
-        "frame": int(logs[FRAMES].sum()),
-    }
-    counts = ", ".join(number(count, what) for what, count in numbers.items())
-    return (
-        f"{dataset.address}: {counts}, {tables.log_time(int(logs.unique('log_id')[SPAN_NS].sum()) / NS_PER_S)} of log"
-    )
-
-
-def _fared(runs: pl.DataFrame) -> Iterator[str]:
-    if runs.height:
-        yield f"runs: {tables.statuses(runs)}"
-        yield from tables.failures(runs)
-    else:
-        yield "runs: no runs.parquet says how they fared"
+    kinds = {"log_id": "log", "config": "configuration"}
+    distinct = [number(logs[column].n_unique(), what) for column, what in kinds.items()]
+    counts = ", ".join((*distinct, number(int(logs[FRAMES].sum()), "frame")))
+    return f"{dataset.address}: {counts}, {log_time(int(logs.unique('log_id')[SPAN_NS].sum()) / NS_PER_S)} of log"
 
 
 def _print_groups(console: Console, summaries: Sequence[Summary], found: GroupedFrames) -> None:
     shown = _short([summary.name for summary in summaries], found.by.columns, console.width - _GROUP_COLUMNS)
     called = [replace(summary, name=shown[summary.name]) for summary in summaries]
     if found.by.columns:
-        print_table(console, tables.groups_table(called, found, tuple(legend(shown))))
+        print_table(console, groups_table(called, found, tuple(legend(shown))))
     else:
         print_lines(console, inputs(called[0]))
     if any(summary.rank_error for summary in called):
         print_lines(console, precision(max(called, key=lambda summary: summary.rank_error)))
-    for table in sections(called, consistency=False):
-        print_table(console, table)
+    print_tables(console, *sections(called, consistency=False))
     if len(called) > LISTED:
         print_lines(console, f"by group: at most {LISTED} of {len(called)} each time, those with the worst p95")
 
@@ -111,6 +241,5 @@ def _print_worst(
     whole = {key: f"{names[key[0]]} {key[1]}" if several else names[key[0]] for key in worst.logs}
     shown = short_names(list(whole.values()), console.width - _WORST_COLUMNS)
     called = {key: shown[name] for key, name in whole.items()}
-    print_table(console, tables.worst_logs_table(worst, called))
-    print_table(console, tables.least_covered_table(worst, called))
-    print_lines(console, "", *tables.where_the_logs_are(worst, names, runs), unbroken=True)
+    print_tables(console, worst_logs_table(worst, called), least_covered_table(worst, called))
+    print_lines(console, "", *where_the_logs_are(worst, names, runs), unbroken=True)

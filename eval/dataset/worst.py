@@ -1,20 +1,19 @@
 """The worst logs of a dataset, and the frames to look at in them: read again, each from the files it stands in."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import polars as pl
 
 from roadperc_stream.schemas.columns import RATIO
 
-from ..by_run import COVERED
-from ..collecting import collect
-from ..quantities import SUSPECT, TRUTH, Quantity
-from ..scan import NUMBER_COLUMNS, derived_columns, finite, since_start_s, stored_columns, worst_frames
+from ..quantities import COVERED, SUSPECT, TRUTH, Quantity
+from ..runs import collect
+from ..scan import scanned, worst_frames
 from .keys import LOG
 from .place import scan_tables
 from .reading import FILES, FRAMES, RANKED, summed, valued
@@ -22,7 +21,6 @@ from .reading import FILES, FRAMES, RANKED, summed, valued
 LogKey = tuple[str, str]
 """Log and configuration."""
 _AT_ONCE: Final = 2
-_Item = TypeVar("_Item")
 
 
 @dataclass(frozen=True)
@@ -79,13 +77,13 @@ def worst_logs(logs: pl.DataFrame, number: int) -> WorstLogs:
     none of the worst.
 
     Args:
-        logs: as in ``TableContents``.
+        logs: as ``logs_of`` gives them.
         number: of logs, and of frames in each.
 
     Raises:
         TableError: a table cannot be read.
     """
-    by_quantity = {quantity: _worst(logs, quantity, number) for quantity in ranked_by(logs)}
+    by_quantity = {quantity: _worst(logs, quantity, number) for quantity in _ranked_by(logs)}
     by_coverage = {name: _uncovered(logs, column, number) for name, column in COVERED.items()}
     wanted: dict[LogKey, list[pl.Expr]] = {}
     for quantity, rows in by_quantity.items():
@@ -96,22 +94,26 @@ def worst_logs(logs: pl.DataFrame, number: int) -> WorstLogs:
             wanted.setdefault(_key(row), []).append(_longest_without(COVERED[name]))
     found = _read(logs, wanted)
     return WorstLogs(
-        {q: _items(rows, found, partial(_worst_log, quantity=q)) for q, rows in by_quantity.items() if rows.height},
         {
-            name: _items(rows, found, partial(_least_covered, column=COVERED[name]))
+            q: tuple(_worst_log(row, found[_key(row)], q.column) for row in rows.iter_rows(named=True))
+            for q, rows in by_quantity.items()
+            if rows.height
+        },
+        {
+            name: tuple(_least_covered(row, found[_key(row)], COVERED[name]) for row in rows.iter_rows(named=True))
             for name, rows in by_coverage.items()
             if rows.height
         },
     )
 
 
-def ranked_by(logs: pl.DataFrame) -> list[Quantity]:
+def _ranked_by(logs: pl.DataFrame) -> list[Quantity]:
     """What logs are the worst by: the errors there are, else signs of trouble."""
     having = {q.column for q in RANKED if logs[valued(q.column)].sum()}
     return [q for q in TRUTH if q.column in having] or [q for q in SUSPECT if q.column in having]
 
 
-def mean_badness(quantity: Quantity) -> pl.Expr:
+def _mean_badness(quantity: Quantity) -> pl.Expr:
     """How bad a log is, the larger the worse: the mean over the frames with a value; null without any."""
     mean = pl.col(summed(quantity.column)) / pl.col(valued(quantity.column))
     return pl.when(pl.col(valued(quantity.column)) > 0).then(-mean if quantity.worse == "low" else mean)
@@ -119,7 +121,7 @@ def mean_badness(quantity: Quantity) -> pl.Expr:
 
 def _worst(logs: pl.DataFrame, quantity: Quantity, number: int) -> pl.DataFrame:
     best = (-1.0 if quantity.unit == RATIO else -math.inf) if quantity.worse == "low" else 0.0
-    ranked = logs.with_columns(mean_badness(quantity).alias("bad")).filter(pl.col("bad") > best)
+    ranked = logs.with_columns(_mean_badness(quantity).alias("bad")).filter(pl.col("bad") > best)
     return _each_once(ranked.sort("bad", *LOG, descending=[True, False, False]), number)
 
 
@@ -155,31 +157,16 @@ def _read(logs: pl.DataFrame, wanted: Mapping[LogKey, list[pl.Expr]]) -> dict[Lo
 
 def _ask(item: tuple[LogKey, list[pl.Expr]], files: Mapping[LogKey, list[str]]) -> dict[str, Any]:
     (log_id, config), expressions = item
-    lazy = frames_of(files[log_id, config], log_id, config)
+    tables = scan_tables(files[log_id, config])
+    own = tables.filter(pl.col("log_id") == log_id, pl.col("config") == config)
+    lazy = scanned(own, frozenset(tables.collect_schema()))
     return collect(lazy.select(expressions), files[log_id, config][0]).row(0, named=True)
 
 
-def frames_of(files: list[str], log_id: str, config: str) -> pl.LazyFrame:
-    """The columns of ``scan`` for one log of a dataset, a row per frame.
-
-    Raises:
-        TableError: a file cannot be read.
-    """
-    tables = scan_tables(files)
-    own = tables.filter(pl.col("log_id") == log_id, pl.col("config") == config)
-    stored = own.select(stored_columns(frozenset(tables.collect_schema()))).with_columns(finite(NUMBER_COLUMNS))
-    return stored.with_columns(since_start_s(), *derived_columns())
-
-
-def _items(rows: pl.DataFrame, found: Mapping[LogKey, Any], item: Callable[..., _Item]) -> tuple[_Item, ...]:
-    return tuple(item(row, found[_key(row)]) for row in rows.iter_rows(named=True))
-
-
-def _worst_log(row: Mapping[str, Any], found: Mapping[str, Any], quantity: Quantity) -> WorstLog:
-    values = row[valued(quantity.column)]
-    frames = (LookAt(at["frame"], at["since_start_s"], at["value"]) for at in found[f"worst {quantity.column}"])
-    mean = row[summed(quantity.column)] / values
-    return WorstLog(_key(row), mean, values / row[FRAMES], tuple(frames))
+def _worst_log(row: Mapping[str, Any], found: Mapping[str, Any], column: str) -> WorstLog:
+    values = row[valued(column)]
+    frames = (LookAt(at["frame"], at["since_start_s"], at["value"]) for at in found[f"worst {column}"])
+    return WorstLog(_key(row), row[summed(column)] / values, values / row[FRAMES], tuple(frames))
 
 
 def _least_covered(row: Mapping[str, Any], found: Mapping[str, Any], column: str) -> LeastCovered:
@@ -196,13 +183,13 @@ def chosen(logs: pl.DataFrame, keys: list[str], number: int) -> pl.DataFrame:
     """The worst groups of logs: by each quantity in turn the next worst mean, until there are so many.
 
     Args:
-        logs: as in ``TableContents``, with the columns of the keys.
+        logs: as ``logs_of`` gives them, with the columns of the keys.
         keys: names of these.
         number: of groups.
     """
     totals = [name for quantity in RANKED for name in (valued(quantity.column), summed(quantity.column))]
     groups = logs.group_by(keys, maintain_order=True).agg(pl.sum(*totals))
-    orders = [[index for index, bad in _ranked(groups, quantity) if bad is not None] for quantity in ranked_by(logs)]
+    orders = [_ranked(groups, quantity) for quantity in _ranked_by(logs)]
     picked: dict[int, None] = {}
     for place in range(groups.height):
         for order in orders:
@@ -211,7 +198,7 @@ def chosen(logs: pl.DataFrame, keys: list[str], number: int) -> pl.DataFrame:
     return groups[sorted(picked)].select(keys)
 
 
-def _ranked(groups: pl.DataFrame, quantity: Quantity) -> Iterable[tuple[int, float | None]]:
-    bad = groups.select(mean_badness(quantity).alias("bad")).with_row_index("index")
-    rows: Iterator[tuple[int, float | None]] = bad.sort("bad", descending=True, nulls_last=True).iter_rows()
-    return rows
+def _ranked(groups: pl.DataFrame, quantity: Quantity) -> list[int]:
+    """The rows of the groups that have a mean, the worst first."""
+    bad = groups.select(_mean_badness(quantity).alias("bad")).with_row_index("index")
+    return bad.sort("bad", descending=True, nulls_last=True).filter(pl.col("bad").is_not_null())["index"].to_list()

@@ -6,12 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.geometry import Float
 
 from ..quantities import REST, SIDES, STAGE_TIMES, TOTAL
 from ..summary import Summary
-from .figures import TRUTH_COLOUR, Figure, Trace, axis, colour_of, escaped, layout, line
-from .series import Series, thinned
+from .figures import TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, escaped, layout, line, thinned
 
 _TIME: Final = "s from the log's first frame"
 
@@ -106,22 +105,13 @@ def _traces(chart: TimeChart, run: Series, place: int, several: bool) -> Iterato
         more: dict[str, Any] = {"width": kind.width, "dash": kind.dash}
         if several:
             more |= {"legendgroup": f"run {place}", "showlegend": kind is keyed, "hovertemplate": f"%{{y}} {kind.name}"}
-        yield _thinned_line(
-            run.name if several else kind.name,
-            run,
-            kind.column,
-            _colour(kind, place, chart.kinds.index(kind), several),
-            more,
-        )
+        at = chart.kinds.index(kind)
+        alone = TRUTH_COLOUR if kind.truth else colour_of(1 - at if at < 2 else at)
+        name, colour = (run.name, colour_of(place)) if several else (kind.name, alone)
+        yield _thinned_line(name, run, kind.column, colour, **more)
 
 
-def _colour(kind: Kind, run_place: int, kind_place: int, several: bool) -> str:
-    if several:
-        return colour_of(run_place)
-    return TRUTH_COLOUR if kind.truth else colour_of(1 - kind_place if kind_place < 2 else kind_place)
-
-
-def _thinned_line(name: str, run: Series, column: str, colour: str, more: dict[str, Any]) -> Trace:
+def _thinned_line(name: str, run: Series, column: str, colour: str, **more: Any) -> Trace:
     kept = thinned(run.values[column])
     return line(name, run.since_start_s[kept], run.values[column][kept], colour, **more)
 
@@ -141,7 +131,7 @@ def stage_times(runs: Sequence[Series], summaries: Sequence[Summary]) -> Iterato
         return
     yield _means(summaries)
     totals = [
-        _thinned_line(run.name, run, TOTAL.column, colour_of(place), {})
+        _thinned_line(run.name, run, TOTAL.column, colour_of(place))
         for place, run in enumerate(runs)
         if TOTAL.column in run.values
     ]
@@ -157,8 +147,9 @@ def _stacked(run: Series) -> Iterator[Figure]:
     traces = []
     for name, took_ms in _stages(run).items():
         colour = _STAGE_COLOURS[name]
+        red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
         trace = line(name, run.since_start_s[kept], took_ms[kept], colour, width=0.5)
-        traces.append({**trace, "stackgroup": "stages", "fillcolor": _translucent(colour)})
+        traces.append({**trace, "stackgroup": "stages", "fillcolor": f"rgba({red},{green},{blue},0.72)"})
     note = "Stacked: the upper edge is the frame's total."
     yield Figure("Time per stage", note, traces, layout(_TIME, "ms", height=340))
 
@@ -187,8 +178,3 @@ def _means(summaries: Sequence[Summary]) -> Figure:
     runs = axis("", autorange="reversed", type="category")
     look = layout("ms a frame, mean", "", barmode="stack", hovermode="closest", height=height, yaxis=runs)
     return Figure("Time per stage", "The mean over all frames of each run.", traces, look)
-
-
-def _translucent(colour: str) -> str:
-    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
-    return f"rgba({red},{green},{blue},0.72)"

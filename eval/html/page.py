@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from importlib import resources
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,24 +11,48 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from roadperc_stream.core.files import completing, require_suffix
-from roadperc_stream.core.text import shown
-from roadperc_stream.output.text_table import by_header
+from roadperc_stream.output.text_table import TextRow, TextTable, by_header
+from roadperc_stream.system.files import completing, require_suffix
+from roadperc_stream.system.text import shown
 
-from ..configurations import grouped, settings_table
+from ..configurations import UNKNOWN, grouped, settings_table, short_digest
+from ..names import listed, percent
+from ..report import in_segments
 from ..runs import Run
 from ..sections import sections
-from ..summary import summarise_group
-from . import histograms, over_time, trajectory
-from .figures import Figure
-from .pictures import WORST, gallery
-from .series import load_series
-from .sources import sources_of
-from .tables import identity
+from ..summary import Summary, summarise_group
+from .charts import ERROR_COLUMNS, POSE_COLUMNS, histograms, trajectory
+from .figures import Figure, load_series
+from .over_time import COLUMNS, over_time, stage_times
+from .pictures import WORST, gallery, log_of
 
 RUNS_DRAWN: Final = 8
 """Runs side by side: as many as there are colours to tell them apart."""
-_COLUMNS: Final = (*over_time.COLUMNS, *trajectory.COLUMNS, *histograms.COLUMNS)
+_NOT_NAMED: Final = "not named"
+_COLUMNS: Final = (*COLUMNS, *POSE_COLUMNS, *ERROR_COLUMNS)
+
+
+def identity(summaries: Sequence[Summary], runs: Sequence[Run]) -> TextTable:
+    """What each run is: log, configuration, version, names and extent."""
+    facts = [_facts(summary, run) for summary, run in zip(summaries, runs, strict=True)]
+    rows = tuple(TextRow(label, tuple((fact[label],) for fact in facts)) for label in facts[0])
+    return TextTable("What was replayed", ("",), rows, subjects=tuple(summary.name for summary in summaries))
+
+
+def _facts(summary: Summary, run: Run) -> dict[str, str]:
+    rate = f", {summary.rate_hz:.1f} frames/s" if summary.rate_hz else ""
+    missing = ", ".join(f"{role} {percent(n / summary.frames)} %" for role, n in summary.missing.most_common())
+    outputs = [log_of(table) for table in run.tables]
+    return {
+        "log": listed(summary.log_ids),
+        "configuration": short_digest(summary.configs[0]),
+        "version": summary.versions[0] or UNKNOWN,
+        "input": listed([Path(table.source).name if table.source else _NOT_NAMED for table in run.tables]),
+        "output": listed([log.name if log else _NOT_NAMED for log in outputs]),
+        "frames": f"{summary.frames}{in_segments(summary)} over {summary.span_s:.2f} s{rate}",
+        "longest gap": f"{summary.longest_gap_s:.2f} s",
+        "messages missing": missing or "none in any frame",
+    }
 
 
 def write_page(target: Path, runs: Sequence[Run]) -> None:
@@ -55,43 +80,38 @@ def page(runs: Sequence[Run]) -> str:
     found = [summarise_group(group, frames) for group in groups]
     by_name = {summary.name: summary for group in found for summary in group.runs}
     summaries = [by_name[run.name] for run in drawn]
-    sources = {run.name: sources_of(run) for run in drawn}
     series = [load_series(run, _COLUMNS) for run in drawn]
-    from_above = trajectory.trajectory(series)
+    from_above = trajectory(series)
     charts = {
-        "Over time": [*over_time.over_time(series), *over_time.stage_times(series, summaries)],
+        "Over time": [*over_time(series), *stage_times(series, summaries)],
         "From above": [from_above] if from_above else [],
-        "Error distributions": list(histograms.histograms(series)),
+        "Error distributions": list(histograms(series)),
     }
     return _render(
         names=[run.name for run in drawn],
         left_out=len(runs) - len(drawn),
-        overview=[settings_table({run.name: run for run in drawn}), identity(summaries, list(sources.values()))],
+        overview=[settings_table({run.name: run for run in drawn}), identity(summaries, drawn)],
         tables=list(sections(summaries)),
         by_header=by_header,
-        charts=_numbered(charts),
-        gallery=gallery([group.together for group in found], sources),
+        charts=charts,
+        gallery=gallery([group.together for group in found], drawn),
     )
 
 
-def _numbered(charts: Mapping[str, Sequence[Figure]]) -> dict[str, list[tuple[str, Figure]]]:
-    """Each section's figures with the identifier each has in the page; sections without any are left out."""
-    numbers = iter(range(1, sum(len(figures) for figures in charts.values()) + 1))
-    return {
+def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
+    """The page; each figure has an identifier, sections without any are left out."""
+    numbers = count(1)
+    named = {
         section: [(f"chart-{next(numbers)}", figure) for figure in figures]
         for section, figures in charts.items()
         if figures
     }
-
-
-def _render(charts: Mapping[str, Sequence[tuple[str, Figure]]], **content: Any) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, finalize=_text, trim_blocks=True, lstrip_blocks=True
     )
-    specs = {name: figure.spec for figures in charts.values() for name, figure in figures}
     return environment.from_string(_part("page.html")).render(
-        charts=charts,
-        specs=_json(specs),
+        charts=named,
+        specs=_json({name: figure.spec for figures in named.values() for name, figure in figures}),
         style=Markup(_part("page.css")),
         script=Markup(_part("page.js")),
         plotly=Markup(get_plotlyjs()),

@@ -1,26 +1,29 @@
 """The worst frames of each metric: which they are, and a picture of each with what the chain saw drawn into it."""
 
 import base64
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
 import cv2
 
-from roadperc_stream.core.datatypes import Image
 from roadperc_stream.errors import RoadpercError
-from roadperc_stream.input.problems import Problems
-from roadperc_stream.log import summarise
-from roadperc_stream.output.drawing.frame import PerceivedFrame, draw_results
+from roadperc_stream.input.stream import Problems
+from roadperc_stream.log import LogSummary, summarise
+from roadperc_stream.model import Image
+from roadperc_stream.output.drawing.overlay import PerceivedFrame, draw_results
 from roadperc_stream.schemas.columns import UNITLESS
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.view.result_frames import read_frame, read_frames
 
-from ..grid import rounded
+from ..names import rounded
 from ..quantities import Quantity
+from ..runs import Run
 from ..sections import ranked_by
 from ..summary import Summary, WorstFrame
-from .sources import Sources
 
 WORST: Final = 10
 """Frames shown of each metric, of all configurations together."""
@@ -28,8 +31,6 @@ WIDTH_PX: Final = 400
 JPEG_QUALITY: Final = 75
 Key = tuple[str, int]
 """A run's name and a frame's number."""
-Seen = tuple[WorstFrame, PerceivedFrame]
-"""One of the worst frames, and what the log has of it."""
 Ranked = tuple[Quantity, str, tuple[WorstFrame, ...]]
 """A metric, the name of a group of runs, and its worst frames."""
 
@@ -76,19 +77,25 @@ class Gallery:
     notes: tuple[str, ...]
 
 
-def gallery(groups: Sequence[Summary], sources: Mapping[str, Sequence[Sources]]) -> Gallery:
+def gallery(groups: Sequence[Summary], runs: Sequence[Run]) -> Gallery:
     """The worst frames, by each truth metric, or, without any truth, by signs of trouble.
 
     Args:
         groups: summary over the runs of each configuration, with its worst frames: each has its own.
-        sources: the files of each table of each run, by the run's name.
+        runs: those of all groups, in the order in which their frames are shown.
     """
-    ranked = _ranked(groups)
+    ranked = [
+        (quantity, group.name, frames)
+        for quantity in ranked_by(groups)
+        for group in groups
+        if (frames := group.worst.get(quantity.column, ()))
+    ]
     worst = {(f.run, f.frame): f for _, _, frames in ranked for f in frames}
-    order = sorted(worst.values(), key=lambda f: (list(sources).index(f.run), f.frame))
+    at = {run.name: number for number, run in enumerate(runs)}
+    order = sorted(worst.values(), key=lambda f: (at[f.run], f.frame))
     anchors = {(f.run, f.frame): f"frame-{k}" for k, f in enumerate(order, 1)}
     places = _places(ranked)
-    images, notes = _images(order, sources)
+    images, notes = _images(order, runs)
     pictures = tuple(
         Picture(anchors[key], f.run, f.frame, f.since_start_s, tuple(places[key]), images.get(key, ""))
         for f in order
@@ -117,15 +124,6 @@ def data_uri(image_bgr: Image) -> str:
     return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
 
 
-def _ranked(groups: Sequence[Summary]) -> list[Ranked]:
-    return [
-        (quantity, group.name, frames)
-        for quantity in ranked_by(groups)
-        for group in groups
-        if (frames := group.worst.get(quantity.column, ()))
-    ]
-
-
 def _places(ranked: Sequence[Ranked]) -> dict[Key, list[Place]]:
     places: dict[Key, list[Place]] = {}
     for quantity, _, frames in ranked:
@@ -135,34 +133,46 @@ def _places(ranked: Sequence[Ranked]) -> dict[Key, list[Place]]:
     return places
 
 
-def _images(frames: Sequence[WorstFrame], sources: Mapping[str, Sequence[Sources]]) -> tuple[dict[Key, str], list[str]]:
+def _images(frames: Sequence[WorstFrame], runs: Sequence[Run]) -> tuple[dict[Key, str], list[str]]:
     """Pictures of the frames whose log is there, and a line on each log that has to go without."""
     images: dict[Key, str] = {}
     notes: list[str] = []
-    for run, tables in sources.items():
-        for files in tables:
-            wanted = [frame for frame in frames if frame.run == run and files.holds(frame.frame)]
-            found, why = _of_log(wanted, files) if wanted or len(tables) == 1 else ({}, "")
+    for run in runs:
+        for table in run.tables:
+            end = math.inf if table.end_frame is None else table.end_frame
+            wanted = [frame for frame in frames if frame.run == run.name and table.first_frame <= frame.frame < end]
+            found, why = _of_log(wanted, table) if wanted or len(run.tables) == 1 else ({}, "")
             images |= found
-            notes += [f"{run}: {why}"] if why else []
+            notes += [f"{run.name}: {why}"] if why else []
     return images, notes
 
 
-def _of_log(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str], str]:
-    log = files.present_log
-    if log is None:
-        name = files.log.name if files.log else "its log"
+def log_of(table: Run) -> Path | None:
+    """The log with results that a table names, or the one next to it where that is gone; None where it names none.
+
+    A run's files are often moved together, from the machine that replayed to the one that reports.
+    """
+    named = Path(table.log) if table.log else None
+    moved = (named is None or not named.is_file()) and table.beside(".mcap").is_file()
+    return table.beside(".mcap") if moved else named
+
+
+def _of_log(frames: Sequence[WorstFrame], table: Run) -> tuple[dict[Key, str], str]:
+    """Pictures of frames of a table, and what there is to say of those that have none."""
+    log = log_of(table)
+    if log is None or not log.is_file():
+        name = log.name if log else "its log"
         return {}, f"{name} is not where the table says, so there are no pictures of its frames."
     images: dict[Key, str] = {}
     problems = Problems()
     try:
-        if files.is_replayed_again(log):
-            return (
-                {},
-                f"{log.name} was replayed again with another configuration, so it has no pictures of this run.",
-            )
-        for frame, image in _drawn(log, frames, problems):
-            images[frame.run, frame.frame] = image
+        summary = summarise(log)
+        stored = [sha256(item.data).hexdigest() for item in summary.attachments if item.name == CONFIG_ATTACHMENT]
+        if table.config_digest and any(digest != table.config_digest for digest in stored):
+            again = f"{log.name} was replayed again with another configuration"
+            return {}, f"{again}, so it has no pictures of this run."
+        for frame, seen in _seen(summary, frames, problems):
+            images[frame.run, frame.frame] = data_uri(draw_results(seen, WIDTH_PX))
     except RoadpercError as error:
         return images, f"no more pictures: {str(error).replace(str(log), log.name)}"
     lacking = len(frames) - len(images)
@@ -171,24 +181,18 @@ def _of_log(frames: Sequence[WorstFrame], files: Sources) -> tuple[dict[Key, str
     return images, " ".join(notes)
 
 
-def _drawn(log: Path, frames: Sequence[WorstFrame], problems: Problems) -> Iterator[tuple[WorstFrame, str]]:
-    """The frames of which the log has a camera image, each with its picture as a data URI."""
-    found = _seen_in_order if any(frame.segment for frame in frames) else _seen_at_stamps
-    return ((frame, data_uri(draw_results(seen, WIDTH_PX))) for frame, seen in found(log, frames, problems))
-
-
-def _seen_at_stamps(log: Path, frames: Sequence[WorstFrame], problems: Problems) -> Iterator[Seen]:
-    """Each frame as the log's part at its stamp has it."""
-    for frame in frames:
-        if seen := read_frame(log, frame.stamp_ns, problems):
-            yield frame, seen
-
-
-def _seen_in_order(log: Path, frames: Sequence[WorstFrame], problems: Problems) -> Iterator[Seen]:
-    """The frames of a log in several segments: stamps come again there, so it is read from the beginning."""
-    wanted = {frame.frame: frame for frame in frames}
-    for row, seen in read_frames(summarise(log), problems):
-        if seen and row.frame in wanted:
-            yield wanted.pop(row.frame), seen
-        if not wanted:
-            return
+def _seen(
+    log: LogSummary, frames: Sequence[WorstFrame], problems: Problems
+) -> Iterator[tuple[WorstFrame, PerceivedFrame]]:
+    """The frames of which the log has a camera image, each with what the log has of it."""
+    if any(frame.segment for frame in frames):  # stamps come again there, so the log is read from the beginning
+        wanted = {frame.frame: frame for frame in frames}
+        for row, seen in read_frames(log, problems):
+            if seen and row.frame in wanted:
+                yield wanted.pop(row.frame), seen
+            if not wanted:
+                return
+    else:
+        for frame in frames:
+            if seen := read_frame(log.path, frame.stamp_ns, problems):
+                yield frame, seen

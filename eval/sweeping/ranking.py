@@ -4,7 +4,8 @@ A score is the median of a metric, without its sign, over the frames of all logs
 metric is a share. Next to it stands the share of frames that have one: a setting with lower coverage may err less.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
@@ -14,7 +15,7 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import Scalar
-from roadperc_stream.schemas.columns import RATIO
+from roadperc_stream.schemas.columns import RATIO, TIME_COLUMNS
 
 from ..quantities import SIDES, TOTAL, TRUTH, Quantity
 from .settings import Combination
@@ -172,3 +173,27 @@ def _key(settings: Mapping[str, Scalar]) -> Scalar | tuple[Scalar, ...]:
     """As polars keys rows: by the bare value, where there is one column."""
     values = tuple(settings.values())
     return values if len(values) > 1 else values[0]
+
+
+def without_influence(folder: Path, tables: Sequence[Path], made: Sequence[Combination]) -> Iterator[str]:
+    """The settings whose values leave every column of every table the same, times excepted, whatever the others are.
+
+    Args:
+        folder: the dataset.
+        tables: of all combinations, each in its combination's folder or, where logs share a name, deeper.
+        made: the combinations.
+    """
+    results: dict[str, list[bytes]] = {}
+    for path in tables:
+        rows = pl.read_parquet(path, glob=False).drop(*TIME_COLUMNS, *made[0].settings, strict=False)
+        digest = hashlib.sha256(rows.hash_rows().to_numpy().tobytes()).digest()
+        results.setdefault(path.relative_to(folder).parts[0], []).append(digest)
+    for key in made[0].settings:
+        others = {_others(item, key) for item in made}
+        found = {(_others(item, key), *results[item.folder]) for item in made}
+        if len(others) < len(made) and len(found) == len(others):
+            yield key
+
+
+def _others(item: Combination, key: str) -> tuple[object, ...]:
+    return tuple(value for name, value in item.settings.items() if name != key)

@@ -1,21 +1,34 @@
-"""One log through the chain under many configurations at once: read and decoded once, a metrics table for each."""
+"""One log through the chain under many configurations at once: read and decoded once, a metrics table for each.
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+Logs are shared out over processes: each log is one stream, so that nothing finer can be.
+"""
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from multiprocessing.sharedctypes import Synchronized
+from multiprocessing.synchronize import Event
 from pathlib import Path
+from typing import Final
 
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Sample
-from roadperc_stream.core.stage_timer import StageTimer
-from roadperc_stream.core.threads import one_thread
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.chain.step import step
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.errors import RoadpercError
 from roadperc_stream.input import ReplaySource
+from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.model import Sample
 from roadperc_stream.output.tables import TableWriter, table_facts
+from roadperc_stream.resume.opening import open_log
+from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
-from roadperc_stream.state.opening import open_log
-from roadperc_stream.state.replay_state import ReplayMemory
-from roadperc_stream.state.running import run_frame
+from roadperc_stream.system.process import ending_signals
+from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.threads import one_thread
+from roadperc_stream.system.time import TimeRange
 
 from .settings import Combination, passes
 
@@ -37,17 +50,20 @@ class Job:
 
 @dataclass
 class Candidate:
-    """A configuration, what it remembers in the log, and its table."""
+    """A configuration, its state in the log, and its table."""
 
     cfg: ReplayConfig
     table: TableWriter
-    memory: ReplayMemory
+    state: ReplayState
 
     def take(self, log_id: str, sample: Sample) -> None:
         """Run the chain on a sample and add its row, the one a replay under this configuration gives."""
         timer = StageTimer()
         with timer("total"):
-            self.memory, _, _, row = run_frame(self.cfg, self.memory, log_id, sample, timer)
+            chain, result = step(self.cfg, self.state.chain, sample.frame, timer)
+            with timer("metrics"):
+                row = frame_metrics(self.cfg, log_id, sample, result, self.state.earlier)
+        self.state = ReplayState(chain, sample.as_earlier)
         if sample.is_written:
             self.table.append(row, **timer.columns())
 
@@ -70,24 +86,109 @@ def _one_pass(job: Job, some: Sequence[Combination], progress: Progress) -> tupl
     opened = open_log(ReplaySource(job.source, job.overrides, job.time_range), some[0].cfg)
     log_in = opened.input
     progress(0, log_in.expected_frames)
-    candidates = [Candidate(item.cfg, _table(job, item), opened.memory_for(item.cfg)) for item in some]
+    candidates = [Candidate(item.cfg, _table(job, item), opened.state_for(item.cfg)) for item in some]
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)
         for sample in log_in.samples():
-            for candidate in _by_turns(candidates, sample.index):
+            # Another one first in every frame: the first decodes for all, and times are to compare.
+            first = sample.index % len(candidates)
+            for candidate in (*candidates[first:], *candidates[:first]):
                 candidate.take(log_in.log_id, sample)
             progress(1, 0)
     return log_in.notes
-
-
-def _by_turns(candidates: Sequence[Candidate], frame: int) -> list[Candidate]:
-    """Another one first in every frame: the first decodes for all, and times are to compare."""
-    first = frame % len(candidates)
-    return [*candidates[first:], *candidates[:first]]
 
 
 def _table(job: Job, item: Combination) -> TableWriter:
     path = job.folder / item.folder / job.table
     facts = table_facts(job.source, job.source, item.cfg)
     return TableWriter(path, FrameMetrics, facts, TIME_COLUMNS, item.settings)
+
+
+# A forked process inherits the locks of polars' and OpenCV's threads, but not the threads that would open them.
+_CONTEXT: Final = multiprocessing.get_context("spawn")
+_PROGRESS_EVERY_S: Final = 0.2
+Bar = Callable[[int, int], None]
+"""Called with frames done and frames expected, of all logs together."""
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What the processes share: frames done and expected, and whether to stop."""
+
+    done: "Synchronized[int]"
+    expected: "Synchronized[int]"
+    stop: Event
+
+    def count(self, done: int, expected: int) -> None:
+        """Count the progress of a log.
+
+        Raises:
+            KeyboardInterrupt: the sweep has ended elsewhere.
+        """
+        if self.stop.is_set():
+            raise KeyboardInterrupt
+        for counter, more in ((self.done, done), (self.expected, expected)):
+            with counter.get_lock():
+                counter.value += more
+
+
+def sweep_logs(jobs: Sequence[Job], processes: int, bar: Bar) -> list[tuple[str, ...]]:
+    """Do every job, in as many processes.
+
+    Returns:
+        The notes of each job, in their order.
+
+    Raises:
+        RoadpercError: a log could not be replayed; the others are given up.
+    """
+    workers = min(processes, len(jobs))
+    if workers == 1:
+        counted = [0, 0]
+
+        def count(*more: int) -> None:
+            counted[:] = (before + new for before, new in zip(counted, more, strict=True))
+            bar(*counted)
+
+        return [sweep_log(job, count) for job in jobs]
+    with _signals_held():
+        shared = Shared(_CONTEXT.Value("q"), _CONTEXT.Value("q"), _CONTEXT.Event())
+    with ProcessPoolExecutor(workers, mp_context=_CONTEXT, initializer=_join, initargs=(shared,)) as pool:
+        try:
+            with _signals_held():
+                futures = [pool.submit(_do, job) for job in jobs]
+            pending = set(futures)
+            while pending:
+                done, pending = wait(pending, _PROGRESS_EVERY_S, FIRST_EXCEPTION)
+                bar(shared.done.value, shared.expected.value)
+                for future in done:
+                    future.result()
+            return [future.result() for future in futures]
+        except BrokenProcessPool as error:
+            raise RoadpercError("a process of the sweep was killed; with --jobs 1 it takes less memory") from error
+        finally:
+            shared.stop.set()
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Block signals while processes start: they inherit the mask, because this process tells them to stop."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ending_signals())
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+_shared: Shared
+
+
+def _join(shared: Shared) -> None:
+    """Begin as one of the processes."""
+    global _shared  # noqa: PLW0603 - handed over once, when the process starts
+    _shared = shared
+
+
+def _do(job: Job) -> tuple[str, ...]:
+    return sweep_log(job, _shared.count)

@@ -7,12 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.core.geometry import Float
 from roadperc_stream.errors import TableError
+from roadperc_stream.geometry import Float
 
 from ..options import Alignment
-from .alignment import align
-from .errors import Delta, ErrorStatistics, absolute_errors_m, pairs, path_m, relative_errors, segment_errors
+from .errors import Delta, ErrorStatistics, absolute_errors_m, align, pairs, path_m, relative_errors, segment_errors
 from .poses import RunPoses
 
 KITTI_LENGTHS_M: Final = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
@@ -84,7 +83,9 @@ def evaluate(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Evalua
     relative_m, relative_deg = (np.concatenate(part) for part in zip(*relative, strict=True))
     driven_m = [float(path_m(part.true)[-1]) for part in aligned]
     lengths_m, every = (KITTI_LENGTHS_M, KITTI_EVERY) if max(driven_m) > KITTI_LENGTHS_M[0] else (SHORT_LENGTHS_M, 1)
-    stretches = [_stretches(aligned, length_m, every) for length_m in lengths_m]
+    stretches = [
+        [segment_errors(part.estimated, part.true, length_m, every) for part in aligned] for length_m in lengths_m
+    ]
     return Evaluation(
         run,
         chosen,
@@ -140,10 +141,6 @@ def _align_segment(part: RunPoses, how: Alignment) -> _Aligned:
         raise TableError(f"expected {_FEWEST} or more frames with an estimated and a true pose, found {frames}")
     true_S_estimated = align(part.estimated, part.true, how)
     return _Aligned(true_S_estimated.poses(part.estimated), part.true, true_S_estimated.scale)
-
-
-def _stretches(aligned: Iterable[_Aligned], length_m: float, every: int) -> list[tuple[Float, Float]]:
-    return [segment_errors(part.estimated, part.true, length_m, every) for part in aligned]
 
 
 def _segments(length_m: float | None, errors: Iterable[tuple[Float, Float]]) -> Segments:

@@ -1,13 +1,30 @@
-"""The poses of a run, estimated and true."""
+"""The poses of a run, estimated and true: from its metrics table, and as files that other trajectory tools read."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.errors import TableError
+from roadperc_stream.geometry import Float, inverse
+from roadperc_stream.system.files import completing
+from roadperc_stream.system.time import NS_PER_S
+
+from ..runs import Run, collect
+from ..scan import SEGMENT, rows_of, segment, typed
+
+_POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+ESTIMATED_COLUMNS: Final = tuple(f"odom_{name}" for name in _POSE)
+TRUE_COLUMNS: Final = tuple(f"true_{name}" for name in _POSE)
+FARTHEST_M: Final = 1e9
+_LENGTHS: Final = (1e-3, 1e3)
+"""Of a quaternion: of any other not even the direction is sure."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +56,12 @@ class RunPoses:
     @cached_property
     def of_segments(self) -> dict[int, "RunPoses"]:
         """The poses of each segment, in the order of their frames; the counts stay the run's."""
-        return {int(segment): self._of(self.segments == segment) for segment in dict.fromkeys(self.segments.tolist())}
-
-    def _of(self, these: NDArray[np.bool_]) -> "RunPoses":
-        true = None if self.true is None else self.true[these]
-        return replace(
-            self,
-            stamps_ns=self.stamps_ns[these],
-            estimated=self.estimated[these],
-            true=true,
-            segments=self.segments[these],
-        )
+        parts = {}
+        for segment_ in dict.fromkeys(self.segments.tolist()):
+            these = self.segments == segment_
+            arrays = {name: getattr(self, name)[these] for name in ("stamps_ns", "estimated", "segments")}
+            parts[int(segment_)] = replace(self, **arrays, true=None if self.true is None else self.true[these])
+        return parts
 
     @property
     def up_to_scale(self) -> bool:
@@ -68,3 +80,109 @@ def pose_matrices(rows: Float) -> Float:
     poses[:, :3, 3] = rows[:, :3]
     poses[:, :3, :3] = Rotation.from_quat(rows[:, 3:]).as_matrix()
     return poses
+
+
+def read_poses(run: Run) -> RunPoses:
+    """Read a run's poses; one with a value that is missing, not finite or no place on Earth is missing.
+
+    Raises:
+        TableError: the table cannot be read, or no frame has an estimated pose.
+    """
+    kinds = {"odometry_status": pl.String(), "stamp_ns": pl.Int64()}
+    kinds |= dict.fromkeys(("step_m", "turn_deg", *ESTIMATED_COLUMNS, *TRUE_COLUMNS), pl.Float64())
+    columns = [segment(run.columns), *(typed(run.columns, name, kind) for name, kind in kinds.items())]
+    table = collect(rows_of(run).select(columns), run.source_name)
+    if run.next_part and not run.frames:
+        raise TableError(run.why_empty)
+    lost = (table["odometry_status"] == "lost").fill_null(value=False).to_numpy()
+    estimated, true = (table.select(names).to_numpy() for names in (ESTIMATED_COLUMNS, TRUE_COLUMNS))
+    has_estimate, has_truth = _known(estimated) & ~lost, _known(true)
+    if not has_estimate.any():
+        raise TableError(
+            f"{run.source_name}: no frame has an estimated pose (odom_x_m to odom_qw); was odometry replayed?"
+        )
+    used = has_estimate & has_truth if has_truth.any() else has_estimate
+    turned = table["turn_deg"].is_not_null()
+    return RunPoses(
+        name=run.name,
+        source=run.source_name,
+        frames=run.frames,
+        lost=int(lost.sum()),
+        estimated_frames=int(has_estimate.sum()),
+        true_frames=int(has_truth.sum()),
+        steps=int(turned.sum()),
+        without_scale=int((turned & table["step_m"].is_null()).sum()),
+        stamps_ns=table["stamp_ns"].to_numpy()[used],
+        estimated=pose_matrices(estimated[used]),
+        true=pose_matrices(true[used]) if has_truth.any() else None,
+        segments=table[SEGMENT].to_numpy()[used],
+    )
+
+
+def _known(rows: Float) -> NDArray[np.bool_]:
+    """(N,) which of (N, 7) rows are a pose."""
+    with np.errstate(over="ignore"):  # what is too long for a number is too long
+        length = np.linalg.norm(rows[:, 3:], axis=1)
+    shortest, longest = _LENGTHS
+    known: NDArray[np.bool_] = (
+        (np.abs(rows[:, :3]) <= FARTHEST_M).all(axis=1) & (shortest <= length) & (length <= longest)
+    )
+    return known
+
+
+def export_tum(folder: Path, run: RunPoses) -> None:
+    """Write NAME.est.tum and, where there is truth, NAME.true.tum, each pose in its own world.
+
+    Of a run in several segments each has its files: NAME.segment-0.est.tum and so on.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
+    _export(folder, run, "tum", tum_lines)
+
+
+def export_kitti(folder: Path, run: RunPoses) -> None:
+    """Write NAME.est.kitti and, where there is truth, NAME.true.kitti, each pose against its file's first.
+
+    Of a run in several segments each has its files as those of ``export_tum``.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
+    _export(folder, run, "kitti", lambda _stamps_ns, poses: kitti_lines(poses))
+
+
+def _export(folder: Path, run: RunPoses, suffix: str, lines: Callable[[NDArray[np.int64], Float], list[str]]) -> None:
+    """Write the poses of each segment; a run that only its folder distinguishes from others gets that folder, too."""
+    for number, part in run.of_segments.items():
+        name = f"{run.name.lstrip('/')}.segment-{number}" if len(run.of_segments) > 1 else run.name.lstrip("/")
+        for kind, poses in (("est", part.estimated), ("true", part.true)):
+            if poses is not None:
+                with completing(folder / f"{name}.{kind}.{suffix}") as temporary:
+                    text = "".join(f"{line}\n" for line in lines(part.stamps_ns, poses))
+                    temporary.write_text(text, encoding="ascii")
+
+
+def tum_lines(stamps_ns: NDArray[np.int64], poses: Float) -> list[str]:
+    """A line for each of (N, 4, 4) poses: seconds with nine decimals, x y z in metres, quaternion x y z w.
+
+    Numbers have as many digits as give the same float again.
+    Source: the file format of the TUM RGB-D benchmark (Sturm et al. 2012).
+    """
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    rows = np.hstack((poses[:, :3, 3], quaternions)).tolist()
+    stamps = (divmod(stamp_ns, NS_PER_S) for stamp_ns in stamps_ns.tolist())
+    return [f"{s}.{ns:09d} {_numbers(row)}" for (s, ns), row in zip(stamps, rows, strict=True)]
+
+
+def kitti_lines(poses: Float) -> list[str]:
+    """A line for each of (N, 4, 4) poses: the upper three rows of first_T_this, row by row, metres.
+
+    Source: the file format of KITTI's odometry benchmark (Geiger et al. 2012), whose paths begin at the identity.
+    """
+    first_T_this = inverse(poses[0]) @ poses
+    return [_numbers(row) for row in first_T_this[:, :3].reshape(-1, 12).tolist()]
+
+
+def _numbers(row: Iterable[float]) -> str:
+    return " ".join(repr(value) for value in row)

@@ -26,8 +26,8 @@ import psutil
 
 from roadperc_stream.batch.task import BUSY, Outcome, Task, megabytes, this_worker
 from roadperc_stream.batch.worker import scratch_of, work
-from roadperc_stream.core.progress import no_progress
-from roadperc_stream.errors import RoadpercError
+from roadperc_stream.errors import RoadpercError, TargetError
+from roadperc_stream.system.progress import no_progress
 
 OUTPUT: Final = "log"
 """The folder of a dataset for what workers print."""
@@ -35,6 +35,8 @@ _LOOK_EVERY_S: Final = 0.1
 _SAY_EVERY_S: Final = 0.2
 _CONTEXT: Final = multiprocessing.get_context("forkserver")
 _PRELOADED: Final = ("roadperc_stream.batch.worker",)
+_END_BYTES, _LONGEST = 1 << 20, 500
+"""Of what a process printed: where a fatal error is looked for, and the characters of a line that a row quotes."""
 _ONE_THREAD: Final = "OPENBLAS_NUM_THREADS"
 _starting: Final = threading.Lock()
 Tell = Callable[[int, int], None]
@@ -54,6 +56,8 @@ def attempt(task: Task, stop: threading.Event | None = None, tell: Tell = no_pro
     """
     try:
         return _attempt(task, stop or threading.Event(), tell)
+    except TargetError as error:
+        return Outcome("unreachable", str(error), worker=this_worker())
     except OSError as error:
         said = f"{error.filename or scratch_of(task)}: {error.strerror or error}"
         return Outcome("unreachable", said, worker=this_worker())
@@ -72,7 +76,7 @@ def _attempt(task: Task, stop: threading.Event, tell: Tell) -> Outcome:
         process.start()
     sender.close()
     try:
-        outcome = _Watch(task, process, receiver, tell).outcome(stop)
+        outcome = _Watch(task, process, receiver, tell, printed).outcome(stop)
     finally:
         process.kill()
         process.join()
@@ -89,6 +93,7 @@ class _Watch:
     process: ForkServerProcess
     receiver: Connection
     tell: Tell
+    printed: Path
 
     def outcome(self, stop: threading.Event) -> Outcome:
         """Wait until it has ended, or is to be ended."""
@@ -111,7 +116,8 @@ class _Watch:
                 said = self.receiver.recv()
             except (EOFError, OSError):  # it said nothing at its end
                 self.process.join()
-                return Outcome("killed", f"its process ended by {_ending(self.process.exitcode)}")
+                ending = f"{_ending(self.process.exitcode)}{_fatal_error(self.printed)}"
+                return Outcome("killed", f"its process ended by {ending}")
             if isinstance(said, Outcome):
                 return said
             self.tell(*said)
@@ -129,6 +135,17 @@ def _ending(code: int | None) -> str:
     with suppress(ValueError):
         return signal.Signals(-code).name
     return f"signal {-code}"
+
+
+def _fatal_error(printed: Path) -> str:
+    """The fatal error that a process printed, between the line before it and the line of code; empty without one."""
+    with suppress(OSError), printed.open("rb") as file:
+        file.seek(max(printed.stat().st_size - _END_BYTES, 0))
+        before, mark, after = file.read().decode(errors="replace").rpartition("Fatal Python error: ")
+        error, _, dump = after.partition("\n")
+        said = (*before.splitlines()[-1:], mark + error, *dump.partition("Current thread ")[2].splitlines()[1:2])
+        return "".join(f": {line.strip()[:_LONGEST]}" for line in said) if mark else ""
+    return ""
 
 
 def _keep_printed(task: Task, printed: Path, outcome: Outcome) -> None:

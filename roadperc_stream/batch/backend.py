@@ -1,9 +1,14 @@
-"""What works on tasks: the driver knows no more of it than this."""
+"""Back ends work on tasks: the driver knows no more of them than the protocol; one works on this machine."""
 
+import time
 from collections.abc import Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from functools import partial
+from threading import Event
 from types import TracebackType
 from typing import Protocol, Self
 
+from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.task import Outcome, Task
 
 Frames = tuple[int, int]
@@ -40,3 +45,47 @@ class Backend(Protocol):
     ) -> None:
         """End all that still runs."""
         ...
+
+
+class LocalBackend:
+    """As many tasks at a time as are asked for."""
+
+    def __init__(self, jobs: int) -> None:
+        self.slots = jobs
+        self._stop = Event()
+        self._threads = ThreadPoolExecutor(jobs, thread_name_prefix="batch")
+        self._tasks: dict[Future[Outcome], Task] = {}
+        self._frames: dict[str, Frames] = {}
+
+    def submit(self, task: Task) -> None:
+        """Begin with a task."""
+        self._tasks[self._threads.submit(attempt, task, self._stop, partial(self._told, task.key))] = task
+
+    def _told(self, key: str, done: int, expected: int) -> None:
+        self._frames[key] = done, expected
+
+    @property
+    def at_work(self) -> Mapping[str, Frames]:
+        """How far the tasks at work are, by their keys."""
+        return self._frames.copy()
+
+    def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
+        """The tasks that have ended since."""
+        if not self._tasks:
+            time.sleep(timeout_s)
+        ended = wait(self._tasks, timeout_s, FIRST_COMPLETED).done
+        found = [(self._tasks.pop(future), future.result()) for future in ended]
+        for task, _ in found:
+            self._frames.pop(task.key, None)
+        return found
+
+    def __enter__(self) -> Self:
+        """Start: processes do with the first task."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End all that still runs."""
+        self._stop.set()
+        self._threads.shutdown(cancel_futures=True)

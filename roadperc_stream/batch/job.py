@@ -6,13 +6,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from roadperc_stream import __version__
-from roadperc_stream.batch.configuration import BatchConfiguration, code_digest, libraries
 from roadperc_stream.batch.runs import BatchRow
-from roadperc_stream.batch.task import NO_TIMEOUT, DriveFiles, KeepLogs, Outcome, Task, TaskLimits
+from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.task import (
+    NO_TIMEOUT,
+    BatchConfiguration,
+    DriveFiles,
+    KeepLogs,
+    Outcome,
+    Task,
+    TaskLimits,
+    code_digest,
+    libraries,
+)
 from roadperc_stream.log import DIGEST_ALGORITHM
 from roadperc_stream.output.tables import config_digest
 from roadperc_stream.schemas.columns.runs import RunRow
-from roadperc_stream.storage.folder import Folder
 
 
 @dataclass(frozen=True)
@@ -98,11 +107,6 @@ def not_named(row: RunRow, name: str) -> RunRow:
     """The row of a log that is under this name no more."""
     seen = {n: print_ for n, print_ in zip(row.names, row.fingerprints, strict=True) if n != name}
     return _with_names(row, seen)
-
-
-def but_for_names(row: RunRow) -> RunRow:
-    """What only a replay changes in a row."""
-    return replace(row, path="", names=(), fingerprints=(), finished_ns=0)
 
 
 def _with_names(row: RunRow, seen: Mapping[str, str]) -> RunRow:

@@ -3,15 +3,15 @@
 from dataclasses import replace
 from datetime import UTC, datetime
 
+from roadperc_stream.batch.storage.addresses import joined
 from roadperc_stream.batch.task import Outcome, Task, as_text
-from roadperc_stream.core.files import TABLE_SUFFIX
-from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.output.tables import copy_table, totals
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.outputs import ReplaySummary
+from roadperc_stream.output.writing import ReplaySummary
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.columns.runs import stage_column
-from roadperc_stream.storage.addresses import joined
+from roadperc_stream.system.files import TABLE_SUFFIX
+from roadperc_stream.system.time import NS_PER_S
 
 METRICS, OBJECTS, LOGS = "metrics", "objects", "logs"
 """The folders of a dataset."""

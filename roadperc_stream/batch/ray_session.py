@@ -21,8 +21,17 @@ import ray
 from ray.exceptions import NodeDiedError, OutOfMemoryError, RayError, RayTaskError, WorkerCrashedError
 
 from roadperc_stream.batch.backend import Frames
-from roadperc_stream.batch.cluster import LOCAL, ClusterRequest, ClusterState, Refusal, SessionMessage, TaskEnd
-from roadperc_stream.batch.ray_tasks import FrameCount, attempt_on_node, code_on_node
+from roadperc_stream.batch.cluster import (
+    LOCAL,
+    ClusterRequest,
+    ClusterState,
+    FrameCount,
+    Refusal,
+    SessionMessage,
+    TaskEnd,
+    attempt_on_node,
+    code_on_node,
+)
 from roadperc_stream.batch.task import Outcome, Task
 from roadperc_stream.errors import ClusterError
 

@@ -1,7 +1,7 @@
-"""The list of all that a dataset's batches have done: ``runs.parquet``, and a part of it for each batch at work.
+"""The list of all that a dataset's batches have done: ``runs.parquet``, and beside it the rows of the batch at work.
 
-A batch writes only its own part, again and again, and at its end all that is known to ``runs.parquet``: two at once
-do not undo each other, and what one was killed at is not lost. The newest row of a log and configuration counts.
+A batch writes its own rows again and again, and at its end all that is known to ``runs.parquet``: those of one that was
+killed are not lost.
 """
 
 import os
@@ -10,32 +10,25 @@ import socket
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
+from roadperc_stream.batch.storage.addresses import joined
+from roadperc_stream.batch.storage.folder import Folder
 from roadperc_stream.batch.task import SCRATCH
-from roadperc_stream.core.files import TABLE_SUFFIX, target_errors
-from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import TableWriter, rows_in
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
-from roadperc_stream.state.lock import FolderLock
-from roadperc_stream.storage.addresses import joined
-from roadperc_stream.storage.folder import Folder
-from roadperc_stream.storage.stored import StoredFile
+from roadperc_stream.system.files import TABLE_SUFFIX, target_errors
 
 ALL: Final = f"runs{TABLE_SUFFIX}"
-PARTS: Final = "runs"
+AT_WORK: Final = "runs"
 _NAMES: Final = tuple(item.name for item in fields(RunRow))
 _REMEDY: Final = "remove it and all is done anew"
-_LOCK_WITHIN_S: Final = 10.0
-_TRIES: Final = 3
 _UNFINISHED: Final = "runs-"
-_LEFT_OVER_NS: Final = 24 * 3600 * NS_PER_S
 
 
 @dataclass(frozen=True)
@@ -106,122 +99,65 @@ class KnownRuns:
 
 
 class RunsTable:
-    """The rows of a dataset, as one batch reads and writes them."""
+    """The rows of a dataset, as the batch that holds its lock reads and writes them."""
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-        self._part = f"{PARTS}/{started}-{socket.gethostname()}-{os.getpid()}{TABLE_SUFFIX}"
+        self._own_name = f"{AT_WORK}/{started}-{socket.gethostname()}-{os.getpid()}{TABLE_SUFFIX}"
         self._own: Rows = {}
-        self._seen: tuple[set[StoredFile], StoredFile | None] = (set(), None)
+        self._is_saved = True
 
     def read(self) -> Rows:
-        """All rows, those of other batches at work included.
+        """All rows, those of batches that were killed included.
 
         Raises:
             StorageError: the dataset cannot be read.
             TableError: a table in it is not a list of runs.
         """
-        self._seen = self._of_others()
-        return merged(*self._in_all(self._parts()), self._own.values())
+        return merged(*self._tables(), self._own.values())
 
-    def _of_others(self) -> tuple[set[StoredFile], StoredFile | None]:
-        """The parts of other batches at work, and the one list, to which those that end write."""
-        return {file for file in self._parts() if self._folder.name_of(file) != self._part}, self._folder.file(ALL)
+    def _at_work(self) -> list[str]:
+        return [self._folder.name_of(file) for file in self._folder.files(AT_WORK, TABLE_SUFFIX)]
 
-    def _parts(self) -> list[StoredFile]:
-        return self._folder.files(PARTS, TABLE_SUFFIX)
-
-    def _in_all(self, parts: Iterable[StoredFile]) -> list[list[BatchRow]]:
-        """The rows of some parts, and of the one list behind them: of a part that goes meanwhile it has the rows."""
-        return list(self._tables([*(self._folder.name_of(file) for file in parts), ALL]))
-
-    def _tables(self, names: Iterable[str]) -> Iterator[list[BatchRow]]:
-        for name in names:
+    def _tables(self) -> Iterator[list[BatchRow]]:
+        for name in (ALL, *self._at_work()):
             data = self._folder.read(name)
             if data is not None:
                 yield _runs_in(data, joined(self._folder.address, name))
 
-    def news(self) -> Rows:
-        """The rows of other batches, where any has written since this was last asked; else none.
-
-        Raises:
-            StorageError: the dataset cannot be read.
-            TableError: a table in it is not a list of runs.
-        """
-        before, self._seen = self._seen, self._of_others()
-        return {} if self._seen == before else merged(*self._in_all(self._seen[0]))
-
     def add(self, run: BatchRow) -> None:
         """Add a row, or replace the one of the same log and configuration."""
         self._own[run.key] = run
+        self._is_saved = False
 
     def save(self) -> None:
-        """Write the rows that were added to this batch's part.
+        """Write the rows that were added.
 
         Raises:
             StorageError: the dataset cannot be written.
             TargetError: it is on this machine, and cannot be written.
         """
-        if self._own:
-            self._write(self._own.values(), self._part)
+        if not self._is_saved:
+            self._write(self._own.values(), self._own_name)
+            self._is_saved = True
 
     def fold(self) -> None:
-        """Write all that is known to the one list, and remove the parts that are in it.
-
-        On a disk nobody else does so meanwhile. A store has no locks: what another one wrote at the same moment is
-        looked for afterwards.
+        """Write all that is known to the one list, where any of it is elsewhere.
 
         Raises:
             StorageError: the dataset cannot be written.
             TargetError: it is on this machine, and cannot be written.
         """
-        with self._locked():
-            for _ in range(_TRIES):
-                parts = self._parts()
-                rows = merged(*self._in_all(parts), self._own.values())
-                if not rows:
-                    return
-                self._write(rows.values(), ALL)
-                if _has_all(merged(*self._tables([ALL])), rows):
-                    break
-            for file in parts:
-                if self._folder.name_of(file) == self._part or _is_left_over(file):
-                    self._folder.remove(self._folder.name_of(file))
-            self._remove_unfinished()
-
-    def _remove_unfinished(self) -> None:
-        """Remove what batches that were killed had begun to write."""
+        names = self._at_work()
+        if names or not self._is_saved:
+            self._write(self.read().values(), ALL)
+            self._is_saved = True
+        for name in names:
+            self._folder.remove(name)
         if self._folder.is_local:
-            for folder in self._folder.path(SCRATCH).glob(f"{_UNFINISHED}*"):
-                with suppress(OSError):
-                    if time.time_ns() - folder.stat().st_mtime_ns > _LEFT_OVER_NS:
-                        shutil.rmtree(folder)
-
-    def fold_left_over(self) -> None:
-        """Write all that is known to the one list, where a batch that was killed has left its part.
-
-        Raises:
-            StorageError: the dataset cannot be written.
-            TargetError: it is on this machine, and cannot be written.
-        """
-        if self._parts():
-            self.fold()
-
-    @contextmanager
-    def _locked(self) -> Iterator[None]:
-        """Hold the list, where it is on a disk: the system takes it from a process that ends, however that ends."""
-        if not self._folder.is_local:
-            yield
-            return
-        lock = FolderLock(Path(self._folder.address))
-        until = time.monotonic() + _LOCK_WITHIN_S
-        while not lock.take() and time.monotonic() < until:
-            time.sleep(0.05)
-        try:
-            yield
-        finally:
-            lock.release()
+            for left_over in self._folder.path(SCRATCH).glob(f"{_UNFINISHED}*"):  # of batches that were killed
+                shutil.rmtree(left_over, ignore_errors=True)
 
     def _write(self, runs: Iterable[BatchRow], name: str) -> None:
         scratch = self._folder.path(SCRATCH) if self._folder.is_local else None  # the system's may be full
@@ -234,17 +170,6 @@ class RunsTable:
                 for run in sorted(runs, key=lambda run: (run.row.path, run.row.config)):
                     table.append(run.row, **run.stages_s)
             self._folder.put(path, name)
-
-
-def _has_all(written: Rows, rows: Rows) -> bool:
-    """Whether a list has rows, or newer ones of the same logs."""
-    return all(key in written and written[key].row.finished_ns >= run.row.finished_ns for key, run in rows.items())
-
-
-def _is_left_over(part: StoredFile) -> bool:
-    """Whether no batch can still be writing a part: one at work writes what it has done within seconds."""
-    modified_ns = part.fingerprint.rpartition(":")[2]
-    return modified_ns.isdecimal() and time.time_ns() - int(modified_ns) > _LEFT_OVER_NS
 
 
 def _runs_in(data: bytes, address: str) -> list[BatchRow]:

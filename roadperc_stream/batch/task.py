@@ -5,15 +5,94 @@ import os
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
+from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Final, Literal
 
-from roadperc_stream.batch.configuration import BatchConfiguration
-from roadperc_stream.batch.splitting import SplitPart
+import tomli_w
+
+import roadperc_stream
+from roadperc_stream.batch.storage.disk import StoredFile
+from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.schemas.columns.runs import RunStatus
-from roadperc_stream.storage.folder import Folder
-from roadperc_stream.storage.stored import StoredFile
+from roadperc_stream.system.time import WHOLE, TimeRange
+
+_DIGITS: Final = 8
+_FOLDERS: Final = (
+    *("chain", "config", "formats", "geometry", "input", "log"),
+    *("metrics", "model", "output", "resume", "schemas", "system"),
+)
+_RESULTS_DEPEND_ON: Final = ("*.py", *(f"{name}/**/*.py" for name in _FOLDERS))
+_LIBRARIES: Final = ("numpy", "opencv-python-headless", "scipy")
+
+
+@dataclass(frozen=True)
+class BatchConfiguration:
+    """Everything but the log that results depend on.
+
+    Args:
+        cfg: the chain's configuration.
+        topics: role and topic, where logs have topics of their own.
+        time_range: the part of every log to replay.
+    """
+
+    cfg: ReplayConfig
+    topics: tuple[tuple[str, str], ...] = ()
+    time_range: TimeRange = WHOLE
+
+    @cached_property
+    def name(self) -> str:
+        """Eight hexadecimal digits, from what is not the default: a new setting leaves the names as they are."""
+        return _digest(f"{self.settings}\n{self.options}".encode("utf-8", "backslashreplace"))
+
+    @property
+    def settings(self) -> str:
+        """The settings that are not the default, as TOML."""
+        return tomli_w.dumps(self.cfg.model_dump(mode="json", exclude_defaults=True))
+
+    @property
+    def options(self) -> str:
+        """The other options, as on the command line."""
+        given: dict[str, float | None] = {
+            "start": self.time_range.start_s,
+            "end": self.time_range.end_s,
+            "frames": self.time_range.frames,
+        }
+        topics = (f"--topic {role}={topic}" for role, topic in sorted(self.topics))
+        return " ".join(
+            (*topics, *(f"--{name} {_exactly(value)}" for name, value in given.items() if value is not None))
+        )
+
+
+def _exactly(value: float) -> str:
+    """A number with all its digits: another one is another configuration."""
+    return str(value).removesuffix(".0")
+
+
+@cache
+def code_digest() -> str:
+    """Eight hexadecimal digits of the modules that results depend on.
+
+    Who changes the chain has its logs replayed anew, without a new version; compiled loops have a plain form with the
+    same results, which is among the modules.
+    """
+    root = Path(roadperc_stream.__file__).parent
+    modules = [path for pattern in _RESULTS_DEPEND_ON for path in root.glob(pattern)]
+    texts = {path.relative_to(root).as_posix(): path.read_bytes() for path in modules}
+    return _digest(b"".join(name.encode() + b"\0" + texts[name] for name in sorted(texts)))
+
+
+@cache
+def libraries() -> str:
+    """The versions of the libraries that compute."""
+    return ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:_DIGITS]
+
 
 KeepLogs = Literal["no", "whole", "results"]
 """Which result log stays in the dataset: none, one as a replay writes it, or one without the input's messages."""
@@ -21,8 +100,6 @@ SCRATCH: Final = ".work"
 """The folder of a local dataset for what is not complete."""
 BUSY: Final = "busy"
 """The status of a task whose log another batch is at work on."""
-CUT: Final = "cut"
-"""The status of a task whose log is to be replayed in parts."""
 _KEY_DIGITS: Final = 16
 _MB: Final = 1e6
 
@@ -85,9 +162,6 @@ class Task:
             change: then nothing is left to do.
         code: digest of the code that the batch was started with, which is to be the worker's.
         scratch: a folder for temporary files on the worker's machine; None: within the dataset, or the system's.
-        piece: the part of the log that is to be replayed, or the replayed parts that are to be joined; None: replay it
-            whole, or find out in what parts.
-        is_audited: as ``CutLog``.
     """
 
     drive: DriveFiles
@@ -99,8 +173,6 @@ class Task:
     same_ids: tuple[str, ...] = ()
     code: str = ""
     scratch: Path | None = None
-    piece: "SplitPart | EndedParts | None" = None
-    is_audited: bool = False
     was_recovered: bool = False
 
     @cached_property
@@ -109,25 +181,9 @@ class Task:
         return hashlib.sha256(f"{self.drive.fingerprint}\n{self.code}".encode()).hexdigest()[:_KEY_DIGITS]
 
     @cached_property
-    def log_key(self) -> str:
+    def key(self) -> str:
         """Names the log and the configuration where the log's digest is not known yet."""
         return hashlib.sha256(f"{self.drive.name}\n{self.how.name}".encode()).hexdigest()[:_KEY_DIGITS]
-
-    @property
-    def key(self) -> str:
-        """Names the task among all that are at work."""
-        return f"{self.log_key}-{self.piece.index}" if isinstance(self.piece, SplitPart) else self.log_key
-
-
-@dataclass(frozen=True)
-class CutLog:
-    """A log that is to be replayed in parts; ``first_ns`` is the log time of its first message."""
-
-    log_id: str
-    first_ns: int
-    parts: tuple[SplitPart, ...]
-    is_audited: bool = False
-    """Whether it has been checked so that its parts need not be, nor fetched whole (``input.ReplaySource``)."""
 
 
 @dataclass(frozen=True)
@@ -135,10 +191,10 @@ class Outcome:
     """How an attempt ended; what is not known is None or 0.
 
     ``is_new`` is False where the log was in the dataset already, ``stages_s`` are the seconds of each stage by column,
-    ``frames_before`` those that an interrupted attempt had computed, ``cut`` is how a log was cut.
+    ``frames_before`` those that an interrupted attempt had computed.
     """
 
-    status: RunStatus | Literal["busy", "cut"]
+    status: RunStatus | Literal["busy"]
     error: str | None = None
     log_id: str | None = None
     date: str | None = None
@@ -153,23 +209,6 @@ class Outcome:
     seconds: float = 0.0
     peak_memory_mb: float | None = None
     worker: str = ""
-    cut: CutLog | None = None
-
-
-@dataclass(frozen=True)
-class EndedPart:
-    """A part of a log that has been replayed, and how that ended."""
-
-    part: SplitPart
-    outcome: Outcome
-
-
-@dataclass(frozen=True)
-class EndedParts:
-    """All parts of a log."""
-
-    cut: CutLog
-    parts: tuple[EndedPart, ...]
 
 
 def this_worker() -> str:

@@ -4,36 +4,74 @@ import hashlib
 import os
 import resource
 import shutil
+import socket
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Final
+from typing import Final, Self
 
 import roadperc_stream
-from roadperc_stream.batch.configuration import code_digest
-from roadperc_stream.batch.fetched import FetchedFiles, fetched, with_addresses
-from roadperc_stream.batch.part_replay import CHECKPOINTS, cut_log, joined_parts, print_remarks, replayed_part
 from roadperc_stream.batch.publishing import of_summary, publish
-from roadperc_stream.batch.splitting import SplitPart
-from roadperc_stream.batch.task import BUSY, SCRATCH, EndedParts, Outcome, Task, as_text, this_worker
-from roadperc_stream.core.memory import keep_freed_memory
-from roadperc_stream.core.progress import Progress
+from roadperc_stream.batch.storage.addresses import is_address
+from roadperc_stream.batch.storage.folder import Folder, fetch
+from roadperc_stream.batch.task import BUSY, SCRATCH, Outcome, Task, as_text, code_digest, this_worker
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
-from roadperc_stream.loop import Watcher, replay
+from roadperc_stream.loop import replay
 from roadperc_stream.output.target import ReplayTarget
+from roadperc_stream.output.writing import Callbacks
+from roadperc_stream.resume.lock import FolderLock
+from roadperc_stream.resume.opening import ReplayOptions, open_log
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE
-from roadperc_stream.state.lock import FolderLock
-from roadperc_stream.state.opening import open_log
+from roadperc_stream.system.files import make_private
+from roadperc_stream.system.memory import keep_freed_memory
+from roadperc_stream.system.progress import Progress
+from roadperc_stream.system.text import print_line
 
+_CHECKPOINTS: Final = ReplayOptions(checkpoint_every_s=60.0, resume=True)
+"""Seconds of log after which a replay that is killed goes on, rather than from the start."""
 _DIGITS: Final = 16
 _MB: Final = 1e6
 _MEMORY_UNIT: Final = 1 if sys.platform == "darwin" else 1024
 """In which the system counts the most memory that a process has held, bytes."""
+
+
+@dataclass(frozen=True)
+class _LocalFiles:
+    """A log's files on this machine; while a replay goes over them again and again they must not change."""
+
+    paths: tuple[Path, ...]
+    identities: dict[str, tuple[int, ...]]
+    """Of those that stand on this machine by themselves."""
+
+    @classmethod
+    def of(cls, task: Task, folder: Path) -> Self:
+        """The files themselves, and those of a store copied into a folder.
+
+        Raises:
+            StorageError: one cannot be read.
+        """
+        files = cls(tuple(_copies_in(task, folder)), {})
+        for file, copy in zip(task.drive.files, files.paths, strict=True):
+            if not is_address(file.address):
+                files.identities[file.address] = _identity(file.address)
+            elif not copy.exists():
+                fetch(file.address, copy)
+        return files
+
+    def require_unchanged(self) -> None:
+        """Check that all files are what they were.
+
+        Raises:
+            StorageError: one is not, or cannot be looked at.
+        """
+        for name, identity in self.identities.items():
+            if _identity(name) != identity:
+                raise StorageError(f"{name}: changed while it was replayed")
 
 
 def work(task: Task, progress: Progress) -> Outcome:
@@ -49,18 +87,15 @@ def work(task: Task, progress: Progress) -> Outcome:
         with _claimed(task) as folder:
             outcome = Outcome(BUSY) if folder is None else _tried(task, folder, progress)
             if folder is not None:
-                outcome = _with_addresses(outcome, task, folder)
+                said = outcome.error and _with_addresses(outcome.error, task, folder)
+                warnings = tuple(_with_addresses(text, task, folder) for text in outcome.warnings)
+                outcome = replace(outcome, error=said, warnings=warnings)
                 if outcome.status not in OF_THE_MACHINE:
                     shutil.rmtree(folder, ignore_errors=True)
-    except OSError as error:
+    except (OSError, TargetError) as error:
         outcome = Outcome("unreachable", _line(error))
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _MEMORY_UNIT / _MB
-    return replace(
-        outcome,
-        seconds=outcome.seconds + perf_counter() - started,
-        peak_memory_mb=max(outcome.peak_memory_mb or 0.0, peak_mb),
-        worker=this_worker(),
-    )
+    return replace(outcome, seconds=perf_counter() - started, peak_memory_mb=peak_mb, worker=this_worker())
 
 
 def _tried(task: Task, folder: Path, progress: Progress) -> Outcome:
@@ -79,33 +114,31 @@ def _tried(task: Task, folder: Path, progress: Progress) -> Outcome:
         return Outcome("memory", "not enough memory")
 
 
-def _with_addresses(outcome: Outcome, task: Task, folder: Path) -> Outcome:
-    """What is said of a copy that is gone by now, said of the file in the store."""
-    error = None if outcome.error is None else with_addresses(outcome.error, task, folder)
-    return replace(
-        outcome, error=error, warnings=tuple(with_addresses(text, task, folder) for text in outcome.warnings)
-    )
-
-
 def _line(error: Exception) -> str:
     return as_text(" ".join(str(error).splitlines())) or type(error).__name__
 
 
 def scratch_of(task: Task) -> Path:
-    """The folder for what is not complete: where an interrupted replay of the same log goes on."""
-    if task.scratch is None and task.out.is_local:
-        return task.out.path(f"{SCRATCH}/{task.key}.{task.content_key}")
+    """The folder for what is not complete: where an interrupted replay of the same log goes on.
+
+    Raises:
+        TargetError: as ``scratch_root``.
+    """
+    return scratch_root(task.out, task.scratch) / f"{task.key}.{task.content_key}"
+
+
+def scratch_root(out: Folder, scratch: Path | None) -> Path:
+    """The folder for what is not complete of a dataset: in the dataset, or in a private folder that this makes.
+
+    Raises:
+        TargetError: the private folder cannot be made, or is not private.
+    """
+    if scratch is None and out.is_local:
+        return out.path(SCRATCH)
     user = os.getuid() if hasattr(os, "getuid") else 0
-    root = task.scratch or Path(tempfile.gettempdir()) / f"roadperc-batch-{user}"
-    return root / hashlib.sha256(task.out.address.encode()).hexdigest()[:_DIGITS] / f"{task.key}.{task.content_key}"
-
-
-def discard(task: Task) -> None:
-    """Remove what an interrupted attempt has left on this machine, unless somebody is at work on it."""
-    if scratch_of(task).exists():
-        with suppress(OSError), _claimed(task) as folder:
-            if folder is not None:
-                shutil.rmtree(folder, ignore_errors=True)
+    private = (scratch or Path(tempfile.gettempdir())) / f"roadperc-batch-{user}"
+    make_private(private)
+    return private / hashlib.sha256(out.address.encode()).hexdigest()[:_DIGITS]
 
 
 @contextmanager
@@ -134,40 +167,29 @@ def _claimed(task: Task) -> Iterator[Path | None]:
 
 def _replayed(task: Task, folder: Path, progress: Progress) -> Outcome:
     _require_same_code(task)
-    if isinstance(task.piece, EndedParts):
-        return joined_parts(task, task.piece, folder)
-    with fetched(task, folder) as files:
-        try:
-            outcome = _replayed_files(task, files, folder, progress)
-        except RoadpercError:
-            files.require_unchanged()  # what is wrong with it may be that it is half another file
-            raise
-    return outcome
-
-
-def _replayed_files(task: Task, files: FetchedFiles, folder: Path, progress: Progress) -> Outcome:
-    paths, (topics, time_range) = files.paths, (dict(task.how.topics), task.how.time_range)
-    source = ReplaySource(paths, topics, time_range, task.recover, is_audited=task.is_audited)
-    if isinstance(task.piece, SplitPart):
-        return replayed_part(task, task.piece, source, files, folder, progress)
-    if (outcome := _without_replay(task, source)) is not None:
-        files.require_unchanged()
-        return outcome
+    files = _LocalFiles.of(task, folder)
     target = ReplayTarget(folder / "out.mcap", results_only=task.keep_logs != "whole", force=True)
-    summary = replay(source, target, task.how.cfg, checkpoints=CHECKPOINTS, watcher=Watcher(progress))
-    files.require_unchanged()
-    print_remarks(summary, task, folder)
+    source = ReplaySource(files.paths, dict(task.how.topics), task.how.time_range, task.recover)
+    try:
+        known_id = _known_id(task, source)
+        if known_id is None:
+            summary = replay(source, target, task.how.cfg, _CHECKPOINTS, Callbacks(progress))
+    finally:
+        files.require_unchanged()  # what is wrong with a log may be that it is half another file
+    if known_id is not None:
+        return Outcome("done", log_id=known_id, is_new=False)
+    for remark in summary.remarks:  # what a process prints comes to stand beside the dataset's tables
+        print_line(_with_addresses(remark, task, folder))
     return publish(task, target, summary.log_id, summary.first_ns, of_summary(summary))
 
 
-def _without_replay(task: Task, source: ReplaySource) -> Outcome | None:
-    """What comes of a log that is in the dataset already, or is to be replayed in parts."""
-    if task.same_ids:
-        as_before = replace(source, recover=task.recover or task.was_recovered)
-        log_id = open_log(as_before, task.how.cfg).input.log_id
-        if log_id in task.same_ids:
-            return Outcome("done", log_id=log_id, is_new=False)
-    return None if task.how.split_s is None else cut_log(task, open_log(source, task.how.cfg).input)
+def _known_id(task: Task, source: ReplaySource) -> str | None:
+    """The digest of a log that is in the dataset already; None of another one."""
+    if not task.same_ids:
+        return None
+    as_before = replace(source, recover=task.recover or task.was_recovered)
+    log_id = open_log(as_before, task.how.cfg).input.log_id
+    return log_id if log_id in task.same_ids else None
 
 
 def _require_same_code(task: Task) -> None:
@@ -179,3 +201,25 @@ def _require_same_code(task: Task) -> None:
     if task.code and task.code != code_digest():
         found = f"{roadperc_stream.__version__}, code {code_digest()}"
         raise StorageError(f"{this_worker()}: has another version of roadperc_stream ({found}); expected {task.code}")
+
+
+def _copies_in(task: Task, folder: Path) -> Iterator[Path]:
+    """The path of each file on this machine: its own, or that of a copy in the folder."""
+    for number, file in enumerate(task.drive.files):
+        yield folder / f"{number}.mcap" if is_address(file.address) else Path(file.address)
+
+
+def _with_addresses(text: str, task: Task, folder: Path) -> str:
+    """What was said of copies, said of what they are copies of."""
+    for file, copy in zip(task.drive.files, _copies_in(task, folder), strict=True):
+        text = text.replace(str(copy), file.address)
+    return text
+
+
+def _identity(name: str) -> tuple[int, ...]:
+    try:
+        facts = Path(name).stat()
+    except OSError as error:
+        words = f"no such file on {socket.gethostname()}; machines without a disk in common need addresses"
+        raise StorageError(f"{name}: {words}") from error
+    return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns

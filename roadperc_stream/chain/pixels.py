@@ -1,4 +1,4 @@
-"""The pixels of a frame: decoded only where a stage asks for them; what cannot be used counts as missing."""
+"""The pixels of a frame: which ones the enabled stages need, and their decoding; an unusable image is missing."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -6,14 +6,37 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.datatypes import CameraImage, Frame, Ids, Image, Reason, StereoDepth
-from roadperc_stream.core.geometry import Camera, inverse
-from roadperc_stream.core.registration import depth_of_points
-from roadperc_stream.core.scene import DepthMap
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import Camera, inverse
+from roadperc_stream.geometry.registration import depth_of_points
+from roadperc_stream.model import CameraImage, Frame, Ids, Image, Reason, StereoDepth
+from roadperc_stream.model.scene import DepthMap
 
 T = TypeVar("T")
 P = TypeVar("P", bound=np.generic)
+
+
+def needs_scene(cfg: ReplayConfig) -> bool:
+    """Whether a stage in use looks at depth and tags: all do but stereo, which makes depth."""
+    return any(stage.enabled for stage in (cfg.surface, cfg.odometry, cfg.lanes, cfg.objects, cfg.occupancy))
+
+
+def needs_grey(cfg: ReplayConfig, frame: Frame) -> bool:
+    """Whether a stage in use needs the front camera's pixels, without regard to the state."""
+    searches = cfg.objects.enabled and cfg.objects.template_search and bool(frame.detections)
+    shown = cfg.objects.enabled and bool(cfg.objects.template_png)
+    return cfg.odometry.enabled or searches or shown or (matches(cfg, frame) and left_is_front(frame))
+
+
+def matches(cfg: ReplayConfig, frame: Frame) -> bool:
+    """Whether there is a pair to match."""
+    return cfg.stereo.enabled and frame.right is not None
+
+
+def left_is_front(frame: Frame) -> bool:
+    """Whether the pair's left camera is the front camera, and not one of its own, whose image may be missing."""
+    return frame.left is None and frame.left_camera == frame.camera
 
 
 def tags_of(frame: Frame, problems: list[Reason]) -> Image | None:
@@ -27,7 +50,7 @@ def instances_of(frame: Frame, problems: list[Reason]) -> Ids | None:
 
 
 def grey_of(role: str, image: CameraImage | None, camera: Camera | None, problems: list[Reason]) -> Image | None:
-    """(H, W) grey of a camera image; None where there is none or its camera is not known."""
+    """(H, W) grey of a camera image; None without image or camera."""
     if camera is None:
         return None
     return _pixels(role, image, lambda image: image.grey, camera, problems)

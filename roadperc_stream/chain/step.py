@@ -1,45 +1,52 @@
-"""The perception chain of one frame, as one straight line: what it shows, where the car is, what is on the road."""
+"""The perception chain of one frame: ``observe`` its pixels, ``localise`` the car, ``perceive`` what is on the road."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from typing import Final, TypeVar
 
 import numpy as np
 
 from roadperc_stream.chain import pixels
-from roadperc_stream.chain.needs import left_is_front, needs_front_grey, needs_scene
 from roadperc_stream.chain.stages import lanes, objects, occupancy, odometry, stereo, surface
 from roadperc_stream.chain.stages.lanes import LanesState
 from roadperc_stream.chain.stages.objects import ObjectsState
 from roadperc_stream.chain.stages.odometry import OdometryState
 from roadperc_stream.chain.stages.surface import SurfaceState
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import (
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.geometry import Float, inverse, transform_plane
+from roadperc_stream.model import (
     Absent,
     Frame,
     FrameResult,
-    Ids,
     Image,
-    Lanes,
     Mask,
     Objects,
-    Occupancy,
     Odometry,
     Reason,
     ReasonCode,
     StereoDepth,
     Surface,
 )
-from roadperc_stream.core.geometry import Float, inverse, transform_plane
-from roadperc_stream.core.scene import DepthMap, Scene
+from roadperc_stream.model.scene import DepthMap, Scene
+from roadperc_stream.system.threads import opencv_threads
 
+T = TypeVar("T")
+U = TypeVar("U")
+_MATCHING_THREADS: Final = 2
+"""More threads of OpenCV hardly make stereo matching faster."""
 Timer = Callable[[str], AbstractContextManager[object]]
-"""Called with the name of a stage that runs: what it returns is entered while the stage works."""
+"""Called with a stage's name; the context it returns is active while the stage runs."""
+
+
+def untimed(_: str) -> AbstractContextManager[object]:
+    """A timer that does not measure."""
+    return nullcontext()
 
 
 @dataclass(frozen=True)
 class ChainState:
-    """What the chain remembers from one frame to the next."""
+    """What the chain keeps between frames."""
 
     stamp_ns: int | None = None
     surface: SurfaceState = field(default_factory=SurfaceState)
@@ -48,37 +55,15 @@ class ChainState:
     objects: ObjectsState = field(default_factory=ObjectsState)
 
 
-def untimed(_: str) -> AbstractContextManager[object]:
-    """A timer that does not measure."""
-    return nullcontext()
-
-
-def _if_enabled(cfg: ReplayConfig, timer: Timer) -> Timer:
-    return lambda stage: timer(stage) if getattr(cfg, stage).enabled else nullcontext()
-
-
 @dataclass(frozen=True)
-class Sight:
-    """What a frame shows by itself, whatever came before it: its pixels as a scene, and the depth of its pair.
+class LocalisedFrame:
+    """A frame after surface and odometry: the road below the car and the car's motion.
 
-    ``undecoded`` are the front camera's images that cannot be used, ``problems`` what else is wrong.
+    ``state`` is the chain's state after these two stages; its lanes and objects are unchanged. ``front_road`` is the
+    road with its plane in the frame of the front camera.
     """
 
-    frame: Frame
     scene: Scene
-    matched: StereoDepth | Absent
-    undecoded: tuple[Reason, ...]
-    problems: tuple[Reason, ...]
-
-
-@dataclass(frozen=True)
-class Whereabouts:
-    """Where the car is: the road below it and its motion.
-
-    ``state`` is that after surface and odometry; of lanes and objects it remembers what it did before.
-    """
-
-    sight: Sight
     state: ChainState
     motion: Odometry | Absent
     road: Surface | Absent
@@ -86,93 +71,144 @@ class Whereabouts:
     drivable: Mask | Absent
     problems: tuple[Reason, ...]
 
-    def counted_from_here(self) -> "Whereabouts":
-        """The same with odometry counted from its frame on: that frame's pose is the identity, exactly."""
-        state = replace(self.state, odometry=odometry.counted_from_here(self.state.odometry))
-        if isinstance(self.motion, Absent):
-            return replace(self, state=state)
-        return replace(self, state=state, motion=replace(self.motion, odom_T_ego=state.odometry.odom_T_ego))
-
 
 def step(cfg: ReplayConfig, state: ChainState, frame: Frame, timer: Timer = untimed) -> tuple[ChainState, FrameResult]:
-    """Run every stage on one frame, in the order of what needs what.
+    """Run all enabled stages on one frame, in the order of their dependencies.
 
-    Pure: the same configuration, state and frame give the same result, bit for bit; the timer's readings stay out of
-    it. Random numbers are seeded by the configuration's seed and the frame's stamp.
+    Pure: the same configuration, state and frame give the same result, bit for bit. The timer's readings are not part
+    of it. The configuration's seed and the frame's stamp seed the random numbers.
     """
-    sight = see(cfg, frame, timer)
-    place = locate(cfg, state, sight, timer)
-    return perceive(cfg, state, place, timer)
+    scene = observe(cfg, frame, timer)
+    localised = localise(cfg, state, scene, timer)
+    return perceive(cfg, state, localised, timer)
 
 
-def see(cfg: ReplayConfig, frame: Frame, timer: Timer = untimed) -> Sight:
-    """Decode what the stages in use ask for, and match the pair: all that needs no memory of the frames before."""
-    undecoded, problems = list[Reason](), list[Reason]()
+def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = untimed, threads: int = 1) -> Scene:
+    """Decode what the enabled stages need, and match the stereo pair. This part of the chain needs no state.
+
+    Args:
+        cfg: the chain's configuration.
+        frame: its input.
+        timer: measures decoding and stereo.
+        threads: OpenCV may match with two of them: it gives the same bits in half the time.
+    """
+    stages, undecodable, problems = _EnabledStages(cfg, timer), list[Reason](), list[Reason]()
     with timer("decode"):
-        tags = pixels.tags_of(frame, undecoded) if needs_scene(cfg) else None
-        sensor = pixels.sensor_depth(frame, undecoded) if needs_scene(cfg) else None
-        instances = pixels.instances_of(frame, undecoded) if cfg.objects.enabled else None
-        grey = _front_grey(frame, undecoded) if needs_front_grey(cfg, frame) else None
-    timed = _if_enabled(cfg, timer)
-    with timed("stereo"):
-        matched = _stereo(cfg, frame, grey, problems)
-    with timed("surface"):
-        depth = _best_depth(frame, sensor, matched, problems) if needs_scene(cfg) else None
-    return Sight(frame, _scene(frame, tags, grey, depth, instances), matched, tuple(undecoded), tuple(problems))
+        tags = pixels.tags_of(frame, undecodable) if pixels.needs_scene(cfg) else None
+        sensor = pixels.sensor_depth(frame, undecodable) if pixels.needs_scene(cfg) else None
+        instances = pixels.instances_of(frame, undecodable) if cfg.objects.enabled else None
+        grey = (
+            pixels.grey_of("image", frame.image, frame.camera, undecodable) if pixels.needs_grey(cfg, frame) else None
+        )
+    matched = stages.run("stereo", lambda: _stereo(cfg, frame, grey, problems, threads), _off("stereo"))
+    with timer("decode"):
+        depth = _best_depth(frame, sensor, matched, problems) if pixels.needs_scene(cfg) else None
+    return Scene(
+        frame.stamp_ns,
+        frame.camera,
+        frame.ego_T_camera,
+        mounted=frame.mounted,
+        is_origin=frame.is_origin,
+        tags=tags,
+        table=frame.segmentation.table if frame.segmentation else None,
+        image=frame.image,
+        grey=grey,
+        depth=depth,
+        stereo=matched,
+        detections=frame.detections,
+        instances=instances,
+        undecodable=tuple(undecodable),
+        problems=tuple(problems),
+    )
 
 
-def locate(cfg: ReplayConfig, state: ChainState, sight: Sight, timer: Timer = untimed) -> Whereabouts:
-    """Find the road and the car's motion; of the state what lanes and objects remember is not asked for."""
-    frame, scene, problems = sight.frame, sight.scene, list[Reason]()
-    state, _ = _in_order(state, frame)
-    rng = np.random.default_rng((cfg.seed, frame.stamp_ns % 2**63))
-    timed = _if_enabled(cfg, timer)
-    with timed("surface"):
-        seen, failed = _seen_road(cfg, scene, rng)
-    with timed("odometry"):
-        odometry_state, motion = _odometry(cfg, state, scene, _in_front_camera(scene, seen), rng)
-    with timed("surface"):
-        surface_state, road = _road(cfg, state, scene, seen, failed, motion, odometry_state, problems)
-        front_road = _in_front_camera(scene, road)
-        drivable = _drivable(cfg, scene, front_road)
-    state = replace(state, stamp_ns=frame.stamp_ns, surface=surface_state, odometry=odometry_state)
-    return Whereabouts(sight, state, motion, road, front_road, drivable, tuple(problems))
+def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = untimed) -> LocalisedFrame:
+    """Find the road and the car's motion. Of the state only stamp, surface and odometry are used."""
+    stages, no_road = _EnabledStages(cfg, timer), _off("surface")
+    last, _ = _in_order(state, scene.stamp_ns)
+    rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
+    seen, failed = stages.run("surface", lambda: surface.find_surface(cfg.surface, scene, rng), (no_road, None))
+    moved, motion = stages.run(
+        "odometry",
+        lambda: odometry.step(
+            cfg.odometry, last.odometry, scene, _metric_road(scene, _in_front_camera(scene, seen)), rng
+        ),
+        (last.odometry, _off("odometry")),
+    )
+    last_T_this = _metric_step(motion, last.stamp_ns)
+    kept, road, held = stages.run(
+        "surface",
+        lambda: surface.remember(cfg.surface, last.surface, scene, seen, failed, last_T_this),
+        (last.surface, no_road, ()),
+    )
+    road = _with_pitch(scene, road, moved)
+    front_road = _in_front_camera(scene, road)
+    drivable = stages.run("surface", lambda: surface.drivable_mask(cfg.surface, scene, front_road), _off("drivable"))
+    state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
+    localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, _as_estimated(held, road))
+    return _with_origin_here(localised) if scene.is_origin and last.stamp_ns is not None else localised
 
 
 def perceive(
-    cfg: ReplayConfig, state: ChainState, place: Whereabouts, timer: Timer = untimed
+    cfg: ReplayConfig, state: ChainState, localised: LocalisedFrame, timer: Timer = untimed
 ) -> tuple[ChainState, FrameResult]:
-    """Find what is on the road; of the state only the stamp and what lanes and objects remember is asked for."""
-    sight, frame, motion, drivable = place.sight, place.sight.frame, place.motion, place.drivable
-    state, out_of_order = _in_order(state, frame)
-    scene, undecoded = _with_grey_for_tracks(cfg, state, sight, timer)
-    timed = _if_enabled(cfg, timer)
-    with timed("lanes"):
-        lanes_state, ego_lane = _lanes(cfg, state, scene, place.front_road, drivable, motion)
-    with timed("objects"):
-        objects_state, tracked = _objects(cfg, state, scene, ego_lane, motion)
-    with timed("occupancy"):
-        grid = _occupancy(cfg, scene, place.front_road, drivable)
-    missing = _missing_inputs(scene, place.road, tracked) if needs_scene(cfg) else ()
-    result = FrameResult(
-        frame.stamp_ns,
-        frame.camera.frame_id,
-        place.road,
-        drivable,
-        ego_lane,
-        tracked,
-        (*out_of_order, *undecoded, *sight.problems, *place.problems, *_odd_camera(scene), *missing),
-        sight.matched,
-        motion,
-        grid,
-        place.front_road,
+    """Find what is on the road. Of the state only stamp, lanes and objects are used."""
+    stages, road, drivable = _EnabledStages(cfg, timer), localised.front_road, localised.drivable
+    last, out_of_order = _in_order(state, localised.scene.stamp_ns)
+    scene = _with_grey_for_tracks(cfg, last, localised.scene, timer)
+    motion, last_T_this = _since(localised.motion, last.stamp_ns), _metric_step(localised.motion, last.stamp_ns)
+    lanes_state, ego_lane = stages.run(
+        "lanes",
+        lambda: lanes.step(cfg.lanes, last.lanes, scene, road, drivable, motion),
+        (last.lanes, _off("lanes")),
     )
-    return replace(place.state, lanes=lanes_state, objects=objects_state), result
+    known_lane = None if isinstance(ego_lane, Absent) else ego_lane
+    objects_state, tracked = stages.run(
+        "objects",
+        lambda: objects.step(cfg.objects, last.objects, scene, known_lane, last_T_this),
+        (last.objects, _off("objects")),
+    )
+    grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), _off("occupancy"))
+    missing = _missing_inputs(scene, localised.road, tracked) if pixels.needs_scene(cfg) else ()
+    problems = (*out_of_order, *scene.undecodable, *scene.problems, *localised.problems, *_odd_camera(scene), *missing)
+    result = FrameResult(
+        scene.stamp_ns,
+        scene.camera.frame_id,
+        surface=localised.road,
+        front_surface=road,
+        drivable=drivable,
+        lanes=ego_lane,
+        objects=tracked,
+        stereo=scene.stereo,
+        odometry=localised.motion,
+        occupancy=grid,
+        problems=problems,
+    )
+    return replace(localised.state, lanes=lanes_state, objects=objects_state), result
 
 
-def _in_order(state: ChainState, frame: Frame) -> tuple[ChainState, list[Reason]]:
-    """The state, cleared where the frame's time is not after the last one's, and that as a problem."""
-    last_ns, stamp_ns = state.stamp_ns, frame.stamp_ns
+@dataclass(frozen=True)
+class _EnabledStages:
+    """Runs the enabled stages, each timed under its name."""
+
+    cfg: ReplayConfig
+    timer: Timer
+
+    def run(self, stage: str, compute: Callable[[], T], otherwise: U) -> T | U:
+        """What the stage computes; ``otherwise`` if it is switched off."""
+        if not getattr(self.cfg, stage).enabled:
+            return otherwise
+        with self.timer(stage):
+            return compute()
+
+
+def _off(stage: str) -> Absent:
+    return Absent(Reason(stage, "switched_off"))
+
+
+def _in_order(state: ChainState, stamp_ns: int) -> tuple[ChainState, list[Reason]]:
+    """The state, cleared if the stamp is not after the last one, and that as a problem."""
+    last_ns = state.stamp_ns
     if last_ns is None or stamp_ns > last_ns:
         return state, []
     if stamp_ns == last_ns:
@@ -180,26 +216,12 @@ def _in_order(state: ChainState, frame: Frame) -> tuple[ChainState, list[Reason]
     return ChainState(), [Reason("time", "time_went_back", (last_ns, stamp_ns))]
 
 
-def _off(stage: str) -> Absent:
-    return Absent(Reason(stage, "switched_off"))
-
-
-def _scene(
-    frame: Frame, tags: Image | None, grey: Image | None, depth: DepthMap | None, instances: Ids | None
-) -> Scene:
-    return Scene(
-        frame.stamp_ns,
-        frame.camera,
-        frame.ego_T_camera,
-        frame.mounted,
-        tags,
-        frame.segmentation.table if frame.segmentation else None,
-        grey,
-        frame.image is not None and grey is None,
-        depth,
-        frame.detections,
-        instances,
-    )
+def _with_origin_here(localised: LocalisedFrame) -> LocalisedFrame:
+    """The frame with odom at its ego frame: its pose is exactly the identity."""
+    moved = odometry.counted_from_here(localised.state.odometry)
+    motion = localised.motion
+    motion = motion if isinstance(motion, Absent) else replace(motion, odom_T_ego=moved.odom_T_ego)
+    return replace(localised, state=replace(localised.state, odometry=moved), motion=motion)
 
 
 def _best_depth(
@@ -213,76 +235,6 @@ def _best_depth(
     return pixels.lidar_depth(frame, problems)
 
 
-def _seen_road(cfg: ReplayConfig, scene: Scene, rng: np.random.Generator) -> tuple[Surface | Absent, Reason | None]:
-    """The road by this frame alone, and why its depth does not show it."""
-    if not cfg.surface.enabled:
-        return _off("surface"), None
-    return surface.find_surface(cfg.surface, scene, rng)
-
-
-def _road(
-    cfg: ReplayConfig,
-    state: ChainState,
-    scene: Scene,
-    seen: Surface | Absent,
-    failed: Reason | None,
-    motion: Odometry | Absent,
-    odometry_state: OdometryState,
-    problems: list[Reason],
-) -> tuple[SurfaceState, Surface | Absent]:
-    """The road in the frame of its depth's camera: the frame's own, else that of the frames before, else assumed."""
-    if not cfg.surface.enabled:
-        return state.surface, seen
-    last_T_this = _metric_step(motion, state.stamp_ns)
-    surface_state, road, stood_in = surface.remember(cfg.surface, state.surface, scene, seen, failed, last_T_this)
-    road = _with_pitch(scene, road, odometry_state)
-    estimated = not isinstance(road, Absent) and road.source == "estimated"
-    problems += [replace(reason, code="plane_estimated") for reason in stood_in] if estimated else stood_in
-    return surface_state, road
-
-
-def _drivable(cfg: ReplayConfig, scene: Scene, front_road: Surface | Absent) -> Mask | Absent:
-    return surface.drivable_mask(cfg.surface, scene, front_road) if cfg.surface.enabled else _off("drivable")
-
-
-def _odometry(
-    cfg: ReplayConfig, state: ChainState, scene: Scene, front_road: Surface | Absent, rng: np.random.Generator
-) -> tuple[OdometryState, Odometry | Absent]:
-    if not cfg.odometry.enabled:
-        return state.odometry, _off("odometry")
-    return odometry.step(cfg.odometry, state.odometry, scene, _metric_road(scene, front_road), rng)
-
-
-def _lanes(
-    cfg: ReplayConfig,
-    state: ChainState,
-    scene: Scene,
-    front_road: Surface | Absent,
-    drivable: Mask | Absent,
-    motion: Odometry | Absent,
-) -> tuple[LanesState, Lanes | Absent]:
-    if not cfg.lanes.enabled:
-        return state.lanes, _off("lanes")
-    return lanes.step(cfg.lanes, state.lanes, scene, front_road, drivable, _since(motion, state.stamp_ns))
-
-
-def _objects(
-    cfg: ReplayConfig, state: ChainState, scene: Scene, ego_lane: Lanes | Absent, motion: Odometry | Absent
-) -> tuple[ObjectsState, Objects | Absent]:
-    if not cfg.objects.enabled:
-        return state.objects, _off("objects")
-    known_lane = None if isinstance(ego_lane, Absent) else ego_lane
-    return objects.step(cfg.objects, state.objects, scene, known_lane, _metric_step(motion, state.stamp_ns))
-
-
-def _occupancy(
-    cfg: ReplayConfig, scene: Scene, front_road: Surface | Absent, drivable: Mask | Absent
-) -> Occupancy | Absent:
-    if not cfg.occupancy.enabled:
-        return _off("occupancy")
-    return occupancy.build(cfg.occupancy, scene, front_road, drivable)
-
-
 def _in_front_camera(scene: Scene, road: Surface | Absent) -> Surface | Absent:
     """The road with its plane in the frame of the front camera, where the depth belongs to another one."""
     depth = scene.depth
@@ -292,17 +244,24 @@ def _in_front_camera(scene: Scene, road: Surface | Absent) -> Surface | Absent:
 
 
 def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
-    """A road whose height is known, measured or by the mounting: one that gives odometry its scale."""
+    """The road if its height is known, measured or from the mounting: it gives odometry its scale."""
     if isinstance(front_road, Absent) or (front_road.source == "assumed" and not scene.mounted):
         return None
     return front_road
 
 
-def _with_pitch(scene: Scene, road: Surface | Absent, memory: OdometryState) -> Surface | Absent:
+def _with_pitch(scene: Scene, road: Surface | Absent, state: OdometryState) -> Surface | Absent:
     """A road that is assumed, with the pitch that the drive has shown."""
-    if isinstance(road, Absent) or road.source != "assumed" or memory.pitch is None or not memory.pitch.measured:
+    if isinstance(road, Absent) or road.source != "assumed" or state.pitch is None or not state.pitch.measured:
         return road
-    return surface.estimated_surface(scene, memory.pitch.offset)
+    return surface.estimated_surface(scene, state.pitch.offset)
+
+
+def _as_estimated(held: tuple[Reason, ...], road: Surface | Absent) -> tuple[Reason, ...]:
+    """The reasons for the road's plane, which name an estimated plane as such."""
+    if isinstance(road, Absent) or road.source != "estimated":
+        return held
+    return tuple(replace(reason, code="plane_estimated") for reason in held)
 
 
 def _since(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
@@ -318,43 +277,34 @@ def _metric_step(motion: Odometry | Absent, since_ns: int | None) -> Float | Non
     return None if moved is None else moved.step
 
 
-def _front_grey(frame: Frame, problems: list[Reason]) -> Image | None:
-    return pixels.grey_of("image", frame.image, frame.camera, problems)
-
-
-def _with_grey_for_tracks(
-    cfg: ReplayConfig, state: ChainState, sight: Sight, timer: Timer
-) -> tuple[Scene, tuple[Reason, ...]]:
-    """The scene with the front camera's pixels where the objects remembered are to be searched in them.
-
-    Returns:
-        That scene, and the images that cannot be used.
-    """
-    frame = sight.frame
+def _with_grey_for_tracks(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer) -> Scene:
+    """The scene with the front camera's pixels if the tracked objects are searched in them."""
     searches = cfg.objects.enabled and cfg.objects.template_search and bool(state.objects.tracks)
-    if not searches or needs_front_grey(cfg, frame):
-        return sight.scene, sight.undecoded
-    undecoded = list(sight.undecoded)
+    was_decoded = scene.grey is not None or any(reason.source == "image" for reason in scene.undecodable)
+    if not searches or was_decoded:
+        return scene
+    undecodable = list(scene.undecodable)
     with timer("decode"):
-        grey = _front_grey(frame, undecoded)
-    return replace(sight.scene, grey=grey, image_unusable=frame.image is not None and grey is None), tuple(undecoded)
+        grey = pixels.grey_of("image", scene.image, scene.camera, undecodable)
+    return replace(scene, grey=grey, undecodable=tuple(undecodable))
 
 
-def _stereo(cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[Reason]) -> StereoDepth | Absent:
+def _stereo(
+    cfg: ReplayConfig, frame: Frame, grey: Image | None, problems: list[Reason], threads: int
+) -> StereoDepth | Absent:
     """Depth of the pair whose left camera is the front camera, or one of its own."""
-    if not cfg.stereo.enabled:
-        return _off("stereo")
     if frame.right is None:
         return Absent(Reason("stereo", "no_right_image"))
     if frame.right_camera is None:
         return Absent(Reason("stereo", "no_right_calibration"))
-    left_grey = grey if left_is_front(frame) else pixels.grey_of("left", frame.left, frame.left_camera, problems)
+    left_grey = grey if pixels.left_is_front(frame) else pixels.grey_of("left", frame.left, frame.left_camera, problems)
     right_grey = pixels.grey_of("right", frame.right, frame.right_camera, problems)
-    return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
+    with opencv_threads(min(threads, _MATCHING_THREADS)):
+        return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
 def _odd_camera(scene: Scene) -> list[Reason]:
-    """What is wrong with the front camera's pictures, whatever is done with them."""
+    """What is wrong with the calibration of the front camera."""
     odd = []
     if scene.camera.lens is not None:
         odd.append(Reason("image", "not_rectified"))

@@ -7,7 +7,7 @@ from typing import Final
 
 from roadperc_stream.cli.arguments import add_input_arguments, add_only_argument
 from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, seconds, whole_number
+from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
 
 _EXAMPLE: Final = """\
 example:
@@ -21,7 +21,6 @@ example:
 In Python: polars.scan_parquet("dataset/metrics/**/*.parquet", hive_partitioning=True)
 """
 _UNITS: Final = {"": 1, "k": 1e3, "m": 1e6, "g": 1e9, "t": 1e12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
-_WARM_UP_S: Final = 5.0
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -79,18 +78,6 @@ def _add_dataset_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--dry-run", action="store_true", help="list what would be done, and why")
     add("--fail-fast", action="store_true", help="stop at the first log that fails")
-    add(
-        "--split",
-        metavar="SECONDS",
-        type=positive_seconds,
-        help="replay parts of so many seconds of each log at once, and join them; docs/scaling.md says what differs",
-    )
-    add(
-        "--warm-up",
-        metavar="SECONDS",
-        type=_warm_up,
-        help=f"with --split: seconds of log that the chain sees before each part (default {_WARM_UP_S:g})",
-    )
 
 
 def _add_worker_arguments(parser: argparse.ArgumentParser) -> None:
@@ -131,16 +118,8 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
     """End with a line on the usage, where an option has nothing to say."""
     if arguments.results_only and not arguments.keep_logs:
         parser.error("--results-only: only with --logs")
-    if arguments.warm_up is not None and arguments.split is None:
-        parser.error("--warm-up: only with --split")
     if arguments.ray not in {None, "local"} and arguments.jobs is not None:
         parser.error("--jobs: not together with --ray ADDRESS; the cluster says how many")
-    if arguments.split is not None and arguments.keep_logs:
-        parser.error("--logs: not together with --split, which joins tables")
-    if arguments.split is not None and arguments.frames is not None:
-        parser.error("--frames: not together with --split, whose parts are times")
-    if arguments.split is not None and arguments.warm_up is None:
-        arguments.warm_up = _WARM_UP_S
 
 
 def _pattern(text: str) -> "re.Pattern[str]":
@@ -168,10 +147,3 @@ def _retries(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text!r}: expected a whole number")
     return int(text)
-
-
-def _warm_up(text: str) -> float:
-    value = seconds(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected seconds")
-    return value

@@ -1,26 +1,27 @@
-"""What ``roadperc-batch`` does with its arguments, and what it says of the logs."""
+"""What ``roadperc-batch`` does with its arguments, what it says of the logs, and how far it is on a terminal."""
 
 import argparse
-from contextlib import AbstractContextManager
-from time import perf_counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import monotonic, perf_counter
 
-from roadperc_stream.batch.backend import Backend
-from roadperc_stream.batch.configuration import BatchConfiguration
-from roadperc_stream.batch.display import Shows, batch_progress, failure
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from roadperc_stream.batch.backend import Backend, LocalBackend
+from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, Shows
 from roadperc_stream.batch.job import BatchJob
-from roadperc_stream.batch.local import LocalBackend
 from roadperc_stream.batch.plan import Again, counted
-from roadperc_stream.batch.running import BatchRun, BatchSummary
-from roadperc_stream.batch.splitting import overlap_s_of, require_split
-from roadperc_stream.batch.task import KeepLogs, TaskLimits
+from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.task import BatchConfiguration, KeepLogs, TaskLimits
+from roadperc_stream.batch.worker import scratch_root
 from roadperc_stream.cli.arguments import config_of, time_range_of
-from roadperc_stream.core.files import target_errors
-from roadperc_stream.core.process import optional_output
-from roadperc_stream.core.text import number, print_line
-from roadperc_stream.core.threads import usable_cores
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.output.terminal import PipeConsole
+from roadperc_stream.schemas.columns.runs import RunRow
 from roadperc_stream.schemas.roles import parse_topic_options
-from roadperc_stream.storage.folder import Folder
+from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.text import number, print_line, shown
+from roadperc_stream.system.threads import usable_cores
 
 
 def batch_logs(arguments: argparse.Namespace) -> None:
@@ -37,26 +38,22 @@ def batch_logs(arguments: argparse.Namespace) -> None:
         _print_plan(batch)
         return
     try:
-        summary = batch.run(lambda: _backend(arguments), lambda: _display(arguments))
+        summary = batch.run(lambda: _backend(arguments, job), lambda: _progress_shown(not arguments.quiet))
     except KeyboardInterrupt:
         raise KeyboardInterrupt("interrupted; the same command goes on with what is not done") from None
     with optional_output():
         if not arguments.quiet:
             _print_summary(job, summary, perf_counter() - started)
         for row in summary.failed:
-            print_line(failure(row))
+            print_line(_failure(row))
     if summary.failed:
-        failed = f"{len(summary.failed)} of {number(len(batch.steps), 'log')}"
+        failed = f"{len(summary.failed)} of {number(len(batch.drives), 'log')}"
         raise RoadpercError(f"{job.out.address}: {failed} failed; runs.parquet there says how")
 
 
 def _job(arguments: argparse.Namespace) -> BatchJob:
     topics = tuple(sorted(parse_topic_options(arguments.topic).items()))
-    how = BatchConfiguration(
-        config_of(arguments), topics, time_range_of(arguments), arguments.split, arguments.warm_up or 0.0
-    )
-    if how.split_s is not None:
-        require_split(how.split_s, overlap_s_of(how.cfg))
+    how = BatchConfiguration(config_of(arguments), topics, time_range_of(arguments))
     keep_logs: KeepLogs = "no"
     if arguments.keep_logs:
         keep_logs = "results" if arguments.results_only else "whole"
@@ -72,28 +69,23 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
     )
 
 
-def _backend(arguments: argparse.Namespace) -> Backend:
+def _backend(arguments: argparse.Namespace, job: BatchJob) -> Backend:
     jobs = arguments.jobs or usable_cores()
     if arguments.ray is None:
-        if arguments.scratch is not None:
-            with target_errors(arguments.scratch):
-                arguments.scratch.mkdir(parents=True, exist_ok=True)
+        scratch_root(job.out, job.scratch)
         return LocalBackend(jobs)
     from roadperc_stream.batch.cluster import RayBackend
 
     return RayBackend(arguments.ray, jobs, arguments.memory)
 
 
-def _display(arguments: argparse.Namespace) -> AbstractContextManager[Shows]:
-    return batch_progress(not arguments.quiet)
-
-
 def _print_plan(batch: BatchRun) -> None:
-    for step in batch.steps:
+    steps = batch.plan()
+    for step in steps:
         if step.action != "leave":
             parts = f" ({len(step.drive.files)} parts)" if len(step.drive.files) > 1 else ""
             print_line(f"{step.action}  {step.drive.name}{parts}: {step.why}")
-    for text, logs in sorted(counted(batch.steps).items()):
+    for text, logs in sorted(counted(steps).items()):
         print_line(f"{number(logs, 'log')}  {text}")
 
 
@@ -106,3 +98,36 @@ def _print_summary(job: BatchJob, summary: BatchSummary, seconds: float) -> None
         f"{number(summary.done, 'log')} done{left}{failed}{undone}: {summary.frames} frames in {seconds:.1f} s{rate}"
     )
     print_line(f"dataset {job.out.address}, configuration {job.how.name}")
+
+
+@contextmanager
+def _progress_shown(enabled: bool) -> Iterator[Shows]:
+    """A bar over the bytes of the logs, with logs and frames done, failures and the time left."""
+    console = PipeConsole(stderr=True, highlight=False, markup=False, emoji=False)
+    if not (enabled and console.is_terminal):
+        yield (lambda _: None), (lambda _: None)
+        return
+    columns = (BarColumn(), TaskProgressColumn(), TextColumn("{task.description}"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        console.show_cursor(True)  # a program that ends at once does not give it back
+        task, started_s = bar.add_task("starting", total=None), monotonic()
+
+        def watch(now: BatchProgress) -> None:
+            text = _progress_text(now, monotonic() - started_s)
+            completed, total = now.bytes_done + now.bytes_at_work, now.bytes_expected or None
+            bar.update(task, completed=completed, total=total, description=text)
+
+        yield watch, lambda row: console.print(shown(_failure(row)), soft_wrap=True)
+
+
+def _progress_text(now: BatchProgress, seconds: float) -> str:
+    """Logs and frames done, frames a second, and failures."""
+    frames = now.frames + now.frames_at_work
+    failed = f", {now.failed} failed" if now.failed else ""
+    return f"{now.done}/{now.logs} logs{failed}, {frames} frames, {frames / max(seconds, 1e-9):.1f} frames/s"
+
+
+def _failure(row: RunRow) -> str:
+    """A log that failed, in a line."""
+    error = row.error or ""
+    return f"{row.status:<11} {row.path}: {error.removeprefix(f'{row.path}: ')}"

@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_rules(parser: argparse.ArgumentParser) -> None:
-    rules = part("eval.comparison.rules")
+    rules = part("eval.options")
     ignored, tolerated, allowed = (
         "leave out fields and metrics (glob)",
         "absolute difference of a field (glob) that counts as none",

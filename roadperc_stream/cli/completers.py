@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from roadperc_stream.core.files import METRICS_SUFFIX
+from roadperc_stream.system.files import METRICS_SUFFIX
 
 if TYPE_CHECKING:
-    from roadperc_stream.core.config.catalogue import Setting
+    from roadperc_stream.config.catalogue import Setting
 
 Completer = Callable[..., Iterable[str]]
 LOGS: Final = (".mcap",)
@@ -42,7 +42,7 @@ def varied_settings(prefix: str, **_: Any) -> Iterable[str]:
 
 
 def _settings(prefix: str, takes_several: "Callable[[Setting], bool]") -> Iterable[str]:
-    from roadperc_stream.core.config.catalogue import catalogue
+    from roadperc_stream.config.catalogue import catalogue
 
     key, separator, typed = prefix.partition("=")
     if not separator:

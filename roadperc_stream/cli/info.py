@@ -27,7 +27,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     if arguments.recover is not None:
         _require_alone(parser, arguments)
-        from roadperc_stream.info.recovering import recover_log
+        from roadperc_stream.info.listing import recover_log
 
         return run(lambda: recover_log(arguments.logs[0], arguments.recover, force=arguments.force))
     if arguments.force:

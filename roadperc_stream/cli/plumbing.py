@@ -13,9 +13,9 @@ from importlib import import_module
 from types import FrameType
 from typing import Any, NoReturn
 
-from roadperc_stream.core.process import EXIT_DONE, EXIT_ERROR, discard_output, ending_signals, optional_output
-from roadperc_stream.core.text import print_line, shown
 from roadperc_stream.errors import RegressionError, RoadpercError
+from roadperc_stream.system.process import EXIT_DONE, EXIT_ERROR, discard_output, ending_signals, optional_output
+from roadperc_stream.system.text import print_line, shown
 
 _AGAIN_AFTER_S = 0.05
 _MOST_CHARACTERS = 255
@@ -25,11 +25,11 @@ _COMPLETING = "_ARGCOMPLETE"
 
 
 class _Parser(argparse.ArgumentParser):
-    """What it prints may go unread; in some versions of Python argparse itself ends with an error then."""
+    """What it prints may go unread; argparse itself ends with an error then, or passes over a full disk."""
 
     def _print_message(self, message: str, file: Any = None) -> None:
         with optional_output(file or sys.stderr):
-            super()._print_message(message, file)
+            (file or sys.stderr).write(message)
 
     def error(self, message: str) -> NoReturn:
         """End with exit code 2; a shell's pattern may have put any file's name into the message."""
@@ -63,7 +63,7 @@ class _Version(argparse.Action):
         """Print it and end."""
         from roadperc_stream import __version__
 
-        print(parser.prog, __version__)
+        parser._print_message(f"{parser.prog} {__version__}\n", sys.stdout)
         parser.exit()
 
 
@@ -78,10 +78,16 @@ def parse(
         intermixed: options may stand among files.
     """
     if _COMPLETING in os.environ:
-        from roadperc_stream.cli.completion import complete
+        import argcomplete
+        from argcomplete.completers import SuppressCompleter
 
-        complete(parser)
-    return parser.parse_intermixed_args(argv) if intermixed else parser.parse_args(argv)
+        silent = SuppressCompleter()  # an argument without a completer gets no files
+        argcomplete.autocomplete(parser, always_complete_options=False, default_completer=silent)
+    given = list(sys.argv[1:] if argv is None else argv)
+    if "--" in given:  # argparse loses it among files that stand between options
+        at = given.index("--")
+        given[at:] = [f"./{name}" if name.startswith("-") and name != "-" else name for name in given[at + 1 :]]
+    return parser.parse_intermixed_args(given) if intermixed else parser.parse_args(given)
 
 
 def part(module: str) -> Any:
@@ -101,6 +107,8 @@ def run(command: Callable[[], None]) -> int:
     if not gc.isenabled():
         gc.freeze()
         gc.enable()
+    logging = import_module("logging")  # 4 ms that a wrong usage does not wait for
+    logging.setLogRecordFactory(part("cli.log_records").ShownRecord)
     try:
         with _signals_unwind():
             command()

@@ -5,11 +5,16 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.cli.arguments import add_input_arguments, add_only_argument
+from roadperc_stream.cli.arguments import (
+    add_input_arguments,
+    add_only_argument,
+    add_serving_arguments,
+    given_options,
+    serving_options,
+)
 from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.playback import add_serving_arguments, given_options, serving_options
 from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
-from roadperc_stream.core.folders import not_a_log
+from roadperc_stream.system.folders import not_a_log
 
 _USAGE: Final = """\
 %(prog)s [options] IN.mcap [IN.mcap ...] OUT.mcap

@@ -7,21 +7,19 @@ from typing import TYPE_CHECKING
 
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.cli.template import with_template
-from roadperc_stream.core.memory import keep_freed_memory
-from roadperc_stream.core.process import optional_output
-from roadperc_stream.core.progress import Progress, no_progress
-from roadperc_stream.core.text import print_line
-from roadperc_stream.core.threads import usable_cores
 from roadperc_stream.input import ReplaySource
-from roadperc_stream.loop import Watcher, replay
+from roadperc_stream.loop import replay
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.output.writing import unwatched
-from roadperc_stream.outputs import ReplaySummary
+from roadperc_stream.output.writing import Callbacks, ReplaySummary
+from roadperc_stream.resume.checkpoint import CheckpointFolder
+from roadperc_stream.resume.opening import ReplayOptions
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.schemas.topics import Request
-from roadperc_stream.state.checkpoint import CheckpointOptions
-from roadperc_stream.state.checkpoint_folder import CheckpointFolder
-from roadperc_stream.state.opening import Beginning
+from roadperc_stream.system.memory import keep_freed_memory
+from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.progress import Progress, no_progress
+from roadperc_stream.system.text import print_line
+from roadperc_stream.system.threads import usable_cores
 
 if TYPE_CHECKING:
     from roadperc_stream.view.live.serving import LiveReplay
@@ -50,10 +48,8 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Ba
                 _source(arguments),
                 target,
                 with_template(config_of(arguments), arguments.template, _source(arguments)),
-                beginning=Beginning(arguments.continued, arguments.warm_up or 0.0),
-                checkpoints=CheckpointOptions(arguments.checkpoint_every, arguments.resume),
-                watcher=Watcher(progress, live.start if live else unwatched),
-                threads=arguments.threads or usable_cores(),
+                _options(arguments),
+                Callbacks(progress, live.start, live.times.note) if live else Callbacks(progress),
             )
         if not arguments.quiet:
             with optional_output():
@@ -76,6 +72,16 @@ def _naming_resume(arguments: argparse.Namespace, target: ReplayTarget) -> Itera
             text = "interrupted; the same command with --resume goes on from the last checkpoint"
             raise KeyboardInterrupt(text) from None
         raise
+
+
+def _options(arguments: argparse.Namespace) -> ReplayOptions:
+    return ReplayOptions(
+        arguments.continued,
+        arguments.warm_up or 0.0,
+        arguments.checkpoint_every,
+        arguments.resume,
+        arguments.threads or usable_cores(),
+    )
 
 
 def _source(arguments: argparse.Namespace) -> ReplaySource:

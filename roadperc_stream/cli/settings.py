@@ -15,8 +15,9 @@ from typing import Final
 import tomli_w
 
 from roadperc_stream.cli.arguments import config_of
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.config.catalogue import Setting, Value, catalogue, sections
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.config.catalogue import Setting, Value, catalogue, sections
+from roadperc_stream.model.tag_tables import CLASS_NAMES
 
 _NARROWEST, _WIDEST = 50, 100
 _CLASSES: Final = "names of classes"
@@ -128,11 +129,11 @@ def _plain(text: str) -> str:
 
 
 def _takes_classes(setting: Setting) -> bool:
-    return setting.type == "array"
+    return setting.choices == _class_names()
 
 
 def _class_names() -> tuple[str, ...]:
-    return next(setting.choices for setting in catalogue() if _takes_classes(setting))
+    return tuple(sorted(CLASS_NAMES))
 
 
 def _value(value: Value) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from roadperc_stream.cli.arguments import add_input_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings
 from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
-from roadperc_stream.core.files import real_path
+from roadperc_stream.system.files import real_path
 
 _EXAMPLE = """\
 example:
@@ -38,7 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     vary = parser.add_argument(
         "--vary",
         metavar="KEY=A,B,...",
-        type=part("eval.sweeping.varied").varied,
+        type=part("eval.options").varied,
         action="append",
         required=True,
         help="a setting and the values it takes; several times for all combinations",

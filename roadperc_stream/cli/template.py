@@ -1,18 +1,19 @@
 """``--template``: the picture of an obstacle, from a file or from a box in a frame of the log."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.chain.stages.objects.obstacle import png_of
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.config.loading import validated
-from roadperc_stream.core.config.stages import MOST_PNG_BYTES
-from roadperc_stream.core.datatypes import Image
+from roadperc_stream.chain.stages.objects.template import png_of
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.config.loading import validated
+from roadperc_stream.config.stages import MOST_PNG_BYTES
 from roadperc_stream.errors import ConfigError, DecodeError
 from roadperc_stream.formats.images import decode_grey
 from roadperc_stream.input import ReplaySource, open_input
+from roadperc_stream.model import Image
 
 _IN_FRAME: Final = re.compile(r"(\d{1,9}):(\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})")
 _EXPECTED: Final = "expected a picture's file, or FRAME:X0,Y0,X1,Y1 with X0 < X1 and Y0 < Y1"
@@ -34,7 +35,7 @@ def with_template(cfg: ReplayConfig, option: str | None, source: ReplaySource) -
     if option is None:
         return cfg
     place = _IN_FRAME.fullmatch(option)
-    grey = _of_file(Path(option)) if place is None else _of_frame(cfg, source, *(int(n) for n in place.groups()))
+    grey = _of_file(Path(option)) if place is None else _of_frame(cfg, source, [int(n) for n in place.groups()])
     height, width = grey.shape
     if min(height, width) < _LEAST_PX or grey.min() == grey.max():
         shown = "all of one brightness" if min(height, width) >= _LEAST_PX else f"{width}x{height} pixels"
@@ -56,7 +57,8 @@ def _of_file(path: Path) -> Image:
         raise ConfigError(f"--template: {path}: {error}") from error
 
 
-def _of_frame(cfg: ReplayConfig, source: ReplaySource, frame: int, x0: int, y0: int, x1: int, y1: int) -> Image:
+def _of_frame(cfg: ReplayConfig, source: ReplaySource, place: Sequence[int]) -> Image:
+    frame, x0, y0, x1, y1 = place
     if Path("-") in source.files:
         raise ConfigError("--template: a box in a frame needs a log in a file, for it is read twice")
     first = replace(source.time_range, frames=frame + 1)

@@ -3,9 +3,8 @@
 import argparse
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_topic_argument
+from roadperc_stream.cli.arguments import add_playback_arguments, add_topic_argument, given_options, playback_options
 from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.playback import add_playback_arguments, given_options, playback_options
 from roadperc_stream.cli.plumbing import command_parser, parse, run
 
 _EXAMPLE = """\

@@ -1,32 +1,47 @@
 """Pixels in and out of their encodings.
 
 OpenCV is imported with the first image that is decoded, Pillow with the first that neither it nor ``png`` reads.
+Neither is given bytes of a format that ``limits.image_formats`` does not list: some of Pillow's start a program.
 """
 
 import io
+import re
 import struct
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.core.datatypes import Ids, Image
-from roadperc_stream.core.geometry import Float32
-from roadperc_stream.core.kernels.depth import metres_of_mm, mm_of_metres
-from roadperc_stream.core.semantics import Colour
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.config.limits import ImageFormat
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats import png
+from roadperc_stream.formats import avif, png
+from roadperc_stream.geometry import Float32
+from roadperc_stream.model import Ids, Image
+from roadperc_stream.model.tag_tables import Colour
 
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
 
 PNG_MAGIC: Final = png.MAGIC
-_JPEG_MAGIC: Final = b"\xff\xd8"
+_FORMATS: Final[Mapping[str, bytes]] = {
+    "PNG": re.escape(PNG_MAGIC),
+    "JPEG": rb"\xff\xd8\xff",
+    "WEBP": rb"RIFF....WEBP",
+    "AVIF": rb"....ftyp(avif|avis|mif1|msf1)",
+    "BMP": rb"BM",
+    "GIF": rb"GIF8[79]a",
+    "TIFF": rb"II[*+]\0|MM\0[*+]",
+    "JPEG 2000": rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51",
+    "OpenEXR": rb"v/1\x01",
+    "PNM": rb"P[1-7]\s",
+    "PostScript": rb"%!PS|\xc5\xd0\xd3\xc6",
+}
+"""What a file of each begins with. Those that can be read have Pillow's names."""
 _JPEG_FRAME: Final = struct.Struct(">BBHBHH")
 """A frame header: marker, length, bits, rows, columns."""
 _JPEG_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -39,6 +54,10 @@ _PNG_READERS: Final[Mapping[str, Callable[[bytes], NDArray[Any] | None]]] = {
     "IMREAD_UNCHANGED": png.grey16,
 }
 """By the mode of OpenCV that they take the place of, for the PNGs that they read."""
+UNKNOWN_MM: Final = 0
+DEPTH_LIMIT_MM: Final = 65535
+_ROWS_AT_ONCE: Final = 32
+"""Rows of a depth whose numbers stay in the processor's cache."""
 _LAST_UPRIGHT: Final = 4
 """EXIF orientations beyond exchange rows and columns."""
 _PILLOWS_WARNINGS: Final = threading.RLock()
@@ -65,7 +84,7 @@ def decode_grey(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
 def _decoded(data: bytes, mode: str, limits: LimitsConfig) -> Image:
     pixels = _pixels(data, mode, limits)
     if pixels is None:
-        raise DecodeError(f"{len(data)} bytes are no image{_why(data)}")
+        raise DecodeError(f"{len(data)} bytes are no image{_why(data, limits)}")
     return pixels.astype(np.uint8, copy=False)
 
 
@@ -89,55 +108,79 @@ def require_pixels(what: str, width: int, height: int, limits: LimitsConfig) -> 
         raise DecodeError(f"{what} of {width}x{height}, {width * height / 1e6:.0f} megapixels: {expected}")
 
 
-def image_size(data: bytes) -> tuple[int, int]:
+def format_of(data: bytes) -> str:
+    """Name of an image's format by its first bytes; empty where they are of none that is known."""
+    return next((name for name, magic in _FORMATS.items() if re.match(magic, data, re.DOTALL)), "")
+
+
+def _allowed_format(data: bytes, limits: LimitsConfig) -> str:
+    """Name of an image's format.
+
+    Raises:
+        DecodeError: no image, or of a format that the limits do not list.
+    """
+    name, allowed = format_of(data), limits.image_formats
+    if not name:
+        raise DecodeError(f"{len(data)} bytes are no image" + f", they start with {data[:4].hex()}" * bool(data))
+    if (key := name.lower()) not in allowed:
+        listed = f", or set limits.image_formats={','.join((*allowed, key))}" * (key in get_args(ImageFormat))
+        raise DecodeError(f"image of format {name}: expected {', '.join(allowed)}; convert it{listed}")
+    return name
+
+
+def image_size(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[int, int]:
     """Columns and rows of an encoded image by its header, as OpenCV would turn it.
 
     Raises:
-        DecodeError: no image.
+        DecodeError: no image, or one beyond the limits.
     """
     from PIL import ExifTags
 
-    with _opened(data) as image:
+    with _opened(data, _allowed_format(data, limits), limits) as image:
         turned = image.getexif().get(ExifTags.Base.Orientation, 1) > _LAST_UPRIGHT
         return (image.height, image.width) if turned else (image.width, image.height)
 
 
 @contextmanager
-def _opened(data: bytes, formats: tuple[str, ...] | None = None) -> Iterator["PillowImage"]:
-    """An image file with its header read.
+def _opened(data: bytes, name: str, limits: LimitsConfig) -> Iterator["PillowImage"]:
+    """An image file with its header read and held against the limits.
 
     Raises:
-        DecodeError: no image of these formats.
+        DecodeError: no image of the format, or one beyond the limits.
     """
     from PIL import Image as Pillow
     from PIL import UnidentifiedImageError
 
-    kind = formats[0] if formats else "image"
     try:
         # the filters are the process's: two threads that change them at once would leave them changed
         with _PILLOWS_WARNINGS, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of what it reads all the same; the limits say what is too large
-            with Pillow.open(io.BytesIO(data), formats=formats) as image:
+            with Pillow.open(io.BytesIO(data), formats=(name,)) as image:
+                require_pixels("image", image.width, image.height, limits)
+                if name == "AVIF":
+                    avif.require_frames_of(data, image.size)
                 yield image
     except UnidentifiedImageError as error:
-        raise DecodeError(f"{len(data)} bytes are no {kind}, they start with {data[:4].hex()}") from error
-    except (OSError, ValueError, SyntaxError, struct.error, Pillow.DecompressionBombError) as error:
-        raise DecodeError(f"{len(data)} bytes are no whole {kind}: {error}") from error
+        raise DecodeError(f"{len(data)} bytes are no {name}, they start with {data[:4].hex()}") from error
+    except (OSError, ValueError, RuntimeError, SyntaxError, struct.error, Pillow.DecompressionBombError) as error:
+        raise DecodeError(f"{len(data)} bytes are no whole {name}: {error}") from error
 
 
-def _header_size(data: bytes) -> tuple[int, int]:
-    """Columns and rows as they are stored. Of PNG and JPEG it is read here: Pillow takes a quarter millisecond.
+def _require_within(data: bytes, limits: LimitsConfig) -> None:
+    """Refuse a format or a size beyond the limits. PNG and JPEG are read here: Pillow takes a quarter millisecond.
 
     Raises:
-        DecodeError: no image.
+        DecodeError: no image, or one beyond the limits.
     """
-    if data.startswith(PNG_MAGIC) and len(data) >= png.SIZE.size + png.SIZE_AT:
+    name = _allowed_format(data, limits)
+    if name == "PNG" and len(data) >= png.SIZE.size + png.SIZE_AT:
         width, height = png.SIZE.unpack_from(data, png.SIZE_AT)
-        return width, height
-    if data.startswith(_JPEG_MAGIC):
-        return _jpeg_size(data)
-    with _opened(data) as image:
-        return image.width, image.height
+        require_pixels("image", width, height, limits)
+    elif name == "JPEG":
+        require_pixels("image", *_jpeg_size(data), limits)
+    else:
+        with _opened(data, name, limits):
+            pass
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
@@ -155,10 +198,10 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
     raise DecodeError(f"{len(data)} bytes are no whole JPEG: no size in it")
 
 
-def _why(data: bytes) -> str:
+def _why(data: bytes, limits: LimitsConfig) -> str:
     """What a decoder says that can say it; empty where it finds no fault."""
     try:
-        with _opened(data) as image:
+        with _opened(data, _allowed_format(data, limits), limits) as image:
             image.load()
     except DecodeError as error:
         return f": {str(error).partition(': ')[2]}" if ": " in str(error) else ""
@@ -169,9 +212,7 @@ def _pixels(data: bytes, mode: str, limits: LimitsConfig) -> NDArray[Any] | None
     """Pixels as OpenCV's ``mode`` has them; None of what it does not read."""
     import cv2
 
-    if not data:
-        return None
-    require_pixels("image", *_header_size(data), limits)
+    _require_within(data, limits)
     pixels = _PNG_READERS[mode](data)
     if pixels is not None:
         return pixels
@@ -189,12 +230,12 @@ def decode_indices(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
 
     """
     if data.startswith(PNG_MAGIC):
-        require_pixels("image", *_header_size(data), limits)
+        _require_within(data, limits)
         tags = png.indices(data)
         if tags is not None:
             return tags
     # No other format: a JPEG's or GIF's greys are no tags.
-    with _opened(data, ("PNG",)) as image:
+    with _opened(data, "PNG", limits) as image:
         if image.mode not in ("P", "L"):
             raise DecodeError(f"image of mode {image.mode}: expected palette indices (P) or grey tags (L)")
         return np.array(image)
@@ -233,14 +274,21 @@ def encode_jpeg(pixels_bgr: Image, quality: int) -> bytes:
 
 def depth_from_mm(depth_mm: NDArray[np.uint16]) -> Float32:
     """(H, W) metres of 16-bit millimetres: NaN for 0; 65535 stands for 65.535 m or more."""
-    depth_m = np.empty(depth_mm.shape, np.float32)
-    aligned = np.require(depth_mm, np.uint16, ["C_CONTIGUOUS", "ALIGNED"])  # in a message they begin at any byte
-    metres_of_mm(aligned, depth_m)
+    depth_m = depth_mm.astype(np.float32)
+    depth_m *= np.float32(0.001)
+    depth_m[depth_mm == UNKNOWN_MM] = np.nan
     return depth_m
 
 
 def depth_to_mm(depth_m: Float32) -> NDArray[np.uint16]:
     """(H, W) 16-bit millimetres: unknown (NaN, not positive) becomes 0, what lies beyond the range 65535."""
     depth_mm = np.empty(depth_m.shape, np.uint16)
-    mm_of_metres(np.ascontiguousarray(depth_m), depth_mm)
+    for top in range(0, len(depth_m), _ROWS_AT_ONCE):
+        rows = slice(top, top + _ROWS_AT_ONCE)
+        known = depth_m[rows] > 0
+        with np.errstate(over="ignore", invalid="ignore"):  # too far for a number is beyond the range; NaN is not known
+            millimetres = depth_m[rows] * np.float32(1000.0)
+            np.clip(millimetres, UNKNOWN_MM, DEPTH_LIMIT_MM, out=millimetres)
+            whole = np.rint(millimetres, out=millimetres).astype(np.uint16)
+        np.maximum(whole * known, known, out=depth_mm[rows])
     return depth_mm

@@ -2,9 +2,13 @@
 
 libdeflate inflates them, a compiled kernel reverses their filters. Whatever is unusual or not whole is None here:
 OpenCV or Pillow decodes it or says why it cannot, and so they do with every PNG where the kernel is not installed.
+
+Masks are written here as files of one bit a pixel: Pillow packs the bits of a palette image pixel by pixel, which takes
+six times as long as all the rest. Source: Portable Network Graphics (PNG) Specification, third edition, 4.5 to 11.2.
 """
 
 import struct
+import zlib
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,14 +16,12 @@ import deflate
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.datatypes import Image
+from roadperc_stream.chain.kernels import COMPILED
+from roadperc_stream.model import Image, Mask
+from roadperc_stream.model.tag_tables import Colour
 
-try:
-    from roadperc_stream.core.kernels.png_compiled import reverse_filters, reverse_to_grey
-except ImportError:
-    COMPILED = False
-else:
-    COMPILED = True
+if COMPILED:
+    from roadperc_stream.chain.kernels import reverse_filters, reverse_to_grey
 
 MAGIC: Final = b"\x89PNG\r\n\x1a\n"
 SIZE: Final = struct.Struct(">II")
@@ -28,6 +30,7 @@ SIZE_AT: Final = 16
 _CHUNK: Final = struct.Struct(">I4s")
 _CRC: Final = struct.Struct(">I")
 _HEADER: Final = struct.Struct(">IIBBBBB")
+"""Columns, rows, bits, kind of colours, and the one way there is to compress, to filter, to interlace."""
 _PIXEL_SIZE: Final = b"pHYs"
 """The one chunk with no say in the pixels that recorders write (ffmpeg does)."""
 _PIXEL_SIZE_BYTES: Final = 9
@@ -165,3 +168,18 @@ def _inflated(compressed: bytes | memoryview, size: int) -> bytearray | None:
     except deflate.DeflateError:
         return None
     return inflated if len(inflated) == size else None
+
+
+def encode_mask(mask: Mask, colours: tuple[Colour, Colour]) -> bytes:
+    """Palette PNG of an (H, W) mask: index 0 where it is False, 1 where it is True."""
+    rows, columns = mask.shape
+    header = _HEADER.pack(columns, rows, 1, PALETTE, 0, 0, 0)
+    scanlines = np.pad(np.packbits(mask, axis=1), ((0, 0), (1, 0)))  # each begins with 0: it is not filtered
+    runs = zlib.compressobj(strategy=zlib.Z_RLE)  # runs are all that a mask has, and all this looks for
+    data = runs.compress(scanlines.tobytes()) + runs.flush()
+    chunks = {b"IHDR": header, b"PLTE": bytes(np.array(colours, np.uint8)), b"IDAT": data, b"IEND": b""}
+    return MAGIC + b"".join(_chunk_of(kind, content) for kind, content in chunks.items())
+
+
+def _chunk_of(kind: bytes, content: bytes) -> bytes:
+    return _CHUNK.pack(len(content), kind) + content + _CRC.pack(zlib.crc32(kind + content))

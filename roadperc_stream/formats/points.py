@@ -6,8 +6,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Float, Float32, transform
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import Float, Float32, transform
 
 FIELDS: Final = ("x", "y", "z", "intensity")
 """Columns of what is written; a cloud without intensities has the first three."""

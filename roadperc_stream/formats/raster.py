@@ -1,23 +1,27 @@
-"""Raw pixels of sensor_msgs/msg/Image and foxglove.RawImage, whose encodings bear the same names.
+"""Raw pixels of sensor_msgs/msg/Image and foxglove.RawImage, whose encodings have the same names, and CARLA's colours.
 
 Source of the names: ``sensor_msgs/image_encodings.hpp``. A row takes ``step`` bytes, of which the last may be padding.
+The colours of CARLA's CityScapesPalette name the same classes in every version.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.datatypes import Image
-from roadperc_stream.core.geometry import Float32
-from roadperc_stream.core.kernels.depth import DEPTH_LIMIT_MM
-from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
-from roadperc_stream.formats.palette import tags_of_colours
+from roadperc_stream.geometry import Float32
+from roadperc_stream.model import Image
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14, TagTable
 
+PALETTE_TABLE: Final = CARLA_FROM_0_9_14
+"""Table of colours whose log names none: it has every class that earlier versions colour (their vehicle as car)."""
+UNKNOWN: Final = 255
+"""In ``tags_by_code``: a colour of no class."""
 _LAYOUTS: Final[Mapping[str, tuple[str, int]]] = {
     "bgr8": ("u1", 3),
     "rgb8": ("u1", 3),
@@ -44,10 +48,40 @@ _TO_BGR: Final[Mapping[str, str]] = {
 _COLOURS: Final = ("bgr8", "8UC3")
 _GREYS: Final = ("mono8", "8UC1")
 _DEPTHS: Final = ("16UC1", "mono16", "32FC1")
-
-
 Content = bytes | memoryview
 """A file or raw pixels: by themselves, or as they stand in a message."""
+
+
+@cache
+def tags_by_code(table: TagTable) -> Image:
+    """(2^24,) uint8 tag of every colour, red * 65536 + green * 256 + blue."""
+    tags = np.full(1 << 24, UNKNOWN, np.uint8)
+    for (r, g, b), tag in table.tag_by_colour().items():
+        tags[(r << 16) | (g << 8) | b] = tag
+    return tags
+
+
+def tags_of_colours(bgr: Image, table: TagTable) -> Image:
+    """(H, W) uint8 tags of an (H, W, 3) image of class colours.
+
+    Raises:
+        DecodeError: a colour is no class's; the message names the most frequent such one.
+    """
+    import cv2
+
+    codes = cv2.cvtColor(bgr, cv2.COLOR_BGR2BGRA).view("<u4")[..., 0] & 0xFFFFFF
+    tags: Image = tags_by_code(table)[codes]
+    if (tags == UNKNOWN).any():
+        raise DecodeError(_unknown_in_words(codes[tags == UNKNOWN], table))
+    return tags
+
+
+def _unknown_in_words(codes: NDArray[Any], table: TagTable) -> str:
+    distinct, counts = np.unique(codes, return_counts=True)
+    code = int(distinct[counts.argmax()])
+    colour = (code >> 16, code >> 8 & 255, code & 255)
+    more = f" and {len(distinct) - 1} more colours" if len(distinct) > 1 else ""
+    return f"colour {colour} ({counts.max()} pixels){more} is no class's of {table.name}: expected CARLA's palette"
 
 
 @dataclass(frozen=True)
@@ -135,7 +169,7 @@ class Raster:
             raise DecodeError(f"depth of encoding {self.encoding!r}: expected one of {', '.join(_DEPTHS)}")
         pixels = self.pixels()
         if pixels.dtype.kind == "u":
-            return images.depth_from_mm(pixels), DEPTH_LIMIT_MM / 1000
+            return images.depth_from_mm(pixels), images.DEPTH_LIMIT_MM / 1000
         depth_m = pixels.astype(np.float32)
         depth_m[~(depth_m > 0)] = np.nan
         return depth_m, np.inf

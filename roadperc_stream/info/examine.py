@@ -3,17 +3,15 @@
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from roadperc_stream.core.geometry import Camera
-from roadperc_stream.core.time import ns_to_seconds
-from roadperc_stream.info.facts import CameraFacts, ChannelFacts, FileFacts, LogFacts, ReplayFacts
-from roadperc_stream.info.provenance import provenance_of
-from roadperc_stream.info.scan import Scan
-from roadperc_stream.info.tally import Tally
+from roadperc_stream.geometry import Camera
+from roadperc_stream.info.facts import CameraFacts, ChannelFacts, FileFacts, LogFacts, ReplayFacts, provenance_of
+from roadperc_stream.info.scan import Scan, Tally
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result_log
-from roadperc_stream.input.roles import CAMERA_OF
+from roadperc_stream.input.topics import CAMERA_OF
 from roadperc_stream.log import Channel, Metadata, Recovery, Salvage
 from roadperc_stream.schemas.record import CONVERSION_RECORD, PRODUCER, TAG_TABLE_KEY, log_id_of
+from roadperc_stream.system.time import ns_to_seconds
 
 
 def examine(path: Path, overrides: Mapping[str, str]) -> LogFacts:

@@ -3,20 +3,132 @@
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+from rich.console import Console
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.info.examine import examine
 from roadperc_stream.info.facts import LogFacts
-from roadperc_stream.info.parts import print_parts
-from roadperc_stream.info.printing import print_log
-from roadperc_stream.info.text import listed
-from roadperc_stream.output.terminal import console_for, print_lines
+from roadperc_stream.info.printing import listed, print_log, print_roles
+from roadperc_stream.info.role_states import roles_of
+from roadperc_stream.input.outcome import PartSpan, joins
+from roadperc_stream.input.source import warnings_of
+from roadperc_stream.input.topics import no_probe
+from roadperc_stream.log import Channel
+from roadperc_stream.output.terminal import console_for, print_lines, print_table
+from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.schemas.record import log_id_of
 from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.system.files import require_free
+from roadperc_stream.system.text import number
+from roadperc_stream.system.time import ns_to_seconds
+
+
+def print_parts(console: Console, logs: Sequence[LogFacts], overrides: Mapping[str, str]) -> None:
+    """How logs join in the order of their times, and what they are as one log.
+
+    Args:
+        console: to print on.
+        logs: two or more; those without messages have no place among the parts.
+        overrides: topic by role, from ``--topic``.
+    """
+    spans = sorted(_spans(logs), key=lambda span: (span.first_ns, span.last_ns))
+    if not spans:
+        return
+    began_ns = spans[0].first_ns
+    rows = tuple(
+        row(span.name, *(f"{ns_to_seconds(at_ns - began_ns):.3f}" for at_ns in (span.first_ns, span.last_ns)))
+        for span in spans
+    )
+    print_table(console, TextTable("As the parts of one log", ("from s", "to s"), rows))
+    lines = (*filter(None, joins(spans)), *_continuations(logs), *_only_in_some(logs), *_whole(logs, spans))
+    print_lines(console, "", *lines)
+    if not any(facts.provenance for facts in logs):
+        print_roles(console, roles_of(_channels(logs), overrides, no_probe).states)
+
+
+def _spans(logs: Iterable[LogFacts]) -> Iterator[PartSpan]:
+    """Of results that hold their inputs those count: frames that one gives again are of another one's time."""
+    for facts in logs:
+        channels = [channel for channel in facts.channels if channel.messages]
+        channels = [channel for channel in channels if not channel.result] or channels
+        firsts = [channel.first_ns for channel in channels if channel.first_ns is not None]
+        lasts = [channel.last_ns for channel in channels if channel.last_ns is not None]
+        if firsts and lasts:
+            yield PartSpan(Path(facts.log).name, min(firsts), max(lasts), _frames(facts))
+
+
+def _frames(facts: LogFacts) -> int:
+    """Messages of the reference sensor."""
+    reference = (state.topic for state in facts.replay.roles if state.role == facts.replay.reference)
+    topic = next(reference, None)
+    return sum(channel.messages for channel in facts.channels if channel.topic == topic)
+
+
+def _continuations(logs: Sequence[LogFacts]) -> Iterator[str]:
+    """A line for each result that goes on from another one of the logs."""
+    names = {log_id_of(facts.provenance.digest): Path(facts.log).name for facts in logs if facts.provenance}
+    for facts in logs:
+        before = facts.provenance and names.get(facts.provenance.continues or "")
+        if before:
+            yield f"{Path(facts.log).name}: goes on from {before}"
+
+
+def _channels(logs: Sequence[LogFacts]) -> list[Channel]:
+    """The channels with messages, as far as roles ask for them."""
+    found = {
+        Channel(channel.topic, channel.message_encoding, channel.schema, channel.schema_encoding)
+        for facts in logs
+        for channel in facts.channels
+        if channel.messages
+    }
+    return sorted(found, key=lambda channel: (channel.topic, channel.schema_name, channel.message_encoding))
+
+
+def _only_in_some(logs: Sequence[LogFacts]) -> Iterator[str]:
+    """A line for each topic with messages in some of the logs, and none in the others."""
+    holding: dict[str, list[str]] = {}
+    for facts in logs:
+        for topic in sorted({channel.topic for channel in facts.channels if channel.messages}):
+            holding.setdefault(topic, []).append(Path(facts.log).name)
+    for topic, names in holding.items():
+        if len(names) < len(logs):
+            yield f"{topic}: only in {listed(names)}"
+
+
+def _whole(logs: Sequence[LogFacts], spans: Sequence[PartSpan]) -> Iterator[str]:
+    messages, topics = sum(facts.messages for facts in logs), {c.topic for facts in logs for c in facts.channels}
+    seconds = ns_to_seconds(max(span.last_ns for span in spans) - spans[0].first_ns)
+    yield f"together {number(messages, 'message')} on {number(len(topics), 'topic')} over {seconds:.2f} s"
+
+
+def recover_log(source: Path, target: Path, *, force: bool) -> None:
+    """Repair a log.
+
+    Args:
+        source: the log.
+        target: the log to write.
+        force: replace an existing ``target``.
+
+    Raises:
+        LogError: not one message can be read.
+        TargetError: ``target`` cannot be written, or may not be.
+    """
+    require_free(target, force=force, source=source, suffix=".mcap")
+    (file,) = log.received([source])
+    salvage, recovery = log.write_repaired(file, target)
+    console = console_for(sys.stdout)
+    if salvage.whole:
+        print_lines(console, f"note: {source}: whole, nothing was lost", unbroken=True)
+    else:
+        warnings = warnings_of(source, salvage.damages, recovery, salvage.first_ns)
+        print_lines(console, *(f"warning: {warning}" for warning in warnings), unbroken=True)
+    print_lines(console, f"wrote {target} ({recovery.saved} messages)", unbroken=True)
 
 
 def list_logs(paths: Sequence[Path], topics: Sequence[str], *, as_json: bool) -> None:

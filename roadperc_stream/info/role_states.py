@@ -6,17 +6,9 @@ from typing import Final
 
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.roles import (
-    NOTHING_TO_REPLAY,
-    ContentProbe,
-    RoleAssignment,
-    RoleFilling,
-    assign_roles,
-    candidates,
-    channel_state,
-    distinct,
-    fits,
-)
+from roadperc_stream.input.roles import NOTHING_TO_REPLAY, RoleFilling, assign_roles, candidates, channel_state
+from roadperc_stream.input.stream import RoleAssignment
+from roadperc_stream.input.topics import ContentProbe, distinct, fits
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas.record import BEGIN_ATTACHMENT
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES, Role

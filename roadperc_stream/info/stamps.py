@@ -15,9 +15,9 @@ from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message import DecodeError
 
-from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas.protobuf import stamp_ns
+from roadperc_stream.system.time import NS_PER_S
 
 _FIELD, _LIST = "timestamp", "transforms"
 _TIMESTAMP: Final = ".google.protobuf.Timestamp"

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadperc_stream.core.datatypes import Box, CameraImage, Detection, Image
-from roadperc_stream.core.geometry import Camera, Float, Float32, pinhole_fault
+from roadperc_stream.geometry import Camera, Float, Float32, pinhole_fault
+from roadperc_stream.model import Box, CameraImage, Detection, Image
 
 _ROTATION_TOLERANCE: Final = 1e-3
 """Of a rotation times its transpose: what is left of one that was written with four digits."""

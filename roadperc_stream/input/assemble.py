@@ -5,8 +5,13 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import (
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.errors import ChannelError
+from roadperc_stream.geometry import Camera, Float, inverse, level_mounting
+from roadperc_stream.input.stream import Stamped
+from roadperc_stream.input.sync import LatchedState, SyncedMessages
+from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.model import (
     EGO,
     ODOM,
     OWN_ODOM,
@@ -24,12 +29,6 @@ from roadperc_stream.core.datatypes import (
     Transform,
     Truth,
 )
-from roadperc_stream.core.geometry import Camera, Float, inverse, level_mounting
-from roadperc_stream.errors import ChannelError
-from roadperc_stream.input.latched import LatchedState
-from roadperc_stream.input.stream import Stamped
-from roadperc_stream.input.sync import SyncedMessages
-from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
 
 EGO_FRAMES: Final = (EGO, "base_footprint", "base_link", "ego_vehicle", "hero")
@@ -47,7 +46,7 @@ def sample_of(
     Args:
         cfg: for the height of a camera without a mounting.
         synced: the messages of one instant.
-        index: number of the frame in the replay, from 0.
+        index: number of the frame in the replay, from 0; ``UNWRITTEN`` if it only warms up the chain.
         topics: topic of each role that the log has.
         parent_of: parents of all frames that the log places, at this instant or any other.
 
@@ -83,6 +82,7 @@ def sample_of(
         detections=detections.payload if detections else None,  # type: ignore[arg-type]
         points=points,
         ego_T_lidar=None if points is None else _lidar_mounting(tree, ego_T_camera, camera, points.frame_id),
+        is_origin=index == 0,
     )
     missing = tuple(role for role in topics if _expected(role) and role not in parts)
     truth, anchor = _truth(parts, tree, camera), _anchor(tree, camera, ego_T_camera, parent_of)

@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from typing import Final
 
-from roadperc_stream.core.semantics import TABLES
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, Metadata
+from roadperc_stream.model.tag_tables import TABLES
 from roadperc_stream.schemas.record import (
     DIGEST_ALGORITHM_KEY,
     DIGEST_KEY,

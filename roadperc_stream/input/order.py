@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from typing import Final, Generic, TypeVar
 
-from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.input.stream import Stamped
+from roadperc_stream.system.time import NS_PER_S
 
 _ROW: Final = 3
 """Reference messages in a row that begin a new segment: fewer are stragglers."""

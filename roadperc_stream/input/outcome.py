@@ -1,15 +1,22 @@
-"""What became of a log's messages in one pass: the frames by segment, and the messages that belong to none."""
+"""What the user should know of one pass over a log: how its files join, its segments, the messages in no frame."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from roadperc_stream.core.config import SyncConfig
-from roadperc_stream.core.time import ns_to_seconds
+from roadperc_stream.config import SyncConfig
 from roadperc_stream.input.stream import Stamped
 from roadperc_stream.input.sync import SyncedMessages
+from roadperc_stream.log import Attachment, LogSummary, Metadata
+from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD
+from roadperc_stream.system.time import ns_to_seconds
 
 _MOST_NAMED: Final = 5
+_GAP_INTERVALS: Final = 1.5
+"""Intervals of the reference sensor from which on a pause between two parts is a gap: a frame is missing there."""
+_OF_EACH_RESULT: Final = {CONFIG_ATTACHMENT, METADATA_RECORD}
+"""What every result has of its own, and no other result takes over."""
 
 
 @dataclass
@@ -116,3 +123,102 @@ def _listed(topics: Iterable[str]) -> str:
 def _never_near(topic: str, tolerance_s: float, nearest_ns: int) -> str:
     off = f"{ns_to_seconds(nearest_ns):.9f}".rstrip("0").rstrip(".")
     return f"{topic}: in no frame, the nearest message is {off} s from one: sync.tolerance_s is {tolerance_s:g}"
+
+
+@dataclass(frozen=True)
+class PartSpan:
+    """When a part's messages begin and end, and how many of them make frames.
+
+    ``repeats`` are those that an earlier part holds as well; None where that is not known.
+    """
+
+    name: str
+    first_ns: int
+    last_ns: int
+    frames: int
+    repeats: int | None = None
+
+
+def part_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
+    """What the user should know of how the parts of a log fit together; nothing of a log in one file.
+
+    Args:
+        summary: of the log.
+        topic: of the reference sensor.
+    """
+    spans = [
+        PartSpan(str(part.path), part.first_ns, part.last_ns, _messages_on(part, topic), part.repeats)
+        for part in summary.parts
+        if part.first_ns is not None and part.last_ns is not None and any(part.counts.values())
+    ]
+    joined = [text for text in joins(spans) if text]
+    more = (f"{len(joined) - _MOST_NAMED} more parts leave gaps or overlap",) if len(joined) > _MOST_NAMED else ()
+    differing = (*_differing("attachment", summary.attachments), *_differing("metadata", summary.metadata))
+    return (*joined[:_MOST_NAMED], *more, *(differing if summary.parts else ()))
+
+
+def joins(parts: Sequence[PartSpan]) -> list[str]:
+    """How each part follows those before it, in words; empty where it does so without a gap or an overlap.
+
+    Args:
+        parts: by their first log times.
+    """
+    least_gap_ns = _GAP_INTERVALS * _interval_ns(parts)
+    latest: PartSpan | None = None
+    texts = []
+    for part in parts:
+        texts.append("" if latest is None else _join(latest, part, least_gap_ns))
+        latest = part if latest is None or part.last_ns > latest.last_ns else latest
+    return texts
+
+
+def continuation_notes(part: PartSpan, frames_before_ns: Sequence[int], ended_ns: int) -> tuple[str, ...]:
+    """What is to be said of how a part follows the one whose result it goes on from.
+
+    Args:
+        part: this one.
+        frames_before_ns: log times of the last messages of the reference sensor in the part before, as far as known.
+        ended_ns: log time from which on the drive goes on.
+    """
+    before = PartSpan("what it goes on from", min(frames_before_ns, default=ended_ns), ended_ns, len(frames_before_ns))
+    gap_ns, interval_ns = part.first_ns - ended_ns, _interval_ns([before, part])
+    missing = interval_ns and gap_ns > _GAP_INTERVALS * interval_ns
+    return (_join(before, part, 0.0),) if missing else ()
+
+
+def _join(before: PartSpan, part: PartSpan, least_gap_ns: float) -> str:
+    gap_ns = part.first_ns - before.last_ns
+    if gap_ns < 0:
+        overlap_s = ns_to_seconds(min(-gap_ns, part.last_ns - part.first_ns))
+        return f"{part.name}: overlaps {before.name} by {overlap_s:.3f} s{_shared(part)}"
+    if part.repeats:
+        return f"{part.name}: begins when {before.name} ends{_shared(part)}"
+    if gap_ns > least_gap_ns:
+        return f"{part.name}: begins {ns_to_seconds(gap_ns):.3f} s after {before.name} ends"
+    return ""
+
+
+def _shared(part: PartSpan) -> str:
+    """What becomes of the messages of a part that overlaps others."""
+    if part.repeats is None:
+        return ""
+    if not part.repeats:
+        return "; no message is in both, they are merged"
+    return f"; {part.repeats} of its messages are in parts before it as well, these count once"
+
+
+def _interval_ns(parts: Iterable[PartSpan]) -> float:
+    """Mean interval of the messages that make frames, within the parts."""
+    counted = [part for part in parts if part.frames > 1]
+    intervals = sum(part.frames - 1 for part in counted)
+    return sum(part.last_ns - part.first_ns for part in counted) / intervals if intervals else 0.0
+
+
+def _messages_on(part: LogSummary, topic: str) -> int:
+    return sum(part.counts.get(channel.source_id, 0) for channel in part.channels if channel.topic == topic)
+
+
+def _differing(kind: str, records: Iterable[Attachment | Metadata]) -> tuple[str, ...]:
+    """What has one name and several contents."""
+    counts: Counter[str] = Counter(record.name for record in records if record.name not in _OF_EACH_RESULT)
+    return tuple(f"{kind} {name}: {n} versions in the parts, all are kept" for name, n in counts.items() if n > 1)

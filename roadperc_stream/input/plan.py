@@ -1,30 +1,168 @@
-"""What of a log is replayed: a first pass that checks it, and the messages of the part that is asked for."""
+"""What of a log is replayed: the part that is asked for, and a first pass that checks it.
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+The first pass says what the part is, how late its messages are, and what remains of it for a continued replay. It pairs
+the frames as the replay itself does, but waits for every message as long as one may be late, and drops contents. No
+later message can alter what is then complete; a continued replay takes what waits at the end.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import islice
+from pathlib import Path
 from typing import Final
 
 from roadperc_stream import log
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.time import TimeRange, ns_to_seconds, seconds_to_ns
+from roadperc_stream.config import LimitsConfig, ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError, StateError
 from roadperc_stream.input.earlier_replay import is_result, replay_record
-from roadperc_stream.input.first_pass import FirstPass, InputStart, continued_start, drive_start, first_pass
-from roadperc_stream.input.latched import LatchedState, without_loops
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.problems import Problems
-from roadperc_stream.input.roles import NOTHING_TO_REPLAY, RoleAssignment, assignment_of_log
+from roadperc_stream.input.roles import NOTHING_TO_REPLAY, assignment_of_log
 from roadperc_stream.input.source import ReplaySource
-from roadperc_stream.input.state import InputState
-from roadperc_stream.input.stream import decoded_messages
+from roadperc_stream.input.state import FrameNumbers, InputState, only_needed, pending, restored
+from roadperc_stream.input.stream import Problems, RoleAssignment, Stamped, decoded_messages
+from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, SyncState, without_loops
+from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.input.window import Window, WindowMessages
-from roadperc_stream.log import LogSummary, Message
+from roadperc_stream.log import LogSummary, Message, MessageDigest
 from roadperc_stream.schemas.record import END_KEY
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
+from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
 
 _MOST_DIGITS: Final = 19
 """Of a log time that is recorded."""
+
+
+@dataclass(frozen=True)
+class InputStart:
+    """What is known before the first message that is read: latched, or left by an earlier part of the drive."""
+
+    pairing: PairingState[Stamped]
+    arrived: TransformTree
+    numbers: FrameNumbers = field(default_factory=FrameNumbers)
+    parent_of: Mapping[str, str] = field(default_factory=dict)
+    from_ns: int = 0
+    """Messages of an earlier log time have had their effect."""
+    carried: tuple[Message, ...] = ()
+    frames_waiting: int = 0
+    """Frames of the earlier part that were not complete."""
+    is_continuation: bool = False
+
+    def items(
+        self, messages: Iterable[Stamped], topics: Mapping[str, str], problems: Problems, limits: LimitsConfig
+    ) -> Iterator[Stamped]:
+        """Those of the messages that are still to be taken, without transforms that close a loop."""
+        new = (item for item in messages if item.log_time_ns >= self.from_ns)
+        return without_loops(new, LatchedState(tree=self.arrived), topics, problems, limits)
+
+
+@dataclass(frozen=True)
+class FirstPass:
+    """What the first pass found.
+
+    ``counts`` are the messages of each topic, ``parent_of`` the last parent of every frame that a transform places, now
+    or in an earlier part; of ``complete_frames`` no later message alters anything, and ``end`` is what the frames after
+    them need.
+    """
+
+    digest: str
+    counts: Counter[str]
+    lateness_ns: int
+    parent_of: Mapping[str, str]
+    complete_frames: int
+    end: InputState
+
+
+def _start(begin: InputState | None, latched: LatchedState, roles: RoleAssignment, tag_table: str) -> InputStart:
+    """The start of a drive, where some calibrations and transforms hold, or of a part that goes on from another.
+
+    Raises:
+        StateError: a message that the state carries is not what it says.
+    """
+    if begin is None:
+        return InputStart(PairingState(sync=SyncState(latched)), latched.tree)
+    known = begin.arrived, begin.numbers, begin.parent_of, begin.from_ns, begin.carried, begin.frames_waiting
+    return InputStart(restored(begin, roles, tag_table), *known, is_continuation=True)
+
+
+@dataclass
+class _Tally:
+    """What is counted as messages pass by."""
+
+    arrived: TransformTree
+    parent_of: dict[str, str]
+    digest: MessageDigest = field(default_factory=MessageDigest)
+    counts: Counter[str] = field(default_factory=Counter)
+    last_ns: int | None = None
+
+    def counted(self, messages: Iterable[Message]) -> Iterator[Message]:
+        for message in messages:
+            self.digest.update(message)
+            self.counts[message.channel.topic] += 1
+            self.last_ns = message.log_time_ns
+            yield message
+
+    def with_parents(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
+        for item in items:
+            self.parent_of |= {edge.child: edge.parent for edge in item.edges}
+            yield item
+
+    def light(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
+        """The items without what is not needed to pair them."""
+        for item in items:
+            self.arrived = self.arrived.updated(item.edges) if item.edges else self.arrived
+            yield item if item.is_latched else replace(item, payload=())
+
+
+def first_pass(
+    reader: WindowMessages, order: OrderConfig, start: InputStart, strict_in: Path | None = None
+) -> FirstPass:
+    """Read all messages once.
+
+    Args:
+        reader: reads them.
+        order: which role makes the frames, and how late messages may be.
+        start: what is known before the first of them.
+        strict_in: names the log, where the first message that cannot be read is an error.
+
+    Raises:
+        LogError: the log is damaged.
+    """
+    roles, cfg = reader.roles, reader.cfg
+    tally = _Tally(start.arrived, dict(start.parent_of))
+    patient = replace(order, lateness_ns=order.max_wait_ns)
+    pairing = StampPairing(cfg.sync, patient, roles.topics, start.pairing, lambda _: None)
+
+    def items(messages: Iterable[Message]) -> Iterator[Stamped]:
+        decoded = decoded_messages(tally.counted(messages), roles, cfg.tag_table, Problems(strict_in), cfg.limits)
+        known = replace(start, arrived=tally.arrived)
+        return tally.light(known.items(tally.with_parents(decoded), roles.topics, Problems(), cfg.limits))
+
+    numbers = start.numbers
+    for synced in pairing.through(items(reader.inside())):
+        numbers = numbers.after(synced.reference)
+    complete_frames, last_ns = pairing.frames, tally.last_ns
+    carried, waiting = only_needed(start.carried, pairing.state.mapped(pending))
+    end = InputState(
+        _from_ns(reader, start, last_ns),
+        order.reference,
+        roles.topics,
+        roles.tag_table,
+        dict(tally.parent_of),
+        tally.arrived,
+        waiting,
+        numbers,
+        carried,
+    )
+    for _ in pairing.through(items(reader.late())):
+        pass  # only how late they are
+    return FirstPass(tally.digest.hexdigest(), tally.counts, pairing.lateness_ns, tally.parent_of, complete_frames, end)
+
+
+def _from_ns(reader: WindowMessages, start: InputStart, last_ns: int | None) -> int:
+    """From where on a later part's messages are new: where this one was cut, else the last message's time."""
+    cut_ns = reader.window.cut_ns
+    return max(start.from_ns, (last_ns or 0) if cut_ns is None else cut_ns)
 
 
 @dataclass(frozen=True)
@@ -76,7 +214,7 @@ def plan_input(
     window = _window(summary, cfg, part, roles, reference)
     latched, latched_messages = _latched_at_start(summary, cfg, roles, window, problems)
     order = OrderConfig(reference, seconds_to_ns(cfg.sync.max_wait_s))
-    start = drive_start(latched) if begin is None else continued_start(begin, roles, cfg.tag_table)
+    start = _start(begin, latched, roles, cfg.tag_table)
     messages = WindowMessages(summary, cfg, roles, window, latched_messages).with_late()
     found = first_pass(messages, order, start, problems.strict_in)
     topic = roles.topics[reference]

@@ -4,24 +4,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import UNWRITTEN, Sample
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ChannelError, NoFrameError
 from roadperc_stream.input.assemble import sample_of
-from roadperc_stream.input.damage import LossTimes, ReadableLog, ended, is_over, reach_ns
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.outcome import InputOutcome
-from roadperc_stream.input.pairing import StampPairing
-from roadperc_stream.input.parts import PartSpan, continuation_notes, part_notes
+from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes, part_notes
 from roadperc_stream.input.plan import InputPlan, plan_input, span_ns
-from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import tag_table_to_record
-from roadperc_stream.input.source import ReplaySource
+from roadperc_stream.input.source import LossTimes, ReadableLog, ReplaySource, ended
 from roadperc_stream.input.state import InputState
-from roadperc_stream.input.stream import Stamped, decoded_messages
-from roadperc_stream.input.sync import SyncedMessages
+from roadperc_stream.input.stream import Problems, Stamped, decoded_messages
+from roadperc_stream.input.sync import StampPairing, SyncedMessages
 from roadperc_stream.input.window import WindowMessages
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Message, Piece, Recovery
+from roadperc_stream.model import UNWRITTEN, Sample
 from roadperc_stream.schemas.record import (
     DIGEST_ALGORITHM_KEY,
     DIGEST_KEY,
@@ -149,8 +145,8 @@ class ReplayInput:
         before_ns = numbers.log_time_ns if numbers.next else None
         for synced in islice(self._pairing.frames_of(items), plan.most_frames):
             before, numbers = numbers, numbers.after(synced.reference)
-            sample = self._sample(synced, before.next)
             is_written = before.is_written(synced.reference)
+            sample = self._sample(synced, before.next if is_written else UNWRITTEN)
             self._outcome.pair(synced)
             if is_written:
                 self._outcome.add(synced)
@@ -158,15 +154,17 @@ class ReplayInput:
                 yield replace(sample, log_time_ns=numbers.log_time_ns, lost=lost)
                 before_ns = numbers.log_time_ns
             else:
-                yield replace(sample, index=UNWRITTEN)
+                yield sample
         if not self.frames and not self.is_continuation:
             topic = self.topics[plan.order.reference]
             raise NoFrameError(f"{self.summary.path}: no message on {topic} makes a frame; {'; '.join(self.notes)}")
 
     def _until_ns(self, synced: SyncedMessages, since_ns: int | None, log_time_ns: int) -> int:
         """The log time up to which messages of a frame may have been lost."""
-        is_whole = all(role in synced.parts for role in self.topics if ROLES[role].kind not in LATCHED_KINDS)
-        return log_time_ns if is_whole else reach_ns(since_ns, log_time_ns, self.plan.order.lateness_ns)
+        if all(role in synced.parts for role in self.topics if ROLES[role].kind not in LATCHED_KINDS):
+            return log_time_ns
+        interval_ns = 0 if since_ns is None else log_time_ns - since_ns  # the next frame is as far as the one before
+        return log_time_ns + self.plan.order.lateness_ns + interval_ns
 
     def _drop(self, item: Stamped) -> None:
         self._outcome.drop(item)
@@ -225,7 +223,11 @@ class ReplayInput:
         since_ns = numbers.log_time_ns if numbers.next else None
         cut_ns = self.plan.window.cut_ns
         own = (gap for gap in self._gaps if cut_ns is None or gap.first_ns is None or gap.first_ns < cut_ns)
-        spans = dict.fromkeys((gap.first_ns, gap.last_ns) for gap in own if not is_over(gap, since_ns))
+        spans = dict.fromkeys(
+            (gap.first_ns, gap.last_ns)
+            for gap in own
+            if since_ns is None or gap.last_ns is None or gap.last_ns > since_ns
+        )
         return tuple(LostSpan(first_ns, last_ns, {}) for first_ns, last_ns in spans)
 
     @property

@@ -1,12 +1,171 @@
-"""Which part of which log is to be replayed, and how its messages are taken."""
+"""Which part of which log is to be replayed, what of a damaged log can be, and what its frames say of lost messages."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import accumulate
+from math import inf
 from pathlib import Path
 
-from roadperc_stream.core.config import LimitsConfig
-from roadperc_stream.core.time import WHOLE, TimeRange
-from roadperc_stream.input.damage import ReadableLog, readable_log
+from roadperc_stream import log
+from roadperc_stream.config import LimitsConfig
+from roadperc_stream.errors import LogError
+from roadperc_stream.log import Damage, DamagedLogError, LogSummary, LostSpan, Recovery, RepairedLog
+from roadperc_stream.model import FrameResult, Reason
+from roadperc_stream.model.reason import UNUSABLE
+from roadperc_stream.system.time import WHOLE, TimeRange, ns_to_seconds
+
+SOURCE = "log"
+"""Whose reason it is that messages were lost."""
+
+
+class LossTimes:
+    """When messages were lost, found by bisection: a log may have many gaps, and each frame asks."""
+
+    def __init__(self, gaps: Iterable[LostSpan]) -> None:
+        """Sort the gaps of the log."""
+        spans = sorted((-inf if g.first_ns is None else g.first_ns, _end(g)) for g in gaps)
+        self._firsts = [first for first, _ in spans]
+        self._latest = list(accumulate((last for _, last in spans), max))
+        """Of each gap and those that begin before it, the end that is last: it never falls."""
+
+    def reason(self, since_ns: int | None, until_ns: int) -> Reason | None:
+        """That messages were lost since the frame before, or at this one; None where none were.
+
+        Args:
+            since_ns: log time of the frame before; None of the first one, which speaks for all that was lost before it.
+            until_ns: log time of the frame; of one that lacks messages, up to which they may have come.
+        """
+        begun = bisect_right(self._firsts, until_ns)
+        over = 0 if since_ns is None else bisect_right(self._latest, since_ns)
+        return _reason(self._firsts[over], self._latest[begun - 1]) if over < begun else None
+
+
+def _end(gap: LostSpan) -> float:
+    return inf if gap.last_ns is None else gap.last_ns
+
+
+def _reason(first_ns: float, last_ns: float) -> Reason:
+    match first_ns > -inf, last_ns < inf:
+        case False, False:
+            return Reason(SOURCE, "lost_to_damage_somewhere")
+        case False, True:
+            return Reason(SOURCE, "lost_to_damage_before", (last_ns,))
+        case True, False:
+            return Reason(SOURCE, "lost_to_damage_after", (first_ns,))
+    return Reason(SOURCE, "lost_to_damage", (first_ns, last_ns))
+
+
+def ended(gaps: Iterable[LostSpan], next_ns: int | None) -> tuple[LostSpan, ...]:
+    """The gaps of a part of a drive, where one without an end ends before the first message of the next part."""
+    return tuple(
+        replace(gap, last_ns=max(next_ns - 1, gap.first_ns or 0)) if gap.last_ns is None and next_ns else gap
+        for gap in gaps
+    )
+
+
+@dataclass(frozen=True)
+class ReadableLog:
+    """A log that can be replayed: as it stands, or what was saved of it.
+
+    ``error`` says that it is damaged, None where it is whole; ``damaged`` are the files that are, ``first_ns`` the log
+    time of the first message there was.
+    """
+
+    summary: LogSummary
+    error: DamagedLogError | None = None
+    damaged: tuple[RepairedLog, ...] = ()
+    first_ns: int | None = None
+
+    def part(self, asked: TimeRange) -> TimeRange:
+        """What is asked for, counted from the first message that is left."""
+        first_ns, saved_ns = self.first_ns, self.summary.first_ns
+        if self.error is None or first_ns is None or saved_ns is None or saved_ns <= first_ns:
+            return asked
+        by_s = ns_to_seconds(saved_ns - first_ns)
+        start_s = None if asked.start_s is None else asked.start_s - by_s
+        return TimeRange(start_s, None if asked.end_s is None else asked.end_s - by_s, asked.frames)
+
+    def require_outside(self, start_ns: int | None, end_ns: int | None) -> None:
+        """Check that damage concerns no message from ``start_ns`` up to ``end_ns``, None without a limit.
+
+        Raises:
+            LogError: it may.
+        """
+        if self.error and any(d.concerns(start_ns, end_ns) for copy in self.damaged for d in copy.salvage.damages):
+            raise self.error
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know of it."""
+        found = ((copy.path, copy.salvage.damages, copy.recovery) for copy in self.damaged)
+        return tuple(text for facts in found for text in warnings_of(*facts, self.first_ns))
+
+
+def readable_log(
+    paths: Sequence[Path],
+    limits: LimitsConfig,
+    asked: TimeRange = WHOLE,
+    *,
+    recover: bool = False,
+) -> ReadableLog:
+    """A log, or what can be read of it where that is asked for, or where only some of it is to be replayed.
+
+    Args:
+        paths: of the log, or of its parts; ``-`` is standard input.
+        limits: of its records and chunks.
+        asked: the part to replay; damage elsewhere is none of it.
+        recover: whether damage is no error.
+
+    Raises:
+        LogError: it cannot be read, or is damaged.
+        TargetError: there is no space for temporary files, where it needs some.
+    """
+    sources = log.received(paths)
+    despite_damage = recover or asked != WHOLE
+    try:
+        return ReadableLog(log.summarise(sources, limits, check_chunks=despite_damage))
+    except DamagedLogError as error:
+        if not despite_damage:
+            raise
+        copies = [_repaired(path, limits, error) for path in sources]
+        files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
+        summary = log.summarise(files, limits)
+        damaged = tuple(_in_log(copy, summary.parts) for copy in copies if copy is not None)
+        firsts = (summary.first_ns, *(copy.salvage.first_ns for copy in damaged))
+        first_ns = min((ns for ns in firsts if ns is not None), default=None)
+        return ReadableLog(summary, error, damaged, first_ns)
+
+
+def _repaired(path: Path, limits: LimitsConfig, error: DamagedLogError) -> RepairedLog | None:
+    """The repaired copy of a file, which may be the one that the error is of; None where it is whole."""
+    is_whole = path != error.path and log.audited(path, limits, check_chunks=True).whole
+    return None if is_whole else log.repaired_copy(path, limits)
+
+
+def _in_log(copy: RepairedLog, parts: Sequence[LogSummary]) -> RepairedLog:
+    """A repaired part, whose losses end where later parts go on."""
+    own = next((part for part in parts if part.path == copy.path), None)
+    return copy if own is None else replace(copy, recovery=copy.recovery.ending(log.gone_on_ns(own, parts)))
+
+
+def warnings_of(source: Path, damages: Sequence[Damage], recovery: Recovery, first_ns: int | None) -> Iterator[str]:
+    """What the user should know of a log that was damaged: where, what was saved and what was lost."""
+    number = log.number_of(damages)
+    more = f" (the first of {number} damages)" if number > 1 else ""
+    yield f"{source}: damaged at byte {damages[0].byte}: {damages[0].words}{more}"
+    yield from recovery.lines(first_ns)
+
+
+def require_sound(source: Path, result: FrameResult) -> None:
+    """Check that no message of a frame is unusable, as ``--strict`` asks for.
+
+    Raises:
+        LogError: one is.
+    """
+    for reason in result.reasons():
+        if reason.code in UNUSABLE:
+            raise LogError(f"{source}: message with stamp {result.stamp_ns} ns: {reason}; --strict stops there")
 
 
 @dataclass(frozen=True)
@@ -19,8 +178,6 @@ class ReplaySource:
         time_range: the part to replay; the copy of the input is cut with it.
         recover: replay what can be read of a damaged log; frames behind what was lost say so.
         strict: the first message that cannot be used is an error, instead of costing that message alone.
-        is_audited: whether an earlier reading has checked the log, as ``log.summarise``: then no more of it is read
-            than is replayed.
     """
 
     paths: Path | Sequence[Path]
@@ -28,7 +185,6 @@ class ReplaySource:
     time_range: TimeRange = WHOLE
     recover: bool = False
     strict: bool = False
-    is_audited: bool = False
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -42,4 +198,4 @@ class ReplaySource:
             LogError: it cannot, or is damaged where that is an error.
             TargetError: there is no space for temporary files, where the log needs some.
         """
-        return readable_log(self.files, limits, self.time_range, recover=self.recover, is_audited=self.is_audited)
+        return readable_log(self.files, limits, self.time_range, recover=self.recover)

@@ -1,17 +1,25 @@
-"""What the input remembers from one part of a drive to the next: messages of frames that are not complete, numbers."""
+"""The state of the input between a log and its continuation: messages of incomplete frames, frame numbers."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.geometry import Camera
-from roadperc_stream.errors import StateError
-from roadperc_stream.input.pairing import PairingState
-from roadperc_stream.input.problems import Problems
-from roadperc_stream.input.roles import RoleAssignment
-from roadperc_stream.input.stream import MessagePlace, Stamped, decoded_messages, in_their_places
+from roadperc_stream.config import LimitsConfig
+from roadperc_stream.errors import DecodeError, StateError
+from roadperc_stream.formats.images import require_pixels
+from roadperc_stream.geometry import Camera
+from roadperc_stream.input.stream import (
+    MessagePlace,
+    Problems,
+    RoleAssignment,
+    Stamped,
+    decoded_messages,
+    in_their_places,
+)
+from roadperc_stream.input.sync import PairingState
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.log import Message
+from roadperc_stream.model import Transform
+from roadperc_stream.schemas.roles import ROLES
 
 
 @dataclass(frozen=True)
@@ -62,7 +70,7 @@ class InputState:
     """Log time from which on messages are still to come."""
     reference: str
     topics: Mapping[str, str]
-    """Of each role that the log has had so far."""
+    """Of each role of the log."""
     tag_table: str
     parent_of: Mapping[str, str]
     """The last parent of every frame that a transform has placed."""
@@ -82,6 +90,27 @@ class InputState:
     def next_ns(self) -> int:
         """The first log time of which no message has had its effect yet: behind the last message, or at a cut."""
         return self.from_ns + any(message.log_time_ns == self.from_ns for message in self.carried)
+
+    def require_usable(self, limits: LimitsConfig) -> None:
+        """Check a state that was read as a log's own messages are checked: roles, cameras and transforms.
+
+        Raises:
+            StateError: one is beyond the limits, unknown, or the transforms are no tree.
+        """
+        latched = (self.pairing.sync.latched, *(held for _, held in self.pairing.sync.waiting))
+        cameras = [camera for held in latched for camera in held.cameras.values()]
+        cameras += [item.camera for item in self.pairing.items if item.camera is not None]
+        unknown = {self.reference, *self.topics, *(item.role for item in self.pairing.items)} - ROLES.keys()
+        if unknown:
+            raise StateError(f"damaged: unknown roles {', '.join(sorted(unknown))}")
+        try:
+            for camera in cameras:
+                require_pixels(f"camera {camera.frame_id!r}", camera.width, camera.height, limits)
+        except DecodeError as error:
+            raise StateError(f"damaged: {error}") from error
+        for tree in (self.arrived, *(held.tree for held in latched)):
+            if len(tree.edges) > limits.transforms or TransformTree().looping(tree.edges.values()):
+                raise StateError(f"damaged: transforms: expected a tree of at most {limits.transforms}")
 
     def carrying(self, messages: Iterable[Message]) -> "InputState":
         """The same state with the messages in it that it names by their places.
@@ -112,7 +141,7 @@ class InputState:
 
     @property
     def first_pending_ns(self) -> int | None:
-        """Log time of the first message that it names by its place; None where there is none."""
+        """Log time of the first message that it names by its place; None without one."""
         return min((time_ns for time_ns, _ in _places_in_log(self.pairing.items)), default=None)
 
 

@@ -1,17 +1,53 @@
-"""The messages of a log as payloads of the roles they are assigned to, in the order of the log."""
+"""The messages of a log as payloads of the roles they are assigned to, and what is wrong with single ones."""
 
-from collections.abc import Container, Iterable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Final
 
-from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.errors import DecodeError
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding import Context, Payload, context_of_channel, decode
-from roadperc_stream.input.problems import Problems
-from roadperc_stream.input.roles import RoleAssignment
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
+from roadperc_stream.model import Transform
+from roadperc_stream.schemas.roles import LATCHED_KINDS, REFERENCE_ROLES, ROLES, Role
+
+
+@dataclass
+class Problems:
+    """Messages that could not be read: how many of each topic, and the first of each in words.
+
+    Args:
+        strict_in: the log whose first such message is an error; None where it costs that message alone.
+    """
+
+    strict_in: Path | None = None
+    counts: Counter[str] = field(default_factory=Counter)
+    first: dict[str, str] = field(default_factory=dict)
+
+    def add(self, topic: str, time_ns: int, error: DecodeError) -> None:
+        """Count one more, by its log time or by the stamp of its frame.
+
+        Raises:
+            LogError: the replay is strict.
+        """
+        self._require_lenient(f"{topic}: message at {time_ns} ns: {error}")
+        self.counts[topic] += 1
+        self.first.setdefault(topic, f"{topic}: message at {time_ns} ns: {error}")
+
+    def report(self, topic: str, text: str) -> None:
+        """Keep the first such text about messages of a topic that are read, but not used as they are.
+
+        Raises:
+            LogError: the replay is strict.
+        """
+        self._require_lenient(text)
+        self.first.setdefault(f"{topic}, in part", text)
+
+    def _require_lenient(self, text: str) -> None:
+        if self.strict_in is not None:
+            raise LogError(f"{self.strict_in}: {text}; --strict stops there")
 
 
 @dataclass(frozen=True)
@@ -54,6 +90,32 @@ class Stamped:
     def children(self) -> tuple[str, ...]:
         """Frames that a transforms message places; for other messages one empty name."""
         return tuple(edge.child for edge in self.edges) or ("",)
+
+
+@dataclass(frozen=True)
+class RoleAssignment:
+    """The roles that a log has channels for, each with its topic."""
+
+    topics: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+    """What was guessed and what is left unassigned, to be reported to the user."""
+    unassigned: tuple[str, ...] = ()
+    """Of these the roles that some topic of the log could serve, with the topics."""
+    guessed: frozenset[str] = frozenset()
+    """Roles whose topic is only the one that fits."""
+    chosen: Mapping[str, str] = field(default_factory=dict)
+    """Topics that were chosen because the user named them, in this replay or in the one that made the log."""
+    tag_table: str = ""
+    """Table of tags whose channel names none, as the user of the replay named it that made the log; empty: nobody."""
+
+    @property
+    def reference(self) -> str | None:
+        """The role whose messages make the frames; None where no topic has any."""
+        return next((role for role in REFERENCE_ROLES if role in self.topics), None)
+
+    def roles_of(self, topic: str) -> list[Role]:
+        """Roles that a topic is assigned to."""
+        return [ROLES[name] for name, known in self.topics.items() if known == topic]
 
 
 def decoded_messages(

@@ -1,21 +1,95 @@
 """Messages of several sensors to frames: bounded, and it counts what it drops.
 
-Every message of the reference role (``image``, else the first of ``REFERENCE_ROLES`` that the log has) makes one frame.
-Of each other role it takes the message whose own stamp is nearest, within the tolerance.
+Messages are put in the order of their stamps first, then synchronised. Every message of the reference role (``image``,
+else the first of ``REFERENCE_ROLES`` that the log has) makes one frame. Of each other role it takes the message whose
+own stamp is nearest, within the tolerance. Calibrations and transforms hold until they are replaced.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final, Generic, TypeVar
 
-from roadperc_stream.input.latched import LatchedState
-from roadperc_stream.input.order import Drop, OrderConfig
-from roadperc_stream.input.stream import Stamped
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig, SyncConfig
+from roadperc_stream.geometry import Camera
+from roadperc_stream.input.order import Drop, OrderConfig, OrderState, StampOrder
+from roadperc_stream.input.stream import Problems, Stamped
+from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
+from roadperc_stream.system.time import seconds_to_ns
 
+_MOST_EDGES_NAMED: Final = 3
+"""Transforms that a message about them names."""
 T = TypeVar("T")
 U = TypeVar("U")
+
+
+@dataclass(frozen=True)
+class LatchedState:
+    """The camera of each calibration role, and the transform tree, as they are at one instant."""
+
+    cameras: Mapping[str, Camera] = field(default_factory=dict)
+    tree: TransformTree = field(default_factory=TransformTree)
+
+    def updated(self, item: Stamped) -> "LatchedState":
+        """The state after a calibration or transforms message."""
+        if isinstance(item.payload, Camera):
+            return LatchedState({**self.cameras, item.role: item.payload}, self.tree)
+        return LatchedState(self.cameras, self.tree.updated(item.edges))
+
+    def split_new(self, item: Stamped, most: int) -> tuple[Stamped, int]:
+        """The item without the edges to new frames that would make the tree larger, and how many these are."""
+        room = most - len(self.tree.edges)
+        if len(item.edges) <= room:
+            return item, 0
+        new = list(dict.fromkeys(edge.child for edge in item.edges if edge.child not in self.tree.edges))
+        beyond = set(new[max(room, 0) :])
+        kept = tuple(edge for edge in item.edges if edge.child not in beyond)
+        return (replace(item, payload=kept), len(beyond)) if beyond else (item, 0)
+
+    def split_loops(self, item: Stamped) -> tuple[Stamped, tuple[str, ...]]:
+        """The item without the edges that would be part of a loop, and these edges' children."""
+        looping = self.tree.looping(item.edges) if item.edges else ()
+        kept = tuple(edge for edge in item.edges if edge.child not in looping)
+        return replace(item, payload=kept) if looping else item, looping
+
+
+def without_loops(
+    items: Iterable[Stamped],
+    latched: LatchedState,
+    topics: Mapping[str, str],
+    problems: Problems,
+    limits: LimitsConfig = DEFAULT_LIMITS,
+) -> Iterator[Stamped]:
+    """The items, but for transforms that close a loop or are too many: those are left out and reported.
+
+    Args:
+        items: in the order in which they come to hold.
+        latched: the state before the first of them.
+        topics: of the roles.
+        problems: takes the loops, and what is too many.
+        limits: of the tree.
+    """
+    for found in items:
+        item, beyond = latched.split_new(found, limits.transforms)
+        if beyond:
+            topic, most = topics[item.role], f"limits.transforms {limits.transforms}"
+            words = f"{beyond} transforms to more frames than {most}: left out"
+            problems.report(topic, f"{topic}: message at {item.log_time_ns} ns: {words}")
+        kept, looping = latched.split_loops(item)
+        if looping:
+            topic = topics[item.role]
+            problems.report(topic, f"{topic}: message at {item.log_time_ns} ns: {_loop_in_words(item, looping)}")
+        if kept.edges:
+            latched = latched.updated(kept)
+        if kept.edges or not (looping or beyond):
+            yield kept
+
+
+def _loop_in_words(item: Stamped, children: Collection[str]) -> str:
+    edges = [f"{edge.parent!r} to {edge.child!r}" for edge in item.edges if edge.child in children]
+    some = ", ".join(edges[:_MOST_EDGES_NAMED]) + ", ..." * (len(edges) > _MOST_EDGES_NAMED)
+    return f"a loop of transforms ({some}), expected a tree: left out"
 
 
 @dataclass(frozen=True)
@@ -48,54 +122,92 @@ class SyncState(Generic[T]):
         return SyncState(self.latched, self.segment, streams, waiting)
 
 
-class Synchroniser:
-    """Groups messages into frames, in the order of the reference messages; made for one pass over a log."""
+@dataclass(frozen=True)
+class PairingState(Generic[T]):
+    """What is remembered of the messages that have arrived, for the frames to come."""
+
+    order: OrderState[T] = field(default_factory=OrderState)
+    sync: SyncState[T] = field(default_factory=SyncState)
+
+    def mapped(self, function: Callable[[T], U]) -> "PairingState[U]":
+        """The same state with other things in place of the messages."""
+        return PairingState(self.order.mapped(function), self.sync.mapped(function))
+
+    @property
+    def items(self) -> Iterator[T]:
+        """All that stands for a message."""
+        yield from self.order.held
+        yield from self.order.waiting
+        for stream in self.sync.streams.values():
+            yield from stream
+        yield from (item for item, _ in self.sync.waiting)
+
+
+class StampPairing:
+    """Makes the frames of one pass over a log: messages are put in the order of their stamps, then synchronised."""
 
     def __init__(
-        self, tolerance_ns: int, order: OrderConfig, roles: Iterable[str], state: SyncState[Stamped], drop: Drop
+        self, cfg: SyncConfig, order: OrderConfig, roles: Iterable[str], state: PairingState[Stamped], drop: Drop
     ) -> None:
         """Begin, or go on.
 
         Args:
-            tolerance_ns: largest distance of a message's stamp from its frame's.
-            order: the role whose messages make the frames, and how long the others' messages are kept for one.
+            cfg: how far the stamps of a frame's messages may differ.
+            order: which role makes the frames, and how long messages are waited for, or kept for one.
             roles: all roles that the log has.
-            state: what an earlier one had come to; at the beginning the calibrations and transforms that are known.
+            state: what an earlier pass had come to; at the beginning what is latched.
             drop: called with each message that belongs to no frame.
         """
-        self._tolerance_ns, self._reference, self._drop = tolerance_ns, order.reference, drop
+        self._order = StampOrder(order, drop, state.order)
+        self._tolerance_ns, self._reference, self._drop = seconds_to_ns(cfg.tolerance_s), order.reference, drop
         self._forget_after_ns = 4 * order.max_wait_ns
-        self._latched, self._segment = state.latched, state.segment
+        self._latched, self._segment = state.sync.latched, state.sync.segment
         others = (role for role in roles if role != order.reference and ROLES[role].kind not in LATCHED_KINDS)
-        self._streams = {role: deque[Stamped](state.streams.get(role, ())) for role in others}
-        self._waiting = deque[tuple[Stamped, LatchedState]](state.waiting)
+        self._streams = {role: deque[Stamped](state.sync.streams.get(role, ())) for role in others}
+        self._waiting = deque[tuple[Stamped, LatchedState]](state.sync.waiting)
         self._last_ns: int | None = None  # stamp of the latest frame of this segment
         self.frames = 0
         """Frames made so far."""
         self.nearest_ns = dict[str, int]()
         """How near the messages of each role that were dropped came to a frame, at best: differences of stamps."""
 
+    def frames_of(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
+        """The frames of all messages of a log."""
+        yield from self.through(items)
+        yield from self._synced(self._order.rest())
+        yield from self._rest()
+
     def through(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
+        """The frames that some more messages, in the order of the log, show to be complete."""
+        return self._synced(self._order.through(items))
+
+    @property
+    def state(self) -> PairingState[Stamped]:
+        """What is remembered, all frames that ``through`` gives having been consumed."""
+        streams = {role: tuple(items) for role, items in self._streams.items() if items}
+        sync = SyncState(self._latched, self._segment, streams, tuple(self._waiting))
+        return PairingState(self._order.state, sync)
+
+    @property
+    def lateness_ns(self) -> int:
+        """By how much messages trailed the reference sensor's latest stamp, at most the wait."""
+        return self._order.lateness_ns
+
+    def _synced(self, items: Iterable[Stamped]) -> Iterator[SyncedMessages]:
         """The frames that some more messages, in the order of their segments and stamps, show to be complete."""
         for item in items:
             if item.segment != self._segment:
-                yield from self.rest()
+                yield from self._rest()
                 self._segment, self._last_ns = item.segment, None
             while self._waiting and item.stamp_ns > self._waiting[0][0].stamp_ns + self._tolerance_ns:
                 yield self._frame(*self._waiting.popleft())
             self._add(item)
 
-    def rest(self) -> Iterator[SyncedMessages]:
+    def _rest(self) -> Iterator[SyncedMessages]:
         """The frames of all that is there; nothing remains for a later segment."""
         while self._waiting:
             yield self._frame(*self._waiting.popleft())
         self._drop_before(None)
-
-    @property
-    def state(self) -> SyncState[Stamped]:
-        """What is remembered, all that ``through`` gives having been consumed."""
-        streams = {role: tuple(items) for role, items in self._streams.items() if items}
-        return SyncState(self._latched, self._segment, streams, tuple(self._waiting))
 
     def _add(self, item: Stamped) -> None:
         if item.is_latched:

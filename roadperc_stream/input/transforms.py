@@ -2,12 +2,13 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.geometry import Float, inverse
 from roadperc_stream.errors import ChannelError
+from roadperc_stream.geometry import Float, inverse
+from roadperc_stream.model import Transform
 
 
 @dataclass(frozen=True)
@@ -16,8 +17,11 @@ class TransformTree:
 
     edges: Mapping[str, Transform] = field(default_factory=dict)
     """By child."""
-    _paths: dict[str, dict[str, Float]] = field(default_factory=dict, compare=False, repr=False)
-    """Of the frames that were looked up: a frame's instant asks for the same ones again and again."""
+
+    @cached_property
+    def _paths(self) -> dict[str, dict[str, Float]]:
+        """Paths to the root of the frames looked up so far. No field: a field would be part of an encoded state."""
+        return {}
 
     @property
     def parent_of(self) -> dict[str, str]:

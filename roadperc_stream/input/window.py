@@ -4,14 +4,12 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 from roadperc_stream import log
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.time import seconds_to_ns
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.problems import Problems
-from roadperc_stream.input.roles import RoleAssignment
-from roadperc_stream.input.stream import decoded_messages
+from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, Message, Piece
 from roadperc_stream.schemas.roles import LATCHED_KINDS, ROLES
+from roadperc_stream.system.time import seconds_to_ns
 
 
 @dataclass(frozen=True)

@@ -4,26 +4,27 @@ Bytes in, bytes out; what they mean is the business of ``schemas`` and ``input``
 """
 
 from roadperc_stream.log.audit import audited
-from roadperc_stream.log.copying import MessageCopy, pieces
 from roadperc_stream.log.damage import Damage, DamagedLogError, number_of
-from roadperc_stream.log.digest import DIGEST_ALGORITHM, MessageDigest
 from roadperc_stream.log.growing import GrowingLog
-from roadperc_stream.log.indexed import Piece
-from roadperc_stream.log.order import in_order_within
+from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.parts import gone_on_ns
-from roadperc_stream.log.reading import is_indexed, read, summarise
+from roadperc_stream.log.reading import pieces, read, summarise
 from roadperc_stream.log.records import (
+    DIGEST_ALGORITHM,
     RECOVERY_RECORD,
     Attachment,
     Channel,
     LogSummary,
     Message,
+    MessageDigest,
     Metadata,
 )
-from roadperc_stream.log.recovery import LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
+from roadperc_stream.log.recovery import LostSpan, Recovery
+from roadperc_stream.log.repair import RepairedLog, repaired_copy, write_repaired
 from roadperc_stream.log.salvage import Salvage
+from roadperc_stream.log.sorting import in_order_within
 from roadperc_stream.log.stored import received
-from roadperc_stream.log.writing import LogWriter
+from roadperc_stream.log.writing import LogWriter, MessageCopy
 
 __all__ = [
     "DIGEST_ALGORITHM",
@@ -47,7 +48,6 @@ __all__ = [
     "audited",
     "gone_on_ns",
     "in_order_within",
-    "is_indexed",
     "number_of",
     "pieces",
     "read",

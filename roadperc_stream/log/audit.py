@@ -1,12 +1,17 @@
-"""Whether a log is whole, checked in one pass before anything is made of it."""
+"""Whether a log is whole, checked in one pass before anything is made of it, and while it is read."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
-from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.core.time import ns_to_seconds
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.damage import DamagedLogError, nothing_saved
+from roadperc_stream.log.damage import DamagedLogError, damaged, nothing_saved, require_whole, unopened
+from roadperc_stream.log.layout import UNREADABLE
+from roadperc_stream.log.limits import GuardedFile, LimitError
 from roadperc_stream.log.salvage import Salvage
+from roadperc_stream.system.time import ns_to_seconds
 
 
 def require_undamaged(path: Path, limits: LimitsConfig, *, check_chunks: bool = False) -> Salvage:
@@ -77,3 +82,24 @@ def _can_be_saved(found: Salvage) -> str:
     if start_ns is not None and from_ns is not None and None not in lost_ns and from_ns > start_ns:
         before = f", all before {ns_to_seconds(from_ns - start_ns):.3f} s"
     return f"{saved}{of_all} messages can be saved{before}: roadperc-replay and roadperc-view do with --recover"
+
+
+@contextmanager
+def opened(path: Path, limits: LimitsConfig) -> Iterator[IO[bytes]]:
+    """Open a log.
+
+    Raises:
+        LogError: the file cannot be read, is no MCAP log, is cut, damaged or beyond the limits.
+    """
+    try:
+        with GuardedFile(path, limits) as stream:
+            require_whole(path, stream)
+            yield stream
+    except OSError as error:
+        raise unopened(path, error) from error
+    except LimitError as error:
+        raise LogError(f"{path}: {error}") from error
+    except UNREADABLE as error:
+        found = salvaged(path, limits)
+        words = f"damaged MCAP: {str(error) or type(error).__name__}"
+        raise (damaged(path, words) if found.whole else damage_in(found)) from error

@@ -4,8 +4,7 @@ Decompression is streamed, so that of a chunk that is cut, or damaged in the mid
 never more than the chunk says that it holds. Layout: https://mcap.dev/spec.
 """
 
-import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Final
@@ -15,44 +14,13 @@ from deflate import crc32
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError
 
-from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.log.layout import TOO_SHORT, ChunkHead, Item, records_in
 
-_HEAD: Final = struct.Struct("<QQQII")
-_LENGTH: Final = struct.Struct("<Q")
-_RECORD: Final = struct.Struct("<BQ")
-_MESSAGE: Final = struct.Struct("<HIQQ")
-_INSIDE: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
+INSIDE: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _PIECE_BYTES: Final = 1024 * 1024
 _LZ4_PIECE_BYTES: Final = 16 * 1024
 """What is given at once: behind each frame the rest of it is copied."""
-
-
-@dataclass(frozen=True)
-class ChunkHead:
-    """What a chunk says of itself, and its records as they stand in the file."""
-
-    first_ns: int
-    last_ns: int
-    size_bytes: int
-    crc: int
-    compression: str
-    stored_bytes: int
-    """Length of the records in the file as the chunk says it; ``stored`` is shorter where the file ends before."""
-    stored: memoryview
-
-    @property
-    def record_bytes(self) -> int:
-        """Length of the whole record, by these fields."""
-        return _RECORD.size + _HEAD.size + len(self.compression) + _LENGTH.size + self.stored_bytes
-
-
-@dataclass(frozen=True)
-class Item:
-    """A record in a chunk: ``offset`` counts from the chunk's first."""
-
-    offset: int
-    opcode: int
-    body: memoryview
 
 
 @dataclass(frozen=True)
@@ -61,40 +29,6 @@ class Contents:
 
     items: tuple[Item, ...]
     fault: str = ""
-
-
-@dataclass(frozen=True)
-class MessageHead:
-    """A message record without its content."""
-
-    channel_id: int
-    sequence: int
-    log_time_ns: int
-    publish_time_ns: int
-
-
-def chunk_of(record: bytes) -> ChunkHead:
-    """As ``chunk_head``, of a whole record."""
-    return chunk_head(memoryview(record)[_RECORD.size :])
-
-
-def chunk_head(body: bytes | memoryview) -> ChunkHead:
-    """Read a chunk record's fields.
-
-    Raises:
-        ValueError: these are no fields of a chunk.
-    """
-    if len(body) < _HEAD.size:
-        raise ValueError("ends before its contents do")
-    first_ns, last_ns, size_bytes, crc, name_bytes = _HEAD.unpack_from(body)
-    start = _HEAD.size + name_bytes + _LENGTH.size
-    name = bytes(body[_HEAD.size : _HEAD.size + min(name_bytes, 8)]).decode("ascii", "replace")
-    if name not in _DECOMPRESSED or len(name) != name_bytes:
-        raise ValueError(f"compression {name!r}, expected none, lz4 or zstd")
-    if start > len(body):
-        raise ValueError("ends before its contents do")
-    (stored_bytes,) = _LENGTH.unpack_from(body, start - _LENGTH.size)
-    return ChunkHead(first_ns, last_ns, size_bytes, crc, name, stored_bytes, memoryview(body)[start:][:stored_bytes])
 
 
 @dataclass
@@ -117,16 +51,16 @@ def contents_of(head: ChunkHead, workspace: Workspace, limits: LimitsConfig = DE
     but their CRC is wrong, nobody knows which of them is, and none is given.
     """
     data, broken = _DECOMPRESSED[head.compression](head, workspace)
-    items, fault = split(data, limits.chunk_messages)
+    found = split(data, limits.chunk_messages)
     if head.stored_bytes > len(head.stored):
-        return Contents(items, "ends before its contents do")
-    if broken or fault:
-        return Contents(items, broken or fault)
+        return Contents(found.items, TOO_SHORT)
+    if broken or found.fault:
+        return Contents(found.items, broken or found.fault)
     if head.crc and (crc := crc32(data)) != head.crc:
         return Contents((), wrong_crc(crc, head.crc))
     if len(data) != head.size_bytes:
-        return Contents(items, f"holds {len(data)} bytes, expected {head.size_bytes}")
-    return Contents(items)
+        return Contents(found.items, f"holds {len(data)} bytes, expected {head.size_bytes}")
+    return found
 
 
 @dataclass(frozen=True)
@@ -162,64 +96,30 @@ def _at_once(head: ChunkHead) -> memoryview | None:
     return data if len(data) == head.size_bytes else None
 
 
-def records_in(data: memoryview) -> Iterator[Item]:
-    """The records of a chunk's data, one after the other; of data that were checked before.
-
-    Raises:
-        ValueError: a record goes on behind the end; ``struct.error``: one has no whole head.
-    """
-    at = 0
-    while at < len(data):
-        opcode, length = _RECORD.unpack_from(data, at)
-        start = at + _RECORD.size
-        if start + length > len(data):
-            raise ValueError(f"a record of {length} bytes in a chunk ends behind it")
-        yield Item(at, opcode, data[start : start + length])
-        at = start + length
-
-
 def wrong_crc(found: int, expected: int) -> str:
     """What is said of a chunk whose CRC is not that of its data."""
     return f"crc is {found:#010x}, expected {expected:#010x}"
 
 
-def split(data: memoryview, most: int) -> tuple[tuple[Item, ...], str]:
+def split(data: memoryview, most: int) -> Contents:
     """The records that stand in the decompressed data of a chunk, so many at most, and why they end early."""
     items: list[Item] = []
-    at = 0
-    while at < len(data):
-        if len(items) == most:
-            return tuple(items), too_many(most)
-        if at + _RECORD.size > len(data):
-            return tuple(items), "ends before its contents do"
-        opcode, length = _RECORD.unpack_from(data, at)
-        if opcode not in _INSIDE:
-            return tuple(items), f"a record of type {opcode:#04x} at its byte {at}, expected schema, channel or message"
-        start, end = at + _RECORD.size, at + _RECORD.size + length
-        if end > len(data):
-            return tuple(items), f"a record of {length} bytes at its byte {at}, {len(data) - start} are left"
-        items.append(Item(at, opcode, data[start:end]))
-        at = end
-    return tuple(items), ""
+    try:
+        for item in records_in(data):
+            if len(items) == most:
+                return Contents(tuple(items), too_many(most))
+            if item.opcode not in INSIDE:
+                kind = f"a record of type {item.opcode:#04x} at its byte {item.offset}"
+                return Contents(tuple(items), f"{kind}, expected schema, channel or message")
+            items.append(item)
+    except ValueError as error:
+        return Contents(tuple(items), str(error))
+    return Contents(tuple(items))
 
 
 def too_many(most: int) -> str:
     """What is said of a chunk with more messages than may be."""
     return f"more messages in a chunk than limits.chunk_messages, which is {most}"
-
-
-def message_head(body: bytes | memoryview) -> MessageHead:
-    """The fields of a message before its content, which begins behind ``MESSAGE_HEAD_BYTES``.
-
-    Raises:
-        ValueError: it ends before.
-    """
-    if len(body) < _MESSAGE.size:
-        raise ValueError("message ends before its contents do")
-    return MessageHead(*_MESSAGE.unpack_from(body))
-
-
-MESSAGE_HEAD_BYTES: Final = _MESSAGE.size
 
 
 _Data = tuple[memoryview, str]
@@ -248,7 +148,7 @@ def _lz4(head: ChunkHead, _: Workspace) -> _Data:
         while len(data) <= head.size_bytes:
             given = given or (stored.read(_LZ4_PIECE_BYTES) if decompressor.needs_input else b"")
             if not given and decompressor.needs_input:
-                fault = "ends before its contents do" if is_open else ""
+                fault = TOO_SHORT if is_open else ""
                 break
             data += decompressor.decompress(given, max_length=_PIECE_BYTES)
             is_open, given = not decompressor.eof, b""

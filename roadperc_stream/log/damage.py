@@ -1,12 +1,70 @@
-"""Where a log is damaged, and the errors that say so."""
+"""Where a log is damaged or no MCAP log at all, and the errors that say so."""
 
+import os
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.integrity import damaged, says_more
+from roadperc_stream.log.layout import MAGIC
+from roadperc_stream.system.folders import not_a_log
+
+
+def damaged(path: Path, what: str) -> LogError:
+    """The error of a log that is not whole; of a file it names the command that says what can still be read."""
+    return LogError(f"{path}: {what}{says_more(path)}")
+
+
+def says_more(path: Path) -> str:
+    """The command that says where a log is damaged, behind other words; nothing of what is no file."""
+    return f"; roadperc-info {shlex.quote(str(path))} tells what is whole" if path.is_file() else ""
+
+
+def unopened(path: Path, error: OSError) -> LogError:
+    """The error of a log that the system does not open; of a folder, what to do with it."""
+    return LogError(not_a_log(path) if path.is_dir() else f"{path}: {error.strerror or error}")
+
+
+def require_whole(path: Path, stream: IO[bytes]) -> None:
+    """Tell an empty, a foreign and a cut file apart: the library's own words do not.
+
+    Raises:
+        LogError: it is one of these.
+    """
+    require_log(path, stream)
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(max(size - len(MAGIC), 0))
+    if stream.read(len(MAGIC)) != MAGIC or size < 2 * len(MAGIC):
+        raise damaged(path, f"cut off: the MCAP footer is missing after {size} bytes")
+    stream.seek(0)
+
+
+def require_log(path: Path, stream: IO[bytes]) -> None:
+    """Refuse a file that does not even start as an MCAP log; the stream is then at the first record.
+
+    Raises:
+        LogError: it is empty, or something else.
+    """
+    stream.seek(0)
+    require_magic(path, stream.read(len(MAGIC)))
+
+
+def require_magic(path: Path, magic: bytes) -> None:
+    """Refuse what does not start as an MCAP log.
+
+    Args:
+        path: of the file or the pipe.
+        magic: its first bytes, as many as the magic has, or all there are.
+
+    Raises:
+        LogError: it is empty, or something else.
+    """
+    if not magic:
+        raise LogError(f"{path}: empty file, expected an MCAP log")
+    if magic != MAGIC:
+        raise LogError(f"{path}: not an MCAP log (it does not start with the MCAP magic)")
 
 
 @dataclass(frozen=True)

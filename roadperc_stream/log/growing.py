@@ -10,8 +10,8 @@ from threading import Lock
 from mcap.opcode import Opcode
 
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.chunks import MESSAGE_HEAD_BYTES, chunk_of, message_head, records_in, unpacked
-from roadperc_stream.log.index import UNREADABLE
+from roadperc_stream.log.chunks import unpacked
+from roadperc_stream.log.layout import UNREADABLE, chunk_of, message_head, records_in
 from roadperc_stream.log.records import Channel, Message
 
 
@@ -150,9 +150,8 @@ class GrowingLog:
     def _messages(self, data: bytes) -> Iterator[Message]:
         for item in records_in(unpacked(chunk_of(data), check_crc=True).data):
             if item.opcode == Opcode.MESSAGE:
-                head, content = message_head(item.body), bytes(item.body[MESSAGE_HEAD_BYTES:])
-                channel = self._channels[head.channel_id]
-                yield Message(channel, head.log_time_ns, head.publish_time_ns, head.sequence, content)
+                head = message_head(item.body)
+                yield head.of(self._channels[head.channel_id], item.body)
 
 
 class _Waiting:

@@ -1,38 +1,30 @@
-"""What the index at a log's end says: channels, places, and what reading by it holds in memory."""
+"""What a log says of itself beside its messages: the index at its end, header, schemas, channels and attachments."""
 
 import heapq
+import os
 import struct
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import IO, Final
 
-from mcap.exceptions import McapError
+from deflate import crc32
+from mcap import records
+from mcap.opcode import Opcode
 from mcap.reader import McapReader, make_reader
 from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex
 from mcap.records import Schema as McapSchema
 from mcap.summary import Summary
-from zstandard import ZstdError
 
-from roadperc_stream.log.chunks import ChunkHead
 from roadperc_stream.log.framing import Record
-from roadperc_stream.log.records import Channel
+from roadperc_stream.log.layout import CRC_BYTES, MAGIC, UNREADABLE, ChunkHead
+from roadperc_stream.log.records import Attachment, Channel, Metadata
 
 MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 """Messages held to put a log in order by its index; where it would take more it is sorted on disk."""
-
-
-UNREADABLE: Final = (
-    McapError,
-    EOFError,
-    ValueError,
-    KeyError,
-    OverflowError,
-    RuntimeError,
-    MemoryError,
-    struct.error,
-    ZstdError,
-)
-"""What the library and its decompressors throw at bytes that make no sense."""
+_FOOTER: Final = struct.Struct("<BQQQI")
+_DATA_END: Final = struct.Struct("<BQI")
+_BLOCK_BYTES: Final = 1024 * 1024
 
 
 def usable_index(reader: McapReader) -> Summary | None:
@@ -104,3 +96,93 @@ def index_of(stream: IO[bytes]) -> Summary | None:
         return usable_index(make_reader(stream))
     except (OSError, *UNREADABLE):  # a seek before the start is an OSError; one of the disk comes again in reading
         return None
+
+
+def data_end_of(stream: IO[bytes]) -> int | None:
+    """The byte where the data section's last record starts, by the footer; None where no such record does."""
+    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
+    opcode, _, summary_start, _, _ = _unpack(stream, _FOOTER, footer_start)
+    data_end = (summary_start or footer_start) - _DATA_END.size
+    is_data_end = opcode == Opcode.FOOTER and _unpack(stream, _DATA_END, data_end)[0] == Opcode.DATA_END
+    return data_end if is_data_end else None
+
+
+def summary_fits(stream: IO[bytes]) -> bool:
+    """Whether the summary's bytes are those that were written, as far as a CRC says so."""
+    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
+    opcode, _, summary_start, _, expected = _unpack(stream, _FOOTER, footer_start)
+    if opcode != Opcode.FOOTER or not expected or not summary_start:
+        return True
+    if summary_start >= footer_start:
+        return False
+    crc, left = 0, footer_start + _FOOTER.size - CRC_BYTES - stream.seek(summary_start)
+    while left > 0 and (block := stream.read(min(left, _BLOCK_BYTES))):
+        crc, left = crc32(block, crc), left - len(block)
+    return crc == expected
+
+
+def _unpack(stream: IO[bytes], record: struct.Struct, start: int) -> tuple[int, ...]:
+    """The fields of a record; zeros where the file has none there."""
+    stream.seek(max(start, 0))
+    content = stream.read(record.size) if start >= 0 else b""
+    return record.unpack(content.ljust(record.size, b"\0"))
+
+
+@dataclass
+class Described:
+    """Takes note of it record by record; the data's own descriptions hold, the index's only where there are none."""
+
+    profile: str = ""
+    library: str = ""
+    """What wrote the log."""
+    channels: dict[int, Channel] = field(default_factory=dict)
+    """By ``Channel.source_id``."""
+    attachments: list[Attachment] = field(default_factory=list)
+    metadata: list[Metadata] = field(default_factory=list)
+    _schemas: dict[int, records.Schema] = field(default_factory=dict)
+    _unsettled: set[int] = field(default_factory=set)
+    """Channels that only the index has described yet; so of schemas."""
+    _unsettled_schemas: set[int] = field(default_factory=set)
+
+    def add_index(self, index: Summary) -> None:
+        """Know what the index describes, for messages whose own description is lost."""
+        self._schemas |= index.schemas
+        for channel in index.channels.values():
+            self.channels[channel.id] = channel_of(channel, self._schemas.get(channel.schema_id))
+        self._unsettled_schemas, self._unsettled = set(self._schemas), set(self.channels)
+
+    def add(self, item: records.McapRecord, *, in_data: bool) -> None:
+        """Take note of a record; of any other kind there is nothing to note.
+
+        Raises:
+            ValueError: it describes a channel or a schema otherwise than an earlier one.
+        """
+        match item:
+            case records.Header():
+                self.profile, self.library = item.profile, item.library
+            case records.Schema():
+                self._add_schema(item, in_data=in_data)
+            case records.Channel():
+                self._add_channel(item, in_data=in_data)
+            case records.Attachment():
+                attachment = Attachment(item.name, item.media_type, item.data, item.log_time, item.create_time)
+                self.attachments.append(attachment)
+            case records.Metadata():
+                self.metadata.append(Metadata(item.name, tuple(sorted(item.metadata.items()))))
+
+    def _add_schema(self, schema: records.Schema, *, in_data: bool) -> None:
+        if in_data and schema.id in self._unsettled_schemas:
+            self._unsettled_schemas.discard(schema.id)
+            self._schemas[schema.id] = schema
+        if self._schemas.setdefault(schema.id, schema) != schema:
+            raise ValueError(f"schema {schema.id} is described twice, differently")
+
+    def _add_channel(self, channel: records.Channel, *, in_data: bool) -> None:
+        if channel.schema_id and channel.schema_id not in self._schemas:
+            raise ValueError(f"channel {channel.id} has schema {channel.schema_id}, which nothing describes")
+        found = channel_of(channel, self._schemas.get(channel.schema_id))
+        if in_data and channel.id in self._unsettled:
+            self._unsettled.discard(channel.id)
+            self.channels[channel.id] = found
+        if self.channels.setdefault(channel.id, found) != found:
+            raise ValueError(f"channel {channel.id} is described twice, differently")

@@ -5,6 +5,7 @@ https://mcap.dev/spec.
 """
 
 import heapq
+from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate, chain, groupby, pairwise
@@ -18,27 +19,28 @@ from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, McapRecord
 from mcap.summary import Summary
 
-from roadperc_stream.core.config import LimitsConfig
-from roadperc_stream.log.chunks import (
-    MESSAGE_HEAD_BYTES,
+from roadperc_stream.config import LimitsConfig
+from roadperc_stream.log.audit import opened
+from roadperc_stream.log.chunks import Unpacked, unpacked
+from roadperc_stream.log.index import channel_of, most_at_once
+from roadperc_stream.log.layout import (
+    UNREADABLE,
     ChunkHead,
-    Unpacked,
+    MessageIndex,
     chunk_of,
     message_head,
+    message_indexes,
+    parse,
     records_in,
-    unpacked,
 )
-from roadperc_stream.log.index import UNREADABLE, channel_of, most_at_once
-from roadperc_stream.log.mcap_file import ChunkRecords, IndexEntry, index_entries, indexed_channels
-from roadperc_stream.log.opening import opened
-from roadperc_stream.log.parsing import parse
+from roadperc_stream.log.mcap_file import ChunkRecords, Piece
 from roadperc_stream.log.records import Channel, Message
 
 _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
 """Of the data of a chunk that is copied as it is: who reads the copy holds it beside the results of its time."""
 _NEVER_NS: Final = 2**64
-Piece = Message | ChunkRecords
-"""A message, or a chunk as it stands in a file."""
+IndexEntry = tuple[int, int, int]
+"""Channel and log time of a message, and its place in the chunk's data."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +140,9 @@ class IndexedFile:
 
     def _as_is(self, stream: IO[bytes], chunk: IndexedChunk, kept: frozenset[int]) -> Iterator[Piece]:
         """A chunk as it stands in the file, or its messages where it is not tidy."""
-        contents = self._seen.get(chunk.start) or self._looked_into(stream, chunk)
+        if chunk.start not in self._seen:
+            deque(self._bodies(stream, chunk), maxlen=0)
+        contents = self._seen[chunk.start]
         if contents.is_tidy and contents.described <= self._known_by(kept):
             indexes_at = chunk.start + chunk.length
             found = ChunkRecords(
@@ -147,11 +151,6 @@ class IndexedFile:
             yield found if found.crc else found.with_crc(contents.crc)
         else:
             yield from self._in_order(stream, [chunk], kept, None, None)
-
-    def _looked_into(self, stream: IO[bytes], chunk: IndexedChunk) -> ChunkContents:
-        for _ in self._bodies(stream, chunk):
-            pass
-        return self._seen[chunk.start]
 
     def _known_by(self, kept: frozenset[int]) -> frozenset[tuple[int, int]]:
         """What may be described where only these channels, with their schemas, are known."""
@@ -191,7 +190,9 @@ class IndexedFile:
                     if head.channel_id in wanted and _is_within(head.log_time_ns, start_ns, end_ns):
                         heapq.heappush(waiting, (head.log_time_ns, chunk.start, number, body))
             else:
-                yield self._message(heapq.heappop(waiting)[3])
+                body = heapq.heappop(waiting)[3]
+                head = message_head(body)
+                yield head.of(self.channels[head.channel_id], body)
 
     def _bodies(self, stream: IO[bytes], chunk: IndexedChunk) -> Iterator[memoryview]:
         """The message records of a chunk; what else stands in it is skipped."""
@@ -207,7 +208,10 @@ class IndexedFile:
                 others.append((item.opcode, item.body))
         if chunk.start not in self._seen:
             indexes = _read(stream, chunk.start + chunk.length, chunk.index_length)
-            is_tidy = _in_order_and_indexed(entries, indexes) and _span_ns(entries) == (head.first_ns, head.last_ns)
+            is_indexed = _in_order_and_indexed(entries, message_indexes(indexes))
+            times = [time_ns for _, time_ns, _ in entries]
+            span_ns = (min(times), max(times)) if times else None
+            is_tidy = is_indexed and span_ns == (head.first_ns, head.last_ns)
             self._seen[chunk.start] = self._contents(head, found, others, is_tidy=is_tidy)
 
     def _contents(
@@ -227,10 +231,6 @@ class IndexedFile:
         except UNREADABLE:
             return False
 
-    def _message(self, body: memoryview) -> Message:
-        head, data = message_head(body), bytes(body[MESSAGE_HEAD_BYTES:])
-        return Message(self.channels[head.channel_id], head.log_time_ns, head.publish_time_ns, head.sequence, data)
-
 
 def apart(chunks: Sequence[IndexedChunk]) -> Iterator[IndexedChunk]:
     """The chunks before which all others in front end, and behind whose end all others behind begin.
@@ -246,17 +246,12 @@ def apart(chunks: Sequence[IndexedChunk]) -> Iterator[IndexedChunk]:
         latest_ns = max(latest_ns, chunk.last_ns)
 
 
-def _span_ns(entries: Sequence[IndexEntry]) -> tuple[int, int] | None:
-    """First and last log time of messages; None without any."""
-    times = [time_ns for _, time_ns, _ in entries]
-    return (min(times), max(times)) if times else None
-
-
-def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: bytes) -> bool:
+def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: Sequence[MessageIndex]) -> bool:
     """Whether messages stand in the order of log time, and one message index of each channel names them all."""
     in_order = all(earlier[1] <= later[1] for earlier, later in pairwise(entries))
-    channels = indexed_channels(indexes)
-    return in_order and len(channels) == len(set(channels)) and sorted(entries) == sorted(index_entries(indexes))
+    channels = [index.channel_id for index in indexes]
+    said = sorted((index.channel_id, *entry) for index in indexes for entry in index.entries)
+    return in_order and len(channels) == len(set(channels)) and sorted(entries) == said
 
 
 def _read(stream: IO[bytes], start: int, length: int) -> bytes:

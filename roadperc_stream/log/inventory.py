@@ -1,23 +1,25 @@
-"""What stands in a file against what its index and statistics say: messages that fell out leave no other trace."""
+"""What stands in a file against what its index and statistics say, and which messages a damaged log lost.
 
-import struct
+Messages that fell out leave no other trace. Message indexes, spans of chunks, or what comes next tell what was lost.
+"""
+
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Final
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import IO, Final
 
 from mcap import records
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 
-from roadperc_stream.log.chunks import ChunkHead
 from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.framing import Record
-
-_INDEX_HEAD: Final = struct.Struct("<HI")
-_INDEX_ENTRY: Final = struct.Struct("<QQ")
-INDEX_ENTRY_BYTES: Final = _INDEX_ENTRY.size
+from roadperc_stream.log.layout import RECORD, ChunkHead, message_index
 
 Positions = dict[int, list[tuple[int, int]]]
 """Log time and offset in its chunk of each message, by channel."""
+_MOST_INDEX_BYTES: Final = 64 * 1024 * 1024
 
 
 @dataclass
@@ -53,20 +55,6 @@ class ChunkPlace:
             and (entry.compression, entry.message_index_length) == (self.compression, self.index_bytes)
             and entry.message_index_offsets == self.index_offsets
         )
-
-
-def read_message_index(body: bytes) -> tuple[int, list[tuple[int, int]]]:
-    """Channel, and log time and offset of each of its messages in a chunk.
-
-    Raises:
-        ValueError: this is no message index.
-    """
-    if len(body) < _INDEX_HEAD.size:
-        raise ValueError("ends before its contents do")
-    channel_id, length = _INDEX_HEAD.unpack_from(body)
-    if length % _INDEX_ENTRY.size or _INDEX_HEAD.size + length > len(body):
-        raise ValueError("ends before its contents do")
-    return channel_id, list(_INDEX_ENTRY.iter_unpack(memoryview(body)[_INDEX_HEAD.size :][:length]))
 
 
 @dataclass
@@ -140,7 +128,8 @@ class Inventory:
         Raises:
             ValueError: they differ.
         """
-        channel_id, found = read_message_index(record.body)
+        index = message_index(record.body)
+        channel_id, found = index.channel_id, index.entries
         chunk = self._open
         if chunk is None:
             if not self._lost:
@@ -235,3 +224,99 @@ class Inventory:
         ):
             if number != counted:
                 yield Damage(byte, f"{number} {what} found, the statistics count {counted}")
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Log times between which messages were lost, both included; None where nothing says so.
+
+    ``messages`` are those lost by channel, empty where nothing says so.
+    """
+
+    first_ns: int | None
+    last_ns: int | None
+    messages: Mapping[int, int] = field(default_factory=dict)
+
+
+def expected_messages(stream: IO[bytes], at: int) -> Positions:
+    """What the message indexes say that start at a byte of a file; the stream stays where it is."""
+    expected = Positions()
+    here = stream.tell()
+    stream.seek(at)
+    with suppress(McapError, ValueError):
+        while len(head := stream.read(RECORD.size)) == RECORD.size:
+            opcode, length = RECORD.unpack(head)
+            if opcode != Opcode.MESSAGE_INDEX or length > _MOST_INDEX_BYTES:
+                break
+            index = message_index(stream.read(length))
+            expected[index.channel_id] = index.entries
+    stream.seek(here)
+    return expected
+
+
+def lost_in_chunk(
+    expected: Positions, saved: Positions, span_ns: tuple[int, int] | None, next_ns: int | None, *, all_read: bool
+) -> Gap | None:
+    """What a damaged chunk lost; None where it lost nothing.
+
+    Args:
+        expected: its messages, by the message indexes behind it; empty where there are none.
+        saved: those that were read.
+        span_ns: first and last log time, by the index or its own head; None where both make no sense.
+        next_ns: earliest log time of what follows the last message read.
+        all_read: whether it ended where it should, and each of its messages was read.
+    """
+    if any(expected.values()):
+        lost = {number: set(places) - set(saved.get(number, ())) for number, places in expected.items()}
+        times = [time_ns for places in lost.values() for time_ns, _ in places]
+        counts = {number: len(places) for number, places in lost.items() if places}
+        return Gap(min(times), max(times), counts) if times else None
+    if all_read:
+        return None
+    if span_ns is None:
+        return Gap(next_ns, None)
+    if not any(saved.values()) or next_ns is None:
+        return Gap(*span_ns)
+    first_ns = max(span_ns[0], next_ns)
+    return Gap(first_ns, max(span_ns[1], first_ns))
+
+
+@dataclass
+class Losses:
+    """The gaps of a log while it is read; where no end is known, the next message shows it."""
+
+    gaps: list[Gap] = field(default_factory=list)
+    undescribed: Counter[int] = field(default_factory=Counter)
+    """Messages of channels that nothing describes, by channel."""
+    _undescribed_ns: tuple[int, int] | None = None
+    """Their first and last log time."""
+    _is_open: bool = False
+
+    @property
+    def all(self) -> tuple[Gap, ...]:
+        """The gaps, and the span of the messages that nothing describes."""
+        return (*self.gaps, *(() if self._undescribed_ns is None else (Gap(*self._undescribed_ns),)))
+
+    def add_undescribed(self, channel_id: int, log_time_ns: int) -> None:
+        """Take note of a message of a channel that nothing describes."""
+        self.undescribed[channel_id] += 1
+        first_ns, last_ns = self._undescribed_ns or (log_time_ns, log_time_ns)
+        self._undescribed_ns = min(first_ns, log_time_ns), max(last_ns, log_time_ns)
+
+    def add(self, gap: Gap, *, is_open: bool) -> None:
+        """Take note of a gap; an open one ends where the next message is."""
+        first_ns = self.gaps.pop().first_ns if self._is_open else gap.first_ns  # open: no message came since
+        self.gaps.append(Gap(first_ns, None if is_open else gap.last_ns, gap.messages))
+        self._is_open = is_open
+
+    def settle(self, last_ns: int) -> bool:
+        """A message was read, which what an open gap lost is no later than.
+
+        Returns:
+            Whether there was one.
+        """
+        was_open, self._is_open = self._is_open, False
+        if was_open:
+            first_ns = self.gaps[-1].first_ns
+            self.gaps[-1] = replace(self.gaps[-1], last_ns=max(last_ns, 0 if first_ns is None else first_ns))
+        return was_open

@@ -1,25 +1,22 @@
 """What a log declares, held against the file and against the limits before memory is given to it.
 
-The library that reads logs allocates what a record or a chunk says of itself. Layout: https://mcap.dev/spec.
+The library that reads logs allocates what a record or a chunk says of itself.
 """
 
 import io
 import os
 import re
-import struct
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
 import lz4.frame
 import zstandard
 from mcap.exceptions import McapError
 
-from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.config import LimitsConfig
+from roadperc_stream.log.layout import ChunkHead
 from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
 
-_HEAD: Final = struct.Struct("<BQ")
-_CHUNK: Final = struct.Struct("<QQQII")
-_LENGTH: Final = struct.Struct("<Q")
 _STRING: Final = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
 """In JSON."""
 _ALWAYS_BYTES: Final = 1024 * 1024
@@ -35,20 +32,16 @@ class LimitError(McapError):
     """Something larger than a setting allows; the message names it."""
 
 
-def guarded(path: Path, limits: LimitsConfig) -> "GuardedFile":
-    """Open a log.
-
-    Raises:
-        OSError: the system does not.
-    """
-    return GuardedFile(path.open("rb").detach(), limits)
-
-
 class GuardedFile(io.BufferedReader):
     """A file that is not asked for more bytes than it has, nor for a larger record than the limit."""
 
-    def __init__(self, raw: io.RawIOBase, limits: LimitsConfig) -> None:
-        super().__init__(raw)
+    def __init__(self, path: Path, limits: LimitsConfig) -> None:
+        """Open a log.
+
+        Raises:
+            OSError: the system does not.
+        """
+        super().__init__(path.open("rb").detach())
         self._size_bytes, self._most_bytes = self.seek(0, os.SEEK_END), limits.record_bytes
         self.seek(0)
 
@@ -63,18 +56,9 @@ class GuardedFile(io.BufferedReader):
             left = self._size_bytes - self.tell()
             if size > left:
                 raise McapError(f"a record of {size} bytes, {left} are left")
-            require_record(size, self._most_bytes)
+            if size > self._most_bytes:
+                raise LimitError(_beyond("a record", size, "record_mb", self._most_bytes))
         return super().read(size)
-
-
-def require_record(size_bytes: int, most_bytes: int) -> None:
-    """Refuse a record that is too large.
-
-    Raises:
-        LimitError: it is.
-    """
-    if size_bytes > most_bytes:
-        raise LimitError(_beyond("a record", size_bytes, "record_mb", most_bytes))
 
 
 def require_attachments(size_bytes: int, limits: LimitsConfig) -> None:
@@ -104,50 +88,43 @@ def require_gaps(metadata: Metadata, limits: LimitsConfig) -> None:
         raise LimitError(f"metadata {RECOVERY_RECORD} of {found} gaps: expected limits.gaps {limits.gaps} at most")
 
 
-def check_chunk(stream: IO[bytes], limits: LimitsConfig = DEFAULT_LIMITS) -> int:
+def check_chunk(head: ChunkHead, limits: LimitsConfig) -> None:
     """Look at a chunk without decompressing it; lz4 that does not say its size is measured piece by piece.
 
-    Args:
-        stream: behind the head of the chunk's record; it is left anywhere.
-        limits: of the chunk.
-
-    Returns:
-        The bytes it declares to have, decompressed.
-
     Raises:
-        LimitError: it has more than the limit.
+        LimitError: it has more bytes, decompressed, than the limit.
         McapError: it has more than it declares.
     """
-    _, _, declared, _, name_bytes = _CHUNK.unpack(stream.read(_CHUNK.size))
-    name = stream.read(min(name_bytes, _FRAME_HEAD_BYTES)).decode("ascii", "replace")
-    (stored,) = _LENGTH.unpack(stream.read(_LENGTH.size))
-    if declared > limits.chunk_bytes:
-        raise LimitError(_beyond("a chunk", declared, "chunk_mb", limits.chunk_bytes))
-    content = _content_bytes(stream, name, stored, declared)
-    if content > limits.chunk_bytes:
-        raise LimitError(_beyond("a chunk", content, "chunk_mb", limits.chunk_bytes))
-    if content > declared:
-        raise McapError(f"a chunk of {content} bytes or more that declares {declared}")
-    return int(declared)
+    _require_chunk(head.size_bytes, limits)
+    content = _content_bytes(head)
+    _require_chunk(content, limits)
+    if content > head.size_bytes:
+        raise McapError(f"a chunk of {content} bytes or more that declares {head.size_bytes}")
 
 
-def _content_bytes(stream: IO[bytes], name: str, stored: int, declared: int) -> int:
+def _require_chunk(size_bytes: int, limits: LimitsConfig) -> None:
+    if size_bytes > limits.chunk_bytes:
+        raise LimitError(_beyond("a chunk", size_bytes, "chunk_mb", limits.chunk_bytes))
+
+
+def _content_bytes(head: ChunkHead) -> int:
     """What a chunk's data decompress to, as far as it may be more than is declared."""
-    if name == "zstd":
+    if head.compression == "zstd":
         # Without a size in it, the library decompresses no more than the chunk declares.
-        found = int(zstandard.get_frame_parameters(stream.read(min(stored, _FRAME_HEAD_BYTES))).content_size)
-        return declared if found == zstandard.CONTENTSIZE_UNKNOWN else found
-    if name == "lz4" and stored * _LZ4_RATIO > declared:
-        return _lz4_bytes(stream.read(stored), declared)
-    return declared
+        found = int(zstandard.get_frame_parameters(head.stored[:_FRAME_HEAD_BYTES]).content_size)
+        return head.size_bytes if found == zstandard.CONTENTSIZE_UNKNOWN else found
+    if head.compression == "lz4" and head.stored_bytes * _LZ4_RATIO > head.size_bytes:
+        return _lz4_bytes(head.stored, head.size_bytes)
+    return head.size_bytes
 
 
-def _lz4_bytes(data: bytes, enough: int) -> int:
+def _lz4_bytes(data: memoryview, enough: int) -> int:
     """Length of a frame's contents; of longer ones than enough a little more than that."""
     found: int = lz4.frame.get_frame_info(data)["content_size"]
     if found:
         return found
-    decompressor, given, length = lz4.frame.LZ4FrameDecompressor(), data, 0
+    decompressor, length = lz4.frame.LZ4FrameDecompressor(), 0
+    given: bytes | memoryview = data
     while not decompressor.eof and length <= enough:
         piece = decompressor.decompress(given, max_length=_PIECE_BYTES)
         given = b""

@@ -12,8 +12,8 @@ from itertools import chain, pairwise
 from pathlib import Path
 from typing import Final
 
+from roadperc_stream.log.damage import damaged
 from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
-from roadperc_stream.log.integrity import damaged
 from roadperc_stream.log.records import RECOVERY_RECORD, Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.recovery import Recovery
 from roadperc_stream.log.repeats import Numbered, SharedTimes, marked, shared_times
@@ -46,18 +46,6 @@ class Part:
 
 
 @dataclass(frozen=True)
-class _OpenPart:
-    """A file of a log while it is read: orders by the log time of its next message, then by its place in the log."""
-
-    next: Message
-    number: int
-    rest: Iterator[Message]
-
-    def __lt__(self, other: "_OpenPart") -> bool:
-        return (self.next.log_time_ns, self.number) < (other.next.log_time_ns, other.number)
-
-
-@dataclass(frozen=True)
 class MergedParts:
     """The messages of files that begin one after the other."""
 
@@ -67,23 +55,22 @@ class MergedParts:
     def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
         """As ``reading.read``; of equal log times those of the part that begins first come first."""
 
-        def opened(number: int) -> _OpenPart | None:
+        def opened(number: int) -> Iterator[Message]:
             summary, translation = self.parts[number]
-            found = summary.source.messages(topics, start_ns, end_ns)
-            return _advanced(number, _translated(summary.path, found, translation))
+            return _translated(summary.path, summary.source.messages(topics, start_ns, end_ns), translation)
 
         waiting = [i for i, (summary, _) in enumerate(self.parts) if _may_hold(summary, topics, start_ns, end_ns)]
         waiting.reverse()
-        heap: list[_OpenPart] = []
+        heap: list[tuple[int, int, Message, Iterator[Message]]] = []  # by log time, then by place in the log
         while waiting or heap:
-            if waiting and (not heap or self._first_ns(waiting[-1]) < heap[0].next.log_time_ns):
-                following = opened(waiting.pop())
+            if waiting and (not heap or self._first_ns(waiting[-1]) < heap[0][0]):
+                number = waiting.pop()
+                rest = opened(number)
             else:
-                earliest = heapq.heappop(heap)
-                yield earliest.number, earliest.next
-                following = _advanced(earliest.number, earliest.rest)
-            if following is not None:
-                heapq.heappush(heap, following)
+                _, number, message, rest = heapq.heappop(heap)
+                yield number, message
+            if (following := next(rest, None)) is not None:
+                heapq.heappush(heap, (following.log_time_ns, number, following, rest))
 
     def _first_ns(self, number: int) -> int:
         return self.parts[number][0].first_ns or 0
@@ -143,11 +130,6 @@ class UnitedParts:
         return counts
 
 
-def _advanced(number: int, rest: Iterator[Message]) -> _OpenPart | None:
-    following = next(rest, None)
-    return None if following is None else _OpenPart(following, number, rest)
-
-
 def _may_hold(summary: LogSummary, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> bool:
     early = start_ns is not None and (summary.last_ns or 0) < start_ns
     late = end_ns is not None and (summary.first_ns or 0) >= end_ns
@@ -180,7 +162,7 @@ def united(parts: Sequence[Part]) -> LogSummary:
     summaries = [part.summary for part in ordered]
     translations = _translations(summaries)
     if has_own_ids := _ids_agree(summaries, translations):
-        translations = [_with_own_ids(translation) for translation in translations]
+        translations = [{i: replace(known[i], source_id=i) for i in known} for known in translations]
     holding = [(p, t) for p, t in zip(ordered, translations, strict=True) if p.span_ns is not None]
     spans = [part.span_ns for part, _ in holding if part.span_ns is not None]
     name = Path(f"{summaries[0].path} and {len(parts) - 1} more")
@@ -264,10 +246,6 @@ def _translations(summaries: Sequence[LogSummary]) -> list[Translation]:
             twins[kind] += 1
         made.append(translation)
     return made
-
-
-def _with_own_ids(translation: Translation) -> Translation:
-    return {number: replace(channel, source_id=number) for number, channel in translation.items()}
 
 
 def _ids_agree(summaries: Sequence[LogSummary], translations: Iterable[Translation]) -> bool:

@@ -1,12 +1,18 @@
-"""What a log is made of, free of the library that reads and writes it."""
+"""What a log is made of, free of the library that reads and writes it, and the digest that names its messages."""
 
-from collections.abc import Collection, Iterator, Mapping
+import hashlib
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
+
+from blake3 import blake3
 
 RECOVERY_RECORD: Final = "roadperc.recovery"
 """Metadata record of a repaired log: what was lost."""
+_HASHES: Final[dict[str, Callable[[], Any]]] = {"blake3": blake3, "sha256": hashlib.sha256}
+DIGEST_ALGORITHM: Final = "blake3"
+"""Takes a quarter of the time of SHA-256, even where the processor has instructions for the latter."""
 
 
 @dataclass(frozen=True)
@@ -86,3 +92,30 @@ class LogSummary:
     """Of a file of several: how many of its messages a file before it holds as well; they count once."""
     schema_ids: Mapping[int, int] = field(default_factory=dict)
     """Id of the schema in the file, per ``Channel.source_id``; empty where nobody need know."""
+
+
+class MessageDigest:
+    """Digest over messages: topic, schema, times, sequence and bytes, in the order they come.
+
+    Args:
+        algorithm: its name; results of earlier versions have ``sha256``.
+    """
+
+    def __init__(self, algorithm: str = DIGEST_ALGORITHM) -> None:
+        self._hash = _HASHES[algorithm]()
+
+    @staticmethod
+    def is_known(algorithm: str) -> bool:
+        """Whether there is such an algorithm here."""
+        return algorithm in _HASHES
+
+    def update(self, message: Message) -> None:
+        """Take one more message."""
+        head = f"{message.channel.topic}\0{message.channel.schema_name}\0{message.log_time_ns}\0"
+        head += f"{message.publish_time_ns}\0{message.sequence}\0{len(message.data)}\0"
+        self._hash.update(head.encode())
+        self._hash.update(message.data)
+
+    def hexdigest(self) -> str:
+        """64 hexadecimal digits."""
+        return str(self._hash.hexdigest())

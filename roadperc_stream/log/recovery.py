@@ -1,29 +1,20 @@
-"""What was saved of a damaged log and what was lost, and the repaired log that says so itself."""
+"""What was saved of a damaged log and what was lost, as a repaired log records it."""
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import chain
-from pathlib import Path
-from tempfile import TemporaryFile
-from typing import Any, Final
+from typing import Final
 
-from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.core.time import ns_to_seconds
-from roadperc_stream.log.damage import nothing_saved
-from roadperc_stream.log.order import in_order_within
-from roadperc_stream.log.records import RECOVERY_RECORD, Message, Metadata
-from roadperc_stream.log.salvage import Salvage
-from roadperc_stream.log.spool import Spool, storing
-from roadperc_stream.log.stored import StoredLog
-from roadperc_stream.log.writing import LogWriter, StoredLogWriter
+import msgspec
+
+from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
+from roadperc_stream.system.time import ns_to_seconds
 
 _VERSION: Final = "1"
-_MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 _GAPS_LISTED: Final = 5
 _TOPICS_LISTED: Final = 8
+_GAPS: Final = list[tuple[int | None, int | None, dict[str, int]]]
 
 
 @dataclass(frozen=True)
@@ -48,18 +39,6 @@ class Recovery:
     gaps: tuple[LostSpan, ...]
 
     @classmethod
-    def of_salvage(cls, salvage: Salvage) -> "Recovery":
-        """What a finished salvage found."""
-        topics = {number: channel.topic for number, channel in salvage.channels.items()}
-        gaps = tuple(LostSpan(gap.first_ns, gap.last_ns, _by_topic(gap.messages, topics)) for gap in salvage.gaps)
-        if salvage.written is not None:
-            lost = Counter(salvage.written) - salvage.counts
-        else:
-            lost = sum((Counter(gap.messages) for gap in salvage.gaps), Counter(salvage.undescribed))
-        is_exact = salvage.written is not None or not any(damage.of_messages for damage in salvage.damages)
-        return cls(salvage.counts.total(), _by_topic(lost, topics), is_exact, gaps)
-
-    @classmethod
     def of_records(cls, metadata: Iterable[Metadata]) -> "Recovery | None":
         """What a repaired log says of itself, or those of its parts that were; None of any other log."""
         found = [cls._of_values(dict(record.values)) for record in metadata if record.name == RECOVERY_RECORD]
@@ -74,9 +53,10 @@ class Recovery:
         if values.get("version") != _VERSION:
             return None
         try:
-            gaps = tuple(_span(item) for item in json.loads(values["gaps"]))
-            return cls(int(values["saved"]), _counts(json.loads(values["lost"])), values["exact"] == "true", gaps)
-        except (KeyError, TypeError, ValueError, RecursionError):
+            gaps = tuple(LostSpan(*gap) for gap in msgspec.json.decode(values["gaps"], type=_GAPS))
+            lost = msgspec.json.decode(values["lost"], type=dict[str, int])
+            return cls(int(values["saved"]), lost, values["exact"] == "true", gaps)
+        except (KeyError, ValueError, RecursionError, msgspec.MsgspecError):
             return None
 
     def to_record(self) -> Metadata:
@@ -140,86 +120,6 @@ def _as_one(gaps: Sequence[LostSpan]) -> LostSpan:
     return LostSpan(first_ns, last_ns, dict(messages))
 
 
-def saved_messages(salvage: Salvage) -> Iterator[Message]:
-    """The messages that can be read of a log, in log-time order as far as holding some of them can tell."""
-    return in_order_within(
-        salvage.messages(), lambda message: message.log_time_ns, lambda message: len(message.data), _MOST_HELD_BYTES
-    )
-
-
-def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[Salvage, Recovery]:
-    """Write what can be read of a log to a new one, with an index, CRCs, and a record of what was lost.
-
-    Args:
-        source: the damaged log; of a whole one the copy has no such record.
-        target: the log to write.
-        limits: of the records and chunks of ``source``.
-
-    Returns:
-        The finished salvage of ``source``, and what the record says.
-
-    Raises:
-        LogError: not one message can be read.
-        TargetError: ``target`` cannot be written.
-    """
-    return _repaired(source, partial(LogWriter, target), limits)
-
-
-def _repaired(source: Path, writer_of: Callable[[str], LogWriter], limits: LimitsConfig) -> tuple[Salvage, Recovery]:
-    """Write what can be read of a log; ``writer_of`` makes the writer of its profile."""
-    salvage = Salvage(source, limits=limits)
-    messages = saved_messages(salvage)
-    first = next(messages, None)
-    if first is None:
-        raise nothing_saved(source, salvage.damages)
-    described = salvage.described
-    with writer_of(described.profile) as writer:
-        for message in chain((first,), messages):
-            writer.write(message)
-        for number in sorted(described.channels):
-            writer.register(described.channels[number])
-        for attachment in described.attachments:
-            writer.attach(attachment)
-        recovery = Recovery.of_salvage(salvage)
-        if not salvage.whole:
-            recovery = recovery.after(Recovery.of_records(described.metadata), recovery.saved).of_at_most(limits.gaps)
-        for metadata in described.metadata:
-            if salvage.whole or metadata.name != RECOVERY_RECORD:
-                writer.describe(metadata)
-        if not salvage.whole:
-            writer.describe(recovery.to_record())
-    return salvage, recovery
-
-
-@dataclass(frozen=True)
-class RepairedLog:
-    """What can be read of a log, as a whole log under the same name, and how it was found."""
-
-    path: Path
-    salvage: Salvage
-    recovery: Recovery
-
-
-def repaired_copy(source: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> RepairedLog:
-    """What can be read of a log, as a whole log that is stored in a temporary file without a name.
-
-    Raises:
-        LogError: not one message can be read.
-        TargetError: there is no space for it.
-    """
-    with storing(str(source)):
-        file = TemporaryFile()  # noqa: SIM115 - the spool closes it
-    salvage, recovery = _repaired(source, partial(StoredLogWriter, source, file=file), limits)
-    return RepairedLog(StoredLog.of(source, Spool(str(source), file)), salvage, recovery)
-
-
-def _by_topic(counts: Mapping[int, int], topics: Mapping[int, str]) -> dict[str, int]:
-    found = Counter[str]()
-    for number in sorted(counts):
-        found[topics.get(number, f"channel {number}")] += counts[number]
-    return dict(+found)
-
-
 def _listed(messages: Mapping[str, int]) -> str:
     named = [f"{topic} {number}" for topic, number in list(messages.items())[:_TOPICS_LISTED]]
     more = ["..."] if len(messages) > _TOPICS_LISTED else []
@@ -239,16 +139,3 @@ def _between(gap: LostSpan, first_ns: int | None) -> str:
 
 def _at(time_ns: int, first_ns: int | None) -> str:
     return f"{time_ns} ns" if first_ns is None else f"{ns_to_seconds(time_ns - first_ns):.3f} s ({time_ns} ns)"
-
-
-def _span(item: Any) -> LostSpan:
-    first_ns, last_ns, messages = item
-    if not all(time_ns is None or type(time_ns) is int for time_ns in (first_ns, last_ns)):
-        raise ValueError("expected times")
-    return LostSpan(first_ns, last_ns, _counts(messages))
-
-
-def _counts(item: Any) -> dict[str, int]:
-    if not isinstance(item, dict) or not all(type(number) is int for number in item.values()):
-        raise ValueError("expected numbers by topic")
-    return item

@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 from typing import IO, Final
 
@@ -18,29 +17,35 @@ from mcap import records
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 
-from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.chunks import (
-    MESSAGE_HEAD_BYTES,
+from roadperc_stream.log.chunks import Workspace, contents_of, too_many
+from roadperc_stream.log.damage import Damage, require_log, unopened
+from roadperc_stream.log.framing import Framing, Record
+from roadperc_stream.log.index import Described, data_end_of, end_of, index_of, places_of, span_ns_of, summary_fits
+from roadperc_stream.log.inventory import (
+    ChunkPlace,
+    Gap,
+    Inventory,
+    Losses,
+    Positions,
+    expected_messages,
+    lost_in_chunk,
+)
+from roadperc_stream.log.layout import (
+    ENTRY,
+    PARSED,
+    TOO_SHORT,
+    UNREADABLE,
     ChunkHead,
     Item,
     MessageHead,
-    Workspace,
     chunk_head,
-    contents_of,
     message_head,
-    too_many,
+    parse,
 )
-from roadperc_stream.log.damage import Damage
-from roadperc_stream.log.described import Described
-from roadperc_stream.log.framing import Framing, Record
-from roadperc_stream.log.index import UNREADABLE, end_of, index_of, places_of, span_ns_of
-from roadperc_stream.log.integrity import data_end_of, require_log, summary_fits, unopened
-from roadperc_stream.log.inventory import INDEX_ENTRY_BYTES, ChunkPlace, Inventory, Positions
-from roadperc_stream.log.limits import LimitError, check_chunk, guarded, require_attachments, require_gaps
-from roadperc_stream.log.losses import Gap, Losses, expected_messages, lost_in_chunk
-from roadperc_stream.log.parsing import PARSED, parse
-from roadperc_stream.log.records import Channel, Message
+from roadperc_stream.log.limits import GuardedFile, LimitError, check_chunk, require_attachments, require_gaps
+from roadperc_stream.log.records import Message
 
 _PRIVATE_BIT: Final = 0x80
 _OF_MESSAGES: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX))
@@ -83,7 +88,7 @@ class Salvage:
 
     def __post_init__(self) -> None:
         try:
-            with guarded(self.path, self.limits) as stream:
+            with GuardedFile(self.path, self.limits) as stream:
                 self.size_bytes = stream.seek(0, os.SEEK_END)
                 require_log(self.path, stream)
                 self._index = index_of(stream)
@@ -98,15 +103,16 @@ class Salvage:
         self._inventory, self._losses, self._workspace = Inventory(), Losses(), Workspace()
         is_message = partial(_is_message, self.described, self._inventory)  # not of this object: it is freed at once
         self._framing = Framing(self.size_bytes, resume_at, is_message)
+        self.damages = self._framing.damages
+        """Where the file is not what it should be, in its order."""
+        self.counts = self._inventory.counts
+        """Messages read, by ``Channel.source_id``."""
+        self.channels = self.described.channels
+        """By ``Channel.source_id``, also those without messages."""
         self._chunks_without_crc = self._breaks = self._open_at = self._held_bytes = 0
         self._covered = True
         """Whether every message that was read stands in a chunk with a CRC of its own."""
         self._stream: IO[bytes] | None = None
-
-    @property
-    def damages(self) -> list[Damage]:
-        """Where the file is not what it should be, in its order."""
-        return self._framing.damages
 
     @property
     def whole(self) -> bool:
@@ -123,16 +129,6 @@ class Salvage:
     def sealed(self) -> bool:
         """Whether the bytes of the messages were checked: not those of chunks that were not opened."""
         return self.inside or self._framing.sealed
-
-    @property
-    def counts(self) -> Counter[int]:
-        """Messages read, by ``Channel.source_id``."""
-        return self._inventory.counts
-
-    @property
-    def channels(self) -> dict[int, Channel]:
-        """Channels by ``Channel.source_id``, also those without messages."""
-        return self.described.channels
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
@@ -162,8 +158,7 @@ class Salvage:
     def messages(self) -> Iterator[Message]:
         """Every message that can be read, in the order of the file."""
         for head, body in self._found():
-            data = bytes(body[MESSAGE_HEAD_BYTES:])
-            yield Message(self.channels[head.channel_id], head.log_time_ns, head.publish_time_ns, head.sequence, data)
+            yield head.of(self.channels[head.channel_id], body)
 
     def run(self, *, to_first_damage: bool = False) -> None:
         """Read everything for the account alone, or no further than to know that the log is not whole."""
@@ -173,7 +168,7 @@ class Salvage:
 
     def _found(self) -> Iterator[Found]:
         try:
-            with guarded(self.path, self.limits) as stream:
+            with GuardedFile(self.path, self.limits) as stream:
                 self._stream = stream
                 for record in self._framing.records(stream):
                     self._note_breaks()
@@ -191,13 +186,15 @@ class Salvage:
         if record.opcode == Opcode.CHUNK:
             yield from self._chunk(record)
             return
-        self._hold(record)
+        if record.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):  # they are held in memory
+            self._held_bytes += len(record.body)
+            require_attachments(self._held_bytes, self.limits)
         try:
             if record.opcode == Opcode.MESSAGE:
                 self.all_in_chunks = self._covered = False
                 yield self._counted(record.body)
             elif record.opcode == Opcode.MESSAGE_INDEX:
-                if len(record.body) > self.limits.chunk_messages * INDEX_ENTRY_BYTES + INDEX_ENTRY_BYTES:
+                if len(record.body) > (self.limits.chunk_messages + 1) * ENTRY.size:
                     raise ValueError(too_many(self.limits.chunk_messages))
                 self._inventory.add_message_index(record)
             elif record.opcode >= _PRIVATE_BIT:
@@ -207,28 +204,15 @@ class Salvage:
         except LimitError:
             raise
         except UNREADABLE as error:
-            self._damaged_record(record, f"{record.name}: {_in_words(error)}")
-
-    def _hold(self, record: Record) -> None:
-        """Attachments and metadata are held in memory.
-
-        Raises:
-            LimitError: there are more than the limit.
-        """
-        if record.opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
-            self._held_bytes += len(record.body)
-            require_attachments(self._held_bytes, self.limits)
-
-    def _damaged_record(self, record: Record, words: str) -> None:
-        """Take note of a record that makes no sense; one of a message index may be right, and its chunk wrong."""
-        of_messages = record.opcode in _OF_MESSAGES and self._framing.summary_start is None
-        self._framing.note(Damage(record.start, words, *self._inventory.span_ns, of_messages))
+            of_messages = record.opcode in _OF_MESSAGES and self._framing.summary_start is None
+            words, span_ns = f"{record.name}: {_in_words(error)}", self._inventory.span_ns
+            self._framing.note(Damage(record.start, words, *span_ns, of_messages))
 
     def _chunk(self, record: Record) -> Iterator[Found]:
         try:
             head = chunk_head(record.body)
             if not record.fault:
-                check_chunk(BytesIO(record.body), self.limits)
+                check_chunk(head, self.limits)
         except UNREADABLE as error:
             self._lose(record, None, Positions(), record.fault or f"{record.name}: {_in_words(error)}")
             return
@@ -285,7 +269,8 @@ class Salvage:
         self._inventory.lose_chunk()
         span, end = span_ns_of(entry, head), end_of(record, entry, head)
         next_ns = self._inventory.next_ns
-        gap = lost_in_chunk(self._expected_at(end), saved, span, next_ns, all_read=all_read)
+        assert self._stream is not None
+        gap = lost_in_chunk(expected_messages(self._stream, end), saved, span, next_ns, all_read=all_read)
         is_open = entry is None and (bool(record.fault) or span is None)
         if gap is not None:
             self._open_at = record.start
@@ -293,14 +278,6 @@ class Salvage:
         first_ns, last_ns = span or (next_ns, None)
         self._framing.damaged(record.start, fault, first_ns, None if is_open else last_ns)
         self._breaks = len(self._framing.breaks)
-
-    def _expected_at(self, end: int) -> Positions:
-        """What the message indexes say behind a damaged chunk; the stream stays where it is."""
-        assert self._stream is not None
-        at = self._stream.tell()
-        expected = expected_messages(self._stream, end)
-        self._stream.seek(at)
-        return expected
 
     def _note_breaks(self) -> None:
         """Where no record could start, messages are lost up to the next one."""
@@ -371,5 +348,5 @@ def _is_message(described: Described, inventory: Inventory, body: bytes) -> bool
 
 def _in_words(error: BaseException) -> str:
     if isinstance(error, EndOfFile):
-        return "ends before its contents do"
+        return TOO_SHORT
     return " ".join(str(error).split()) or type(error).__name__

@@ -1,21 +1,25 @@
-"""Messages in the order of log time where neither file nor index has them so: sorted on disk, not in memory.
+"""Messages in the order of log time where neither file nor index has them so: with bounded memory.
 
-The messages' bytes are stored as they come. What they are sorted by, with the places of their bytes, stands in a
-temporary database of SQLite, whose memory is bounded too.
+What arrives nearly in order is held for a while. All else is sorted on disk: the messages' bytes are stored as they
+come. What they are sorted by, with the places of their bytes, stands in a temporary database of SQLite, whose memory is
+bounded too.
+
 """
 
+import heapq
 import sqlite3
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from tempfile import gettempdir
 from threading import Lock
-from typing import Final
+from typing import Final, TypeVar
 
 from roadperc_stream.errors import TargetError
 from roadperc_stream.log.records import Channel, Message
-from roadperc_stream.log.spool import Spool, refusal, storing
+from roadperc_stream.log.stored import Spool, refusal, storing
 
+T = TypeVar("T")
 _SIGN: Final = 2**63
 """SQLite's integers have a sign, log times have none."""
 _LATEST_NS: Final = 2**64 - 1
@@ -32,6 +36,30 @@ _FIND: Final = (
     "SELECT log_time, publish_time, sequence, channel, start, length FROM messages "
     "WHERE log_time BETWEEN ? AND ? AND {wanted} ORDER BY log_time, number"
 )
+
+
+def in_order_within(
+    items: Iterable[T], time_of: Callable[[T], int], size_of: Callable[[T], int], most: int
+) -> Iterator[T]:
+    """Items by time, those of equal time as they came, as far as holding some of them can tell.
+
+    Args:
+        items: in any order.
+        time_of: what they are sorted by.
+        size_of: what holding one costs.
+        most: the sum of sizes from which on the earliest item held is given.
+    """
+    waiting: list[tuple[int, int, T]] = []
+    held = 0
+    for number, item in enumerate(items):
+        heapq.heappush(waiting, (time_of(item), number, item))
+        held += size_of(item)
+        while held > most:
+            first = heapq.heappop(waiting)[2]
+            held -= size_of(first)
+            yield first
+    while waiting:
+        yield heapq.heappop(waiting)[2]
 
 
 @contextmanager
@@ -106,8 +134,8 @@ class _Store:
         last = _LATEST_NS if end_ns is None else min(end_ns - 1, _LATEST_NS)
         if first > last:
             return
-        with _sorting(self._what), storing(self._what), closing(self._keys.cursor()) as rows:
-            rows.execute(_FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN))
+        with _sorting(self._what), storing(self._what):
+            rows = self._keys.execute(_FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN))
             for log_time, publish_time, sequence, channel_id, start, length in rows:
                 channel, data = self._channels[channel_id], self._spool.read(start, length)
                 yield Message(channel, log_time + _SIGN, publish_time + _SIGN, sequence, data)

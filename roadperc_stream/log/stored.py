@@ -1,27 +1,159 @@
-"""Logs whose bytes do not stand under their name, such as piped and repaired ones: read like files."""
+"""Bytes on disk without a name, and logs that are read from them, such as piped and repaired ones.
 
+They are gone with the process, even with one that is killed.
+
+"""
+
+import errno
+import io
 import os
+import shutil
 import stat
 import sys
-from collections.abc import Sequence
+import tempfile
+import weakref
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final, Self
 
-from roadperc_stream.errors import LogError
-from roadperc_stream.log.integrity import MAGIC, require_magic, unopened
-from roadperc_stream.log.spool import Spool, StoredBytes, stream_over
+from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.log.damage import require_magic, unopened
+from roadperc_stream.log.layout import MAGIC
 
+_LEFT_FREE: Final = 0.1
+"""Part of the free space that stays free: a pipe without an end leaves others some."""
 STANDARD_INPUT: Final = Path("-")
 _BLOCK_BYTES: Final = 1024 * 1024
+_READ_BYTES: Final = io.DEFAULT_BUFFER_SIZE * 8
+
+
+@contextmanager
+def storing(what: str) -> Iterator[None]:
+    """What the system refuses in writing to the folder of temporary files, as an error that names the folder.
+
+    Args:
+        what: is stored there, for the error.
+
+    Raises:
+        TargetError: the disk is full, or there is no such folder.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise TargetError(refusal(what, "stored", error.strerror or str(error))) from error
+
+
+def refusal(what: str, done: str, reason: str) -> str:
+    """That something cannot be done in the folder of temporary files, which is named.
+
+    Args:
+        what: is stored there.
+        done: what cannot be done with it there.
+        reason: why not.
+    """
+    return f"{what}: cannot be {done} in {_folder()}: {reason}; TMPDIR names a folder with more space"
+
+
+def _folder() -> str:
+    try:
+        return tempfile.gettempdir()
+    except OSError:
+        return "the folder of temporary files"
+
+
+class Spool:
+    """A temporary file that is written once, from its start to its end, and then read by any number of readers."""
+
+    def __init__(self, what: str, stored: IO[bytes] | None = None) -> None:
+        """Begin an empty one, or read one that is there.
+
+        Args:
+            what: it holds, for errors.
+            stored: a file that can be read from any place; the spool owns it.
+
+        Raises:
+            TargetError: there is no folder for temporary files.
+        """
+        self._what = what
+        with storing(what):
+            self._file = stored or tempfile.TemporaryFile()  # noqa: SIM115 - closed with this object
+            self._most_bytes = (1 - _LEFT_FREE) * shutil.disk_usage(tempfile.gettempdir()).free
+            self.size_bytes = self._file.seek(0, os.SEEK_END)
+        weakref.finalize(self, self._file.close)
+
+    def append(self, data: bytes) -> int:
+        """Add bytes at the end.
+
+        Returns:
+            The byte they start at.
+
+        Raises:
+            TargetError: the disk is full, or nearly so.
+        """
+        with storing(self._what):
+            if self.size_bytes + len(data) > self._most_bytes:
+                raise OSError(errno.ENOSPC, f"{1 - _LEFT_FREE:.0%} of the free space are used")
+            self._file.write(data)
+        start, self.size_bytes = self.size_bytes, self.size_bytes + len(data)
+        return start
+
+    def finish(self) -> None:
+        """Write what is still to be written.
+
+        Raises:
+            TargetError: the disk is full.
+        """
+        with storing(self._what):
+            self._file.flush()
+
+    def read(self, start: int, length: int) -> bytes:
+        """Some of the bytes, fewer at the end."""
+        found = data = os.pread(self._file.fileno(), length, start)
+        while data and len(found) < length:  # the system reads no more than 2 GiB at once
+            data = os.pread(self._file.fileno(), length - len(found), start + len(found))
+            found += data
+        return found
+
+
+class _Reader(io.RawIOBase):
+    """Reads bytes from a position of its own."""
+
+    def __init__(self, stored: Spool) -> None:
+        super().__init__()
+        self._stored, self._at = stored, 0
+
+    def readable(self) -> bool:
+        """It is."""
+        return True
+
+    def seekable(self) -> bool:
+        """It is."""
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a byte."""
+        origin = {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._stored.size_bytes}[whence]
+        if origin + offset < 0:
+            raise OSError(f"no byte {origin + offset}")
+        self._at = origin + offset
+        return self._at
+
+    def readinto(self, buffer: "memoryview") -> int:  # type: ignore[override]  # a buffer of any kind is a memoryview
+        """Fill a buffer as far as there are bytes."""
+        data = self._stored.read(self._at, len(buffer))
+        buffer[: len(data)] = data
+        self._at += len(data)
+        return len(data)
 
 
 class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of this system
     """The name a log came by, and its bytes, which do not stand there; a path derived from it is like any other."""
 
-    stored: StoredBytes | None = None
+    stored: Spool | None = None
 
     @classmethod
-    def of(cls, path: Path, stored: StoredBytes) -> Self:
+    def of(cls, path: Path, stored: Spool) -> Self:
         """A name with its bytes."""
         made = cls(path)
         made.stored = stored
@@ -29,7 +161,9 @@ class StoredLog(type(Path())):  # type: ignore[misc]  # the class of paths of th
 
     def open(self, *arguments: Any, **options: Any) -> IO[Any]:
         """A stream over the bytes."""
-        return stream_over(self.stored) if self.stored else super().open(*arguments, **options)
+        return (
+            io.BufferedReader(_Reader(self.stored), _READ_BYTES) if self.stored else super().open(*arguments, **options)
+        )
 
     def is_dir(self, **_: Any) -> bool:
         """It is none."""

@@ -1,7 +1,7 @@
-"""Logs out: a file appears under its name only when complete."""
+"""Logs out: a file appears under its name only when complete. Messages of other logs are copied as writing goes on."""
 
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from itertools import chain
@@ -12,12 +12,12 @@ from typing import IO, Final, NamedTuple, Self
 from mcap import records
 
 from roadperc_stream import __version__
-from roadperc_stream.core.files import partial_of, target_errors
 from roadperc_stream.errors import TargetError
 from roadperc_stream.log.growing import GrowingLog
-from roadperc_stream.log.mcap_file import ChunkRecords, McapFile, OpenChunk
+from roadperc_stream.log.mcap_file import ChunkRecords, McapFile, OpenChunk, Piece
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
-from roadperc_stream.log.spool import storing
+from roadperc_stream.log.stored import storing
+from roadperc_stream.system.files import partial_of, target_errors
 
 CHUNK_SIZE_BYTES = 1024 * 1024
 _IDS: Final = 65535
@@ -95,7 +95,7 @@ class LogWriter:
         """
         self.end_chunk()
         self._add_chunk(chunk)
-        self.messages += sum(messages for _, _, messages in chunk.places())
+        self.messages += sum(len(index.entries) for index in chunk.message_indexes)
         if self._growing is not None:
             self._growing.reach(chunk.span_ns[1] if reached_ns is None else min(reached_ns, chunk.span_ns[1]))
 
@@ -104,7 +104,8 @@ class LogWriter:
             start, end = self._file.add_chunk(chunk)
             if self._growing is not None:
                 self._stream.flush()
-                self._growing.add_chunk(start, end, chunk.span_ns, chunk.channels)
+                ids = [index.channel_id for index in chunk.message_indexes]
+                self._growing.add_chunk(start, end, chunk.span_ns, ids)
 
     def while_written(self) -> GrowingLog:
         """The log for a reader in another thread, from now to the end; before the first message.
@@ -239,3 +240,53 @@ class StoredLogWriter(LogWriter):
 
     def discard(self) -> None:
         """It is gone with the file."""
+
+
+class MessageCopy:
+    """Copies messages to a log that others write to as well: each stands there before what is written of its time.
+
+    What is copied stands in chunks of its own, so that these are whole ones for who copies that log.
+    """
+
+    def __init__(
+        self,
+        writer: LogWriter,
+        channels: Iterable[Channel],
+        copied: Iterator[Piece],
+        schema_ids: Mapping[int, int] | None = None,
+    ) -> None:
+        """Register the channels, also those that never get a message.
+
+        Args:
+            writer: of the log to copy to, where no channel is registered yet: they keep their ids.
+            channels: of the messages, and others to be there.
+            copied: messages, and chunks, in the order of log time.
+            schema_ids: of the channels' schemas, as ``LogSummary`` has them, which are kept as well.
+        """
+        self._writer, self._copied = writer, copied
+        for channel in channels:
+            writer.register(channel, ids=(channel.source_id, (schema_ids or {}).get(channel.source_id, 0)))
+        self._next = next(copied, None)
+
+    def through(self, log_time_ns: int | None) -> None:
+        """Copy everything up to and including a log time, and the rest of its chunk; None copies all that is left."""
+        if not self._is_due(log_time_ns):
+            return
+        self._writer.end_chunk()
+        while (piece := self._next) is not None and self._is_due(log_time_ns):
+            if isinstance(piece, ChunkRecords):
+                self._writer.write_chunk(piece, log_time_ns)
+            else:
+                self._writer.write(piece)
+            self._next = next(self._copied, None)
+        self._writer.end_chunk()
+
+    def rest(self) -> None:
+        """Copy all that is left."""
+        self.through(None)
+
+    def _is_due(self, log_time_ns: int | None) -> bool:
+        piece = self._next
+        if piece is None or log_time_ns is None:
+            return piece is not None
+        return (piece.span_ns[0] if isinstance(piece, ChunkRecords) else piece.log_time_ns) <= log_time_ns

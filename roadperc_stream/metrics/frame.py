@@ -1,13 +1,13 @@
 """The row of a frame: what each stage gave, and how far it is from what is true."""
 
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import EarlierTruth, FrameResult, Sample
-from roadperc_stream.core.reasons import frame_reasons
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.metrics.lanes import lane_benchmarks, lane_columns, lane_errors, true_lane_columns
 from roadperc_stream.metrics.objects import object_columns, object_errors, true_impact
 from roadperc_stream.metrics.odometry import odometry_columns, odometry_errors, true_pose_columns
 from roadperc_stream.metrics.stereo import stereo_columns, stereo_errors_of
 from roadperc_stream.metrics.surface import surface_columns, surface_errors
+from roadperc_stream.model import EarlierTruth, FrameResult, Sample
+from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.schemas.columns import FrameKey, FrameMetrics, InputColumns, row_of
 
 

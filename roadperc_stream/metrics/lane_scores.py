@@ -6,9 +6,9 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
-from roadperc_stream.core.assignment import largest_total
-from roadperc_stream.core.datatypes import Mask
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.geometry import Float
+from roadperc_stream.geometry.assignment import largest_total
+from roadperc_stream.model import Mask
 
 TUSIMPLE_PX: Final = 20.0
 """Columns by which a point may be off, of a lane that stands upright in a 1280 px wide image."""

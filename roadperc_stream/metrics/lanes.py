@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.core.datatypes import SIDES, Absent, Boundary, Lanes
-from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
+from roadperc_stream.geometry import Camera, Float, inverse, project, transform
 from roadperc_stream.metrics import lane_scores
+from roadperc_stream.model import SIDES, Absent, Boundary, Lanes
 from roadperc_stream.schemas.columns.errors import LaneErrorColumns, LaneScoreColumns, TrueLaneColumns
 from roadperc_stream.schemas.columns.estimates import LaneColumns
 

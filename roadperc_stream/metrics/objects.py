@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from roadperc_stream.core.datatypes import Absent, FrameResult, Object, Objects, Sample
-from roadperc_stream.core.semantics import classes_of_label
+from roadperc_stream.model import Absent, FrameResult, Object, Objects, Sample
+from roadperc_stream.model.tag_tables import classes_of_label
 from roadperc_stream.schemas.columns import ObjectMetrics
 from roadperc_stream.schemas.columns.errors import ObjectErrorColumns, TrueImpactColumns
 from roadperc_stream.schemas.columns.estimates import ObjectColumns

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from roadperc_stream.core.datatypes import Absent, EarlierTruth, Odometry, Sample, Truth
-from roadperc_stream.core.geometry import Float, inverse
-from roadperc_stream.core.rotations import quaternion, rotation_angle, rotation_vector
+from roadperc_stream.geometry import Float, inverse
+from roadperc_stream.geometry.rotations import quaternion, rotation_angle, rotation_vector
+from roadperc_stream.model import Absent, EarlierTruth, Odometry, Sample, Truth
 from roadperc_stream.schemas.columns.errors import OdometryErrorColumns, TruePoseColumns
 from roadperc_stream.schemas.columns.estimates import OdometryColumns
 

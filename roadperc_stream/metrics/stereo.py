@@ -7,11 +7,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from roadperc_stream.core.datatypes import Absent, Mask, Sample, StereoDepth
-from roadperc_stream.core.geometry import Camera, Float32
-from roadperc_stream.core.kernels.disparity_errors import disparity_errors
-from roadperc_stream.core.kernels.occlusion import seen_by_both
+from roadperc_stream.chain.kernels import disparity_errors, seen_by_both
+from roadperc_stream.chain.kernels.stereo_plain import DisparityLimits
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import Camera, Float32
+from roadperc_stream.model import Absent, Mask, Sample, StereoDepth
 from roadperc_stream.schemas.columns.errors import StereoErrorColumns
 from roadperc_stream.schemas.columns.estimates import StereoColumns
 
@@ -92,7 +92,7 @@ def stereo_errors(
     with np.errstate(divide="ignore"):
         true_px = np.float32(scale_px_m) / true_m
     error_px, relative, counted, bad = disparity_errors(
-        estimated_m, true_m, both_see(true_px), scale_px_m, max_depth_m, D1_PX, D1_SHARE
+        estimated_m, true_m, both_see(true_px), DisparityLimits(scale_px_m, max_depth_m, D1_PX, D1_SHARE)
     )
     if not counted:
         return StereoErrors(None, None, None, None)

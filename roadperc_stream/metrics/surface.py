@@ -3,12 +3,12 @@
 import numpy as np
 
 from roadperc_stream.chain.stages.surface import drivable_mask
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Absent, FrameResult, Mask, Sample, Surface, Truth
-from roadperc_stream.core.geometry import angle_between
-from roadperc_stream.core.ground import height_at
-from roadperc_stream.core.scene import DepthMap, Scene
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import angle_between
+from roadperc_stream.geometry.ground import height_at
+from roadperc_stream.model import Absent, FrameResult, Mask, Sample, Surface, Truth
+from roadperc_stream.model.scene import DepthMap, Scene
 from roadperc_stream.schemas.columns.errors import SurfaceErrorColumns
 from roadperc_stream.schemas.columns.estimates import SurfaceColumns
 

@@ -14,7 +14,11 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 
-from roadperc_stream.core.datatypes import (
+from roadperc_stream.formats.images import depth_to_mm
+from roadperc_stream.formats.points import FIELDS
+from roadperc_stream.geometry import Camera, Float, Float32, Lens
+from roadperc_stream.geometry.rotations import quaternion
+from roadperc_stream.model import (
     EGO,
     Boundary,
     Detection,
@@ -27,10 +31,6 @@ from roadperc_stream.core.datatypes import (
     Surface,
     Transform,
 )
-from roadperc_stream.core.geometry import Camera, Float, Float32, Lens
-from roadperc_stream.core.rotations import quaternion
-from roadperc_stream.formats.images import depth_to_mm
-from roadperc_stream.formats.points import FIELDS
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
 from roadperc_stream.schemas.ros2 import RosGrid, RosImage, pack_image, pack_occupancy_grid

@@ -1,34 +1,33 @@
 """What a frame's results look like in the log: topics and bytes."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any, Final, get_args
 
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.core.datatypes import (
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats.png import encode_mask
+from roadperc_stream.geometry import Float, inverse
+from roadperc_stream.geometry.planes import SurfaceModel, SurfaceSource
+from roadperc_stream.model import (
     EGO,
     Absent,
     FrameAnchor,
     FrameResult,
     Mask,
     Odometry,
-    Reason,
     Sample,
     Transform,
 )
-from roadperc_stream.core.datatypes.results import BoundaryStatus, OdometryStatus, SurfaceModel, SurfaceSource
-from roadperc_stream.core.geometry import Float, inverse
-from roadperc_stream.core.semantics import Colour
-from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats.mask import encode_mask
+from roadperc_stream.model.results import BoundaryStatus, OdometryStatus
+from roadperc_stream.model.sample import LAST_ROS_STAMP_NS
+from roadperc_stream.model.tag_tables import Colour
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import annotations, colours
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.fields import require_finite
-from roadperc_stream.schemas.protobuf import set_stamp
-from roadperc_stream.schemas.ros2 import LAST_STAMP_NS
+from roadperc_stream.schemas.protobuf import require_finite, set_stamp
 from roadperc_stream.schemas.topics import (
     DRIVABLE_SCENE_TOPIC,
     DRIVABLE_TOPIC,
@@ -80,10 +79,11 @@ def result_messages(
     stamp_ns = result.stamp_ns
     yield from _surface(sample, result)
     yield from _lanes_and_objects(sample, result)
-    if not isinstance(result.stereo, Absent):
+    is_ros_time = stamp_ns <= LAST_ROS_STAMP_NS
+    if not isinstance(result.stereo, Absent) and is_ros_time:
         depth = encoding.encode_depth(stamp_ns, result.stereo.frame_id, result.stereo.depth_m)
         yield STEREO_DEPTH_TOPIC, depth
-    if not isinstance(result.occupancy, Absent):
+    if not isinstance(result.occupancy, Absent) and is_ros_time:
         yield OCCUPANCY_TOPIC, encoding.encode_occupancy(stamp_ns, result.occupancy)
     if not isinstance(result.odometry, Absent):
         yield from _odometry(stamp_ns, sample.anchor.odom, result.odometry, trajectory)
@@ -93,21 +93,6 @@ def result_messages(
     for reason in metrics.reasons:
         if reason not in previous_reasons:
             yield LOG_TOPIC, encoding.encode_log(stamp_ns, "WARNING", f"frame {sample.index}: {reason}")
-
-
-def drop_beyond_ros_time(result: FrameResult) -> tuple[FrameResult, FrameResult]:
-    """A frame's result, and what of it the log can carry: ROS 2 messages end in 2038, all others go on.
-
-    The metrics are those of the whole result, which says what is not written.
-    """
-    if result.stamp_ns <= LAST_STAMP_NS:
-        return result, result
-    outputs = {"stereo": result.stereo, "occupancy": result.occupancy}
-    not_written = {name: Reason(name, "not_written", (LAST_STAMP_NS,)) for name in outputs}
-    reasons = (not_written[name] for name, output in outputs.items() if not isinstance(output, Absent))
-    result = replace(result, problems=(*result.problems, *reasons))
-    absent = {name: Absent(reason) for name, reason in not_written.items()}
-    return result, replace(result, stereo=absent["stereo"], occupancy=absent["occupancy"])
 
 
 def _surface(sample: Sample, result: FrameResult) -> Written:

@@ -15,9 +15,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from roadperc_stream import __version__
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.files import TABLE_SUFFIX, partial_of, target_errors
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import TableError
+from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, target_errors
 
 ROW_GROUP_ROWS: Final = 1000
 FACT_PREFIX: Final = "roadperc."
@@ -189,16 +189,6 @@ def copy_table(source: Path, target: Path, facts: Mapping[str, str], constant: M
                 copy.write_table(pa.Table.from_arrays([*rows.columns, *columns], schema=schema))
 
 
-def read_table(path: Path) -> pa.Table:
-    """A whole table, with the facts of its footer in its schema.
-
-    Raises:
-        TableError: the file cannot be read, or is not Parquet.
-    """
-    with _opened(path) as table:
-        return table.read()
-
-
 def rows_in(data: bytes, address: str) -> list[dict[str, Any]]:
     """The rows of a table that has been fetched from an address.
 
@@ -206,24 +196,9 @@ def rows_in(data: bytes, address: str) -> list[dict[str, Any]]:
         TableError: it is not Parquet.
     """
     with _opened(address, pa.BufferReader(data)) as table:
-        rows: list[dict[str, Any]] = table.read().to_pylist()
+        # A thread of Arrow's that gives such bytes back aborts the process if the interpreter is about to end.
+        rows: list[dict[str, Any]] = table.read(use_threads=False).to_pylist()
     return rows
-
-
-def write_table(path: Path, table: pa.Table) -> None:
-    """Write a whole table, as ``TableWriter`` writes its rows; it appears under its name only when complete.
-
-    Raises:
-        TargetError: it cannot be written.
-    """
-    temporary = partial_of(path)
-    try:
-        with target_errors(path):
-            pq.write_table(table, temporary, row_group_size=ROW_GROUP_ROWS, compression="zstd")
-            temporary.replace(path)
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 @contextmanager

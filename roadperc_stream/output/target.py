@@ -1,12 +1,15 @@
 """What a replay writes, and whether it may be written."""
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from roadperc_stream.core.files import TABLE_SUFFIX, remove_dead_partials, require_free
+from roadperc_stream import log
+from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.topics import Request
+from roadperc_stream.system.files import TABLE_SUFFIX, remove_dead_partials, require_free
 
 
 @dataclass(frozen=True)
@@ -45,20 +48,52 @@ class ReplayTarget:
         """Whether all of them are there: the log is the last one that gets its name."""
         return all(path.exists() for path in self.files)
 
-    def require_free(self, sources: Iterable[Path], *, force: bool) -> None:
-        """Check that the files may be written.
+    def require_free(self, sources: Iterable[Path]) -> None:
+        """Check that the files may be written; with ``force`` existing ones may be replaced.
 
         Args:
             sources: the input, which they must not replace.
-            force: existing ones may be replaced.
 
         Raises:
             TargetError: one may not.
         """
         for source in sources:
-            require_free(self.path, force=force, source=source, suffix=".mcap")
+            require_free(self.path, force=self.force, source=source, suffix=".mcap")
         for table in (self.metrics, self.objects):
-            require_free(table, force=force, suffix=TABLE_SUFFIX)
+            require_free(table, force=self.force, suffix=TABLE_SUFFIX)
+
+    def require_writable(self, sources: Collection[Path], continued: Path | None, *, resume: bool) -> None:
+        """Check the output before the input is read.
+
+        Args:
+            sources: the input.
+            continued: the result that the replay continues.
+            resume: whether a finished output may be there.
+
+        Raises:
+            TargetError: a file may not be replaced.
+        """
+        replace(self, force=True).require_free(sources)
+        if continued is not None and continued.exists() and self.path.exists() and self.path.samefile(continued):
+            raise TargetError(f"{self.path}: is the part that the replay goes on from; name another output")
+        self._require_no_recording(several=len(sources) > 1)
+        if not resume:
+            self.require_free(sources)
+
+    def _require_no_recording(self, *, several: bool) -> None:
+        """Check that an existing log is a result. Otherwise it may be the last input, and the output was forgotten."""
+        if not self.path.exists():
+            return
+        try:
+            found = log.summarise(self.path)
+        except LogError:
+            replaceable = not several
+        else:
+            replaceable = is_result_log(found.metadata, found.channels)
+        if not replaceable:
+            raise TargetError(
+                f"{self.path}: is no result of this program, so nothing replaces it; was OUT.mcap forgotten?"
+            )
 
     def remove_dead_partials(self) -> None:
         """Remove what earlier replays that were killed left unfinished under hidden names."""

@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from roadperc_stream.core.process import discard_output
-from roadperc_stream.core.progress import no_progress
-from roadperc_stream.core.text import shown
 from roadperc_stream.output.text_table import TextRow, TextTable, transposed
+from roadperc_stream.system.process import discard_output
+from roadperc_stream.system.progress import no_progress
+from roadperc_stream.system.text import shown
 
 NARROWEST, WIDEST = 80, 120
 """Columns a text is laid out for; a narrower terminal wraps its lines rather than losing digits."""

@@ -1,19 +1,22 @@
-"""The results of a replay into its log, frame by frame, and at the end how they came about."""
+"""All that a replay writes, frame by frame: the log with the results, and its two tables."""
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 from roadperc_stream import __version__
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import EarlierTruth, FrameResult, Odometry, Reason, Sample
-from roadperc_stream.core.geometry import Float
-from roadperc_stream.core.reasons import ReasonCounts, frame_reasons, merged, of_frame
-from roadperc_stream.core.stage_timer import StageTimer
-from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, Metadata
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.geometry import Float
+from roadperc_stream.input import ReplayInput
+from roadperc_stream.log import Attachment, Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata, Piece
+from roadperc_stream.model import FrameResult, Odometry, ReasonKind, Sample
+from roadperc_stream.model.sample import frame_reasons
 from roadperc_stream.output.drawing.on_request import PictureMaker
+from roadperc_stream.output.reason_counts import ReasonCount, merged, of_frame, throughout
 from roadperc_stream.output.results import result_messages
-from roadperc_stream.schemas.columns import FrameMetrics, ObjectMetrics
+from roadperc_stream.output.tables import TableWriter, table_facts
+from roadperc_stream.output.target import ReplayTarget
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.record import (
     CONFIG_ATTACHMENT,
     METADATA_RECORD,
@@ -24,98 +27,251 @@ from roadperc_stream.schemas.record import (
 )
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import result_schemas
+from roadperc_stream.system.files import partial_of, sync_file
+from roadperc_stream.system.progress import Progress, no_progress
+from roadperc_stream.system.stage_timer import StageTimer
+from roadperc_stream.system.text import number
+from roadperc_stream.system.time import ns_to_seconds
 
 TRAJECTORY_POSES: Final = 200
 """Length of the trajectory that each frame shows: ten seconds at 20 Hz."""
-ResultMessages = tuple[tuple[str, bytes], ...]
-"""Topic and bytes of each."""
-Timed = Callable[[FrameMetrics, Mapping[str, float]], None]
-"""Takes a frame's row and its time columns in milliseconds, before anything of a later frame is written."""
 
 
-def unwatched(_writer: LogWriter, _span_ns: tuple[int, int]) -> Timed:
-    """Nobody follows the output while it is written."""
-    return lambda _row, _times_ms: None
+@dataclass(frozen=True)
+class Callbacks:
+    """Callbacks during a replay; all optional.
+
+    Args:
+        on_progress: takes the frames done and the frames expected.
+        on_start: takes the output and its first and last log time in nanoseconds, before the first message.
+        on_frame: takes a frame's row and its time columns in milliseconds, before anything of a later frame is written.
+    """
+
+    on_progress: Progress = no_progress
+    on_start: Callable[[LogWriter, tuple[int, int]], None] | None = None
+    on_frame: Callable[[FrameMetrics, Mapping[str, float]], None] | None = None
+
+
+NO_CALLBACKS: Final = Callbacks()
 
 
 @dataclass(frozen=True)
 class Shown:
     """What a frame's messages show of earlier frames.
 
-    ``trajectory`` are the latest poses odom_T_ego that are known, ``reasons`` those of the frame before, ``first_ns``
-    the stamp of the first frame of all. Each pose is of an odometry, which checks it; those of a state are checked when
-    it is read (``state.memory_checks``): checking all in every frame takes as long as drawing the lanes.
+    ``trajectory`` are the latest known poses odom_T_ego, ``reasons`` those of the frame before, ``first_ns`` the stamp
+    of the first frame.
     """
 
     trajectory: tuple[Float, ...] = ()
     reasons: tuple[str, ...] = ()
     first_ns: int | None = None
 
-    def after(self, result: FrameResult, reasons: Iterable[Reason]) -> "Shown":
-        """What the next frame shows of earlier ones: of this one, with its reasons, too."""
-        first_ns = result.stamp_ns if self.first_ns is None else self.first_ns
-        return Shown(self.with_pose(result), tuple(map(str, reasons)), first_ns)
+    def __post_init__(self) -> None:
+        if any(pose.shape != (4, 4) for pose in self.trajectory):
+            raise ValueError("trajectory: expected poses of shape (4, 4)")
 
-    def with_pose(self, result: FrameResult) -> tuple[Float, ...]:
-        """The trajectory with the pose of one more frame, where it has one."""
-        if not isinstance(result.odometry, Odometry) or result.odometry.status == "lost":
-            return self.trajectory
-        return (*self.trajectory, result.odometry.odom_T_ego)[-TRAJECTORY_POSES:]
+    def after(self, result: FrameResult, reasons: tuple[str, ...]) -> "Shown":
+        """The same with one more frame, and its pose if it has one."""
+        poses = self.trajectory
+        if isinstance(result.odometry, Odometry) and result.odometry.status != "lost":
+            poses = (*poses, result.odometry.odom_T_ego)[-TRAJECTORY_POSES:]
+        return Shown(poses, reasons, result.stamp_ns if self.first_ns is None else self.first_ns)
 
 
 @dataclass(frozen=True)
-class ComputedFrame:
-    """What the chain made of a sample: the result, and what of it a log can carry (``written``).
+class Counted:
+    """The reasons of the frames so far, and the number of frames whose pictures could not be drawn."""
 
-    ``shown`` is what its messages show of the frames before, ``earlier`` the truth of the last one, ``timer`` measures
-    all that is done with it.
-    """
-
-    sample: Sample
-    result: FrameResult
-    written: FrameResult
-    shown: Shown
-    earlier: EarlierTruth | None
-    timer: StageTimer
+    reasons: tuple[tuple[ReasonKind, ReasonCount], ...] = ()
+    without_image: int = 0
+    misfits: int = 0
 
 
 @dataclass(frozen=True)
 class FrameOutput:
-    """All that is written of one frame: its messages, its row with the time columns in milliseconds, its objects."""
+    """All that is written of one frame: topic and bytes of its messages, its row with the time columns, its objects."""
 
-    messages: ResultMessages
+    messages: tuple[tuple[str, bytes], ...]
     row: FrameMetrics
     times_ms: Mapping[str, float]
     objects: tuple[ObjectMetrics, ...]
 
 
-class ResultWriter:
-    """Makes the messages of what the frames gave, and writes them.
+@dataclass(frozen=True)
+class ReplaySummary:
+    """What a replay did, for its user.
 
-    ``reasons`` are those of all frames so far.
+    ``dropped`` are the messages of each role that belong to no frame, ``problems`` those of each topic that could not
+    be decoded.
     """
 
-    def __init__(self, writer: LogWriter, pictures: PictureMaker) -> None:
-        self._writer, self._pictures = writer, pictures
-        self._channels = {t: _result_channel(t, name) for t, name in result_schemas(pictures.requests).items()}
+    log_id: str
+    frames: int
+    messages_out: int
+    seconds: float = 0.0
+    notes: tuple[str, ...] = ()
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    problems: Mapping[str, int] = field(default_factory=dict)
+    throughout: tuple[str, ...] = ()
+    """The reasons that held in all frames, in words."""
+    warnings: tuple[str, ...] = ()
+    """Of a damaged log: where, what was saved and what was lost."""
+    frames_before: int = 0
+    """Frames that an interrupted replay had computed."""
+    resumed_s: float | None = None
+    """How far into the log these frames go, in seconds; None if no interrupted replay was resumed."""
+    is_new: bool = True
+    """Whether anything was written; False if the output was complete already."""
+    first_ns: int = 0
+    """Log time of the input's first message, nanoseconds since 1970 where its clock counts so."""
+
+    @property
+    def frames_per_s(self) -> float:
+        """Frames computed in a second."""
+        return (self.frames - self.frames_before) / self.seconds
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the user should know, one line each."""
+        unreadable = (
+            f"warning: {number(count, 'message')} on {topic} could not be read; frames go without"
+            for topic, count in self.problems.items()
+        )
+        return (
+            *(f"warning: {warning}" for warning in self.warnings),
+            *(f"note: {note}" for note in (*self.notes, *self.throughout)),
+            *unreadable,
+        )
+
+
+class Outputs:
+    """The files that a replay writes: the log, the table of frames and the table of objects.
+
+    ``shown`` is what the messages of the next frame show of the frames so far.
+    """
+
+    def __init__(self, target: ReplayTarget, cfg: ReplayConfig, log_in: ReplayInput, facts: Mapping[str, str]) -> None:
+        """Name the files.
+
+        Args:
+            target: what to write.
+            cfg: the chain's configuration.
+            log_in: the input.
+            facts: what the tables say of the input.
+        """
+        self._target, self._cfg, self._input = target, cfg, log_in
+        facts = table_facts(log_in.summary.path, target.path, cfg, facts)
+        self._frames = TableWriter(target.metrics, FrameMetrics, facts, TIME_COLUMNS)
+        self._objects = TableWriter(target.objects, ObjectMetrics, facts)
+        self._log = LogWriter(target.path, log_in.summary.profile)
+        self._pictures = PictureMaker(target.on_request)
+        self.files = (self._log, self._objects, self._frames)
+        """The last one gets its name first: if the log has its name, its tables have theirs."""
+        self._frames_before = 0
+        self._resumed_ns: int | None = None
+
+    def begin(self, callbacks: Callbacks, shown: Shown, counted: Counted) -> None:
+        """Register all channels; ``shown`` and ``counted`` are of the frames before."""
+        log_in, self.shown, self._on_frame = self._input, shown, callbacks.on_frame
+        copied: tuple[Iterable[Channel], Iterator[Piece]] = (
+            ((), iter(())) if self._target.results_only else (log_in.channels, log_in.pieces())
+        )
+        self._copy = MessageCopy(self._log, *copied, log_in.summary.schema_ids)
+        topics = result_schemas(self._pictures.requests)
+        self._channels = {topic: _result_channel(topic, name) for topic, name in topics.items()}
         for channel in self._channels.values():
-            writer.register(channel)
-        self.reasons: ReasonCounts = {}
+            self._log.register(channel)
+        self._reasons = dict(counted.reasons)
+        self._pictures.without_image, self._pictures.misfits = counted.without_image, counted.misfits
+        if callbacks.on_start is not None:
+            callbacks.on_start(self._log, log_in.span_ns)
 
-    def messages(self, frame: ComputedFrame, row: FrameMetrics) -> ResultMessages:
-        """Topics and bytes of a frame's results; ``row`` is its row."""
-        sample, result, shown = frame.sample, frame.result, frame.shown
-        first_ns = result.stamp_ns if shown.first_ns is None else shown.first_ns
-        messages = list(result_messages(sample, frame.written, row, shown.reasons, shown.with_pose(result)))
-        messages += self._pictures.messages(sample, result, row, first_ns)
-        self.reasons = merged((self.reasons, of_frame(frame_reasons(sample, result))))
-        return tuple(messages)
+    def write(
+        self,
+        sample: Sample,
+        result: FrameResult,
+        row: FrameMetrics,
+        objects: Iterable[ObjectMetrics],
+        timer: StageTimer,
+    ) -> FrameOutput:
+        """Write the messages and the rows of a frame, after the input's messages up to it."""
+        with timer("copy"):
+            self._copy.through(sample.log_time_ns)
+        with timer("encode"):
+            messages = self._messages(sample, result, row)
+        with timer("write"):
+            self._write_messages(sample, messages)
+        timer.end()
+        output = FrameOutput(messages, row, timer.columns(), tuple(objects))
+        self._append(output)
+        return output
 
-    def write(self, sample: Sample, messages: ResultMessages) -> None:
-        """Write a frame's messages."""
+    def write_again(self, sample: Sample, output: FrameOutput) -> None:
+        """Write the messages and the rows of a frame that an interrupted replay computed."""
+        self._copy.through(sample.log_time_ns)
+        self._write_messages(sample, output.messages)
+        self._append(output)
+        self._frames_before, self._resumed_ns = self._frames_before + 1, sample.log_time_ns
+
+    def _messages(self, sample: Sample, result: FrameResult, row: FrameMetrics) -> tuple[tuple[str, bytes], ...]:
+        """Topics and bytes of a frame's results."""
+        known_reasons, self.shown = self.shown.reasons, self.shown.after(result, row.reasons)
+        self._reasons = merged((self._reasons, of_frame(frame_reasons(sample, result))))
+        return (
+            *result_messages(sample, result, row, known_reasons, self.shown.trajectory),
+            *self._pictures.messages(sample, result, row, self.shown.first_ns or 0),
+        )
+
+    def _write_messages(self, sample: Sample, messages: Iterable[tuple[str, bytes]]) -> None:
         time_ns = sample.log_time_ns
         for topic, data in messages:
-            self._writer.write(Message(self._channels[topic], time_ns, time_ns, sample.index, data))
+            self._log.write(Message(self._channels[topic], time_ns, time_ns, sample.index, data))
+
+    def _append(self, output: FrameOutput) -> None:
+        if self._on_frame is not None:
+            self._on_frame(output.row, output.times_ms)
+        self._frames.append(output.row, **output.times_ms)
+        for item in output.objects:
+            self._objects.append(item)
+
+    def counted(self) -> Counted:
+        """What has been counted so far."""
+        return Counted(tuple(self._reasons.items()), self._pictures.without_image, self._pictures.misfits)
+
+    def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:
+        """Write the rest of the input's messages, and the origin of the output.
+
+        Args:
+            facts: which part of a drive the replay continues.
+            states: of the replay at its begin and its end.
+        """
+        self._copy.rest()
+        _write_origin(self._log, self._input.summary, self._cfg, {**facts, **self._input.record()}, states)
+
+    def make_durable(self) -> None:
+        """Write all files to the disk, before they get their names."""
+        for file in self.files:
+            file.complete()
+        for path in self._target.files:
+            sync_file(partial_of(path))
+
+    def summary(self, warnings: tuple[str, ...], notes: tuple[str, ...]) -> ReplaySummary:
+        """What was written, with warnings and more notes."""
+        log_in, resumed_ns = self._input, self._resumed_ns
+        return ReplaySummary(
+            log_in.log_id,
+            log_in.frames,
+            self._log.messages,
+            notes=(*notes, *log_in.notes, *self._pictures.notes()),
+            warnings=warnings,
+            dropped=log_in.dropped,
+            problems=log_in.unreadable,
+            throughout=throughout(self._reasons, log_in.frames, log_in.topics),
+            frames_before=self._frames_before,
+            resumed_s=None if resumed_ns is None else ns_to_seconds(resumed_ns - (log_in.summary.first_ns or 0)),
+            first_ns=log_in.summary.first_ns or 0,
+        )
 
 
 def _result_channel(topic: str, schema_name: str) -> Channel:
@@ -123,22 +279,14 @@ def _result_channel(topic: str, schema_name: str) -> Channel:
     return Channel(topic, found.message_encoding, found.name, found.schema_encoding, found.data, metadata=(PRODUCER,))
 
 
-def write_origin(
+def _write_origin(
     writer: LogWriter,
     source: LogSummary,
     cfg: ReplayConfig,
     record: Mapping[str, str],
     states: Iterable[Attachment],
 ) -> None:
-    """Carry the input's attachments and metadata over, and say how this output came about.
-
-    Args:
-        writer: of the output.
-        source: the input.
-        cfg: the chain's configuration.
-        record: what else the result has to record of its input.
-        states: what the replay began with, and what it leaves to the next part.
-    """
+    """Copy the input's attachments and metadata, and record how the output was made."""
     for attachment in source.attachments:
         if attachment.name not in OWN_ATTACHMENTS:
             writer.attach(attachment)

@@ -8,9 +8,9 @@ from typing import Any, Final
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.schemas.definitions import brief, types_of
+from roadperc_stream.system.time import NS_PER_S
 
 _MOST_LAYOUTS: Final = 64
 """Definitions that are kept parsed: a log has a handful."""

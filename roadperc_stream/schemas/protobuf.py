@@ -1,8 +1,9 @@
-"""Protobuf messages in a log: self-describing schemas and stamps."""
+"""Protobuf messages in a log: self-describing schemas, stamps, fields that may be absent."""
 
 from functools import cache
 from typing import Any, Final
 
+import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -15,8 +16,27 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message as ProtobufMessage
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.errors import DecodeError
 from roadperc_stream.schemas import roadperc_pb2
+from roadperc_stream.system.time import NS_PER_S
+
+_LARGEST: Final = float(np.finfo(np.float32).max)
+
+
+def require_finite(what: str, *values: float | None) -> None:
+    """Refuse numbers that are none; unknown ones are None.
+
+    Raises:
+        DecodeError: one is NaN, infinite, or larger than the 32 bits hold in which it is computed with and shown.
+    """
+    if not all(abs(value) <= _LARGEST for value in values if value is not None):
+        raise DecodeError(f"{what}: a number is not finite in 32 bits")
+
+
+def optional(message: Any, name: str) -> Any:
+    """A field of a protobuf message; None where it is not set."""
+    return getattr(message, name) if message.HasField(name) else None
+
 
 MESSAGE_TYPES: Final[dict[str, type[ProtobufMessage]]] = {
     message_type.DESCRIPTOR.full_name: message_type

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from roadperc_stream.errors import ChannelError
-from roadperc_stream.schemas.names import CALIBRATION_SCHEMA, IMAGE_SCHEMA, POINTS_SCHEMA, ROS_IMAGE_SCHEMA
+from roadperc_stream.schemas.topics import CALIBRATION_SCHEMA, IMAGE_SCHEMA, POINTS_SCHEMA, ROS_IMAGE_SCHEMA
 
 Kind = Literal[
     "image",

@@ -7,10 +7,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import LogError
+from roadperc_stream.model.sample import LAST_ROS_STAMP_NS
 from roadperc_stream.schemas import cdr
-from roadperc_stream.schemas.names import ROS_GRID_SCHEMA, ROS_IMAGE_SCHEMA
+from roadperc_stream.schemas.topics import ROS_GRID_SCHEMA, ROS_IMAGE_SCHEMA
+from roadperc_stream.system.time import NS_PER_S
 
 _HEADER_DEFINITION: Final = b"""================================================================================
 MSG: std_msgs/Header
@@ -65,8 +66,6 @@ float64 w
 """
 )
 DEFINITIONS: Final = {IMAGE: IMAGE_DEFINITION, OCCUPANCY_GRID: OCCUPANCY_GRID_DEFINITION}
-LAST_STAMP_NS: Final = 2**31 * NS_PER_S - 1
-"""The seconds of builtin_interfaces/Time, an int32, end on 2038-01-19."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,9 @@ def unpack_header(data: bytes, name: str) -> tuple[int, str]:
 
 
 def _header(types: Mapping[str, Any], stamp_ns: int, frame_id: str) -> Any:
-    if stamp_ns > LAST_STAMP_NS:
-        raise LogError(f"stamp {stamp_ns} ns: expected at most {LAST_STAMP_NS} ns, the last one ROS 2 messages hold")
+    if stamp_ns > LAST_ROS_STAMP_NS:
+        raise LogError(
+            f"stamp {stamp_ns} ns: expected at most {LAST_ROS_STAMP_NS} ns, the last one ROS 2 messages hold"
+        )
     stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, NS_PER_S))
     return types["std_msgs/msg/Header"](stamp, frame_id)

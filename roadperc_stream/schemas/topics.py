@@ -1,9 +1,25 @@
-"""The topics and schemas of the results."""
+"""Names of stages, of topics, and of the schemas of the results."""
 
 from collections.abc import Collection, Mapping
 from typing import Final, Literal
 
-from roadperc_stream.schemas.names import IMAGE_SCHEMA, ROS_GRID_SCHEMA, ROS_IMAGE_SCHEMA
+IMAGE_SCHEMA: Final = "foxglove.CompressedImage"
+CALIBRATION_SCHEMA: Final = "foxglove.CameraCalibration"
+POINTS_SCHEMA: Final = "foxglove.PointCloud"
+ROS_IMAGE_SCHEMA: Final = "sensor_msgs/msg/Image"
+ROS_GRID_SCHEMA: Final = "nav_msgs/msg/OccupancyGrid"
+
+
+STAGES: Final = ("stereo", "surface", "odometry", "lanes", "objects", "occupancy")
+"""Stages in the order in which they run; each has a section in the configuration."""
+NEEDS: Final = {"odometry": ("surface",), "lanes": ("surface",), "occupancy": ("surface",)}
+"""What stages need of others: odometry without depth has its scale from the road."""
+
+
+def switched_off(stage: str) -> str:
+    """The setting that switches a stage off."""
+    return "stereo.method=off" if stage == "stereo" else f"{stage}.enabled=false"
+
 
 RESULT_PREFIX: Final = "/perception/"
 """How the topics of results begin."""

@@ -7,12 +7,12 @@ from pathlib import Path
 from shlex import quote
 
 from roadperc_stream import log
-from roadperc_stream.core.text import number, print_line
-from roadperc_stream.input.damage import warnings_of
+from roadperc_stream.input.source import warnings_of
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.roles import parse_topic_options
-from roadperc_stream.view.layout.writing import write_layout
-from roadperc_stream.view.live.options import PlaybackOptions
+from roadperc_stream.system.text import number, print_line
+from roadperc_stream.view.layout.arrangement import write_layout
+from roadperc_stream.view.live.playhead import PlaybackOptions
 from roadperc_stream.view.live.serving import serve_log, serves_times
 from roadperc_stream.view.video import write_video
 

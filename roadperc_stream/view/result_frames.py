@@ -1,25 +1,102 @@
-"""What a log with results holds of its frames: the camera image, and what the chain saw in it."""
+"""What a log with results holds, frame by frame: rows, pictures and the times of the stages."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, TypeVar
+from shlex import quote
+from typing import Any, Final, Protocol, TypeVar
 
 from roadperc_stream import log
-from roadperc_stream.core.datatypes import Absent, CameraImage, Lanes, Mask, Objects, Reason, TagImage, parse_reason
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14
-from roadperc_stream.core.time import NS_PER_S
-from roadperc_stream.errors import ChannelError, DecodeError
+from roadperc_stream.errors import ChannelError, DecodeError, LogError
 from roadperc_stream.input.decoding import Decoded, Payload, context_of_channel, decode
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
-from roadperc_stream.input.problems import Problems
 from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.input.stream import Problems, RoleAssignment
 from roadperc_stream.log import Channel, LogSummary, Message
-from roadperc_stream.output.drawing.frame import PerceivedFrame
+from roadperc_stream.model import Absent, CameraImage, Lanes, Mask, Objects, Reason, TagImage, parse_reason
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14
+from roadperc_stream.output.drawing.overlay import PerceivedFrame
 from roadperc_stream.output.results import decode_metrics
-from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.output.tables import read_rows_around
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import DRIVABLE_TOPIC, LANES_TOPIC, METRICS_TOPIC, OBJECTS_TOPIC
+from roadperc_stream.system.time import NS_PER_S
+
+_TOTAL: Final = "total_ms"
+_PARTS: Final = frozenset(TIME_COLUMNS) - {_TOTAL}
+"""Tables of earlier versions lack some of them."""
+TimesMs = Mapping[str, float]
+"""Milliseconds by time column; stages that did not run are left out."""
+
+
+class StageTimes(Protocol):
+    """Knows the times of a log's frames, in any order."""
+
+    def of(self, log_id: str, frame: int) -> TimesMs:
+        """Those of a frame; empty where they are not known."""
+        ...
+
+
+class TableTimes:
+    """Those in ``OUT.metrics.parquet``, of which a row group is held; where there is no such file, none."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._rows: dict[int, dict[str, Any]] = {}
+
+    def of(self, log_id: str, frame: int) -> TimesMs:
+        """Those of a frame; empty where the table has no such frame, or is another log's.
+
+        Raises:
+            TableError: the table cannot be read.
+        """
+        if frame not in self._rows:
+            exists = self._path.exists()
+            rows = read_rows_around(self._path, frame, ("log_id", _TOTAL), _PARTS) if exists else []
+            self._rows = {frame: {}} | {row["frame"]: row for row in rows}
+        row = self._rows[frame]
+        return _known(row) if row.get("log_id") == log_id else {}
+
+
+class ReplayTimes:
+    """Those of a replay while it runs, some doubles a frame."""
+
+    def __init__(self) -> None:
+        self._times_ms: dict[tuple[str, int], tuple[float | None, ...]] = {}
+
+    def note(self, row: FrameMetrics, times_ms: TimesMs) -> None:
+        """Take a frame's times."""
+        self._times_ms[row.log_id, row.frame] = tuple(times_ms.get(column) for column in TIME_COLUMNS)
+
+    def of(self, log_id: str, frame: int) -> TimesMs:
+        """Those of a frame; empty where it is not done."""
+        return _known(dict(zip(TIME_COLUMNS, self._times_ms.get((log_id, frame), ()), strict=False)))
+
+
+def _known(row: Mapping[str, float | None]) -> TimesMs:
+    return {column: value for column in TIME_COLUMNS if (value := row.get(column)) is not None}
+
+
+def require_shown(summary: LogSummary, roles: RoleAssignment) -> None:
+    """See that some messages of a log have a role or are a result.
+
+    Raises:
+        LogError: none are; the message names the topics that could serve a role, where there are any.
+    """
+    holding = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
+    if not holding:
+        raise LogError(f"{summary.path}: no message to show")
+    if not roles.topics and not any(is_result_of(channel, channel.topic) for channel in holding):
+        raise nothing_shown(summary.path, roles.unassigned)
+
+
+def nothing_shown(path: Path, reasons: Iterable[str]) -> LogError:
+    """The error of a log of which a viewer would stay empty; it names the commands that take a log as it is."""
+    named = quote(str(path))
+    elsewhere = f"rerun {named} or roadperc-view {named} --foxglove may show what there is"
+    return LogError("; ".join((f"{path}: nothing here that this project shows", *reasons, elsewhere)))
+
 
 Content = TypeVar("Content")
 LATENESS_NS: Final = (0, 2 * NS_PER_S)

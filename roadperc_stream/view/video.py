@@ -19,17 +19,17 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream import log
-from roadperc_stream.core.datatypes import Image
-from roadperc_stream.core.files import completing, require_free
-from roadperc_stream.core.progress import no_progress
-from roadperc_stream.core.time import NS_PER_S, ns_to_seconds
 from roadperc_stream.errors import DecodeError, LogError, TargetError
 from roadperc_stream.formats import images
 from roadperc_stream.input.earlier_replay import is_result_of
-from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import LogSummary
-from roadperc_stream.output.drawing.frame import draw_frame
+from roadperc_stream.model import Image
+from roadperc_stream.output.drawing.overlay import draw_frame
 from roadperc_stream.schemas.topics import METRICS_TOPIC, OVERLAY_TOPIC
+from roadperc_stream.system.files import completing, require_free
+from roadperc_stream.system.progress import no_progress
+from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
 from roadperc_stream.view.result_frames import content_of, read_frames, read_rows, row_of
 
 _CODEC: Final = "vp09"

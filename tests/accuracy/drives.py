@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from roadperc_stream.cli import convert
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 from roadperc_stream.tools.scene import dump, noise
 from roadperc_stream.tools.scene.job import PURPOSES, render_dump
 from roadperc_stream.tools.scene.options import RenderOptions

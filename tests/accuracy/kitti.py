@@ -5,7 +5,7 @@ import shutil
 import cv2
 import numpy as np
 
-from roadperc_stream.core.geometry import inverse
+from roadperc_stream.geometry import inverse
 from roadperc_stream.tools.scene import dump
 
 HEIGHT_M = 1.65

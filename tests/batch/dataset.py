@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import polars as pl
 
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests import logs
 from tests.commands import run

@@ -8,16 +8,14 @@ import polars as pl
 import pytest
 
 from roadperc_stream.batch import worker
-from roadperc_stream.batch.configuration import BatchConfiguration
+from roadperc_stream.batch.driver import BatchRun
 from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.plan import Again
-from roadperc_stream.batch.running import BatchRun
-from roadperc_stream.batch.task import DriveFiles, Outcome, Task
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.progress import no_progress
-from roadperc_stream.core.time import TimeRange
-from roadperc_stream.storage.finding import find_files
-from roadperc_stream.storage.folder import Folder
+from roadperc_stream.batch.storage.folder import Folder, find_files
+from roadperc_stream.batch.task import BatchConfiguration, DriveFiles, Outcome, Task
+from roadperc_stream.config import load_config
+from roadperc_stream.system.progress import no_progress
+from roadperc_stream.system.time import TimeRange
 from tests.batch.backends import Scripted
 from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
 
@@ -32,17 +30,16 @@ def change_rows(out, **columns):
     pl.read_parquet(path).with_columns(**columns).write_parquet(path)
 
 
-def task(source, out, **how):
+def task(source, out, scratch=None, **how):
     out.mkdir(exist_ok=True)
     configuration = BatchConfiguration(load_config(None), **how)
-    return Task(DriveFiles(tuple(find_files(str(source)))), configuration, Folder(str(out)))
+    return Task(DriveFiles(tuple(find_files(str(source)))), configuration, Folder(str(out)), scratch=scratch)
 
 
 def test_numbers_that_hardly_differ_are_other_configurations():
     ends_s = [0.2, 0.1999999, 0.2000001, 1234.561, 1234.564]
     configs = [BatchConfiguration(load_config(None), time_range=TimeRange(None, end_s)) for end_s in ends_s]
     assert len({how.name for how in configs}) == len(ends_s)
-    assert BatchConfiguration(load_config(None), split_s=3.0, warm_up_s=0.5).options == "--split 3 --warm-up 0.5"
 
 
 def test_a_log_that_is_replaced_while_it_is_replayed_gives_no_row_of_two(tmp_path, out, monkeypatch):
@@ -214,10 +211,3 @@ def test_a_folder_for_temporary_files_that_cannot_be_is_an_error_at_once(tmp_pat
     refused = batch(out, source, "--scratch", tmp_path / "file" / "a")
     assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)
     assert str(tmp_path / "file") in refused.stderr
-
-
-def test_parts_that_are_too_short_are_an_error_at_once(tmp_path, out):
-    refused = batch(out, write_log(tmp_path / "in" / "a.mcap"), "--split", "1")
-    wanted = "error: --split 1: expected more than 2 s, which parts have in common\n"
-    assert (refused.returncode, refused.stderr) == (1, wanted)
-    assert not out.exists()

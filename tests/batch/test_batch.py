@@ -15,17 +15,13 @@ from roadperc_stream.output.tables import read_footer
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS
 from tests import logs
 from tests.batch.dataset import (
-    METRICS,
-    OBJECTS,
     assert_as_single,
     batch,
     runs,
-    single,
     statuses,
-    tables,
     write_log,
 )
-from tests.commands import words
+from tests.commands import environment, words
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 
@@ -209,7 +205,7 @@ def test_lists_globs_and_what_is_not_there(drives, tmp_path):
 
 @pytest.mark.parametrize(
     "options",
-    ["--results-only", "--warm-up 3", "--memory lots", "--join (", "--retries -1", "--timeout 0", "--split 9 --logs"],
+    ["--results-only", "--memory lots", "--join (", "--retries -1", "--timeout 0", "--split 9"],
 )
 def test_options_that_make_no_sense(drives, tmp_path, options):
     done = batch(tmp_path / "out", drives, *options.split())
@@ -231,6 +227,37 @@ def test_a_timeout_and_too_little_memory_are_rows_that_are_tried_again(drives, t
     assert_as_single(out, slow, tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("os.abort()", "SIGABRT: {}Aborted"),
+        ("ctypes.pythonapi.Py_FatalError(b'no state')", "SIGABRT: {}no state"),
+        ("faulthandler._sigsegv()", "SIGSEGV: {}Segmentation fault"),
+    ],
+)
+def test_the_row_of_a_log_that_crashes_its_worker_says_how(drives, tmp_path, code, said):
+    """In the process from which workers are forked something else does their work."""
+    tmp_path.joinpath("sitecustomize.py").write_text(
+        "import ctypes, faulthandler, os, sys\n"
+        "def dies(task, progress):\n"
+        "    os.write(2, b'one line\\nfree(): invalid pointer\\n')\n"
+        f"    {code}\n"
+        "if any('forkserver' in word for word in sys.orig_argv):\n"
+        "    import roadperc_stream.batch.worker as worker\n"
+        "    worker.work = dies\n"
+    )
+    out = tmp_path / "out"
+    done = batch(out, drives / "drive_0.mcap", "--retries", "0", env=environment(PYTHONPATH=str(tmp_path)))
+    assert done.returncode == 1
+    (row,) = runs(out).to_dicts()
+    where = f'File "{tmp_path}/sitecustomize.py", line 4 in dies'
+    said = said.format("free(): invalid pointer: Fatal Python error: ")
+    assert (row["status"], row["error"]) == ("killed", f"its process ended by {said}: {where}")
+    assert row["error"] in done.stdout
+    (printed,) = (out / "log").iterdir()
+    assert "free(): invalid pointer\nFatal Python error: " in printed.read_text()
+
+
 def test_a_batch_that_is_killed_goes_on(drives, tmp_path):
     out, folder = tmp_path / "out", tmp_path / "in"
     for number in range(6):
@@ -246,46 +273,6 @@ def test_a_batch_that_is_killed_goes_on(drives, tmp_path):
     for source in sorted(folder.glob("*.mcap")):
         assert_as_single(out, source, tmp_path)
     assert not list((out / ".work").iterdir())
-
-
-def test_two_at_once_share_the_work(drives, tmp_path):
-    out, folder = tmp_path / "out", tmp_path / "in"
-    for number in range(6):
-        write_log(folder / f"{number}.mcap", frames=20, lane_m=0.03 * number)
-    both = [
-        subprocess.Popen(words("roadperc-batch", out, folder, "--jobs", "1"), stdout=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    for process in both:
-        process.communicate(timeout=200)
-        assert process.returncode == 0
-    assert set(statuses(out).values()) == {"done"}
-    assert runs(out).height == 6
-    assert not list(out.glob("runs/*"))
-    for source in sorted(folder.glob("*.mcap")):
-        assert_as_single(out, source, tmp_path)
-    assert not (out / "log").exists()
-
-
-def test_a_long_log_in_parts(tmp_path):
-    out = tmp_path / "out"
-    source = write_log(tmp_path / "long.mcap", frames=160)  # 8 s
-    done = batch(out, source, "--split", "3", "--warm-up", "1")
-    assert done.returncode == 0, done.stdout + done.stderr
-    (row,) = runs(out).to_dicts()
-    log_id, frames, objects = single(source, tmp_path)
-    assert row["log_id"] == log_id
-    assert (row["frames"], row["options"]) == (160, "--split 3 --warm-up 1")
-    joined = tables(out, METRICS, log_id)
-    same = ["log_id", "frame", "stamp_ns", "detections", "segment", "missing"]
-    assert joined.select(same).equals(frames.select(same))
-    assert joined.columns == frames.columns
-    assert tables(out, OBJECTS, log_id).select("frame", "label").equals(objects.select("frame", "label"))
-    assert not [path for path in (out / ".parts").rglob("*") if path.is_file()]
-    assert batch(out, source, "--split", "3", "--warm-up", "1").stdout.startswith("0 logs done, 1 left")
-    short = write_log(tmp_path / "short.mcap", frames=20)
-    batch(out, short, "--split", "3")
-    assert_as_single(out, short, tmp_path)
 
 
 def test_a_name_that_is_no_text_is_a_row_like_others(tmp_path):

@@ -7,14 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.chain.step import ChainState, _metric_road, step
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import STAGES, ReplayConfig, load_config, switched_off
-from roadperc_stream.core.datatypes import Absent, CameraImage, DepthImage, Reason, TagImage
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
-from roadperc_stream.core.stage_timer import StageTimer
+from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.model import Absent, CameraImage, DepthImage, Reason, TagImage
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.system.stage_timer import StageTimer
 from tests.analytic import ROAD, Road, box
 from tests.logs import SMALL, shifted
 

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.step import ChainState, locate, perceive, see, step
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.datatypes import Absent, PointCloud, Reason
-from roadperc_stream.core.rotations import rotation_from_rpy
-from roadperc_stream.core.threads import one_thread
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream import geometry as g
+from roadperc_stream.chain.step import ChainState, localise, observe, perceive, step
+from roadperc_stream.config import load_config
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input import ReplaySource, open_input
+from roadperc_stream.model import Absent, PointCloud, Reason
+from roadperc_stream.system.threads import one_thread
+from roadperc_stream.system.time import TimeRange
 from tests.chain.test_chain import same
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
@@ -94,14 +94,14 @@ def test_the_second_half_may_be_far_behind_the_first(drive, request):
     """Each remembers for itself; the drive ends with a frame whose time steps back."""
     frames = request.getfixturevalue(drive)
     frames = [*frames[:4], replace(frames[1], stamp_ns=frames[3].stamp_ns)]
-    places, results, first, second = [], [], ChainState(), ChainState()
+    localised, results, first, second = [], [], ChainState(), ChainState()
     with one_thread():
-        sights = [see(CFG, frame) for frame in frames]
-        for sight in sights:
-            places.append(locate(CFG, first, sight))
-            first = places[-1].state
-        for place in places:
-            state, result = perceive(CFG, second, place)
+        scenes = [observe(CFG, frame) for frame in frames]
+        for scene in scenes:
+            localised.append(localise(CFG, first, scene))
+            first = localised[-1].state
+        for frame in localised:
+            state, result = perceive(CFG, second, frame)
             second = replace(ChainState(state.stamp_ns), lanes=state.lanes, objects=state.objects)
             results.append(result)
     assert (first.lanes, first.objects) == (ChainState().lanes, ChainState().objects)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.step import ChainState, step
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.datatypes import Absent, DepthImage
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import load_config
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.metrics.lanes import lane_errors
-from roadperc_stream.state.encoding import decode, encode
+from roadperc_stream.model import Absent, DepthImage
+from roadperc_stream.resume.encoding import decode, encode
+from roadperc_stream.system.time import TimeRange
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 SETTINGS = ("objects.enabled=false", "stereo.method=off")

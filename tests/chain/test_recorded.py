@@ -10,7 +10,7 @@ import polars.selectors as cs
 import pytest
 
 import roadperc_stream as rp
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests.test_sample import SAMPLE

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from roadperc_stream.cli.launch import COMMANDS
-from roadperc_stream.core.stage_names import STAGES
 from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.schemas.topics import STAGES
 from roadperc_stream.tools.scene.options import SCENES, SENSORS
-from tests.core.test_settings import all_settings
+from tests.config.test_settings import all_settings
 
 SEPARATOR = "\v"
 CODE = "from roadperc_stream.cli import launch; import sys; sys.exit(launch.{command}())"

@@ -15,7 +15,7 @@ from tests.test_sample import SAMPLE
 CLI = Path(__file__).parents[2] / "roadperc_stream" / "cli"
 HEAVY = {"PIL", "cv2", "foxglove", "google", "jinja2", "mcap", "numpy", "plotly", "polars", "pyarrow", "pydantic"}
 HEAVY |= {"rerun", "rich", "rosbags", "scipy", "zstandard"}
-LIGHT = ("roadperc_stream.cli", "roadperc_stream.core", "roadperc_stream.errors", "roadperc_stream.view.live")
+LIGHT = tuple(f"roadperc_stream.{name}" for name in ("cli", "errors", "schemas.stage_names", "system", "view.live"))
 """What a command's file may import before it knows its arguments."""
 WRONG = ["--no-such-option"]
 CODE = """\

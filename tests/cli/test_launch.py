@@ -2,6 +2,7 @@
 
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from tests.test_sample import SAMPLE
 ROOT = Path(__file__).parents[2]
 ODD = os.fsdecode(b"bad\xff.mcap")
 FULL = Path("/dev/full")
+needs_full = pytest.mark.skipif(not FULL.exists(), reason="no /dev/full on this system")
 
 
 def signalling(folder, library, number):
@@ -52,6 +54,53 @@ def test_ctrl_c_during_an_import_is_one_line(tmp_path, command, library):
 def test_every_signal_during_any_import_is_one_line(tmp_path, library, number):
     ended = run("roadperc-replay", "in.mcap", "out.mcap", env=signalling(tmp_path, library, number), cwd=tmp_path)
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", "error: interrupted\n")
+
+
+FATAL = {
+    "interpreter": ("import ctypes; ctypes.pythonapi.Py_FatalError(b'no state')", signal.SIGABRT, "error: no state\n"),
+    "library": ("import ctypes; ctypes.CDLL(None).abort()", signal.SIGABRT, "error: Aborted\n"),
+    "memory": ("import faulthandler; faulthandler._sigsegv()", signal.SIGSEGV, "error: Segmentation fault\n"),
+}
+"""Code that ends a process, the signal it ends by, and what is said then."""
+
+
+def dying(folder, code, python=()):
+    """A command during whose first import something dies, after libraries have written to file 2."""
+    folder.joinpath("argparse.py").write_text(f"import os\nos.write(2, b'free(): \\x1b[31m pointer\\n')\n{code}\n")
+    command, *words_after = words("roadperc-info", "in.mcap")
+    env = environment(PYTHONPATH=str(folder))
+    return subprocess.run([command, *python, *words_after], check=False, capture_output=True, text=True, env=env)
+
+
+@pytest.mark.parametrize("python", [(), ("-X", "faulthandler")], ids=["plain", "faulthandler"])
+@pytest.mark.parametrize("kind", FATAL)
+def test_a_crash_is_shown_and_the_reason_that_a_library_gave(tmp_path, kind, python):
+    pytest.importorskip("roadperc_stream.system.fatal_output")
+    code, number, said = FATAL[kind]
+    ended = dying(tmp_path, code, python)
+    assert ended.returncode == -number
+    assert ended.stderr.count(f"Fatal Python {said}") == 1
+    assert f'{tmp_path / "argparse.py"}", line 3 in <module>' in ended.stderr
+    assert ended.stderr.count("free(): ?[31m pointer\n") == (number == signal.SIGABRT)  # at others there is no reason
+
+
+def test_a_crash_after_the_interpreter_has_ended_is_shown(tmp_path):
+    pytest.importorskip("roadperc_stream.system.fatal_output")
+    code = "import ctypes\nlibc = ctypes.CDLL(None)\nlibc['__cxa_atexit'](libc.abort, None, None)\nraise SystemExit(3)"
+    ended = dying(tmp_path, code)
+    assert (ended.returncode, ended.stderr) == (-signal.SIGABRT, "free(): ?[31m pointer\n")
+
+
+def test_what_libraries_write_has_a_limit_and_a_crash_is_shown_beyond_it(tmp_path):
+    ended = dying(tmp_path, f"os.write(2, b'x' * {1 << 21})\nimport ctypes; ctypes.CDLL(None).abort()")
+    assert ended.returncode == -signal.SIGABRT
+    assert "Fatal Python error: Aborted\n" in ended.stderr
+    assert len(ended.stderr) < 20_000
+
+
+def test_a_command_that_does_not_crash_shows_nothing_of_it(tmp_path):
+    ended = dying(tmp_path, "raise SystemExit(3)")
+    assert (ended.returncode, ended.stderr) == (3, "")
 
 
 def test_a_signal_that_nohup_ignores_ends_nothing():
@@ -129,15 +178,112 @@ def test_wrong_usage_has_its_exit_code_where_nobody_reads(state, buffering):
     assert status(words("roadperc-report", "--worst", "many"), state, buffering) == 2
 
 
-@pytest.mark.skipif(not FULL.exists(), reason="no /dev/full on this system")
-@pytest.mark.parametrize(("buffering", "argument"), [("buffered", "--version"), *((b, "INFO") for b in BUFFERINGS)])
+@needs_full
+@pytest.mark.parametrize("buffering", BUFFERINGS)
+@pytest.mark.parametrize("argument", ["--version", "--help", SAMPLE])
 def test_text_that_finds_no_space_is_one_line(buffering, argument):
-    """Not ``--version`` unbuffered: argparse itself passes over what it cannot print."""
-    given = [SAMPLE] if argument == "INFO" else [argument]
     with FULL.open("w") as full:
         options = {"stdout": full, "stderr": subprocess.PIPE, "capture_output": False}
-        ended = run("roadperc-info", *given, env=environment(buffering), **options)
+        ended = run("roadperc-info", argument, env=environment(buffering), **options)
     assert (ended.returncode, ended.stderr) == (1, "error: No space left on device\n")
+
+
+@needs_full
+@pytest.mark.parametrize("buffering", BUFFERINGS)
+@pytest.mark.parametrize(("argument", "code"), [("--help", 0), ("--wrong", 2), ("none.mcap", 1)])
+@pytest.mark.parametrize("command", SCRIPTS)
+def test_an_error_that_finds_no_space_has_its_exit_code(command, argument, code, buffering, tmp_path):
+    arguments = ENOUGH.get(command, ["in.mcap", "out.mcap"]) if code == 1 else [argument]
+    if command == "roadperc-render" and code == 1:
+        arguments = ["/proc/drive"]
+    with FULL.open("w") as full:
+        options = {"stdout": subprocess.DEVNULL, "stderr": full, "capture_output": False, "cwd": tmp_path}
+        assert run(command, *arguments, env=environment(buffering), **options).returncode == code
+
+
+@needs_full
+@pytest.mark.parametrize(("argument", "code"), [("--help", 1), ("--version", 1), ("--wrong", 2), ("none.mcap", 1)])
+def test_no_space_on_both_streams_has_its_exit_code(argument, code, tmp_path):
+    with FULL.open("w") as full:
+        options = {"stdout": full, "stderr": full, "capture_output": False, "cwd": tmp_path}
+        assert run("roadperc-info", argument, **options).returncode == code
+
+
+def test_names_behind_two_dashes_may_begin_with_one(made, tmp_path):
+    for name in ("-run.mcap", "-run.metrics.parquet", "--run.mcap"):
+        (tmp_path / name).write_bytes((made / name.lstrip("-")).read_bytes())
+    for command, *arguments in (
+        ("roadperc-replay", "--frames", "1", "--", "-run.mcap", "-out.mcap"),
+        ("roadperc-replay", "-", "--frames", "1", "--", "-piped.mcap"),
+        ("roadperc-info", "--", "-run.mcap", "--run.mcap"),
+        ("roadperc-report", "--", "-run.mcap"),
+        ("roadperc-trajectory", "--", "-run.mcap"),
+        ("roadperc-compare", "run.mcap", "--", "-run.mcap"),
+        ("roadperc-lanes", "--tusimple", "lanes.json", "--", "-run.mcap"),
+        ("roadperc-view", "--save", "run.rrd", "--", "-run.mcap"),
+        ("roadperc-render", "--size", "160x120", "--seconds", "0.1", "--", "-drive"),
+        ("roadperc-convert", "--", "-drive", "-drive.mcap"),
+        ("roadperc-sweep", "--vary", "seed=1,2", "--frames", "1", "--jobs", "1", "--", "-run.mcap"),
+        ("roadperc-batch", "--jobs", "1", "--frames", "1", "--", "-dataset", "-run.mcap"),
+    ):
+        with (made / "run.mcap").open() as piped:
+            ended = run(command, *(made / a if a == "run.mcap" else a for a in arguments), cwd=tmp_path, stdin=piped)
+        assert ended.returncode == 0, ended.stderr
+    made_names = {"-out.mcap", "-piped.mcap", "-drive", "-drive.mcap", "sweep", "-dataset"}
+    assert made_names <= {path.name for path in tmp_path.iterdir()}
+
+
+def limited(megabytes):
+    return lambda: resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
+@pytest.mark.parametrize("megabytes", [40, 95, 150, 400, 550])
+@pytest.mark.parametrize("command", ["roadperc-info", "roadperc-replay", "roadperc-report", "roadperc-sweep"])
+def test_too_little_memory_is_one_line(command, megabytes, made, tmp_path):
+    arguments = {
+        "roadperc-info": [SAMPLE],
+        "roadperc-replay": [SAMPLE, "out.mcap", "--frames", "2"],
+        "roadperc-report": [made / "run.mcap"],
+        "roadperc-sweep": [SAMPLE, "--vary", "seed=1,2", "--frames", "1", "--jobs", "1"],
+    }
+    ended = run(command, *arguments[command], cwd=tmp_path, preexec_fn=limited(megabytes))
+    if ended.returncode == 0:
+        assert (megabytes >= 220, ended.stderr) == (True, "")
+        return
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert ended.stderr.startswith("error: ")
+    assert not list(tmp_path.glob("out*"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system does not limit address space")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_under_a_memory_limit_is_one_line(tmp_path, number):
+    """The signal goes to the process that a shell knows."""
+    tmp_path.joinpath("rich.py").write_text("import os, time\nopen('begun', 'w').close()\ntime.sleep(20)\n")
+    command = words("roadperc-report", "none.mcap")
+    options = {"cwd": tmp_path, "env": environment(PYTHONPATH=str(tmp_path)), "preexec_fn": limited(16000)}
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **options) as started:
+        while started.poll() is None and not (tmp_path / "begun").exists():
+            time.sleep(0.01)
+        started.send_signal(number)
+        assert (started.communicate(timeout=60)[1], started.returncode) == ("error: interrupted\n", 1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("command", ["roadperc-sweep", "roadperc-info"])
+def test_a_signal_while_python_ends_leaves_the_exit_code(command, number, tmp_path):
+    """Python deletes what modules hold last of all, when it has given up its own handlers."""
+    program, option, code = words(command)
+    code = f"""import os, sys
+class Deleted:
+    def __del__(self, kill=os.kill, process=os.getpid()): kill(process, {int(number)})
+sys.modules['deleted'] = Deleted()
+{code}"""
+    given = [program, option, code, *ENOUGH.get(command, ["in.mcap"])]
+    ended = subprocess.run(given, check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert ended.stderr.startswith("error: ")
 
 
 def test_a_live_replay_goes_on_where_nobody_reads_its_address(tmp_path):

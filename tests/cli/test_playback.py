@@ -4,14 +4,14 @@ import argparse
 
 import pytest
 
-from roadperc_stream.cli.playback import (
+from roadperc_stream.cli.arguments import (
     add_playback_arguments,
     add_serving_arguments,
     given_options,
     playback_options,
     serving_options,
 )
-from roadperc_stream.view.live.options import PlaybackOptions
+from roadperc_stream.view.live.playhead import PlaybackOptions
 
 
 def parsed(add, *arguments):

@@ -9,7 +9,7 @@ from contextlib import redirect_stdout
 import pytest
 
 from roadperc_stream.cli.plumbing import run
-from roadperc_stream.core.process import optional_output
+from roadperc_stream.system.process import optional_output
 
 
 def raising(error):

@@ -12,12 +12,12 @@ import pytest
 
 from roadperc_stream.cli.replay import main
 from roadperc_stream.cli.settings import as_page, as_text, as_toml
-from roadperc_stream.core.config import ReplayConfig, load_config
-from roadperc_stream.core.config.catalogue import Setting, catalogue, sections
-from roadperc_stream.core.stage_names import STAGES
+from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.config.catalogue import Setting, catalogue, sections
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.output.tables import table_facts
-from tests.core.test_settings import all_settings
+from roadperc_stream.schemas.topics import STAGES
+from tests.config.test_settings import all_settings
 
 ROOT = Path(__file__).parents[2]
 BY_KEY = {setting.key: setting for setting in catalogue()}

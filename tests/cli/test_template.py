@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from roadperc_stream.cli import replay
-from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.output.tables import sidecar_path
 from tests.test_sample import SAMPLE

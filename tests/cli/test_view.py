@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from roadperc_stream.cli.view import main
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.view import modes
 from roadperc_stream.view.rerun import viewer
 from tests import logs

@@ -1,8 +1,9 @@
 """Hand-made metrics tables."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from roadperc_stream.eval.runs import Run, find_runs
 from roadperc_stream.output.tables import TableWriter
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 
@@ -32,3 +33,16 @@ def write(
         for index, item in enumerate(rows):
             table.append(item, **(times[index] if times else {"total_ms": 10.0}))
     return path
+
+
+def run_of(path: Path) -> Run:
+    """The run of one table."""
+    (run,) = find_runs([str(path)])
+    return run
+
+
+def outcome(main: Callable[[list[str]], int], capsys, *arguments) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command."""
+    code = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err

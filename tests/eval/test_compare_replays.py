@@ -1,17 +1,21 @@
 """Deliberate damage to whole replays is found, under the name of what it damages; an unchanged replay is identical."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli.compare import main
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import load_config
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.system.time import TimeRange
+from tests.eval.tables import outcome
 from tests.replaying import replay
+
+compare = partial(outcome, main)
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 SEGMENTATION = ROLES["segmentation"].topic
@@ -47,12 +51,6 @@ def without_tags(source, target):
                 writer.write(message)
             seen += tags
     return target
-
-
-def compare(capsys, *arguments):
-    code = main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def test_an_unchanged_run_is_identical(runs, capsys):

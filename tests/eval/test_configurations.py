@@ -6,7 +6,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from roadperc_stream.core.config import ReplayConfig, load_config
+from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.eval.configurations import change, differing, grouped, settings_of, settings_table
 from roadperc_stream.eval.runs import Run, find_runs
 from roadperc_stream.log import Attachment, LogWriter
@@ -86,10 +86,6 @@ def test_groups_are_of_one_configuration_and_version():
     first = digest("seed = 1")[:8]
     assert [group.name for group in groups] == [f"{first} 1", "b", "d"]
     assert [[item.name for item in group.runs] for group in groups] == [["a", "c"], ["b"], ["d"]]
-
-
-def test_runs_that_name_no_configuration_are_never_grouped():
-    assert len(grouped([run("a", made_by=""), run("b", made_by="")])) == 2
 
 
 def test_the_table_has_a_row_a_setting_and_says_what_is_unknown():

@@ -15,8 +15,7 @@ from roadperc_stream.eval.consistency import (
     consistency_of_run,
     object_numbers,
 )
-from roadperc_stream.eval.runs import find_runs
-from tests.eval.tables import row, write
+from tests.eval.tables import row, run_of, write
 
 ALONE = np.arange
 
@@ -41,8 +40,7 @@ def objects(path, **columns):
 
 
 def only_run(path):
-    (run,) = find_runs([str(path)])
-    return consistency_of_run(run)
+    return consistency_of_run(run_of(path))
 
 
 def test_shares_and_nees_by_hand():

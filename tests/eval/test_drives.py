@@ -8,9 +8,9 @@ import pytest
 from roadperc_stream.cli.compare import main as compare_main
 from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main as trajectory_main
-from roadperc_stream.eval.collecting import collect
 from roadperc_stream.eval.drives import find_drives
 from roadperc_stream.eval.html.page import page
+from roadperc_stream.eval.runs import collect
 from roadperc_stream.eval.scan import rows_of
 from roadperc_stream.eval.summary import summarise_run
 from tests.eval.tables import row, write

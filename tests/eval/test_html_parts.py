@@ -10,19 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Object, Objects
-from roadperc_stream.eval.html.figures import line, numbers
-from roadperc_stream.eval.html.histograms import bin_edges, histograms
+from roadperc_stream.eval.html.charts import bin_edges, histograms, paths, trajectory
+from roadperc_stream.eval.html.figures import Series, line, numbers, thinned
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.pictures import gallery
-from roadperc_stream.eval.html.series import Series, thinned
-from roadperc_stream.eval.html.sources import sources_of
-from roadperc_stream.eval.html.trajectory import paths, trajectory
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.summary import summarise_run
 from roadperc_stream.formats import images
-from roadperc_stream.input.problems import Problems
+from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import Channel, LogWriter, Message
+from roadperc_stream.model import Absent, Boundary, Lanes, Object, Objects
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics
 from roadperc_stream.schemas.columns import FrameMetrics
@@ -245,7 +242,7 @@ def test_pictures_of_a_looped_log_are_of_the_frame_itself(tmp_path):
             metrics = result_channel(METRICS_TOPIC, "roadperc.FrameMetrics")
             writer.write(Message(metrics, time_ns, time_ns, item.frame, encode_metrics("camera", item)))
     (run,) = find_runs([str(write(table, rows, log=str(log)))])
-    found = gallery([summarise_run(run, 2)], {run.name: sources_of(run)})
+    found = gallery([summarise_run(run, 2)], [run])
     assert found.notes == ()
     assert [picture.frame for picture in found.pictures] == [0, 1]
     decoded = [np.frombuffer(base64.b64decode(p.image.partition(",")[2]), np.uint8) for p in found.pictures]

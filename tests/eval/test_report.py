@@ -2,19 +2,19 @@
 
 import math
 import re
-import subprocess
-import sys
+from functools import partial
 from pathlib import Path
 
 import polars as pl
 import pytest
 
 from roadperc_stream.cli.report import main
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.eval import summary
 from roadperc_stream.output.tables import table_facts
-from tests.commands import BUFFERINGS, environment
-from tests.eval.tables import row, write
+from tests.eval.tables import outcome, row, write
+
+report = partial(outcome, main)
 
 TRUTHFUL = {
     "surface_source": "depth",
@@ -27,12 +27,6 @@ TRUTHFUL = {
     "drivable_iou": 0.97,
     "object_distance_error_m": 12345.678,
 }
-
-
-def report(capsys, *arguments):
-    code = main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def configured(path, error, *settings):
@@ -362,28 +356,3 @@ def test_error_is_one_line_and_exit_code_1(tmp_path, capsys):
     code, text, error = report(capsys, tmp_path / "nowhere")
     assert (code, text) == (1, "")
     assert re.fullmatch(r"error: .*nowhere: no such file or folder\n", error)
-
-
-@pytest.mark.parametrize("arguments", [[], ["x", "--worst", "0"], ["x", "--worst", "many"]])
-def test_wrong_usage(arguments, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(arguments)
-    assert stopped.value.code == 2
-
-
-@pytest.mark.parametrize("buffering", BUFFERINGS)
-def test_reader_that_closes_early_is_no_error(drive, buffering):
-    """As ``roadperc-report ... | head -1`` does, here with a reader that is gone from the start."""
-    code = f"import sys; from roadperc_stream.cli.report import main; sys.exit(main([{str(drive)!r}]))"
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", code], env=environment(buffering), **pipes) as process:
-        process.stdout.close()
-        assert process.stderr.read() == b""
-    assert process.returncode == 0
-
-
-def test_help_has_a_worked_example(capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(["--help"])
-    assert stopped.value.code == 0
-    assert "roadperc-report runs/" in capsys.readouterr().out

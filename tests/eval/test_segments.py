@@ -9,17 +9,16 @@ import pytest
 from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main
 from roadperc_stream.errors import TableError
+from roadperc_stream.eval.comparison.agreement import overlap, table_agreements
 from roadperc_stream.eval.comparison.pairing import logged_runs, pair_runs
-from roadperc_stream.eval.comparison.rules import Rules
-from roadperc_stream.eval.comparison.tables import overlap, table_agreements
-from roadperc_stream.eval.html.series import load_series
-from roadperc_stream.eval.html.trajectory import paths, trajectory
-from roadperc_stream.eval.runs import find_runs
+from roadperc_stream.eval.html.charts import paths, trajectory
+from roadperc_stream.eval.html.figures import load_series
+from roadperc_stream.eval.options import Rules
 from roadperc_stream.eval.summary import summarise_run
-from roadperc_stream.eval.trajectories.columns import read_poses
 from roadperc_stream.eval.trajectories.errors import Delta
 from roadperc_stream.eval.trajectories.evaluation import evaluate
-from tests.eval.tables import START_NS, STEP_NS, row, write
+from roadperc_stream.eval.trajectories.poses import read_poses
+from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, straight, write_run
 
 FRAMES = 24
@@ -40,11 +39,6 @@ def drive(frames=FRAMES):
 def again(rows, segment=1):
     """The same frames a second time, as a bag played in a loop gives them."""
     return [replace(item, frame=item.frame + len(rows) * segment, segment=segment) for item in rows]
-
-
-def run_of(path):
-    (run,) = find_runs([str(path)])
-    return run
 
 
 @pytest.fixture

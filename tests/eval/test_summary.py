@@ -11,12 +11,11 @@ from roadperc_stream.eval import summary as module
 from roadperc_stream.eval.quantities import NUMBERS
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.summary import summarise_all, summarise_run
-from tests.eval.tables import START_NS, STEP_NS, row, write
+from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
 
 
 def summary_of(tmp_path, rows, times=(), worst=3):
-    (run,) = find_runs([str(write(tmp_path / "drive.metrics.parquet", rows, times))])
-    return summarise_run(run, worst)
+    return summarise_run(run_of(write(tmp_path / "drive.metrics.parquet", rows, times)), worst)
 
 
 def test_extent(tmp_path):
@@ -142,8 +141,7 @@ def test_time_outside_the_stages(tmp_path):
 def test_table_of_an_older_version_lacks_columns(tmp_path):
     path = write(tmp_path / "old.metrics.parquet", [row(0, camera_height_m=1.5), row(1)])
     pl.read_parquet(path).drop("lane_left_status", "stereo_ms", "drivable_iou").write_parquet(path)
-    (run,) = find_runs([str(path)])
-    found = summarise_run(run, 1)
+    found = summarise_run(run_of(path), 1)
     assert (found.coverage("camera_height_m"), found.coverage("drivable_iou")) == (0.5, 0.0)
     assert (found.configs, found.versions) == (("",), ("",))
 
@@ -254,11 +252,6 @@ def test_counts_are_summed_over_frames_and_runs(tmp_path):
 def weaving(frames, lag):
     truth = np.sin(np.arange(-lag, frames - lag) / 5)
     return [row(k, lane_left_offset_m=truth[k], lane_left_true_offset_m=math.sin(k / 5)) for k in range(frames)]
-
-
-def test_lag_of_an_offset_that_follows_three_frames_late(tmp_path):
-    found = summary_of(tmp_path, weaving(100, 3))
-    assert (found.lag_frames("left"), found.lag_frames("right")) == (3, None)
 
 
 def test_lag_over_all_is_that_of_the_runs_that_tell_it(tmp_path):

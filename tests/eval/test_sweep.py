@@ -13,13 +13,13 @@ from polars.testing import assert_frame_equal
 from pydantic import BaseModel
 
 from roadperc_stream.cli.sweep import main
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import load_config
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.formats import images
 from roadperc_stream.input import ReplaySource, open_input, replay_input
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.replaying import replay
 
@@ -254,9 +254,10 @@ def test_other_things_are_never_replaced(source, tmp_path, capsys):
     assert source.is_file()
 
 
-@pytest.mark.parametrize(("jobs", "number"), [(1, signal.SIGINT), (1, signal.SIGTERM), (2, signal.SIGINT)])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("jobs", [1, 2])
 def test_a_signal_leaves_nothing(tmp_path, jobs, number):
-    """Ctrl-C goes to all processes of a terminal, as it does here."""
+    """Ctrl-C goes to all processes of a terminal, as all signals do here."""
     made = [logs.write(tmp_path / f"in{k}.mcap", logs.items(100)) for k in range(2)]
     command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.sweep import main; sys.exit(main())"]
     options = [*map(str, made), *LANES, "--out", str(tmp_path / "out"), "--jobs", str(jobs)]

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +11,16 @@ import pytest
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.trajectory import main
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.trajectories.columns import read_poses
 from roadperc_stream.eval.trajectories.errors import Delta
 from roadperc_stream.eval.trajectories.evaluation import evaluate
-from tests.eval.tables import row, write
+from roadperc_stream.eval.trajectories.poses import read_poses
+from tests.eval.tables import outcome, row, write
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, write_run
+
+trajectory = partial(outcome, main)
 
 TRUE = helix(60)
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
-
-
-def trajectory(capsys, *arguments):
-    code = main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def line_of(text, start):
@@ -154,20 +151,6 @@ def test_a_folder_that_cannot_be_written_is_an_error(shifted, tmp_path, capsys):
     assert err == f"error: {shifted}/drive.est.tum: File exists\n"
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        *([], ["x", "--delta", "0"], ["x", "--delta", "1.5"], ["x", "--delta", "nan"], ["x", "--delta", "inf"]),
-        *(["x", "--align", "se2"], ["x", "--delta-unit", "s"]),
-    ],
-)
-def test_wrong_usage_exits_2(wrong, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(wrong)
-    assert end.value.code == 2
-    assert "roadperc-trajectory: error:" in capsys.readouterr().err
-
-
 def test_the_sample_is_as_right_as_the_readme_says(tmp_path):
     log = tmp_path / "sample.mcap"
     assert replay_main([str(SAMPLE), str(log), "--only", "odometry", "--results-only", "--quiet"]) == 0
@@ -179,15 +162,6 @@ def test_the_sample_is_as_right_as_the_readme_says(tmp_path):
     assert found.relative_deg.rmse == pytest.approx(0.009, abs=0.001)
     assert found.together.translation_percent == pytest.approx(0.18, abs=0.02)
     assert found.together.rotation_deg_per_100m == pytest.approx(0.33, abs=0.03)
-
-
-def test_help_has_an_example_and_names_the_frame(capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["--help"])
-    text = capsys.readouterr().out
-    assert end.value.code == 0
-    assert "example:" in text
-    assert "Both hold the ego frame" in text
 
 
 def test_it_needs_no_more_of_the_package_than_tables():

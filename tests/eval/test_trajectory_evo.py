@@ -16,9 +16,9 @@ import pytest
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.trajectory import main
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.trajectories.columns import read_poses
 from roadperc_stream.eval.trajectories.errors import Delta
 from roadperc_stream.eval.trajectories.evaluation import evaluate
+from roadperc_stream.eval.trajectories.poses import read_poses
 from tests.eval.trajectories.paths import helix, noisy, poses_at, rigid, scaled, write_run
 
 pytestmark = pytest.mark.skipif(

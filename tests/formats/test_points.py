@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from roadperc_stream.core.rotations import quaternion, rotation_from_rpy
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry.rotations import quaternion, rotation_from_rpy
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.output.encoding import encode_points
-from roadperc_stream.schemas.names import POINTS_SCHEMA
+from roadperc_stream.schemas.topics import POINTS_SCHEMA
 
 STAMP = 1_600_000_000_000_000_000
 TYPES = {

@@ -6,11 +6,11 @@ choose is noted, so that a recipe repeats its case without them.
 
 - ``contents.py`` makes the drives, in every schema that is read; ``messages.py`` changes messages, order, times,
   channels, attachments; ``trees.py`` fields of protobuf and JSON, ``pictures.py`` PNG and JPEG, ``records.py`` the
-  records of the file, whose checksums and offsets are put right afterwards or not; ``octets.py`` bytes.
-- ``tables.py``, ``configurations.py`` and ``dumps.py`` are for the other inputs; ``cases.py`` puts them together.
+  records of the file, whose checksums and offsets are put right afterwards or not; ``choices.py`` bytes.
+- ``tables.py``, ``trees.py`` (TOML) and ``dumps.py`` are for the other inputs; ``cases.py`` puts them together.
 - ``judge.py`` holds the promise: exit code 0 to 3, one line on stderr where it is not 0, no traceback and no line of a
   C library, no control characters, nothing half written; ``trying.py`` adds that logs that are written are whole by
-  roadperc-info and by a second reader (``validator.py``), and that a replay gives the same bytes again.
+  roadperc-info and by a second reader, and that a replay gives the same bytes again.
 - ``worker.py`` tries many cases one after the other, in an address space that may grow by a gigabyte (``bounds.py``);
   ``pool.py`` kills and replaces a worker that takes more than ten seconds of the processor for a command.
 - ``corpus/`` holds what was found.

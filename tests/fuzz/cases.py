@@ -9,14 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from roadperc_stream.core.config import ReplayConfig
+from roadperc_stream.config import ReplayConfig
 from tests.fuzz import contents, dumps, tables
-from tests.fuzz.choices import Choices, wild_integer
-from tests.fuzz.configurations import mutate_toml, wild_setting
+from tests.fuzz.choices import Choices, damage, wild_integer
 from tests.fuzz.messages import mutate_content
-from tests.fuzz.octets import damage
 from tests.fuzz.records import WEIGHTED_FIXES, mutate_records, put_together, taken_apart
-from tests.fuzz.trees import mutate_json
+from tests.fuzz.trees import mutate_json, mutate_toml, wild_setting
 
 CORPUS = Path(__file__).parent / "corpus"
 LOG, OUT = "in.mcap", "out.mcap"

@@ -15,10 +15,10 @@ from mcap.writer import Writer
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.geometry import transform
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.formats import images
+from roadperc_stream.geometry import transform
 from roadperc_stream.log import Attachment, Channel, Message, Metadata
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp

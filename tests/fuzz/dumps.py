@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz.choices import Choices
-from tests.fuzz.octets import damage
+from tests.fuzz.choices import Choices, damage
 from tests.fuzz.pictures import mutate_picture
 from tests.fuzz.trees import mutate_json
 from tests.tools import dump_writer

@@ -11,18 +11,16 @@ from google.protobuf.message import DecodeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.log import Attachment, Channel, Message, Metadata
+from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.definitions import types_of
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from tests.analytic import box
-from tests.fuzz.choices import Choices, wild_float, wild_integer, wild_text
-from tests.fuzz.configurations import mutate_toml
+from tests.fuzz.choices import Choices, damage, wild_float, wild_integer, wild_text
 from tests.fuzz.contents import TYPES, Content
-from tests.fuzz.octets import damage
 from tests.fuzz.pictures import mutate_picture
-from tests.fuzz.trees import mutate_json, mutate_message
+from tests.fuzz.trees import mutate_json, mutate_message, mutate_toml
 
 LAST_NS = 2**64 - 1
 PICTURES = ("foxglove.CompressedImage", "sensor_msgs/msg/CompressedImage")

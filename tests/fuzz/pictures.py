@@ -1,10 +1,10 @@
 """PNG and JPEG files changed part by part: sizes, depths, palettes and markers, with checksums that fit or do not."""
 
+import base64
 import struct
 import zlib
 
-from tests.fuzz.choices import Choices
-from tests.fuzz.octets import damage
+from tests.fuzz.choices import Choices, damage
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 SIZES = (0, 1, 2, 31, 33, 1000, 9999, 12_000, 30_000, 65_535, 2**31 - 1, 2**32 - 1)
@@ -15,12 +15,27 @@ NEW_CHUNKS = {
     "zTXt": b"Comment\0\0" + zlib.compress(bytes(2_000_000)), "sBIT": b"\0", "XXXX": b"", "iTXt": b"", "bKGD": b"\xff",
 }  # fmt: skip
 
+AVIF = zlib.decompress(
+    base64.b85decode(
+        "c-muNV30{GsVqn=%S>Yc0uY^>nP!-qnF!*)%uOvxWPkw0jFg-rD4U@mGr5ET4e%9YmgIt2j6f`xnUkLk;<$kLj1W;qUIqsC<v_MZ"
+        "W@cU*T&)z4lgb3;C6*Z&I_Kx)gYC-5EGQ}f(w><G$@xH9B(u066>47s5PLxEt;hsx<^U2riDib)jq)-e0paBQoT9wsoC*de5NrSn"
+        "iDwq%!h8gD77HU&GYim7>vK~QON1D>IOM<A)&Kmv)WK*5zkteOfy3ubgcumC&YyA1cy=q<W_R?v_Orsvw}{R95csArOe51qe0yQ7"
+        "ikqGJwTy}860ET|ghZCl?SC*Us94hY-ZU}&-4CqKp9!is7OH7k!T6VxZ-JImex3P`pBwH*$KU5j`X}*vd*RikI+BXB>*vgAjQx5o"
+        "lEcwaV&4DTx-2e@TeN7c`RJdF4UzjQ7w_MoF!h<J#7DPDcXSSET+F=HFsPk9>gQ2EkNSDk&!c|E@UuCYHZ##*BbnZG007mm+wu"
+    )
+)
+"""Of 96x72 pixels by its container, with a black frame of 16000x16000."""
+POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n{} loop\n%%EOF\n"
+OTHER_FORMATS = {"avif": AVIF, "postscript": POSTSCRIPT, "bmp": b"BM" + bytes(99), "tiff": b"II*\0\x08" + bytes(99)}
+
 
 def mutate_picture(data: bytes, choices: Choices) -> bytes:
     """An encoded image with one fault."""
     if choices.chance("bytes", 0.2):
         return damage(data, choices.part("damage"))
     if data.startswith(PNG_MAGIC):
+        if choices.chance("foreign", 0.05):
+            return OTHER_FORMATS[choices.of("format", tuple(OTHER_FORMATS))]
         return _mutate_png(data, choices)
     if data.startswith(b"\xff\xd8"):
         return _mutate_jpeg(data, choices)

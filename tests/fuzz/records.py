@@ -14,8 +14,7 @@ import lz4.frame
 import zstandard
 from mcap.opcode import Opcode
 
-from tests.fuzz.choices import Choices, wild_integer, wild_text
-from tests.fuzz.octets import damage
+from tests.fuzz.choices import Choices, damage, wild_integer, wild_text
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")

@@ -10,9 +10,8 @@ import pyarrow.parquet as pq
 
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests.fuzz import contents
-from tests.fuzz.choices import FLOATS, TEXTS, Choices, wild_integer, wild_text
-from tests.fuzz.configurations import mutate_toml
-from tests.fuzz.octets import damage
+from tests.fuzz.choices import FLOATS, TEXTS, Choices, damage, wild_integer, wild_text
+from tests.fuzz.trees import mutate_toml
 
 TYPES = {
     "null": pa.null(), "text": pa.string(), "float": pa.float64(), "half": pa.float32(), "integer": pa.int64(),

@@ -1,24 +1,31 @@
-"""A case tried: its commands run, in this process or as processes of their own, and what they did judged."""
+"""A case tried: its commands run, in this process or as processes of their own, and what they did judged.
+
+The logs that are written have a second reader, MCAP's own TypeScript one where Node has it: it is looked for as
+``mcap-validate/validate.mjs`` in the folder ``tools`` beside the recordings.
+"""
 
 import contextlib
+import json
 import os
+import shutil
 import subprocess
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from unittest.mock import patch
 
 from roadperc_stream.cli import launch
 from tests import commands
+from tests.conftest import DEFAULT_DATA
 from tests.fuzz import bounds
 from tests.fuzz.cases import Case, prepared
 from tests.fuzz.judge import Ran, crash_of, faults, kind_of_message
-from tests.fuzz.validator import damages
 
 SECONDS = 10.0
 """Of the processor, for a command."""
@@ -118,7 +125,8 @@ def in_process(words: list[str], folder: Path) -> Ran:
     with _diverted() as printed:
         try:
             sys.argv = [f"roadperc-{words[0]}", *words[1:]]
-            code = getattr(launch, words[0])()
+            with patch.object(launch, "_is_limited", return_value=False):  # a fork would have none of polars' threads
+                code = getattr(launch, words[0])()
         except BaseException as error:  # also what Rust throws, which is no Exception
             crash = crash_of(error)
     out, err = printed
@@ -196,3 +204,32 @@ def warm_up(source: bytes, write_dump: Callable[[Path], None]) -> None:
             ran = in_process(line.split(), Path(name))
             if ran.code and ran.words[0] != "trajectory":  # in pictures this small odometry finds nothing
                 raise RuntimeError(f"{line}: {ran.err.decode()}")
+
+
+PATIENCE_S = 60
+
+
+@cache
+def program() -> Path | None:
+    """The validator; None where it, its libraries or Node are missing."""
+    data = Path(os.environ.get("ROADPERC_DATA", DEFAULT_DATA))
+    path = data.parent / "tools" / "mcap-validate" / "validate.mjs"
+    there = shutil.which("node") and path.is_file() and (path.parent / "node_modules").is_dir()
+    return path if there else None
+
+
+def damages(log: Path) -> list[str]:
+    """What the validator finds wrong with a log; what stands in the input's messages, which are copied, is not."""
+    path = program()
+    if path is None:
+        return []
+    done = subprocess.run(
+        ["node", path, "--json", log], capture_output=True, check=False, timeout=PATIENCE_S,
+        preexec_fn=bounds.lift_limit,  # Node alone takes ten gigabytes of address space
+    )  # fmt: skip
+    try:
+        found = json.loads(done.stdout)
+    except ValueError:
+        return [f"validator: {kind_of_message(done.stderr.decode('utf-8', 'replace'))}"]
+    copied = tuple(c["topic"] for c in found.get("channels", ()) if not c["topic"].startswith("/perception/"))
+    return [f"validator: {kind_of_message(text)}" for text in found["problems"] if not text.startswith(copied)]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import roadperc_stream as rp
-from roadperc_stream.core.datatypes import Absent, Reason
-from roadperc_stream.core.geometry import Camera
 from roadperc_stream.errors import ChannelError, ConfigError
+from roadperc_stream.geometry import Camera
+from roadperc_stream.model import Absent, Reason
 from tests import logs
 
 CAMERA = Camera("camera", 64, 48, 40.0, 40.0, 31.5, 23.5)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import DumpError
+from roadperc_stream.system.time import NS_PER_S
 from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS, stamps_of_file
 from tests.commands import run, words
 

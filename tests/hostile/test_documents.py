@@ -6,13 +6,12 @@ import polars as pl
 import pytest
 
 import roadperc_stream as rp
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.config.settings import as_typed, settings_in
+from roadperc_stream.config import load_config
+from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
-from roadperc_stream.eval.collecting import collect
-from roadperc_stream.eval.runs import open_run
+from roadperc_stream.eval.runs import collect, open_run
 from tests.commands import run
-from tests.hostile.names import write_log
+from tests.hostile.inputs import write_log
 
 pytestmark = pytest.mark.commands
 

@@ -9,38 +9,38 @@ import zstandard
 from mcap.writer import IndexType, Writer
 
 from roadperc_stream import log
-from roadperc_stream.core.config import LimitsConfig
+from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Salvage
 from tests.commands import run
 from tests.fuzz.records import zeros_as_zstd
-from tests.hostile import bombs, mcap
+from tests.hostile import inputs
 
 pytestmark = pytest.mark.commands
 GIB = 2**30
-KNOWN = (mcap.schema(1, "A", "jsonschema", b"{}"), mcap.channel(1, 1, "/a", "json"))
+KNOWN = (inputs.schema(1, "A", "jsonschema", b"{}"), inputs.channel(1, 1, "/a", "json"))
 HUGE = 8 * GIB + 512 * 2**20
 CLAIMED = 10**11
 
 
 def compressed(data, compression, size=HUGE):
-    return mcap.file(*KNOWN, mcap.chunk(data, compression, size=size))
+    return inputs.file(*KNOWN, inputs.chunk(data, compression, size=size))
 
 
 CASES = {
     "zstd that says its size": lambda: compressed(zeros_as_zstd(HUGE), "zstd"),
     "zstd that does not": lambda: compressed(zeros_as_zstd(HUGE, stated=False), "zstd"),
     "zstd in a chunk that lies": lambda: compressed(zeros_as_zstd(HUGE), "zstd", size=100),
-    "zstd by an index": lambda: mcap.indexed(mcap.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE), *KNOWN, size=HUGE),
-    "zstd by an index that lies": lambda: mcap.indexed(
-        mcap.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE), *KNOWN, size=100
+    "zstd by an index": lambda: inputs.indexed(inputs.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE), *KNOWN, size=HUGE),
+    "zstd by an index that lies": lambda: inputs.indexed(
+        inputs.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE), *KNOWN, size=100
     ),
-    "lz4": lambda: compressed(bombs.lz4_zeros(HUGE), "lz4"),
-    "lz4 in a chunk that lies": lambda: compressed(bombs.lz4_zeros(HUGE), "lz4", size=100),
+    "lz4": lambda: compressed(inputs.lz4_zeros(HUGE), "lz4"),
+    "lz4 in a chunk that lies": lambda: compressed(inputs.lz4_zeros(HUGE), "lz4", size=100),
     "chunk that claims 100 GB": lambda: compressed(b"x" * 100, "zstd", size=CLAIMED),
-    "chunk that stores 100 GB": lambda: mcap.file(*KNOWN, mcap.chunk(b"x", size=CLAIMED, length=CLAIMED)),
-    "message of 100 GB": lambda: mcap.file(*KNOWN, mcap.message(1, 1, b"x" * 100, CLAIMED)),
-    "attachment of 100 GB": lambda: mcap.file(*KNOWN, mcap.attachment(CLAIMED)),
+    "chunk that stores 100 GB": lambda: inputs.file(*KNOWN, inputs.chunk(b"x", size=CLAIMED, length=CLAIMED)),
+    "message of 100 GB": lambda: inputs.file(*KNOWN, inputs.message(1, 1, b"x" * 100, CLAIMED)),
+    "attachment of 100 GB": lambda: inputs.file(*KNOWN, inputs.attachment(CLAIMED)),
 }
 
 
@@ -63,7 +63,7 @@ def test_what_is_declared_is_not_allocated(tmp_path, case):
 
 def test_a_chunk_beyond_the_limit_names_the_setting(tmp_path):
     path = tmp_path / "in.mcap"
-    data = b"".join(KNOWN) + mcap.message(1, 1, bytes(2_000_000))
+    data = b"".join(KNOWN) + inputs.message(1, 1, bytes(2_000_000))
     path.write_bytes(compressed(zstandard.compress(data), "zstd", size=len(data)))
     assert [len(m.data) for m in log.read(log.summarise(path))] == [2_000_000]
     with pytest.raises(LogError, match=r"a chunk of 2 MiB: expected limits\.chunk_mb 1 at most"):
@@ -72,7 +72,7 @@ def test_a_chunk_beyond_the_limit_names_the_setting(tmp_path):
 
 def test_a_record_beyond_the_limit_names_the_setting(tmp_path):
     path = tmp_path / "in.mcap"
-    path.write_bytes(mcap.file(*KNOWN, mcap.message(1, 1, bytes(3_000_000))))
+    path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 1, bytes(3_000_000))))
     assert [len(m.data) for m in log.read(log.summarise(path))] == [3_000_000]
     with pytest.raises(LogError, match=r"a record of 3 MiB: expected limits\.record_mb 1 at most"):
         list(log.read(log.summarise(path, LimitsConfig(record_mb=1))))
@@ -81,7 +81,7 @@ def test_a_record_beyond_the_limit_names_the_setting(tmp_path):
 @pytest.mark.parametrize("stated", [True, False])
 def test_chunks_as_writers_make_them_are_read(tmp_path, stated):
     """lz4 with and without its size, whose contents are measured before they are decompressed."""
-    data = b"".join(KNOWN) + b"".join(mcap.message(1, 1, bytes(50_000)) for _ in range(100))
+    data = b"".join(KNOWN) + b"".join(inputs.message(1, 1, bytes(50_000)) for _ in range(100))
     packed = lz4.frame.compress(data, store_size=stated)
     path = tmp_path / "in.mcap"
     path.write_bytes(compressed(packed, "lz4", size=len(data)))
@@ -108,8 +108,8 @@ def test_a_chunk_of_more_messages_than_may_be_is_named(tmp_path, indexed):
 
 def test_what_can_be_salvaged_is_bounded_too(tmp_path):
     path = tmp_path / "in.mcap"
-    bomb = mcap.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE)
-    path.write_bytes(mcap.file(*KNOWN, mcap.message(1, 1, b"{}"), bomb, mcap.message(1, 2, b"{}")))
+    bomb = inputs.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE)
+    path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 1, b"{}"), bomb, inputs.message(1, 2, b"{}")))
     salvage = Salvage(path)
     started = time.monotonic()
     assert [m.log_time_ns for m in salvage.messages()] == [1, 2]
@@ -119,7 +119,7 @@ def test_what_can_be_salvaged_is_bounded_too(tmp_path):
 
 def test_the_last_instant_of_64_bits_is_one_line(tmp_path):
     path = tmp_path / "in.mcap"
-    path.write_bytes(mcap.file(*KNOWN, mcap.message(1, 2**64 - 1, b"{}"), mcap.message(1, 5, b"{}")))
+    path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 2**64 - 1, b"{}"), inputs.message(1, 5, b"{}")))
     assert "2 messages on 1 channel" in run("roadperc-info", path).stdout
     done = run("roadperc-replay", path, tmp_path / "out.mcap")
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)

@@ -9,20 +9,19 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream.core.config import LimitsConfig, load_config
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.geometry import Camera
+from roadperc_stream.config import LimitsConfig, load_config
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
+from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Context, decode
-from roadperc_stream.input.latched import LatchedState, without_loops
-from roadperc_stream.input.problems import Problems
-from roadperc_stream.input.stream import Stamped
+from roadperc_stream.input.stream import Problems, Stamped
+from roadperc_stream.input.sync import LatchedState, without_loops
+from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from tests import logs
 from tests.analytic import box
 from tests.commands import run
-from tests.hostile import bombs
+from tests.hostile import inputs
 from tests.replaying import replay
 
 pytestmark = pytest.mark.commands
@@ -30,7 +29,7 @@ GIB = 2**30
 STAMP = logs.START_NS
 JPEG = cv2.imencode(".jpg", np.zeros((16, 16, 3), np.uint8))[1].tobytes()
 NOISE = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (240, 320, 3)).astype(np.uint8))[1].tobytes()
-HUGE_PNG = bombs.png(30_000, 30_000, rows=4)
+HUGE_PNG = inputs.png(30_000, 30_000, rows=4)
 
 
 def replaced(role, data, frames=2):
@@ -51,7 +50,7 @@ def read(kind, schema, data, limits):
     return decode(kind, schema, "protobuf", data, STAMP, Context(limits=limits))
 
 
-@pytest.mark.parametrize("data", [HUGE_PNG, bombs.jpeg_of_size(JPEG, 30_000, 30_000)], ids=["png", "jpeg"])
+@pytest.mark.parametrize("data", [HUGE_PNG, inputs.jpeg_of_size(JPEG, 30_000, 30_000)], ids=["png", "jpeg"])
 def test_an_image_is_held_against_its_header_before_it_is_decoded(data):
     for decoder in (images.decode_bgr, images.decode_grey, images.decode_unchanged):
         with pytest.raises(DecodeError, match=r"30000x30000, 900 megapixels: expected limits\.image_megapixels 40"):
@@ -60,7 +59,7 @@ def test_an_image_is_held_against_its_header_before_it_is_decoded(data):
 
 @pytest.mark.parametrize("role", ["image", "segmentation"])
 def test_a_huge_image_costs_its_frames_that_image(tmp_path, role):
-    data = bombs.png(30_000, 30_000, mode=3, rows=4) if role == "segmentation" else HUGE_PNG
+    data = inputs.png(30_000, 30_000, mode=3, rows=4) if role == "segmentation" else HUGE_PNG
     done = replayed(tmp_path, replaced(role, encoding.encode_image(STAMP, "camera", "png", data), frames=1))
     assert done.returncode == 0, done.stderr
     assert "in the only frame" in done.stdout
@@ -89,7 +88,7 @@ def test_texts_that_are_compressed_in_an_image_cost_that_image():
     started = time.monotonic()
     for decoder in (images.decode_bgr, images.decode_indices, images.image_size):
         try:
-            decoder(bombs.png(32, 24, mode=0, extra=extra))
+            decoder(inputs.png(32, 24, mode=0, extra=extra))
         except DecodeError:
             continue
     assert time.monotonic() - started < 5
@@ -168,9 +167,9 @@ def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
 @pytest.mark.parametrize(
     "data",
     [
-        bombs.png(320, 240)[:-40],
-        bombs.png(320, 240, rows=10),
-        bombs.png(320, 240, extra=[[b"iCCP", b"x\0\0broken"]]),
+        inputs.png(320, 240)[:-40],
+        inputs.png(320, 240, rows=10),
+        inputs.png(320, 240, extra=[[b"iCCP", b"x\0\0broken"]]),
         NOISE[:2000] + bytes(500) + NOISE[2500:],
         NOISE[:5000],
     ],
@@ -183,4 +182,4 @@ def test_what_libpng_and_libjpeg_say_reaches_no_terminal(tmp_path, data):
 
 def test_what_a_decoder_says_of_a_damaged_image_is_said_once():
     with pytest.raises(DecodeError, match=r"bytes are no image: .*truncated"):
-        images.decode_bgr(bombs.png(320, 240)[:-40])
+        images.decode_bgr(inputs.png(320, 240)[:-40])

@@ -1,13 +1,18 @@
 """What came from a file reaches the terminal escaped, whichever command prints it."""
 
 import json
+import re
 import shutil
+import signal
+import subprocess
+import sys
 
 import pytest
 
-from roadperc_stream.core.text import shown
-from tests.commands import run
-from tests.hostile.names import COMMANDS, EVIL, SHOWN, taint, topic_options, write_log
+from roadperc_stream.system.text import shown
+from tests.commands import run, words
+from tests.hostile.inputs import COMMANDS, EVIL, SHOWN, taint, topic_options, write_log
+from tests.view.live.client import Viewer
 
 pytestmark = pytest.mark.commands
 
@@ -121,3 +126,44 @@ def test_convert(tmp_path):
     (tmp_path / f"rgb{EVIL}").mkdir()
     (tmp_path / f"rgb{EVIL}" / "1.png").write_bytes(b"no image")
     require_plain(run("roadperc-convert", tmp_path, tmp_path / "out.mcap"), names=r"\x1b[31m", codes=(1,))
+
+
+def test_what_a_client_of_the_live_server_sends(replayed):
+    """The SDK of the server logs what is wrong with a message, in the client's own words."""
+    command = words("roadperc-view", replayed[1], "--foxglove", "--port", 0)
+    with subprocess.Popen(command, stdout=-1, stderr=-1, text=True) as server:
+        port = int(re.search(r"ws://127\.0\.0\.1:(\d+) ", server.stdout.readline())[1])
+        with Viewer(port) as viewer:
+            viewer.socket.send(json.dumps({"op": EVIL}))
+            viewer.socket.send(json.dumps({"op": "fetchAsset", "requestId": EVIL, "uri": EVIL}))
+            viewer.until(lambda: len(viewer.warnings) == 2)
+            assert viewer.control(play=False, request_id=EVIL).request_id == EVIL
+        server.send_signal(signal.SIGINT)
+        out, err = server.communicate(timeout=60)
+    require_plain(subprocess.CompletedProcess(command, server.returncode, out, err))
+    assert len(err.splitlines()) == 2
+
+
+LIBRARY = """
+import logging, sys
+from roadperc_stream.cli.plumbing import run
+
+def command():
+    if sys.argv[2] == "own handler":
+        logging.basicConfig()
+    try:
+        raise ValueError(sys.argv[1])
+    except ValueError:
+        logging.getLogger("library").exception("it said %s", sys.argv[1])
+
+sys.exit(run(command))
+"""
+
+
+@pytest.mark.parametrize("handler", ["own handler", "no handler"])
+def test_what_a_library_logs(handler):
+    done = subprocess.run([sys.executable, "-c", LIBRARY, EVIL, handler], check=False, capture_output=True, timeout=60)
+    err = done.stderr.decode()
+    assert not COMMANDS & set(err), repr(err)
+    assert [f"it said {SHOWN}" in err, f"ValueError: {SHOWN}" in err] == [True, True]
+    assert len(err.splitlines()) == 2

@@ -4,8 +4,10 @@ import pytest
 
 from roadperc_stream.api import replay
 from roadperc_stream.cli.info import main
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import ChannelError, StateError
+from roadperc_stream.info.printing import _worth_a_line
+from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.log import LogWriter, Message
 from tests import logs
 from tests.analytic import Road
@@ -95,3 +97,21 @@ def test_recordings_in_one_file_are_segments(tmp_path, capsys):
     text = words_of(capsys, path)
     assert "60 frames, one per message of role image" in text
     assert "2 segments: the stamps begin anew" in text
+
+
+@pytest.mark.parametrize(
+    ("state", "filled", "worth"),
+    [
+        (RoleState("image", "filled", "/a"), set(), True),
+        (RoleState("depth", "missing", cost="no scale"), set(), True),
+        (RoleState("lidar", "missing"), set(), False),
+        (RoleState("lidar", "missing", candidates=("/points",)), set(), True),
+        (RoleState("lidar", "missing", why="damaged"), set(), True),
+        (RoleState("left_calibration", "missing", cost="no stereo"), {"left"}, True),
+        (RoleState("left_calibration", "missing", cost="no stereo"), {"right"}, False),
+        (RoleState("depth_calibration", "missing", cost="no depth"), {"depth"}, True),
+        (RoleState("right_calibration", "missing", cost="no stereo"), set(), False),
+    ],
+)
+def test_a_role_is_listed_where_it_is_filled_or_missed(state, filled, worth):
+    assert _worth_a_line(state, filled) == worth

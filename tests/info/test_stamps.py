@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.geometry import level_mounting
+from roadperc_stream.geometry import level_mounting
 from roadperc_stream.info.stamps import stamp_reader
 from roadperc_stream.log import Channel
+from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.roadperc_pb2 import Detections

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from roadperc_stream.core.datatypes import Boundary, Lanes, Transform
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.model import Boundary, Lanes, Transform
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
@@ -98,20 +98,13 @@ def test_tags_are_read_from_nothing_but_a_png_of_indices(data, words):
     assert "0x" not in str(caught.value), "an address would differ from run to run"
 
 
-def test_a_header_that_claims_a_huge_image_is_refused():
+@pytest.mark.parametrize("side", [60_000, 100_000])
+@pytest.mark.parametrize("decoder", [images.decode_bgr, images.decode_grey, images.decode_indices])
+def test_a_header_that_claims_a_huge_image_is_refused(decoder, side):
     data = bytearray(packed(GREY, "PNG"))
-    data[16:24] = (60_000).to_bytes(4) * 2
+    data[16:24] = side.to_bytes(4) * 2
     data[29:33] = zlib.crc32(data[12:29]).to_bytes(4)
-    with pytest.raises(DecodeError, match=r"3600 megapixels: expected limits\.image_megapixels 40"):
-        images.decode_indices(bytes(data))
-
-
-@pytest.mark.parametrize("decoder", [images.decode_bgr, images.decode_grey])
-def test_ten_billion_pixels_are_a_stated_error(decoder):
-    data = bytearray(packed(GREY, "PNG"))
-    data[16:24] = (100_000).to_bytes(4) * 2
-    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4)
-    with pytest.raises(DecodeError, match=r"10000 megapixels: expected limits\.image_megapixels 40"):
+    with pytest.raises(DecodeError, match=rf"{side**2 // 10**6} megapixels: expected limits\.image_megapixels 40"):
         decoder(bytes(data))
 
 
@@ -135,3 +128,46 @@ def test_set_stamp_keeps_nanoseconds():
     message = pb.Detections()
     set_stamp(message, STAMP + 123_456_789)
     assert read("detections", "roadperc.Detections", message.SerializeToString()).stamp_ns == STAMP + 123_456_789
+
+
+def surface(**grid):
+    known = {"x_min_m": 2.0, "y_min_m": -1.0, "step_m": 0.5, "rows": 2, "columns": 3, "z_m": range(6)}
+    message = pb.Surface(camera_height_m=1.5, height_grid=pb.HeightGrid(**known | grid))
+    message.normal.y = -1.0
+    return read("surface", "roadperc.Surface", message.SerializeToString()).payload
+
+
+def test_a_height_grid_comes_back():
+    grid = surface().height_grid
+    assert (grid.x_min_m, grid.y_min_m, grid.step_m) == (2.0, -1.0, 0.5)
+    np.testing.assert_array_equal(grid.z_m, [[0, 1, 2], [3, 4, 5]])
+
+
+@pytest.mark.parametrize(
+    ("grid", "words"),
+    [
+        ({"rows": 1, "columns": 6}, "1 rows of 6, 6 heights"),
+        ({"rows": 6, "columns": 1}, "6 rows of 1, 6 heights"),
+        ({"rows": 0, "columns": 0, "z_m": []}, "0 rows of 0, 0 heights"),
+        ({"z_m": range(5)}, "2 rows of 3, 5 heights"),
+        ({"rows": 2**32 - 1, "columns": 2**32 - 1}, "6 heights"),
+        ({"step_m": 0.0}, "in steps of 0 m"),
+        ({"step_m": -0.5}, "in steps of -0.5 m"),
+        ({"step_m": np.nan}, "not finite"),
+        ({"x_min_m": np.inf}, "not finite"),
+        ({"y_min_m": -np.inf}, "not finite"),
+        ({"z_m": [0, 1, 2, 3, 4, np.nan]}, "not finite"),
+        ({"x_min_m": 1e30}, r"1e\+30 m, in steps of 0.5 m"),
+        ({"step_m": 1e300}, "not finite in 32 bits"),
+    ],
+    ids=str,
+)
+def test_a_height_grid_that_is_none_is_refused(grid, words):
+    with pytest.raises(DecodeError, match=f"height grid: .*{words}"):
+        surface(**grid)
+
+
+def test_a_normal_beyond_any_is_refused_without_a_warning():
+    message = pb.Surface(normal=pb.Vector3(z=-1e308))
+    with pytest.raises(DecodeError, match="surface: a number is not finite in 32 bits"):
+        read("surface", "roadperc.Surface", message.SerializeToString())

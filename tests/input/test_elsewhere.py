@@ -16,12 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.geometry import rigid
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
+from roadperc_stream.config import load_config
 from roadperc_stream.formats import images
+from roadperc_stream.geometry import rigid
 from roadperc_stream.input.decoding.payload import pose_matrix
 from roadperc_stream.input.decoding.ros import unpack_image
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas import ros2
 from roadperc_stream.schemas.protobuf import stamp_ns

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.geometry import Camera
 from roadperc_stream.errors import ChannelError
+from roadperc_stream.geometry import Camera
 from roadperc_stream.input.assemble import ego_T_camera_of
-from roadperc_stream.input.roles import RoleAssignment, assign_roles, candidates
+from roadperc_stream.input.roles import assign_roles, candidates
+from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.log import Channel
+from roadperc_stream.model import Transform
 from roadperc_stream.schemas.record import PRODUCER
 
 IMAGE, INFO, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2"

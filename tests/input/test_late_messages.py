@@ -8,13 +8,13 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import load_config
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.topics import RESULTS
+from roadperc_stream.system.time import TimeRange
 from tests.test_sample import SAMPLE
 
 FRAMES = 12

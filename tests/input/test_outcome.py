@@ -4,23 +4,17 @@ from dataclasses import replace
 
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.cli.replay import main
-from roadperc_stream.core.config import SyncConfig, load_config
-from roadperc_stream.core.time import TimeRange
-from roadperc_stream.input import ReplaySource, open_input
+from roadperc_stream.config import SyncConfig, load_config
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.outcome import InputOutcome
-from roadperc_stream.input.pairing import PairingState, StampPairing
-from roadperc_stream.input.parts import PartSpan, continuation_notes
+from roadperc_stream.input.outcome import InputOutcome, PartSpan, continuation_notes
 from roadperc_stream.input.stream import MessagePlace
-from roadperc_stream.input.sync import SyncedMessages
-from roadperc_stream.input.window import WindowMessages
+from roadperc_stream.input.sync import PairingState, StampPairing, SyncedMessages
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.input.test_sync import MS, item
 from tests.replaying import replay
-from tests.state.parts import inputs, results, rows, write
+from tests.resume.parts import inputs, results, rows, write
 
 CFG = load_config(None, ("sync.max_wait_s=0.2",))
 ROAD = replace(logs.SMALL, width=96, height=72)
@@ -155,20 +149,3 @@ def test_of_a_part_without_calibration_the_next_step_is_named(drive, tmp_path, c
     assert main([str(part), str(tmp_path / "out.mcap")]) == 1
     said = capsys.readouterr().err
     assert "or --topic calibration=/TOPIC; give a part of a drive together with those before it, or --continue" in said
-
-
-def test_carried_messages_are_read_from_the_first_of_them_alone(drive, tmp_path, monkeypatch):
-    source, asked = write(tmp_path / "in.mcap", drive), []
-    log_in = open_input(ReplaySource(source, time_range=TimeRange(start_s=0.1)), CFG)
-    read = WindowMessages._read
-
-    def noted(self, start_ns, *more):
-        asked.append(start_ns)
-        return read(self, start_ns, *more)
-
-    monkeypatch.setattr(WindowMessages, "_read", noted)
-    end = log_in.end_state(with_messages=True)
-    assert asked == [log_in.plan.first_pass.end.first_pending_ns]
-    assert [m.log_time_ns for m in end.carried] == sorted(m.log_time_ns for m in end.carried)
-    first_ns = min(m.log_time_ns for m in end.carried)
-    assert first_ns == asked[0] > (log.summarise(source).first_ns or 0)

@@ -7,10 +7,11 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from roadperc_stream import log
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.formats import images
-from roadperc_stream.input.roles import assignment_of_log, probe_first_message
+from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.input.topics import probe_first_message
 from roadperc_stream.log import Channel, Message
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 from roadperc_stream.schemas.registry import schema
 from tests import logs
 

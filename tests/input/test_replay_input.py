@@ -1,13 +1,18 @@
-"""A log that is opened for replay: its frames, its messages, and what became of them."""
+"""A log that is opened for replay: its frames, its messages, what became of them, and what is read how often."""
+
+from dataclasses import replace
 
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.input import ReplaySource, open_input
+from roadperc_stream.input.window import WindowMessages
+from roadperc_stream.log import LogWriter
+from roadperc_stream.system.time import TimeRange
 from tests import logs
+from tests.analytic import STEP_NS
 
 CFG = ReplayConfig()
 
@@ -29,10 +34,7 @@ def test_samples_messages_and_counts(source):
 
 def test_every_pass_begins_anew(source):
     bad = logs.Item("depth", logs.items(4)[-1].stamp_ns + 1, b"no depth")
-    source = logs.write(
-        source,
-        [*logs.items(4), bad],
-    )
+    source = logs.write(source, [*logs.items(4), bad])
     log_in = open_input(ReplaySource(source), CFG)
     for _ in range(2):
         assert len(list(log_in.samples())) == 4
@@ -64,3 +66,71 @@ def test_a_topic_that_the_user_chose_is_recorded(source, tmp_path):
 def test_a_part_without_a_frame_is_refused(source):
     with pytest.raises(LogError, match="no message on /camera/front/image in the part asked for"):
         open_input(ReplaySource(source, time_range=TimeRange(start_s=9.0)), CFG)
+
+
+FRAMES = 3
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """First log time of every part of a log that is read."""
+    asked, read = [], WindowMessages._read
+
+    def noted(self, start_ns, *more):
+        asked.append(start_ns)
+        return read(self, start_ns, *more)
+
+    monkeypatch.setattr(WindowMessages, "_read", noted)
+    return asked
+
+
+def opened(source):
+    return open_input(ReplaySource(source, time_range=TimeRange(frames=FRAMES)), CFG)
+
+
+def with_late_depth(source, path, frame, by_ns):
+    """The log once more, the depth of a frame so much later."""
+    stamp_ns = logs.START_NS + frame * STEP_NS
+    delays = {("/camera/front/depth", stamp_ns): by_ns}
+    moved = [
+        replace(m, log_time_ns=m.log_time_ns + delays.get((m.channel.topic, m.log_time_ns), 0))
+        for m in log.read(log.summarise(source))
+    ]
+    with LogWriter(path) as writer:
+        for message in sorted(moved, key=lambda m: m.log_time_ns):
+            writer.write(message)
+    return path
+
+
+def test_where_nothing_arrives_late_what_is_behind_the_end_is_looked_at_once(tmp_path, reads):
+    log_in = opened(logs.write(tmp_path / "in.mcap", logs.items(8)))
+    assert len(list(log_in.samples())) == FRAMES
+    messages = list(log_in.messages())
+    end_ns = logs.START_NS + FRAMES * STEP_NS
+    assert log_in.plan.window.end_ns == end_ns
+    assert max(message.log_time_ns for message in messages) < end_ns
+    assert reads.count(end_ns) == 1
+
+
+def test_what_arrives_behind_the_end_belongs_to_its_instant(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(8))
+    tidy = list(opened(source).samples())
+    late = opened(with_late_depth(source, tmp_path / "late.mcap", FRAMES - 1, 3 * STEP_NS + 1))
+    arrived_ns = logs.START_NS + (FRAMES + 2) * STEP_NS + 1
+    assert late.plan.window.late_until_ns == arrived_ns + 1
+    behind = [m for m in late.messages() if m.log_time_ns >= late.plan.window.end_ns]
+    assert [(m.channel.topic, m.log_time_ns) for m in behind] == [("/camera/front/depth", arrived_ns)]
+    found = list(late.samples())
+    assert [sample.frame.stamp_ns for sample in found] == [sample.frame.stamp_ns for sample in tidy]
+    assert found[-1].frame.depth is not None
+
+
+def test_carried_messages_are_read_from_the_first_of_them_alone(tmp_path, reads):
+    source = logs.write(tmp_path / "in.mcap", logs.items(12))
+    cfg = load_config(None, ("sync.max_wait_s=0.2",))
+    log_in = open_input(ReplaySource(source, time_range=TimeRange(start_s=0.1)), cfg)
+    reads.clear()
+    end = log_in.end_state(with_messages=True)
+    assert reads == [log_in.plan.first_pass.end.first_pending_ns]
+    assert [m.log_time_ns for m in end.carried] == sorted(m.log_time_ns for m in end.carried)
+    assert min(m.log_time_ns for m in end.carried) == reads[0] > (log.summarise(source).first_ns or 0)

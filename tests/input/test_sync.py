@@ -4,15 +4,17 @@ from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.core.config import SyncConfig
-from roadperc_stream.core.geometry import Camera
+from roadperc_stream.config import SyncConfig
+from roadperc_stream.geometry import Camera
 from roadperc_stream.input.order import OrderConfig
-from roadperc_stream.input.pairing import PairingState, StampPairing
-from roadperc_stream.input.stream import Stamped
+from roadperc_stream.input.stream import Problems, Stamped
+from roadperc_stream.input.sync import LatchedState, PairingState, StampPairing, without_loops
+from roadperc_stream.model import Transform
 
 MS = 1_000_000
 CAMERA = Camera("c", 10, 10, 5.0, 5.0, 4.5, 4.5)
@@ -152,3 +154,27 @@ def test_a_gap_longer_than_the_wait_does_not_rob_a_waiting_frame():
 def test_equal_log_times_do_not_pile_up():
     items = [item("image", t, 0) for t in range(300)]
     assert len(run(items)[0]) == 300
+
+
+def transforms(*edges, log_time_ns=0):
+    return Stamped("tf", log_time_ns, 0, tuple(Transform(parent, child, np.eye(4)) for parent, child in edges))
+
+
+def test_cameras_and_transforms_are_latched_side_by_side():
+    state = LatchedState().updated(Stamped("calibration", 0, 0, CAMERA)).updated(transforms(("ego", "camera")))
+    assert (state.cameras, state.tree.parent_of) == ({"calibration": CAMERA}, {"camera": "ego"})
+
+
+def test_what_closes_a_loop_is_left_out_and_reported_once_a_topic():
+    problems = Problems()
+    items = [
+        transforms(("ego", "camera")),
+        transforms(("camera", "ego"), log_time_ns=5),
+        transforms(("camera", "ego"), ("ego", "lidar"), log_time_ns=6),
+        Stamped("calibration", 7, 7, CAMERA),
+    ]
+    kept = list(without_loops(items, LatchedState(), {"tf": "/tf", "calibration": "/c"}, problems))
+    assert [[edge.child for edge in item.edges] for item in kept] == [["camera"], ["lidar"], []]
+    (text,) = problems.first.values()
+    assert text == "/tf: message at 5 ns: a loop of transforms ('camera' to 'ego'), expected a tree: left out"
+    assert not problems.counts

@@ -9,13 +9,14 @@ import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from roadperc_stream import log
-from roadperc_stream.core.config import LimitsConfig, ReplayConfig, SurfaceConfig
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, MAPILLARY_VISTAS
+from roadperc_stream.config import LimitsConfig, ReplayConfig, SurfaceConfig
 from roadperc_stream.formats import images
 from roadperc_stream.info.examine import examine
 from roadperc_stream.input.earlier_replay import recorded_tag_table
-from roadperc_stream.input.roles import RoleAssignment, tag_table_to_record
+from roadperc_stream.input.roles import tag_table_to_record
+from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.log import Channel, LogWriter, Message, Metadata
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, MAPILLARY_VISTAS
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.record import METADATA_RECORD, TAG_TABLE_KEY

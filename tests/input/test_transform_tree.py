@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.geometry import level_mounting, rigid
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.geometry import level_mounting, rigid
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from tests import logs
 from tests.replaying import replay

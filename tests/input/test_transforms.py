@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.core.datatypes import Transform
 from roadperc_stream.errors import ChannelError
 from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.model import Transform
 
 
 def edge(parent, child, x):

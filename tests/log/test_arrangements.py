@@ -9,15 +9,14 @@ from mcap.exceptions import McapError
 from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.log.file_order import FileOrder
 from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
-from roadperc_stream.log.reading import IndexedOrSorted
+from roadperc_stream.log.reading import FileOrder, IndexedOrSorted
 from roadperc_stream.log.sorting import SortedMessages
+from roadperc_stream.system.time import TimeRange
 from tests.arranged import ARRANGEMENTS, arranged, by_topic, shuffled
 from tests.replaying import replay
 from tests.test_sample import SAMPLE
@@ -206,7 +205,7 @@ def test_memory_is_that_of_the_indexed_log(tmp_path, monkeypatch):
 
 def test_a_message_of_a_channel_that_nothing_describes_is_damage():
     with pytest.raises(McapError, match="no channel record found with id 1"):
-        FileOrder()._message(b"\1\0" + bytes(30))
+        next(FileOrder()._messages_of(5, b"\1\0" + bytes(30)))
 
 
 def test_equal_log_times_stay_as_they_came():

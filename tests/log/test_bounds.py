@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.core.config import LimitsConfig
+from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import LogError, TargetError
-from roadperc_stream.input.damage import LossTimes
+from roadperc_stream.input.source import LossTimes
 from roadperc_stream.log import Attachment, Channel, LogWriter, LostSpan, Message, Metadata, Recovery
 from roadperc_stream.log.sorting import SortedMessages
 from roadperc_stream.log.writing import StoredLogWriter
@@ -196,3 +196,12 @@ def test_attachments_have_a_limit_together(tmp_path):
     described = [Metadata(f"m{k}", (("k", "x" * (MIB * 6 // 10)),)) for k in range(2)]
     with pytest.raises(LogError, match=expected):
         log.summarise(written(tmp_path / "m.mcap", metadata=described), limits)
+
+
+def test_a_reading_may_be_given_up_after_its_database_is_closed():
+    """The garbage collector ends the two in any order."""
+    source = SortedMessages("a.mcap", lambda: [Message(A, k, k, 0, b"x") for k in (2, 1)])
+    reading = source.messages(None, None, None)
+    next(reading)
+    source._store._keys.close()
+    reading.close()

@@ -13,7 +13,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 
 from roadperc_stream import log
-from roadperc_stream.core.config import DEFAULT_LIMITS
+from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, MessageCopy
 from roadperc_stream.log.audit import salvaged

@@ -12,7 +12,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
-from roadperc_stream.core.config import DEFAULT_LIMITS
+from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
 from roadperc_stream.log.indexed import IndexedFile

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 import roadperc_stream as rp
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input import ReplaySource, open_input
-from roadperc_stream.input.parts import PartSpan, joins
+from roadperc_stream.input.outcome import PartSpan, joins
 from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Metadata
 from roadperc_stream.log.parts import MergedParts, SortedParts
 from roadperc_stream.output.tables import read_footer
+from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.arranged import ARRANGEMENTS, arranged, dealt, parts
 from tests.logs import START_NS

@@ -12,10 +12,10 @@ from threading import Thread
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.time import TimeRange
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.system.time import TimeRange
 from tests.arranged import ARRANGEMENTS, arranged
 from tests.commands import run, words
 from tests.replaying import replay

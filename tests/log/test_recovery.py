@@ -8,8 +8,9 @@ from mcap.writer import CompressionType, IndexType
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Metadata, Recovery
-from roadperc_stream.log.chunks import Workspace, chunk_head, contents_of
+from roadperc_stream.log.chunks import Workspace, contents_of
 from roadperc_stream.log.framing import Framing
+from roadperc_stream.log.layout import chunk_head
 from tests.log import flips
 
 CRC = {"enable_crcs": True, "enable_data_crcs": True}

@@ -3,8 +3,8 @@
 import numpy as np
 
 from roadperc_stream.chain.step import ChainState, step
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Boundary, Sample, Truth
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.model import Boundary, Sample, Truth
 from tests.analytic import Road, box
 
 CFG = ReplayConfig()

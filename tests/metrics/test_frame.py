@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from roadperc_stream.core.datatypes import Boundary, DepthImage, Lanes, TagImage
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.model import Boundary, DepthImage, Lanes, TagImage
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import Road
 from tests.metrics.frames import CFG, boundary, sample_and_result
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Reason
-from roadperc_stream.core.geometry import inverse, project, transform
+from roadperc_stream.geometry import inverse, project, transform
 from roadperc_stream.metrics.lanes import columns_at, lane_benchmarks, lane_error_m, true_lane_columns
+from roadperc_stream.model import Absent, Boundary, Lanes, Reason
 from roadperc_stream.schemas.columns.errors import LaneScoreColumns, TrueLaneColumns
 from tests.analytic import Road
 from tests.metrics.frames import boundary

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from roadperc_stream import metrics as m
-from roadperc_stream.core.datatypes import Object, Objects
 from roadperc_stream.metrics.objects import object_columns, same_kind, true_time_to_impact_s
+from roadperc_stream.model import Object, Objects
 from tests.analytic import box
 from tests.metrics.frames import CFG, sample_and_result
 

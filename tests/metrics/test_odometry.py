@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Odometry, Truth
-from roadperc_stream.core.geometry import rigid
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream.geometry import rigid
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.model import Odometry, Truth
 from tests.metrics.frames import CFG, sample_and_result
 
 

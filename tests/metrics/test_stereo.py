@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import DepthImage, StereoDepth
 from roadperc_stream.metrics.stereo import stereo_errors_of
+from roadperc_stream.model import DepthImage, StereoDepth
 from roadperc_stream.schemas.columns.errors import StereoErrorColumns
 from tests.metrics.frames import sample_and_result
 

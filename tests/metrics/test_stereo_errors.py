@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.core.geometry import Camera
+from roadperc_stream.geometry import Camera
 from roadperc_stream.metrics.stereo import both_see, low_quantile, stereo_errors
 
 STEREO = Camera("left", 80, 10, 100.0, 100.0, 39.5, 4.5)

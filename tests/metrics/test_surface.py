@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import HeightGrid
 from roadperc_stream.metrics import frame_metrics
 from roadperc_stream.metrics.surface import intersection_over_union, surface_height_error_m
+from roadperc_stream.model import HeightGrid
 from tests.hills import Hill
 from tests.metrics.frames import CFG, sample_and_result
 

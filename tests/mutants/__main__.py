@@ -1,134 +1,263 @@
-"""Puts small faults into the code and counts how many of them the tests notice."""
+"""Puts small faults into the code and counts how many of them the tests notice; cosmic-ray makes the faults."""
 
 import argparse
+import ast
 import json
 import os
 import random
+import re
 import signal
+import subprocess
 import sys
+import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import asdict
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
-import pytest
-
-from tests.mutants import forks, reach
-from tests.mutants.faults import Fault, faults_in
-from tests.mutants.reach import Reach
-from tests.mutants.trial import NOTICED_BY, UNNOTICED, Trial, planned, survives
+import coverage
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator
 
 SOURCES = ("roadperc_stream", "tools", "eval")
-GENERATED = "_pb2.py"
 KEPT = Path(".mutants")
+HOOK = Path(__file__).parent / "hook"
 WANTED_SHARE = 0.85
-FAILED = {pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED}  # the latter where a test cannot be imported
-MEASURING_PATIENCE_S = 900.0
-LEFT_OUT = {Path("tests/test_docs.py"), Path("tests/fuzz/test_fuzz.py")}  # what reaches far in them takes too long
+PATIENCE_S = 60.0
+PATIENCE_FACTOR = 8.0  # the machine may do other work as well
+LEFT_OUT = {Path("tests/test_docs.py"), Path("tests/fuzz/test_fuzz.py")}  # they reach far and take too long
+COMPARISONS = "Lt_LtE Lt_GtE LtE_Lt LtE_Gt Gt_GtE Gt_LtE GtE_Gt GtE_Lt Eq_NotEq NotEq_Eq Is_IsNot IsNot_Is"
+ARITHMETIC = "Add_Sub Sub_Add Mul_Div Div_Mul FloorDiv_Mul Mod_Mul Pow_Mul BitAnd_BitOr BitOr_BitAnd LShift_RShift"
+OTHERS = "AddNot NumberReplacer ReplaceTrueWithFalse ReplaceFalseWithTrue ReplaceAndWithOr ReplaceOrWithAnd"
+OPERATORS = (
+    *(f"core/ReplaceComparisonOperator_{change}" for change in COMPARISONS.split()),
+    *(f"core/ReplaceBinaryOperator_{change}" for change in ARITHMETIC.split()),
+    *(f"core/{name}" for name in OTHERS.split()),
+    *(f"core/{name}" for name in ("ReplaceUnaryOperator_USub_UAdd", "ReplaceUnaryOperator_Delete_Not")),
+    *(f"core/{name}" for name in ("ReplaceBreakWithContinue", "ReplaceContinueWithBreak")),
+)
+"""Of cosmic-ray's operators those whose faults are small: others mostly end in a TypeError, which any test notices."""
+MEASURING = """[run]
+source = {sources}
+data_file = {folder}/coverage
+parallel = true
+patch = subprocess
+concurrency = thread,multiprocessing
+disable_warnings = no-data-collected, module-not-measured, module-not-imported, already-imported, no-ctracer
+"""
+DESCRIPTION = """Draws small faults from all code, runs for each the test files nearest to it with the fault in place,
+and prints the share that a test notices and every fault that none does. The working tree stays as it is: a fault is
+put in when its module is imported. Exit code 0 if at least 85 of 100 are noticed, else 1."""
+EPILOG = """The first run measures which test files execute which lines (about 12 minutes on two cores) and keeps that
+in .mutants/; later runs measure only test files that changed or execute something that did. A test that also fails
+without the fault does not count. A fault that makes a test hang counts as noticed."""
 
-DESCRIPTION = """Draws small faults from all code (a comparison, a sign, an arithmetic operator, a constant, and/or,
-a dropped not, min/max), runs for each the tests nearest to it with the fault in place, and prints the share that a
-test notices and every fault that none does. Nothing in the working tree is touched: a fault is put in as its module is
-imported. Exit code 0 where at least 85 of 100 are noticed, 1 where fewer are."""
-EPILOG = """The first run measures which tests execute which lines (about 12 minutes on two cores) and keeps that in
-.mutants/; later ones measure anew only the test files that changed or execute something that did. After that 200 faults
-take about 15 minutes on two cores. A fault that makes a test hang counts as noticed."""
+
+@dataclass(frozen=True)
+class Fault:
+    """One small fault: what an operator of cosmic-ray does at one of its places in a file."""
+
+    path: str
+    operator: str
+    occurrence: int
+    first_line: int
+    """Of the statement around it."""
+    line: int
+
+    def source(self) -> str:
+        """The file's text with the fault."""
+        return mutate_code(Path(self.path).read_text("utf-8"), get_operator(self.operator)(), self.occurrence)
+
+    def __str__(self) -> str:
+        before, after = Path(self.path).read_text("utf-8").splitlines(), self.source().splitlines()
+        changed = [k for k, pair in enumerate(zip(before, after, strict=True)) if pair[0] != pair[1]]
+        return f"{self.path}:{self.line} {before[changed[0]].strip()} -> {after[changed[0]].strip()}"
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    made = argparse.ArgumentParser("python -m tests.mutants", description=DESCRIPTION, epilog=EPILOG)
-    made.add_argument("only", nargs="*", help="files or folders to draw from (default: all code)")
-    made.add_argument("--count", type=int, default=200, metavar="N", help="how many faults (default: 200)")
-    made.add_argument("--seed", type=int, default=1, metavar="N", help="what is drawn follows from it (default: 1)")
-    made.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N", help="processes (default: the cores)")
-    made.add_argument("--seconds", type=float, default=45, help="of tests a fault may cost (default: 45)")
-    made.add_argument("--again", action="store_true", help="only what survived the last run of this count and seed")
-    made.add_argument("--verbose", action="store_true", help="also print each noticed fault and the test that did")
-    return made
+@dataclass(frozen=True)
+class Reach:
+    """A test file, how long it takes, and the lines of each source file that it executes."""
+
+    test_file: str
+    seconds: float
+    lines: dict[str, list[int]]
+
+    def is_near(self, path: str) -> bool:
+        """Whether it is named after a module or its package, or holds a package above it to a recording."""
+        name = Path(self.test_file).stem.removeprefix("test_")
+        if name == "recorded":
+            return Path(self.test_file).parent.name in Path(path).parts
+        return name in {Path(path).stem, Path(path).parent.name}
 
 
 def main(arguments: list[str]) -> int:
-    """Runs the command; 0 where enough of the faults were noticed."""
-    asked = parser().parse_args(arguments)
-    drawn = sample(all_faults(asked.only), asked.count, asked.seed)
-    survivors_file = KEPT / f"survivors-{asked.count}-{asked.seed}.json"
-    if asked.again:
-        known = {tuple(fault.values()) for fault in json.loads(survivors_file.read_text("utf-8"))}
-        drawn = [fault for fault in drawn if tuple(asdict(fault).values()) in known]
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that no process is left behind
+    """Runs the command; 0 if enough of the faults are noticed."""
+    parser = argparse.ArgumentParser("python -m tests.mutants", description=DESCRIPTION, epilog=EPILOG)
+    parser.add_argument("only", nargs="*", help="files or folders to draw from (default: all code)")
+    parser.add_argument("--count", type=int, default=200, metavar="N", help="number of faults (default: 200)")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="the faults follow from it (default: 1)")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N", help="processes (default: the cores)")
+    parser.add_argument("--seconds", type=float, default=45, help="of tests for one fault (default: 45)")
+    parser.add_argument("--tests", default="tests", metavar="FOLDER", help="tests to run (default: tests)")
+    asked = parser.parse_args(arguments)
+    drawn = draw(asked.only, asked.count, asked.seed)
     if not drawn:
         print("no faults to try")
         return 0
-    started = time.monotonic()
-    forks.import_libraries()
-    reaches = list(measured(sorted(map(str, {*Path("tests").rglob("test_*.py")} - LEFT_OUT)), asked.jobs))
-    survivors = list(tried([planned(fault, reaches, asked.seconds) for fault in drawn], asked.jobs, asked.verbose))
-    survivors_file.write_text(json.dumps([asdict(fault) for fault in sorted(survivors)], indent=1), "utf-8")
-    share = 1 - len(survivors) / len(drawn)
-    print(f"noticed {len(drawn) - len(survivors)} of {len(drawn)} ({share:.1%}) in {time.monotonic() - started:.0f} s")
-    return 0 if share >= WANTED_SHARE else 1
+    started, survivors = time.monotonic(), 0
+    test_files = sorted(map(str, {*Path(asked.tests).rglob("test_*.py")} - LEFT_OUT))
+    with ThreadPoolExecutor(asked.jobs) as pool:
+        reaches = list(pool.map(measured, test_files))
+        near = [nearest(fault, reaches, asked.seconds) for fault in drawn]
+        try:
+            for fault, tests, noticed in zip(drawn, near, pool.map(notices, drawn, near), strict=True):
+                if not noticed:
+                    survivors += 1
+                    print(f"{fault}   ({len(tests)} test files)", flush=True)
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)
+            raise
+    noticed = len(drawn) - survivors
+    print(f"noticed {noticed} of {len(drawn)} ({noticed / len(drawn):.1%}) in {time.monotonic() - started:.0f} s")
+    return 0 if noticed >= WANTED_SHARE * len(drawn) else 1
 
 
-def all_faults(only: list[str]) -> list[tuple[Fault, ...]]:
-    """The faults of all code, or of what lies at or below one of the paths `only`."""
-    files = sorted(path for folder in SOURCES for path in Path(folder).rglob("*.py") if GENERATED not in path.name)
-    wanted = [file for file in files if not only or any(file.is_relative_to(path) for path in only)]
-    return [alternatives for file in wanted for alternatives in faults_in(str(file), file.read_text("utf-8"))]
+def draw(only: list[str], count: int, seed: int) -> list[Fault]:
+    """At most `count` faults, each at another place, from all code or from what is at or below the paths `only`."""
+    files = sorted(path for folder in SOURCES for path in Path(folder).rglob("*.py") if "_pb2" not in path.name)
+    files = [file for file in files if not only or any(file.is_relative_to(path) for path in only)]
+    chosen, drawn = random.Random(seed), {}
+    sizes = [len(file.read_text("utf-8").splitlines()) for file in files]
+    for file in chosen.choices(files, sizes, k=10 * count) if sum(sizes) else ():
+        if places := places_in(str(file)):
+            place = chosen.choice(sorted(places))
+            drawn.setdefault((file, place), chosen.choice(places[place]))
+        if len(drawn) == count:
+            break
+    return list(drawn.values())
 
 
-def sample(places: list[tuple[Fault, ...]], count: int, seed: int) -> list[Fault]:
-    """At most `count` faults, each at another place; of the faults a place can have any is as likely."""
-    random_numbers = random.Random(seed)
-    return [random_numbers.choice(found) for found in random_numbers.sample(places, min(count, len(places)))]
+@cache
+def places_in(path: str) -> dict[tuple, list[Fault]]:
+    """The faults that each place of a file can have."""
+    source, found = Path(path).read_text("utf-8"), defaultdict(list)
+    tree = ast.parse(source)
+    left_out = [_span(node) for node in _left_out(tree)]
+    nodes = list(ast_nodes(get_ast(source)))
+    statements = [node for node in ast.walk(tree) if isinstance(node, ast.stmt)]
+    for name in OPERATORS:
+        operator = get_operator(name)()
+        places = (place for node in nodes for place in operator.mutation_positions(node))
+        for occurrence, (start, end) in enumerate(places):
+            if not any(first <= start and end <= last for first, last in left_out):
+                around = [node.lineno for node in statements if _span(node)[0] <= start and end <= _span(node)[1]]
+                found[start, end].append(Fault(path, name, occurrence, max(around, default=start[0]), start[0]))
+    return found
 
 
-def measured(test_files: list[str], jobs: int) -> Iterator[Reach]:
-    """The reach of each test file: as kept where that is fresh, else measured and kept."""
-    stale = []
-    for file in test_files:
-        kept = KEPT / f"{file.replace('/', '.')}.json"
-        known = reach.load(kept) if kept.is_file() else None
-        if known is not None and reach.is_fresh(known):
-            yield known
-        else:
-            stale.append((file, kept))
-    if stale:
-        print(f"measuring what {len(stale)} test files execute", flush=True)
-    for ended in forks.run(stale, _measure, lambda _: MEASURING_PATIENCE_S, jobs):
-        file, kept = ended.job
-        if ended.code or not kept.is_file():
-            print(f"{file} could not be measured: {_last_lines(ended.folder)}", flush=True)
-            continue
-        found = reach.load(kept)
-        yield found
-        for test in found.tests:
-            if not test.passed:
-                print(f"left out, for it fails without any fault: {test.nodeid}", flush=True)
+def _span(node: ast.AST) -> tuple[tuple[int, int], tuple[int, int]]:
+    return (node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset)
 
 
-def _last_lines(folder: Path) -> str:
-    return " | ".join((folder / forks.OUTPUT).read_text("utf-8").splitlines()[-3:])
+def _left_out(tree: ast.Module) -> Iterator[ast.AST]:
+    """Where nothing can be wrong that a user would meet: types, decorators, error texts, checks on ourselves."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Raise | ast.Assert):
+            yield node
+        if isinstance(node, ast.If) and ast.unparse(node.test) in {"TYPE_CHECKING", "__name__ == '__main__'"}:
+            yield node
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.BinOp) and isinstance(node.value.op, ast.BitOr):
+            yield node
+        if isinstance(node, ast.Subscript) and ast.unparse(node.value).endswith("Literal"):
+            yield node
+        yield from getattr(node, "decorator_list", ())
+        yield from filter(None, (getattr(node, "annotation", None), getattr(node, "returns", None)))
 
 
-def _measure(job: tuple[str, Path], folder: Path) -> int:
-    file, kept = job
-    reach.save(reach.measure(file, folder, list(SOURCES)), kept)
-    return 0
+def measured(test_file: str) -> Reach:
+    """What a test file executes: as kept if nothing of it changed since, else measured and kept."""
+    kept = KEPT / f"{test_file.replace('/', '.')}.json"
+    if kept.is_file():
+        known = Reach(**json.loads(kept.read_text("utf-8")))
+        changed = (Path(path) for path in (test_file, *known.lines))
+        if all(path.is_file() and path.stat().st_mtime < kept.stat().st_mtime for path in changed):
+            return known
+    lines, started = defaultdict(set), time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        settings = Path(folder, "coveragerc")
+        settings.write_text(MEASURING.format(sources=",".join(map(os.path.abspath, SOURCES)), folder=folder), "utf-8")
+        run_tests([test_file], folder, 900.0, ("coverage", "run", f"--rcfile={settings}", "-m"))
+        for file in Path(folder).glob("coverage.*"):
+            data = coverage.CoverageData(str(file))
+            data.read()
+            for path in data.measured_files():
+                lines[os.path.relpath(path)].update(data.lines(path))
+    found = Reach(test_file, time.monotonic() - started, {path: sorted(numbers) for path, numbers in lines.items()})
+    KEPT.mkdir(exist_ok=True)
+    kept.write_text(json.dumps(asdict(found)), "utf-8")
+    return found
 
 
-def tried(trials: list[Trial], jobs: int, verbose: bool) -> Iterator[Fault]:
-    """Tries each fault, prints what survives as it does, and yields it."""
-    for ended in forks.run(trials, survives, lambda trial: trial.patience_s, jobs):
-        fault = ended.job.fault
-        if ended.code in UNNOTICED and not ended.hung:
-            print(f"{fault}   ({len(ended.job.tests)} tests)", flush=True)
-            yield fault
-        elif ended.code not in FAILED and ended.code > 0:
-            raise RuntimeError(f"{fault} could not be tried: {_last_lines(ended.folder)}")
-        elif verbose:
-            by = ended.folder / NOTICED_BY
-            print(f"noticed: {fault} by {by.read_text('utf-8') if by.is_file() else ended.code}", flush=True)
+def nearest(fault: Fault, reaches: list[Reach], budget_s: float) -> list[Reach]:
+    """The test files that execute a fault, the nearest and quickest first, as many as fit the budget, at least one."""
+    there = [(reach, set(reach.lines.get(fault.path, ()))) for reach in reaches]
+    found = [reach for reach, lines in there if lines.intersection(range(fault.first_line, fault.line + 1))]
+    found = found or [reach for reach, lines in there if lines]
+    chosen, spent = [], 0.0
+    for reach in sorted(found, key=lambda reach: (not reach.is_near(fault.path), reach.seconds)):
+        if not chosen or spent + reach.seconds <= budget_s:
+            chosen.append(reach)
+            spent += reach.seconds
+    return chosen
+
+
+def notices(fault: Fault, reaches: list[Reach]) -> bool:
+    """Whether one of the test files fails, or hangs, because of a fault."""
+    patience_s = PATIENCE_S + PATIENCE_FACTOR * sum(reach.seconds for reach in reaches)
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        faulty = Path(folder, "faulty.py")
+        faulty.write_text(fault.source(), "utf-8")
+        told = {"ROADPERC_FAULT": json.dumps([os.path.realpath(fault.path), str(faulty)]), "PYTHONPATH": str(HOOK)}
+        arguments = [reach.test_file for reach in reaches]
+        while reaches:
+            code, printed = run_tests(["-x", *arguments], folder, patience_s, **told)
+            failed = re.search(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", printed, re.MULTILINE)
+            if code in (0, 5):
+                return False
+            if failed is None or passes(failed[1]):
+                return True
+            arguments += ["--deselect", failed[1]]
+    return False
+
+
+@cache
+def passes(test: str) -> bool:
+    """Whether a test passes without any fault."""
+    with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
+        return run_tests([test], folder, 900.0)[0] == 0
+
+
+def run_tests(
+    arguments: list[str], folder: str, patience_s: float, program: tuple[str, ...] = (), **variables: str
+) -> tuple[int, str]:
+    """The exit code of pytest and what it prints; it leaves nothing behind outside `folder`."""
+    words = [sys.executable, "-m", *program, "pytest", *arguments, "-rfE", "--tb=no", "-p", "no:cacheprovider"]
+    paths = [variables.get("PYTHONPATH"), os.environ.get("PYTHONPATH")]
+    variables |= {"CI": "true", "PYTHONPATH": os.pathsep.join(filter(None, paths))}  # hypothesis repeats its examples
+    with subprocess.Popen(
+        [*words, f"--basetemp={folder}/pytest"], env=os.environ | variables, start_new_session=True,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+    ) as process:  # fmt: skip
+        try:
+            printed, _ = process.communicate(timeout=patience_s)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            return -signal.SIGKILL, ""
+    return process.returncode, printed
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core import rotations
+from roadperc_stream import geometry as g
+from roadperc_stream.geometry import rotations
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.protobuf import set_stamp
 

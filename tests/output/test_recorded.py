@@ -14,8 +14,8 @@ from mcap_ros2.decoder import DecoderFactory as RosDecoders
 
 from roadperc_stream import log
 from roadperc_stream.cli import replay
-from roadperc_stream.input.problems import Problems
-from roadperc_stream.output.drawing.frame import draw_frame
+from roadperc_stream.input.stream import Problems
+from roadperc_stream.output.drawing.overlay import draw_frame
 from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULT_PREFIX
 from roadperc_stream.view.result_frames import read_frames
 from tests import summaries

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.step import ChainState, step
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.datatypes import Odometry, Reason, Sample, Truth
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.model import Odometry, Reason, Sample, Truth
 from roadperc_stream.output.results import result_messages
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from tests.logs import SMALL

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
-from roadperc_stream.core.datatypes import Occupancy
 from roadperc_stream.errors import DecodeError, LogError
 from roadperc_stream.input.decoding.ros import unpack_image
+from roadperc_stream.model import Occupancy
 from roadperc_stream.output.encoding import encode_occupancy
 from roadperc_stream.schemas import ros2
 

@@ -10,9 +10,9 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli import replay
 from roadperc_stream.cli.convert import main
-from roadperc_stream.core.datatypes import Box
-from roadperc_stream.core.geometry import Camera
+from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import context_of_channel, decode
+from roadperc_stream.model import Box
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS
 from tests.tools.dump_writer import (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
 TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
 PATH_KEYS = {"lateral_m", "in_path", "time_to_impact_s"}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.cli.render import main
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 from roadperc_stream.tools.scene.options import SCENES, RenderOptions
 from roadperc_stream.tools.scene.world import make_world
 from tests.tools.rendered import CAMERA_X, CAMERA_Z, Dump

@@ -8,9 +8,9 @@ import polars as pl
 
 from roadperc_stream.cli.convert import main as convert
 from roadperc_stream.cli.replay import main as replay
-from roadperc_stream.core.config import ReplayConfig
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input import ReplaySource, open_input
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
 TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
 

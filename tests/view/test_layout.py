@@ -11,7 +11,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from roadperc_stream import log
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2
@@ -19,10 +19,9 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, ON_REQUEST, RESULTS, TIMES_TOPIC, result_schemas
 from roadperc_stream.view.layout import curves
-from roadperc_stream.view.layout.arrangement import layout_of
+from roadperc_stream.view.layout.arrangement import layout_of, write_layout
 from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
 from roadperc_stream.view.layout.panels import column, row, tabs, words
-from roadperc_stream.view.layout.writing import write_layout
 from tests import logs
 from tests.replaying import replay
 

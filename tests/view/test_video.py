@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output import encoding

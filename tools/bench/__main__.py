@@ -12,15 +12,13 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.cli.plumbing import run, whole_number
-from roadperc_stream.core.cost import cost_of
+from roadperc_stream.system.cost import cost_of
 
 from .agreement import require_agreement
-from .figures import ALL, COMPARED, LOGS, ONE, course_name, figures, floor_name, replay_name
-from .inputs import BenchLog
-from .options import add_input_arguments, logs_of
-from .printing import print_tables, read_series, tables, write_json, write_page
+from .figures import ALL, COMPARED, LOGS, ONE, BenchJob, course_name, figures, floor_name, measured, replay_name
+from .inputs import BenchLog, add_input_arguments, logs_of
+from .printing import print_tables, tables, write_json, write_page
 from .replays import Installation, replay_job, start_jobs
-from .session import BenchJob, Series, measured
 
 _AGREEING_FRAMES: Final = 3
 
@@ -34,17 +32,15 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--rounds", type=whole_number, default=3, metavar="N", help="runs of each (3)")
     parser.add_argument("--page", type=Path, metavar="FILE", help="put the tables in their place in a page of the docs")
-    parser.add_argument(
-        "--earlier", type=Path, metavar="FILE", help="print what an earlier --json holds; measure nothing"
-    )
     arguments = parser.parse_args(argv)
-    if arguments.earlier and arguments.json:
-        parser.error("--json: not together with --earlier")
     return run(lambda: _bench(arguments))
 
 
 def _bench(arguments: argparse.Namespace) -> None:
-    series = read_series(arguments.earlier) if arguments.earlier else _measured(arguments)
+    logs = logs_of(arguments)
+    for log in COMPARED:
+        require_agreement(logs[log].path, _AGREEING_FRAMES)
+    series = measured(_jobs(arguments.folder, logs, arguments.course_frames), arguments.rounds)
     found = figures(series)
     printed = tables(series, found)
     print_tables(printed)
@@ -52,13 +48,6 @@ def _bench(arguments: argparse.Namespace) -> None:
         write_page(arguments.page, printed)
     if arguments.json:
         write_json(arguments.json, series, found, {"frames": arguments.frames, "rounds": arguments.rounds})
-
-
-def _measured(arguments: argparse.Namespace) -> Series:
-    logs = logs_of(arguments)
-    for log in COMPARED:
-        require_agreement(logs[log].path, _AGREEING_FRAMES)
-    return measured(_jobs(arguments.folder, logs, arguments.course_frames), arguments.rounds)
 
 
 def _jobs(folder: Path, logs: dict[str, BenchLog], course_frames: int) -> list[BenchJob]:

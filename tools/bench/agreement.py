@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.api import frames
-from roadperc_stream.core.datatypes import Absent, Boundary, Side
 from roadperc_stream.errors import LogError
+from roadperc_stream.model import Absent, Boundary, Side
 
 from .course import Course, CourseResult, Times, ego_lines
 from .course_log import Array, read_messages

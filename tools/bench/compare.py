@@ -2,29 +2,85 @@
 
 Run it with ``make bench-compare BASE=<commit>`` or ``python -m roadperc_stream.tools.bench.compare FOLDER BASE``. The
 exit code is 1 where something is surely slower by more than a share.
+
+The ratios of the rounds, as logarithms, scatter around the ratio that is sought; disturbances of the machine make a
+few of them large. Hodges and Lehmann's estimate is the median of the means of all pairs of them (Walsh averages), and
+the interval lies between two of those means, by the distribution of Wilcoxon's signed ranks: exact for every symmetric
+scatter. Source: Hollander, Wolfe and Chicken, Nonparametric Statistical Methods, 3.
 """
 
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
-from typing import Final
+from typing import Final, Literal
+
+import numpy as np
 
 from roadperc_stream.cli.plumbing import run, whole_number
-from roadperc_stream.core.text import print_line
 from roadperc_stream.errors import RegressionError
 from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.system.text import print_line
 
-from .checkout import installed
-from .figures import LOGS, noise
-from .inputs import BenchLog
-from .intervals import Ratio, Verdict, ratio_of
-from .options import add_input_arguments, logs_of
+from .figures import LOGS, BenchJob, Series, measured, noise
+from .inputs import BenchLog, add_input_arguments, logs_of
 from .printing import print_tables
-from .replays import Installation, replay_job
-from .session import BenchJob, Series, measured
+from .replays import Installation, installed, replay_job
+
+Verdict = Literal["slower", "faster", "no difference shown"]
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """New over base: the estimate, and the interval that holds it with the confidence asked for."""
+
+    middle: float
+    low: float
+    high: float
+
+    def verdict(self, share: float) -> "Verdict":
+        """Slower where that is sure to be more than a share, faster where it is sure at all."""
+        if self.low > 1 + share:
+            return "slower"
+        return "faster" if self.high < 1 else "no difference shown"
+
+
+def ratio_of(base: Sequence[float], new: Sequence[float], confidence: float) -> Ratio:
+    """The ratio of two versions' times.
+
+    Args:
+        base: positive, one a round.
+        new: of the same rounds.
+        confidence: such as 0.99; where too few rounds can give it, the interval is unbounded.
+    """
+    logs = np.log(np.asarray(new, float) / np.asarray(base, float))
+    first, second = np.triu_indices(len(logs))
+    averages = np.sort((logs[first] + logs[second]) / 2)
+    outside = _outside(len(logs), confidence)
+    if outside is None:
+        return Ratio(float(np.exp(np.median(averages))), 0.0, np.inf)
+    low, middle, high = np.exp([averages[outside], np.median(averages), averages[-1 - outside]]).tolist()
+    return Ratio(low=low, middle=middle, high=high)
+
+
+def _outside(count: int, confidence: float) -> int | None:
+    """How many of the sorted averages lie beyond either end of the interval; None where all of them are too few."""
+    below = np.cumsum(signed_rank_probabilities(count))
+    allowed = (1 - confidence) / 2
+    outside = int(np.searchsorted(below, allowed, side="right"))
+    return outside - 1 if outside else None
+
+
+def signed_rank_probabilities(count: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Probability of each sum of ranks, 0 to n (n + 1) / 2, where each of 1 to n counts or not with equal chance."""
+    ways = np.ones(1)
+    for rank in range(1, count + 1):
+        ways = np.pad(ways, (0, rank)) + np.pad(ways, (rank, 0))
+    return ways / 2.0**count
+
 
 BASE, NEW = "base", "new"
 _WHOLE: Final = {

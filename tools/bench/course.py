@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
-from roadperc_stream.core.threads import one_thread
+from roadperc_stream.system.threads import one_thread
 
 from .course_log import RIGHT, Array, CourseFrame, decode, intrinsics, read_messages
 

@@ -58,7 +58,8 @@ def decode(messages: dict[str, bytes]) -> CourseFrame:
     height, width = image.shape[:2]
     # The pixels of a raw ROS image are its last bytes.
     depth_mm = np.frombuffer(messages[f"{FRONT}/depth"][-2 * height * width :], np.uint16).reshape(height, width)
-    tags = np.array(PillowImage.open(io.BytesIO(_content(messages[f"{FRONT}/segmentation"]))))
+    segmentation = _content(messages[f"{FRONT}/segmentation"])
+    tags = np.array(PillowImage.open(io.BytesIO(segmentation), formats=("PNG",)))
     found = Detections.FromString(messages[f"{FRONT}/detections"]).detections
     boxes = [(item.label, _corners(item.box_px)) for item in found]
     right = _colour(messages[f"{RIGHT}/image"]) if f"{RIGHT}/image" in messages else None

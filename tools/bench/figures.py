@@ -1,10 +1,79 @@
-"""What is wanted of the replay's speed, and what was measured."""
+"""Measurements in turn, and the figures they give beside those wanted."""
 
+import zlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
+from time import process_time
 from typing import Final
 
-from .session import CONTROL, Series, middle, ratios
+import cv2
+import numpy as np
+
+from roadperc_stream.system.text import print_line
+
+_REPEATS: Final = 8
+_SIDE: Final = 512
+
+
+def control() -> float:
+    """Milliseconds of a processor that the work takes: packing, filtering and plain Python, a quarter of a second."""
+    pixels = np.random.default_rng(0).integers(0, 32, (_SIDE, _SIDE), np.uint8)
+    started = process_time()
+    for _ in range(_REPEATS):
+        zlib.compress(cv2.GaussianBlur(pixels, (9, 9), 2.0).tobytes(), 6)
+        sum(index * index for index in range(100_000))
+    return (process_time() - started) * 1000
+
+
+CONTROL = "control"
+Series = dict[str, list[float]]
+"""A value a round of each quantity, such as ``replay png, 1 thread/cpu``."""
+
+
+@dataclass(frozen=True)
+class BenchJob:
+    """What is measured: ``run`` gives quantities by name, milliseconds a frame where nothing else is said."""
+
+    name: str
+    run: Callable[[], dict[str, float]]
+
+
+def measured(jobs: Sequence[BenchJob], rounds: int) -> Series:
+    """Run all jobs in turn, again and again, with the control before each of them.
+
+    Args:
+        jobs: what is measured, in this order.
+        rounds: how often; each is said when it begins.
+
+    Returns:
+        The values of each quantity, one a round; those of the control one a job.
+    """
+    series: Series = {}
+    for index in range(rounds):
+        print_line(f"round {index + 1} of {rounds}")
+        for job in jobs:
+            series.setdefault(CONTROL, []).append(control())
+            for quantity, value in job.run().items():
+                series.setdefault(f"{job.name}/{quantity}", []).append(value)
+    return series
+
+
+def ratios(series: Series, above: str, below: str) -> list[float]:
+    """One quantity over another, round by round."""
+    return [a / b for a, b in zip(series[above], series[below], strict=True)]
+
+
+def middle(series: Series, quantity: str) -> float | None:
+    """The median over the rounds; None of what was not measured."""
+    return median(series[quantity]) if quantity in series else None
+
+
+def parts_of(series: Series, job: str) -> dict[str, float]:
+    """Medians of a job's parts by name."""
+    start = f"{job}/part/"
+    return {name.removeprefix(start): median(values) for name, values in series.items() if name.startswith(start)}
+
 
 ONE, ALL = "one thread", "all threads"
 COMPARED = ("png", "jpeg", "stereo")

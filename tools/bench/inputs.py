@@ -1,5 +1,6 @@
 """The bench's own logs: one drive, rendered once, as PNG and as JPEG, with a stereo pair, and with truth."""
 
+import argparse
 import hashlib
 import shutil
 from collections.abc import Collection, Iterator
@@ -8,10 +9,11 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.cli.convert import main as convert
-from roadperc_stream.core.text import print_line
+from roadperc_stream.cli.plumbing import whole_number
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogSummary, LogWriter, Message, summarise
 from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.system.text import print_line
 
 from ..render_scene import render
 from ..scene.options import RenderOptions
@@ -110,3 +112,18 @@ def of_frames(summary: LogSummary, count: int) -> Iterator[Message]:
         if message.channel.topic == ROLES["image"].topic:
             images, last_ns = images + 1, message.log_time_ns
         yield message
+
+
+def add_input_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the logs are, and how large."""
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="gets the rendered logs, and keeps them")
+    parser.add_argument("--frames", type=whole_number, default=60, metavar="N", help="of each log (60)")
+    parser.add_argument("--width", type=whole_number, default=1280, metavar="PX", help="of the images, 4:3 (1280)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all of it to a file, too")
+
+
+def logs_of(arguments: argparse.Namespace) -> dict[str, BenchLog]:
+    """The logs that the arguments ask for, rendered if need be."""
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    frames, size = max(arguments.frames, WARM_UP + 1), (arguments.width, arguments.width * 3 // 4)
+    return prepared(arguments.folder, drive(frames, size))

@@ -14,13 +14,28 @@ import cv2
 import numpy as np
 
 from roadperc_stream import __version__
-from roadperc_stream.errors import TableError, TargetError
+from roadperc_stream.errors import TargetError
 from roadperc_stream.output.terminal import console_for, print_table
 from roadperc_stream.output.text_table import TextTable, row
 
-from .figures import ALL, BARE, COMPARED, HELP, LOGS, ONE, SpeedFigure, course_name, floor_name, noise, replay_name
+from .figures import (
+    ALL,
+    BARE,
+    COMPARED,
+    CONTROL,
+    HELP,
+    LOGS,
+    ONE,
+    Series,
+    SpeedFigure,
+    course_name,
+    floor_name,
+    middle,
+    noise,
+    parts_of,
+    replay_name,
+)
 from .inputs import WARM_UP
-from .session import CONTROL, Series, middle, parts_of
 
 _MET: Final = {None: "", True: "met", False: "missed"}
 _PLACE: Final = re.compile(r"(<!-- make bench writes here -->\n).*?(<!-- to here -->)", re.DOTALL)
@@ -130,16 +145,3 @@ def write_json(path: Path, series: Series, found: Sequence[SpeedFigure], about: 
         "series": series,
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-
-
-def read_series(path: Path) -> Series:
-    """The series that ``write_json`` wrote.
-
-    Raises:
-        TableError: the file holds none.
-    """
-    try:
-        series: Series = json.loads(path.read_text(encoding="utf-8"))["series"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise TableError(f"{path}: expected what make bench writes with --json") from error
-    return series

@@ -1,7 +1,11 @@
 """What a replay takes, from outside: the command in a process of its own, here or in another installation."""
 
 import subprocess
-from collections.abc import Sequence
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -9,11 +13,11 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.api import read_metrics
-from roadperc_stream.core.cost import Cost, cost_of
 from roadperc_stream.errors import ProgramError
+from roadperc_stream.system.cost import Cost, cost_of
 
+from .figures import BenchJob
 from .inputs import WARM_UP, BenchLog
-from .session import BenchJob
 
 _COMMAND: Final = "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"
 _THREADS: Final = "--threads"
@@ -118,3 +122,65 @@ def _start_job(name: str, command: list[str]) -> BenchJob:
         }
 
     return BenchJob(name, run)
+
+
+_REPOSITORY: Final = Path(__file__).resolve().parents[2]
+_PROJECT: Final = "roadperc_stream"
+_LIBRARIES: Final = "libraries.pth"
+
+
+@contextmanager
+def installed(commit: str) -> Iterator[Path]:
+    """The interpreter of an environment in which a commit is installed, with what it has to build; removed in the end.
+
+    Its libraries are those of this environment: what differs is this project alone. One that this environment lacks is
+    installed as the commit asks for it.
+
+    Args:
+        commit: anything that git takes for one.
+
+    Raises:
+        ProgramError: there is no such commit, or it cannot be installed.
+    """
+    named = _output("git", "-C", str(_REPOSITORY), "rev-parse", "--verify", "--quiet", f"{commit}^{{commit}}")
+    with tempfile.TemporaryDirectory(prefix="roadperc-bench-") as folder:
+        tree, environment = Path(folder) / "tree", Path(folder) / "environment"
+        _output("git", "-C", str(_REPOSITORY), "worktree", "add", "--detach", "--quiet", str(tree), named.strip())
+        try:
+            yield _environment(environment, tree)
+        finally:
+            _output("git", "-C", str(_REPOSITORY), "worktree", "remove", "--force", str(tree))
+
+
+def _environment(environment: Path, tree: Path) -> Path:
+    """The interpreter of a new environment that finds this one's libraries behind its own package."""
+    _output(sys.executable, "-m", "venv", "--without-pip", str(environment))
+    python = environment / "bin" / "python"
+    own = Path(_output(str(python), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
+    libraries = dict.fromkeys(sysconfig.get_path(kind) for kind in ("purelib", "platlib"))
+    own.joinpath(_LIBRARIES).write_text("".join(f"{folder}\n" for folder in libraries))
+    pip = [sys.executable, "-m", "pip", "--python", str(python), "--disable-pip-version-check", "install", "--quiet"]
+    _output(*pip, "--no-deps", "--ignore-installed", str(tree))
+    _output(*pip, _PROJECT)  # which is there already: what it lacks is not
+    return python
+
+
+def _output(*command: str) -> str:
+    """What a program prints.
+
+    Raises:
+        ProgramError: it fails, with its last line.
+    """
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ProgramError(f"{_shown(command)} ended with exit code {done.returncode}: {_last_line(done.stderr)}")
+    return done.stdout
+
+
+def _shown(command: Sequence[str]) -> str:
+    return " ".join(command)
+
+
+def _last_line(text: str) -> str:
+    lines = text.strip().splitlines()
+    return lines[-1] if lines else "it says nothing"

@@ -5,7 +5,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.core.config import OdometryConfig, scaled
+from roadperc_stream.config import OdometryConfig, scaled
 
 from .course import FARTHEST_M, Times
 from .course_log import Array

@@ -7,12 +7,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat, PositiveInt, TypeAdapter
 
-from roadperc_stream.core.geometry import Float, baseline_of, decompose_projection
-from roadperc_stream.core.nearest import nearest
 from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Float, baseline_of, decompose_projection
+from roadperc_stream.system.nearest import nearest
 
-from .carla_poses import CarlaPose
 from .json_files import Document, Numbers3, Numbers4, checked, read_json
+from .truth_file import CarlaPose
 
 Positive = Annotated[float, Field(gt=0.0)]
 FieldOfView = Annotated[float, Field(gt=0.0, lt=180.0)]

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.core.datatypes import EGO, Transform
-from roadperc_stream.core.geometry import Camera, Float, level_mounting, rigid
 from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Camera, Float, level_mounting, rigid
+from roadperc_stream.model import EGO, Transform
 
 from .calibration_file import (
     CalibrationFile,
@@ -20,8 +20,8 @@ from .calibration_file import (
     pinhole_of_fov,
     pinhole_of_K,
 )
-from .carla_poses import camera_mounting, right_handed
 from .role_names import role_of
+from .truth_file import camera_mounting, right_handed
 
 FRONT: Final = "camera_front"
 DEPTH: Final = "camera_depth"

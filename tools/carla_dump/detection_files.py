@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from pydantic import FiniteFloat, TypeAdapter
 
-from roadperc_stream.core.datatypes import Box, Detection
 from roadperc_stream.errors import DumpError
+from roadperc_stream.model import Box, Detection
 
 from .json_files import Document, Numbers4, by_frame, checked, frame_number, read_json
 

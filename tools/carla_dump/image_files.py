@@ -9,12 +9,10 @@ from typing import Final, Literal
 from PIL import Image as PillowImage
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.formats.images import PNG_MAGIC
+from roadperc_stream.formats.images import PNG_MAGIC, format_of
 
 ImageFormat = Literal["png", "jpeg"]
-JPEG_MAGIC: Final = b"\xff\xd8\xff"
 _JPEG_END: Final = b"\xff\xd9"
-_OTHERS: Final = {b"BM": "BMP", b"GIF8": "GIF", b"II*\x00": "TIFF", b"MM\x00*": "TIFF", b"v/1\x01": "OpenEXR"}
 _PNG_MODES: Final = {0: "grey", 2: "RGB", 3: "palette", 4: "grey + alpha", 6: "RGBA"}
 _TAIL_BYTES: Final = 1024
 
@@ -45,20 +43,13 @@ def image_format(path: Path, data: bytes) -> ImageFormat:
         UnreadableFrameError: empty, or neither PNG nor JPEG; the message says what it is.
 
     """
-    if data.startswith(PNG_MAGIC):
+    name = format_of(data)
+    if name == "PNG":
         return "png"
-    if data.startswith(JPEG_MAGIC):
+    if name == "JPEG":
         return "jpeg"
-    raise UnreadableFrameError(f"{path}: {_name_of(data)}, expected PNG or JPEG")
-
-
-def _name_of(data: bytes) -> str:
-    if not data:
-        return "empty file"
-    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-        return "WEBP image"
-    known = next((name for magic, name in _OTHERS.items() if data.startswith(magic)), None)
-    return f"{known} image" if known else f"no image (starts with {data[:8].hex(' ')})"
+    found = f"{name} image" if name else f"no image (starts with {data[:8].hex(' ')})" if data else "empty file"
+    raise UnreadableFrameError(f"{path}: {found}, expected PNG or JPEG")
 
 
 def read_header(path: Path) -> ImageHeader:

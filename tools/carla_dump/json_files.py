@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat, TypeAdapter, ValidationError
 
-from roadperc_stream.core.config.settings import in_brief
-from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.config.settings import in_brief
 from roadperc_stream.errors import DumpError
+from roadperc_stream.system.time import NS_PER_S
 
 T = TypeVar("T")
 Numbers3 = tuple[FiniteFloat, FiniteFloat, FiniteFloat]

@@ -7,8 +7,8 @@ from pathlib import Path
 from shlex import quote
 from typing import Final
 
-from roadperc_stream.core.files import real_path
 from roadperc_stream.errors import DumpError
+from roadperc_stream.system.files import real_path
 
 from .json_files import frame_number
 from .role_names import role_of

@@ -8,10 +8,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from roadperc_stream.core.datatypes import EGO
 from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.log import Channel, Message
+from roadperc_stream.model import EGO
 from roadperc_stream.output import encoding
 from roadperc_stream.output.encoding import encode_points
 from roadperc_stream.schemas.record import TAG_TABLE_KEY

@@ -6,25 +6,22 @@ from math import gcd
 from pathlib import Path
 from typing import Final, TypeVar
 
-from roadperc_stream.core.datatypes import Detection
-from roadperc_stream.core.geometry import Camera, Float
-from roadperc_stream.core.semantics import TagTable
-from roadperc_stream.core.time import NS_PER_S
 from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.model import Detection
+from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.schemas.roles import ROLES
+from roadperc_stream.system.time import NS_PER_S
 
 from .calibration_file import CalibrationFile, load_calibration
 from .camera_rig import CAMERA_ROLES, LIDAR, Rig, build_rig
-from .carla_poses import load_poses
-from .depth_files import GREY, DepthEncoding, depth_encoding
+from .depth_files import GREY, DepthEncoding, GreyDepth, depth_encoding, grey_encoding
 from .detection_files import load_detections, load_kitti_labels
 from .frame_stamps import DEFAULT_RATE_HZ, stamps_of_file, stamps_of_names, stamps_of_rate
-from .grey_depth import GreyDepth, grey_encoding
 from .layout import DumpLayout, find_layout
-from .meeting import apart_ns, meeting_notes, reference_of
-from .survey import SensorSurvey, front_sensors, of_size, points_fault, survey
+from .survey import SensorSurvey, apart_ns, front_sensors, meeting_notes, of_size, points_fault, reference_of, survey
 from .tag_files import LOSSY_TAGS, TagEncoding, choose_table, tag_encoding
-from .truth_file import NO_TRUTH, TruthTables, load_truth
+from .truth_file import NO_TRUTH, TruthTables, load_poses, load_truth
 
 T = TypeVar("T")
 _TAG_ROLES: Final[tuple[str, ...]] = ("segmentation", "truth_segmentation")

@@ -16,10 +16,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Float32
+from roadperc_stream.geometry import Float32
 
 from .image_files import UnreadableFrameError, read_bytes
-from .npy_files import NPY_MAGIC, read_npy
+from .pixel_files import NPY_MAGIC, read_npy
 
 _LEFT_HANDED: Final = frozenset({".ply", ".npy"})
 _PLY_MAGIC: Final = b"ply"

@@ -3,9 +3,9 @@
 from rich.console import Console
 from rich.table import Table
 
-from roadperc_stream.core.geometry import Camera
-from roadperc_stream.core.text import shown
+from roadperc_stream.geometry import Camera
 from roadperc_stream.output.terminal import PipeConsole, print_lines
+from roadperc_stream.system.text import shown
 
 from .camera_rig import LIDAR
 from .plan import Plan

@@ -7,8 +7,10 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.datatypes import Image
-from roadperc_stream.core.semantics import (
+from roadperc_stream.errors import DumpError
+from roadperc_stream.formats.raster import PALETTE_TABLE, UNKNOWN, tags_by_code
+from roadperc_stream.model import Image
+from roadperc_stream.model.tag_tables import (
     CARLA_BEFORE_0_9_14,
     CARLA_FROM_0_9_14,
     CARLA_TABLES,
@@ -16,8 +18,6 @@ from roadperc_stream.core.semantics import (
     TagTable,
     table_for_version,
 )
-from roadperc_stream.errors import DumpError
-from roadperc_stream.formats.palette import PALETTE_TABLE, UNKNOWN, tags_by_code
 
 from .pixel_files import Pixels, surveyed
 

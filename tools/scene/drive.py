@@ -3,17 +3,15 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.geometry import Float
 
-from .drawings import CAR_M, CAR_WIDTH_M
-from .ego import Ego, LaneChangeState
+from .ego import Ego, LaneChangeState, lane_changes, shake_of
 from .faces import Faces, together
 from .layout import Fixtures
-from .manoeuvre import lane_changes
 from .options import RenderOptions
 from .scenario import pair_of
 from .shade import Shadow
-from .shake import shake_of
+from .sheet import CAR_M, CAR_WIDTH_M
 from .traffic import Traffic
 from .view import Scenery
 from .world import World

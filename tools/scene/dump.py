@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.core.files import completing, completing_folder
-from roadperc_stream.core.geometry import Float, Float32
 from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Float, Float32
+from roadperc_stream.system.files import completing, completing_folder
 
 from .ground import FAR_M
 from .options import SENSORS
 from .rig import BASELINE_M, CameraPair, carla_mountings
-from .scanner import MOUNT_Z_M as LIDAR_Z_M
+from .rig import MOUNT_Z_M as LIDAR_Z_M
 
 JPEG_QUALITY: Final = 90
 CARLA_VERSION: Final = "0.9.15"

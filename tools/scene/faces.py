@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Float, transform
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.geometry import Float, transform
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
 Patch = tuple[float, float, float, float]
 """u0, du, v0, dv: texture coordinates u0 + a du, v0 + b dv of a face's point origin + a across + b up, texels."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from roadperc_stream.core.geometry import Float, Float32
+from roadperc_stream.geometry import Float, Float32
 
 TEXEL_M: Final = 0.01
 COLUMNS: Final = 2048

@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Camera, Float, Float32
+from roadperc_stream.geometry import Camera, Float, Float32
 
-from .crossing import LocalCrossing
 from .path import LocalPath, Real
+from .roads import LocalCrossing
 from .section import CURB_HEIGHT_M
 from .world import World
 

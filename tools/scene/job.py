@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import dump, noise
-from .detector import detect
 from .drive import Drive, SceneMoment
+from .noise import detect
 from .object_truth import ObjectTruth, objects_truth
 from .options import SENSORS, RenderOptions
-from .rig import CameraPair, make_rig
-from .scanner import scan
+from .rig import CameraPair, make_rig, scan
 from .truth import lanes_truth, surface_truth
 from .view import RenderedView, photograph, render
 from .world import make_world

@@ -1,11 +1,42 @@
-"""The lanes of the ego car's own direction: where each begins and ends, and the edges that face it."""
+"""The lanes of the ego car's own direction, their edges, and painted lines whose place changes along the road.
+
+Lines are dashed, worn or missing for stretches. The plain scenes have their lines in the cross-section; these are
+painted over a cross-section without lines.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
-from .along import Along
+from roadperc_stream.geometry import Float
+
+from .options import Stretch
+from .path import Real
+from .section import Colour
+
+
+@dataclass(frozen=True)
+class Along:
+    """A quantity over s: straight between knots, constant beyond the outer ones."""
+
+    s_m: tuple[float, ...]
+    value: tuple[float, ...]
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is the same everywhere."""
+        return len(set(self.value)) == 1
+
+    def at(self, s_m: Real | float) -> Float:
+        """The quantity at s of any shape."""
+        return np.asarray(np.interp(s_m, self.s_m, self.value))
+
+
+def constant(value: float) -> Along:
+    """The same everywhere."""
+    return Along((0.0,), (value,))
 
 
 @dataclass(frozen=True)
@@ -62,3 +93,29 @@ def side_by_side(edges: Sequence[tuple[Edge, Edge]], start: int) -> LaneMap:
     """Lanes without end from left to right; ``start`` is the number of the one the ego car begins in."""
     lanes = tuple(Lane(left, right) for left, right in edges)
     return LaneMap(lanes, lanes[start])
+
+
+Dashes = Literal["none", "all", "stretches"]
+
+
+@dataclass(frozen=True)
+class Marking:
+    """A line as wide as all are, about a middle that changes with s, between two places.
+
+    ``dashes`` says where it is dashed: nowhere, all along, or for a part of each stretch as in the plain scenes.
+    """
+
+    middle_m: Along
+    colour: Colour
+    dashes: Dashes = "none"
+    from_m: float = -np.inf
+    to_m: float = np.inf
+
+
+@dataclass(frozen=True)
+class Markings:
+    """All lines of a road, and the stretches where they are missing or worn down to remains."""
+
+    lines: tuple[Marking, ...]
+    missing: tuple[Stretch, ...] = ()
+    worn: tuple[Stretch, ...] = ()

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.geometry import Float
 
 from . import prefabs
 from .faces import Faces, Vector

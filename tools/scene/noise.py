@@ -1,14 +1,18 @@
-"""Noise in clean pictures, as sensors and networks have it."""
+"""Sensors and networks as one gets them: noise in clean pictures, and a detector that errs."""
 
-from typing import Final
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Float32
+from roadperc_stream.geometry import Camera, Float, Float32, inverse, project, transform
 
+from .drive import SceneMoment, Thing
 from .ground import FAR_M
+from .object_truth import ObjectTruth
 
 Tags = NDArray[np.uint8]
 
@@ -79,3 +83,89 @@ def noisy_rgb(rgb: NDArray[np.uint8], std: float, rng: np.random.Generator) -> N
     """Colours with independent noise in grey levels."""
     noise = rng.standard_normal(rgb.shape, np.float32) * np.float32(std)
     return np.clip(np.rint(rgb + noise), 0, 255).astype(np.uint8)
+
+
+MISSED: Final = 0.05
+JITTER: Final = 0.03
+"""Deviation of each box side, as a share of the box's size."""
+BEYOND_IMAGE: Final = 0.5
+"""Share of the boxes at the image's border that reach beyond it."""
+OCCLUDED_FOUND: Final = 0.35
+OCCLUDED_MIN_PX: Final = 0.012
+"""Smallest occluded thing that is found, as a share of the image's width."""
+OCCLUDED_MAX_M: Final = 70.0
+FALSE_PER_FRAME: Final = 2.2
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class DetectedBox:
+    """A half-open box in pixels with a label and a score."""
+
+    label: str
+    box_px: Box
+    score: float
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``detections.json`` holds it."""
+        return {"label": self.label, "box_px": [round(c, 2) for c in self.box_px], "score": round(self.score, 4)}
+
+
+def detect(
+    moment: SceneMoment, camera: Camera, world_T_camera: Float, seen: Sequence[ObjectTruth], rng: np.random.Generator
+) -> list[DetectedBox]:
+    """Detections in one frame, the best first."""
+    found = [
+        DetectedBox(truth.label, _jittered(truth.box_px, camera, rng), float(rng.uniform(0.55, 0.99)))
+        for truth in seen
+        if rng.random() >= MISSED
+    ]
+    visible = {truth.name for truth in seen}
+    hidden = [thing for thing in moment.things if thing.name not in visible]
+    found += _occluded(hidden, camera, world_T_camera, rng)
+    found += [_false(camera, rng) for _ in range(rng.poisson(FALSE_PER_FRAME))]
+    return sorted(found, key=lambda detection: -detection.score)
+
+
+def _jittered(box: Box, camera: Camera, rng: np.random.Generator) -> Box:
+    """The box with every side moved a little; at the image's border it may reach out of the image."""
+    width, height = box[2] - box[0], box[3] - box[1]
+    x0, y0, x1, y1 = np.asarray(box) + rng.normal(0, JITTER, 4) * (width, height, width, height)
+    whole = (float(x0), float(y0), float(max(x1, x0 + 1)), float(max(y1, y0 + 1)))
+    left, right = (float(np.clip(x, 0, camera.width)) for x in (whole[0], whole[2]))
+    top, bottom = (float(np.clip(y, 0, camera.height)) for y in (whole[1], whole[3]))
+    beyond = rng.random() < BEYOND_IMAGE or right - left < 1 or bottom - top < 1
+    return whole if beyond else (left, top, right, bottom)
+
+
+def _occluded(
+    hidden: Sequence[Thing], camera: Camera, world_T_camera: Float, rng: np.random.Generator
+) -> Iterator[DetectedBox]:
+    """Some of the things that stand behind others, with the box of the whole thing."""
+    for thing in hidden:
+        box = whole_box(thing, camera, world_T_camera)
+        if box is not None and box[2] - box[0] >= OCCLUDED_MIN_PX * camera.width and rng.random() < OCCLUDED_FOUND:
+            yield DetectedBox(thing.label, _jittered(box, camera, rng), float(rng.uniform(0.35, 0.75)))
+
+
+def whole_box(thing: Thing, camera: Camera, world_T_camera: Float) -> Box | None:
+    """The box of all of a thing, hidden parts included; None outside the image, behind or far off."""
+    faces = thing.faces
+    corners = np.concatenate([faces.origin + a * faces.across + b * faces.up for a in (0, 1) for b in (0, 1)])
+    points = transform(inverse(world_T_camera), corners)
+    if points[:, 2].min() < 0.5 or points[:, 2].min() > OCCLUDED_MAX_M:
+        return None
+    (x0, y0), (x1, y1) = project(camera, points).min(axis=0), project(camera, points).max(axis=0)
+    inside = x1 > 0 and y1 > 0 and x0 < camera.width and y0 < camera.height
+    return (float(x0), float(y0), float(x1), float(y1)) if inside else None
+
+
+def _false(camera: Camera, rng: np.random.Generator) -> DetectedBox:
+    """A box of a likely shape on whatever is there: a facade, a tree, the road."""
+    label = "Car" if rng.random() < 0.6 else "Pedestrian"
+    height = camera.height * float(np.exp(rng.uniform(np.log(0.03), np.log(0.2))))
+    width = height * float(rng.uniform(1.0, 2.2) if label == "Car" else rng.uniform(0.3, 0.55))
+    x, y = rng.uniform(0, camera.width), camera.height * rng.uniform(0.2, 0.8)
+    box = (float(x) - width / 2, float(y) - height / 2, float(x) + width / 2, float(y) + height / 2)
+    return DetectedBox(label, box, float(rng.uniform(0.3, 0.75)))

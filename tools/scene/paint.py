@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Float32
+from roadperc_stream.geometry import Float32
 
 from .grain import pink_noise
 from .ground import FAR_M, Ground
-from .markings import Marking, Markings
+from .lanes import Marking, Markings
 from .options import Stretch
 from .section import DASH_M, DASH_PERIOD_M, LINE_M, Colour, line_gap
 

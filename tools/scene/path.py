@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.geometry import Float
 
 Real = NDArray[np.floating[Any]]
 """Single or double precision; results have the precision of the arguments."""

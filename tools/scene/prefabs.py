@@ -5,9 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from . import drawings
 from .faces import Faces, Patch, Vector, box, face, ribbon, together
-from .sheet import load_sheet
+from .sheet import CAR_M, CAR_PROFILE, CAR_WIDTH_M, CROWN_M, DRAWINGS, FACADE_M, PLAIN_M, WHEELS, load_sheet
 
 CAR_COLOURS: Final[tuple[Vector, ...]] = (
     (0.62, 0.28, 0.12), (0.16, 0.14, 0.66), (0.95, 0.95, 0.95), (0.28, 0.27, 0.26), (0.62, 0.62, 0.60),
@@ -19,7 +18,7 @@ CLOTHES: Final[tuple[Vector, ...]] = (
 SKIN: Final[Vector] = (0.55, 0.66, 0.86)
 STEEL: Final[Vector] = (0.5, 0.5, 0.48)
 BARK: Final[Vector] = (0.22, 0.28, 0.34)
-FACADES: Final = tuple(name for name, _ in drawings.DRAWINGS if name.startswith("facade"))
+FACADES: Final = tuple(name for name, _ in DRAWINGS if name.startswith("facade"))
 FOUNDATION_M: Final = 2.5
 """How deep walls go below the ground, so that none floats where the road climbs."""
 
@@ -28,8 +27,8 @@ FOUNDATION_M: Final = 2.5
 def car(colour: int) -> Faces:
     """A car 4.3 m long: two cut side views and what spans between them."""
     sheet, tint = load_sheet(), CAR_COLOURS[colour % len(CAR_COLOURS)]
-    length, height = drawings.CAR_M
-    rear, half = -length / 2, drawings.CAR_WIDTH_M / 2
+    length, height = CAR_M
+    rear, half = -length / 2, CAR_WIDTH_M / 2
 
     def side(x: float, y: float, across: float, patch: Patch) -> Faces:
         return face((x, y, 0.0), (across, 0.0, 0.0), (0.0, 0.0, height), patch, tint, "car", cut=True)
@@ -41,8 +40,8 @@ def car(colour: int) -> Faces:
 
 def _skin(rear: float, tint: Vector) -> list[Faces]:
     """What spans between a car's two sides, its floor excepted."""
-    corners = [(x + rear, z) for x, z in drawings.CAR_PROFILE]
-    sheet, width, plain = load_sheet(), drawings.CAR_WIDTH_M, plain_patch(1.8, 1.0)
+    corners = [(x + rear, z) for x, z in CAR_PROFILE]
+    sheet, width, plain = load_sheet(), CAR_WIDTH_M, plain_patch(1.8, 1.0)
     textures = {1: "car_nose", 4: "glass", 6: "glass", 8: "car_tail"}
     patches = [sheet.patch(textures[i]) if i in textures else plain for i in range(len(corners))]
     spans = zip(corners, [*corners[1:], corners[0]], patches, strict=True)
@@ -52,7 +51,7 @@ def _skin(rear: float, tint: Vector) -> list[Faces]:
 def _tyres(rear: float, half: float) -> list[Faces]:
     """What one sees of the tyres from before and behind."""
     dark, patch = (0.13, 0.13, 0.13), plain_patch(0.2, 0.4)
-    ends = (rear + drawings.WHEELS[0][0] - 0.2, rear + drawings.WHEELS[1][0] + 0.2)
+    ends = (rear + WHEELS[0][0] - 0.2, rear + WHEELS[1][0] + 0.2)
     tyres = []
     for y in (-half + 0.02, half - 0.22):
         tyres.append(face((ends[0], y + 0.2, 0.0), (0.0, -0.2, 0.0), (0.0, 0.0, 0.4), patch, dark, "car"))
@@ -84,7 +83,7 @@ def lamp_post(towards: int) -> Faces:
 @cache
 def tree() -> Faces:
     """A trunk and a crown of crossing cut cards."""
-    size, patch = drawings.CROWN_M, load_sheet().patch("crown")
+    size, patch = CROWN_M, load_sheet().patch("crown")
     trunk = box((0.0, 0.0, 1.2), (0.24, 0.24, 2.4), plain_patch(0.3, 2.4), BARK, "vegetation")
     cards = []
     for angle in np.radians((20.0, 80.0, 140.0)):
@@ -101,7 +100,7 @@ def building(style: int, length_m: float, depth_m: float, height_m: float, tint:
     up, half = (0.0, 0.0, height), length_m / 2
 
     def wall(origin: tuple[float, float], across: tuple[float, float], width: float) -> Faces:
-        patch = sheet.patch(name, (width / drawings.FACADE_M[0], height / drawings.FACADE_M[1]))
+        patch = sheet.patch(name, (width / FACADE_M[0], height / FACADE_M[1]))
         return face((*origin, -FOUNDATION_M), (*across, 0.0), up, patch, tint, "building")
 
     back = -depth_m
@@ -125,7 +124,7 @@ def building(style: int, length_m: float, depth_m: float, height_m: float, tint:
 
 def plain_patch(width_m: float, height_m: float) -> Patch:
     """As much of the plain texture as a face of this size shows."""
-    return load_sheet().patch("plain", (width_m / drawings.PLAIN_M, height_m / drawings.PLAIN_M))
+    return load_sheet().patch("plain", (width_m / PLAIN_M, height_m / PLAIN_M))
 
 
 def _flipped(patch: Patch) -> Patch:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.geometry import Camera, Float, Float32, inverse
 
 from .faces import Faces
 
@@ -46,8 +46,8 @@ def draw_faces(
     owner = np.full(camera.size, -1, np.int32)
     for i in np.flatnonzero((boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])):
         x0, y0, x1, y1 = boxes[i]
-        patch = seen.patch[i] if seen.cut[i] else None
-        _draw(H[i], (x0, y0), inverse_depth[y0:y1, x0:x1], owner[y0:y1, x0:x1], int(i), patch, outline)
+        texture = (seen.patch[i], outline) if seen.cut[i] else None
+        _draw(H[i], (x0, y0), inverse_depth[y0:y1, x0:x1], owner[y0:y1, x0:x1], int(i), texture)
     return Drawn(owner, inverse_depth, seen, H)
 
 
@@ -57,10 +57,9 @@ def _draw(
     inverse_depth: Float32,
     owner: NDArray[np.int32],
     number: int,
-    patch: Float | None,
-    outline: NDArray[np.bool_],
+    texture: tuple[Float, NDArray[np.bool_]] | None,
 ) -> None:
-    """One face into its box of the buffers."""
+    """One face into its box of the buffers; a texture's patch and outline cut it."""
     height, width = inverse_depth.shape
     u, v = np.arange(corner[0], corner[0] + width), np.arange(corner[1], corner[1] + height)[:, None]
     q2 = (H[2, 0] * u) + (H[2, 1] * v + H[2, 2])
@@ -71,8 +70,8 @@ def _draw(
         q = (H[row, 0] * u) + (H[row, 1] * v + H[row, 2])
         inside &= q >= 0
         inside &= q <= q2
-    if patch is not None:
-        _cut(inside, H, corner, patch, outline)
+    if texture is not None:
+        _cut(inside, H, corner, *texture)
     np.copyto(inverse_depth, q2, where=inside, casting="same_kind")
     owner[inside] = number
 

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Float32
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.geometry import Float32
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
 Colour = tuple[float, float, float]
 """Blue, green, red, 0 to 255."""

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Camera, Float, Float32, inverse, transform
+from roadperc_stream.geometry import Camera, Float, Float32, inverse, transform
 
 from .grain import GRAIN_STD, ROWS, TEXEL_M, Grain, depth_level, level_depth_m, pink_noise
 from .grain import LEVELS as GRAIN_LEVELS

@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.core.geometry import Float, rigid
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream.geometry import Float, rigid
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 
 from . import prefabs
 from .ego import Ego
 from .faces import Faces
-from .motion import SpeedProfile
+from .scenario import SpeedProfile
 from .section import CURB_HEIGHT_M
 from .world import World
 

@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import (
+from roadperc_stream.geometry import (
     Float,
     camera_pitch_roll,
     facing,
@@ -18,8 +18,7 @@ from roadperc_stream.core.geometry import (
 from .drive import SceneMoment
 from .lanes import Edge
 from .rig import CameraPair
-from .terrain import Terrain
-from .world import World
+from .world import Terrain, World
 
 LINE_LENGTH_M: Final = 60
 GRID_X_M: Final = (0, 60)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.geometry import Camera, Float, Float32
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
+from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
 from .faces import Faces
 from .grain import make_grain

@@ -15,14 +15,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.config import OccupancyConfig, scaled
-from roadperc_stream.core.datatypes import Absent, Image, Mask, Occupancy, Reason, Surface
-from roadperc_stream.core.geometry import Camera, Float, Float32, inverse
-from roadperc_stream.core.ground import ego_points, ego_rays, height_above, height_at, part
-from roadperc_stream.core.kernels.cell_counts import Cells, KnownPixels, count_points
-from roadperc_stream.core.kernels.reprojection_plain import Projection
-from roadperc_stream.core.kernels.visible_cells import Middles, mark_visible
-from roadperc_stream.core.scene import Scene
+from roadperc_stream.chain.kernels import count_points, mark_visible
+from roadperc_stream.chain.kernels.occupancy_plain import Cells, KnownPixels, Middles
+from roadperc_stream.chain.kernels.odometry_plain import Projection
+from roadperc_stream.config import OccupancyConfig, scaled
+from roadperc_stream.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.geometry.ground import ego_points, ego_rays, height_above, height_at, part
+from roadperc_stream.model import Absent, Image, Mask, Occupancy, Reason, Surface
+from roadperc_stream.model.scene import Scene
 
 Counts = NDArray[np.int64]
 
@@ -79,8 +79,8 @@ def _points_in_cells(
         if surface.height_grid is not None:
             heights = height_above(surface, *ego_points(camera, scene.ego_T_camera, depth_m[rows], top))
         rays = ego_rays(camera, scene.ego_T_camera, top, len(depth_m[rows]))
-        pixels = KnownPixels(depth_m[rows], heights, marks[rows].view(np.uint8), tags[rows])
-        count_points(cells, pixels, rays, abd, obstacle_tags, free, occupied)
+        pixels = KnownPixels(depth_m[rows], heights, marks[rows].view(np.uint8), tags[rows], obstacle_tags)
+        count_points(cells, pixels, rays, abd, free, occupied)
     return free, occupied
 
 
@@ -109,16 +109,13 @@ def _visible_drivable(cfg: OccupancyConfig, scene: Scene, surface: Surface, driv
     """(rows, columns) cells whose middle is visible as drivable road, at its own distance where the depth is dense."""
     camera = scene.camera
     x, y = _middles(cfg)
-    visible = np.empty(_shape(cfg), np.uint8)
-    mark_visible(
+    visible = mark_visible(
         Projection(camera.fx, camera.fy, camera.cx, camera.cy),
         inverse(scene.ego_T_camera),
         Middles(x, y, height_at(surface, x, y[:, None])),
         drivable.view(np.uint8),
         scene.dense_depth_m,
-        cfg.depth_tolerance,
-        cfg.resolution_m,
-        visible,
+        (cfg.depth_tolerance, cfg.resolution_m),
     )
     return visible.view(bool)
 

@@ -6,22 +6,26 @@ from typing import Any, Final
 
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.core.semantics import TABLES
-from roadperc_stream.core.time import END_OF_TIME_NS
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.raster import Content
 from roadperc_stream.input.decoding import foxglove, own, ros
-from roadperc_stream.input.decoding.bounds import require_length, require_within
-from roadperc_stream.input.decoding.calibration import camera_from_calibration
-from roadperc_stream.input.decoding.from_json import from_json
 from roadperc_stream.input.decoding.own import detection_from_proto
-from roadperc_stream.input.decoding.payload import Context, Decoded, Payload
-from roadperc_stream.input.decoding.wire import parsed
+from roadperc_stream.input.decoding.payload import (
+    Context,
+    Decoded,
+    Payload,
+    camera_from_calibration,
+    require_length,
+    require_within,
+)
+from roadperc_stream.input.decoding.wire import from_json, parsed
 from roadperc_stream.log import Channel
+from roadperc_stream.model.tag_tables import TABLES
 from roadperc_stream.schemas import cdr, ros2
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.roles import CARLA_BRIDGE, Kind
+from roadperc_stream.system.time import END_OF_TIME_NS
 
 __all__ = [
     "DECODERS",
@@ -35,13 +39,6 @@ __all__ = [
     "schemas_of_kind",
 ]
 Decoder = Callable[[bytes, Context], Decoded]
-
-_OWN: Final[Mapping[tuple[Kind, str], Decoder]] = {
-    ("detections", "roadperc.Detections"): own.detections,
-    ("surface", "roadperc.Surface"): own.surface,
-    ("lanes", "roadperc.Lanes"): own.lanes,
-    ("objects", "roadperc.Objects"): own.objects,
-}
 
 
 def _protobuf(message_type: Any, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
@@ -71,7 +68,7 @@ def _cdr(name: str, decoder: Callable[[Any, Context], Decoded]) -> Decoder:
 
 
 DECODERS: Final[Mapping[tuple[Kind, str, str], Decoder]] = {
-    **{(kind, name, "protobuf"): decoder for (kind, name), decoder in _OWN.items()},
+    **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in own.DECODERS.items()},
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _picture(t, f) for (kind, t), f in foxglove.PICTURES.items()},
     **{(kind, t.DESCRIPTOR.full_name, "protobuf"): _protobuf(t, f) for (kind, t), f in foxglove.DECODERS.items()},
     **{(kind, name, "cdr"): _cdr(name, f) for (kind, name), f in ros.DECODERS.items()},

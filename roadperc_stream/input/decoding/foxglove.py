@@ -12,51 +12,30 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud as PointCloudPro
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from roadperc_stream.core.datatypes import EGO, PointCloud, Transform
-from roadperc_stream.core.geometry import Float32
 from roadperc_stream.formats import points
 from roadperc_stream.formats.raster import Content, Raster
+from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding import pictures
-from roadperc_stream.input.decoding.bounds import require_count
-from roadperc_stream.input.decoding.calibration import camera_from_calibration
-from roadperc_stream.input.decoding.payload import Context, Decoded, pose_matrix
+from roadperc_stream.input.decoding.payload import Context, Decoded, camera_from_calibration, pose_matrix, require_count
+from roadperc_stream.model import EGO, PointCloud, Transform
 from roadperc_stream.schemas.protobuf import stamp_ns
 from roadperc_stream.schemas.roles import Kind
 
-
-def _compressed_image(message: Any, data: Content, context: Context) -> Decoded:
-    image = pictures.encoded_image(message.frame_id, data, context.limits)
-    return Decoded(stamp_ns(message.timestamp), image)
+Picture = Callable[[Any, Content, Context], Decoded]
 
 
-def _compressed_tags(message: Any, data: Content, context: Context) -> Decoded:
-    tags = pictures.encoded_tags(message.frame_id, data, context)
-    return Decoded(stamp_ns(message.timestamp), tags)
+def _encoded(decoder: Callable[[str, Content, Context], Any]) -> Picture:
+    """A decoder of messages whose data are a file."""
+    return lambda message, data, context: _stamped(message, decoder(message.frame_id, data, context))
 
 
-def _raw_image(message: Any, data: Content, context: Context) -> Decoded:
-    image = pictures.raw_image(message.frame_id, _raster(message, data), context.limits)
-    return Decoded(stamp_ns(message.timestamp), image)
+def _raw(decoder: Callable[[str, Raster, Context], Any]) -> Picture:
+    """A decoder of messages whose data are pixels."""
+    return lambda message, data, context: _stamped(message, decoder(message.frame_id, _raster(message, data), context))
 
 
-def _raw_depth(message: Any, data: Content, context: Context) -> Decoded:
-    depth = pictures.raw_depth(message.frame_id, _raster(message, data), context.limits)
-    return Decoded(stamp_ns(message.timestamp), depth)
-
-
-def _raw_tags(message: Any, data: Content, context: Context) -> Decoded:
-    tags = pictures.raw_tags(message.frame_id, _raster(message, data), context)
-    return Decoded(stamp_ns(message.timestamp), tags)
-
-
-def _compressed_instances(message: Any, data: Content, context: Context) -> Decoded:
-    instances = pictures.encoded_instances(message.frame_id, data, context.limits)
-    return Decoded(stamp_ns(message.timestamp), instances)
-
-
-def _raw_instances(message: Any, data: Content, context: Context) -> Decoded:
-    instances = pictures.raw_instances(message.frame_id, _raster(message, data), context.limits)
-    return Decoded(stamp_ns(message.timestamp), instances)
+def _stamped(message: Any, payload: Any) -> Decoded:
+    return Decoded(stamp_ns(message.timestamp), payload)
 
 
 def _raster(message: Any, data: Content) -> Raster:
@@ -65,7 +44,7 @@ def _raster(message: Any, data: Content) -> Raster:
 
 def _point_cloud(message: Any, context: Context) -> Decoded:
     require_count("points", len(message.data) // max(message.point_stride, 1), context.limits)
-    return Decoded(stamp_ns(message.timestamp), PointCloud(message.frame_id, lambda: _points_m(message)))
+    return _stamped(message, PointCloud(message.frame_id, lambda: _points_m(message)))
 
 
 def _points_m(message: Any) -> Float32:
@@ -77,11 +56,11 @@ def _points_m(message: Any) -> Float32:
 
 
 def _calibration(message: Any, _: Context) -> Decoded:
-    return Decoded(stamp_ns(message.timestamp), camera_from_calibration(message))
+    return _stamped(message, camera_from_calibration(message))
 
 
 def _transform(message: Any, _: Context) -> Decoded:
-    return Decoded(stamp_ns(message.timestamp), (_edge(message),))
+    return _stamped(message, (_edge(message),))
 
 
 def _transforms(message: Any, context: Context) -> Decoded:
@@ -100,17 +79,17 @@ def _edge(message: Any) -> Transform:
 def _pose(message: Any, _: Context) -> Decoded:
     """A pose of the ego frame."""
     matrix = pose_matrix(message.pose.position, message.pose.orientation)
-    return Decoded(stamp_ns(message.timestamp), Transform(message.frame_id, EGO, matrix))
+    return _stamped(message, Transform(message.frame_id, EGO, matrix))
 
 
-PICTURES: Final[Mapping[tuple[Kind, Any], Callable[[Any, Content, Context], Decoded]]] = {
-    ("image", CompressedImage): _compressed_image,
-    ("image", RawImage): _raw_image,
-    ("tags", CompressedImage): _compressed_tags,
-    ("tags", RawImage): _raw_tags,
-    ("instances", CompressedImage): _compressed_instances,
-    ("instances", RawImage): _raw_instances,
-    ("depth", RawImage): _raw_depth,
+PICTURES: Final[Mapping[tuple[Kind, Any], Picture]] = {
+    ("image", CompressedImage): _encoded(pictures.encoded_image),
+    ("image", RawImage): _raw(pictures.raw_image),
+    ("tags", CompressedImage): _encoded(pictures.encoded_tags),
+    ("tags", RawImage): _raw(pictures.raw_tags),
+    ("instances", CompressedImage): _encoded(pictures.encoded_instances),
+    ("instances", RawImage): _raw(pictures.raw_instances),
+    ("depth", RawImage): _raw(pictures.raw_depth),
 }
 """By kind and type of message, of which field ``data`` is given apart."""
 DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {

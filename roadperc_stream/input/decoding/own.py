@@ -1,11 +1,14 @@
 """The messages of roadperc.proto: detections, and what is true or was found of road, lanes and objects."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 
-from roadperc_stream.core.datatypes import (
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.geometry import Float, Plane
+from roadperc_stream.input.decoding.payload import Context, Decoded, require_count
+from roadperc_stream.model import (
     Boundary,
     Box,
     Detection,
@@ -18,17 +21,13 @@ from roadperc_stream.core.datatypes import (
     Surface,
     parse_reason,
 )
-from roadperc_stream.core.datatypes.results import BoundaryStatus, LaneChange, ObjectStatus
-from roadperc_stream.core.geometry import Float, Plane
-from roadperc_stream.errors import DecodeError
-from roadperc_stream.input.decoding.bounds import require_count
-from roadperc_stream.input.decoding.payload import Context, Decoded
-from roadperc_stream.schemas.fields import optional, require_finite
-from roadperc_stream.schemas.protobuf import stamp_ns
+from roadperc_stream.model.results import BoundaryStatus, LaneChange, ObjectStatus
+from roadperc_stream.schemas.protobuf import optional, require_finite, stamp_ns
 from roadperc_stream.schemas.roadperc_pb2 import Detections as DetectionsProto
 from roadperc_stream.schemas.roadperc_pb2 import Lanes as LanesProto
 from roadperc_stream.schemas.roadperc_pb2 import Objects as ObjectsProto
 from roadperc_stream.schemas.roadperc_pb2 import Surface as SurfaceProto
+from roadperc_stream.schemas.roles import Kind
 
 _LANE_CHANGE_OF: Final[Mapping[str, LaneChange]] = {"none": "none", "left": "left", "right": "right"}
 _SIDE_OF: Final[Mapping[int, Side]] = {1: "left", 2: "right"}
@@ -40,9 +39,8 @@ _FEWEST: Final = 2
 _FINEST_M, _FARTHEST_M = 1e-3, 1e7
 
 
-def detections(data: bytes, context: Context) -> Decoded:
+def _detections(message: Any, context: Context) -> Decoded:
     """roadperc.Detections."""
-    message = DetectionsProto.FromString(data)
     require_count("detections", len(message.detections), context.limits)
     return Decoded(stamp_ns(message.timestamp), tuple(detection_from_proto(d) for d in message.detections))
 
@@ -54,9 +52,8 @@ def detection_from_proto(message: Any) -> Detection:
     return Detection(message.label, box, float(message.score), message.id)
 
 
-def surface(data: bytes, _: Context) -> Decoded:
+def _surface(message: Any, _: Context) -> Decoded:
     """roadperc.Surface of a truth."""
-    message = SurfaceProto.FromString(data)
     normal = np.array([message.normal.x, message.normal.y, message.normal.z])
     require_finite("surface", *normal, message.camera_height_m, message.a, message.b, message.d)
     if not np.linalg.norm(normal) > 0:
@@ -90,9 +87,8 @@ def _height_grid(grid: Any) -> HeightGrid:
     return HeightGrid(grid.x_min_m, grid.y_min_m, grid.step_m, heights.reshape(grid.rows, grid.columns))
 
 
-def lanes(data: bytes, _: Context) -> Decoded:
+def _lanes(message: Any, _: Context) -> Decoded:
     """roadperc.Lanes: true ones, or those a replay has found; boundaries of no known side are left out."""
-    message = LanesProto.FromString(data)
     found = Lanes(
         tuple(_boundary(b) for b in message.boundaries if b.side in _SIDE_OF),
         lane_change=_LANE_CHANGE_OF.get(message.lane_change),
@@ -148,9 +144,8 @@ _OPTIONAL_NUMBERS: Final = (
 )
 
 
-def objects(data: bytes, context: Context) -> Decoded:
+def _objects(message: Any, context: Context) -> Decoded:
     """roadperc.Objects: true ones, or those a replay has found."""
-    message = ObjectsProto.FromString(data)
     require_count("detections", len(message.objects), context.limits)
     return Decoded(stamp_ns(message.timestamp), Objects(tuple(_object(o) for o in message.objects)))
 
@@ -168,3 +163,12 @@ def _object(message: Any) -> Object:
         cut_in=optional(message, "cut_in"),
         **numbers,
     )
+
+
+DECODERS: Final[Mapping[tuple[Kind, Any], Callable[[Any, Context], Decoded]]] = {
+    ("detections", DetectionsProto): _detections,
+    ("surface", SurfaceProto): _surface,
+    ("lanes", LanesProto): _lanes,
+    ("objects", ObjectsProto): _objects,
+}
+"""By kind and type of message."""

@@ -1,13 +1,18 @@
-"""What a decoder gives, and what it may need besides the bytes."""
+"""What a decoder gives, what it may need besides the bytes, and the limits and cameras that several decoders share."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final, Literal
 
 import numpy as np
 
-from roadperc_stream.core.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.core.datatypes import (
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats.images import require_pixels
+from roadperc_stream.geometry import Camera, Float, Lens, pinhole_fault, rigid
+from roadperc_stream.geometry.rotations import rotation_from_quaternion
+from roadperc_stream.model import (
     CameraImage,
     DepthImage,
     Detection,
@@ -19,11 +24,9 @@ from roadperc_stream.core.datatypes import (
     TagImage,
     Transform,
 )
-from roadperc_stream.core.geometry import Camera, Float, rigid
-from roadperc_stream.core.rotations import rotation_from_quaternion
-from roadperc_stream.core.semantics import TagTable
-from roadperc_stream.errors import DecodeError
-from roadperc_stream.schemas.fields import require_finite
+from roadperc_stream.model.tag_tables import TagTable
+from roadperc_stream.schemas.protobuf import require_finite
+from roadperc_stream.schemas.roles import Kind
 
 Payload = (
     CameraImage
@@ -39,6 +42,10 @@ Payload = (
     | Lanes
     | Objects
 )
+_LARGE: Final[frozenset[Kind]] = frozenset(("image", "tags", "instances", "depth", "points"))
+"""Kinds whose messages are read as a whole; those of others item by item."""
+_INTRINSICS: Final = (0, 4, 2, 5)
+"""Where fx, fy, cx and cy stand in K, row by row."""
 
 
 def names_in(payload: Payload | Transform | Detection) -> Iterator[str]:
@@ -94,3 +101,87 @@ def pose_matrix(position: Any, orientation: Any) -> Float:
         raise DecodeError(f"pose without an orientation: {error}") from error
     require_finite("pose", position.x, position.y, position.z)
     return rigid(rotation, np.array([position.x, position.y, position.z]))
+
+
+def require_length(kind: Kind, data: bytes, limits: LimitsConfig) -> None:
+    """Refuse a message that would take long to read.
+
+    Raises:
+        DecodeError: the message names the limit.
+    """
+    if len(data) > limits.message_bytes and kind not in _LARGE:
+        raise DecodeError(f"{len(data)} bytes: expected limits.message_mb {limits.message_mb} at most")
+
+
+def require_count(items: Literal["points", "detections", "transforms"], found: int, limits: LimitsConfig) -> None:
+    """Refuse more items than a message may have.
+
+    Raises:
+        DecodeError: the message names the limit.
+    """
+    most: int = getattr(limits, items)
+    if found > most:
+        raise DecodeError(f"{found} {items}: expected limits.{items} {most} at most")
+
+
+def require_within(payload: Payload, limits: LimitsConfig) -> None:
+    """Refuse a camera that is too large, and a name that is too long.
+
+    Raises:
+        DecodeError: the message names the limit.
+    """
+    if isinstance(payload, Camera):
+        require_pixels("calibration", payload.width, payload.height, limits)
+    longest = max(map(len, names_in(payload)), default=0)
+    if longest > limits.name_length:
+        raise DecodeError(f"a name of {longest} characters: expected limits.name_length {limits.name_length} at most")
+
+
+def camera_from_calibration(message: Any) -> Camera:
+    """A camera of a foxglove.CameraCalibration; P, where it is given, holds the rectified intrinsics.
+
+    K, D and R speak of the image as it is: where they say that it is not rectified yet, the camera has a lens.
+
+    Raises:
+        DecodeError: neither K nor P describes a pinhole that could be a camera, or there is no size.
+
+    """
+    K, P = list(message.K), list(message.P)
+    intrinsics = _intrinsics(K, P)
+    fx, fy, cx, cy = (float(value) for value in intrinsics)
+    if not (np.isfinite(intrinsics).all() and fx > 0 and fy > 0 and message.width and message.height):
+        size = f"{message.width}x{message.height}"
+        raise DecodeError(f"calibration of {message.frame_id!r}: size {size}, K {K}: expected a pinhole camera")
+    fault = pinhole_fault(message.width, message.height, fx, fy, cx, cy)
+    if fault is not None:
+        raise DecodeError(f"calibration of {message.frame_id!r}: {fault}")
+    baseline_m = -P[3] / fx if len(P) == 12 and P[3] else None
+    distortion = tuple(_number(d) for d in message.D) if any(message.D) else ()
+    lens = _lens(message, (fx, fy, cx, cy)) if len(K) == 9 and any(K[k] for k in _INTRINSICS) else None
+    return Camera(message.frame_id, message.width, message.height, fx, fy, cx, cy, baseline_m, distortion, lens)
+
+
+def _lens(message: Any, rectified: tuple[float, float, float, float]) -> Lens | None:
+    """How the image was taken; None where it is rectified as it stands, or R is not given (all zero, in ROS).
+
+    What it says is not judged here: only who rectifies the image has to do without a lens that cannot be.
+    """
+    R = tuple(_number(r) for r in message.R)
+    if len(R) != 9 or not any(R):
+        return None
+    fx, fy, cx, cy = (_number(message.K[k]) for k in _INTRINSICS)
+    as_taken = (fx, fy, cx, cy)
+    if not any(message.D) and R == Lens.R and as_taken == rectified:
+        return None
+    return Lens(*as_taken, R, message.distortion_model)
+
+
+def _number(value: float) -> float:
+    """The number, and always the same NaN: calibrations that say the same are then equal."""
+    return math.nan if math.isnan(value) else float(value)
+
+
+def _intrinsics(K: list[float], P: list[float]) -> tuple[float, float, float, float]:
+    if len(P) == 12 and P[0] > 0:
+        return P[0], P[5], P[2], P[6]
+    return (K[0], K[4], K[2], K[5]) if len(K) == 9 else (0.0, 0.0, 0.0, 0.0)

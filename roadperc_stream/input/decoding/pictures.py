@@ -5,16 +5,14 @@ from typing import Final
 
 import numpy as np
 
-from roadperc_stream.core.config import LimitsConfig
-from roadperc_stream.core.datatypes import CameraImage, DepthImage, InstanceImage, TagImage
-from roadperc_stream.core.geometry import Float32
-from roadperc_stream.core.kernels.depth import DEPTH_LIMIT_MM, UNKNOWN_MM
-from roadperc_stream.core.semantics import TagTable
+from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
-from roadperc_stream.formats.palette import PALETTE_TABLE, tags_of_colours
-from roadperc_stream.formats.raster import Content, Raster
+from roadperc_stream.formats.raster import PALETTE_TABLE, Content, Raster, tags_of_colours
+from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding.payload import Context
+from roadperc_stream.model import CameraImage, DepthImage, InstanceImage, TagImage
+from roadperc_stream.model.tag_tables import TagTable
 
 _COLOUR_TYPE: Final = 25
 """Where a PNG says how its pixels are coloured."""
@@ -23,33 +21,34 @@ _DEPTH_HEADER: Final = struct.Struct("<iff")
 """Of compressedDepth: a number nobody uses, and both parameters of the quantisation of 32FC1."""
 
 
-def encoded_image(frame_id: str, content: Content, limits: LimitsConfig) -> CameraImage:
+def encoded_image(frame_id: str, content: Content, context: Context) -> CameraImage:
     """A camera's image of a file's bytes."""
+    limits = context.limits
     return CameraImage(
         frame_id,
         lambda: images.decode_bgr(bytes(content), limits),
         lambda: images.decode_grey(bytes(content), limits),
-        lambda: images.image_size(bytes(content)),
+        lambda: images.image_size(bytes(content), limits),
     )
 
 
-def raw_image(frame_id: str, raster: Raster, limits: LimitsConfig) -> CameraImage:
+def raw_image(frame_id: str, raster: Raster, context: Context) -> CameraImage:
     """A camera's image of raw pixels.
 
     Raises:
         DecodeError: it is beyond the limits.
     """
-    _require_pixels("image", raster, limits)
+    _require_pixels("image", raster, context.limits)
     return CameraImage(frame_id, raster.bgr, raster.grey, raster.size)
 
 
-def raw_depth(frame_id: str, raster: Raster, limits: LimitsConfig) -> DepthImage:
+def raw_depth(frame_id: str, raster: Raster, context: Context) -> DepthImage:
     """Depth of raw pixels.
 
     Raises:
         DecodeError: it is beyond the limits.
     """
-    _require_pixels("depth", raster, limits)
+    _require_pixels("depth", raster, context.limits)
     return DepthImage(frame_id, raster.depth)
 
 
@@ -84,7 +83,7 @@ def encoded_tags(frame_id: str, content: Content, context: Context) -> TagImage:
     return TagImage(frame_id, known, lambda: images.decode_indices(bytes(content), limits))
 
 
-def encoded_instances(frame_id: str, content: Content, limits: LimitsConfig) -> InstanceImage:
+def encoded_instances(frame_id: str, content: Content, context: Context) -> InstanceImage:
     """Masks of a PNG in CARLA's coding.
 
     Raises:
@@ -92,20 +91,20 @@ def encoded_instances(frame_id: str, content: Content, limits: LimitsConfig) -> 
     """
     if not _is_png(content):
         raise DecodeError("instance masks that are no PNG: expected CARLA's coding, which no lossy file keeps")
-    return InstanceImage(frame_id, lambda: images.instance_ids(images.decode_bgr(bytes(content), limits)))
+    return InstanceImage(frame_id, lambda: images.instance_ids(images.decode_bgr(bytes(content), context.limits)))
 
 
 def _is_png(content: Content) -> bool:
     return content[: len(images.PNG_MAGIC)] == images.PNG_MAGIC
 
 
-def raw_instances(frame_id: str, raster: Raster, limits: LimitsConfig) -> InstanceImage:
+def raw_instances(frame_id: str, raster: Raster, context: Context) -> InstanceImage:
     """Masks of raw pixels in CARLA's coding.
 
     Raises:
         DecodeError: beyond the limits.
     """
-    _require_pixels("instances", raster, limits)
+    _require_pixels("instances", raster, context.limits)
     return InstanceImage(frame_id, lambda: images.instance_ids(raster.bgr()))
 
 
@@ -118,16 +117,16 @@ def _table_of(table: TagTable | None, *, indexed: bool) -> TagTable:
     return PALETTE_TABLE
 
 
-def encoded_depth(frame_id: str, layout: str, content: bytes, limits: LimitsConfig) -> DepthImage:
+def encoded_depth(frame_id: str, layout: str, content: bytes, context: Context) -> DepthImage:
     """Depth of a PNG with 16 bits a pixel.
 
     Args:
         frame_id: of the camera.
         layout: the message's ``format``: ``16UC1; compressedDepth``, ``32FC1; compressedDepth png`` or ``16UC1; png``.
         content: the message's data.
-        limits: of its size.
+        context: has the limits of its size.
     """
-    return DepthImage(frame_id, lambda: _decoded_depth(layout, content, limits))
+    return DepthImage(frame_id, lambda: _decoded_depth(layout, content, context.limits))
 
 
 def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[Float32, float]:
@@ -140,12 +139,12 @@ def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[F
         raise DecodeError(f"depth of format {layout!r}: {len(content)} bytes, expected a header of 12 bytes")
     pixels = _png16(layout, content[_DEPTH_HEADER.size :] if headed else content, limits)
     if not layout.startswith("32FC1"):
-        return images.depth_from_mm(pixels), DEPTH_LIMIT_MM / 1000
+        return images.depth_from_mm(pixels), images.DEPTH_LIMIT_MM / 1000
     if not headed:
         raise DecodeError(f"depth of format {layout!r}: expected 16UC1, or compressedDepth")
     _, scale, offset = _DEPTH_HEADER.unpack_from(content)
     depth_m = np.float32(scale) / (pixels.astype(np.float32) - np.float32(offset))
-    depth_m[(pixels == UNKNOWN_MM) | ~(depth_m > 0)] = np.nan
+    depth_m[(pixels == images.UNKNOWN_MM) | ~(depth_m > 0)] = np.nan
     return depth_m, np.inf
 
 

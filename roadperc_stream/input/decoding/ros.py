@@ -9,17 +9,15 @@ import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 
-from roadperc_stream.core.datatypes import EGO, Box, Detection, PointCloud, Transform
-from roadperc_stream.core.geometry import Float32
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import points
 from roadperc_stream.formats.raster import Raster
+from roadperc_stream.geometry import Float32
 from roadperc_stream.input.decoding import pictures
-from roadperc_stream.input.decoding.bounds import require_count
-from roadperc_stream.input.decoding.calibration import camera_from_calibration
-from roadperc_stream.input.decoding.payload import Context, Decoded, pose_matrix
+from roadperc_stream.input.decoding.payload import Context, Decoded, camera_from_calibration, pose_matrix, require_count
+from roadperc_stream.model import EGO, Box, Detection, PointCloud, Transform
 from roadperc_stream.schemas import cdr, ros2
-from roadperc_stream.schemas.fields import require_finite
+from roadperc_stream.schemas.protobuf import require_finite
 from roadperc_stream.schemas.roles import Kind
 
 _FOXGLOVE_TYPES: Final = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
@@ -36,42 +34,28 @@ def _frame_id(message: Any) -> str:
     return str(message.header.frame_id)
 
 
-def _image(message: Any, context: Context) -> Decoded:
-    return _stamped(message, pictures.raw_image(_frame_id(message), Raster.of_ros(message), context.limits))
+Decoder = Callable[[Any, Context], Decoded]
 
 
-def _depth(message: Any, context: Context) -> Decoded:
-    return _stamped(message, pictures.raw_depth(_frame_id(message), Raster.of_ros(message), context.limits))
+def _raw(decoder: Callable[[str, Raster, Context], Any]) -> Decoder:
+    """A decoder of sensor_msgs/msg/Image."""
+    return lambda message, context: _stamped(message, decoder(_frame_id(message), Raster.of_ros(message), context))
 
 
-def _tags(message: Any, context: Context) -> Decoded:
-    raster = Raster.of_ros(message)
-    return _stamped(message, pictures.raw_tags(_frame_id(message), raster, context))
+def _encoded(decoder: Callable[[str, bytes, Context], Any]) -> Decoder:
+    """A decoder of sensor_msgs/msg/CompressedImage."""
+    return lambda message, context: _stamped(message, decoder(_frame_id(message), message.data.tobytes(), context))
 
 
 def _compressed_image(message: Any, context: Context) -> Decoded:
     if "compressedDepth" in message.format:
         raise DecodeError(f"image of format {message.format!r}: that is depth, expected jpeg or png")
-    return _stamped(message, pictures.encoded_image(_frame_id(message), message.data.tobytes(), context.limits))
+    return _encoded(pictures.encoded_image)(message, context)
 
 
 def _compressed_depth(message: Any, context: Context) -> Decoded:
     content = message.data.tobytes()
-    return _stamped(message, pictures.encoded_depth(_frame_id(message), message.format, content, context.limits))
-
-
-def _compressed_tags(message: Any, context: Context) -> Decoded:
-    content = message.data.tobytes()
-    return _stamped(message, pictures.encoded_tags(_frame_id(message), content, context))
-
-
-def _instances(message: Any, context: Context) -> Decoded:
-    return _stamped(message, pictures.raw_instances(_frame_id(message), Raster.of_ros(message), context.limits))
-
-
-def _compressed_instances(message: Any, context: Context) -> Decoded:
-    content = message.data.tobytes()
-    return _stamped(message, pictures.encoded_instances(_frame_id(message), content, context.limits))
+    return _stamped(message, pictures.encoded_depth(_frame_id(message), message.format, content, context))
 
 
 def _calibration(message: Any, context: Context) -> Decoded:
@@ -203,15 +187,16 @@ def unpack_image(data: bytes) -> ros2.RosImage:
     return ros2.RosImage(cdr.stamp_ns(message.header.stamp), message.header.frame_id, message.encoding, pixels)
 
 
-DECODERS: Final[Mapping[tuple[Kind, str], Callable[[Any, Context], Decoded]]] = {
-    ("image", ros2.IMAGE): _image,
-    ("image", "sensor_msgs/msg/CompressedImage"): _compressed_image,
-    ("instances", ros2.IMAGE): _instances,
-    ("instances", "sensor_msgs/msg/CompressedImage"): _compressed_instances,
-    ("tags", ros2.IMAGE): _tags,
-    ("tags", "sensor_msgs/msg/CompressedImage"): _compressed_tags,
-    ("depth", ros2.IMAGE): _depth,
-    ("depth", "sensor_msgs/msg/CompressedImage"): _compressed_depth,
+_COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
+DECODERS: Final[Mapping[tuple[Kind, str], Decoder]] = {
+    ("image", ros2.IMAGE): _raw(pictures.raw_image),
+    ("image", _COMPRESSED): _compressed_image,
+    ("instances", ros2.IMAGE): _raw(pictures.raw_instances),
+    ("instances", _COMPRESSED): _encoded(pictures.encoded_instances),
+    ("tags", ros2.IMAGE): _raw(pictures.raw_tags),
+    ("tags", _COMPRESSED): _encoded(pictures.encoded_tags),
+    ("depth", ros2.IMAGE): _raw(pictures.raw_depth),
+    ("depth", _COMPRESSED): _compressed_depth,
     ("points", "sensor_msgs/msg/PointCloud2"): _point_cloud,
     ("calibration", "sensor_msgs/msg/CameraInfo"): _calibration,
     ("detections", "vision_msgs/msg/Detection2DArray"): _detections,

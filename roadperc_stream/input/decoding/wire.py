@@ -1,12 +1,19 @@
-"""Protobuf messages that are one large field and little else: the field stays where it is, the rest is parsed.
+"""Foxglove's messages as bytes: protobuf whose one large field stays where it is, and JSON.
 
 Parsing copies every field, and asking for one copies it again; of an image's megabyte the first pass needs the stamp.
+In JSON times are seconds and nanoseconds, and bytes are base64.
 Source of the layout: protobuf.dev/programming-guides/encoding.
 """
 
+import json
 from typing import Any, Final
 
+from google.protobuf.json_format import ParseDict, ParseError
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.raster import Content
+from roadperc_stream.schemas.definitions import brief
 
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 _LENGTHS: Final = {_FIXED64: 8, _FIXED32: 4}
@@ -72,3 +79,35 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
         if byte < 0x80:
             return value, at + shift + 1
     return -1, at
+
+
+def from_json(message_type: Any, data: bytes) -> Any:
+    """The protobuf message that says what the JSON says; fields the type does not know are left out.
+
+    Raises:
+        DecodeError: no JSON, or a field of another type.
+    """
+    try:
+        return ParseDict(_with_times(_object(data)), message_type(), ignore_unknown_fields=True)
+    # Beside what it states, protobuf raises what its C code meets: SystemError of text that is no Unicode.
+    except (ParseError, ValueError, TypeError, AttributeError, ArithmeticError, RecursionError, SystemError) as error:
+        name = message_type.DESCRIPTOR.full_name
+        raise DecodeError(f"{len(data)} bytes are no {name} as JSON: {brief(error)}") from error
+
+
+def _object(data: bytes) -> dict[str, Any]:
+    found = json.loads(data)
+    if not isinstance(found, dict):
+        raise TypeError(f"expected an object, found a {type(found).__name__}")
+    return found
+
+
+def _with_times(value: Any) -> Any:
+    """The same with every ``{"sec", "nsec"}`` as the text that protobuf reads."""
+    if isinstance(value, list):
+        return [_with_times(item) for item in value] if value and isinstance(value[0], dict | list) else value
+    if not isinstance(value, dict):
+        return value
+    if value.keys() == {"sec", "nsec"}:
+        return Timestamp(seconds=value["sec"], nanos=value["nsec"]).ToJsonString()
+    return {key: _with_times(item) for key, item in value.items()}

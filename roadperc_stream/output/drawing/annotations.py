@@ -20,11 +20,11 @@ from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from numpy.typing import NDArray
 
-from roadperc_stream.core.datatypes import EGO, Box, Lanes, Mask, Object, Objects, Surface
-from roadperc_stream.core.geometry import Camera, Float, rays, transform
-from roadperc_stream.core.ground import ground_points, height_at
-from roadperc_stream.core.rotations import quaternion
-from roadperc_stream.core.semantics import Colour
+from roadperc_stream.geometry import Camera, Float, rays, transform
+from roadperc_stream.geometry.ground import ground_points, height_at
+from roadperc_stream.geometry.rotations import quaternion
+from roadperc_stream.model import EGO, Box, Lanes, Mask, Object, Objects, Surface
+from roadperc_stream.model.tag_tables import Colour
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.captions import by_nearness, caption_places, viewer_font_px, viewer_text_size
 from roadperc_stream.schemas.protobuf import set_stamp
@@ -47,18 +47,18 @@ def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
     set_stamp(message, stamp_ns)
     proposals = lanes.proposals_px.reshape(-1, 2)
     if len(proposals):
-        _points(message, stamp_ns, PointsAnnotation.LINE_LIST, proposals, colours.PROPOSED_LINE, 0.5, _FAINT)
+        _points(message, PointsAnnotation.LINE_LIST, proposals, colours.PROPOSED_LINE, 0.5, _FAINT)
     for boundary in lanes.boundaries:
         if boundary.raw_px is not None:
             raw = np.array(boundary.raw_px).reshape(2, 2)
-            _points(message, stamp_ns, PointsAnnotation.LINE_STRIP, raw, colours.RAW_LINE, 1.0)
+            _points(message, PointsAnnotation.LINE_STRIP, raw, colours.RAW_LINE, 1.0)
         if len(boundary.line_px):
             colour = colours.BOUNDARY[boundary.status]
-            _points(message, stamp_ns, PointsAnnotation.LINE_STRIP, boundary.line_px, colour, 4.0)
+            _points(message, PointsAnnotation.LINE_STRIP, boundary.line_px, colour, 4.0)
             text = f"{boundary.offset_m:+.2f} m {boundary.outside}".strip()
             visible = boundary.line_px[_space_for_text(camera, boundary.line_px)]
             if len(visible):
-                _text(message, stamp_ns, camera, visible[0], text, colour)
+                _text(message, camera, visible[0], text, colour)
     return message.SerializeToString()
 
 
@@ -73,9 +73,9 @@ def object_annotations(stamp_ns: int, camera: Camera, objects: Objects) -> bytes
     for index in reversed(by_nearness(objects.objects)):
         item, place = objects.objects[index], places[index]
         colour, thickness = _box_style(item)
-        _points(message, stamp_ns, PointsAnnotation.LINE_LOOP, _corners(item.detection.box_px), colour, thickness)
+        _points(message, PointsAnnotation.LINE_LOOP, _corners(item.detection.box_px), colour, thickness)
         if place is not None:
-            _text(message, stamp_ns, camera, (place.x_min, place.y_max), caption(item), colour)
+            _text(message, camera, (place.x_min, place.y_max), caption(item), colour)
     return message.SerializeToString()
 
 
@@ -242,7 +242,6 @@ def _corners(box: Box) -> Float:
 
 def _points(
     message: ImageAnnotations,
-    stamp_ns: int,
     kind: Any,
     points: Float,
     colour: Colour,
@@ -250,13 +249,12 @@ def _points(
     alpha: float = 1.0,
 ) -> None:
     entry = message.points.add(type=kind, outline_color=_color(colour, alpha), thickness=width)
-    set_stamp(entry, stamp_ns)
+    entry.timestamp.CopyFrom(message.timestamp)
     entry.points.extend(Point2(x=x, y=y) for x, y in points.tolist())
 
 
 def _text(
     message: ImageAnnotations,
-    stamp_ns: int,
     camera: Camera,
     position: Iterable[float],
     text: str,
@@ -271,7 +269,7 @@ def _text(
         text_color=_color(colour),
         background_color=_color((0, 0, 0), 0.6),
     )
-    set_stamp(entry, stamp_ns)
+    entry.timestamp.CopyFrom(message.timestamp)
 
 
 @cache

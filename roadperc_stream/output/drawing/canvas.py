@@ -7,8 +7,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.core.datatypes import Box, Image
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.geometry import Float
+from roadperc_stream.model import Box, Image
 
 Colour = tuple[int, int, int]
 """Blue, green, red, 0 to 255."""

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Final
 
-from roadperc_stream.core.datatypes import Verdict
-from roadperc_stream.core.semantics import Colour
+from roadperc_stream.model import Verdict
+from roadperc_stream.model.tag_tables import Colour
 
 GREEN: Final[Colour] = (26, 230, 77)
 YELLOW: Final[Colour] = (255, 230, 26)

@@ -1,26 +1,34 @@
 """The pictures a replay writes on request: what the chain saw, drawn into the camera image, as JPEG."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from roadperc_stream.core.datatypes import (
+import cv2
+import numpy as np
+
+from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats.images import encode_jpeg
+from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.model import (
     CameraImage,
+    Correlation,
     Frame,
     FrameResult,
     Image,
     Lanes,
+    Mask,
+    Matches,
     Objects,
     Odometry,
     Sample,
     StereoDepth,
 )
-from roadperc_stream.core.time import ns_to_seconds
-from roadperc_stream.errors import DecodeError
-from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.output import encoding
-from roadperc_stream.output.drawing.debug import disparity_picture, lanes_picture, matches_picture, template_picture
-from roadperc_stream.output.drawing.frame import PerceivedFrame, draw_frame
+from roadperc_stream.output.drawing import colours
+from roadperc_stream.output.drawing.canvas import Colour, Pen, polyline, text_size, write_on_plate
+from roadperc_stream.output.drawing.colours import bgr
+from roadperc_stream.output.drawing.overlay import PerceivedFrame, draw_frame
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.topics import (
     DEBUG_DISPARITY_TOPIC,
@@ -30,6 +38,157 @@ from roadperc_stream.schemas.topics import (
     OVERLAY_TOPIC,
     Request,
 )
+from roadperc_stream.system.time import ns_to_seconds
+
+_EDGE: Final[Colour] = (255, 255, 255)
+_PROPOSED: Final = bgr(colours.PROPOSED_LINE)
+_MERGED: Final[Colour] = (255, 60, 255)
+_CHOSEN: Final = bgr(colours.BOUNDARY["measured"])
+_INLIER: Final = bgr(colours.GREEN)
+_OUTLIER: Final[Colour] = (60, 60, 255)
+_PEAK: Final[Colour] = (255, 255, 255)
+_DIMMED: Final = 0.45
+_HEAT: Final = 0.65
+"""Share of the heat map's colour in the pixels that it covers."""
+_NEAREST_M: Final = 2.0
+"""Depth whose disparity has the last colour, so that a colour means the same in every frame."""
+
+
+def lanes_picture(image_bgr: Image, lanes: Lanes) -> Image:
+    """The edges white on the dimmed image, proposals blue, merged lines magenta, those of the ego lane broad and green.
+
+    Args:
+        image_bgr: (H, W, 3) the camera image.
+        lanes: of that image.
+    """
+    canvas = _dimmed(image_bgr)
+    pen = Pen.of(canvas)
+    if lanes.edges is not None:
+        canvas[lanes.edges] = _EDGE
+    chosen = [boundary.raw_px for boundary in lanes.boundaries if boundary.raw_px is not None]
+    for lines, colour, width_px in (
+        (np.array(chosen).reshape(-1, 4), _CHOSEN, 3 * pen.line_px),
+        (lanes.merged_px, _MERGED, pen.line_px),
+        (lanes.proposals_px, _PROPOSED, max(pen.line_px // 2, 1)),
+    ):
+        _draw_lines(canvas, lines, colour, width_px, pen)
+    legend = (
+        (f"{len(lanes.proposals_px)} proposed", _PROPOSED),
+        (f"{len(lanes.merged_px)} merged", _MERGED),
+        (f"{len(chosen)} chosen", _CHOSEN),
+    )
+    _draw_legend(canvas, legend, pen)
+    return canvas
+
+
+def matches_picture(image_bgr: Image, matches: Matches) -> Image:
+    """Each feature's displacement from the keyframe to a dot at its place here; inliers green, outliers red.
+
+    Args:
+        image_bgr: (H, W, 3) the camera image.
+        matches: of that image.
+    """
+    canvas = _dimmed(image_bgr)
+    pen = Pen.of(canvas)
+    groups = ((~matches.inliers, _OUTLIER, "outliers"), (matches.inliers, _INLIER, "inliers"))
+    for chosen, colour, _ in groups:
+        _draw_flow(canvas, matches, chosen, colour, pen)
+    legend = [(f"{np.count_nonzero(chosen)} {name}", colour) for chosen, colour, name in reversed(groups)]
+    _draw_legend(canvas, legend, pen)
+    return canvas
+
+
+def template_picture(image_bgr: Image, searches: Iterable[Correlation]) -> Image:
+    """The correlation of each lost object's last image where its middle may lie, blue -1 to red 1, and the peak's box.
+
+    Args:
+        image_bgr: (H, W, 3) the camera image.
+        searches: in that image; of an object that is not found, too.
+    """
+    canvas = _dimmed(image_bgr)
+    pen = Pen.of(canvas)
+    for search in searches:
+        _lay_heat(canvas, search)
+    for search in searches:
+        place, score = search.peak
+        if np.isfinite(score):
+            corners = [(place.x_min, place.y_min), (place.x_max - 1, place.y_max - 1)]
+            (x0, y0), (x1, y1) = (tuple(round(v) for v in corner) for corner in corners)
+            cv2.rectangle(canvas, (x0, y0), (x1, y1), _PEAK, max(pen.line_px // 2, 1))
+            _draw_plate(canvas, f"{score:.2f}", (x0, y1 + 1), _PEAK, pen)
+    _draw_legend(canvas, [("correlation, at the patch's middle: blue -1 to red 1", _PEAK)], pen)
+    return canvas
+
+
+def disparity_picture(left: Camera, baseline_m: float, stereo: StereoDepth) -> Image:
+    """The disparity in Turbo's colours, blue far and red near; black where it is not known.
+
+    Args:
+        left: the pair's left camera.
+        baseline_m: from it to the right one.
+        stereo: (H, W) depth as the left camera sees it.
+    """
+    most_px = left.fx * baseline_m / _NEAREST_M
+    canvas = _disparity_colours(left.fx * baseline_m, most_px, stereo.depth_m)
+    pen = Pen.of(canvas)
+    _draw_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)], pen)
+    return canvas
+
+
+def _disparity_colours(focal_times_baseline: float, most_px: float, depth_m: Float32) -> Image:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.float32(focal_times_baseline / most_px) / depth_m
+    known = np.isfinite(share)
+    colours = _turbo(np.where(known, share, np.float32(0)))
+    colours[~known] = 0
+    return colours
+
+
+def _turbo(share: Float32) -> Image:
+    """(H, W, 3) colours of 0 to 1; what lies beyond has the last one."""
+    levels = np.clip(share * np.float32(255) + np.float32(0.5), 0, 255).astype(np.uint8)
+    return np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), np.uint8)
+
+
+def _dimmed(image_bgr: Image) -> Image:
+    """Grey and dark, so that what is drawn in stands out."""
+    grey = cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY)
+    return np.asarray(cv2.cvtColor(cv2.convertScaleAbs(grey, alpha=_DIMMED), cv2.COLOR_GRAY2BGR), np.uint8)
+
+
+def _draw_lines(canvas: Image, lines: Float, colour: Colour, width_px: int, pen: Pen) -> None:
+    for line in lines:
+        polyline(canvas, line.reshape(2, 2), colour, width_px, pen)
+
+
+def _draw_flow(canvas: Image, matches: Matches, chosen: Mask, colour: Colour, pen: Pen) -> None:
+    for start, end in zip(matches.key_px[chosen], matches.px[chosen], strict=True):
+        polyline(canvas, np.array((start, end), float), colour, max(pen.line_px // 2, 1), pen)
+        cv2.circle(canvas, (round(float(end[0])), round(float(end[1]))), pen.line_px, colour, cv2.FILLED, cv2.LINE_AA)
+
+
+def _lay_heat(canvas: Image, search: Correlation) -> None:
+    """Blend the scores in, each at the middle of the patch it belongs to; nothing where the image shows nothing."""
+    rows, columns = search.scores.shape
+    x, y = search.x_px + (search.template_px[0] - 1) // 2, search.y_px + (search.template_px[1] - 1) // 2
+    covered = canvas[y : y + rows, x : x + columns]
+    known = np.isfinite(search.scores)
+    heat = _turbo((np.where(known, search.scores, np.float32(-1)) + np.float32(1)) / np.float32(2))
+    covered[known] = cv2.addWeighted(covered, 1 - _HEAT, heat, _HEAT, 0)[known]
+
+
+def _draw_legend(canvas: Image, phrases: Iterable[tuple[str, Colour]], pen: Pen) -> None:
+    """What the colours mean, below each other in the upper left corner."""
+    for row, (text, colour) in enumerate(phrases):
+        _draw_plate(canvas, text, (0, row * pen.row_px), colour, pen)
+
+
+def _draw_plate(canvas: Image, text: str, at_px: tuple[int, int], colour: Colour, pen: Pen) -> None:
+    """Text on a dark plate, moved into the image where it would lie outside."""
+    width, height = text_size(text, pen)
+    x, y = (max(min(at, size - side), 0) for at, size, side in zip(at_px, pen.size, (width, height), strict=True))
+    write_on_plate(canvas, text, (x, y), colour, pen)
+
 
 _JPEG_QUALITY: Final = 85
 Picture = tuple[str, str, Image]

@@ -5,12 +5,13 @@ into, so that a thumbnail's text is as easy to read as a full frame's.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
 
-from roadperc_stream.core.datatypes import Absent, Box, Image, Lanes, Mask, Object, Objects
+from roadperc_stream.model import Absent, Box, Image, Lanes, Mask, Object, Objects
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.annotations import caption
 from roadperc_stream.output.drawing.canvas import (
@@ -24,9 +25,10 @@ from roadperc_stream.output.drawing.canvas import (
     text_size,
     write_on_plate,
 )
-from roadperc_stream.output.drawing.captions import by_nearness
+from roadperc_stream.output.drawing.captions import by_nearness, label_places
 from roadperc_stream.output.drawing.colours import bgr
-from roadperc_stream.output.drawing.labels import label_places
+from roadperc_stream.output.drawing.strip import draw_strip, lay_out_strip
+from roadperc_stream.schemas.columns import FrameMetrics
 
 _TINT: Final = 0.22
 _LEVELS: Final = np.arange(256)[None, :, None]
@@ -134,3 +136,44 @@ def _draw_tie(canvas: Image, item: Object, box: Box, place: Box) -> None:
         x = (box.x_min + box.x_max) / 2
         start = min(max(x, place.x_min + 1), place.x_max - 1), place.y_max
         polyline(canvas, np.array((start, (x, box.y_min))), bgr(colours.OBJECT[item.verdict]), 1, Pen.of(canvas))
+
+
+@dataclass(frozen=True)
+class PerceivedFrame:
+    """A camera image, (H, W, 3), and what the chain saw.
+
+    ``fits`` says whether the image is of the size its calibration, and so all the results, speak of.
+    """
+
+    image_bgr: Image
+    lanes: Lanes | Absent
+    objects: Objects | Absent
+    drivable: Mask | Absent
+    fits: bool = True
+
+
+def draw_results(frame: PerceivedFrame, width_px: int, top_px: int = 0) -> Image:
+    """The image, ``width_px`` columns wide, with the results drawn in; bare where it does not fit them.
+
+    No label goes into the topmost ``top_px`` rows.
+    """
+    if not frame.fits:
+        return resized(frame.image_bgr, width_px / frame.image_bgr.shape[1])
+    return draw_overlay(frame.image_bgr, frame.lanes, frame.objects, frame.drivable, width_px=width_px, top_px=top_px)
+
+
+def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: float, width_px: int) -> Image:
+    """``draw_results`` with the frame's numbers above.
+
+    Args:
+        frame: what is drawn.
+        metrics: its row.
+        since_start_s: its time, from the first frame.
+        width_px: columns of the picture.
+    """
+    rows, columns = frame.image_bgr.shape[:2]
+    pen = Pen.of_size(columns=width_px, rows=max(round(rows * width_px / columns), 1))
+    strip = lay_out_strip(pen, metrics, frame.objects, since_start_s)
+    canvas = draw_results(frame, width_px, len(strip) * pen.row_px)
+    draw_strip(canvas, strip)
+    return canvas

@@ -7,7 +7,7 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
-from roadperc_stream.core.datatypes import Absent, Box, Image, Object, Objects
+from roadperc_stream.model import Absent, Box, Image, Object, Objects
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import (
     DARK,

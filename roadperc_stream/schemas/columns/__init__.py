@@ -6,8 +6,7 @@ roadperc.FrameMetrics has the same fields.
 """
 
 from roadperc_stream.schemas.columns.column import COUNT, RATIO, UNITLESS, Column, columns_of, row_of
-from roadperc_stream.schemas.columns.frame import TIME_COLUMNS, FrameKey, FrameMetrics, InputColumns
-from roadperc_stream.schemas.columns.objects import ObjectMetrics
+from roadperc_stream.schemas.columns.frame import TIME_COLUMNS, FrameKey, FrameMetrics, InputColumns, ObjectMetrics
 
 __all__ = [
     "COUNT",

@@ -1,10 +1,10 @@
-"""The row of a frame: the groups of columns, in the table's order from the last base to the first."""
+"""The rows of a frame and of a detection: groups of columns, ordered from the last base class to the first."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
 
 from roadperc_stream.schemas.columns import errors, estimates
-from roadperc_stream.schemas.columns.column import Column
+from roadperc_stream.schemas.columns.column import RATIO, Column
 
 TIMED_STAGES: Final = (
     *("read", "decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy"),
@@ -66,3 +66,71 @@ class FrameMetrics(
     FrameKey,
 ):
     """The row of a frame, the times excepted."""
+
+
+_NOT_TRACKED = "too few distances so far, or contradicting ones"
+_NO_PLACE = "not tracked, or no distance"
+_NO_TRUTH = "no true object"
+
+
+@dataclass(frozen=True)
+class ObjectMetrics(FrameKey):
+    """A detection as the chain filtered and tracked it, and the true object it stands for."""
+
+    track_id: Annotated[str | None, Column("the object's track through the log", null="not tracked")]
+    label: Annotated[str, Column("class by the detector")]
+    score: Annotated[float, Column("the detector's confidence, 0 to 1")]
+    x_min_px: Annotated[float, Column("box: left edge, from the image's left edge", "px")]
+    y_min_px: Annotated[float, Column("box: upper edge, from the image's upper edge", "px")]
+    x_max_px: Annotated[float, Column("box: right edge, exclusive", "px")]
+    y_max_px: Annotated[float, Column("box: lower edge, exclusive", "px")]
+    class_ratio: Annotated[
+        float | None,
+        Column("share of the box's pixels that are of the label's classes", RATIO, "no tags, or an unknown label"),
+    ]
+    kept: Annotated[bool, Column("passed the filter")]
+    distance_m: Annotated[
+        float | None,
+        Column(
+            "straight from the camera: the quantile `objects.distance_quantile` over its own pixels",
+            "m",
+            "no depth there, or beyond its range",
+        ),
+    ]
+    distance_std_m: Annotated[float | None, Column("its standard deviation", "m", "the same")]
+    closing_speed_mps: Annotated[
+        float | None, Column("how fast the distance shrinks, positive when nearing", "m/s", _NOT_TRACKED)
+    ]
+    closing_speed_std_mps: Annotated[float | None, Column("its standard deviation", "m/s", "the same")]
+    time_to_impact_s: Annotated[
+        float | None,
+        Column("distance over closing speed", "s", "not in the path, does not come nearer, or no closing speed"),
+    ]
+    time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")]
+    lateral_m: Annotated[
+        float | None, Column("how far its middle is to the left of the middle of the car's path", "m", _NO_PLACE)
+    ]
+    in_path: Annotated[bool | None, Column("whether any of it is in the car's path", null=_NO_PLACE)]
+    cut_in: Annotated[
+        bool | None,
+        Column("whether it is not in the path, but over the lane's line and moving in", null="the same, or no lane"),
+    ]
+    status: Annotated[
+        str, Column("`measured` (detected), `tracked` (carried by its image patch without a detection) or `lost`")
+    ]
+    beyond_range: Annotated[bool, Column("the depth saturates there")]
+    is_true: Annotated[bool | None, Column("stands for a true object", null="the log has no true objects")]
+    true_distance_m: Annotated[float | None, Column("distance of that object", "m", _NO_TRUTH)]
+    true_closing_speed_mps: Annotated[float | None, Column("its closing speed", "m/s", _NO_TRUTH)]
+    true_time_to_impact_s: Annotated[
+        float | None,
+        Column(
+            "what the truth says, else its distance / its closing speed",
+            "s",
+            "no true object, it does not come nearer, or is truly beside the path",
+        ),
+    ]
+    true_lateral_m: Annotated[
+        float | None, Column("how far its middle is truly to the left of the path's", "m", "the log does not say")
+    ]
+    true_in_path: Annotated[bool | None, Column("whether any of it is truly in the path", null="the log does not say")]

@@ -1,9 +1,10 @@
 """What stands where: the camera's image large, the scene beside it, other pictures and numbers below."""
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Final
 
-from roadperc_stream.core.datatypes import EGO
+from roadperc_stream.model import EGO
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.schemas.topics import (
     DRIVABLE_SCENE_TOPIC,
@@ -25,17 +26,21 @@ from roadperc_stream.schemas.topics import (
     TIMES_TOPIC,
     TRAJECTORY_TOPIC,
 )
-from roadperc_stream.view.layout import curves, scripts
-from roadperc_stream.view.layout.contents import LogContents
+from roadperc_stream.system.files import completing, require_free
+from roadperc_stream.view.layout import curves
+from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
 from roadperc_stream.view.layout.panels import (
     PRELOADED,
+    ROWS,
     Config,
     Node,
     Panel,
     Script,
     column,
     depth_picture,
+    detections_table,
     layout_json,
+    objects_table,
     picture,
     raw_messages,
     row,
@@ -212,14 +217,14 @@ def _plots(has: LogContents, *described: curves.Plot) -> list[Panel | None]:
 
 def _objects(has: LogContents) -> Panel | None:
     """The objects in words; the detections of a log without any."""
-    return next((table(script.name, title, f"{script.output}.{scripts.ROWS}") for title, script in _tables(has)), None)
+    return next((table(script.name, title, f"{script.output}.{ROWS}") for title, script in _tables(has)), None)
 
 
 def _tables(has: LogContents) -> Iterable[tuple[str, Script]]:
     if OBJECTS_TOPIC in has.results:
-        yield "Objects", scripts.objects_table(OBJECTS_TOPIC)
+        yield "Objects", objects_table(OBJECTS_TOPIC)
     elif "detections" in has.roles:
-        yield "Detections", scripts.detections_table(has.roles["detections"])
+        yield "Detections", detections_table(has.roles["detections"])
 
 
 def _scripts(has: LogContents) -> list[Script]:
@@ -243,3 +248,34 @@ def _messages(has: LogContents) -> Node | None:
     truths = [raw_messages(name, ROLES[name].topic, has.roles.get(name)) for name in ("truth_surface", "truth_lanes")]
     first, second = (results[:2], results[2:]) if any(results) else (truths[:1], truths[1:])
     return row(column(*first), column(*second))
+
+
+_NO_OVERRIDES: Final[Mapping[str, str]] = {}
+
+
+def write_layout(
+    target: Path,
+    source: Path | None = None,
+    overrides: Mapping[str, str] = _NO_OVERRIDES,
+    *,
+    timed: bool = False,
+    force: bool,
+) -> None:
+    """Write the layout to a file for the viewers' "import from file".
+
+    Args:
+        target: the file, ``.json``.
+        source: the log it is for; None for a replay that is served live and has all this project's own topics.
+        overrides: topic of each role of ``source`` that another topic fills than the one found.
+        timed: the log is served live with the times of its stages, which it does not hold itself.
+        force: replace an existing file.
+
+    Raises:
+        RoadpercError: the log cannot be read or holds nothing to show, or the file's name is taken, or it
+            cannot be written.
+    """
+    require_free(target, force=force, source=source, suffix=".json")
+    has = contents_of(source, overrides) if source else OF_A_LIVE_REPLAY
+    layout = layout_of(has.with_times() if timed else has)
+    with completing(target, force=force) as temporary:
+        temporary.write_text(layout, "utf-8")

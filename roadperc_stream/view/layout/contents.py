@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream import log
-from roadperc_stream.core.datatypes import EGO, DepthImage
-from roadperc_stream.core.datatypes.transform import Transform
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Payload, context_of_channel, decode, schemas_of_kind
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
-from roadperc_stream.input.problems import Problems
-from roadperc_stream.input.roles.assignment import assignment_of_log
+from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import Channel, LogSummary
+from roadperc_stream.model import EGO, DepthImage
+from roadperc_stream.model.transform import Transform
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.roles import ROLES, Kind
 from roadperc_stream.schemas.topics import (
@@ -28,8 +28,7 @@ from roadperc_stream.schemas.topics import (
     TF_TOPIC,
     TIMES_TOPIC,
 )
-from roadperc_stream.view.result_frames import read_rows
-from roadperc_stream.view.shown import require_shown
+from roadperc_stream.view.result_frames import read_rows, require_shown
 
 _DEPTH_ROLES: Final = ("depth", "truth_depth")
 _TF_ROLES: Final = ("tf", "tf_static")

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
+from roadperc_stream.schemas import roadperc_pb2 as pb
+
 Config = dict[str, Any]
 """Settings as the viewers store them."""
 PRELOADED: Final[Config] = {"enablePreloading": True}
@@ -177,3 +179,120 @@ def words(name: str, title: str, topic: str | None) -> Panel | None:
     if topic is None:
         return None
     return Panel("RosOut", name, {"searchTerms": [], "minLogLevel": 1, "topicToRender": topic, **titled(title)})
+
+
+ROWS: Final = "rows"
+"""The field that lists a table's rows."""
+_UNKNOWN: Final = "-"
+
+_OBJECTS_SOURCE: Final = """\
+// One row per detection, in words: what roadperc.Objects says in numbers and nested messages.
+type Detected = {
+  detection?: { label: string; score: number };
+  kept: boolean;
+  class_ratio?: number;
+  distance_m?: number;
+  distance_std_m?: number;
+  closing_speed_mps?: number;
+  time_to_impact_s?: number;
+  beyond_range: boolean;
+  status: number;
+  track_id: string;
+};
+type Row = {
+  class: string;
+  status: string;
+  filter: string;
+  distance: string;
+  closing: string;
+  impact: string;
+  score: string;
+  track: string;
+};
+type Table = { rows: Row[] };
+
+export const inputs = [INPUT];
+export const output = OUTPUT;
+
+const statuses: { [status: number]: string } = STATUSES;
+
+function text(value: number | undefined, unit: string, digits: number): string {
+  return value == undefined ? UNKNOWN : value.toFixed(digits) + unit;
+}
+
+function distance(seen: Detected): string {
+  if (seen.distance_m == undefined) {
+    return seen.beyond_range ? "beyond range" : UNKNOWN;
+  }
+  const deviation = seen.distance_std_m == undefined ? "" : " ± " + seen.distance_std_m.toFixed(1);
+  return seen.distance_m.toFixed(1) + deviation + " m";
+}
+
+function filter(seen: Detected): string {
+  return !seen.kept ? "dropped" : seen.class_ratio == undefined ? "unverified" : "kept";
+}
+
+export default function script(event: { message: { objects: Detected[] } }): Table {
+  return {
+    rows: event.message.objects.map((seen) => ({
+      class: seen.detection?.label ?? UNKNOWN,
+      status: statuses[seen.status] ?? UNKNOWN,
+      filter: filter(seen),
+      distance: distance(seen),
+      closing: text(seen.closing_speed_mps, " m/s", 1),
+      impact: text(seen.time_to_impact_s, " s", 1),
+      score: text(seen.detection?.score, "", 2),
+      track: seen.track_id || UNKNOWN,
+    })),
+  };
+}
+"""
+_DETECTIONS_SOURCE: Final = """\
+// One row per detection, without messages in messages.
+type Detection = {
+  label: string;
+  score: number;
+  id: string;
+  box_px?: { x_min: number; y_min: number; x_max: number; y_max: number };
+};
+type Row = { class: string; score: string; columns: string; rows: string; id: string };
+type Table = { rows: Row[] };
+
+export const inputs = [INPUT];
+export const output = OUTPUT;
+
+function range(from: number | undefined, to: number | undefined): string {
+  return from == undefined || to == undefined ? UNKNOWN : from.toFixed(0) + " to " + to.toFixed(0);
+}
+
+export default function script(event: { message: { detections: Detection[] } }): Table {
+  return {
+    rows: event.message.detections.map((seen) => ({
+      class: seen.label,
+      score: seen.score.toFixed(2),
+      columns: range(seen.box_px?.x_min, seen.box_px?.x_max),
+      rows: range(seen.box_px?.y_min, seen.box_px?.y_max),
+      id: seen.id || UNKNOWN,
+    })),
+  };
+}
+"""
+
+
+def objects_table(topic: str) -> Script:
+    """Rows of a topic of ``roadperc.Objects``: class, status and filter in words, numbers with units."""
+    statuses = {number: name.lower() for name, number in pb.Object.Status.items() if number}
+    return _script("objects_table", topic, _OBJECTS_SOURCE.replace("STATUSES", json.dumps(statuses)))
+
+
+def detections_table(topic: str) -> Script:
+    """Rows of a topic of ``roadperc.Detections``."""
+    return _script("detections_table", topic, _DETECTIONS_SOURCE)
+
+
+def _script(name: str, topic: str, source: str) -> Script:
+    output = f"/studio_script/{name}"
+    texts = {"INPUT": topic, "OUTPUT": output, "UNKNOWN": _UNKNOWN}
+    for placeholder, value in texts.items():
+        source = source.replace(placeholder, json.dumps(value, ensure_ascii=False))
+    return Script(name, output, source)

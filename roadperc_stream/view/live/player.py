@@ -1,15 +1,12 @@
-"""The player: one thread that sends a log's messages at their time and does what viewers ask."""
+"""The player: one thread that sends a log's messages at their time; viewers' orders change the playhead at once."""
 
 from collections.abc import Callable, Collection, Iterator
-from concurrent.futures import Future
-from contextlib import suppress
-from dataclasses import dataclass, field
-from queue import Empty, SimpleQueue
-from threading import Event
+from dataclasses import dataclass
+from threading import Event, Lock
 from typing import Final, Protocol
 
-from roadperc_stream.core.time import ns_to_seconds
 from roadperc_stream.log import Message
+from roadperc_stream.system.time import ns_to_seconds
 from roadperc_stream.view.live.playhead import Move, Order, Playhead, Status, decide, obey
 from roadperc_stream.view.live.source import Source, held
 
@@ -20,29 +17,6 @@ class Answer:
 
     playhead: Playhead
     moved: bool
-
-
-@dataclass(frozen=True)
-class Request:
-    """An order and where its answer goes."""
-
-    order: Order
-    answer: Future[Answer] = field(default_factory=Future)
-
-
-@dataclass(frozen=True)
-class Subscribed:
-    """Somebody wants to see a topic."""
-
-    topic: str
-
-
-@dataclass(frozen=True)
-class Stop:
-    """Playback ends."""
-
-
-Word = Request | Subscribed | Stop
 
 
 class Audience(Protocol):
@@ -70,119 +44,103 @@ class Audience(Protocol):
 
 
 LONGEST_WAIT_S: Final = 0.5
-"""For which a signal may go unheeded."""
-
-
-class Inbox:
-    """What is asked of the player, from any thread."""
-
-    def __init__(self) -> None:
-        self._words = SimpleQueue[Word]()
-        self._closed = Event()
-
-    def put(self, word: Word) -> None:
-        """Leave a word; a request to a player that has ended is cancelled."""
-        self._words.put(word)
-        if self._closed.is_set():
-            self.close()
-
-    def take(self, wait_s: float | None) -> list[Word]:
-        """All there is, after a wait for the first: as long as is said, None without end, but now and then for nothing.
-
-        A signal that comes just before a wait is heeded only after it.
-        """
-        words = list[Word]()
-        with suppress(Empty):
-            words.append(self._words.get(timeout=LONGEST_WAIT_S if wait_s is None else min(wait_s, LONGEST_WAIT_S)))
-            while True:
-                words.append(self._words.get_nowait())
-        return words
-
-    def close(self) -> None:
-        """Nobody reads it any more: cancel what is asked."""
-        self._closed.set()
-        for word in self.take(0):
-            if isinstance(word, Request):
-                word.answer.cancel()
+"""A signal that comes just before a wait is handled only after it."""
 
 
 class Player:
     """Plays a source to an audience from a log time on, once somebody watches.
 
-    All decisions are made in the thread that calls ``run``; others leave a word in the inbox.
+    Any thread may call ``watch``, ``control`` and ``stop``. They never wait for the disk: the thread in ``run`` reads.
     """
 
     def __init__(
         self,
         source: Source,
-        audience: Audience,
-        inbox: Inbox,
         clock_ns: Callable[[], int],
         *,
         start_ns: int,
         rate: float = 1.0,
         loop: bool = False,
+        asked: Event | None = None,
     ) -> None:
-        self._source, self._audience, self._inbox, self._clock_ns = source, audience, inbox, clock_ns
-        self._loop_ns, self._watched = start_ns if loop else None, False
+        self._source, self._clock_ns, self._asked = source, clock_ns, asked or Event()
+        self._loop_ns = start_ns if loop else None
+        self._lock = Lock()
+        """Guards what viewers change: the five below."""
         self._playhead = Playhead(Status.PAUSED, start_ns, clock_ns(), rate)
+        self._watched = self._stopped = False
+        self._fresh = set[str]()
+        """Topics to show to new subscribers."""
+        self._sought: Order | None = None
+        """The newest order that moved the playhead and is not carried out yet."""
         self._follow_from(start_ns + 1)  # what holds at the start is shown to the first who watch
 
-    def run(self) -> None:
-        """Play until asked to stop.
+    def watch(self, topic: str) -> None:
+        """Show a topic to a new subscriber."""
+        with self._lock:
+            self._fresh.add(topic)
+        self._asked.set()
+
+    def control(self, order: Order) -> Answer:
+        """Move the playhead as a viewer asks; ``run`` shows the messages there, or those of a newer order."""
+        with self._lock:
+            self._playhead, moved = obey(self._playhead, order, self._source.reach(), self._clock_ns())
+            self._watched = True
+            self._sought = order if moved else self._sought
+            answer = Answer(self._playhead, moved)
+        self._asked.set()
+        return answer
+
+    def stop(self) -> None:
+        """End ``run``."""
+        self._stopped = True
+        self._asked.set()
+
+    def run(self, audience: Audience) -> None:
+        """Play until ``stop``.
 
         Raises:
             LogError: the log can no longer be read.
         """
+        self._audience = audience
         wait_s: float | None = 0.0
-        try:
-            while True:
-                words = self._inbox.take(wait_s)
-                if any(isinstance(word, Stop) for word in words):
-                    return
-                self._heed(words)
-                wait_s = self._advance()
-        finally:
-            self._inbox.close()
+        while True:
+            self._asked.wait(LONGEST_WAIT_S if wait_s is None else min(wait_s, LONGEST_WAIT_S))
+            self._asked.clear()
+            if self._stopped:
+                return
+            self._seek()
+            self._welcome()
+            wait_s = self._advance()
 
-    def stop(self) -> None:
-        """End ``run``, from any thread."""
-        self._inbox.put(Stop())
-
-    def _heed(self, words: list[Word]) -> None:
-        fresh = {word.topic for word in words if isinstance(word, Subscribed)}
-        if fresh:
-            self._welcome(fresh)
-        for word in words:
-            if isinstance(word, Request):
-                self._obey(word)
-
-    def _welcome(self, topics: Collection[str]) -> None:
-        """Show what holds to those who came late; the first ones start playback."""
-        clock_ns = self._clock_ns()
-        now_ns = self._playhead.at(clock_ns)
-        status = self._playhead.status if self._watched else Status.PLAYING
-        self._watched, self._playhead = True, self._playhead.turned(status, now_ns, clock_ns)
-        coming = self._peek()
-        self._audience.time(now_ns)  # who comes when all is played, or while it stands, knows no time yet
-        self._show_held(topics, min(now_ns, coming.log_time_ns - 1) if coming else now_ns)
-        self._audience.state(Answer(self._playhead, moved=False))
-
-    def _obey(self, request: Request) -> None:
-        reach, asked_ns = self._source.reach(), request.order.seek_ns
-        self._watched = True
-        self._playhead, moved = obey(self._playhead, request.order, reach, self._clock_ns())
-        request.answer.set_result(Answer(self._playhead, moved))
+    def _seek(self) -> None:
+        """Show what holds at the newest time sought, and go on from there."""
+        with self._lock:
+            order, self._sought, log_ns = self._sought, None, self._playhead.log_ns
+        if order is None:
+            return
+        reach, asked_ns = self._source.reach(), order.seek_ns
         if asked_ns is not None and asked_ns > reach.last_ns and not reach.complete:
             beyond_s = ns_to_seconds(asked_ns - reach.last_ns)
             self._audience.warn(f"computed only up to {beyond_s:.1f} s before the time asked for: playing from there")
-        if moved:
-            self._go_to(self._playhead.log_ns)
-
-    def _go_to(self, log_ns: int) -> None:
         self._audience.time(log_ns)
         self._show_held({channel.topic for channel in self._source.channels}, log_ns)
         self._follow_from(log_ns + 1)
+
+    def _welcome(self) -> None:
+        """Show what holds to new subscribers; the first ones start playback."""
+        with self._lock:
+            if self._sought or not self._fresh:
+                return  # a seek shows all topics
+            fresh, self._fresh = self._fresh, set()
+            clock_ns = self._clock_ns()
+            now_ns = self._playhead.at(clock_ns)
+            status = self._playhead.status if self._watched else Status.PLAYING
+            self._watched, self._playhead = True, self._playhead.turned(status, now_ns, clock_ns)
+        coming = self._peek()
+        self._audience.time(now_ns)  # who comes when all is played, or while it stands, knows no time yet
+        self._show_held(fresh, min(now_ns, coming.log_time_ns - 1) if coming else now_ns)
+        self._audience.state(Answer(self._playhead, moved=False))
 
     def _show_held(self, topics: Collection[str], log_ns: int) -> None:
         for message in held(self._source, topics, log_ns):
@@ -205,23 +163,21 @@ class Player:
         reach = self._source.reach()
         coming = self._peek()
         next_ns = coming.log_time_ns if coming else None
-        before = self._playhead
-        move = decide(before, next_ns, reach, self._clock_ns(), loop_ns=self._loop_ns)
-        self._playhead = move.playhead
+        with self._lock:
+            if self._sought:
+                return 0.0  # the next message is not that of the playhead any more
+            before = self._playhead
+            move = decide(before, next_ns, reach, self._clock_ns(), loop_ns=self._loop_ns)
+            self._playhead, self._watched = move.playhead, self._watched and not move.restart
         self._carry_out(move)
         if move.playhead.status is not before.status:
-            self._audience.state(Answer(move.playhead, moved=move.restart))
+            self._audience.state(Answer(self._playhead, moved=move.restart))
         return move.wait_s
 
-    def _start_over(self, log_ns: int) -> None:
-        """Wait for somebody to watch, as at first: viewers that know no seek would join the end to the start."""
-        self._audience.restart()
-        self._watched = False
-        self._follow_from(log_ns + 1)
-
     def _carry_out(self, move: Move) -> None:
-        if move.restart:
-            self._start_over(move.playhead.log_ns)
+        if move.restart:  # wait for subscribers, as at first: viewers that know no seek would join the end to the start
+            self._audience.restart()
+            self._follow_from(move.playhead.log_ns + 1)
         elif move.send and self._next:
             self._audience.send(self._next)
             self._next = None

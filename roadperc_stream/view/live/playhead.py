@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import Final
 
-from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.system.time import NS_PER_S
 
 TICK_S: Final = 0.1
 """Longest wait while playing, so that the viewer's clock moves through gaps of the log."""
@@ -153,3 +153,17 @@ def _out_of_messages(playhead: Playhead, reach: Reach, clock_ns: int, loop_ns: i
         return Move(playhead.turned(Status.WAITING, edge_ns, clock_ns), wait_s=EDGE_POLL_S)
     wait_s = None if loop_ns is None else LOOP_PAUSE_S
     return Move(playhead.turned(Status.ENDED, reach.last_ns, clock_ns), wait_s=wait_s)
+
+
+@dataclass(frozen=True)
+class PlaybackOptions:
+    """How a log is served."""
+
+    rate: float = 1.0
+    """Log seconds per second."""
+    loop: bool = False
+    host: str = "127.0.0.1"
+    port: int = 8765
+    """0 for a free one."""
+    start_s: float = 0.0
+    """Where playback starts, counted from the log's first message."""

@@ -4,7 +4,6 @@ Protocol and server are those of the foxglove-sdk: https://docs.foxglove.dev/doc
 """
 
 from collections.abc import Iterable, Iterator
-from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from threading import Thread
 from typing import Final
@@ -26,12 +25,11 @@ from foxglove.websocket import (
 
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.view.live.player import Answer, Inbox, Request, Subscribed
+from roadperc_stream.view.live.player import Answer, Player
 from roadperc_stream.view.live.playhead import Order, Status
 
 _BACKLOG_MESSAGES: Final = 256
 """A viewer that is slower than this many messages loses the oldest."""
-_ANSWER_WAIT_S: Final = 5.0
 _GOODBYE_S: Final = 2.0
 _STATUS_ID: Final = "roadperc"
 _STATUS: Final = {
@@ -47,25 +45,21 @@ class ServeError(RoadpercError):
 
 
 class Controls(ServerListener):
-    """Hands what viewers do to the player; called in the server's threads."""
+    """Hands what viewers do to the player; called in the server's few threads, which must not wait."""
 
-    def __init__(self, inbox: Inbox) -> None:
-        self._inbox = inbox
+    def __init__(self, player: Player) -> None:
+        self._player = player
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002 - the signature is the SDK's
         """Somebody opened a panel."""
-        self._inbox.put(Subscribed(channel.topic))
+        self._player.watch(channel.topic)
 
-    def on_playback_control_request(self, playback_control_request: PlaybackControlRequest) -> PlaybackState | None:
+    def on_playback_control_request(self, playback_control_request: PlaybackControlRequest) -> PlaybackState:
         """Somebody pressed play or pause, sought or chose a speed."""
         asked = playback_control_request
         play = asked.playback_command == PlaybackCommand.Play
-        request = Request(Order(play, asked.playback_speed, asked.seek_time))
-        self._inbox.put(request)
-        try:
-            return _playback_state(request.answer.result(_ANSWER_WAIT_S), asked.request_id)
-        except (CancelledError, TimeoutError):  # the server is ending, or the disk stands still
-            return None
+        answer = self._player.control(Order(play, asked.playback_speed, asked.seek_time))
+        return _playback_state(answer, asked.request_id)
 
 
 class FoxgloveAudience:
@@ -106,7 +100,7 @@ class FoxgloveAudience:
 
 @contextmanager
 def serving(
-    name: str, host: str, port: int, span_ns: tuple[int, int], channels: Iterable[Channel], inbox: Inbox
+    name: str, host: str, port: int, span_ns: tuple[int, int], channels: Iterable[Channel], player: Player
 ) -> Iterator[tuple[FoxgloveAudience, int]]:
     """Run a server.
 
@@ -116,7 +110,7 @@ def serving(
         port: 0 for a free one.
         span_ns: first and last log time of the log, once it is complete.
         channels: those announced to viewers at once.
-        inbox: where viewers' wishes go.
+        player: does what viewers ask.
 
     Yields:
         Those who are connected, and the port.
@@ -131,7 +125,7 @@ def serving(
             host=host,
             port=port,
             capabilities=[Capability.Time, Capability.PlaybackControl],
-            server_listener=Controls(inbox),
+            server_listener=Controls(player),
             context=context,
             playback_time_range=span_ns,
             message_backlog_size=_BACKLOG_MESSAGES,

@@ -7,24 +7,20 @@ from pathlib import Path
 from threading import Thread
 from time import monotonic_ns
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
-from roadperc_stream.core.process import optional_output
-from roadperc_stream.core.text import print_line
-from roadperc_stream.core.time import ns_to_seconds, seconds_to_ns
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.topics import TIMES_TOPIC
-from roadperc_stream.view.live.options import PlaybackOptions
-from roadperc_stream.view.live.player import LONGEST_WAIT_S, Inbox, Player
+from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.text import print_line
+from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
+from roadperc_stream.view.live.player import LONGEST_WAIT_S, Audience, Player
+from roadperc_stream.view.live.playhead import PlaybackOptions
 from roadperc_stream.view.live.server import serving
-from roadperc_stream.view.live.source import FinishedLog, RunningReplay, Source
-from roadperc_stream.view.live.timed import TimedSource
-from roadperc_stream.view.stage_times import ReplayTimes, TableTimes
-
-if TYPE_CHECKING:
-    from roadperc_stream.output.writing import Timed
+from roadperc_stream.view.live.source import FinishedLog, RunningReplay, Source, TimedSource
+from roadperc_stream.view.result_frames import ReplayTimes, TableTimes
 
 
 def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:
@@ -41,11 +37,18 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
         ServeError: the port cannot be had.
     """
     log = FinishedLog.opened(path)
-    start_ns, span_ns = _start(log, options.start_s), (log.first_ns, log.last_ns)
-    layout = f"{_quoted(path)} --foxglove --foxglove-layout {_quoted(path.with_suffix('.layout.json'))}"
-    served = playing(with_times(log), path.name, span_ns, options, start_ns, layout, quiet=quiet)
-    with suppress(KeyboardInterrupt), served as player:
-        player.run()
+    span_ns, length_s = (log.first_ns, log.last_ns), ns_to_seconds(log.last_ns - log.first_ns)
+    start_ns = log.first_ns + seconds_to_ns(options.start_s)
+    if log.reach().clamp(start_ns) != start_ns:
+        raise LogError(
+            f"{path}: --start {options.start_s:g}: expected 0 to {length_s:.3f}, the log's length in seconds"
+        )
+    layout = (
+        f"{shlex.quote(str(path))} --foxglove --foxglove-layout {shlex.quote(str(path.with_suffix('.layout.json')))}"
+    )
+    served = playing(with_times(log), path.name, span_ns, options, layout, quiet=quiet)
+    with suppress(KeyboardInterrupt), served as (player, audience):
+        player.run(audience)
 
 
 def with_times(log: FinishedLog) -> Source:
@@ -69,10 +72,13 @@ def serves_times(path: Path) -> bool:
 
 
 class LiveReplay:
-    """Serves the output of a replay from its first message on. Use it as a context manager around ``replay``."""
+    """Serves the output of a replay from its first message on. Use it as a context manager around ``replay``.
+
+    ``times`` takes each frame's times.
+    """
 
     def __init__(self, options: PlaybackOptions, *, quiet: bool = False) -> None:
-        self._options, self._quiet = options, quiet
+        self._options, self._quiet, self.times = options, quiet, ReplayTimes()
         self._until_exit = ExitStack()
         self._thread: Thread | None = None
         self._error: Exception | None = None
@@ -80,30 +86,24 @@ class LiveReplay:
     def __enter__(self) -> Self:
         return self
 
-    def start(self, writer: LogWriter, span_ns: tuple[int, int]) -> "Timed":
+    def start(self, writer: LogWriter, span_ns: tuple[int, int]) -> None:
         """Begin: ``replay`` calls it when all channels are known and nothing is written yet.
 
         Args:
             writer: writes the output.
             span_ns: first and last log time it will have.
 
-        Returns:
-            Takes each frame's times.
-
         Raises:
             ServeError: the port cannot be had.
         """
-        times = ReplayTimes()
-        source = TimedSource(RunningReplay(writer.while_written(), span_ns[0]), times)
-        start_ns = source.reach().first_ns
+        source = TimedSource(RunningReplay(writer.while_written(), span_ns[0]), self.times)
         layout = "--foxglove-layout layout.json"  # one for all topics: the log's own are not known yet
-        served = playing(source, writer.path.name, span_ns, self._options, start_ns, layout, quiet=self._quiet)
-        player = self._until_exit.enter_context(served)
-        self._thread = Thread(target=self._run, args=(player,), name="player", daemon=True)
+        served = playing(source, writer.path.name, span_ns, self._options, layout, quiet=self._quiet)
+        player, audience = self._until_exit.enter_context(served)
+        self._thread = Thread(target=self._run, args=(player, audience), name="player", daemon=True)
         self._thread.start()
         self._until_exit.callback(self._thread.join)
         self._until_exit.callback(player.stop)
-        return times.note
 
     def wait(self) -> None:
         """Go on serving the complete output until Ctrl-C; return at once where nothing is served.
@@ -121,9 +121,9 @@ class LiveReplay:
         if self._error is not None:
             raise self._error
 
-    def _run(self, player: Player) -> None:
+    def _run(self, player: Player, audience: Audience) -> None:
         try:
-            player.run()
+            player.run(audience)
         except Exception as error:  # Whatever ends this thread is raised where the command waits for it.
             self._error = error
 
@@ -139,44 +139,28 @@ def playing(
     name: str,
     span_ns: tuple[int, int],
     options: PlaybackOptions,
-    start_ns: int,
     layout: str,
     *,
     quiet: bool,
-) -> Iterator[Player]:
-    """A player that is served under an address; the caller runs it.
+) -> Iterator[tuple[Player, Audience]]:
+    """A player that is served under an address, and those who watch it; the caller runs it for them.
 
     Args:
         source: what to play.
         name: what viewers call it.
         span_ns: first and last log time there will be.
-        options: speed, loop and address.
-        start_ns: log time to start at.
+        options: speed, start, loop and address.
         layout: arguments with which roadperc-view writes a layout for it.
         quiet: do not print where to connect.
     """
-    inbox = Inbox()
-    with serving(name, options.host, options.port, span_ns, source.channels, inbox) as (audience, port):
+    start_ns = source.reach().first_ns + seconds_to_ns(options.start_s)
+    player = Player(source, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
+    with serving(name, options.host, options.port, span_ns, source.channels, player) as (audience, port):
         if not quiet:
             with optional_output():
                 for line in _invitation(options.host, port, layout):
                     print_line(line)
-        yield Player(source, audience, inbox, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
-
-
-def _start(source: FinishedLog, start_s: float) -> int:
-    start_ns = source.first_ns + seconds_to_ns(start_s)
-    if source.reach().clamp(start_ns) != start_ns:
-        length_s = ns_to_seconds(source.last_ns - source.first_ns)
-        raise LogError(
-            f"{source.summary.path}: --start {start_s:g}: expected 0 to {length_s:.3f}, the log's length in seconds"
-        )
-    return start_ns
-
-
-def _quoted(path: Path) -> str:
-    """A file's name as a shell takes it."""
-    return shlex.quote(str(path))
+        yield player, audience
 
 
 def _invitation(host: str, port: int, layout: str) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
-from roadperc_stream.core.datatypes import EGO
+from roadperc_stream.model import EGO
 from roadperc_stream.schemas.topics import (
     DEBUG_PREFIX,
     DRIVABLE_SCENE_TOPIC,
@@ -27,7 +27,7 @@ from roadperc_stream.schemas.topics import (
     TIMES_TOPIC,
     TRAJECTORY_TOPIC,
 )
-from roadperc_stream.view.rerun.plots import MISSING, STATES
+from roadperc_stream.view.rerun.scene import MISSING, STATES
 from roadperc_stream.view.rerun.tree import TREE
 
 _IN_THE_IMAGE: Final = (LANES_ANNOTATIONS_TOPIC, OBJECTS_ANNOTATIONS_TOPIC)

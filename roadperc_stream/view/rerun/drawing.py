@@ -10,21 +10,21 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import DecodeError as ProtobufError
 
-from roadperc_stream.core.semantics import TagTable
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, context_of_channel, decode
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
-from roadperc_stream.input.roles import RoleAssignment
+from roadperc_stream.input.stream import RoleAssignment
 from roadperc_stream.log import Channel, Message
+from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.output.results import DRIVABLE_COLOURS
 from roadperc_stream.schemas import cdr, ros2
-from roadperc_stream.schemas.names import IMAGE_SCHEMA
 from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import (
     DEBUG_PREFIX,
     DRIVABLE_SCENE_TOPIC,
     DRIVABLE_TOPIC,
+    IMAGE_SCHEMA,
     LANES_TOPIC,
     LOG_TOPIC,
     METRICS_TOPIC,
@@ -38,9 +38,9 @@ from roadperc_stream.schemas.topics import (
     TIMES_TOPIC,
     TRAJECTORY_TOPIC,
 )
-from roadperc_stream.view.rerun import boxes, lanes, pictures, plots, scene
-from roadperc_stream.view.rerun.entry import Entry, SceneState
-from roadperc_stream.view.stage_times import StageTimes
+from roadperc_stream.view.rerun import overlays, pictures, scene
+from roadperc_stream.view.rerun.tree import Entry, SceneState
+from roadperc_stream.view.result_frames import StageTimes
 
 Drawer = Callable[[Message], Iterator[Entry]]
 
@@ -54,9 +54,9 @@ _KINDS: Final[Mapping[Kind, Callable[[str, str, Any, SceneState], Iterator[Entry
     "tf": scene.transforms,
     "pose": scene.pose,
     "surface": scene.road,
-    "detections": boxes.detections,
-    "objects": boxes.objects,
-    "lanes": lanes.lanes,
+    "detections": overlays.detections,
+    "objects": overlays.objects,
+    "lanes": overlays.lanes,
 }
 _RESULT_KINDS: Final[Mapping[str, tuple[Kind, str]]] = {
     SURFACE_TOPIC: ("surface", "result"),
@@ -73,7 +73,7 @@ _DRIVABLE: Final = TagTable("drivable", ("other", "drivable"), DRIVABLE_COLOURS)
 _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], Iterator[Entry]]]]] = {
     DRIVABLE_SCENE_TOPIC: (SceneUpdate.FromString, scene.outlines),
     TRAJECTORY_TOPIC: (PosesInFrame.FromString, scene.trajectory),
-    LOG_TOPIC: (Log.FromString, plots.log_line),
+    LOG_TOPIC: (Log.FromString, scene.log_line),
     OCCUPANCY_TOPIC: (
         lambda data: cdr.read(data, ros2.OCCUPANCY_GRID, ros2.DEFINITIONS[ros2.OCCUPANCY_GRID]),
         scene.occupancy,
@@ -133,8 +133,8 @@ def _parsed(
 
 def _numbers(times: StageTimes, world: SceneState, entity: str, message: Any) -> Iterator[Entry]:
     """A frame's metrics, and the times of its stages, which stand in the table alone."""
-    yield from plots.metrics(entity, message, world)
-    yield from plots.times(TIMES_TOPIC, times.of(message.log_id, message.frame))
+    yield from scene.metrics(entity, message, world)
+    yield from scene.times(TIMES_TOPIC, times.of(message.log_id, message.frame))
 
 
 def _encoded(role: str, world: SceneState, message: Message) -> Iterator[Entry]:

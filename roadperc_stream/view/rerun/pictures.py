@@ -7,11 +7,10 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.core.datatypes import CameraImage, DepthImage, InstanceImage, TagImage
-from roadperc_stream.core.geometry import Camera
 from roadperc_stream.formats.images import depth_to_mm, encode_jpeg
-from roadperc_stream.view.rerun.entry import Entry, SceneState, annotation_context, image_plane
-from roadperc_stream.view.rerun.tree import new_edges
+from roadperc_stream.geometry import Camera
+from roadperc_stream.model import CameraImage, DepthImage, InstanceImage, TagImage
+from roadperc_stream.view.rerun.tree import Entry, SceneState, annotation_context, image_plane, new_edges
 
 _MM_PER_M: Final = 1000.0
 _COLOURED_MM: Final = (0.0, 40_000.0)

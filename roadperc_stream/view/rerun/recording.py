@@ -1,32 +1,72 @@
 """A log to a Rerun viewer or into a recording, message by message."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
+from itertools import groupby
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import rerun as rr
+from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream import log
-from roadperc_stream.core.files import completing, require_free
-from roadperc_stream.core.progress import no_progress
-from roadperc_stream.core.time import END_OF_TIME_NS
 from roadperc_stream.errors import DecodeError, LogError, TargetError
-from roadperc_stream.input.problems import Problems
-from roadperc_stream.input.roles import RoleAssignment, assignment_of_log
-from roadperc_stream.log import LogSummary
+from roadperc_stream.input.earlier_replay import is_result_of
+from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.input.stream import Problems, RoleAssignment
+from roadperc_stream.log import LogSummary, Message
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.schemas.topics import RESULTS
+from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
+from roadperc_stream.schemas.topics import METRICS_TOPIC, RESULTS
+from roadperc_stream.system.files import completing, require_free
+from roadperc_stream.system.progress import no_progress
+from roadperc_stream.system.time import END_OF_TIME_NS
 from roadperc_stream.view.rerun.blueprint import Log, blueprint
 from roadperc_stream.view.rerun.drawing import drawers
-from roadperc_stream.view.rerun.entry import Entry, SceneState
-from roadperc_stream.view.rerun.instants import Instant, instants
-from roadperc_stream.view.rerun.outlet import saving
-from roadperc_stream.view.rerun.viewer import URL, ending_at_once, start_viewer
-from roadperc_stream.view.shown import nothing_shown, require_shown
-from roadperc_stream.view.stage_times import TableTimes
+from roadperc_stream.view.rerun.tree import Entry, SceneState
+from roadperc_stream.view.rerun.viewer import URL, ending_at_once, saving, start_viewer
+from roadperc_stream.view.result_frames import TableTimes, nothing_shown, require_shown
+
+
+@dataclass(frozen=True)
+class Instant:
+    """All messages of one log time."""
+
+    log_time_ns: int
+    frame: int
+    """Number of the frame it belongs to, from 0; -1 before the first."""
+    messages: tuple[Message, ...]
+
+    @property
+    def has_results(self) -> bool:
+        """Whether a frame's results are among them: each frame has its metrics."""
+        return any(is_result_of(message.channel, METRICS_TOPIC) for message in self.messages)
+
+
+def instants(messages: Iterable[Message], reference: str | None) -> Iterator[Instant]:
+    """Group messages by log time.
+
+    Args:
+        messages: in log-time order.
+        reference: topic of which every message is a frame, where no metrics number it; None where there is none.
+    """
+    frame = -1
+    for log_time_ns, together in groupby(messages, key=lambda message: message.log_time_ns):
+        group = tuple(together)
+        frame = _frame(group, reference, frame)
+        yield Instant(log_time_ns, frame, group)
+
+
+def _frame(group: tuple[Message, ...], reference: str | None, last: int) -> int:
+    """The number that the metrics of these messages say, else the next one where a frame is among them."""
+    for message in (m for m in group if is_result_of(m.channel, METRICS_TOPIC)):
+        with suppress(ProtobufError):  # a damaged one is reported where it would be drawn
+            return int(FrameMetrics.FromString(message.data).frame)
+    return last + any(message.channel.topic == reference for message in group)
+
 
 LOG_TIME, FRAME = "message_log_time", "frame"
 _APPLICATION: Final = "roadperc"

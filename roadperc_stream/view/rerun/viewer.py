@@ -1,5 +1,7 @@
-"""The Rerun viewer as a program of its own, which stays open."""
+"""What a recording goes to: the Rerun viewer as a program of its own, or a file through a pipe."""
 
+import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -9,11 +11,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException
+from io import FileIO
+from pathlib import Path
 from time import monotonic, sleep
 from typing import Final
 
-from roadperc_stream.core.process import ending_signals
+import rerun as rr
+
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.system.process import ending_signals
 
 URL: Final = "rerun+http://127.0.0.1:9876/proxy"
 _ADDRESS: Final = ("127.0.0.1", 9876)
@@ -81,3 +87,70 @@ def _is_viewer() -> bool:
         return False
     finally:
         connection.close()
+
+
+_PIECE_BYTES: Final = 2**20
+
+
+class Outlet:
+    """Copies what comes out of a pipe into a file."""
+
+    def __init__(self, path: Path) -> None:
+        readable, self._writable = os.pipe()
+        self._path = path
+        self._error: OSError | None = None
+        self._copier = threading.Thread(target=self._copy, args=(FileIO(readable),), name="recording", daemon=True)
+        self._copier.start()
+
+    def open(self, recording: rr.RecordingStream) -> None:
+        """Have a recording written into the pipe; its end is the SDK's alone from here on.
+
+        Raises:
+            OSError: the SDK cannot open it.
+        """
+        try:
+            recording.save(f"/dev/fd/{self._writable}")
+        except RuntimeError as error:  # what the SDK throws
+            raise OSError(str(error)) from error
+        finally:
+            os.close(self._writable)
+
+    def check(self) -> None:
+        """See that all that came out of the pipe so far is in the file.
+
+        Raises:
+            OSError: it is not, as when the disk is full.
+        """
+        if self._error:
+            raise self._error
+
+    def close(self) -> None:
+        """Wait for the end of what comes; the recording is disconnected."""
+        self._copier.join()
+
+    def _copy(self, readable: FileIO) -> None:
+        with readable:
+            try:
+                with self._path.open("wb") as file:
+                    shutil.copyfileobj(readable, file, _PIECE_BYTES)
+            except OSError as error:
+                self._error = error
+            while readable.read(_PIECE_BYTES):
+                pass  # the SDK goes on writing until it is disconnected, which needs an empty pipe
+
+
+@contextmanager
+def saving(recording: rr.RecordingStream, path: Path) -> Iterator[Outlet]:
+    """Save a recording to a file, which is whole where the block and this end without an error.
+
+    Raises:
+        OSError: the file cannot be written whole.
+    """
+    outlet = Outlet(path)
+    try:
+        outlet.open(recording)
+        yield outlet
+    finally:
+        recording.disconnect()
+        outlet.close()
+    outlet.check()

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.occupancy import FREE, OCCUPIED, UNKNOWN, build
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import OccupancyConfig, load_config
-from roadperc_stream.core.datatypes import Absent, Reason
+from roadperc_stream.config import OccupancyConfig, load_config
 from roadperc_stream.errors import ConfigError
+from roadperc_stream.model import Absent, Reason
 from tests.analytic import LINE, OTHER, ROAD, VEHICLE, Road
 from tests.hills import Hill
 from tests.scenes import scene_of

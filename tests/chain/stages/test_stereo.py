@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages import stereo
-from roadperc_stream.chain.stages.objects.template_matching import correlate
+from roadperc_stream.chain.stages.objects.template import correlate
 from roadperc_stream.chain.stages.stereo import matching
 from roadperc_stream.chain.stages.stereo.pair import disparities_needed
 from roadperc_stream.cli import render
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import StereoConfig, load_config
-from roadperc_stream.core.datatypes import Absent, Box
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream.config import StereoConfig, load_config
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.decoding import camera_from_calibration
 from roadperc_stream.metrics.stereo import stereo_errors
+from roadperc_stream.model import Absent, Box
 from roadperc_stream.output.encoding import encode_calibration
 from tests import pair
 from tests.course import SETTINGS

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import polars as pl
 
-from roadperc_stream.eval.bench import run_row
 from roadperc_stream.output.tables import TableWriter
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
+from roadperc_stream.tools.bench.report import run_row
 from tests.eval.tables import row
 
 A, B = "aaaa0000", "bbbb0000"

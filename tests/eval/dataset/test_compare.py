@@ -1,20 +1,19 @@
 """Two configurations of a dataset against each other, log by log."""
 
+from functools import partial
+
 import pytest
 
 from roadperc_stream.cli.compare import main
 from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, log_id, small_dataset, write_runs
+from tests.eval.tables import outcome
+
+compare = partial(outcome, main)
 
 
 @pytest.fixture
 def dataset(tmp_path):
     return small_dataset(tmp_path / "dataset")
-
-
-def compare(capsys, *arguments):
-    code = main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def test_of_two_the_older_is_the_reference(dataset, capsys):

@@ -1,31 +1,28 @@
 """The report over a batch's dataset: known answers, one pass over batches, and what is wrong said in a line."""
 
 from dataclasses import replace
+from functools import partial
 
 import polars as pl
 import pytest
 
 from roadperc_stream.cli.report import main
-from roadperc_stream.eval.bench import write_dataset
 from roadperc_stream.eval.configurations import grouped
-from roadperc_stream.eval.dataset import reading
-from roadperc_stream.eval.dataset.grouped import group_frames, summaries_of
-from roadperc_stream.eval.dataset.place import dataset_at, metrics_files
-from roadperc_stream.eval.dataset.run_rows import read_runs
+from roadperc_stream.eval.dataset import groups, reading
+from roadperc_stream.eval.dataset.groups import group_frames, summaries_of
+from roadperc_stream.eval.dataset.place import dataset_at, metrics_files, read_runs
 from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.summary import summarise_group
+from roadperc_stream.tools.bench.report import write_dataset
 from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, log_id, small_dataset, write_runs
+from tests.eval.tables import outcome
+
+report = partial(outcome, main)
 
 
 @pytest.fixture
 def dataset(tmp_path):
     return small_dataset(tmp_path / "dataset")
-
-
-def report(capsys, *arguments):
-    code = main([str(argument) for argument in arguments])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def rows_below(text, table, label):
@@ -155,9 +152,9 @@ def test_one_pass_in_batches_gives_what_table_after_table_gives(tmp_path, monkey
 def test_many_rows_are_thinned_within_the_bound(tmp_path, monkeypatch):
     write_dataset(tmp_path, 6, 500)
     (exact, _) = summaries(tmp_path, "config")
-    monkeypatch.setattr(reading, "EXACT_FRAMES", 500)
-    monkeypatch.setattr(reading, "POINTS", 64)
-    monkeypatch.setattr(reading, "_FEWEST_POINTS", 64)
+    monkeypatch.setattr(groups, "EXACT_FRAMES", 500)
+    monkeypatch.setattr(groups, "POINTS", 64)
+    monkeypatch.setattr(groups, "_FEWEST_POINTS", 64)
     monkeypatch.setattr(reading, "_ROWS", 400)
     (thinned, _) = summaries(tmp_path, "config")
     assert 0 < thinned.rank_error < 0.05
@@ -171,8 +168,7 @@ def test_many_rows_are_thinned_within_the_bound(tmp_path, monkeypatch):
 
 
 def test_of_too_many_logs_the_worst_are_listed(dataset, monkeypatch, capsys):
-    monkeypatch.setattr(reading, "MOST_GROUPS", 1)
-    monkeypatch.setattr("roadperc_stream.eval.dataset.grouped.MOST_GROUPS", 1)
+    monkeypatch.setattr(groups, "MOST_GROUPS", 1)
     _, text, _ = report(capsys, dataset, "--by", "log")
     assert "listed: 1 of 2 groups, those with the worst mean errors" in text
     lines = [line.split() for line in text.splitlines()]
@@ -270,7 +266,7 @@ def test_without_tables_the_failures_are_printed(tmp_path, capsys):
     ],
 )
 def test_a_grouping_that_cannot_be(dataset, monkeypatch, capsys, by, said):
-    monkeypatch.setattr(reading, "MOST_GROUPS", 3)
+    monkeypatch.setattr(groups, "MOST_GROUPS", 3)
     code, _, error = report(capsys, dataset, "--by", by)
     assert code == 1
     assert said in error

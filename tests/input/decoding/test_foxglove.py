@@ -9,10 +9,10 @@ import pytest
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.model import Transform
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
 from tests import foxglove_json

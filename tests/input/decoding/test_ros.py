@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, context_of_channel, decode
 from roadperc_stream.log import Channel
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
 from roadperc_stream.schemas import cdr, ros2
 from tests import rosbag
 from tests.analytic import box

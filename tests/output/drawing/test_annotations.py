@@ -7,9 +7,9 @@ import pytest
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from roadperc_stream.core.datatypes import Boundary, Box, Detection, Lanes, Object, Objects
-from roadperc_stream.core.geometry import inverse, project, transform
-from roadperc_stream.core.rotations import rotation_from_quaternion
+from roadperc_stream.geometry import inverse, project, transform
+from roadperc_stream.geometry.rotations import rotation_from_quaternion
+from roadperc_stream.model import Boundary, Box, Detection, Lanes, Object, Objects
 from roadperc_stream.output.drawing.annotations import (
     captioned,
     drivable_scene,

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.core.datatypes import Box, Object
+from roadperc_stream.model import Box, Object
 from roadperc_stream.output.drawing.captions import by_nearness, caption_places, viewer_font_px, viewer_text_size
 from tests.analytic import Road, box
 

@@ -4,9 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Boundary, Correlation, Lanes, Matches, StereoDepth
-from roadperc_stream.core.geometry import Camera
-from roadperc_stream.output.drawing.debug import disparity_picture, lanes_picture, matches_picture, template_picture
+from roadperc_stream.geometry import Camera
+from roadperc_stream.model import Boundary, Correlation, Lanes, Matches, StereoDepth
+from roadperc_stream.output.drawing.on_request import (
+    disparity_picture,
+    lanes_picture,
+    matches_picture,
+    template_picture,
+)
 
 WHITE, GREEN, MAGENTA, BLUE, RED = (255, 255, 255), (77, 230, 26), (255, 60, 255), (255, 204, 26), (60, 60, 255)
 CAMERA = Camera("left", 320, 240, 100.0, 100.0, 159.5, 119.5)

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.core.datatypes import Box, Object
-from roadperc_stream.output.drawing.labels import label_places
+from roadperc_stream.model import Box, Object
+from roadperc_stream.output.drawing.captions import label_places
 from tests.analytic import box
 
 SIZE = (320.0, 240.0)

@@ -9,7 +9,7 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas.record import PRODUCER

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadperc_stream.core.datatypes import Absent, Boundary, Lanes, Object, Objects, Reason
+from roadperc_stream.model import Absent, Boundary, Lanes, Object, Objects, Reason
 from roadperc_stream.output.drawing.colours import DRIVABLE
 from roadperc_stream.output.drawing.overlay import draw_overlay
 from tests.analytic import box

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Absent, Object, Objects, Reason
+from roadperc_stream.model import Absent, Object, Objects, Reason
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import Pen
 from roadperc_stream.output.drawing.colours import bgr

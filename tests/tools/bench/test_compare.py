@@ -9,9 +9,8 @@ import pytest
 
 from roadperc_stream.errors import ProgramError, RegressionError
 from roadperc_stream.tools.bench import compare
-from roadperc_stream.tools.bench.checkout import installed
 from roadperc_stream.tools.bench.compare import compared, require_no_slower
-from roadperc_stream.tools.bench.replays import Installation
+from roadperc_stream.tools.bench.replays import Installation, installed
 
 ROUNDS = 10
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Boundary
 from roadperc_stream.errors import LogError
+from roadperc_stream.model import Boundary
 from roadperc_stream.tools.bench import agreement, course
 from roadperc_stream.tools.bench.agreement import difference_of, require_agreement
 from roadperc_stream.tools.bench.course import Course, CourseResult, Times, ego_lines, merged, plane_of, ransac_plane

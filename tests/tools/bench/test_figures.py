@@ -5,15 +5,23 @@ from pathlib import Path
 
 import pytest
 
-from roadperc_stream.core.cost import Cost
 from roadperc_stream.errors import TargetError
+from roadperc_stream.system.cost import Cost
 from roadperc_stream.tools.bench import __main__ as bench
-from roadperc_stream.tools.bench.figures import SpeedFigure, figures, noise
+from roadperc_stream.tools.bench.figures import (
+    BenchJob,
+    SpeedFigure,
+    figures,
+    measured,
+    middle,
+    noise,
+    parts_of,
+    ratios,
+)
 from roadperc_stream.tools.bench.inputs import WARM_UP
 from roadperc_stream.tools.bench.long import long_figures
-from roadperc_stream.tools.bench.printing import tables, write_json, write_page
+from roadperc_stream.tools.bench.printing import tables, write_page
 from roadperc_stream.tools.bench.replays import a_frame
-from roadperc_stream.tools.bench.session import BenchJob, measured, middle, parts_of, ratios
 
 SERIES = {
     "control": [100.0, 110.0, 95.0],
@@ -112,23 +120,6 @@ def test_it_prints_all_and_writes_it_for_programs(bench_logs, tmp_path, monkeypa
     assert written["frames"] == 4
     gate = next(figure for figure in written["figures"] if figure["name"] == "gate, png")
     assert gate == {"name": "gate, png", "value": 1.5, "least": None, "most": 1.5, "met": True}
-
-
-def test_an_earlier_run_is_printed_again(tmp_path, capsys):
-    earlier, page = tmp_path / "bench.json", tmp_path / "page.md"
-    write_json(earlier, SERIES, figures(SERIES), {})
-    page.write_text(PAGE)
-    assert bench.main([str(tmp_path), "--earlier", str(earlier), "--page", str(page)]) == 0
-    assert "gate, png" in capsys.readouterr().out
-    assert "| gate, png | 1.50 |" in page.read_text()
-    assert [path.name for path in sorted(tmp_path.iterdir())] == ["bench.json", "page.md"]
-
-
-@pytest.mark.parametrize("text", ["no json", "{}", "[]"])
-def test_a_file_of_another_kind_is_refused(tmp_path, capsys, text):
-    (tmp_path / "other.json").write_text(text)
-    assert bench.main([str(tmp_path), "--earlier", str(tmp_path / "other.json")]) == 1
-    assert "other.json: expected what make bench writes with --json" in capsys.readouterr().err
 
 
 PAGE = "Before.\n\n<!-- make bench writes here -->\nold\n<!-- to here -->\n\nBehind.\n"

@@ -5,11 +5,9 @@ import numpy as np
 import pytest
 
 import roadperc_stream as rp
-from roadperc_stream.core.config import OdometryConfig
-from roadperc_stream.formats.images import encode_indices
+from roadperc_stream.config import OdometryConfig
 from roadperc_stream.tools.bench import floor
 from roadperc_stream.tools.bench.course import Times
-from roadperc_stream.tools.bench.stored_png import chunks, pixel_stream, stored
 from roadperc_stream.tools.bench.tracking_floor import Tracking
 
 
@@ -37,19 +35,6 @@ def test_the_disparities_are_those_the_chain_tries(bench_logs):
     """f = 160, 0.5 m apart, 1.4 m high, nearest road 120 rows below: 160 * 0.5 * 120 / 160 / 1.4 = 43, a tenth more."""
     assert floor.disparities_of(bench_logs["stereo"].path) == 48
     assert floor.disparities_of(bench_logs["png"].path) == 0
-
-
-@pytest.mark.parametrize("palette", [True, False])
-def test_a_stored_png_has_the_same_pixels(palette):
-    pixels = np.random.default_rng(0).integers(0, 3, (40, 50), np.uint8)
-    png = encode_indices(pixels, ((0, 0, 0), (255, 0, 0), (0, 0, 255)))
-    if not palette:
-        png = cv2.imencode(".png", np.dstack((pixels, pixels, pixels * 20)))[1].tobytes()
-    again = stored(png)
-    read = [cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) for data in (png, again)]
-    assert np.array_equal(*read)
-    assert len(pixel_stream(again)) > pixels.size > len(pixel_stream(png)) / 3
-    assert [kind for kind, _ in chunks(again)] == [kind for kind, _ in chunks(png)]
 
 
 def shifted(grey, columns):

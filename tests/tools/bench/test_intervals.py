@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import wilcoxon
 
-from roadperc_stream.tools.bench.intervals import Ratio, ratio_of, signed_rank_probabilities
+from roadperc_stream.tools.bench.compare import Ratio, ratio_of, signed_rank_probabilities
 
 
 def test_probabilities_of_three_ranks():

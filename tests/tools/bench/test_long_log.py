@@ -5,7 +5,7 @@ import pytest
 import roadperc_stream as rp
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import summarise
-from roadperc_stream.tools.bench.long_log import folded, write_long
+from roadperc_stream.tools.bench.long import folded, write_long
 
 STEP_NS = 50_000_000
 

@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roadperc_stream.core.geometry import EGO_R_OPTICAL
 from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import EGO_R_OPTICAL
 from roadperc_stream.tools.carla_dump.calibration_file import CalibrationFile
 from roadperc_stream.tools.carla_dump.camera_rig import build_rig
 

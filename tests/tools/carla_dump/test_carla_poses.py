@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.core.geometry import transform
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.carla_dump.carla_poses import CarlaPose, camera_mounting, load_poses, right_handed
+from roadperc_stream.geometry import transform
+from roadperc_stream.tools.carla_dump.truth_file import CarlaPose, camera_mounting, load_poses, right_handed
 from tests.tools.dump_writer import document
 
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])

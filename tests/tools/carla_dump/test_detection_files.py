@@ -1,7 +1,7 @@
 import pytest
 
-from roadperc_stream.core.datatypes import Box, Detection
 from roadperc_stream.errors import DumpError
+from roadperc_stream.model import Box, Detection
 from roadperc_stream.tools.carla_dump.detection_files import load_detections, load_kitti_labels
 from tests.tools.dump_writer import document
 

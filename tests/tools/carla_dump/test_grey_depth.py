@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.core.geometry import Camera
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.carla_dump.depth_files import depth_encoding, depth_metres
-from roadperc_stream.tools.carla_dump.grey_depth import ENCODINGS, grey_encoding
+from roadperc_stream.geometry import Camera
+from roadperc_stream.tools.carla_dump.depth_files import ENCODINGS, depth_encoding, depth_metres, grey_encoding
 from roadperc_stream.tools.carla_dump.pixel_files import load_pixels
 from tests.analytic import Road
 from tests.tools.dump_writer import png

@@ -6,10 +6,9 @@ from hypothesis import strategies as st
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.tools.carla_dump.calibration_file import load_calibration
-from roadperc_stream.tools.carla_dump.carla_poses import load_poses
 from roadperc_stream.tools.carla_dump.detection_files import load_detections
 from roadperc_stream.tools.carla_dump.json_files import by_frame, frame_number
-from roadperc_stream.tools.carla_dump.truth_file import load_truth
+from roadperc_stream.tools.carla_dump.truth_file import load_poses, load_truth
 from tests.tools.dump_writer import document
 
 WORDS = """

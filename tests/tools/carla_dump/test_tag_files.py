@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
 from roadperc_stream.errors import ConfigError, DumpError
 from roadperc_stream.formats.images import encode_indices
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
 from roadperc_stream.tools.carla_dump.pixel_files import load_pixels
 from roadperc_stream.tools.carla_dump.tag_files import choose_table, tag_encoding, tags_of
 from tests.tools.dump_writer import TAGS, camera_pixels, jpeg, png, red

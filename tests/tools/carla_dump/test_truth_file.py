@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Box
 from roadperc_stream.errors import DumpError
+from roadperc_stream.model import Box
 from roadperc_stream.tools.carla_dump.truth_file import load_truth
 from tests.tools.dump_writer import document
 

@@ -5,12 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from roadperc_stream.tools.scene.drawings import CAR_M
 from roadperc_stream.tools.scene.drive import Drive
-from roadperc_stream.tools.scene.motion import SpeedProfile
+from roadperc_stream.tools.scene.ego import shake_of
 from roadperc_stream.tools.scene.options import RenderOptions
-from roadperc_stream.tools.scene.scenario import hard_braking, queue
-from roadperc_stream.tools.scene.shake import shake_of
+from roadperc_stream.tools.scene.scenario import SpeedProfile, hard_braking, queue
+from roadperc_stream.tools.scene.sheet import CAR_M
 from roadperc_stream.tools.scene.world import make_world
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.tools.scene.terrain import level_ground, rolling_ground
+from roadperc_stream.tools.scene.world import level_ground, rolling_ground
 
 
 def marched(terrain, centre, dx, dz, lift):

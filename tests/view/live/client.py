@@ -86,16 +86,21 @@ class Viewer:
         fresh = set(self.subscribe(topic))
         self.until(lambda: fresh <= self.arrived)
 
-    def control(self, *, play, rate=1.0, seek_ns=None):
+    def order(self, name, *, play, rate=1.0, seek_ns=None):
+        """Press a button, and do not wait for the answer."""
+        name = name.encode()
+        fields = (3, 0 if play else 1, rate, seek_ns is not None, seek_ns or 0, len(name))
+        self.socket.send(struct.pack("<BBfBQI", *fields) + name)
+
+    def control(self, *, play, rate=1.0, seek_ns=None, request_id=None):
         """Press a button; gives the answer, and forgets what was shown before it was obeyed.
 
         Where playback was standing and goes elsewhere, what is shown there is heard.
         """
-        name = str(next(self.requests)).encode()
-        fields = (3, 0 if play else 1, rate, seek_ns is not None, seek_ns or 0, len(name))
+        name = request_id or str(next(self.requests))
         known, self.heard = self.heard, []
-        self.socket.send(struct.pack("<BBfBQI", *fields) + name)
-        state = self.until(lambda: next((s for s in self.states() if s.request_id == name.decode()), None))
+        self.order(name, play=play, rate=rate, seek_ns=seek_ns)
+        state = self.until(lambda: next((s for s in self.states() if s.request_id == name), None))
         if not play and not state.moved:
             self.heard = known + self.heard
             self.settle()

@@ -6,7 +6,9 @@ import signal
 import socket
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from itertools import count
 from threading import Event, Thread
 
 import polars as pl
@@ -15,14 +17,14 @@ from websockets.exceptions import WebSocketException
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.config import load_config
+from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.roadperc_pb2 import StageTimes
 from roadperc_stream.schemas.topics import RESULTS, TIMES_TOPIC
-from roadperc_stream.view.live.options import PlaybackOptions
+from roadperc_stream.view.live.playhead import PlaybackOptions
 from roadperc_stream.view.live.server import ServeError
 from roadperc_stream.view.live.serving import LiveReplay, playing, serve_log, serves_times, with_times
 from roadperc_stream.view.live.source import FinishedLog
@@ -60,14 +62,12 @@ def path(tmp_path):
 
 
 @contextmanager
-def served(path, start_s=0.0, **options):
+def served(path, **options):
     port = free_port()
     source = FinishedLog.opened(path)
-    span_ns, start_ns = (source.first_ns, source.last_ns), source.first_ns + round(start_s * S)
-    with playing(
-        with_times(source), "log", span_ns, PlaybackOptions(port=port, **options), start_ns, "", quiet=True
-    ) as player:
-        thread = Thread(target=player.run)
+    span_ns, options = (source.first_ns, source.last_ns), PlaybackOptions(port=port, **options)
+    with playing(with_times(source), "log", span_ns, options, "", quiet=True) as (player, audience):
+        thread = Thread(target=player.run, args=(audience,))
         thread.start()
         try:
             yield port
@@ -151,6 +151,64 @@ def test_a_second_viewer_sees_the_paused_frame(path):
             second.until(lambda: len(second.shown()) >= 2)
             assert {m.data for m in second.shown()} == {b"calibration", b"image 400"}
             assert second.until(second.states)[-1][:2] == ("paused", 1040 * S)
+
+
+def test_a_disk_that_stands_still_keeps_no_viewer_from_an_answer(path, monkeypatch):
+    """The server has a few threads for all its viewers: none of them may wait for what a seek reads."""
+    reading, on, starts = Event(), Event(), []
+    read = FinishedLog.read
+
+    def slow(self, topics, start_ns, end_ns):
+        starts.append(end_ns)
+        reading.set()
+        on.wait()
+        return read(self, topics, start_ns, end_ns)
+
+    with served(path) as port, Viewer(port) as first:
+        monkeypatch.setattr(FinishedLog, "read", slow)
+        try:
+            first.order("waited for", play=False, seek_ns=1001 * S)
+            assert reading.wait(PATIENCE_S)
+            for k in range(200):
+                first.order(f"seek {k}", play=False, seek_ns=1010 * S + k)
+            with Viewer(port) as second:
+                answer = second.control(play=False, rate=3.0)
+                assert (answer.status, answer.rate) == ("paused", 3.0)  # anywhere: viewers' orders come in any order
+            first.until(lambda: len(first.states()) == 202)
+        finally:
+            on.set()
+        first.subscribe("/image")
+        first.until(lambda: [shown for shown in first.shown() if shown.data == b"image 100"])
+    assert not {1010 * S + k + 1 for k in range(199)} & set(starts)
+    assert 1010 * S + 200 in starts
+
+
+def test_a_storm_of_seeks_leaves_a_second_viewer_an_answer(path):
+    """The storm lasts until the answer is there; how soon that is depends on how busy this machine is."""
+    ended = Event()
+
+    def storm():
+        for k in count():
+            if ended.wait(1 / 200):
+                return
+            first.order(f"seek {k}", play=bool(k % 2), seek_ns=1000 * S + k * 7919 * S // 1000 % (59 * S))
+
+    with served(path) as port, Viewer(port) as first, ThreadPoolExecutor() as threads:
+        first.subscribe()
+        storming = threads.submit(storm)
+        try:
+            first.until(lambda: len(first.states()) > 200)
+            listening = threads.submit(first.until, ended.is_set)
+            with Viewer(port) as second:
+                second.subscribe()
+                second.until(lambda: second.shown("/image"))
+                second.order("second", play=False)
+                second.until(lambda: [s for s in second.states() if s.request_id == "second"])
+        finally:
+            ended.set()
+        storming.result()
+        first.order("last", play=False)
+        listening.result()
 
 
 def test_who_comes_after_the_end_knows_the_time_and_sees_the_last_frame(path):
@@ -269,7 +327,7 @@ def replay_held_at(frame, source, target):
         thread.join()
 
     with LiveReplay(PlaybackOptions(port=port), quiet=True) as live:
-        job = {"progress": progress, "opened": live.start}
+        job = {"progress": progress, "on_start": live.start, "on_frame": live.times.note}
         thread = Thread(target=replay, args=(source, target, load_config(None, ())), kwargs=job)
         thread.start()
         try:
@@ -336,7 +394,7 @@ def test_the_output_is_the_same_watched_or_not(source, tmp_path):
     replay(source, tmp_path / "alone.mcap", load_config(None, ()))
     port = free_port()
     with LiveReplay(PlaybackOptions(port=port, rate=50.0), quiet=True) as live:
-        replay(source, tmp_path / "live.mcap", load_config(None, ()), opened=live.start)
+        replay(source, tmp_path / "live.mcap", load_config(None, ()), on_start=live.start, on_frame=live.times.note)
     assert (tmp_path / "live.mcap").read_bytes() == (tmp_path / "alone.mcap").read_bytes()
     with pytest.raises((ConnectionError, WebSocketException)):  # refused, or cut off by a server that is ending
         Viewer(port)
@@ -371,7 +429,7 @@ def test_wrong_usage(arguments, capsys):
 
 
 SERVE = "import sys; from pathlib import Path; from roadperc_stream.cli.plumbing import run;"
-SERVE += "from roadperc_stream.view.live.serving import serve_log; from roadperc_stream.view.live.options import *;"
+SERVE += "from roadperc_stream.view.live.serving import serve_log; from roadperc_stream.view.live.playhead import *;"
 SERVE += "sys.exit(run(lambda: serve_log(Path(sys.argv[1]), PlaybackOptions(port=0))))"
 REPLAY = "import sys; from roadperc_stream.cli.replay import main; sys.exit(main(sys.argv[1:]))"
 

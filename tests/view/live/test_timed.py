@@ -9,9 +9,8 @@ from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import LIVE_ONLY, RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live.playhead import Reach
-from roadperc_stream.view.live.source import held
-from roadperc_stream.view.live.timed import TimedSource
-from roadperc_stream.view.stage_times import ReplayTimes
+from roadperc_stream.view.live.source import TimedSource, held
+from roadperc_stream.view.result_frames import ReplayTimes
 
 S = 1_000_000_000
 IMAGE, LINE = Channel("/image", "raw"), Channel("/perception/log", "raw")

@@ -3,7 +3,7 @@
 import pytest
 import rerun as rr
 
-from roadperc_stream.view.rerun.outlet import saving
+from roadperc_stream.view.rerun.viewer import saving
 from tests.view.rerun.chunks import recorded
 
 

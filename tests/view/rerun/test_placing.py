@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.config import load_config
-from roadperc_stream.core.datatypes import Transform
-from roadperc_stream.core.geometry import Camera, inverse, level_mounting, project, rays, rigid, transform
+from roadperc_stream.config import load_config
+from roadperc_stream.geometry import Camera, inverse, level_mounting, project, rays, rigid, transform
+from roadperc_stream.model import Transform
 from roadperc_stream.output.encoding import encode_transforms
 from roadperc_stream.view.rerun import save_recording
 from tests import logs

@@ -10,10 +10,10 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input.decoding import Context, decode
 from roadperc_stream.log import Channel, LogWriter
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 from roadperc_stream.output.drawing.annotations import caption
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
@@ -22,8 +22,8 @@ from roadperc_stream.schemas.roadperc_pb2 import FrameMetrics
 from roadperc_stream.schemas.topics import RESULTS
 from roadperc_stream.view.rerun import save_recording
 from roadperc_stream.view.rerun.blueprint import STAGE_COLOURS
-from roadperc_stream.view.rerun.entry import SceneState
-from roadperc_stream.view.rerun.plots import metrics
+from roadperc_stream.view.rerun.scene import metrics
+from roadperc_stream.view.rerun.tree import SceneState
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.view.rerun.chunks import recorded

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.core.datatypes import Surface, Transform
-from roadperc_stream.core.geometry import Camera, Plane, inverse, level_mounting, rigid
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream.geometry import Camera, Plane, inverse, level_mounting, rigid
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.assemble import ego_T_camera_of
+from roadperc_stream.model import Surface, Transform
 from roadperc_stream.view.rerun import pictures, scene
-from roadperc_stream.view.rerun.entry import SceneState
+from roadperc_stream.view.rerun.tree import SceneState
 
 
 def edge(parent, child, x_m, roll=0.0, yaw=0.0):

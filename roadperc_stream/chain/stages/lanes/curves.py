@@ -11,19 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.stages.lanes.sides import outward
-from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import Mask, Side
-from roadperc_stream.core.geometry import Float
-from roadperc_stream.core.kernels.robust_quadratic import (
-    Following,
-    Points,
-    Quadratic,
-    Weighing,
-    counts_aside,
-    follow,
-    rows_beside,
-)
+from roadperc_stream.chain.kernels import follow, rows_beside
+from roadperc_stream.chain.kernels.lanes_plain import Following, Points, Quadratic, Weighing
+from roadperc_stream.config import LanesConfig
+from roadperc_stream.geometry import Float
+from roadperc_stream.model import Mask, Side
 
 _REACH_STEP_M = 6.0
 _SHORTEST_M = 0.25
@@ -159,6 +151,16 @@ class Curve:
         return lateral(self.state, x)
 
 
+def other_side(side: Side) -> Side:
+    """The opposite one."""
+    return "right" if side == "left" else "left"
+
+
+def outward(side: Side) -> float:
+    """Sign of y on that side of the car."""
+    return 1.0 if side == "left" else -1.0
+
+
 def lateral(state: Float, x: Float) -> Float:
     """Lateral position of (offset, heading, curvature) at x, metres in the ego frame."""
     result: Float = state[0] + state[1] * x + 0.5 * state[2] * x**2
@@ -194,7 +196,7 @@ def fit_curve(cfg: LanesConfig, edges: Edges, line: Float, side: Side, metres_pe
     for noise_px in _NOISE_PX:
         noise = _Noise(noise_px, metres_per_px)
         std_m = noise.std_m(edges.x)
-        curve = _fit_at(cfg, edges, near, std_m, line, side, noise)
+        curve = _fit_at(cfg, edges, near, line, -outward(side), noise)
         if curve is not None and _explained(curve, edges, std_m, side) >= _EXPLAINED:
             curve = replace(curve, contrast=_contrast(curve, edges, std_m, side))
             return _without_clutter(curve, side, noise) if curve.is_clear or curve.contrast >= _CONTRAST else None
@@ -214,11 +216,9 @@ def _without_clutter(curve: Curve, side: Side, noise: _Noise) -> Curve:
     return replace(curve, state=curve.state + np.array([0.0, turned, 0.0]))
 
 
-def _fit_at(
-    cfg: LanesConfig, edges: Edges, near: Mask, std_m: Float, line: Float, side: Side, noise: _Noise
-) -> Curve | None:
+def _fit_at(cfg: LanesConfig, edges: Edges, near: Mask, line: Float, inward: float, noise: _Noise) -> Curve | None:
     """The boundary near a line where edges err as much as the noise says."""
-    inward = -outward(side)
+    std_m = noise.std_m(edges.x)
     nearest_m = float(edges.x[near].min())
     reach = nearest_m + 2 * _REACH_STEP_M
     begin = near & (edges.x <= reach)
@@ -268,8 +268,10 @@ def _best_aside(x: Float, y: Float, line: Float, inward: float, noise: _Noise) -
     """How far inside the line, in metres, the innermost well supported parallel edge lies."""
     bin_m = min(max(_BIN_M, float(noise.std_m(np.array(_PEAK_AT_M)))), 2 * _SEARCH_M / _LEAST_BINS)
     edges = np.arange(-_SEARCH_M, _SEARCH_M + bin_m, bin_m)
-    offset, heading, curvature = line.tolist()
-    counts = [0, *counts_aside(x, y, (offset, heading, curvature), inward, edges).tolist(), 0]
+    ordered = np.sort(inward * (y - lateral(line, x)))
+    below = ordered.searchsorted(edges)
+    below[-1] = ordered.searchsorted(edges[-1], "right")
+    counts = [0, *np.diff(below).tolist(), 0]
     support = [sum(counts[at - 1 : at + 2]) for at in range(1, len(counts) - 1)]
     least = (_PEAK_SHARE if noise.is_low else _NOISY_PEAK_SHARE) * max(support)
     # The first and the last are neighbours too: neither is a peak beside a higher one at the other end.

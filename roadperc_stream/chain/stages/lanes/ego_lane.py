@@ -1,23 +1,155 @@
-"""One frame of the ego lane: observe both boundaries, then track them over time."""
+"""One frame of the ego lane: observe both boundaries, track them over time, and drop implausible ones."""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from roadperc_stream.chain.stages.lanes import lane_change, lines, plausibility
-from roadperc_stream.chain.stages.lanes.drawing import boundary_of
-from roadperc_stream.chain.stages.lanes.following import followed, predicted
-from roadperc_stream.chain.stages.lanes.memory import LanesState
-from roadperc_stream.chain.stages.lanes.observe import Observation, RoadProjection, observe
-from roadperc_stream.chain.stages.lanes.sides import other_side
-from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import SIDES, Absent, Boundary, Lanes, Mask, Odometry, Reason, Side, Surface
-from roadperc_stream.core.scene import Scene
-from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.chain.stages.lanes import following, lines, tracking
+from roadperc_stream.chain.stages.lanes.curves import lateral, other_side, outward
+from roadperc_stream.chain.stages.lanes.following import JUDGED_AT_M, followed, least_known_m, predicted
+from roadperc_stream.chain.stages.lanes.observe import Observation, ObservedBoundary, RoadProjection, observe
+from roadperc_stream.chain.stages.lanes.tracking import LanesState, TrackedBoundary
+from roadperc_stream.config import LanesConfig
+from roadperc_stream.geometry import Float
+from roadperc_stream.model import SIDES, Absent, Boundary, Lanes, Line, Mask, Odometry, Reason, Side, Surface
+from roadperc_stream.model.scene import Scene
+from roadperc_stream.system.time import NS_PER_S
 
+_CHORD_AHEAD_M = 15.0
+_SHORTEST_DRAWN_M = 10.0
+_LEVEL_PX = 1e-6
+_STEP_M = 1.0
+_CERTAIN_STD_M = 0.09
+"""Standard deviation ``JUDGED_AT_M`` ahead up to which a boundary needs no other one beside it to be believed."""
+_PARALLEL_M = 0.3
+"""By how much the lane's width may change until there: boundaries that edges of wrong tags turn are not parallel."""
+_TURNED = 0.1
+"""Of two boundaries whose headings differ by more, the one that runs less along the car is the wrong one."""
 _ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"))
 """Why odometry is lost where the image, as far as anyone knows, shows another scene than the last one."""
+
+
+def boundary_of(
+    side: Side,
+    found: TrackedBoundary | Reason,
+    observation: Observation | None,
+    projection: RoadProjection | None,
+) -> Boundary:
+    """One side's boundary, or that it is lost and why."""
+    observed = observation.boundaries.get(side) if observation else None
+    raw_px = _raw_line(observed, observation)
+    raw_offset_m = float(observed.curve.state[0]) if observed and observed.curve else None
+    if isinstance(found, Reason):
+        return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m, reason=found)
+    track = found.track
+    offset, heading, curvature = (float(value) for value in track.state)
+    ahead, pixels = _drawn_curve(track.state, found.reach_m, projection)
+    return Boundary(
+        side,
+        "measured" if track.measured_ns == track.stamp_ns else "held",
+        raw_px,
+        _chord(track.state, projection, observation.far if observation else None),
+        offset,
+        heading,
+        curvature,
+        raw_offset_m,
+        tuple(track.state_covariance.ravel().tolist()),
+        found.inside.majority,
+        found.outside.majority,
+        ahead,
+        pixels,
+    )
+
+
+def _raw_line(observed: ObservedBoundary | None, observation: Observation | None) -> Line | None:
+    if observed is None or observation is None:
+        return None
+    return lines.drawn(observed.group, float(observation.projection.camera.height), observation.far)
+
+
+def _drawn_curve(state: Float, reach_m: float, projection: RoadProjection | None) -> tuple[Float, Float]:
+    """(N, 3) ego points a metre apart on the road, and (M, 2) pixels of those that are in front of the camera."""
+    if projection is None:
+        return np.empty((0, 3)), np.empty((0, 2))
+    x = np.arange(max(reach_m, _SHORTEST_DRAWN_M) + 1)
+    points = projection.on_road(x, lateral(state, x))
+    pixels = projection.pixels(points)
+    return points, pixels[np.isfinite(pixels).all(axis=1) & (pixels[:, 1] <= 2 * projection.camera.height)]
+
+
+def _chord(state: Float, projection: RoadProjection | None, far: float | None) -> Line | None:
+    """The smoothed line drawn straight from the image's bottom edge to the road's far end."""
+    if projection is None or far is None:
+        return None
+    bottom = float(projection.camera.height)
+    nearest = projection.ground(np.array([[projection.camera.cx, bottom]]))[0, 0]
+    if not np.isfinite(nearest):
+        return None
+    x = np.array([nearest, max(nearest + 1.0, _CHORD_AHEAD_M)])
+    (u1, v1), (u2, v2) = projection.pixels(projection.on_road(x, lateral(state, x)))
+    if not abs(v2 - v1) > _LEVEL_PX:
+        return None
+    slope = (u2 - u1) / (v2 - v1)
+    return float(u1 + slope * (bottom - v1)), bottom, float(u1 + slope * (far - v1)), far
+
+
+def without_implausible(cfg: LanesConfig, state: LanesState) -> tuple[LanesState, dict[Side, Reason]]:
+    """The state without the boundary that contradicts the better one of the two, and why it is left out."""
+    if state.left is None or state.right is None:
+        return state, {}
+    side: Side = "left" if _worse(state.left, state.right) else "right"
+    reason = _contradiction(cfg, side, state.left, state.right)
+    if reason is None:
+        return state, {}
+    return state.with_side(side, None), {side: reason}
+
+
+def unusable(cfg: LanesConfig, state: LanesState) -> dict[Side, Reason]:
+    """Boundaries that are followed, but are none to be given in this frame, and why."""
+    reasons = {side: _fault(cfg, state, side, tracked) for side in SIDES if (tracked := state.side(side))}
+    return {side: reason for side, reason in reasons.items() if reason is not None}
+
+
+def _fault(cfg: LanesConfig, state: LanesState, side: Side, tracked: TrackedBoundary) -> Reason | None:
+    if outward(side) * tracked.offset_m <= 0:
+        return Reason("lanes", "car_on_boundary", (side,))
+    if not tracked.is_sure:
+        at_m = least_known_m(tracked)
+        std_m = tracking.std_at(tracked.track, at_m)
+        return Reason("lanes", "boundary_uncertain", (side, at_m, round(std_m, 2), cfg.max_std_m))
+    std_m = tracking.std_at(tracked.track, JUDGED_AT_M)
+    if std_m > _CERTAIN_STD_M and not _confirmed(tracked, state.side(other_side(side))):
+        return Reason("lanes", "boundary_unconfirmed", (side, JUDGED_AT_M, round(std_m, 2)))
+    return None
+
+
+def _confirmed(tracked: TrackedBoundary, other: TrackedBoundary | None) -> bool:
+    """Whether the other boundary runs beside this one."""
+    if other is None:
+        return False
+    apart = tracked.track.state - other.track.state
+    return abs(float(lateral(apart, np.array(JUDGED_AT_M)) - apart[0])) < _PARALLEL_M
+
+
+def _contradiction(cfg: LanesConfig, side: Side, left: TrackedBoundary, right: TrackedBoundary) -> Reason | None:
+    width_m = left.offset_m - right.offset_m
+    if not cfg.min_width_m <= width_m <= cfg.max_width_m:
+        return Reason("lanes", "lane_width", (side, round(width_m, 2), cfg.min_width_m, cfg.max_width_m))
+    reach_m = min(left.reach_m, right.reach_m)
+    x = np.append(np.arange(0.0, reach_m, _STEP_M), reach_m)
+    crossed: Float = x[lateral(left.track.state - right.track.state, x) <= 0]
+    return Reason("lanes", "boundaries_cross", (side, float(crossed[0]))) if len(crossed) else None
+
+
+def _worse(left: TrackedBoundary, right: TrackedBoundary) -> bool:
+    """Whether the left one is the worse: turned away, not measured for longer, or less certain."""
+    turned = abs(float(left.track.state[1])) - abs(float(right.track.state[1]))
+    if abs(turned) > _TURNED:
+        return turned > 0
+    if left.track.measured_ns != right.track.measured_ns:
+        return left.track.measured_ns < right.track.measured_ns
+    return tracking.std_at(left.track, JUDGED_AT_M) > tracking.std_at(right.track, JUDGED_AT_M)
 
 
 def step(
@@ -44,12 +176,12 @@ def step(
     found = _observed(cfg, scene, surface, drivable)
     observation = None if isinstance(found, Absent) else found
     after = _followed(cfg, _remembered(cfg, state, motion, scene.stamp_ns), motion, observation, scene.stamp_ns)
-    after = lane_change.handed_over(cfg, after, observation, scene.stamp_ns)
-    after, implausible = plausibility.without_implausible(cfg, after)
-    after = replace(after, lane_change=lane_change.change_of(cfg, after.lane_change, after))
+    after = following.handed_over(cfg, after, observation, scene.stamp_ns)
+    after, implausible = without_implausible(cfg, after)
+    after = replace(after, lane_change=following.change_of(cfg, after.lane_change, after))
     if isinstance(found, Absent) and after.left is None and after.right is None:
         return after, found
-    reasons = implausible | plausibility.unusable(cfg, after)
+    reasons = implausible | unusable(cfg, after)
     projection = None if isinstance(surface, Absent) else RoadProjection(scene.camera, scene.ego_T_camera, surface)
     boundaries = _boundaries(after, found, reasons, projection)
     lanes = Lanes(boundaries, lane_change=after.lane_change, lane_changes=after.lane_changes)

@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.config import LanesConfig, scaled
-from roadperc_stream.core.datatypes import Image, Line, Mask
-from roadperc_stream.core.geometry import Float
-from roadperc_stream.core.kernels.line_shares import line_shares
+from roadperc_stream.config import LanesConfig, scaled
+from roadperc_stream.geometry import Float
+from roadperc_stream.model import Image, Line, Mask
 
 _ON_ROAD = 0.5
 _ROAD_MARGIN_PX = 2.0
@@ -93,8 +92,33 @@ def on_road(cfg: LanesConfig, proposals: Float, drivable: Mask) -> Float:
     """
     steep = proposals[_steep(cfg, proposals)]
     margin_px = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
-    kept: Float = steep[line_shares(steep, drivable.view(np.uint8), margin_px) > _ON_ROAD]
+    kept: Float = steep[line_shares(steep, drivable, margin_px) > _ON_ROAD]
     return kept
+
+
+def line_shares(lines: Float, mask: Mask, margin_px: int) -> Float:
+    """(N,) shares of lines that lie on a mask, of one pixel for every column or every row.
+
+    Args:
+        lines: (N, 4) x1, y1, x2, y2 in the image.
+        mask: (H, W).
+        margin_px: pixels by which the mask reaches farther to all sides, the corners too.
+    """
+    if not len(lines):
+        return np.empty(0)
+    start, end = lines[:, :2], lines[:, 2:]
+    steps = np.abs(end - start).max(axis=1).astype(int)
+    first = np.cumsum(steps + 1) - (steps + 1)
+    owner = np.repeat(np.arange(len(lines)), steps + 1)
+    along = np.arange(len(owner)) - first[owner]
+    places = along[:, None] * ((end - start) / np.maximum(steps, 1)[:, None])[owner] + start[owner]
+    places[first + steps] = end
+    columns, rows = np.rint(places).astype(int).T
+    left, top = max(columns.min() - margin_px, 0), max(rows.min() - margin_px, 0)
+    near = mask[top : rows.max() + margin_px + 1, left : columns.max() + margin_px + 1].view(np.uint8)
+    widened = cv2.dilate(near, np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8))
+    shares: Float = np.add.reduceat(widened[rows - top, columns - left], first, dtype=float) / (steps + 1)
+    return shares
 
 
 def merge(cfg: LanesConfig, proposals: Float, rows: int) -> tuple[LineGroup, ...]:

@@ -3,19 +3,20 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from roadperc_stream.chain.kernels import mark
 from roadperc_stream.chain.stages.lanes import lines
-from roadperc_stream.chain.stages.lanes.curves import Curve, Edges, fit_curve, lateral, line_on_ground
-from roadperc_stream.chain.stages.lanes.facing import facing_edges
+from roadperc_stream.chain.stages.lanes.curves import Curve, Edges, fit_curve, lateral, line_on_ground, outward
 from roadperc_stream.chain.stages.lanes.lines import LineGroup
-from roadperc_stream.chain.stages.lanes.sides import outward
-from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import SIDES, Image, Mask, Side, Surface
-from roadperc_stream.core.geometry import Camera, Float, inverse, project, transform
-from roadperc_stream.core.ground import ground_points, height_at
-from roadperc_stream.core.kernels.class_pixels import mark
-from roadperc_stream.core.semantics import TagTable
+from roadperc_stream.config import LanesConfig
+from roadperc_stream.geometry import Camera, Float, inverse, project, transform
+from roadperc_stream.geometry.ground import ground_points, height_at
+from roadperc_stream.model import SIDES, Image, Mask, Side, Surface
+from roadperc_stream.model.tag_tables import TagTable
 
+_FRINGE_PX = 4
+"""Foreign pixels between a separator and the road that compression leaves there."""
 _INSIDE_M = (0.2, 0.4, 0.6)
 _OUTSIDE_M = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Distances beside a boundary at which the class there is sampled; a double marking is 0.35 m wide."""
@@ -108,6 +109,32 @@ class Observation:
         return self.table.name_of(int(counts.argmax())) if counts.any() else ""
 
 
+def facing_edges(separators: Image, drivable: Mask, side: Side, top: int) -> Float:
+    """(N, 2) pixels on the edge between a separator and the road beside it, towards the ego lane.
+
+    Row by row from above, those of a row outermost first.
+
+    Args:
+        separators: (H - top, W) uint8 from row ``top`` down, 1 at separators.
+        drivable: (H, W) drivable surface.
+        side: the boundary's side: a left one faces right.
+        top: the first row evaluated.
+    """
+    towards = round(outward(side))
+    rows, columns = _ends_of_runs(separators, towards)
+    gap = np.full(len(rows), -1)
+    sought = np.arange(len(rows))
+    for step in range(_FRINGE_PX + 1):
+        row, beyond = rows[sought], np.clip(columns[sought] + towards * (1 + step), 0, separators.shape[1] - 1)
+        marked = separators[row, beyond] > 0
+        met = drivable[top + row, beyond] & ~marked
+        gap[sought[met]] = step
+        sought = sought[~(met | marked)]
+    found = gap >= 0
+    rows, columns, gap = rows[found], columns[found], gap[found]
+    return np.stack((columns + towards * 0.5 * (gap + 1), (rows + top).astype(float)), axis=-1)
+
+
 def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: TagTable, drivable: Mask) -> Observation:
     """Find the ego lane's boundaries in one frame.
 
@@ -133,6 +160,20 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     curves = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
     boundaries = {side: ObservedBoundary(near[side][0], curves[side]) for side in near}
     return replace(found, boundaries=boundaries, near=near)
+
+
+def _ends_of_runs(marked: Image, towards: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of marked pixels whose neighbour to the right (``towards`` 1) or to the left (-1) is not."""
+    width, flat = marked.shape[1], marked.ravel()
+    if towards > 0:
+        rows, columns = np.divmod(np.flatnonzero(flat[:-1] > flat[1:]), width)
+        inside = columns < width - 1  # else the neighbour is in the next row
+        return rows[inside], columns[inside]
+    rows, columns = np.divmod(np.flatnonzero(flat[1:] > flat[:-1]) + 1, width)
+    inside = columns > 0
+    rows, columns = rows[inside], columns[inside]
+    order = np.lexsort((-columns, rows))
+    return rows[order], columns[order]
 
 
 def _edges(

@@ -1,19 +1,22 @@
-"""One boundary over time: a Kalman filter on offset, heading and curvature in the ego frame.
+"""One boundary over time: a Kalman filter on offset, heading and curvature, its class, and what the lanes remember.
 
 Where the car's motion since the last frame is known from odometry, the boundary is moved against it; else the car's
 sideways motion is a random acceleration, and heading and curvature are random walks (Bar-Shalom, Li and Kirubarajan
 2001, chapter 6). A measurement outside the gate is rejected; a boundary without measurements is held, then lost.
 """
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import Odometry, read_only
-from roadperc_stream.core.geometry import Float
-from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.config import LanesConfig
+from roadperc_stream.geometry import Float
+from roadperc_stream.model import LaneChange, Odometry, Side, read_only
+from roadperc_stream.system.time import NS_PER_S
 
+MOST_OBSERVED = 256
+"""Observations that are kept: half a second at 500 frames per second."""
 _OFFSET, _RATE, _HEADING, _CURVATURE = range(4)
 _MEASURED = [_OFFSET, _HEADING, _CURVATURE]
 _H = np.eye(4)[_MEASURED]
@@ -35,6 +38,29 @@ _Y_AXIS_STEPS = 3
 _CONTRADICTS = 7.81
 """Squared Mahalanobis distance from which a measurement and its prediction contradict each other (95 % of chi squared,
 3 degrees)."""
+
+
+@dataclass(frozen=True)
+class ClassHistory:
+    """The classes observed in the window that ends with the last segmented frame: stamps and names, oldest first."""
+
+    observations: tuple[tuple[int, str], ...] = ()
+
+    def add(self, cfg: LanesConfig, stamp_ns: int, name: str) -> "ClassHistory":
+        """With one frame's class, and without those older than ``lanes.hold_s``.
+
+        An empty name (out of sight) adds nothing: earlier observations stand until they are too old. While frames have
+        no segmentation, nothing is added and the result stays as it is.
+        """
+        kept = tuple(item for item in self.observations if (stamp_ns - item[0]) / NS_PER_S <= cfg.hold_s)
+        return ClassHistory((*kept, (stamp_ns, name))[-MOST_OBSERVED:] if name else kept)
+
+    @property
+    def majority(self) -> str:
+        """The most frequent class, of equally frequent ones the latest; empty where nothing was observed."""
+        counts = Counter(name for _, name in self.observations)
+        latest = {name: stamp_ns for stamp_ns, name in self.observations}
+        return max(counts, key=lambda name: (counts[name], latest[name]), default="")
 
 
 @dataclass(frozen=True)
@@ -64,6 +90,41 @@ class BoundaryTrack:
     def state_covariance(self) -> Float:
         """(3, 3) covariance of ``state``."""
         return self.covariance[np.ix_(_MEASURED, _MEASURED)]
+
+
+@dataclass(frozen=True)
+class TrackedBoundary:
+    """A boundary that is tracked, and the classes on either side of it in the last frames."""
+
+    track: BoundaryTrack
+    reach_m: float
+    inside: ClassHistory = field(default_factory=ClassHistory)
+    outside: ClassHistory = field(default_factory=ClassHistory)
+    is_sure: bool = True
+    """Whether, when it was measured last, it was known well enough to be given."""
+
+    @property
+    def offset_m(self) -> float:
+        """Lateral position at the ego origin."""
+        return float(self.track.state[0])
+
+
+@dataclass(frozen=True)
+class LanesState:
+    """Both boundaries, the lane change the car is in, and how many it has done."""
+
+    left: TrackedBoundary | None = None
+    right: TrackedBoundary | None = None
+    lane_change: LaneChange = "none"
+    lane_changes: int = 0
+
+    def side(self, side: Side) -> TrackedBoundary | None:
+        """The boundary of that side; None where none is tracked."""
+        return self.left if side == "left" else self.right
+
+    def with_side(self, side: Side, boundary: TrackedBoundary | None) -> "LanesState":
+        """The same with another boundary on that side."""
+        return replace(self, left=boundary) if side == "left" else replace(self, right=boundary)
 
 
 def start(state: Float, covariance: Float, stamp_ns: int) -> BoundaryTrack:

@@ -9,13 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.stages.objects.boxes import corners, overlaps
-from roadperc_stream.chain.stages.objects.kinds import kinds
+from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
-from roadperc_stream.core.assignment import largest_total
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Box, Object
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import Float
+from roadperc_stream.geometry.assignment import largest_total
+from roadperc_stream.model import Box, Object
 
 EXPECTED_OVERLAP = 0.4
 """Intersection over union with the predicted box from which a detection is where its object is expected."""

@@ -1,6 +1,8 @@
-"""How far an object is: a low quantile of the distances of its pixels.
+"""How far an object is: a low quantile of the distances of its pixels, or of a lidar's few points in its box.
 
 The bare minimum jumps with every stray pixel.
+
+Of groups of points that a gap in distance parts it is the one whose bounds fill most of the box.
 """
 
 from dataclasses import dataclass
@@ -10,17 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.chain.kernels import region_distances
+from roadperc_stream.chain.stages.objects.mosaic import areas
 from roadperc_stream.chain.stages.objects.regions import Region
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.geometry import Camera, Float32
-from roadperc_stream.core.kernels.region_distances import region_distances
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import Camera, Float32
 
 NOISE_LEFT = 1 / 3
 """Standard deviation of a distance in noises of its pixels: what the mean of 3x3 independent ones leaves."""
 SMOOTHING_STD = 0.002
 """The same without noise, as a share of the distance: smoothing takes edges away."""
-
 Indices = NDArray[np.int64]
+GAP = 0.08
+"""Share of the distance from one point to the next beyond which they are of different objects."""
+LEAST_POINTS = 3
 
 
 @dataclass(frozen=True)
@@ -96,3 +101,27 @@ def ranked(values: NDArray[np.floating[Any]], *quantiles: float) -> list[float]:
     ranks = [min(int(quantile * last), last) for quantile in quantiles]
     parted = np.partition(values, ranks)
     return [parted.item(rank) for rank in ranks]
+
+
+def own_distances(distances_m: Float32) -> Float32:
+    """(N,) distances of the points that are the object's.
+
+    Args:
+        distances_m: (h, w) of the pixels of a box, NaN where there is no point or one of another class.
+
+    Returns:
+        All of them where no group has three points.
+    """
+    rows, columns = np.nonzero(~np.isnan(distances_m))
+    order = np.argsort(distances_m[rows, columns], kind="stable")
+    rows, columns = rows[order], columns[order]
+    sorted_m = distances_m[rows, columns]
+    first = np.flatnonzero(np.append(True, sorted_m[1:] > sorted_m[:-1] * (1 + GAP)))[: len(sorted_m)]
+    if not len(first):
+        return sorted_m
+    last = np.append(first[1:], len(sorted_m))
+    low = [np.minimum.reduceat(places, first) for places in (columns, rows)]
+    high = [np.maximum.reduceat(places, first) + 1 for places in (columns, rows)]
+    filled = np.where(last - first >= LEAST_POINTS, areas(np.array((*low, *high), np.float64)), 0.0)
+    best = int(np.argmax(filled))
+    return sorted_m[first[best] : last[best]] if filled[best] > 0 else sorted_m

@@ -11,9 +11,9 @@ from math import sqrt
 from roadperc_stream.chain.stages.objects.path import EgoPath
 from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Object
-from roadperc_stream.core.semantics import classes_of_label
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.model import Object
+from roadperc_stream.model.tag_tables import classes_of_label
 
 _VAGUE_M = 1.0
 """Standard deviation of an edge beyond which nobody can say whether it is in the path."""

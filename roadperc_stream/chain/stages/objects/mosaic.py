@@ -1,9 +1,9 @@
-"""What is in and around the boxes of a frame's detections, cut out of its pictures and put one below the other.
+"""The boxes of a frame's detections: their overlaps, and what is in and around them as one mosaic.
 
 So each step over pixels is one call for all boxes: the calls take longer than the pixels.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -11,10 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.datatypes import Box, Ids, Image
-from roadperc_stream.core.geometry import Camera, Float, Float32
-from roadperc_stream.core.kernels.class_pixels import mark_together
-from roadperc_stream.core.scene import Scene
+from roadperc_stream.chain.kernels import mark_together
+from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.model import Box, Ids, Image
+from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.tag_tables import classes_of_label
 
 MARGIN = 0.25
 """Of a box's sides, that is looked at around it: an object that goes on there is larger than the box."""
@@ -32,7 +33,6 @@ _UNKNOWN_M = 1e6
 BEYOND = 0.1
 """Share by which what is beyond the depth's range is taken for farther than its limit: it is another object than one
 just before the limit."""
-
 Indices = NDArray[np.int64]
 T = TypeVar("T", bound=np.generic)
 
@@ -86,6 +86,45 @@ class Mosaic:
     distances_m: Float32 | None
     noise: Float32 | None
     ids: Ids | None
+
+
+def corners(boxes: Iterable[Box]) -> Float:
+    """(4, N) x_min, y_min, x_max and y_max."""
+    return np.array([(b.x_min, b.y_min, b.x_max, b.y_max) for b in boxes], np.float64).reshape(-1, 4).T
+
+
+def areas(of_corners: Float) -> Float:
+    """(N,) square pixels of (4, N) corners."""
+    x0, y0, x1, y1 = of_corners
+    inside: Float = np.maximum(x1 - x0, 0.0) * np.maximum(y1 - y0, 0.0)
+    return inside
+
+
+def shared_areas(ours: Float, theirs: Float) -> Float:
+    """(M, N) square pixels that (4, M) and (4, N) corners have in common."""
+    x0, y0, x1, y1 = ours[:, :, None]
+    width = np.minimum(x1, theirs[2]) - np.maximum(x0, theirs[0])
+    height = np.minimum(y1, theirs[3]) - np.maximum(y0, theirs[1])
+    shared: Float = np.where((width > 0) & (height > 0), width * height, 0.0)
+    return shared
+
+
+def overlaps(ours: Float, theirs: Float) -> Float:
+    """(M, N) intersection over union of (4, M) with (4, N) corners: ``Box.overlap`` of all pairs."""
+    shared = shared_areas(ours, theirs)
+    union = areas(ours)[:, None] + areas(theirs) - shared
+    quotients: Float = np.divide(shared, union, out=np.zeros_like(shared), where=shared > 0)
+    return quotients
+
+
+def kinds(*lists: Sequence[str]) -> tuple[NDArray[np.int64], ...]:
+    """For each list of labels their kinds as numbers, the same in all lists.
+
+    Labels of one kind may stand for one object: detectors waver between car, van and truck.
+    """
+    of_label = [[classes_of_label(label) or (label,) for label in labels] for labels in lists]
+    numbers = {kind: number for number, kind in enumerate(dict.fromkeys(k for kinds in of_label for k in kinds))}
+    return tuple(np.array([numbers[kind] for kind in kinds], np.int64) for kinds in of_label)
 
 
 def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box]) -> Mosaic:

@@ -1,20 +1,36 @@
-"""The path that the car is going to take: its lane where that is known, else the circle on which it drives.
+"""The path that the car is going to take, by its lane or else its circle, and where objects are beside it.
 
 A collision is foreseen with what is in the path alone: forward collision warning knows an obstacle vehicle on the
 subject vehicle's trajectory, not one beside it (ISO 15623; GB/T 33577-2017, which has its terms).
 """
 
 from dataclasses import dataclass
-from math import atan2, cos, exp, fsum, hypot, sin
+from math import atan2, ceil, cos, exp, fsum, hypot, sin, sqrt
 
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import SIDES, Boundary, Lanes, PathSource
-from roadperc_stream.core.geometry import Float
+from roadperc_stream.chain.kernels import left_of, mean_direction, object_points
+from roadperc_stream.chain.stages.objects.distance import ranked
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import Float, Float32
+from roadperc_stream.model import SIDES, Boundary, Detection, Lanes, Object, PathSource
+from roadperc_stream.model.scene import Scene
+from roadperc_stream.model.tag_tables import label_lookup
 
 _TURNING_FROM_M = 1e-3
 """A shorter step says nothing of the direction in which the car drives."""
 _STRAIGHT_M = 0.1
 """Less way than this says nothing of a curvature."""
+_MOST_PIXELS = 1000
+"""A place needs no more."""
+_FEWEST_PIXELS = 5
+_NEARER_SHARE = 0.05
+"""Pixels nearer than the object by more than this share of its distance are of something before it."""
+_NEARER_M = 0.3
+_OUTERMOST = 0.02
+"""Share of the pixels beyond either edge: strays at the border of the class."""
+_NEAREST = 0.05
+"""Share of the pixels that are the nearest ones."""
+_STD_SHARE = 0.005
+"""Of the distance, beside the least standard deviation of an edge: what a wobbling border and the path are off."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +82,19 @@ class DrivenArc:
         return self.turned / self.driven_m if self.driven_m >= _STRAIGHT_M else None
 
 
+@dataclass(frozen=True)
+class Extent:
+    """The edges of an object, metres to the left of the path's middle, and their standard deviation.
+
+    ``nearest_ray`` is the direction of its nearest pixels, z = 1 in the camera's frame.
+    """
+
+    right_m: float
+    left_m: float
+    std_m: float
+    nearest_ray: tuple[float, float, float]
+
+
 def path_of(cfg: ObjectsConfig, lanes: Lanes | None, arc: DrivenArc) -> EgoPath:
     """The lane's middle; along a boundary where the lane is not known; the circle the car drives on; straight ahead.
 
@@ -93,3 +122,42 @@ def _known(boundary: Boundary) -> tuple[float, float, float] | None:
     if boundary.status == "lost" or boundary.offset_m is None or boundary.heading is None:
         return None
     return boundary.offset_m, boundary.heading, boundary.curvature_per_m or 0.0
+
+
+def extent(cfg: ObjectsConfig, scene: Scene, path: EgoPath, item: Object) -> Extent | None:
+    """Where the object's nearest pixels lie, to ``object_length_m`` behind its nearest point.
+
+    Args:
+        cfg: lengths and deviations.
+        scene: the frame.
+        path: the car's, in the ego frame.
+        item: with its distance, this frame's own.
+
+    Returns:
+        None where too few pixels have a depth.
+    """
+    if item.distance_m is None or scene.depth_m is None:
+        return None
+    points, ranges_m = _points(cfg, scene, scene.depth_m, item.detection, item.distance_m)
+    if len(points) < _FEWEST_PIXELS:
+        return None
+    right, left = ranked(left_of(points, scene.ego_T_camera, path.circle), _OUTERMOST, 1.0 - _OUTERMOST)
+    nearest_ray = *mean_direction(points, ranges_m, ranked(ranges_m, _NEAREST)[0]), 1.0
+    return Extent(right, left, cfg.lateral_std_m + _STD_SHARE * item.distance_m, nearest_ray)
+
+
+def _points(
+    cfg: ObjectsConfig, scene: Scene, depth_m: Float32, detection: Detection, distance_m: float
+) -> tuple[Float, Float]:
+    """(N, 3) points of the object in the camera's frame, and their distances.
+
+    They are of pixels spread over its box: of every one of a small box.
+    """
+    camera = scene.camera
+    x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
+    step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
+    lookup = None if scene.table is None else label_lookup(scene.table, detection.label)
+    of_class = None if scene.tags is None or lookup is None else (scene.tags, lookup)
+    behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, cfg.object_length_m
+    pinhole = camera.fx, camera.fy, camera.cx, camera.cy
+    return object_points(depth_m, pinhole, (x0, y0, x1, y1, step), of_class, distance_m, behind_m)

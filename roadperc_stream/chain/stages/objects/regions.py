@@ -1,5 +1,8 @@
 """Which pixels in and around a detection's box may be its object: pixels of its class that are connected in depth.
 
+Neighbours are of one region where their depths differ by less than a share of them. No single share is right, so there
+are regions of several. What a larger one allows joins regions of the smallest one, so that the pixels are divided once.
+
 A segmentation gives all cars one class, so that a car and a nearer one before it are one area of it. Where the depth
 jumps they are two: neighbours are of one region where their depths differ by less than a share of them. No single share
 is right (the side of a car is steep, a car parked behind another is close), so regions of several shares are found, and
@@ -16,12 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.stages.objects.boxes import areas, corners
-from roadperc_stream.chain.stages.objects.division import Division, Labels, divide
-from roadperc_stream.chain.stages.objects.mosaic import Mosaic, boxes_of
-from roadperc_stream.core.datatypes import Box
-from roadperc_stream.core.geometry import Camera, Float, Float32
+from roadperc_stream.chain.kernels import divided
+from roadperc_stream.chain.kernels.objects_plain import numbered
+from roadperc_stream.chain.stages.objects.mosaic import Indices, Mosaic, areas, boxes_of, corners
+from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.model import Box, Ids, Image
 
+JUMPS = np.array((0.02, 0.04, 0.08), np.float32)
+"""Differences of depth between neighbours, as a share of it, from which they are of different regions."""
+Labels = NDArray[np.int32]
 LEAST_FIT = 0.2
 """Fit to the detection's box below which a region is not its object."""
 MISSING_WEIGHT = 0.1
@@ -29,6 +35,28 @@ MISSING_WEIGHT = 0.1
 MOST_REGIONS = 4
 """That are looked at for one box."""
 LEAST_PIXELS = 3
+
+
+@dataclass(frozen=True)
+class Division:
+    """K regions of a mosaic of (H, W) pixels, by n ways to divide it, those of an earlier way before the others.
+
+    ``labels`` (H, W) are those of the first way, 0 of no region and k + 1 of region k; ``names`` (n, labels) are what
+    each label is called in each way. ``ways`` (K,) are the regions' own, ``bounds`` (4, K) their first column and row
+    in the mosaic and those behind their last, ``pixels`` (K,) how many each has.
+    """
+
+    labels: Labels
+    names: Indices
+    ways: Indices
+    bounds: Indices
+    pixels: Indices
+
+    def of_region(self, k: int) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
+        """(labels,) which labels are a region's, and where its bounds are in the mosaic: no other pixels have them."""
+        x0, y0, x1, y1 = self.bounds[:, k].tolist()
+        inside: NDArray[np.bool_] = self.names[self.ways[k]] == k + 1
+        return inside, (slice(y0, y1), slice(x0, x1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +75,24 @@ class Region:
     of_region: NDArray[np.bool_]
     distances_m: Float32 | None
     noise: Float32 | None
+
+
+def divide(mosaic: Mosaic) -> Division:
+    """The regions of a mosaic; none where it has neither instance masks nor depth, or no pixels."""
+    if mosaic.ids is not None:
+        return _by_instance(mosaic.ids, mosaic.of_class, mosaic.tops)
+    if mosaic.log_depth is not None:
+        return Division(*divided(mosaic.log_depth, mosaic.of_class, JUMPS))
+    return Division(*numbered(np.zeros(mosaic.of_class.shape, np.int32), 0))
+
+
+def _by_instance(ids: Ids, of_class: Image, tops: Indices) -> Division:
+    """The instances of the class in each cutout."""
+    cutout = np.repeat(np.arange(len(tops) - 1), np.diff(tops))[:, None]
+    owned = np.where((of_class > 0) & (ids > 0), cutout * 2**16 + ids, 0)
+    numbers = np.unique(owned[owned > 0])
+    labels = np.where(owned > 0, np.searchsorted(numbers, owned) + 1, 0).astype(np.int32)
+    return Division(*numbered(labels, len(numbers)))
 
 
 def find_regions(camera: Camera, mosaic: Mosaic, boxes: Sequence[Box]) -> list[tuple[Region, ...]]:

@@ -5,19 +5,17 @@ from dataclasses import dataclass, field, replace
 from math import sqrt
 
 from roadperc_stream.chain.stages.objects import tracking
-from roadperc_stream.chain.stages.objects.approach import motion_of_camera
 from roadperc_stream.chain.stages.objects.association import assign, expected, similarities
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
 from roadperc_stream.chain.stages.objects.impact import judged
-from roadperc_stream.chain.stages.objects.obstacle import find_obstacle
-from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, path_of
-from roadperc_stream.chain.stages.objects.placing import extent
-from roadperc_stream.chain.stages.objects.template import Template, cut
+from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, path_of
+from roadperc_stream.chain.stages.objects.rate_filter import motion_of_camera
+from roadperc_stream.chain.stages.objects.template import Template, cut, find_obstacle
 from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent, Box, Correlation, Lanes, Object, Objects
-from roadperc_stream.core.geometry import Camera, Float
-from roadperc_stream.core.scene import Scene
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.model import Absent, Box, Correlation, Lanes, Object, Objects
+from roadperc_stream.model.scene import Scene
 
 MOST_TRACKS = 256
 """Objects that are remembered; beyond, those longest without a detection are forgotten."""

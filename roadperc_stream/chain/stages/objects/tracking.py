@@ -9,15 +9,13 @@ from dataclasses import dataclass, replace
 from math import hypot
 
 from roadperc_stream.chain.stages.objects import rate_filter
-from roadperc_stream.chain.stages.objects.approach import EgoRate, Ray, change_of_distance_m
-from roadperc_stream.chain.stages.objects.jitter import Jitter
-from roadperc_stream.chain.stages.objects.placing import Extent
-from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
+from roadperc_stream.chain.stages.objects.path import Extent
+from roadperc_stream.chain.stages.objects.rate_filter import EgoRate, Jitter, RateFilter, Ray, change_of_distance_m
 from roadperc_stream.chain.stages.objects.template import Template
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Box, Detection, Object
-from roadperc_stream.core.geometry import Float
-from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import Float
+from roadperc_stream.model import Box, Detection, Object
+from roadperc_stream.system.time import NS_PER_S
 
 _FIRST_SPEED_STD_MPS = 20.0
 _FIRST_DRIFT_STD_MPS = 3.0
@@ -148,12 +146,13 @@ def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
 
 def detected(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool = False) -> ObjectTrack:
     """The predicted track after the detection that belongs to it; ``cut`` where the image's side cuts the object."""
-    return _updated(cfg, track, item, box_px, item.detection, track.stamp_ns, cut=cut)
+    track = replace(track, detection=item.detection, detected_ns=track.stamp_ns)
+    return _updated(cfg, track, item, box_px, cut=cut)
 
 
 def carried(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> ObjectTrack:
     """The predicted track after its template was found in the image, which does not count as a detection."""
-    return _updated(cfg, track, item, item.detection.box_px, track.detection, track.detected_ns, cut=False)
+    return _updated(cfg, track, item, item.detection.box_px, cut=False)
 
 
 def placed(track: ObjectTrack, extent: Extent | None, template: Template | None) -> ObjectTrack:
@@ -186,22 +185,11 @@ def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
     return max(_UNKNOWN_STD_SHARE * (item.distance_m or 0.0), cfg.min_distance_std_m)
 
 
-def _updated(
-    cfg: ObjectsConfig,
-    track: ObjectTrack,
-    item: Object,
-    box_px: Box,
-    detection: Detection,
-    detected_ns: int,
-    *,
-    cut: bool,
-) -> ObjectTrack:
+def _updated(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool) -> ObjectTrack:
     (x, y), (width, height) = _centre(box_px), _sides(box_px)
     distances = _distances(cfg, track, item, cut=cut)
     return replace(
         track,
-        detection=detection,
-        detected_ns=detected_ns,
         box_px=box_px,
         x_px=track.x_px.update(x, _centre_std(width)),
         y_px=track.y_px.update(y, _centre_std(height)),

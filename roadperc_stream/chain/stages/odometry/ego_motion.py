@@ -8,23 +8,25 @@ import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry import camera_pitch
-from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
-from roadperc_stream.chain.stages.odometry.features import FRONTENDS
-from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, carry, is_due, make_keyframe
-from roadperc_stream.chain.stages.odometry.localisation import Estimate, localised
-from roadperc_stream.chain.stages.odometry.memory import LastFrame, OdometryState
-from roadperc_stream.chain.stages.odometry.motion import moved
-from roadperc_stream.chain.stages.odometry.patch_alignment import predicted_px
+from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, CameraPitch, pitch_by_lines
+from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame, tracking_frame
+from roadperc_stream.chain.stages.odometry.keyframes import (
+    Keyframe,
+    LastFrame,
+    OdometryState,
+    carry,
+    is_due,
+    make_keyframe,
+)
+from roadperc_stream.chain.stages.odometry.localisation import Estimate, localised, predicted_px
+from roadperc_stream.chain.stages.odometry.motion import in_ego_axes, moved, step_covariance
 from roadperc_stream.chain.stages.odometry.road_scale import Scale
-from roadperc_stream.chain.stages.odometry.tracking_frame import TrackingFrame, tracking_frame
-from roadperc_stream.chain.stages.odometry.uncertainty import in_ego_axes, step_covariance
-from roadperc_stream.chain.stages.odometry.vanishing import LINES_STD, pitch_by_lines
-from roadperc_stream.core.config import OdometryConfig, scaled
-from roadperc_stream.core.datatypes import Absent, Matches, Odometry, Reason, Surface
-from roadperc_stream.core.geometry import Float, Float32, inverse, project, transform
-from roadperc_stream.core.rotations import rotation_vector
-from roadperc_stream.core.scene import Scene
-from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.config import OdometryConfig, scaled
+from roadperc_stream.geometry import Float, Float32, inverse, project, transform
+from roadperc_stream.geometry.rotations import rotation_vector
+from roadperc_stream.model import Absent, Matches, Odometry, Reason, Surface
+from roadperc_stream.model.scene import Scene
+from roadperc_stream.system.time import NS_PER_S
 
 _SCALE_REASONS: Final[dict[Scale | None, Reason]] = {
     "carried": Reason("odometry", "scale_carried"),

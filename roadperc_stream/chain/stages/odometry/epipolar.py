@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry.motion import PIXEL_STD_PX, Motion
-from roadperc_stream.core.config import OdometryConfig, scaled
-from roadperc_stream.core.datatypes import Mask
-from roadperc_stream.core.geometry import Camera, Float, Float32, project, rays, rigid
-from roadperc_stream.core.rotations import rotation_from_vector
+from roadperc_stream.config import OdometryConfig, scaled
+from roadperc_stream.geometry import Camera, Float, Float32, project, rays, rigid
+from roadperc_stream.geometry.rotations import rotation_from_vector
+from roadperc_stream.model import Mask
 
 _SMALLEST_SET = 8
 _CONFIDENCE = 0.999

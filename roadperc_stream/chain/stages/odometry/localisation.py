@@ -1,22 +1,30 @@
-"""The motion of one frame against the keyframe, by depth where the keyframe has it, else by the image alone."""
+"""The motion of one frame against the keyframe, by depth where the keyframe has it, else by the image alone.
+
+Only a shift is searched: the stretch follows from the motion and the local planes. Features that matching lost are
+found again where the motion predicts them, as in SVO (Forster, Pizzoli and Scaramuzza 2014).
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from roadperc_stream.chain.kernels import align_patches
+from roadperc_stream.chain.kernels.odometry_plain import REACH_PX
 from roadperc_stream.chain.stages.odometry import camera_pitch
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
-from roadperc_stream.chain.stages.odometry.keyframes import Keyframe
-from roadperc_stream.chain.stages.odometry.memory import LastFrame, OdometryState
+from roadperc_stream.chain.stages.odometry.features import TrackingFrame
+from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, LastFrame, OdometryState, stretch
 from roadperc_stream.chain.stages.odometry.motion import Motion, motion_from_points
-from roadperc_stream.chain.stages.odometry.patch_alignment import aligned
 from roadperc_stream.chain.stages.odometry.road_scale import Expected, Scale, expected_length, scaled_by_road
-from roadperc_stream.chain.stages.odometry.tracking_frame import TrackingFrame
-from roadperc_stream.core.config import OdometryConfig
-from roadperc_stream.core.geometry import Float, Float32, inverse
-from roadperc_stream.core.time import NS_PER_S
+from roadperc_stream.config import OdometryConfig
+from roadperc_stream.geometry import Float, Float32, inverse, project, transform
+from roadperc_stream.system.time import NS_PER_S
 
+_ITERATIONS = 4
+_FARTHEST_PX = 1.5
+"""Shift beyond which the alignment has found something else."""
+_LEAST_CORRELATION = 0.7
 _FIRST_LENGTH = 1.0
 """Length of the first step where its scale is not known."""
 
@@ -34,6 +42,40 @@ class Estimate:
     pitch: CameraPitch
     scale: Scale | None = None
     noise_variance: float = 0.0
+
+
+def aligned(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
+    """(N, 2) pixels of the keyframe's features in a frame, NaN where they do not look as predicted.
+
+    Args:
+        keyframe: with points and slopes.
+        frame: the frame.
+        this_T_key: the motion.
+    """
+    landmarks = keyframe.landmarks
+    predicted = predicted_px(keyframe, frame, this_T_key)
+    chosen = np.flatnonzero(np.isfinite(predicted[:, 0]) & np.isfinite(landmarks.slope[:, 0]))
+    found = np.full_like(predicted, np.nan)
+    if not len(chosen):
+        return found
+    key_px, start = landmarks.features.px[chosen], predicted[chosen]
+    stretched = stretch(
+        frame.camera, key_px.astype(float), landmarks.points_m[chosen, 2], landmarks.slope[chosen], this_T_key
+    )
+    px = start.astype(float)
+    correlation = align_patches(keyframe.grey, key_px.astype(float), stretched, frame.grey, px, _ITERATIONS)
+    good = (np.linalg.norm(px - start, axis=1) < _FARTHEST_PX) & (correlation > _LEAST_CORRELATION)
+    found[chosen[good]] = px[good]
+    return found
+
+
+def predicted_px(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
+    """(N, 2) pixels where a motion predicts the features, NaN outside the image or on movable objects."""
+    px = project(frame.camera, transform(this_T_key, keyframe.landmarks.points_m)).astype(np.float32)
+    inside = ((px >= REACH_PX) & (px <= np.array(frame.grey.shape[::-1]) - 1 - REACH_PX)).all(axis=1)
+    px[~inside] = np.nan
+    px[frame.on_movable(px)] = np.nan
+    return px
 
 
 def localised(
@@ -82,7 +124,7 @@ def _localised_without_depth(
     if not on_road:
         return Estimate(px, motion, _pose(keyframe, frame, motion), pitch)
     expected = _expected(state.odom_T_ego, keyframe, last, frame)
-    found = scaled_by_road(cfg, frame, keyframe.grey, motion, pitch, expected, seconds)
+    found = scaled_by_road(frame, keyframe.grey, motion, pitch, expected, cfg.max_speed_mps * seconds)
     odom_T_ego = _pose(keyframe, frame, found.motion)
     return Estimate(px, found.motion, odom_T_ego, found.pitch, found.scale, found.noise_variance)
 

@@ -1,21 +1,28 @@
-"""A motion against a keyframe, and its estimation where the points are known: perspective from n points.
+"""A motion against a keyframe: estimated by perspective from n points, and how uncertain a step is.
 
 RANSAC (Fischler and Bolles 1981) finds who agrees, Gauss-Newton with Huber's weights refines the motion and says how
 far each point pulls it. A point's error is that of its pixel, and that of its depth as far as a change of depth would
 shift the pixel: so far points with poor depth still determine the rotation.
+
+Both poses are measured against the same features. What is wrong with a feature's point pulls them alike and leaves the
+step between them as it is, so it is the differences of the pulls that count, not their sum. Features that lie together
+err together (on one object, one shadow, one patch of stretched road): the pulls' scatter is taken over features and
+over cells of the image (the cluster-robust estimate of Liang and Zeger, "Longitudinal data analysis using generalized
+linear models", Biometrika 73, 1986).
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import cv2
 import numpy as np
 
-from roadperc_stream.core.config import OdometryConfig, scaled
-from roadperc_stream.core.datatypes import Mask
-from roadperc_stream.core.geometry import Camera, Float, Float32, rigid
-from roadperc_stream.core.kernels.reprojection import linearise
-from roadperc_stream.core.kernels.reprojection_plain import Projection, Weighting
-from roadperc_stream.core.rotations import rotation_from_vector
+from roadperc_stream.chain.kernels import linearise
+from roadperc_stream.chain.kernels.odometry_plain import Projection, Weighting
+from roadperc_stream.config import OdometryConfig, scaled
+from roadperc_stream.geometry import Camera, Float, Float32, adjoint, inverse, rigid
+from roadperc_stream.geometry.rotations import rotation_from_vector
+from roadperc_stream.model import Mask
 
 PIXEL_STD_PX = 0.5
 """Standard deviation of a tracked point, at 960 rows, by which points are weighed."""
@@ -27,6 +34,12 @@ _SINGULAR = 1e12
 """Condition number of normal equations that do not determine the motion."""
 _CONVERGED = 1e-6
 """Metres and radians below which another iteration changes nothing."""
+_CELLS: Final = 8
+"""Cells, side by side, within which features err together."""
+_SYSTEMATIC: Final = 0.001
+"""Share of a step by which all features err alike, which no scatter shows: windows follow a stretch only so far."""
+_FREE: Final = 6
+"""Numbers of a motion."""
 
 
 @dataclass(frozen=True)
@@ -114,9 +127,8 @@ def refined(
     std_px = scaled(PIXEL_STD_PX, camera.height)
     projection = Projection(camera.fx, camera.fy, camera.cx, camera.cy)
     weighting = Weighting(std_px, cfg.depth_std_per_m, _HUBER, cfg.inlier_px / PIXEL_STD_PX)
-    residual, J, agrees = np.empty(2 * len(X)), np.empty((2 * len(X), 6)), np.empty(len(X), np.uint8)
     for _ in range(_ITERATIONS):
-        linearise(projection, weighting, X, px, this_T_key, residual, J, agrees)
+        residual, J, agrees = linearise(projection, weighting, X, px, this_T_key)
         N = J.T @ J
         if np.sum(agrees) < _SMALLEST_SET or _is_singular(N):
             return this_T_key, agrees.astype(bool), None
@@ -138,3 +150,56 @@ def _is_singular(N: Float) -> bool:
 def moved(small: Float) -> Float:
     """(4, 4) transform of a small (6,) translation and rotation vector."""
     return rigid(rotation_from_vector(small[3:]), small[:3])
+
+
+def in_ego_axes(ego_T_camera: Float, influence: Float | None) -> Float | None:
+    """(N, 6) small motions of the camera as those of the ego frame fixed to it."""
+    return None if influence is None else influence @ adjoint(ego_T_camera).T
+
+
+def step_covariance(
+    key_px: Float32, width: int, this: Float | None, last: Float | None, last_T_this: Float, length_variance: float
+) -> tuple[float, ...]:
+    """Covariance of the step between two poses measured against one keyframe, row by row.
+
+    Args:
+        key_px: (N, 2) the keyframe's features.
+        width: of its image.
+        this: (N, 6) how far each feature pulls this pose, in ego's axes; None where that is not known.
+        last: (N, 6) the same of the last pose, in its own axes.
+        last_T_this: the step.
+        length_variance: square metres, of the step's length, beyond what the features show.
+
+    Returns:
+        36 numbers, of a small translation and rotation (m, rad) in this ego frame's axes; none where a pull is not
+        known, or too few features pull to tell.
+    """
+    if this is None or last is None:
+        return ()
+    this_T_last = inverse(last_T_this)
+    covariance = scatter(this - last @ adjoint(this_T_last).T, key_px, width)
+    if covariance is None:
+        return ()
+    along = this_T_last[:3, 3]
+    length_m = float(np.linalg.norm(along))
+    if length_m > 0:
+        variance = (_SYSTEMATIC * length_m) ** 2 + length_variance
+        covariance[:3, :3] += variance * np.outer(along, along) / length_m**2
+    return tuple(covariance.ravel().tolist())
+
+
+def scatter(pulls: Float, key_px: Float32, width: int) -> Float | None:
+    """(6, 6) covariance of the sum of (N, 6) pulls of features at (N, 2) pixels of an image; zero rows do not count.
+
+    None where no more features pull than a motion has numbers: they fit whatever is true.
+    """
+    used = np.abs(pulls).sum(axis=1) > 0
+    pulls, px = pulls[used], key_px[used]
+    if len(pulls) <= _FREE:
+        return None
+    column, row = (px // (width / _CELLS)).astype(int).T
+    _, cell = np.unique(row * _CELLS + column, return_inverse=True)
+    together = np.zeros((int(cell.max()) + 1, _FREE))
+    np.add.at(together, cell, pulls)
+    alone = pulls.T @ pulls * (len(pulls) / (len(pulls) - _FREE))
+    return np.asarray(alone + together.T @ together * (len(together) / max(len(together) - 1, 1)))

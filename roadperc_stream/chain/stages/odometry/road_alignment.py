@@ -14,9 +14,9 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.core.config import scaled
-from roadperc_stream.core.datatypes import Image, Mask
-from roadperc_stream.core.geometry import Camera, Float, Float32, Plane, intersect_plane, project, rays, transform
+from roadperc_stream.config import scaled
+from roadperc_stream.geometry import Camera, Float, Float32, Plane, intersect_plane, project, rays, transform
+from roadperc_stream.model import Image, Mask
 
 _AHEAD_M: Final = (2.0, 18.0)
 _HALF_WIDTH_M: Final = 2.2
@@ -40,8 +40,13 @@ _SMALL_PITCH: Final = 0.002
 
 @dataclass(frozen=True)
 class RoadView:
-    """The road in the keyframe: the (M, 3) rays and (M,) grey levels of its pixels, and how many of these err alike."""
+    """The road in the keyframe: the (M, 3) rays and (M,) grey levels of its pixels, and how many of these err alike.
 
+    ``camera`` has both images, ``plane`` is the road in the keyframe's camera.
+    """
+
+    camera: Camera
+    plane: Plane
     rays: Float
     levels: Float32
     alike: float
@@ -82,33 +87,29 @@ def road_view(camera: Camera, ego_T_camera: Float, plane: Plane, key_grey: Image
     if len(chosen) < _LEAST_PIXELS:
         return None
     levels = high_pass(key_grey)[rows[chosen], columns[chosen]]
-    return RoadView(rays(camera, px[chosen]), levels, max(_GRAIN_PX / apart**2, 1.0))
+    return RoadView(camera, plane, rays(camera, px[chosen]), levels, max(_GRAIN_PX / apart**2, 1.0))
 
 
 def road_motion(
-    camera: Camera,
     view: RoadView,
     grey: Image,
     movable: Image | None,
     key_T_this_turn: tuple[Float, Float],
-    plane: Plane,
     tried_m: tuple[float, float],
 ) -> RoadMotion | None:
     """The length of a motion by the road's picture.
 
     Args:
-        camera: of both images.
         view: the road in the keyframe's.
         grey: (H, W) this image.
         movable: (H, W) not 0 where this image shows what moves, or None.
         key_T_this_turn: the (3, 3) rotation R and the (3,) unit direction t with X_this = R X_key + length t.
-        plane: the road in the keyframe's camera.
         tried_m: shortest and longest length.
 
     Returns:
         The length, or None where the road has too little texture, or fits no length in between clearly.
     """
-    picture = _Picture(camera, view, high_pass(grey), movable, *key_T_this_turn, plane)
+    picture = _Picture(view, high_pass(grey), movable, *key_T_this_turn)
     shift_px = picture.shift_px_per_m
     if not 0 < shift_px < np.inf:  # a wrong motion turns the road out of sight
         return None
@@ -128,13 +129,11 @@ def road_motion(
 class _Picture:
     """The keyframe's road, and how it is found in this image at a length and a pitch."""
 
-    camera: Camera
     view: RoadView
     levels: Float32
     movable: Image | None
     R: Float
     t: Float
-    plane: Plane
 
     @property
     def shift_px_per_m(self) -> float:
@@ -162,10 +161,10 @@ class _Picture:
 
     def _px(self, length_m: float, pitch: float) -> Float:
         """(M, 2) pixels in this image, by the plane's homography; ``pitch`` turns the plane about the camera."""
-        nx, ny, nz = self.plane.normal
+        nx, ny, nz = self.view.plane.normal
         turned = np.array([nx, ny - pitch * nz, nz + pitch * ny])
-        homography = self.R - np.outer(length_m * self.t, turned) / self.plane.offset_m
-        return project(self.camera, self.view.rays @ homography.T)
+        homography = self.R - np.outer(length_m * self.t, turned) / self.view.plane.offset_m
+        return project(self.view.camera, self.view.rays @ homography.T)
 
 
 def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion | None:

@@ -6,13 +6,12 @@ from typing import Final, Literal
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch, updated
+from roadperc_stream.chain.stages.odometry.features import TrackingFrame
 from roadperc_stream.chain.stages.odometry.motion import Motion
 from roadperc_stream.chain.stages.odometry.road_alignment import RoadMotion, road_motion, road_view
-from roadperc_stream.chain.stages.odometry.tracking_frame import TrackingFrame
-from roadperc_stream.core.config import OdometryConfig
-from roadperc_stream.core.datatypes import Image
-from roadperc_stream.core.geometry import Float, Plane, inverse, rigid, transform_plane
-from roadperc_stream.core.ground import tilted_ground
+from roadperc_stream.geometry import Float, Plane, inverse, rigid, transform_plane
+from roadperc_stream.geometry.ground import tilted_ground
+from roadperc_stream.model import Image
 
 Scale = Literal["measured", "carried", "none"]
 _PLANE_STD: Final = np.deg2rad(1.0)
@@ -65,28 +64,25 @@ def expected_length(
 
 
 def scaled_by_road(
-    cfg: OdometryConfig,
     frame: TrackingFrame,
     key_grey: Image,
     motion: Motion,
     pitch: CameraPitch,
     expected: Expected | None,
-    seconds: float,
+    longest_m: float,
 ) -> ScaledMotion:
     """A motion with the length that the road shows, or else the one that is expected.
 
     Args:
-        cfg: the fastest motion.
         frame: this frame; its road is that of the mounting, or measured.
         key_grey: the keyframe's image.
         motion: turn and direction.
         pitch: of the camera, if the road is that of the mounting.
         expected: the length by the speed so far; None: not known.
-        seconds: since the keyframe.
+        longest_m: by the fastest motion since the keyframe.
     """
     length = float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3] / length
-    longest_m = cfg.max_speed_mps * seconds
     tried_m = (0.0, longest_m) if expected is None else _around(expected, longest_m)
     found = _on_road(frame, key_grey, (R, t), pitch, tried_m)
     if found is None:
@@ -113,7 +109,7 @@ def _on_road(
     view = road_view(frame.camera, frame.ego_T_camera, key_plane, key_grey)
     if view is None:
         return None
-    return road_motion(frame.camera, view, frame.grey, frame.movable, turn, key_plane, tried_m)
+    return road_motion(view, frame.grey, frame.movable, turn, tried_m)
 
 
 def _is_assumed(frame: TrackingFrame) -> bool:

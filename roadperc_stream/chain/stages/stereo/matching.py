@@ -13,11 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.core.config import StereoConfig
-from roadperc_stream.core.datatypes import Image
-from roadperc_stream.core.geometry import Float32
-from roadperc_stream.core.kernels.doubling import doubled
-from roadperc_stream.core.kernels.refinement import refined_disparities
+from roadperc_stream.chain.kernels import doubled, refined_disparities
+from roadperc_stream.config import StereoConfig
+from roadperc_stream.geometry import Float32
+from roadperc_stream.model import Image
 
 _MULTIPLE: Final = 16
 """OpenCV tries a multiple of so many disparities."""

@@ -16,17 +16,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.stages.surface.bands import band_of, solved
-from roadperc_stream.chain.stages.surface.bsplines import DEGREE, basis
-from roadperc_stream.chain.stages.surface.evidence import NORMAL_MAD, median
-from roadperc_stream.chain.stages.surface.points import first_row
-from roadperc_stream.core.config import SurfaceConfig
-from roadperc_stream.core.datatypes import HeightGrid, Mask, Surface
-from roadperc_stream.core.geometry import Camera, Float, Float32
-from roadperc_stream.core.ground import REACH_M, ego_rays, part
-from roadperc_stream.core.kernels.bands import normal_equations
-from roadperc_stream.core.kernels.medians import median_places
-from roadperc_stream.core.kernels.strip_points import Strip, points_on_strip
+from roadperc_stream.chain.kernels import median_places, normal_equations
+from roadperc_stream.chain.stages.surface.bsplines import DEGREE, band_of, basis, solved
+from roadperc_stream.chain.stages.surface.plane import NORMAL_MAD, first_row, median
+from roadperc_stream.config import SurfaceConfig
+from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.geometry.ground import REACH_M, ego_points, part
+from roadperc_stream.model import HeightGrid, Mask, Surface
 
 _STEP_M = 1.0
 """Side of the fit's cells, and of the grid's."""
@@ -99,10 +95,14 @@ def road_cells(
     columns = max(min(camera.width // _COLUMNS, int(np.count_nonzero(usable)) // _ENOUGH_POINTS), 1)
     top = first_row(usable)
     sampled, depth_m = usable[top:, ::columns], depth_m[top:, ::columns]
-    rays = ego_rays(part(camera, 1, columns), ego_T_camera, top, len(depth_m))
-    abd = np.array(surface.abd, np.float32)
-    points, cells = points_on_strip(_strip(cfg), depth_m, rays, abd, sampled.view(np.uint8))
-    return _medians(cfg, points, cells)
+    ego = ego_points(part(camera, 1, columns), ego_T_camera, depth_m, top)
+    x, y, z = (numbers[sampled] for numbers in ego)
+    length_m, half_m, step_m = (np.float32(value) for value in (_length_m(cfg), cfg.spline_half_width_m, _STEP_M))
+    inside = (x >= 0) & (x < length_m) & (np.abs(y) < half_m)
+    x, y, z = x[inside], y[inside], z[inside]
+    cells = (x / step_m).astype(np.int32) * np.int32(_cells_across(cfg)) + ((y + half_m) / step_m).astype(np.int32)
+    a, b, d = np.array(surface.abd, np.float32)
+    return _medians(cfg, np.stack((x, y, z - (d - a * x - b * y))), cells)
 
 
 def fit_height_grid(cfg: SurfaceConfig, surface: Surface, cells: RoadCells) -> HeightGrid | None:
@@ -123,9 +123,8 @@ def fit_height_grid(cfg: SurfaceConfig, surface: Surface, cells: RoadCells) -> H
     return _grid(cfg, surface, _grow(cfg, points, certainty))
 
 
-def _strip(cfg: SurfaceConfig) -> Strip:
-    half = cfg.spline_half_width_m
-    return Strip(_length_m(cfg), half, _STEP_M, int(np.ceil(2 * half / _STEP_M)))
+def _cells_across(cfg: SurfaceConfig) -> int:
+    return int(np.ceil(2 * cfg.spline_half_width_m / _STEP_M))
 
 
 def _medians(cfg: SurfaceConfig, points: Float32, cells: NDArray[np.int32]) -> RoadCells:
@@ -135,7 +134,7 @@ def _medians(cfg: SurfaceConfig, points: Float32, cells: NDArray[np.int32]) -> R
     """
     along = int(np.ceil(_length_m(cfg) / _STEP_M))
     # One row of cells more: y at the left edge may be rounded up to it.
-    chosen, counts = median_places(cells, points[2], (along + 1) * _strip(cfg).across)
+    chosen, counts = median_places(cells, points[2], (along + 1) * _cells_across(cfg))
     return RoadCells(np.ascontiguousarray(points[:, chosen].T, np.float64), counts)
 
 

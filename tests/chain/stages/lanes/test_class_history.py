@@ -4,8 +4,8 @@ import pickle
 from itertools import pairwise
 
 from roadperc_stream.chain.stages.lanes import LanesState
-from roadperc_stream.chain.stages.lanes.class_history import ClassHistory
-from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.chain.stages.lanes.tracking import ClassHistory
+from roadperc_stream.config import LanesConfig
 from tests.analytic import ROAD, STEP_NS, VEHICLE, Road
 from tests.chain.stages.lanes.test_ego_lane import look
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.lanes import curves
-from roadperc_stream.core.config import LanesConfig
+from roadperc_stream.config import LanesConfig
 
 CFG = LanesConfig()
 PX = 1 / 640

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from roadperc_stream.chain.stages.lanes import LanesState, step
 from roadperc_stream.chain.stages.surface.road import assumed_surface
-from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import Absent, Reason
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.config import LanesConfig
+from roadperc_stream.model import Absent, Reason
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import LINE, ROAD, SIDEWALK, STEP_NS, VEHICLE, Road
 from tests.scenes import scene_of
 

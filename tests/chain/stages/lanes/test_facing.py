@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.stages.lanes.facing import facing_edges
+from roadperc_stream.chain.stages.lanes.observe import facing_edges
 
 
 def test_facing_edges_look_towards_the_ego_lane():

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.lanes import LanesState, step, tracking
-from roadperc_stream.chain.stages.lanes.lane_change import handed_over
-from roadperc_stream.chain.stages.lanes.memory import TrackedBoundary
+from roadperc_stream.chain.stages.lanes.following import handed_over
+from roadperc_stream.chain.stages.lanes.tracking import TrackedBoundary
 from roadperc_stream.chain.stages.surface.road import assumed_surface
-from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import Odometry, Reason
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.config import LanesConfig
+from roadperc_stream.model import Odometry, Reason
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import LINE, OTHER, ROAD, STEP_NS, Road
 from tests.scenes import scene_of
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.lanes import lines
-from roadperc_stream.core.config import LanesConfig, load_config
-from roadperc_stream.core.semantics import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.config import LanesConfig, load_config
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 
 CFG = LanesConfig()
 PUBLIC = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_min_length_px=150", "hough_max_gap_px=50")
@@ -53,6 +53,19 @@ def test_near_horizontal_lines_and_lines_off_the_road_are_dropped():
     )
     kept = lines.on_road(CFG, proposals, road)
     np.testing.assert_array_equal(kept, proposals[[1, 3]])
+
+
+@pytest.mark.parametrize("margin", [0, 1, 3])
+def test_a_lines_share_is_that_of_its_pixels(margin):
+    rng = np.random.default_rng(0)
+    mask = rng.random((60, 80)) < 0.5 / (1 + 2 * margin) ** 2
+    some_lines = np.concatenate((rng.integers(0, 60, (50, 4)), [[7, 7, 7, 7]])).astype(float)
+    widened = cv2.dilate(mask.view(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
+    for line, share in zip(some_lines, lines.line_shares(some_lines, mask, margin), strict=True):
+        x1, y1, x2, y2 = line
+        count = int(max(abs(x2 - x1), abs(y2 - y1))) + 1
+        along = (np.rint(np.linspace(*ends, count)).astype(int) for ends in ((y1, y2), (x1, x2)))
+        assert share == widened[tuple(along)].mean()
 
 
 def test_a_line_of_one_pixel_is_none():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.lanes import tracking
-from roadperc_stream.core.config import LanesConfig
-from roadperc_stream.core.datatypes import Odometry
+from roadperc_stream.config import LanesConfig
+from roadperc_stream.model import Odometry
 
 CFG = LanesConfig()
 R = np.diag([0.03, 0.005, 0.001]) ** 2

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.objects import ObjectsState, step
-from roadperc_stream.core.datatypes import Box, Detection, Object
-from roadperc_stream.core.geometry import Camera
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
+from roadperc_stream.geometry import Camera
+from roadperc_stream.model import Box, Detection, Object
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
 from tests.analytic import STEP_NS
 from tests.scenes import scene_of
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roadperc_stream.chain.stages.objects import ObjectsState, step
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Objects
-from roadperc_stream.core.geometry import Camera
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import Camera
+from roadperc_stream.model import Objects
 from tests.analytic import STEP_NS, VEHICLE
 from tests.scenes import scene_of
 

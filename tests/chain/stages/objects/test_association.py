@@ -13,8 +13,8 @@ from scipy.optimize import linear_sum_assignment
 
 from roadperc_stream.chain.stages.objects import association, tracking
 from roadperc_stream.chain.stages.objects.association import assign, similarities
-from roadperc_stream.core.datatypes import Box, Object
-from roadperc_stream.core.semantics import classes_of_label
+from roadperc_stream.model import Box, Object
+from roadperc_stream.model.tag_tables import classes_of_label
 from tests.analytic import box
 from tests.chain.stages.objects.frames import CFG, Follower
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects.choice import choose
 from roadperc_stream.chain.stages.objects.distance import Measured
+from roadperc_stream.chain.stages.objects.filtering import choose
 from roadperc_stream.chain.stages.objects.regions import Region
-from roadperc_stream.core.datatypes import Box
+from roadperc_stream.model import Box
 
 BOX = Box(10, 10, 30, 30)
 

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.ndimage import label
 
-from roadperc_stream.chain.stages.objects.division import JUMPS, divide
 from roadperc_stream.chain.stages.objects.mosaic import Mosaic
+from roadperc_stream.chain.stages.objects.regions import JUMPS, divide
 
 
 def mosaic_of(of_class, log_depth):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.cli import render
-from roadperc_stream.core.config import ObjectsConfig
+from roadperc_stream.config import ObjectsConfig
 from tests.chain.stages.objects.drive import camera_of, through, well_visible
 
 CFG = ObjectsConfig()

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects.choice import NOWHERE
-from roadperc_stream.chain.stages.objects.filtering import filter_detections
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent, Reason
-from roadperc_stream.core.geometry import Camera
+from roadperc_stream.chain.stages.objects.filtering import NOWHERE, filter_detections
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import Camera
+from roadperc_stream.model import Absent, Reason
 from tests.analytic import VEHICLE, box
 from tests.scenes import scene_of
 

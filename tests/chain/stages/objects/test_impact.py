@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.objects import ObjectsState, step
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Box, Detection
-from roadperc_stream.core.geometry import Camera, level_mounting, rigid
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import Camera, level_mounting, rigid
+from roadperc_stream.model import Box, Detection
 from tests.analytic import PEDESTRIAN, STEP_NS, VEHICLE
 from tests.chain.stages.objects.test_path import lanes
 from tests.scenes import scene_of

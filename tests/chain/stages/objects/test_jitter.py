@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.objects import rate_filter
-from roadperc_stream.chain.stages.objects.jitter import Jitter
+from roadperc_stream.chain.stages.objects.rate_filter import Jitter
 
 STD_M = 0.15
 FILTERED = rate_filter.start(10.0, 0.5, 1.0)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.objects import ObjectsState, step
-from roadperc_stream.chain.stages.objects.obstacle import LABEL, find_obstacle, picture, png_of
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent, Box
+from roadperc_stream.chain.stages.objects.template import LABEL, find_obstacle, picture, png_of
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.model import Absent, Box
 from tests.chain.stages.objects.frames import CAMERA, texture
 from tests.scenes import scene_of
 

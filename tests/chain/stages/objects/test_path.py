@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from roadperc_stream.chain.kernels import left_of
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, path_of
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Boundary, Lanes
-from roadperc_stream.core.geometry import rigid
-from roadperc_stream.core.kernels.object_points import object_points
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.geometry import rigid
+from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.model import Boundary, Lanes
 
 CFG = ObjectsConfig()
 RIGHT_BEND = DrivenArc(-0.1, 10.0)
@@ -43,9 +43,7 @@ def test_places_beside_a_circle_are_square_to_it(radius_m, offset_m, heading):
     middle = np.stack((np.sin(turned) - np.sin(heading), np.cos(heading) - np.cos(turned)), axis=-1) * radius_m
     points = middle + [0, offset_m] + aside[:, None] * np.stack((-np.sin(turned), np.cos(turned)), axis=-1)
     for (x, y), expected in zip(points, aside, strict=True):
-        # One pixel, at whose place the camera's coordinates are the ego frame's.
-        depth_m, pinhole = np.ones((1, 1), np.float32), (1.0, 1.0, -x, -y)
-        lateral = object_points(depth_m, pinhole, (0, 0, 1, 1, 1), None, 0.0, (0.0, 99.0), np.eye(4), path.circle)[2]
+        lateral = left_of(np.array([[x, y, 0.0]]), np.eye(4), path.circle)
         assert lateral == pytest.approx([expected], abs=1e-5)
 
 

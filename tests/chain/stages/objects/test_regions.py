@@ -5,9 +5,9 @@ import pytest
 
 from roadperc_stream.chain.stages.objects.mosaic import LONGEST_SIDE, cut_out
 from roadperc_stream.chain.stages.objects.regions import MISSING_WEIGHT, find_regions
-from roadperc_stream.core.datatypes import Box
-from roadperc_stream.core.geometry import Camera
-from roadperc_stream.core.semantics import label_lookup
+from roadperc_stream.geometry import Camera
+from roadperc_stream.model import Box
+from roadperc_stream.model.tag_tables import label_lookup
 from tests.analytic import TABLE, VEHICLE
 from tests.scenes import scene_of
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects.sparse import own_distances
+from roadperc_stream.chain.stages.objects.distance import own_distances
 
 NAN = np.nan
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects.template_matching import correlate
-from roadperc_stream.core.datatypes import Box
+from roadperc_stream.chain.stages.objects.template import correlate
+from roadperc_stream.model import Box
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (80, 120), dtype=np.uint8)
 TEMPLATE = IMAGE[30:42, 50:70]

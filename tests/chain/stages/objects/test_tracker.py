@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.objects import ObjectsState, step, tracker
-from roadperc_stream.core.config import ObjectsConfig
-from roadperc_stream.core.datatypes import Absent, Box, Reason
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.model import Absent, Box, Reason
 from tests.analytic import STEP_NS, box
 from tests.chain.stages.objects.frames import CAMERA, CFG, FAR_M, LIMIT_M, Follower, depth_of, moved, tags_of, texture
 from tests.scenes import scene_of

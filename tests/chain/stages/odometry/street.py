@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages import odometry
 from roadperc_stream.chain.stages.odometry import OdometryState
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import OdometryConfig
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream.config import OdometryConfig
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 from tests.analytic import VEHICLE
 from tests.scenes import scene_of
 

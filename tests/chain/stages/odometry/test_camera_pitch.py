@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.odometry import camera_pitch as cp
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.motion import Motion
 from roadperc_stream.chain.stages.odometry.road_alignment import road_motion, road_view
 from roadperc_stream.chain.stages.surface.road import assumed_surface
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.datatypes import Reason
-from roadperc_stream.core.ground import tilted_ground
-from roadperc_stream.core.rotations import rotation_from_rpy
-from roadperc_stream.state import encoding
+from roadperc_stream.geometry.ground import tilted_ground
+from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.model import Reason
+from roadperc_stream.resume import encoding
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, Shot, drive, photograph, pose, run
 from tests.chain.stages.odometry.trajectories import distances_m
 
@@ -121,7 +121,7 @@ def road_between(first, second, tried_m=(0.0, 3.0), believed=0.0, grey=None):
     plane = g.transform_plane(g.inverse(EGO_T_CAMERA), tilted_ground(EGO_T_CAMERA, believed))
     view = road_view(CAMERA, EGO_T_CAMERA, plane, photograph(first, ego_T_camera=DOWN).grey)
     this = photograph(second, ego_T_camera=DOWN).grey if grey is None else grey
-    return road_motion(CAMERA, view, this, None, (this_T_key[:3, :3], t), plane, tried_m)
+    return road_motion(view, this, None, (this_T_key[:3, :3], t), tried_m)
 
 
 def test_the_roads_picture_gives_length_and_pitch():

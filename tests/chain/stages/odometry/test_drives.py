@@ -10,9 +10,9 @@ from roadperc_stream.chain.stages import odometry
 from roadperc_stream.chain.stages.odometry import OdometryState
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.cli import render
-from roadperc_stream.core.config import OdometryConfig
-from roadperc_stream.core.geometry import EGO_R_OPTICAL, Camera, inverse, level_mounting, rigid
-from roadperc_stream.core.semantics import CARLA_FROM_0_9_14 as TABLE
+from roadperc_stream.config import OdometryConfig
+from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, inverse, level_mounting, rigid
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
 from roadperc_stream.tools.carla_dump.depth_files import carla_metres
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m
 from tests.scenes import scene_of

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.odometry.ego_motion import _guesses
-from roadperc_stream.chain.stages.odometry.tracking_frame import tracking_frame
+from roadperc_stream.chain.stages.odometry.features import tracking_frame
 from roadperc_stream.chain.stages.surface.road import assumed_surface
-from roadperc_stream.core.config import OdometryConfig
-from roadperc_stream.core.datatypes import Absent, Reason
-from roadperc_stream.core.geometry import inverse, project, transform
+from roadperc_stream.config import OdometryConfig
+from roadperc_stream.geometry import inverse, project, transform
+from roadperc_stream.model import Absent, Reason
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, STEP_NS, Shot, drive, photograph, pose, run
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m, relative_errors
 from tests.scenes import scene_of

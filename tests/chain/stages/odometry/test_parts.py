@@ -8,18 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
-from roadperc_stream.chain.stages.odometry.features import FRONTENDS, spread
-from roadperc_stream.chain.stages.odometry.keyframes import make_keyframe
-from roadperc_stream.chain.stages.odometry.landmarks import find_landmarks
-from roadperc_stream.chain.stages.odometry.local_planes import local_planes_from_depth, slope_of_plane, stretch
-from roadperc_stream.chain.stages.odometry.motion import motion_from_points, moved
-from roadperc_stream.chain.stages.odometry.patch_alignment import aligned
-from roadperc_stream.chain.stages.odometry.tracking_frame import tracking_frame
-from roadperc_stream.chain.stages.odometry.uncertainty import scatter, step_covariance
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import OdometryConfig
-from roadperc_stream.core.rotations import rotation_from_rpy
+from roadperc_stream.chain.stages.odometry.features import FRONTENDS, spread, tracking_frame
+from roadperc_stream.chain.stages.odometry.keyframes import (
+    find_landmarks,
+    local_planes_from_depth,
+    make_keyframe,
+    slope_of_plane,
+    stretch,
+)
+from roadperc_stream.chain.stages.odometry.localisation import aligned
+from roadperc_stream.chain.stages.odometry.motion import motion_from_points, moved, scatter, step_covariance
+from roadperc_stream.config import OdometryConfig
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, photograph, pose
 from tests.scenes import scene_of
 

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.odometry.vanishing import LINES_STD, pitch_by_lines
-from roadperc_stream.core.geometry import project
+from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, pitch_by_lines
+from roadperc_stream.geometry import project
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, Shot, run
 
 _SUBPIXEL_BITS = 6

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from roadperc_stream.chain.stages.surface.bands import band_of, solved
-from roadperc_stream.chain.stages.surface.bsplines import DEGREE, basis
+from roadperc_stream.chain.stages.surface.bsplines import DEGREE, band_of, basis, solved
 
 
 @pytest.mark.parametrize(("knot_m", "splines"), [(5.0, 15), (1.0, 4), (0.3, 60)])

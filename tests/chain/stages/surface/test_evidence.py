@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.stages.surface.evidence import leaves_plane, median
+from roadperc_stream.chain.stages.surface.plane import leaves_plane, median
 from roadperc_stream.chain.stages.surface.road import fit_surface
-from roadperc_stream.core.config import SurfaceConfig
-from roadperc_stream.core.scene import DepthMap
+from roadperc_stream.config import SurfaceConfig
+from roadperc_stream.model.scene import DepthMap
 from tests.analytic import LINE, ROAD
 from tests.hills import Hill
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.surface import SurfaceState, find_surface, remember
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import SurfaceConfig
-from roadperc_stream.core.datatypes import Absent, Reason
-from roadperc_stream.core.scene import DepthMap
+from roadperc_stream.config import SurfaceConfig
+from roadperc_stream.model import Absent, Reason
+from roadperc_stream.model.scene import DepthMap
 from tests.analytic import Road
 from tests.scenes import scene_of
 

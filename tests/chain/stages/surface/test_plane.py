@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.surface.road import assumed_surface, drivable_mask, fit_surface
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import SurfaceConfig
-from roadperc_stream.core.datatypes import Absent, Reason
-from roadperc_stream.core.scene import DepthMap
+from roadperc_stream.config import SurfaceConfig
+from roadperc_stream.model import Absent, Reason
+from roadperc_stream.model.scene import DepthMap
 from tests.analytic import ROAD, Road
 from tests.scenes import scene_of
 

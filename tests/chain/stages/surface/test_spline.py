@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages import lanes
 from roadperc_stream.chain.stages.lanes import LanesState
 from roadperc_stream.chain.stages.surface import spline
 from roadperc_stream.chain.stages.surface.road import assumed_surface, drivable_mask, fit_surface
-from roadperc_stream.core import geometry as g
-from roadperc_stream.core.config import LanesConfig, SurfaceConfig
-from roadperc_stream.core.ground import height_at
-from roadperc_stream.core.rotations import rotation_from_rpy
-from roadperc_stream.core.scene import DepthMap
+from roadperc_stream.config import LanesConfig, SurfaceConfig
+from roadperc_stream.geometry.ground import height_at
+from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.metrics.surface import surface_height_error_m
+from roadperc_stream.model.scene import DepthMap
 from tests.analytic import LINE, ROAD
 from tests.hills import Hill
 from tests.scenes import scene_of

@@ -1,0 +1,225 @@
+"""The frames of a dataset by group: a summary of each, the worst groups where there are too many for all."""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+import polars as pl
+
+from roadperc_stream.errors import TableError
+from roadperc_stream.system.time import NS_PER_S
+
+from ..quantities import CATEGORIES, COUNTS, NUMBERS
+from ..scores import Tallies, tallied, tallied_together, tallies
+from ..statistics import ColumnPools, Distribution, Moments, exactly, moments, thinned
+from ..summary import EXACT_FRAMES, POINTS, Summary
+from .keys import LOG, Grouping, Key, as_key, group_name, grouping, in_order, key_name
+from .place import DONE, RUN_COLUMNS, scan_tables, without_file
+from .reading import FILES, GAP_NS, SEGMENTS, SPAN_NS, batches, ledger, logs_of, rows_of_tables
+from .worst import chosen
+
+MOST_GROUPS: Final = 40
+"""Groups whose frames are summed up at the same time; of more, those that are asked for."""
+_FEWEST_POINTS: Final = 256
+_AT_ONCE: Final = 2
+_COLUMNS: Final = tuple(quantity.column for quantity in NUMBERS)
+_POOLED: Final = (*LOG, "missing", "reasons", *CATEGORIES, *COUNTS, *_COLUMNS)
+
+
+class Pool:
+    """The frames of a group so far: counts, sums, and distributions of at most so many points."""
+
+    def __init__(self, points: int) -> None:
+        self._frames = 0
+        self._logs: set[tuple[str, ...]] = set()
+        self._tallies: list[Tallies] = []
+        self.columns = ColumnPools(points)
+
+    def add(self, frames: pl.DataFrame, threads: Executor) -> None:
+        """Take in some frames of at least one row."""
+        self._frames += frames.height
+        self._logs.update(frames.select(LOG).unique().iter_rows())
+        self._tallies.append(tallied(frames.select(tallies()).row(0, named=True)))
+        parts = threads.map(partial(_part, points=self.columns.points), (frames[name] for name in _COLUMNS))
+        for name, found in zip(_COLUMNS, parts, strict=True):
+            if found is not None:
+                self.columns.add(name, *found)
+
+    def summary(self, name: str) -> Summary:
+        """All of it, under a name; what needs neighbouring frames or other tables is left out."""
+        logs = sorted(self._logs)
+        return Summary(
+            **vars(tallied_together(self._tallies)),
+            name=name,
+            frames=self._frames,
+            runs=len(logs),
+            log_ids=tuple(dict.fromkeys(log_id for log_id, _ in logs)),
+            configs=tuple(dict.fromkeys(config for _, config in logs)),
+            versions=(),
+            statistics=self.columns.statistics(_COLUMNS),
+        )
+
+
+def _part(column: pl.Series, points: int) -> tuple[Moments, Distribution] | None:
+    """What is kept of a batch's values; None where there are none."""
+    values = np.sort(column.drop_nulls().to_numpy())
+    return (moments(values), thinned(exactly(values), points)) if len(values) else None
+
+
+class _Groups:
+    """The groups of frames so far; none any more once they are too many."""
+
+    def __init__(self, by: Grouping) -> None:
+        self._by = by
+        self._keys = [key_name(name) for name in by.columns]
+        self._frames = 0
+        self.pools: dict[Key, Pool] | None = {}
+
+    def add(self, batch: pl.DataFrame, threads: Executor) -> None:
+        """Take in a batch, with the columns of the keys.
+
+        Raises:
+            TableError: a column of the tables has so many values that they are no groups.
+        """
+        if self.pools is None:
+            return
+        self._frames += batch.height
+        parts = self._partitions(batch)
+        if len({*self.pools, *parts}) > MOST_GROUPS:
+            if not self._by.of_whole_logs:
+                raise TableError(
+                    f"--by {','.join(self._by.columns)}: has more than {MOST_GROUPS} different values in the frames; "
+                    "expected a column with few, such as lane_left_status"
+                )
+            self.pools = None
+            return
+        for key, frames in parts.items():
+            self.pools.setdefault(key, Pool(EXACT_FRAMES)).add(frames, threads)
+        if self._frames > EXACT_FRAMES:
+            points = max(_FEWEST_POINTS, min(POINTS, POINTS * 8 // len(self.pools)))
+            for pool in self.pools.values():
+                pool.columns.limit(points)
+
+    def _partitions(self, batch: pl.DataFrame) -> dict[Key, pl.DataFrame]:
+        if not self._keys:
+            return {(): batch}
+        first = batch.select(self._keys).unique()
+        if first.height == 1:
+            return {first.row(0): batch}
+        return batch.select(*self._keys, *_POOLED).partition_by(self._keys, as_dict=True, maintain_order=True)
+
+
+@dataclass(frozen=True)
+class GroupedFrames:
+    """What a dataset's tables hold.
+
+    ``logs`` are those of ``logs_of``, where the keys are of whole logs with their columns. Of all ``groups`` those in
+    ``pools`` were summed up.
+    """
+
+    logs: pl.DataFrame
+    by: Grouping
+    pools: Mapping[Key, Pool]
+    groups: int
+
+
+def group_frames(files: Sequence[str], runs: pl.DataFrame, asked: Sequence[str]) -> GroupedFrames:
+    """Read the tables of a dataset.
+
+    Args:
+        files: one at least; at an address a pattern.
+        runs: the list of runs.
+        asked: columns to group by; what made the tables, where they differ in that, if empty.
+
+    Raises:
+        TableError: a table cannot be read, has frames twice, or there is no such column, or one with too many values.
+    """
+    known = runs.filter(pl.col("log_id").is_not_null())
+    versions = known.filter(pl.col("status") == DONE)["version"].unique().to_list()
+    by = grouping(
+        asked or (["config", "version"] if len(versions) > 1 else ["config"]),
+        scan_tables(files).collect_schema().names(),
+    )
+    found = _grouped(files, known, by)
+    if asked:
+        return found
+    keep = [k for k, name in enumerate(by.columns) if found.logs[key_name(name)].n_unique() > 1]
+    pools = {tuple(key[k] for k in keep): pool for key, pool in found.pools.items()}
+    return replace(found, by=grouping([by.columns[k] for k in keep], ()), pools=pools)
+
+
+def _grouped(files: Sequence[str], known: pl.DataFrame, by: Grouping) -> GroupedFrames:
+    run_keys = known.select(*LOG, *(as_key(name, RUN_COLUMNS[name]) for name in by.of_runs))
+    rows = rows_of_tables(files, by)
+    gone = without_file(known).select(LOG)
+    if gone.height:
+        rows = rows.join(gone.lazy(), on=LOG, how="anti", maintain_order="left")
+    logs, pools = _read(rows, files, by, run_keys)
+    if by.of_whole_logs:
+        own = (pl.col(name).alias(key_name(name)) for name in by.columns if name not in by.of_runs)
+        logs = logs.with_columns(own).join(run_keys, on=LOG, how="left", maintain_order="left")
+    if pools is not None:
+        return GroupedFrames(logs, by, pools, len(pools))
+    keys = [key_name(name) for name in by.columns]
+    only = logs.join(chosen(logs, keys, MOST_GROUPS), on=keys, how="semi", nulls_equal=True)
+    in_files = only[FILES].explode().unique(maintain_order=True).to_list()
+    again = rows_of_tables(in_files, by).join(only.select(LOG).lazy(), on=LOG, how="semi", maintain_order="left")
+    return GroupedFrames(logs, by, _read(again, in_files, by, run_keys)[1] or {}, logs.select(keys).n_unique())
+
+
+def _read(
+    rows: pl.LazyFrame, files: Sequence[str], by: Grouping, run_keys: pl.DataFrame
+) -> tuple[pl.DataFrame, dict[Key, Pool] | None]:
+    """The logs of metrics tables, and the groups by their keys; None where there are more than ``MOST_GROUPS``.
+
+    Args:
+        rows: of the tables.
+        files: these, for errors.
+        by: how frames are grouped.
+        run_keys: ``LOG`` and the keys from the list of runs, a row for each log and configuration.
+    """
+    ledgers: list[pl.DataFrame] = []
+    groups = _Groups(by)
+    with ThreadPoolExecutor(_AT_ONCE) as threads:
+        for batch in batches(rows, files):
+            ledgers.append(ledger(batch))
+            if by.of_runs:
+                keys = batch.select(LOG).join(run_keys, on=LOG, how="left", maintain_order="left").drop(LOG)
+                groups.add(batch.hstack(keys), threads)
+            else:
+                groups.add(batch, threads)
+    if not ledgers:
+        raise TableError("no log is left to report: the files of all are of other logs now, of which none gave a table")
+    return logs_of(ledgers), groups.pools
+
+
+def summaries_of(found: GroupedFrames, log_names: Mapping[str, str], configs: Sequence[str]) -> list[Summary]:
+    """A summary of each group that was summed up, in the order of their keys.
+
+    Args:
+        found: what the tables hold.
+        log_names: what each log is called.
+        configs: in the order in which they were first finished.
+    """
+    columns, extents = found.by.columns, _extents(found)
+    return [
+        replace(found.pools[key].summary(group_name(key, columns, log_names)), **extents.get(key, {}))
+        for key in in_order(found.pools, columns, configs, log_names)
+    ]
+
+
+def _extents(found: GroupedFrames) -> dict[Key, dict[str, Any]]:
+    """How long each group's logs are; nothing where groups are not of whole logs."""
+    if not found.by.of_whole_logs:
+        return {}
+    keys = [pl.col(key_name(name)) for name in found.by.columns] or [pl.lit(0)]
+    sums = found.logs.group_by(keys).agg(
+        pl.sum(SEGMENTS).alias("segments"),
+        (pl.sum(SPAN_NS) / NS_PER_S).alias("span_s"),
+        (pl.max(GAP_NS).fill_null(0) / NS_PER_S).alias("longest_gap_s"),
+    )
+    names = sums.columns[-3:]
+    return {row[: len(found.by.columns)]: dict(zip(names, row[-3:], strict=True)) for row in sums.iter_rows()}

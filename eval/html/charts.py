@@ -1,0 +1,121 @@
+"""Charts without a time axis: how the errors are distributed, and where the cars went, from above."""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.geometry import Float
+from roadperc_stream.geometry.rotations import rotation_from_quaternion
+
+from ..quantities import TRUTH, Quantity
+from ..sections import better
+from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line
+
+MOST_BINS, LEAST_BINS = 40, 8
+ERROR_COLUMNS: Final = tuple(quantity.column for quantity in TRUTH)
+"""What these charts need of a table, where it has them."""
+_PLACE: Final = tuple(f"{{}}_{name}_m" for name in "xyz")
+_TURN: Final = tuple(f"{{}}_q{name}" for name in "xyzw")
+POSE_COLUMNS: Final = tuple(name.format(which) for which in ("odom", "true") for name in (*_PLACE, *_TURN))
+"""What this chart needs of a table, where it has them."""
+
+
+def histograms(runs: Sequence[Series]) -> Iterator[Figure]:
+    """A histogram of each truth metric that has values, the runs over each other on the same bins."""
+    for quantity in TRUTH:
+        having = [(place, run) for place, run in enumerate(runs) if quantity.column in run.values]
+        if having:
+            edges = bin_edges([run.values[quantity.column] for _, run in having])
+            traces = [_histogram(run, quantity, edges, place) for place, run in having]
+            look = layout(quantity.label, "% of values", height=230, showlegend=len(runs) > 1)
+            yield Figure(quantity.label, better(quantity), traces, look)
+
+
+def bin_edges(values: Sequence[Float]) -> Float:
+    """Edges over all finite values, in bins of some width even where all are equal.
+
+    Of N values there are 2 sqrt(N) bins: more would show single values, not how they are distributed.
+    """
+    joined = np.concatenate(values)
+    known = joined[np.isfinite(joined)]
+    bins = int(np.clip(2 * np.sqrt(len(known)), LEAST_BINS, MOST_BINS))
+    span = float(known.max() - known.min()) if known.size else 0.0
+    if known.size and 0 <= span < bins * np.spacing(np.abs(known).max()):  # no room for so many between neighbours
+        return np.linspace(known.min() - abs(known.min()) / 2, known.max() + abs(known.max()) / 2, bins + 1)
+    edges: Float = np.histogram_bin_edges(known, bins)
+    return edges
+
+
+def _histogram(run: Series, quantity: Quantity, edges: Float, place: int) -> Trace:
+    values = run.values[quantity.column]
+    counts, _ = np.histogram(values[np.isfinite(values)], edges)
+    percent = 100 * counts / max(counts.sum(), 1)
+    # A step line rather than bars: the outlines of several runs stay visible over each other.
+    outline = np.concatenate([[0.0], np.repeat(percent, 2), [0.0]])
+    return line(run.name, np.repeat(edges, 2), outline, colour_of(place), fill="tozeroy", width=1.2)
+
+
+def trajectory(runs: Sequence[Series]) -> Figure | None:
+    """Odometry's path and the true one in the ego frame of each run's first pose; None where no run has a pose."""
+    traces = [trace for place, run in enumerate(runs) for trace in _traces(run, place, len(runs) > 1)]
+    if not traces:
+        return None
+    note = "From above: ahead of the first frame is up, left is left; both axes to one scale, in metres."
+    if any(np.ptp(run.segments) for run in runs):
+        note += " Each segment of a log begins at the origin."
+    if any(trace["line"]["dash"] != "solid" for trace in traces):
+        note += " The true path is dashed."
+    left = axis("y to the left, m", autorange="reversed")
+    ahead = axis("x ahead, m", scaleanchor="x", scaleratio=1)
+    return Figure("Trajectory", note, traces, layout("", "", hovermode="closest", height=440, xaxis=left, yaxis=ahead))
+
+
+def paths(run: Series) -> dict[str, Float]:
+    """(N, 3) metres of odometry's path (``odom``) and the true one (``true``), those there are, NaN where unknown.
+
+    Whichever frame the poses are given in, the pose of the first frame that has all of them becomes the origin, x
+    ahead: odometry's path and the truth are compared from the same start. Each segment of the log has its own start,
+    for its odometry begins anew.
+    """
+    names = {which: [name.format(which) for name in (*_PLACE, *_TURN)] for which in ("odom", "true")}
+    poses = {  # (N, 7) x, y, z and quaternion
+        which: np.stack([run.values[name] for name in columns], axis=-1)
+        for which, columns in names.items()
+        if all(name in run.values for name in columns)
+    }
+    known = np.all([_usable(found) for found in poses.values()], axis=0) if poses else np.zeros(1, bool)
+    if not known.any():
+        return {}
+    return {which: _from_starts(found, known, run.segments) for which, found in poses.items()}
+
+
+def _usable(poses: Float) -> NDArray[np.bool_]:
+    """(N,) poses that are known and have an orientation."""
+    return np.asarray(np.isfinite(poses).all(axis=1) & (np.abs(poses[:, 3:]).max(axis=1) > 0))
+
+
+def _from_starts(poses: Float, known: NDArray[np.bool_], segments: NDArray[np.int64]) -> Float:
+    """(N, 3) positions of (N, 7) poses in the frame of the first known one of their segment; NaN in one without any."""
+    points_m = np.full((len(poses), 3), np.nan)
+    for segment in np.unique(segments[known]):
+        these = segments == segment
+        x, y, z, *quaternion = poses[these][np.argmax(known[these])].tolist()
+        points_m[these] = (poses[these, :3] - (x, y, z)) @ rotation_from_quaternion(*quaternion)
+    return points_m
+
+
+def _traces(run: Series, place: int, several: bool) -> list[Trace]:
+    names = {"odom": run.name if several else "odometry", "true": f"{run.name}: truth" if several else "truth"}
+    looks = {
+        "odom": (colour_of(place), {"width": 2.2, "dash": "solid"}),
+        "true": (colour_of(place) if several else TRUTH_COLOUR, {"width": 1.6, "dash": "dash"}),
+    }
+    traces = []
+    for which, points_m in paths(run).items():
+        evenly = np.linspace(0, len(points_m) - 1, 3 * BUCKETS).astype(int)
+        kept = np.union1d(evenly, np.flatnonzero(np.diff(run.segments)))
+        colour, look = looks[which]
+        traces.append(line(names[which], points_m[kept, 1], points_m[kept, 0], colour, **look))
+    return traces

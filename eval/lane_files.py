@@ -1,0 +1,249 @@
+"""A run's lanes frame by frame, from its log, and lanes as TuSimple's JSON lines.
+
+A line of JSON is an object a frame, each lane a column in px at each of the frame's rows.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
+
+from roadperc_stream import log
+from roadperc_stream.errors import LogError, RoadpercError
+from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.input.decoding import Context, Decoded, decode
+from roadperc_stream.log import LogSummary
+from roadperc_stream.metrics.lanes import ROW_STEP_PX, columns_at, in_view
+from roadperc_stream.model import Lanes
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.roles import Kind
+from roadperc_stream.schemas.topics import CALIBRATION_SCHEMA, LANES_TOPIC, RESULTS
+from roadperc_stream.system.files import completing, require_suffix
+
+from .runs import collect, open_run
+from .scan import SEGMENT, rows_of, segment
+
+NOWHERE: Final = -2
+"""The column of a point that is not there; any negative one is read as such."""
+FARTHEST_PX: Final = 1e9
+"""A column or row farther out is no pixel of any image, and its square might not be a number."""
+_DECIMALS: Final = 2
+_SCHEMAS: Final = {"lanes": RESULTS[LANES_TOPIC], "calibration": CALIBRATION_SCHEMA}
+_TOP: Final = 160 / 720
+"""Where TuSimple's rows begin, as a part of the image's height."""
+
+
+class LaneFileError(RoadpercError):
+    """A file of lanes that is not what TuSimple's format says, or does not belong to the run."""
+
+
+@dataclass(frozen=True)
+class LaneFrame:
+    """A frame's lanes: ``rows`` (N,) px, ``lanes`` a (N,) column in px each, NaN where there is no point.
+
+    ``place`` says where the frame was read, as FILE:LINE, for errors.
+    """
+
+    raw_file: str
+    rows: Float
+    lanes: tuple[Float, ...]
+    run_time_ms: float = 0.0
+    place: str = ""
+
+
+class _Line(BaseModel):
+    """One line of a file, its keys in the order of the benchmark's own description."""
+
+    model_config = ConfigDict(strict=True)
+
+    raw_file: str
+    lanes: list[list[int | FiniteFloat]]
+    h_samples: list[int | FiniteFloat]
+    run_time: FiniteFloat = 0.0
+
+
+def to_line(frame: LaneFrame) -> str:
+    """One frame as a line of JSON, columns rounded to hundredths of a pixel, which is exact for ``rounded`` ones."""
+    lanes = [_numbers(np.nan_to_num(lane, nan=NOWHERE)) for lane in frame.lanes]
+    run_time = round(frame.run_time_ms, _DECIMALS)
+    line = _Line(raw_file=frame.raw_file, lanes=lanes, h_samples=_numbers(frame.rows), run_time=run_time)
+    return line.model_dump_json() + "\n"
+
+
+def _numbers(values: Float) -> list[int | float]:
+    """Whole numbers without a point, as rows and absent points have none in the benchmark's files."""
+    return [int(value) if value.is_integer() else round(value, _DECIMALS) for value in values.tolist()]
+
+
+def rounded(lane: Float) -> Float:
+    """A lane's columns as a file holds them: what is scored is what is written."""
+    columns: Float = np.round(lane, _DECIMALS)
+    return columns
+
+
+def read_frames(path: Path) -> list[LaneFrame]:
+    """The frames of a file, one a line; empty lines are passed over.
+
+    Raises:
+        LaneFileError: a line is not a JSON object of the format, or no line is there.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as stream:
+        frames = [_frame(line, f"{path}:{k}") for k, line in enumerate(stream, 1) if line.strip()]
+    if not frames:
+        raise LaneFileError(f"{path}: no lines in this file; expected a JSON object for each frame")
+    return frames
+
+
+def _frame(text: bytes, place: str) -> LaneFrame:
+    try:
+        line = _Line.model_validate_json(text)
+    except ValidationError as error:
+        raise LaneFileError(f"{place}: is not a line of TuSimple's format: {_first(error)}") from error
+    rows = len(line.h_samples)
+    if not rows:
+        raise LaneFileError(f"{place}: h_samples is empty; expected the rows at which lanes have columns")
+    for k, lane in enumerate(line.lanes):
+        if len(lane) != rows:
+            raise LaneFileError(f"{place}: lanes[{k}] has {len(lane)} columns; expected {rows}, one for each h_sample")
+    for name, values in (("h_samples", line.h_samples), *((f"lanes[{k}]", lane) for k, lane in enumerate(line.lanes))):
+        if any(not -FARTHEST_PX <= value <= FARTHEST_PX for value in values):
+            raise LaneFileError(f"{place}: {name}: expected pixels from {-FARTHEST_PX:g} to {FARTHEST_PX:g}")
+    columns = (np.array(lane, float) for lane in line.lanes)
+    lanes = tuple(np.where(lane < 0, np.nan, lane) for lane in columns)
+    return LaneFrame(line.raw_file, np.array(line.h_samples, float), lanes, line.run_time, place)
+
+
+def _first(error: ValidationError) -> str:
+    found = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in found["loc"])
+    return f"{key}: {found['msg']}" if key else found["msg"]
+
+
+@contextmanager
+def lane_writer(target: Path) -> Iterator[Callable[[LaneFrame], object]]:
+    """A function that appends frames to a file, ``.json`` or ``.jsonl``, which has its name only when complete.
+
+    Raises:
+        TargetError: it cannot be written, or not under this name.
+    """
+    require_suffix(target, ".json", ".jsonl")
+    with completing(target) as temporary, temporary.open("w", encoding="utf-8") as stream:
+        yield lambda frame: stream.write(to_line(frame))
+
+
+@dataclass(frozen=True)
+class RunFrame:
+    """The lines a run saw in a frame: each (N, 2) x, y in px of the camera's image, near end first."""
+
+    stamp_ns: int
+    lines_px: tuple[Float, ...]
+    run_time_ms: float
+
+
+@dataclass(frozen=True)
+class RunLanes:
+    """A log whose lanes can be read, and their camera."""
+
+    summary: LogSummary
+    camera: Camera
+    times_ms: Sequence[tuple[int, float]]
+    """Stamp and whole time of each frame, in order; empty where no metrics table lies next to the log."""
+
+    def frames(self) -> Iterator[RunFrame]:
+        """Every frame in order; one that the table knows and the log has no lanes of has no lines.
+
+        Raises:
+            LogError: the log cannot be read.
+            DecodeError: a message is not a roadperc.Lanes.
+        """
+        waiting = deque(self.times_ms)
+        left = Counter(stamp_ns for stamp_ns, _ in waiting)
+        for message in log.read(self.summary, topics=[LANES_TOPIC]):
+            content = _decoded("lanes", message)
+            boundaries = content.payload.boundaries if isinstance(content.payload, Lanes) else ()
+            stamp_ns, lines_px = content.stamp_ns, tuple(b.line_px for b in boundaries if len(b.line_px))
+            for before_ns, took_ms in _before(waiting, stamp_ns, left):
+                yield RunFrame(before_ns, (), took_ms)
+            _, took_ms = waiting.popleft() if left[stamp_ns] > 0 else (stamp_ns, 0.0)
+            left[stamp_ns] -= 1
+            yield RunFrame(stamp_ns, lines_px, took_ms)
+        yield from (RunFrame(stamp_ns, (), took_ms) for stamp_ns, took_ms in waiting)
+
+
+def open_lanes(path: Path) -> RunLanes:
+    """Find a run's lanes, their camera, and the metrics table next to the log.
+
+    Raises:
+        LogError: the log cannot be read, or has no lanes or no calibration of their camera.
+        TableError: the table next to it cannot be read.
+    """
+    summary = log.summarise(path)
+    channels = summary.channels
+    if not any(c.topic == LANES_TOPIC and c.schema_name == _SCHEMAS["lanes"] for c in channels):
+        raise LogError(
+            f"{path}: no {LANES_TOPIC} of {_SCHEMAS['lanes']}; expected an OUT.mcap of roadperc-replay with lanes"
+        )
+    frame_id = next((pb.Lanes.FromString(m.data).frame_id for m in log.read(summary, topics=[LANES_TOPIC])), None)
+    topics = [c.topic for c in channels if c.schema_name == _SCHEMAS["calibration"]]
+    return RunLanes(summary, _camera(summary, topics, frame_id), _times_ms(path))
+
+
+def _before(waiting: deque[tuple[int, float]], stamp_ns: int, left: Counter[int]) -> Iterator[tuple[int, float]]:
+    """Take out the frames before the next of a stamp, which may lie in a later segment, or those of earlier stamps."""
+    while waiting and (waiting[0][0] != stamp_ns if left[stamp_ns] > 0 else waiting[0][0] < stamp_ns):
+        left[waiting[0][0]] -= 1
+        yield waiting.popleft()
+
+
+def default_rows(height: int) -> Float:
+    """TuSimple's rows: the multiples of 10 px from 160 to 710 of 720, and the same part of another height."""
+    return np.arange(np.ceil(height * _TOP / ROW_STEP_PX) * ROW_STEP_PX, height, ROW_STEP_PX)
+
+
+def lane_frame(frame: RunFrame, camera: Camera, size: tuple[int, int], raw_file: str, rows: Float) -> LaneFrame:
+    """A run's lines as columns at rows; a line that crosses none of them is left out.
+
+    Args:
+        frame: lines in px of the camera's image.
+        camera: their camera.
+        size: columns and rows of the image in whose px the result is; the camera's image scaled to it.
+        raw_file: name of the frame.
+        rows: (N,) px of the scaled image.
+    """
+    shown = replace(camera, width=size[0], height=size[1])
+    factors = np.divide(size, (camera.width, camera.height))
+    lines = (in_view((line + 0.5) * factors - 0.5, shown) for line in frame.lines_px)
+    lanes = (rounded(columns_at(line, rows, shown)) for line in lines if len(line))
+    return LaneFrame(raw_file, rows, tuple(lane for lane in lanes if np.isfinite(lane).any()), frame.run_time_ms)
+
+
+def _decoded(role: Kind, message: log.Message) -> Decoded:
+    channel = message.channel
+    kind = channel.schema_name, channel.message_encoding
+    return decode(role, *kind, message.data, message.log_time_ns, Context())
+
+
+def _camera(summary: LogSummary, topics: list[str], frame_id: str | None) -> Camera:
+    for message in log.read(summary, topics=topics) if topics else ():
+        camera = _decoded("calibration", message).payload
+        if isinstance(camera, Camera) and camera.frame_id == frame_id:
+            return camera
+    raise LogError(
+        f"{summary.path}: no calibration of {frame_id!r}, the camera of {LANES_TOPIC}; expected one on any topic"
+    )
+
+
+def _times_ms(path: Path) -> list[tuple[int, float]]:
+    table = sidecar_path(path, "metrics")
+    if not table.exists():
+        return []
+    run = open_run(table, path.stem)
+    rows = rows_of(run).select(segment(run.columns), "stamp_ns", "total_ms").sort(SEGMENT, "stamp_ns")
+    return list(collect(rows.drop(SEGMENT), str(table)).iter_rows())

@@ -1,0 +1,141 @@
+"""One batch at a time writes a dataset: a second one ends with an error that names the first."""
+
+import os
+import socket
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, Self
+from uuid import uuid4
+
+import msgspec
+
+from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.errors import RoadpercError, StorageError
+from roadperc_stream.resume.lock import FolderLock
+from roadperc_stream.system.files import target_errors
+
+LOCK: Final = ".lock"
+"""The file of a dataset that names the batch at work on it."""
+RENEW_EVERY_S: Final = 30.0
+DEAD_AFTER_S: Final = 120.0
+"""A lock in a store that was not renewed for so long is one of a batch that was killed."""
+_SETTLES_S: Final = 1.0
+"""Of two batches that write their lock at the same moment, this much later both see which one came last."""
+
+
+@dataclass(frozen=True)
+class LockHolder:
+    """A batch at work: ``token`` is of this batch alone, ``renewed_s`` when it last said so, since 1970."""
+
+    host: str
+    process: int
+    started: str
+    token: str
+    renewed_s: float
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it has been renewed lately; a time far ahead is one of another clock, and as good as none."""
+        return abs(time.time() - self.renewed_s) < DEAD_AFTER_S
+
+
+class DatasetLock:
+    """Held within its context by the one batch that may write a dataset.
+
+    On a disk it is the system's, which takes it from a process that ends, however that ends; the file beside it only
+    names the holder. A store has no locks: there the file itself is the lock, and a thread renews it.
+
+    Args:
+        out: the dataset.
+    """
+
+    def __init__(self, out: Folder) -> None:
+        started = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime())
+        self._out = out
+        self._me = LockHolder(socket.gethostname(), os.getpid(), started, uuid4().hex, 0.0)
+        self._ended, self._renewing = threading.Event(), threading.Thread(target=self._keep_renewing, daemon=True)
+        self._taken_by: LockHolder | None = None
+
+    def __enter__(self) -> Self:
+        """Take it.
+
+        Raises:
+            StorageError: another batch holds it, or the store cannot be reached.
+            TargetError: the folder cannot be made.
+        """
+        if self._out.is_local:
+            folder = Path(self._out.address)
+            self._on_disk = FolderLock(folder)
+            with target_errors(folder):
+                folder.mkdir(parents=True, exist_ok=True)
+                is_taken = self._on_disk.take()
+            if not is_taken:
+                raise self._refusal(self._holder())
+            with suppress(RoadpercError):  # the system's lock holds without the file
+                self._write()
+        else:
+            self._require_free()
+            self._write()
+            time.sleep(_SETTLES_S)
+            self._require_free()
+            self._renewing.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give it back."""
+        self._ended.set()
+        if not self._out.is_local:
+            self._renewing.join()
+        if self._taken_by is None:
+            with suppress(RoadpercError):  # then it is dead soon
+                self._out.remove(LOCK)
+        if self._out.is_local:
+            self._on_disk.release()
+
+    @property
+    def is_held(self) -> bool:
+        """Whether no other batch has taken it meanwhile, as one does that thinks this one dead."""
+        return self._taken_by is None
+
+    def require_held(self) -> None:
+        """Check that the dataset is still this batch's.
+
+        Raises:
+            StorageError: another batch has taken it.
+        """
+        if self._taken_by is not None:
+            raise self._refusal(self._taken_by)
+
+    def _require_free(self) -> None:
+        if (other := self._other()) is not None:
+            raise self._refusal(other)
+
+    def _other(self) -> LockHolder | None:
+        holder = self._holder()
+        return holder if holder is not None and holder.token != self._me.token and holder.is_alive else None
+
+    def _holder(self) -> LockHolder | None:
+        try:
+            return msgspec.json.decode(self._out.read(LOCK) or b"", type=LockHolder)
+        except msgspec.DecodeError:
+            return None
+
+    def _write(self) -> None:
+        self._out.write(LOCK, msgspec.json.encode(replace(self._me, renewed_s=time.time())))
+
+    def _keep_renewing(self) -> None:
+        while self._taken_by is None and not self._ended.wait(RENEW_EVERY_S):
+            try:
+                self._taken_by = self._other()
+                if self._taken_by is None:
+                    self._write()
+            except RoadpercError:
+                continue  # the store may answer in time the next time
+
+    def _refusal(self, holder: LockHolder | None) -> StorageError:
+        who = f": host {holder.host}, process {holder.process}, started {holder.started}" if holder else ""
+        until = "" if self._out.is_local else f", or {DEAD_AFTER_S:g} s after it was killed"
+        return StorageError(f"{self._out.address}: another batch writes this dataset{who}; wait until it ends{until}")

@@ -1,0 +1,256 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+"""Quadratics through the points beside a line, as ``lanes_plain`` has them: the same sums, in its order."""
+
+from libc.math cimport fabs
+from libc.stdint cimport int64_t
+from libc.stdlib cimport free, malloc
+
+import numpy as np
+
+from roadperc_stream.chain.kernels.lanes_plain import Quadratic
+
+cdef enum:
+    REWEIGHTINGS = 5
+
+cdef double ROUNDING = 1e-9
+
+cdef struct Sums:
+    double one, x, q, xx, xq, qq, y, xy, qy
+
+cdef struct Fit:
+    double s0, s1, s2, spread, reached
+    Sums sums
+
+
+cdef struct Given:
+    Py_ssize_t count
+    const double* x
+    const double* y
+    const double* std
+    const int64_t* rows
+    const double* inside
+    const double* outside
+
+cdef struct Rules:
+    double inward, reach, step, farthest
+    bint innermost
+    Py_ssize_t least_points, least_rows
+    double huber, alike, prior
+
+cdef struct Chosen:
+    Py_ssize_t count
+    Py_ssize_t* at
+    double* in_row
+    double* weight
+
+
+cdef inline double _aside(const Fit* fit, double x, double y) noexcept nogil:
+    return y - (fit.s0 + fit.s1 * x + 0.5 * fit.s2 * (x * x))
+
+
+cdef inline double _beside(const Given* points, const Fit* fit, Py_ssize_t i) noexcept nogil:
+    return _aside(fit, points.x[i], points.y[i])
+
+
+cdef void _choose(const Given* points, const Fit* fit, const Rules* rules, double reach, Chosen* chosen) noexcept nogil:
+    """Which points lie beside a quadratic."""
+    cdef Py_ssize_t i, found = 0
+    cdef double aside, best = 0.0
+    for i in range(points.count):
+        if not points.x[i] <= reach:
+            continue
+        aside = rules.inward * _beside(points, fit, i)
+        if not (aside < points.inside[i] and aside > -points.outside[i]):
+            continue
+        if rules.innermost and found and points.rows[chosen.at[found - 1]] == points.rows[i]:
+            if aside > best:
+                chosen.at[found - 1] = i
+                best = aside
+            continue
+        chosen.at[found] = i
+        best = aside
+        found += 1
+    chosen.count = found
+
+
+cdef Py_ssize_t _share_rows(const Given* points, Chosen* chosen) noexcept nogil:
+    """How many rows the chosen points lie in, and of each how many are in its row."""
+    cdef Py_ssize_t first = 0, last, rows = 0, k
+    while first < chosen.count:
+        last = first + 1
+        while last < chosen.count and points.rows[chosen.at[last]] == points.rows[chosen.at[first]]:
+            last += 1
+        for k in range(first, last):
+            chosen.in_row[k] = <double>(last - first)
+        rows += 1
+        first = last
+    return rows
+
+
+cdef bint _solve(Fit* fit, double prior) noexcept nogil:
+    cdef Sums* s = &fit.sums
+    cdef double by_x, by_q, xx, xq, qq, by_xq, y1, y2
+    if not s.one > 0:
+        return False
+    by_x = s.x / s.one
+    by_q = s.q / s.one
+    xx = s.xx - by_x * s.x
+    xq = s.xq - by_x * s.q
+    if not xx > ROUNDING * s.xx:
+        return False
+    by_xq = xq / xx
+    qq = (s.qq + prior) - by_q * s.q - by_xq * xq
+    if not qq > ROUNDING * (s.qq + prior):
+        return False
+    y1 = s.xy - by_x * s.y
+    y2 = s.qy - by_q * s.y - by_xq * y1
+    fit.s2 = y2 / qq
+    fit.s1 = (y1 - xq * fit.s2) / xx
+    fit.s0 = (s.y - s.x * fit.s1 - s.q * fit.s2) / s.one
+    return True
+
+
+cdef bint _fit_chosen(const Given* points, Chosen* chosen, const Rules* rules, Fit* fit) noexcept nogil:
+    """Whether the chosen points have a quadratic: iteratively reweighted from the one that is there."""
+    cdef Py_ssize_t k, i
+    cdef double std, off, w, x, q, wx, wq
+    cdef Sums sums
+    for _ in range(REWEIGHTINGS):
+        sums = Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for k in range(chosen.count):
+            i = chosen.at[k]
+            std = points.std[i]
+            off = fabs(_beside(points, fit, i)) / std / rules.huber
+            chosen.weight[k] = 1.0 / (std * std * (off if off > 1.0 else 1.0) * chosen.in_row[k])
+            w = chosen.weight[k] / rules.alike
+            x = points.x[i]
+            q = 0.5 * (x * x)
+            wx = w * x
+            wq = w * q
+            sums.one += w
+            sums.x += wx
+            sums.q += wq
+            sums.xx += wx * x
+            sums.xq += wx * q
+            sums.qq += wq * q
+            sums.y += w * points.y[i]
+            sums.xy += wx * points.y[i]
+            sums.qy += wq * points.y[i]
+        fit.sums = sums
+        if not _solve(fit, rules.prior):
+            return False
+    return True
+
+
+cdef void _judge(const Given* points, const Chosen* chosen, Fit* fit) noexcept nogil:
+    """How far the chosen points reach, and how far they lie off."""
+    cdef Py_ssize_t k
+    cdef double off
+    cdef double squares = 0.0, weights = 0.0
+    fit.reached = points.x[chosen.at[0]]
+    for k in range(chosen.count):
+        off = _beside(points, fit, chosen.at[k]) / points.std[chosen.at[k]]
+        squares += off * off * chosen.weight[k]
+        weights += chosen.weight[k]
+        fit.reached = max(fit.reached, points.x[chosen.at[k]])
+    fit.spread = squares / weights
+
+
+cdef bint _followed(const Given* points, Chosen* chosen, const Rules* rules, Fit* fit) noexcept nogil:
+    cdef double reach = rules.reach
+    while True:
+        _choose(points, fit, rules, reach, chosen)
+        if chosen.count < rules.least_points or _share_rows(points, chosen) < rules.least_rows:
+            return False
+        if not _fit_chosen(points, chosen, rules, fit):
+            return False
+        if reach >= rules.farthest:
+            _judge(points, chosen, fit)
+            return True
+        reach = min(reach + rules.step, rules.farthest)
+
+
+cdef class _Held:
+    """Points, and what keeps them where they are."""
+
+    cdef const double[::1] x, y, std, inside, outside
+    cdef const int64_t[::1] rows
+    cdef Given given
+
+    def __init__(self, points):
+        self.x, self.y, self.std, self.rows = points.x, points.y, points.std, points.rows
+        self.inside, self.outside = points.inside, points.outside
+        cdef Py_ssize_t count = self.x.shape[0]
+        for length in (self.y.shape[0], self.std.shape[0], self.rows.shape[0], self.inside.shape[0],
+                       self.outside.shape[0]):
+            if length != count:
+                raise ValueError(f"expected {count} numbers of every kind, got {length}")
+        self.given.count = count
+        if count:
+            self.given = Given(
+                count, &self.x[0], &self.y[0], &self.std[0], &self.rows[0], &self.inside[0], &self.outside[0]
+            )
+
+
+cdef Py_ssize_t _rows_beside(
+    const Given* points, const Fit* fit, double inward, double reach, double line
+) noexcept nogil:
+    cdef Py_ssize_t i, last = -1, found = 0
+    cdef double aside
+    for i in range(points.count):
+        if not points.x[i] <= reach or (last >= 0 and points.rows[i] == points.rows[last]):
+            continue
+        aside = inward * _beside(points, fit, i) - line
+        if aside < points.inside[i] and aside > -points.outside[i]:
+            last = i
+            found += 1
+    return found
+
+
+def rows_beside(points, state, double inward, double reach, asides):
+    """See ``lanes_plain.rows_beside``.
+
+    Raises:
+        ValueError: there are not as many numbers of every kind.
+    """
+    cdef _Held held = _Held(points)
+    cdef Fit fit
+    fit.s0, fit.s1, fit.s2 = state
+    return tuple([_rows_beside(&held.given, &fit, inward, reach, line) for line in asides])
+
+
+def follow(points, first, how, weighing):
+    """See ``lanes_plain.follow``.
+
+    Raises:
+        ValueError: there are not as many numbers of every kind.
+    """
+    cdef _Held held = _Held(points)
+    cdef Given given = held.given
+    cdef Py_ssize_t count = given.count
+    if not count:
+        return None
+    cdef Rules rules = Rules(
+        how.inward, how.reach, how.step, how.farthest, how.innermost, how.least_points, how.least_rows,
+        weighing.huber, weighing.alike, weighing.prior,
+    )
+    cdef Fit fit
+    fit.s0, fit.s1, fit.s2 = first
+    cdef bint found
+    cdef double* numbers = <double*>malloc(2 * count * sizeof(double))
+    cdef Py_ssize_t* at = <Py_ssize_t*>malloc(count * sizeof(Py_ssize_t))
+    cdef Chosen chosen = Chosen(0, at, numbers, numbers + count)
+    try:
+        if not numbers or not at:
+            raise MemoryError
+        with nogil:
+            found = _followed(&given, &chosen, &rules, &fit)
+    finally:
+        free(numbers)
+        free(at)
+    if not found:
+        return None
+    s = fit.sums
+    return Quadratic(
+        (fit.s0, fit.s1, fit.s2), (s.one, s.x, s.q, s.xx, s.xq, s.qq), fit.spread, fit.reached
+    )

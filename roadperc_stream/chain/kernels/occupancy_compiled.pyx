@@ -1,0 +1,186 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+"""Points counted in the cells of a grid, and the cells that are visible: ``occupancy_plain`` says which.
+
+A row at a time: first what vectors can do, the points, their heights and cells; then the counting.
+"""
+
+from libc.float cimport FLT_MAX
+from libc.math cimport fabs, fabsf, rint
+from libc.stdint cimport int32_t, int64_t, uint8_t
+
+import numpy as np
+
+from roadperc_stream.chain.kernels.occupancy_plain import require_belonging, require_cells
+
+cdef enum:
+    DRIVABLE = 1
+    MOST = 256
+
+cdef struct Rules:
+    float x_min, y_min, resolution, lowest, highest
+    int32_t columns, rows
+
+cdef struct Road:
+    float a, b, d
+
+cdef struct Points:  # of neighbouring pixels: numbers of one size in one place, for loops over them to become vectors
+    float depth[MOST]
+    float x_part[MOST]
+    float y_part[MOST]
+    float z_part[MOST]
+    float x[MOST]
+    float y[MOST]
+    float height[MOST]
+    int32_t drivable[MOST]
+    int32_t obstacle[MOST]
+    int32_t place[MOST]
+    int32_t kind[MOST]
+
+
+cdef void _point(Points* points, float x, float y, float z, const Road* road, int count) noexcept nogil:
+    """The points at their depths, and how high above a plane they are."""
+    cdef int k
+    cdef float at_z
+    for k in range(count):
+        points.x[k] = points.x_part[k] * points.depth[k] + x
+        points.y[k] = points.y_part[k] * points.depth[k] + y
+        at_z = points.z_part[k] * points.depth[k] + z
+        points.height[k] = at_z - ((road.d - road.a * points.x[k]) - road.b * points.y[k])
+
+
+cdef void _sort(const Rules* rules, Points* points, int count) noexcept nogil:
+    """Each point's cell, 0 where it lies in none, and what it counts as, nothing there."""
+    cdef int k
+    cdef int32_t kind, inside
+    cdef float i, j, height
+    for k in range(count):
+        height = points.height[k]
+        kind = points.drivable[k] & (fabsf(height) <= FLT_MAX)
+        kind |= (((height >= rules.lowest) | points.obstacle[k]) & (height <= rules.highest)) << 1
+        i = (points.x[k] - rules.x_min) / rules.resolution
+        j = (points.y[k] - rules.y_min) / rules.resolution
+        inside = (i >= 0) & (i < rules.columns) & (j >= 0) & (j < rules.rows)
+        i = i if inside else <float>0.0
+        j = j if inside else <float>0.0
+        points.place[k] = <int32_t>j * rules.columns + <int32_t>i  # what is cut off is what floor takes
+        points.kind[k] = kind if inside else 0
+
+
+cdef void _count(const Points* points, int64_t* free, int64_t* occupied, int count) noexcept nogil:
+    """Neighbours mostly lie in one cell, to which they are added together."""
+    cdef int k
+    cdef int32_t place = 0, on_road = 0, in_the_way = 0
+    for k in range(count):
+        if points.place[k] != place:
+            free[place] += on_road
+            occupied[place] += in_the_way
+            place, on_road, in_the_way = points.place[k], 0, 0
+        on_road += points.kind[k] & DRIVABLE
+        in_the_way += points.kind[k] >> 1
+    free[place] += on_road
+    occupied[place] += in_the_way
+
+
+def count_points(
+    cells, pixels, rays, const float[::1] abd, int64_t[:, ::1] free, int64_t[:, ::1] occupied,
+):
+    cdef const float[:, :] depth_m = pixels[0], height_m = pixels[1]
+    cdef const uint8_t[:, :] drivable = pixels[2], tags = pixels[3]
+    cdef const uint8_t[::1] obstacle_tags = pixels[4]
+    cdef const float[:, ::1] column = rays[0], parts = rays[1]
+    cdef const float[::1] start = rays[2]
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, u, first, block
+    cdef bint is_plane = height_m is None
+    cdef Rules rules
+    cdef Road road
+    cdef Points points
+    cdef int count, k
+    require_belonging(
+        (height, width), (column.shape[0], column.shape[1]), (parts.shape[0], parts.shape[1]), (start.shape[0],),
+        (abd.shape[0],), None if is_plane else (height_m.shape[0], height_m.shape[1]),
+        (drivable.shape[0], drivable.shape[1]), (tags.shape[0], tags.shape[1]), (obstacle_tags.shape[0],),
+        (free.shape[0], free.shape[1]), (occupied.shape[0], occupied.shape[1]),
+    )
+    rules.x_min, rules.y_min, rules.resolution = cells.x_min, cells.y_min, cells.resolution
+    rules.lowest, rules.highest = cells.min_height, cells.max_height
+    rules.rows, rules.columns = free.shape[0], free.shape[1]
+    if not free.size or not width:
+        return
+    road = Road(abd[0], abd[1], abd[2])
+    with nogil:
+        for v in range(height):
+            for block in range((width + MOST - 1) // MOST):
+                first = block * MOST
+                count = <int>min(width - first, <Py_ssize_t>MOST)
+                for k in range(count):
+                    u = first + k
+                    points.depth[k] = depth_m[v, u]
+                    points.x_part[k] = parts[0, v] + column[0, u]
+                    points.y_part[k] = parts[1, v] + column[1, u]
+                    points.z_part[k] = parts[2, v] + column[2, u]
+                    points.drivable[k] = drivable[v, u]
+                    points.obstacle[k] = obstacle_tags[tags[v, u]]
+                _point(&points, start[0], start[1], start[2], &road, count)
+                for k in range(0 if is_plane else count):
+                    points.height[k] = height_m[v, first + k]
+                _sort(&rules, &points, count)
+                _count(&points, &free[0, 0], &occupied[0, 0], count)
+
+
+cdef enum:
+    MOST_OF_NINE = 5  # of nine
+
+cdef double NEAREST_SEEN_M = 1e-6
+
+
+cdef inline bint _is_mostly(const uint8_t[:, :] drivable, Py_ssize_t v, Py_ssize_t u) noexcept nogil:
+    """Whether most of a pixel and its eight neighbours are drivable; beyond the image lies what is at its edge."""
+    cdef Py_ssize_t last_row = drivable.shape[0] - 1, last_column = drivable.shape[1] - 1, row, k
+    cdef Py_ssize_t left = u - 1 if u > 0 else 0, right = u + 1 if u < last_column else last_column
+    cdef int found = 0
+    for k in range(-1, 2):
+        row = v + k
+        row = 0 if row < 0 else last_row if row > last_row else row
+        found += drivable[row, left] + drivable[row, u] + drivable[row, right]
+    return found >= MOST_OF_NINE
+
+
+def mark_visible(
+    projection, const double[:, ::1] camera_T_ego, middles, const uint8_t[:, :] drivable, const float[:, :] depth_m,
+    within,
+):
+    cdef const double[::1] x_m = middles[0], y_m = middles[1]
+    cdef const double[:, ::1] z_m = middles[2]
+    cdef double fx, fy, cx, cy, x, y, z, right, down, ahead, column, row
+    cdef Py_ssize_t j, i, v, u, height = drivable.shape[0], width = drivable.shape[1]
+    cdef const double* T
+    cdef bint seen
+    require_cells(
+        (camera_T_ego.shape[0], camera_T_ego.shape[1]), (x_m.shape[0],), (y_m.shape[0],), (z_m.shape[0], z_m.shape[1]),
+        (height, width), None if depth_m is None else (depth_m.shape[0], depth_m.shape[1]),
+    )
+    cdef double tolerance = within[0], slack_m = within[1]
+    cdef uint8_t[:, ::1] visible = np.empty((z_m.shape[0], z_m.shape[1]), np.uint8)
+    fx, fy, cx, cy = projection
+    T = &camera_T_ego[0, 0]
+    with nogil:
+        for j in range(y_m.shape[0]):
+            y = y_m[j]
+            for i in range(x_m.shape[0]):
+                x = x_m[i]
+                z = z_m[j, i]
+                ahead = T[8] * x + T[9] * y + T[10] * z + T[11]
+                seen = False
+                if ahead > NEAREST_SEEN_M:
+                    right = T[0] * x + T[1] * y + T[2] * z + T[3]
+                    down = T[4] * x + T[5] * y + T[6] * z + T[7]
+                    column = rint(fx * right / ahead + cx)
+                    row = rint(fy * down / ahead + cy)
+                    if column >= 0 and column < width and row >= 0 and row < height:
+                        v = <Py_ssize_t>row
+                        u = <Py_ssize_t>column
+                        seen = _is_mostly(drivable, v, u)
+                        if seen and depth_m is not None:
+                            seen = fabs(<double>depth_m[v, u] - ahead) <= tolerance * ahead + slack_m
+                visible[j, i] = seen
+    return np.asarray(visible)

@@ -1,0 +1,169 @@
+"""What ``stereo_compiled`` does, in numpy and OpenCV."""
+
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+_PARTS: Final = 16
+_MOST_PX: Final = 0.5
+"""A larger change than half a pixel matched contradicts the matching, which stands then."""
+_SLOPE_NOISE: Final = 1.0
+"""Variance of the slope, (grey levels per pixel)^2, that 8-bit pixels and their noise have without any texture."""
+
+
+def refined_disparities(
+    sixteenths: NDArray[np.int16], left: NDArray[np.uint8], right: NDArray[np.uint8], size: int
+) -> Float32:
+    """Disparities moved by the step that best explains what is left of the difference, in each pixel's square.
+
+    Least squares of ``left = moved right - step * slope + offset`` over the square's known pixels; the offset takes up
+    cameras that are not equally bright.
+
+    Args:
+        sixteenths: (H, W) disparities in sixteenths of a pixel; what is not above 0 is unknown.
+        left: (H, W) grey.
+        right: (H, W) grey.
+        size: side of the squares, odd.
+
+    Returns:
+        (H, W) pixels, NaN unknown.
+
+    Raises:
+        ValueError: other sizes.
+    """
+    height, width = sixteenths.shape
+    if not sixteenths.shape == left.shape == right.shape:
+        raise ValueError(
+            f"{height}x{width} disparities of {left.shape[0]}x{left.shape[1]} and "
+            f"{right.shape[0]}x{right.shape[1]} pixels: expected one size"
+        )
+    if size < 1 or size % 2 == 0:
+        raise ValueError(f"squares of {size} pixels: expected an odd number")
+    if not sixteenths.size:
+        return np.empty((height, width), np.float32)
+    known = sixteenths > 0
+    disparity_px = sixteenths * np.float32(1 / _PARTS)
+    columns = np.arange(width, dtype=np.float32) - np.where(known, disparity_px, np.float32(0))
+    rows = np.tile(np.arange(height, dtype=np.float32)[:, None], (1, width))
+    grey = right.astype(np.float32)
+    weight = known.astype(np.float32)
+    slopes = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
+    slope = np.asarray(cv2.remap(slopes, columns, rows, cv2.INTER_LINEAR), np.float32) * weight
+    moved = np.asarray(cv2.remap(grey, columns, rows, cv2.INTER_LINEAR), np.float32)
+    difference = (left - moved) * weight
+
+    def mean(values: Float32) -> Float32:
+        return np.asarray(cv2.boxFilter(values, -1, (size, size)), np.float32)
+
+    share = np.maximum(mean(weight), np.float32(1 / size**2))
+    mean_slope = mean(slope)
+    covariance = mean(slope * difference) - mean_slope * mean(difference) / share
+    variance = mean(slope * slope) - mean_slope**2 / share
+    step_px = -covariance / (variance + np.float32(_SLOPE_NOISE))
+    moved_px = np.where(np.abs(step_px) <= _MOST_PX, disparity_px + step_px, disparity_px)
+    return np.where(known, moved_px, np.float32(np.nan))
+
+
+def doubled(half: Float32, step_px: float) -> Float32:
+    """Disparities in pixels of an image, of such in pixels half as fine.
+
+    Between pixels they are linear, rounded once along a row and once along a column, but at the border of two things
+    the nearest pixel's: between them is a point in mid-air. So they are where one of the neighbours is unknown.
+
+    Args:
+        half: (H, W), NaN unknown.
+        step_px: disparities that differ by as much, in pixels of the image, belong to two things.
+
+    Returns:
+        (2H, 2W), NaN unknown.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        twice = half * np.float32(2)
+        nearest = np.repeat(np.repeat(twice, 2, axis=0), 2, axis=1)
+        smooth = _with_between(_with_between(twice).T).T
+        within = np.abs(smooth - nearest) < np.float32(step_px)
+    return np.where(within, smooth, nearest)
+
+
+def _with_between(values: Float32) -> Float32:
+    """(H, 2W) values a quarter of the way from each of (H, W) to the next and the one before; at the ends its own.
+
+    In float64: disparities are near enough to each other for that to round as a processor does that multiplies and adds
+    at once, as OpenCV has it do.
+    """
+    here, following = values[:, :-1], values[:, 1:]
+    between = np.repeat(values, 2, axis=1)
+    rise = (following - here).astype(float)
+    between[:, 1:-1:2] = here + rise * 0.25
+    between[:, 2:-1:2] = here + rise * 0.75
+    return between
+
+
+class DisparityLimits(NamedTuple):
+    """A disparity is ``scale_px_m`` over its depth, and bad if it is off by more than ``bad_px`` and ``bad_share``.
+
+    Pixels truly farther than ``max_depth_m`` do not count; the share is that of the true disparity.
+    """
+
+    scale_px_m: float
+    max_depth_m: float
+    bad_px: float
+    bad_share: float
+
+
+def disparity_errors(
+    estimated_m: Float32, true_m: Float32, seen: NDArray[np.bool_], limits: DisparityLimits
+) -> tuple[Float32, Float32, int, int]:
+    """How far an estimated depth is off over the pixels that count, those seen whose true depth is below the largest.
+
+    All in float32.
+
+    Args:
+        estimated_m: (H, W); where its disparity is not finite nothing is known.
+        true_m: (H, W).
+        seen: (H, W) pixels.
+        limits: of depths and of errors.
+
+    Returns:
+        (N,) absolute errors of the disparity and (N,) relative ones of the depth where it is known, row by row, and the
+        numbers of pixels that count and whose disparity is bad.
+
+    Raises:
+        ValueError: other sizes.
+    """
+    if not estimated_m.shape == true_m.shape == seen.shape:
+        raise ValueError(f"{estimated_m.shape}, {true_m.shape}, {seen.shape}: expected one size")
+    scale_px_m, max_depth_m, bad_px, bad_share = limits
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        estimated_px, true_px = (np.float32(scale_px_m) / depth_m for depth_m in (estimated_m, true_m))
+        counted = seen & (true_m < np.float32(max_depth_m))
+        known = counted & np.isfinite(estimated_px)
+        error_px = np.abs(estimated_px - true_px)
+        bad = known & (error_px > np.float32(bad_px)) & (error_px > np.float32(bad_share) * true_px)
+        relative = np.abs(estimated_m - true_m) / true_m
+    return error_px[known], relative[known], int(np.count_nonzero(counted)), int(np.count_nonzero(bad))
+
+
+def seen_by_both(disparity_px: NDArray[np.float32], occlusion_px: float) -> NDArray[np.bool_]:
+    """(H, W) pixels that nothing hides whose disparity is more than ``occlusion_px`` larger.
+
+    Each pixel is drawn into the right image, into the two columns it falls between.
+
+    Args:
+        disparity_px: (H, W) true disparities; what is not above 0, as NaN, is not seen.
+        occlusion_px: pixels.
+    """
+    height, width = disparity_px.shape
+    partner = np.arange(width, dtype=np.float32) - disparity_px
+    inside = (disparity_px > 0) & (partner >= 0)
+    starts = np.repeat(width * np.arange(height), np.count_nonzero(inside, axis=1))
+    partner, seen_px = partner[inside], disparity_px[inside]
+    nearest_px = np.zeros(height * width, np.float32)
+    for column in (np.floor(partner), np.ceil(partner)):  # flat places: maximum.at is twice as fast with one index
+        np.maximum.at(nearest_px, starts + column.astype(np.intp), seen_px)
+    nearest_there = nearest_px[starts + np.rint(partner).astype(np.intp)]
+    inside[inside] = nearest_there <= seen_px + np.float32(occlusion_px)
+    return inside

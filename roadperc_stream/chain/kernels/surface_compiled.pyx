@@ -1,0 +1,290 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
+"""Pixels near a plane, medians of cells, and equations as a band: ``surface_plain`` says what they are.
+
+Medians by Hoare's quickselect (1961) among keys, unsigned numbers in the order of value and place.
+"""
+
+from libc.math cimport fabsf
+from libc.stdint cimport int32_t, int64_t, uint32_t, uint64_t, uint8_t
+from libc.stdlib cimport free, malloc
+from libc.string cimport memcpy
+
+import numpy as np
+
+cdef enum:
+    MOMENTS = 6
+    WORDS = 8  # of eight marks
+    BLOCK = 64  # marks in so many words, of which only the number is kept
+
+cdef uint64_t EACH_BYTE = 0x0101010101010101
+
+
+cdef void _mark_row(
+    const float* depth, const float* column, float row, float offset, float within, const uint8_t* among, uint8_t* near,
+    Py_ssize_t width,
+) noexcept nogil:
+    cdef Py_ssize_t u
+    cdef float distance
+    for u in range(width):
+        distance = depth[u] * (row + column[u]) + offset
+        near[u] = among[u] & (fabsf(distance) <= within)
+
+
+cdef int _count_row(
+    const float* depth, const float* column, float row, float offset, float within, const uint8_t* among,
+    Py_ssize_t width,
+) noexcept nogil:
+    cdef Py_ssize_t u
+    cdef int count = 0
+    cdef float distance
+    for u in range(width):
+        distance = depth[u] * (row + column[u]) + offset
+        count += (fabsf(distance) <= within) & among[u]
+    return count
+
+
+cdef int _choose_row(
+    const float* depth, const float* column, float row, float offset, float within, const uint8_t* among, float* z,
+    Py_ssize_t width,
+) noexcept nogil:
+    """The depths that count, and 0 for all others; how many do."""
+    cdef Py_ssize_t u
+    cdef int count = 0, near
+    cdef float distance
+    for u in range(width):
+        distance = depth[u] * (row + column[u]) + offset
+        near = (fabsf(distance) <= within) & among[u]
+        z[u] = depth[u] if near else <float>0.0
+        count += near
+    return count
+
+
+cdef void _sum_row(const float* z, const float* ray_x, double* sums, Py_ssize_t width) noexcept nogil:
+    """From the first depth that is not 0 to the last one: what is beside them adds nothing."""
+    cdef Py_ssize_t u, first = 0
+    cdef double depth, x, one_z = 0.0, one_x = 0.0, zz = 0.0, xz = 0.0, xx = 0.0
+    while first < width and z[first] == 0:
+        first += 1
+    while first < width and z[width - 1] == 0:
+        width -= 1
+    for u in range(first, width):
+        depth = z[u]
+        x = ray_x[u] * z[u]
+        one_z += depth
+        one_x += x
+        zz += depth * depth
+        xz += x * depth
+        xx += x * x
+    sums[1] = one_z
+    sums[2] = one_x
+    sums[3] = zz
+    sums[4] = xz
+    sums[5] = xx
+
+
+def mark_near(
+    const float[:, ::1] depth_m, distances, float within_m,
+    const uint8_t[:, ::1] among, uint8_t[:, ::1] near,
+):
+    cdef const float[::1] column = distances[0], row = distances[1]
+    cdef float offset_m = distances[2]
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v
+    _require_fitting(height, width, column.shape[0], row.shape[0], among.shape[0], among.shape[1])
+    _require_fitting(height, width, column.shape[0], row.shape[0], near.shape[0], near.shape[1])
+    with nogil:
+        for v in range(height if width else 0):
+            _mark_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], &near[v, 0], width)
+
+
+def count_near(
+    const float[:, ::1] depth_m, distances, float within_m,
+    const uint8_t[:, ::1] among,
+):
+    cdef const float[::1] column = distances[0], row = distances[1]
+    cdef float offset_m = distances[2]
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, count = 0
+    _require_fitting(height, width, column.shape[0], row.shape[0], among.shape[0], among.shape[1])
+    with nogil:
+        for v in range(height if width else 0):
+            count += _count_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], width)
+    return count
+
+
+def moments_near(
+    const float[:, ::1] depth_m, distances, float within_m,
+    const uint8_t[:, ::1] among, const float[::1] ray_x,
+):
+    cdef const float[::1] column = distances[0], row = distances[1]
+    cdef float offset_m = distances[2]
+    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, count
+    _require_fitting(
+        height, width, column.shape[0] if column.shape[0] == ray_x.shape[0] else -1, row.shape[0], among.shape[0],
+        among.shape[1],
+    )
+    cdef double[:, ::1] sums = np.zeros((height, MOMENTS))
+    cdef float* z = <float*>malloc((width + 1) * sizeof(float))
+    if not z:
+        raise MemoryError
+    with nogil:
+        for v in range(height if width else 0):
+            count = _choose_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], z, width)
+            sums[v, 0] = count
+            if count:
+                _sum_row(z, &ray_x[0], &sums[v, 0], width)
+    free(z)
+    return np.asarray(sums)
+
+
+cdef int64_t _sum_of_block(const uint8_t* marks) noexcept nogil:
+    """How many of a block are 1: eight at once, for eight bytes in a word can be added up to 255 each."""
+    cdef uint64_t words[WORDS]
+    cdef uint64_t total = 0
+    cdef int k
+    memcpy(words, marks, BLOCK)
+    for k in range(WORDS):
+        total += words[k]
+    return <int64_t>((total * EACH_BYTE) >> 56)
+
+
+def marked(const uint8_t[:, ::1] marks, const int64_t[::1] ranks):
+    cdef Py_ssize_t size = marks.shape[0] * marks.shape[1], blocks = size // BLOCK, n, low, high, middle, at
+    cdef const uint8_t* first = &marks[0, 0] if size else NULL
+    cdef int64_t left, total
+    cdef int64_t[::1] before = np.empty(blocks + 1, np.int64), places = np.empty(ranks.shape[0], np.int64)
+    before[0] = 0
+    with nogil:
+        for n in range(blocks):
+            before[n + 1] = before[n] + _sum_of_block(first + n * BLOCK)
+        total = before[blocks]
+        for at in range(blocks * BLOCK, size):
+            total += first[at]
+    for n in range(ranks.shape[0]):
+        if not 0 <= ranks[n] < total:
+            raise IndexError(f"mark {ranks[n]} of {total}")
+    with nogil:
+        for n in range(ranks.shape[0]):
+            low = 0
+            high = blocks + 1
+            while high - low > 1:
+                middle = (low + high) // 2
+                if before[middle] <= ranks[n]:
+                    low = middle
+                else:
+                    high = middle
+            left = ranks[n] - before[low] + 1
+            at = low * BLOCK - 1
+            while left > 0 and at + 1 < size:  # ends within the image whatever the marks are
+                at += 1
+                left -= first[at]
+            places[n] = at
+    return np.asarray(places)
+
+
+cdef _require_fitting(
+    Py_ssize_t height, Py_ssize_t width, Py_ssize_t columns, Py_ssize_t rows, Py_ssize_t mark_rows,
+    Py_ssize_t mark_columns,
+):
+    if (rows, columns) != (height, width) or (mark_rows, mark_columns) != (height, width):
+        raise ValueError(
+            f"{rows}x{columns} distances and {(mark_rows, mark_columns)} marks of {height}x{width} depths"
+        )
+
+
+cdef inline uint64_t _key(float value, Py_ssize_t place) noexcept nogil:
+    """The bits of a float grow with it but for its sign; 0 is added for the sake of -0."""
+    cdef uint32_t bits
+    value = value + <float>0.0
+    memcpy(&bits, &value, sizeof(bits))
+    bits = ~bits if bits >> 31 else bits | (<uint32_t>1 << 31)
+    return (<uint64_t>bits << 32) | <uint64_t>place
+
+
+cdef uint64_t _select(uint64_t* keys, Py_ssize_t count, Py_ssize_t rank) noexcept nogil:
+    """The key of a rank; no two are equal."""
+    cdef Py_ssize_t low = 0, high = count - 1, i, j
+    cdef uint64_t pivot, other
+    while low < high:
+        pivot = keys[low + (high - low) // 2]
+        i = low
+        j = high
+        while i <= j:
+            while keys[i] < pivot:
+                i += 1
+            while keys[j] > pivot:
+                j -= 1
+            if i <= j:
+                other = keys[i]
+                keys[i] = keys[j]
+                keys[j] = other
+                i += 1
+                j -= 1
+        if rank <= j:
+            high = j
+        elif rank >= i:
+            low = i
+        else:
+            break
+    return keys[rank]
+
+
+def median_places(const int32_t[::1] cell, const float[::1] values, Py_ssize_t cells):
+    cdef Py_ssize_t count = cell.shape[0], n, c, first, size, found = 0
+    if count != values.shape[0]:
+        raise ValueError(f"{values.shape[0]} values in {count} places of {cells} cells")
+    for n in range(count):
+        if not 0 <= cell[n] < cells:
+            raise ValueError(f"{values.shape[0]} values in {count} places of {cells} cells")
+    cdef int64_t[::1] end = np.zeros(cells + 1, np.int64)
+    cdef int64_t[::1] places = np.empty(min(count, cells), np.int64), counts = np.empty(min(count, cells), np.int64)
+    cdef uint64_t* keys = <uint64_t*>malloc((count + 1) * sizeof(uint64_t))
+    if not keys:
+        raise MemoryError
+    with nogil:
+        for n in range(count):
+            end[cell[n] + 1] += 1
+        for c in range(cells):
+            end[c + 1] += end[c]
+        for n in range(count):
+            c = cell[n]
+            keys[end[c]] = _key(values[n], n)
+            end[c] += 1  # from the cell's first place to the next cell's, by and by
+        first = 0
+        for c in range(cells):
+            size = end[c] - first
+            if size:
+                places[found] = <uint32_t>_select(keys + first, size, (size - 1) // 2)
+                counts[found] = size
+                found += 1
+            first = end[c]
+    free(keys)
+    return np.asarray(places)[:found], np.asarray(counts)[:found]
+
+
+def normal_equations(
+    const Py_ssize_t[:] first, const double[:, ::1] values, const double[:] weights, const double[:] targets,
+    Py_ssize_t count,
+):
+    """As ``surface_plain``.
+
+    Raises:
+        ValueError: as there.
+    """
+    cdef Py_ssize_t equations = values.shape[0], unknowns = values.shape[1], n, i, j, at
+    cdef double weight, pull
+    if not first.shape[0] == weights.shape[0] == targets.shape[0] == equations:
+        raise ValueError(f"{equations} equations, {first.shape[0]} places, {weights.shape[0]} weights, "
+                         f"{targets.shape[0]} targets")
+    for n in range(equations):
+        if not 0 <= first[n] <= count - unknowns:
+            raise ValueError(f"unknowns {first[n]} to {first[n] + unknowns - 1} of {count}")
+    cdef double[:, ::1] lower = np.zeros((unknowns, count))
+    cdef double[::1] right = np.zeros(count)
+    with nogil:
+        for n in range(equations):
+            at, weight = first[n], weights[n]
+            pull = weight * targets[n]
+            for i in range(unknowns):
+                right[at + i] += pull * values[n, i]
+                for j in range(i + 1):
+                    lower[i - j, at + j] += weight * (values[n, i] * values[n, j])
+    return np.asarray(lower), np.asarray(right)

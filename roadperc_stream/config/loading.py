@@ -1,0 +1,121 @@
+"""A configuration from a TOML file and single settings."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ValidationError
+
+from roadperc_stream.config.catalogue import Setting, catalogue
+from roadperc_stream.config.replay import ReplayConfig
+from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
+from roadperc_stream.errors import ConfigError
+from roadperc_stream.system.nearest import nearest
+
+_KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a number "}
+"""Types of settings that their ranges do not say."""
+
+
+def load_config(path: str | Path | None = None, settings: str | Sequence[str] = ()) -> ReplayConfig:
+    """Configuration of a TOML file and ``KEY=VALUE`` settings, the settings winning.
+
+    Args:
+        path: TOML file with any part of the keys; None for the defaults.
+        settings: one or several such as ``lanes.hold_s=0.8``; the value is TOML, a bare word is a string.
+
+    Raises:
+        ConfigError: the file cannot be read, or a key or value does not fit; the message names it.
+
+    """
+    tree = _read_toml(Path(path)) if path else {}
+    for setting in [settings] if isinstance(settings, str) else settings:
+        key, separator, value = setting.partition("=")
+        if not separator:
+            raise ConfigError(f"setting {setting}: expected KEY=VALUE, such as lanes.hold_s=0.8")
+        _assign(tree, key.strip().split("."), _toml_value(value.strip()), setting)
+    return validated(tree, f"{path}: " if path else "")
+
+
+def validated(tree: Mapping[str, Any], source: str) -> ReplayConfig:
+    """Configuration of nested mappings, any part of the keys.
+
+    Args:
+        tree: such as ``{"lanes": {"hold_s": 0.8}}``.
+        source: what the message of an error begins with, such as ``a.toml: ``.
+
+    Raises:
+        ConfigError: a key or value does not fit; the message names it.
+    """
+    try:
+        return ReplayConfig.model_validate(tree)
+    except RecursionError as error:
+        raise ConfigError(f"{source}nested too deeply") from error
+    except ValidationError as error:
+        raise ConfigError(f"{source}{_complaint(error)}") from error
+
+
+def _complaint(error: ValidationError) -> str:
+    first = error.errors()[0]
+    keys = [str(part) for part in first["loc"][:2]]  # what follows are kinds of values, or places in a list
+    key = ".".join(keys)
+    if first["type"] == "extra_forbidden":
+        return _unknown(keys)
+    if first["type"] == "value_error":
+        return f"{key}: {first['ctx']['error']}"
+    setting = next((setting for setting in catalogue() if setting.key == key), None)
+    expected = f"expected {_expected(setting)}" if setting else first["msg"]
+    return f"{key}: {expected}, found {in_brief(first['input'])}"
+
+
+def _expected(setting: Setting) -> str:
+    """The values of a setting in words, such as ``a number 0 to 3600 (s)``."""
+    return f"{_KINDS.get(setting.type, '')}{setting.range}{f' ({setting.unit})' if setting.unit else ''}"
+
+
+def _unknown(keys: list[str]) -> str:
+    *sections, name = keys
+    model: type[BaseModel] = ReplayConfig
+    for section in sections:
+        model = type(model.model_fields[section].default)
+    return f"no setting {'.'.join(keys)}; {_known(sections, name, tuple(model.model_fields))}"
+
+
+def _known(sections: list[str], name: str, names: tuple[str, ...]) -> str:
+    """The nearest setting: in the same section, else one of that name in another; else all of the section."""
+    close = nearest(name, names)
+    near = _elsewhere(name) if close is None else [".".join((*sections, close))]
+    return f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(names)}"
+
+
+def _elsewhere(name: str) -> list[str]:
+    """The settings of any section that are called most nearly so; none where nothing is near."""
+    sections = {section: type(field.default) for section, field in ReplayConfig.model_fields.items()}
+    models = {section: model for section, model in sections.items() if issubclass(model, BaseModel)}
+    names = {key for model in models.values() for key in model.model_fields}
+    key = nearest(name, sorted(names))
+    return [f"{section}.{key}" for section, model in models.items() if key in model.model_fields]
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as stream:
+            return parsed_toml(stream.read(MOST_BYTES + 1))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def _toml_value(text: str) -> Any:
+    try:
+        return parsed_toml(f"value = {text}".encode())["value"]
+    except ConfigError:
+        return text
+
+
+def _assign(tree: dict[str, Any], keys: list[str], value: Any, setting: str) -> None:
+    for key in keys[:-1]:
+        tree = tree.setdefault(key, {})
+        if not isinstance(tree, dict):
+            raise ConfigError(f"setting {setting}: {key} is a value, not a table")
+    tree[keys[-1]] = value

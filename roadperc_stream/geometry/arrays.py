@@ -1,0 +1,25 @@
+"""Arrays in frozen dataclasses: their kinds, and the check that makes them read-only."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.uint16]
+
+
+def read_only(array: NDArray[Any], dtype: type[np.generic], shape: tuple[int | None, ...], name: str) -> None:
+    """Check an array's dtype and shape (None: any length) and forbid writing to it.
+
+    Raises:
+        ValueError: with what was expected and what came.
+
+    """
+    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=False))
+    if array.dtype != np.dtype(dtype) or not fits:
+        raise ValueError(f"{name}: expected {np.dtype(dtype)} {shape}, got {array.dtype} {array.shape}")
+    array.setflags(write=False)

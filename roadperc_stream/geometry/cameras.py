@@ -1,0 +1,165 @@
+"""Pinhole cameras: projection, rays, and projection matrices.
+
+Camera frames are optical (x right, y down, z forward). Pixel centres are at integers from 0.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.geometry.arrays import Float
+
+_SQUARE: Final = 0.05
+_SINGULAR: Final = 1e-9
+"""Share of a matrix's or a position's size below which a number is rounding."""
+_FOCAL_LENGTHS: Final = (1e-3, 1e3)
+"""Shortest and longest focal length of a camera, in image widths: far wider and far narrower than any lens."""
+_FARTHEST_CENTRE: Final = 10.0
+"""Image widths or heights by which the principal point may lie from the first pixel: the image may be cut out."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """The optics of an image that is not rectified yet: a pinhole of its own, distorted, and turned.
+
+    ``R`` is the (3, 3) rotation, row by row, from this lens's frame to the rectified camera's; ``model`` names the
+    meaning of the camera's ``distortion``, as foxglove.CameraCalibration does.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    R: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    model: str = ""
+
+    @property
+    def K(self) -> Float:
+        """(3, 3) intrinsic matrix, pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A rectified pinhole camera; ``baseline_m`` is set on the right camera of a rectified pair (P[0, 3] = -fx b).
+
+    With a ``lens`` its images are not rectified yet, and the lens says how to; with ``distortion`` but no lens nobody
+    knows how.
+    """
+
+    frame_id: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    baseline_m: float | None = None
+    distortion: tuple[float, ...] = ()
+    lens: Lens | None = None
+
+    @property
+    def K(self) -> Float:
+        """(3, 3) intrinsic matrix, pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns, as an array's shape."""
+        return (self.height, self.width)
+
+    @property
+    def square_pixels(self) -> bool:
+        """Whether fx and fy differ by no more than 5 %: those of real cameras and of CARLA's differ by far less."""
+        return abs(self.fx - self.fy) <= _SQUARE * max(self.fx, self.fy)
+
+    def same_view(self, other: "Camera") -> bool:
+        """Whether both cameras map a ray to the same pixel."""
+        ours = (self.width, self.height, self.fx, self.fy, self.cx, self.cy)
+        return ours == (other.width, other.height, other.fx, other.fy, other.cx, other.cy)
+
+
+def pinhole_fault(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> str | None:
+    """Why pixels of an image of that size cannot be those of a pinhole camera; None where they can.
+
+    Numbers beyond these limits are no camera's, and what follows from them is no depth but rounding.
+    """
+    shortest, longest = (length * width for length in _FOCAL_LENGTHS)
+    for name, found in (("fx", fx), ("fy", fy)):
+        if not shortest <= found <= longest:  # so put, NaN is refused too
+            return f"{name} {found:g}: expected {shortest:g} to {longest:g} pixels for an image {width} pixels wide"
+    for name, found, side in (("cx", cx, width), ("cy", cy, height)):
+        if not abs(found) <= _FARTHEST_CENTRE * side:
+            return f"{name} {found:g}: expected at most {_FARTHEST_CENTRE * side:g} pixels from 0 in an image of {side}"
+    return None
+
+
+def decompose_projection(P: Float) -> tuple[Float, Float, Float]:
+    """K, R and the camera's centre of a projection matrix P ~ K [R | -R centre].
+
+    P is known up to a factor of either sign. What is left free by the RQ decomposition of P's left half is fixed thus:
+    the diagonal of K is positive, K[2, 2] = 1 and det R = +1, so that R is a rotation and never a mirror.
+    Source: Hartley and Zisserman, Multiple View Geometry, 2004, section 6.2.4.
+
+    Args:
+        P: (3, 4), pixels.
+
+    Returns:
+        (3, 3) upper triangular K in pixels, (3, 3) rotation from the world's frame to the camera's, and the (3,) centre
+        -R^T K^-1 p4 in the world's frame.
+
+    Raises:
+        ValueError: P is of another shape, not finite, or singular: it has no camera at a finite place.
+    """
+    if P.shape != (3, 4) or not np.isfinite(P).all():
+        raise ValueError(f"expected a finite (3, 4) projection matrix, got {P.tolist()}")
+    M = P[:, :3].astype(float)
+    determinant = float(np.linalg.det(M))
+    if abs(determinant) <= _SINGULAR * float(np.prod(np.linalg.norm(M, axis=1))):
+        raise ValueError(f"no projection matrix of a camera: its left half is singular: {P.tolist()}")
+    upper, rotation = _rq(M * np.sign(determinant))
+    signs = np.sign(np.diag(upper))
+    K = upper * signs
+    return K / K[2, 2], signs[:, None] * rotation, -np.linalg.solve(M, P[:, 3])
+
+
+def _rq(M: Float) -> tuple[Float, Float]:
+    """Upper triangular and orthogonal factor of a (3, 3) matrix: the QR decomposition of its mirror image."""
+    Q, R = np.linalg.qr(M[::-1].T)
+    return R.T[::-1, ::-1], Q.T[::-1]
+
+
+def baseline_of(P_left: Float, P_right: Float) -> float:
+    """Distance in metres of the centres of two (3, 4) projection matrices that share a world.
+
+    Raises:
+        ValueError: a matrix is no projection, or both have one centre.
+    """
+    left, right = decompose_projection(P_left)[2], decompose_projection(P_right)[2]
+    baseline_m = float(np.linalg.norm(right - left))
+    if baseline_m <= _SINGULAR * float(np.linalg.norm(left)):
+        raise ValueError("both projection matrices have one and the same centre: no stereo pair")
+    return baseline_m
+
+
+def project(camera: Camera, points: Float) -> Float:
+    """(..., 2) pixels of (..., 3) points in the camera frame; NaN at or behind the camera."""
+    z = np.where(points[..., 2] > 1e-6, points[..., 2], np.nan)
+    pixels = np.empty((*z.shape, 2), z.dtype)
+    pixels[..., 0] = camera.fx * points[..., 0] / z + camera.cx
+    pixels[..., 1] = camera.fy * points[..., 1] / z + camera.cy
+    return pixels
+
+
+def rays(camera: Camera, pixels: Float) -> Float:
+    """(..., 3) directions with z = 1 of (..., 2) pixels."""
+    x = (pixels[..., 0] - camera.cx) / camera.fx
+    y = (pixels[..., 1] - camera.cy) / camera.fy
+    return np.stack((x, y, np.ones_like(x)), axis=-1)
+
+
+def unproject(camera: Camera, pixels: Float, depth_m: NDArray[np.floating[Any]]) -> Float:
+    """(..., 3) points in the camera frame of (..., 2) pixels with depth along z."""
+    return rays(camera, pixels) * np.asarray(depth_m)[..., None]

@@ -1,0 +1,175 @@
+"""Planes, and the road as a plane or a height field."""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.geometry.arrays import Float, Float32, read_only
+from roadperc_stream.geometry.cameras import Camera, rays
+
+SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "held", "estimated", "assumed", "truth"]
+SurfaceModel = Literal["plane", "spline"]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Points X with normal . X + offset_m = 0; the normal has unit length and points up, away from the road."""
+
+    normal: tuple[float, float, float]
+    offset_m: float
+
+    @classmethod
+    def of(cls, normal: Float, offset_m: float) -> "Plane":
+        """A plane from any normal that is not zero; it is scaled to unit length, offset included."""
+        length = float(np.linalg.norm(normal))
+        x, y, z = (float(c) / length for c in normal)
+        return cls((x, y, z), float(offset_m) / length)
+
+    @property
+    def n(self) -> Float:
+        """(3,) the normal as an array."""
+        return np.array(self.normal)
+
+    def distance(self, points: Float) -> Float:
+        """Signed distance in metres of (..., 3) points, positive above the plane."""
+        result: Float = points @ self.n + self.offset_m
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class HeightGrid:
+    """Road height z in metres at x = x_min_m + column * step_m, y = y_min_m + row * step_m (ego frame).
+
+    Hashed by identity, so that what follows from a grid alone can be kept beside it.
+    """
+
+    x_min_m: float
+    y_min_m: float
+    step_m: float
+    z_m: Float32 = field(repr=False)
+
+    def __post_init__(self) -> None:
+        read_only(self.z_m, np.float32, (None, None), "z_m")
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The road's plane in the frame ``frame_id`` of the camera its depth belongs to, and the same in the ego frame.
+
+    ``pitch`` (nose down positive) and ``roll`` (right side down positive) are the camera's against the plane, radians;
+    ``inlier_ratio`` is the share of the road's points that lie on the plane, None where none was fitted to points.
+    """
+
+    source: SurfaceSource
+    frame_id: str
+    plane: Plane
+    ego_plane: Plane
+    camera_height_m: float
+    pitch: float
+    roll: float
+    inlier_ratio: float | None = None
+    model: SurfaceModel = "plane"
+    height_grid: HeightGrid | None = None
+
+    @property
+    def measured(self) -> bool:
+        """Whether it is this frame's own, and not what stands in for one."""
+        return self.source not in ("held", "estimated", "assumed")
+
+    @property
+    def abd(self) -> tuple[float, float, float]:
+        """The plane as a x + b y + z = d in the ego frame: a and b without unit, d in metres."""
+        nx, ny, nz = self.ego_plane.normal
+        return nx / nz, ny / nz, -self.ego_plane.offset_m / nz
+
+
+def intersect_plane(camera: Camera, pixels: Float, plane: Plane) -> Float:
+    """(..., 3) points where the pixels' rays meet the plane (camera frame); NaN where they never do in front."""
+    directions = rays(camera, pixels)
+    slope = directions @ plane.n
+    with np.errstate(divide="ignore"):
+        depth = np.where(slope < 0, -plane.offset_m / slope, np.nan)
+    return directions * depth[..., None]
+
+
+def distance_per_depth(camera: Camera, plane: Plane) -> tuple[Float32, Float32]:
+    """(W,) part of every column, and (H,) of every row, of n . ray, by which the distance to a plane grows with depth.
+
+    The signed distance of pixel (u, v) at depth z is z (n . ray) + offset: no points are needed.
+
+    Args:
+        camera: of the depth.
+        plane: in its frame.
+    """
+    nx, ny, nz = plane.normal
+    column = (np.arange(camera.width) - camera.cx) * (nx / camera.fx)
+    row = (np.arange(camera.height) - camera.cy) * (ny / camera.fy) + nz
+    return column.astype(np.float32), row.astype(np.float32)
+
+
+def transform_plane(a_T_b: Float, plane_b: Plane) -> Plane:
+    """The same plane in frame a."""
+    normal = a_T_b[:3, :3] @ plane_b.n
+    return Plane.of(normal, plane_b.offset_m - float(normal @ a_T_b[:3, 3]))
+
+
+def fit_plane(points: NDArray[np.floating[Any]], chosen: NDArray[np.bool_] | None = None) -> Plane:
+    """Total least squares plane of (N, 3) points: the direction of least scatter about the centroid.
+
+    The sign is free; see ``facing`` to choose it. Source: the eigenvector of the smallest eigenvalue of the scatter
+    matrix (Pearson 1901).
+
+    Args:
+        points: metres.
+        chosen: (N,) the points that count; None for all.
+
+    Raises:
+        ValueError: fewer than three points count.
+    """
+    weights = np.ones(len(points), points.dtype) if chosen is None else chosen.astype(points.dtype)
+    count = float(weights.sum())
+    if count < 3:
+        raise ValueError(f"a plane needs three points, got {count:.0f}")
+    centroid = (weights @ points).astype(float) / count
+    centred = (points - centroid.astype(points.dtype)).T
+    # Six dot products, for the lower triangle alone is read: a matrix product of two such thin ones takes far longer.
+    scatter, weighted = np.zeros((3, 3)), np.empty_like(weights)
+    for i, coordinate in enumerate(centred):
+        np.multiply(weights, coordinate, out=weighted)
+        scatter[i, : i + 1] = [weighted @ other for other in centred[: i + 1]]
+    return plane_of_scatter(centroid, scatter)
+
+
+def plane_of_scatter(centroid: Float, scatter: Float) -> Plane:
+    """The plane through a (3,) centroid in the direction of least scatter, as of ``fit_plane``.
+
+    Args:
+        centroid: metres.
+        scatter: (3, 3) about the centroid; what lies above the diagonal is not read.
+    """
+    _, vectors = np.linalg.eigh(scatter, UPLO="L")
+    normal = vectors[:, 0]
+    return Plane.of(normal, -float(normal @ centroid))
+
+
+def facing(plane: Plane, point: Float) -> Plane:
+    """The plane with its normal turned to the side on which the point lies."""
+    if float(plane.distance(point)) >= 0:
+        return plane
+    return Plane.of(-plane.n, -plane.offset_m)
+
+
+def camera_pitch_roll(plane: Plane) -> tuple[float, float]:
+    """Pitch (nose down positive) and roll (right side down positive) in radians of a camera against a plane.
+
+    The plane is given in the camera frame. A level camera over a level road has the normal (0, -1, 0).
+    """
+    nx, ny, nz = plane.normal
+    return float(-np.arcsin(np.clip(nz, -1.0, 1.0))), float(np.arctan2(-nx, -ny))
+
+
+def angle_between(a: Float, b: Float) -> float:
+    """Angle in radians between two (3,) vectors, accurate for small angles."""
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

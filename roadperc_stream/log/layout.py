@@ -1,0 +1,216 @@
+"""The bytes of an MCAP file: one walk over records that stand one after the other, and the fields of each kind.
+
+The library's readers copy what they read, and say neither where a record starts nor what is wrong with it. Layout:
+https://mcap.dev/spec.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any, Final
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from zstandard import ZstdError
+
+from roadperc_stream.log.records import Channel, Message
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+CRC_BYTES: Final = 4
+RECORD: Final = struct.Struct("<BQ")
+"""Of every record: its opcode, and the length of what follows."""
+MESSAGE: Final = struct.Struct("<HIQQ")
+CHUNK: Final = struct.Struct("<QQQII")
+LENGTH: Final = struct.Struct("<Q")
+INDEX: Final = struct.Struct("<HI")
+ENTRY: Final = struct.Struct("<QQ")
+"""Of a message index: log time and place in the chunk's data of a message."""
+COMPRESSIONS: Final = ("", "lz4", "zstd")
+TOO_SHORT: Final = "ends before its contents do"
+UNREADABLE: Final = (
+    McapError,
+    EOFError,
+    ValueError,
+    KeyError,
+    OverflowError,
+    RuntimeError,
+    MemoryError,
+    struct.error,
+    ZstdError,
+)
+"""What the library and its decompressors throw at bytes that make no sense."""
+PARSED: Final[dict[int, Any]] = {
+    Opcode.HEADER: records.Header,
+    Opcode.SCHEMA: records.Schema,
+    Opcode.CHANNEL: records.Channel,
+    Opcode.ATTACHMENT: records.Attachment,
+    Opcode.METADATA: records.Metadata,
+    Opcode.STATISTICS: records.Statistics,
+    Opcode.CHUNK_INDEX: records.ChunkIndex,
+    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex,
+    Opcode.METADATA_INDEX: records.MetadataIndex,
+    Opcode.FOOTER: records.Footer,
+}
+"""The library's reader of each kind of record that describes messages or the log."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """A record among others: ``offset`` counts from the first one's first byte."""
+
+    offset: int
+    opcode: int
+    body: memoryview
+
+
+@dataclass(frozen=True)
+class MessageHead:
+    """A message record without its content."""
+
+    channel_id: int
+    sequence: int
+    log_time_ns: int
+    publish_time_ns: int
+
+    def of(self, channel: Channel, body: bytes | memoryview) -> Message:
+        """The message of a record that begins with these fields."""
+        return Message(channel, self.log_time_ns, self.publish_time_ns, self.sequence, bytes(body[MESSAGE.size :]))
+
+
+@dataclass(frozen=True)
+class ChunkHead:
+    """What a chunk says of itself, and its records as they stand in the file."""
+
+    first_ns: int
+    last_ns: int
+    size_bytes: int
+    crc: int
+    compression: str
+    stored_bytes: int
+    """Length of the records in the file as the chunk says it; ``stored`` is shorter where the file ends before."""
+    stored: memoryview
+
+    @property
+    def record_bytes(self) -> int:
+        """Length of the whole record, by these fields."""
+        return RECORD.size + CHUNK.size + len(self.compression) + LENGTH.size + self.stored_bytes
+
+
+@dataclass(frozen=True)
+class MessageIndex:
+    """One message index behind a chunk; ``offset`` counts from the first one's first byte."""
+
+    offset: int
+    channel_id: int
+    entries: list[tuple[int, int]]
+    """Log time and offset in the chunk of each message."""
+
+
+def records_in(data: bytes | memoryview) -> Iterator[Item]:
+    """The records of some bytes, one after the other.
+
+    Raises:
+        ValueError: a record goes on behind the end; all before it were given.
+    """
+    view, at = memoryview(data), 0
+    while at < len(view):
+        start = at + RECORD.size
+        if start > len(view):
+            raise ValueError(TOO_SHORT)
+        opcode, length = RECORD.unpack_from(view, at)
+        if length > len(view) - start:
+            raise ValueError(f"a record of {length} bytes at its byte {at}, {len(view) - start} are left")
+        yield Item(at, opcode, view[start : start + length])
+        at = start + length
+
+
+def chunk_of(record: bytes) -> ChunkHead:
+    """As ``chunk_head``, of a whole record."""
+    return chunk_head(memoryview(record)[RECORD.size :])
+
+
+def chunk_head(body: bytes | memoryview) -> ChunkHead:
+    """Read a chunk record's fields.
+
+    Raises:
+        ValueError: these are no fields of a chunk.
+    """
+    if len(body) < CHUNK.size:
+        raise ValueError(TOO_SHORT)
+    first_ns, last_ns, size_bytes, crc, name_bytes = CHUNK.unpack_from(body)
+    start = CHUNK.size + name_bytes + LENGTH.size
+    name = bytes(body[CHUNK.size : CHUNK.size + min(name_bytes, 8)]).decode("ascii", "replace")
+    if name not in COMPRESSIONS or len(name) != name_bytes:
+        raise ValueError(f"compression {name!r}, expected none, lz4 or zstd")
+    if start > len(body):
+        raise ValueError(TOO_SHORT)
+    (stored_bytes,) = LENGTH.unpack_from(body, start - LENGTH.size)
+    return ChunkHead(first_ns, last_ns, size_bytes, crc, name, stored_bytes, memoryview(body)[start:][:stored_bytes])
+
+
+def message_head(body: bytes | memoryview) -> MessageHead:
+    """The fields of a message before its content, which begins behind ``MESSAGE.size`` bytes.
+
+    Raises:
+        ValueError: it ends before.
+    """
+    if len(body) < MESSAGE.size:
+        raise ValueError(f"message {TOO_SHORT}")
+    return MessageHead(*MESSAGE.unpack_from(body))
+
+
+def message_index(body: bytes | memoryview, offset: int = 0) -> MessageIndex:
+    """The fields of a message index.
+
+    Raises:
+        ValueError: this is none.
+    """
+    if len(body) < INDEX.size:
+        raise ValueError(TOO_SHORT)
+    channel_id, length = INDEX.unpack_from(body)
+    if length % ENTRY.size or INDEX.size + length > len(body):
+        raise ValueError(TOO_SHORT)
+    return MessageIndex(offset, channel_id, list(ENTRY.iter_unpack(memoryview(body)[INDEX.size :][:length])))
+
+
+def message_indexes(data: bytes) -> list[MessageIndex]:
+    """The message indexes of some bytes.
+
+    Raises:
+        ValueError: these are no message indexes.
+    """
+    return [message_index(item.body, item.offset) for item in records_in(data)]
+
+
+def parse(opcode: int, body: bytes, *, spare_allowed: bool) -> Any:
+    """A record's fields, by the library's reader, within the record's own bytes.
+
+    Args:
+        opcode: one of ``PARSED``.
+        body: the record behind its length.
+        spare_allowed: whether more bytes than the fields have are no fault: the library skips them inside a chunk, but
+            reads on at the wrong byte of a file.
+
+    Raises:
+        EndOfFile: the fields want more bytes than there are.
+        ValueError: they leave some over, and that is a fault; or make no sense.
+    """
+    stream = _Bounded(BytesIO(body))
+    item = PARSED[opcode].read(stream)
+    if not spare_allowed and stream.count < len(body):
+        raise ValueError(f"a record of {len(body)} bytes whose fields have {stream.count}")
+    return item
+
+
+class _Bounded(ReadDataStream):
+    """A record's bytes, and an error where its fields want more."""
+
+    def read(self, length: int) -> bytes:
+        """The next bytes, all of them."""
+        data = super().read(length)
+        if len(data) < length:
+            raise EndOfFile
+        return data

@@ -1,0 +1,255 @@
+"""The input of the chain at one instant. Images are decoded when their pixels are first used."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import floor
+
+import numpy as np
+
+from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.geometry.arrays import Ids, Image, read_only
+from roadperc_stream.model.tag_tables import TagTable
+
+
+@dataclass(frozen=True)
+class CameraImage:
+    """An image that is decoded when its pixels are first used."""
+
+    frame_id: str
+    decode_bgr: Callable[[], Image] = field(repr=False)
+    decode_grey: Callable[[], Image] = field(repr=False)
+    read_size: Callable[[], tuple[int, int]] | None = field(default=None, repr=False)
+    """Columns and rows, where they can be known without decoding."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows.
+
+        Raises:
+            DecodeError: the bytes are no image.
+        """
+        return self.read_size() if self.read_size else (self.grey.shape[1], self.grey.shape[0])
+
+    @cached_property
+    def grey(self) -> Image:
+        """(H, W) uint8.
+
+        Raises:
+            DecodeError: the bytes are no image.
+        """
+        pixels = self.decode_grey()
+        read_only(pixels, np.uint8, (None, None), "image")
+        return pixels
+
+    @cached_property
+    def bgr(self) -> Image:
+        """(H, W, 3) uint8.
+
+        Raises:
+            DecodeError: the bytes are no image.
+
+        """
+        pixels = self.decode_bgr()
+        read_only(pixels, np.uint8, (None, None, 3), "image")
+        return pixels
+
+
+@dataclass(frozen=True)
+class DepthImage:
+    """Depth along the camera's z axis, decoded when first used."""
+
+    frame_id: str
+    decode_depth: Callable[[], tuple[Float32, float]] = field(repr=False)
+
+    @cached_property
+    def _decoded(self) -> tuple[Float32, float]:
+        depth_m, limit_m = self.decode_depth()
+        read_only(depth_m, np.float32, (None, None), "depth")
+        return depth_m, limit_m
+
+    @property
+    def depth_m(self) -> Float32:
+        """(H, W) float32 metres, NaN unknown, ``limit_m`` at or beyond the end of the encoding's range.
+
+        Raises:
+            DecodeError: the message does not hold what it promises.
+
+        """
+        return self._decoded[0]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows.
+
+        Raises:
+            DecodeError: as ``depth_m``.
+        """
+        return self.depth_m.shape[1], self.depth_m.shape[0]
+
+    @property
+    def limit_m(self) -> float:
+        """Depth at which the encoding saturates: such a pixel lies there or beyond."""
+        return self._decoded[1]
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """A lidar's points, decoded when first used."""
+
+    frame_id: str
+    decode_points: Callable[[], Float32] = field(repr=False)
+    """Gives every point, also those that are not finite."""
+
+    @cached_property
+    def points_m(self) -> Float32:
+        """(N, 3) float32 metres in the frame ``frame_id``, all finite: points that are not are left out.
+
+        Raises:
+            DecodeError: the message does not hold what it promises.
+
+        """
+        finite = np.isfinite(self._all_m).all(axis=1)
+        points_m = self._all_m if finite.all() else self._all_m[finite]
+        read_only(points_m, np.float32, (None, 3), "points")
+        return points_m
+
+    @property
+    def left_out(self) -> int:
+        """How many points are not finite."""
+        return len(self._all_m) - len(self.points_m)
+
+    @cached_property
+    def _all_m(self) -> Float32:
+        return self.decode_points()
+
+
+@dataclass(frozen=True)
+class TagImage:
+    """A segmentation, decoded when first used."""
+
+    frame_id: str
+    table: TagTable
+    decode_tags: Callable[[], Image] = field(repr=False)
+
+    @cached_property
+    def tags(self) -> Image:
+        """(H, W) uint8 tags of ``table``.
+
+        Raises:
+            DecodeError: the bytes are no tag image.
+
+        """
+        pixels = self.decode_tags()
+        read_only(pixels, np.uint8, (None, None), "tags")
+        return pixels
+
+
+@dataclass(frozen=True)
+class InstanceImage:
+    """The objects' masks, decoded when first used."""
+
+    frame_id: str
+    decode_ids: Callable[[], Ids] = field(repr=False)
+
+    @cached_property
+    def ids(self) -> Ids:
+        """(H, W) uint16 number of the object in each pixel, 0 for none.
+
+        Raises:
+            DecodeError: the bytes are no instance masks.
+
+        """
+        numbers = self.decode_ids()
+        read_only(numbers, np.uint16, (None, None), "instances")
+        return numbers
+
+
+@dataclass(frozen=True)
+class Box:
+    """Half-open box in pixels: columns x_min to x_max and rows y_min to y_max, the maxima excluded."""
+
+    x_min: float
+    y_min: float
+    x_max: float
+    y_max: float
+
+    def rounded(self, width: int, height: int) -> tuple[int, int, int, int]:
+        """x_min, y_min, x_max, y_max as whole pixels (rounded half up) clipped to the image."""
+        x0, y0, x1, y1 = (
+            floor(self.x_min + 0.5),
+            floor(self.y_min + 0.5),
+            floor(self.x_max + 0.5),
+            floor(self.y_max + 0.5),
+        )
+        return max(x0, 0), max(y0, 0), min(x1, width), min(y1, height)
+
+    def meets(self, other: "Box") -> bool:
+        """Whether the boxes have an area in common."""
+        return min(self.x_max, other.x_max) > max(self.x_min, other.x_min) and min(self.y_max, other.y_max) > max(
+            self.y_min, other.y_min
+        )
+
+    def overlap(self, other: "Box") -> float:
+        """Intersection over union, 0 where the boxes do not meet."""
+        width = min(self.x_max, other.x_max) - max(self.x_min, other.x_min)
+        height = min(self.y_max, other.y_max) - max(self.y_min, other.y_min)
+        if width <= 0 or height <= 0:
+            return 0.0
+        return width * height / (self.area + other.area - width * height)
+
+    @property
+    def area(self) -> float:
+        """Square pixels."""
+        return max(self.x_max - self.x_min, 0.0) * max(self.y_max - self.y_min, 0.0)
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One box of a detector, which gives ``label`` and ``score``: usually 0 to 1, any finite number is taken.
+
+    ``id`` names the object from frame to frame, as the detector's own tracker does; empty where it has none.
+    """
+
+    label: str
+    box_px: Box
+    score: float
+    id: str = ""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The whole input of the chain at one instant.
+
+    ``camera`` is the camera of image, segmentation and detections; the depth may come from another one. The left camera
+    of a stereo pair is the front camera where ``left_camera`` is ``camera`` and ``left`` is None. Without a mounting
+    (``mounted`` False) the transforms are those of a level camera at the assumed height. ``ego_T_lidar`` is None where
+    no transform connects it with ego. ``is_origin`` says that odom begins at this frame: all frames before it only
+    warmed up the chain.
+    """
+
+    stamp_ns: int
+    camera: Camera
+    ego_T_camera: Float
+    depth_camera: Camera
+    ego_T_depth_camera: Float
+    left_camera: Camera
+    ego_T_left: Float
+    mounted: bool = False
+    image: CameraImage | None = None
+    left: CameraImage | None = None
+    right: CameraImage | None = None
+    right_camera: Camera | None = None
+    depth: DepthImage | None = None
+    segmentation: TagImage | None = None
+    instances: InstanceImage | None = None
+    detections: tuple[Detection, ...] | None = None
+    points: PointCloud | None = None
+    ego_T_lidar: Float | None = None
+    is_origin: bool = False
+
+    def __post_init__(self) -> None:
+        read_only(self.ego_T_camera, np.float64, (4, 4), "ego_T_camera")
+        read_only(self.ego_T_depth_camera, np.float64, (4, 4), "ego_T_depth_camera")
+        if self.ego_T_lidar is not None:
+            read_only(self.ego_T_lidar, np.float64, (4, 4), "ego_T_lidar")

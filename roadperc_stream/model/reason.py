@@ -1,0 +1,300 @@
+"""Why something is missing, is unusable, or was done by other means: a source, a code and values.
+
+The sentence is made from these, by the one table ``TEMPLATES``; ``parse_reason`` is its inverse, for logs and tables,
+which hold nothing but the sentence. Two reasons that differ in their numbers alone are of one kind.
+"""
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from string import Formatter
+from typing import Final, Literal
+
+Value = str | int | float
+ReasonCode = Literal[
+    "switched_off",
+    "not_run",
+    "not_in_log",
+    "not_written",
+    "no_message",
+    "undecodable",
+    "wrong_size",
+    "no_transform",
+    "no_points_in_view",
+    "no_finite_points_in_view",
+    "time_stood_still",
+    "time_went_back",
+    "lost_to_damage",
+    "lost_to_damage_before",
+    "lost_to_damage_after",
+    "lost_to_damage_somewhere",
+    "not_rectified",
+    "pixels_not_square",
+    "no_image",
+    "image_unusable",
+    "no_segmentation",
+    "no_segmentation_lower_image",
+    "no_segmentation_not_filtered",
+    "no_segmentation_sparse_depth",
+    "no_depth",
+    "no_depth_no_segmentation",
+    "no_depth_no_distances",
+    "no_depth_plane_assumed",
+    "no_depth_pitch_estimated",
+    "no_detections",
+    "no_left_image",
+    "no_right_image",
+    "no_left_no_right_image",
+    "no_right_calibration",
+    "no_surface",
+    "no_drivable_surface",
+    "plane_held",
+    "plane_assumed",
+    "plane_estimated",
+    "depth_misses_road",
+    "heights_unknown",
+    "too_few_road_points",
+    "no_plane",
+    "plane_without_points",
+    "plane_tilted",
+    "lost",
+    "camera_changed",
+    "too_few_inliers",
+    "impossible_motion",
+    "scale_carried",
+    "scale_unknown",
+    "no_baseline",
+    "wrong_baseline",
+    "camera_below_road",
+    "pair_of_two_sizes",
+    "pair_of_wrong_size",
+    "boundary_lost",
+    "no_line_near",
+    "edges_disagree",
+    "car_on_boundary",
+    "boundary_uncertain",
+    "boundary_unconfirmed",
+    "lane_width",
+    "boundaries_cross",
+    "lens_without_rotation",
+    "lens_without_camera_matrix",
+    "lens_rotation_invalid",
+    "lens_model_unknown",
+    "lens_coefficient_count",
+    "lens_coefficient_size",
+    "other",
+]
+TEMPLATES: Final[dict[ReasonCode, str]] = {
+    "switched_off": "switched off",
+    "not_run": "not run",
+    "not_in_log": "not in the log",
+    "not_written": "not written, the frame's stamp is beyond {last_ns:d} ns (2038-01-19), the last one ROS 2 "
+    "messages hold",
+    "no_message": "no message at this frame",
+    "undecodable": "cannot be decoded: {detail}",
+    "wrong_size": "{width:d}x{height:d} pixels, its calibration says {expected_width:d}x{expected_height:d}",
+    "no_transform": "no transform connects its frame {frame_id!r} with ego",
+    "no_points_in_view": "none of its {points:d} points lies in the camera's view",
+    "no_finite_points_in_view": "none of its {points:d} points lies in the camera's view; {infinite:d} of them are "
+    "not finite",
+    "time_stood_still": "stood still at {stamp_ns:d} ns, state of all stages cleared",
+    "time_went_back": "went back from {last_ns:d} to {stamp_ns:d} ns, state of all stages cleared",
+    "lost_to_damage": "messages between {first_ns:d} and {last_ns:d} ns were lost to damage",
+    "lost_to_damage_before": "messages up to {last_ns:d} ns were lost to damage",
+    "lost_to_damage_after": "messages from {first_ns:d} ns on were lost to damage",
+    "lost_to_damage_somewhere": "messages were lost to damage at an unknown time",
+    "not_rectified": "its camera is not rectified, and only stereo undoes the distortion",
+    "pixels_not_square": "fx {fx:g} and fy {fy:g} of its calibration differ by more than 5 %: the pixels of nearly "
+    "every camera are square, and heights and pitch are wrong where one of the two is",
+    "no_image": "no image",
+    "image_unusable": "its image cannot be used",
+    "no_segmentation": "no segmentation",
+    "no_segmentation_lower_image": "no segmentation, the lower image stands in for the road",
+    "no_segmentation_not_filtered": "no segmentation, detections are not filtered",
+    "no_segmentation_sparse_depth": "no segmentation, and the points of a lidar are too sparse to classify pixels",
+    "no_depth": "no depth",
+    "no_depth_no_segmentation": "neither depth nor segmentation",
+    "no_depth_no_distances": "no depth, no distances",
+    "no_depth_plane_assumed": "no depth, {plane_source} gives the plane",
+    "no_depth_pitch_estimated": "no depth, {plane_source} gives the plane and the drive its pitch",
+    "no_detections": "no detections",
+    "no_left_image": "no left image",
+    "no_right_image": "no right image",
+    "no_left_no_right_image": "no left image, no right image",
+    "no_right_calibration": "no calibration of the right camera",
+    "no_surface": "no surface: {cause}",
+    "no_drivable_surface": "no drivable surface: {cause}",
+    "plane_held": "the plane of the frames before, moved by odometry, stands in: {cause}",
+    "heights_unknown": "the depth does not show the road, from which heights are measured",
+    "depth_misses_road": "no segmentation, and the depth does not show the road",
+    "plane_assumed": "{plane_source} gives the plane: {cause}",
+    "plane_estimated": "{plane_source} gives the plane and the drive its pitch: {cause}",
+    "too_few_road_points": "{points:d} road pixels with known depth within max_depth_m, a plane needs three",
+    "no_plane": "no plane through {points:d} road points holds {share:.0%} of them",
+    "plane_without_points": "no plane holds three of the road's points",
+    "plane_tilted": "the points' plane is tilted by {tilt_deg:.0f} degrees, expected at most {limit_deg:g}",
+    "lost": "lost, {cause}",
+    "camera_changed": "the camera is not the one of the frames before",
+    "too_few_inliers": "too few points agree on a motion",
+    "impossible_motion": "the points agree on a motion that the car cannot make",
+    "scale_carried": "the road's picture shows no length, the speed so far gives the scale",
+    "scale_unknown": "neither the road's picture nor the speed so far gives the scale",
+    "no_baseline": "P[0][3] of the right camera is 0: expected -fx * baseline, which is {shortest_m:g} to "
+    "{longest_m:g} m",
+    "wrong_baseline": "P[0][3] of the right camera gives a baseline of {baseline_m:g} m: expected -fx * baseline, "
+    "which is {shortest_m:g} to {longest_m:g} m",
+    "camera_below_road": "the mounting puts the left camera below the road: set stereo.disparities",
+    "pair_of_two_sizes": "the left camera has {left_width:d}x{left_height:d} pixels, the right one "
+    "{right_width:d}x{right_height:d}",
+    "pair_of_wrong_size": "{side} image: {width:d}x{height:d} pixels, its calibration says "
+    "{expected_width:d}x{expected_height:d}",
+    "boundary_lost": "{side} boundary not seen, {cause}",
+    "no_line_near": "no line near the car on that side",
+    "edges_disagree": "too few edges agree on where it is",
+    "car_on_boundary": "{side} boundary lost, the car is on it",
+    "boundary_uncertain": "{side} boundary lost, its standard deviation {ahead_m:g} m ahead is {std_m:g} m, "
+    "expected at most {limit_m:g} m",
+    "lane_width": "{side} boundary lost, it makes a lane of {width_m:g} m, expected {narrowest_m:g} to {widest_m:g} m",
+    "boundary_unconfirmed": "{side} boundary lost, its standard deviation {ahead_m:g} m ahead is {std_m:g} m, and "
+    "the other boundary does not run beside it",
+    "boundaries_cross": "{side} boundary lost, it crosses the other one {ahead_m:g} m ahead",
+    "lens_without_rotation": "not rectified: the {side} camera has distortion but no R",
+    "lens_without_camera_matrix": "not rectified: the {side} camera has an invalid K: {detail}",
+    "lens_rotation_invalid": "not rectified: the {side} camera has an R that is not a rotation: {detail}",
+    "lens_model_unknown": "not rectified: the {side} camera has distortion of model {model!r}; known: {known}",
+    "lens_coefficient_count": "not rectified: the {side} camera has {count:d} distortion coefficients, expected one "
+    "of {known}",
+    "lens_coefficient_size": "not rectified: the {side} camera has a distortion coefficient {value:g}, expected at "
+    "most {limit:g} in size",
+    "other": "{text}",
+}
+"""The sentence of each code behind ``source: ``. ``{cause}`` is another reason's sentence."""
+MISSING_ROLES: Final[dict[ReasonCode, tuple[str, ...]]] = {
+    "no_image": ("image",),
+    "no_segmentation": ("segmentation",),
+    "no_segmentation_lower_image": ("segmentation",),
+    "no_segmentation_not_filtered": ("segmentation",),
+    "no_segmentation_sparse_depth": ("segmentation",),
+    "no_depth": ("depth",),
+    "no_depth_no_segmentation": ("depth", "segmentation"),
+    "no_depth_no_distances": ("depth",),
+    "no_depth_plane_assumed": ("depth",),
+    "no_depth_pitch_estimated": ("depth",),
+    "no_detections": ("detections",),
+    "no_left_image": ("left",),
+    "no_right_image": ("right",),
+    "no_left_no_right_image": ("left", "right"),
+}
+"""The inputs that a code says are missing."""
+_CAUSE: Final = "cause"
+_CAUSE_SOURCE: Final[dict[ReasonCode, str]] = {"no_surface": "surface", "no_drivable_surface": "drivable"}
+"""Whose reason a cause is; of other codes it is one of the same source."""
+_DETAIL: Final = "detail"
+"""What a library or a file says: it may differ in numbers that nobody knows the meaning of."""
+_SOURCE: Final = re.compile(r"([a-z_]+): (.*)", re.DOTALL)
+_NUMBERS: Final = {"d": r"-?\d+", "g": r"-?(?:[\d.]+(?:e[-+]\d+)?|inf|nan)", ".0f": r"-?\d+|nan", ".0%": r"-?\d+%"}
+
+ReasonKind = tuple[tuple[str, ...], ...]
+"""Source, code and words of a reason, then those of its cause, and so on."""
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a stage, or the input of a role, gave nothing, or gave it by other means.
+
+    Args:
+        source: the stage or role.
+        code: a key of ``TEMPLATES``.
+        values: what the template's fields hold, in order, without ``cause``.
+        cause: the reason that this one follows from, where the template has one.
+
+    Raises:
+        ValueError: the template has another number of fields, or wants a cause or none.
+    """
+
+    source: str
+    code: ReasonCode
+    values: tuple[Value, ...] = ()
+    cause: "Reason | None" = None
+
+    def __post_init__(self) -> None:
+        wanted = fields_of(self.code)
+        if len(wanted) - (_CAUSE in wanted) != len(self.values) or (_CAUSE in wanted) == (self.cause is None):
+            raise ValueError(f"{self.code}: expected {wanted}, got {self.values} and cause {self.cause}")
+
+    def __str__(self) -> str:
+        return f"{self.source}: {self.text}" if self.source else self.text
+
+    @property
+    def text(self) -> str:
+        """The sentence without its source."""
+        names = [name for name in fields_of(self.code) if name != _CAUSE]
+        cause = {} if self.cause is None else {_CAUSE: self.cause.text}
+        return TEMPLATES[self.code].format(**dict(zip(names, self.values, strict=True)), **cause)
+
+    @property
+    def kind(self) -> ReasonKind:
+        """What reasons that differ in numbers alone have in common."""
+        names = (name for name in fields_of(self.code) if name != _CAUSE)
+        named = zip(names, self.values, strict=True)
+        words = (value for name, value in named if isinstance(value, str) and name != _DETAIL)
+        return ((self.source, self.code, *words), *(self.cause.kind if self.cause else ()))
+
+
+def parse_reason(text: str) -> Reason:
+    """The reason of a sentence that a log or a table holds; ``other`` where no template gives it."""
+    found = _SOURCE.fullmatch(text)
+    return _parsed(found[1], found[2]) if found else Reason("", "other", (text,))
+
+
+@cache
+def fields_of(code: ReasonCode) -> tuple[str, ...]:
+    """Names of a template's fields, in order."""
+    return tuple(name for _, name, _, _ in Formatter().parse(TEMPLATES[code]) if name)
+
+
+def _parsed(source: str, text: str) -> Reason:
+    for code, pattern in _patterns():
+        if found := pattern.fullmatch(text):
+            texts = found.groupdict()
+            cause = _parsed(_CAUSE_SOURCE.get(code, source), texts.pop(_CAUSE)) if _CAUSE in texts else None
+            return Reason(source, code, tuple(_value(code, name, value) for name, value in texts.items()), cause)
+    raise AssertionError("the template of 'other' fits everything")
+
+
+@cache
+def _patterns() -> tuple[tuple[ReasonCode, re.Pattern[str]], ...]:
+    """The regular expression of each template; that of ``other`` fits every text."""
+    return tuple((code, re.compile(_pattern(template), re.DOTALL)) for code, template in TEMPLATES.items())
+
+
+def _pattern(template: str) -> str:
+    parts = []
+    for literal, name, spec, conversion in Formatter().parse(template):
+        parts.append(re.escape(literal))
+        if name:
+            word = r"'[^']*'|\"[^\"]*\"" if conversion == "r" else r".*" if name in {_CAUSE, _DETAIL, "text"} else ".+?"
+            parts.append(f"(?P<{name}>{_NUMBERS.get(spec or '', word)})")
+    return "".join(parts)
+
+
+@cache
+def _formats(code: ReasonCode) -> dict[str, tuple[str, str]]:
+    """Format and conversion of each of a template's fields."""
+    return {name: (spec or "", how or "") for _, name, spec, how in Formatter().parse(TEMPLATES[code]) if name}
+
+
+def _value(code: ReasonCode, name: str, text: str) -> Value:
+    """A field's value, as exactly as its text has it."""
+    spec, conversion = _formats(code)[name]
+    if spec == "d":
+        return int(text)
+    if spec == ".0%":
+        return float(text.removesuffix("%")) / 100
+    if spec:
+        return float(text)
+    return text[1:-1] if conversion == "r" else text
+
+
+UNUSABLE: Final = frozenset(("undecodable", "wrong_size", "pair_of_wrong_size", "pair_of_two_sizes"))
+"""The codes of messages that are there and cannot be used."""

@@ -1,0 +1,317 @@
+"""What each stage makes of a frame. Unknown is None in scalars and NaN in arrays, never 0 or -1."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadperc_stream.geometry import Float, Float32
+from roadperc_stream.geometry.arrays import Mask, read_only
+from roadperc_stream.geometry.planes import Surface
+from roadperc_stream.model.frame import Box, Detection
+from roadperc_stream.model.reason import Reason
+
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
+LaneChange = Literal["none", "left", "right"]
+BoundaryStatus = Literal["measured", "held", "lost"]
+ObjectStatus = Literal["measured", "tracked", "lost"]
+Verdict = Literal["kept", "unverified", "dropped"]
+PathSource = Literal["lane", "boundary", "odometry", "straight"]
+OdometryStatus = Literal["first", "tracked", "lost"]
+Line = tuple[float, float, float, float]
+"""x1, y1, x2, y2 in pixels: from the image's bottom edge (y1 = height) to the road's far end."""
+
+
+@dataclass(frozen=True)
+class Absent:
+    """A stage's output that could not be made, and why: false, and as text its reason."""
+
+    reason: Reason
+
+    def __bool__(self) -> bool:
+        return False
+
+    def __str__(self) -> str:
+        return str(self.reason)
+
+    def __format__(self, layout: str) -> str:
+        return format(str(self), layout)
+
+    if not TYPE_CHECKING:  # to mypy an absent output has nothing but its reason
+
+        def __getattr__(self, name: str) -> object:
+            """What an output would have, and this one has not."""
+            raise AttributeError(f"no {name!r} in this frame: {self.__dict__.get('reason')}", name=name, obj=self)
+
+
+@dataclass(frozen=True)
+class StereoDepth:
+    """Depth from a rectified pair in the left camera's image: (H, W) metres along z, NaN unknown."""
+
+    frame_id: str
+    depth_m: Float32 = field(repr=False)
+
+    def __post_init__(self) -> None:
+        read_only(self.depth_m, np.float32, (None, None), "depth_m")
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Features of the odometry's keyframe matched in a frame: (N, 2) pixels there and here, in whole images.
+
+    ``inliers`` (N,) are those that agree on the motion.
+    """
+
+    key_px: Float32 = field(repr=False)
+    px: Float32 = field(repr=False)
+    inliers: Mask = field(repr=False)
+
+    def __post_init__(self) -> None:
+        read_only(self.key_px, np.float32, (None, 2), "key_px")
+        read_only(self.px, np.float32, (len(self.key_px), 2), "px")
+        read_only(self.inliers, np.bool_, (len(self.key_px),), "inliers")
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Where the ego frame is. ``step`` maps this frame's ego coordinates to the last one's (last_T_this).
+
+    With ``up_to_scale`` lengths are in units of the first step, not metres. ``covariance`` is 6x6 row by row of
+    x, y, z, roll, pitch, yaw of ``step`` in the ego frame's axes. ``since_ns`` is when ``step`` begins: the last frame
+    that was not missing. ``reason`` says why a frame is ``lost``, its pose is then the last one known, or what gives
+    its scale instead of the road. ``matches`` are the features that the motion was estimated from, None where there
+    was none.
+    """
+
+    status: OdometryStatus
+    odom_T_ego: Float
+    step: Float | None = None
+    inliers: int = 0
+    up_to_scale: bool = False
+    covariance: tuple[float, ...] = field(default=(), repr=False)
+    since_ns: int | None = None
+    reason: Reason | None = None
+    matches: Matches | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+        if self.step is not None:
+            read_only(self.step, np.float64, (4, 4), "step")
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """A bird's-eye grid in the ego frame: -1 unknown, 0 free, 100 occupied.
+
+    ``cells[row, column]`` covers x from x_min_m + column * resolution_m and y from y_min_m + row * resolution_m on.
+    """
+
+    x_min_m: float
+    y_min_m: float
+    resolution_m: float
+    cells: NDArray[np.int8] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        read_only(self.cells, np.int8, (None, None), "cells")
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """One side of the ego lane. The state (offset, heading in radians, curvature) is in the ego frame at x = 0.
+
+    ``covariance`` is the state's, 3x3 row by row. ``inside`` and ``outside`` are the classes to either side, such as
+    ``road`` and ``sidewalk``, empty where unknown. ``line_ego_m`` and ``line_px`` are points of the smoothed boundary.
+    ``reason`` says why a boundary is ``lost``.
+    """
+
+    side: Side
+    status: BoundaryStatus
+    raw_px: Line | None = None
+    smoothed_px: Line | None = None
+    offset_m: float | None = None
+    heading: float | None = None
+    curvature_per_m: float | None = None
+    raw_offset_m: float | None = None
+    covariance: tuple[float, ...] = field(default=(), repr=False)
+    inside: str = ""
+    outside: str = ""
+    line_ego_m: Float = field(default_factory=lambda: np.empty((0, 3)), repr=False)
+    line_px: Float = field(default_factory=lambda: np.empty((0, 2)), repr=False)
+    reason: Reason | None = None
+
+    def __post_init__(self) -> None:
+        read_only(self.line_ego_m, np.float64, (None, 3), "line_ego_m")
+        read_only(self.line_px, np.float64, (None, 2), "line_px")
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """The ego lane's two boundaries, and the lines they were chosen from as (N, 4) x1, y1, x2, y2 in pixels.
+
+    ``edges`` are the (H, W) edge pixels along which the lines were proposed, None where none were computed.
+    ``lane_change`` is the side on which part of the car is over the line on its way into another lane;
+    ``lane_changes`` counts how often its reference point has come into another one; None where unknown.
+    """
+
+    boundaries: tuple[Boundary, ...]
+    proposals_px: Float = field(default_factory=lambda: np.empty((0, 4)), repr=False)
+    merged_px: Float = field(default_factory=lambda: np.empty((0, 4)), repr=False)
+    edges: Mask | None = field(default=None, repr=False)
+    lane_change: LaneChange | None = None
+    lane_changes: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.edges is not None:
+            read_only(self.edges, np.bool_, (None, None), "edges")
+        read_only(self.proposals_px, np.float64, (None, 4), "proposals_px")
+        read_only(self.merged_px, np.float64, (None, 4), "merged_px")
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why boundaries are lost."""
+        return tuple(boundary.reason for boundary in self.boundaries if boundary.reason is not None)
+
+    def side(self, side: Side) -> Boundary:
+        """The boundary of one side; ``lost`` where the lanes hold none."""
+        return next((b for b in self.boundaries if b.side == side), Boundary(side, "lost"))
+
+
+@dataclass(frozen=True)
+class Object:
+    """A detection filtered by the segmentation, with its distance.
+
+    ``lateral_m`` is how far its middle is to the left of the middle of the car's path; ``in_path`` whether any of it
+    is in the path, and ``cut_in`` whether it is not yet, but is over the lane's line on its way in. A time to impact
+    has only what is in the path.
+    """
+
+    detection: Detection
+    kept: bool
+    class_ratio: float | None = None
+    distance_m: float | None = None
+    distance_std_m: float | None = None
+    closing_speed_mps: float | None = None
+    closing_speed_std_mps: float | None = None
+    time_to_impact_s: float | None = None
+    time_to_impact_std_s: float | None = None
+    beyond_range: bool = False
+    status: ObjectStatus = "measured"
+    track_id: str = ""
+    lateral_m: float | None = None
+    in_path: bool | None = None
+    cut_in: bool | None = None
+
+    @property
+    def verdict(self) -> Verdict:
+        """What became of it: ``unverified`` ones are kept because no segmentation could confirm or refute them."""
+        if not self.kept:
+            return "dropped"
+        return "unverified" if self.class_ratio is None else "kept"
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """How well a template fits an image, by the position of its first pixel.
+
+    ``scores[row, column]``, -1 to 1, is that of the template whose first pixel lies on (x_px + column, y_px + row);
+    -inf where the image has no texture. ``template_px`` are its columns and rows.
+    """
+
+    x_px: int
+    y_px: int
+    template_px: tuple[int, int]
+    scores: Float32 = field(repr=False)
+
+    def __post_init__(self) -> None:
+        read_only(self.scores, np.float32, (None, None), "scores")
+
+    @property
+    def peak(self) -> tuple[Box, float]:
+        """Where the template fits best, and how well."""
+        row, column = np.unravel_index(int(np.argmax(self.scores)), self.scores.shape)
+        left, top = float(self.x_px + column), float(self.y_px + row)
+        box_px = Box(left, top, left + self.template_px[0], top + self.template_px[1])
+        return box_px, min(float(self.scores[row, column]), 1.0)
+
+    def match(self, min_score: float) -> tuple[Box, float] | None:
+        """The peak, if it reaches a score; None where the image has no texture at all."""
+        box_px, score = self.peak
+        return None if score < min_score or not np.isfinite(score) else (box_px, score)
+
+
+@dataclass(frozen=True)
+class Objects:
+    """All detections of a frame, kept and dropped, in the detector's order, then those tracked by their template alone.
+
+    ``searches`` are the correlations of that template matching. ``path_source`` says what the path was taken from:
+    the ``lane``, one ``boundary`` alone, the circle by ``odometry``, or nothing, ``straight`` ahead.
+    """
+
+    objects: tuple[Object, ...]
+    searches: tuple[Correlation, ...] = field(default=(), repr=False)
+    path_source: PathSource | None = None
+
+    @property
+    def nearest(self) -> Object | None:
+        """The nearest of the kept objects; None where no distance is known."""
+        return self._first_kept([item.distance_m for item in self.objects])
+
+    @property
+    def most_urgent(self) -> Object | None:
+        """The kept object with the least time to impact, which is in the path; None where none is known."""
+        return self._first_kept([item.time_to_impact_s for item in self.objects])
+
+    def _first_kept(self, values: Sequence[float | None]) -> Object | None:
+        """The kept object of the least of these values, of equals the first."""
+        known = {k: value for k, value in enumerate(values) if value is not None and self.objects[k].kept}
+        return self.objects[min(known, key=known.__getitem__)] if known else None
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What the chain made of one frame.
+
+    ``problems`` say which inputs could not be used and what had to be done without them.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    surface: Surface | Absent
+    drivable: Mask | Absent
+    lanes: Lanes | Absent
+    objects: Objects | Absent
+    problems: tuple[Reason, ...] = ()
+    stereo: StereoDepth | Absent = Absent(Reason("stereo", "not_run"))
+    odometry: Odometry | Absent = Absent(Reason("odometry", "not_run"))
+    occupancy: Occupancy | Absent = Absent(Reason("occupancy", "not_run"))
+    front_surface: Surface | Absent = Absent(Reason("surface", "not_run"))
+    """``surface`` with its plane in the frame of the front camera."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.drivable, Absent):
+            read_only(self.drivable, np.bool_, (None, None), "drivable")
+
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why stages gave nothing, and what was wrong with the input."""
+        stages = (
+            self.stereo,
+            self.surface,
+            self.drivable,
+            self.odometry,
+            self.lanes,
+            self.objects,
+            self.occupancy,
+        )
+        absent = tuple(out.reason for out in stages if isinstance(out, Absent))
+        unbounded = () if isinstance(self.lanes, Absent) else self.lanes.reasons
+        odometry = () if isinstance(self.odometry, Absent) else _reasons_of(self.odometry)
+        return absent + odometry + unbounded + self.problems
+
+
+def _reasons_of(odometry: Odometry) -> tuple[Reason, ...]:
+    if odometry.reason is None:
+        return ()
+    return (Reason("odometry", "lost", cause=odometry.reason) if odometry.status == "lost" else odometry.reason,)

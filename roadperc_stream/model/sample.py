@@ -1,0 +1,108 @@
+"""A frame with its truth beside it, so that truth cannot leak into perception."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.geometry import Float
+from roadperc_stream.geometry.arrays import read_only
+from roadperc_stream.geometry.planes import Surface
+from roadperc_stream.model.frame import DepthImage, Frame, TagImage
+from roadperc_stream.model.reason import Reason
+from roadperc_stream.model.results import Absent, FrameResult, Lanes, Objects
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is known to be true of a frame; the chain never sees it."""
+
+    odom_T_ego: Float | None = None
+    surface: Surface | None = None
+    lanes: Lanes | None = None
+    objects: Objects | None = None
+    depth: DepthImage | None = None
+    segmentation: TagImage | None = None
+
+    def __post_init__(self) -> None:
+        if self.odom_T_ego is not None:
+            read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+
+
+EGO, ODOM = "ego", "odom"
+"""The results' frames: the car's, and that of its trajectory."""
+OWN_ODOM: Final = "perception_odom"
+"""Odom where the log has a frame of that name, or says itself where the car is."""
+
+
+@dataclass(frozen=True)
+class FrameAnchor:
+    """Where ego and odom join the log's own tree of transforms, in which no frame may get a second parent."""
+
+    frame_id: str = ""
+    """The log's frame that ego is joined to; empty where it is called so in the log, too."""
+    ego_T_frame: Float = field(default_factory=lambda: np.eye(4))
+    placed: bool = False
+    """Whether the log itself places that frame: then ego is placed below it, and odom below ego."""
+    odom: str = ODOM
+
+
+LAST_ROS_STAMP_NS: Final = 2**31 * 10**9 - 1
+"""The last stamp that ROS 2 messages can hold: the int32 seconds of builtin_interfaces/Time end on 2038-01-19."""
+UNWRITTEN: Final = -1
+"""Index of a sample that only warms up the chain: nothing of it is written."""
+
+
+@dataclass(frozen=True)
+class EarlierTruth:
+    """What the metrics of a frame need of the frame before: when it was, and where the car truly was."""
+
+    stamp_ns: int
+    odom_T_ego: Float | None
+
+    def __post_init__(self) -> None:
+        if self.odom_T_ego is not None:
+            read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One instant of a log, as ``sync`` put it together."""
+
+    index: int
+    log_time_ns: int
+    frame: Frame
+    truth: Truth
+    missing: tuple[str, ...] = ()
+    skew_ns: int | None = None
+    anchor: FrameAnchor = field(default_factory=FrameAnchor)
+    segment: int = 0
+    """How often the stamps before it began anew."""
+    lost: Reason | None = None
+    """That messages were lost to damage since the frame before."""
+
+    @property
+    def is_written(self) -> bool:
+        """Whether its results are written; else it only warms up the chain."""
+        return self.index != UNWRITTEN
+
+    @property
+    def as_earlier(self) -> EarlierTruth:
+        """What the next frame's metrics need of it."""
+        return EarlierTruth(self.frame.stamp_ns, self.truth.odom_T_ego)
+
+
+def frame_reasons(sample: Sample, result: FrameResult) -> tuple[Reason, ...]:
+    """Why data of a frame is missing: lost messages, missing messages, reports of the stages, results not written."""
+    lost = () if sample.lost is None else (sample.lost,)
+    missing = (Reason(role, "no_message") for role in sample.missing)
+    return (*lost, *missing, *result.reasons(), *_not_written(result))
+
+
+def _not_written(result: FrameResult) -> Iterator[Reason]:
+    """The results with ROS 2 schemas, if the frame's stamp is beyond ROS 2 time."""
+    if result.stamp_ns > LAST_ROS_STAMP_NS:
+        for stage, output in (("stereo", result.stereo), ("occupancy", result.occupancy)):
+            if not isinstance(output, Absent):
+                yield Reason(stage, "not_written", (LAST_ROS_STAMP_NS,))

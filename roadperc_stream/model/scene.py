@@ -1,0 +1,119 @@
+"""One frame as the stages take it: its pixels, decoded, its depth from whichever source, and its detections."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from roadperc_stream.chain.kernels import mark
+from roadperc_stream.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.geometry.registration import sample_labels, warp_depth
+from roadperc_stream.model import Absent, CameraImage, Detection, Ids, Image, Reason, StereoDepth, SurfaceSource
+from roadperc_stream.model.tag_tables import TagTable
+
+_NOT_RUN: Final = Absent(Reason("stereo", "not_run"))
+_SAME_PLACE, _SAME_SHARE = 1e-6, 1e-5
+"""Metres, and a share of each number, by which two cameras in one place may differ."""
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """(H, W) metres along z, NaN unknown, and the camera that has them; ``limit_m`` is where the encoding saturates."""
+
+    depth_m: Float32
+    camera: Camera
+    ego_T_camera: Float
+    limit_m: float
+    source: SurfaceSource
+
+    @property
+    def dense(self) -> bool:
+        """Whether most pixels have a depth: the points of a lidar are few."""
+        return self.source != "lidar"
+
+    def registered_to(self, camera: Camera, ego_T_camera: Float) -> Float32:
+        """(h, w) the depth as another camera observes it."""
+        if self._is_of(camera, ego_T_camera):
+            return self.depth_m
+        return warp_depth(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m)
+
+    def labels_from(self, camera: Camera, ego_T_camera: Float, labels: Image) -> Image:
+        """(H, W) another camera's (h, w) labels at the pixels of this depth."""
+        if self._is_of(camera, ego_T_camera):
+            return labels
+        return sample_labels(self.camera, inverse(ego_T_camera) @ self.ego_T_camera, camera, self.depth_m, labels)
+
+    def _is_of(self, camera: Camera, ego_T_camera: Float) -> bool:
+        """Whether the depth belongs to that camera, so that pixel lies on pixel."""
+        apart = np.abs(ego_T_camera - self.ego_T_camera)
+        same_place = (apart <= _SAME_PLACE + _SAME_SHARE * np.abs(self.ego_T_camera)).all()
+        return bool(same_place) and camera.same_view(self.camera)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One frame as every stage takes it: its pixels, decoded as far as a stage needs them.
+
+    ``camera`` is the front camera, to which ``tags`` (H, W, of ``table``), ``grey`` (H, W), ``instances`` (H, W, 0 for
+    no object) and ``detections`` belong; ``depth`` may be another one's. What the frame does not have, or what cannot
+    be used, is None; no detections message is None too, an empty one (). ``image`` is what ``grey`` is decoded from.
+    Without a mounting (``mounted`` False) ``ego_T_camera`` is that of a level camera at the assumed height.
+    ``is_origin`` as in ``Frame``. ``undecodable`` are the front camera's images that cannot be used, ``problems`` what
+    else is wrong.
+    """
+
+    stamp_ns: int
+    camera: Camera
+    ego_T_camera: Float
+    mounted: bool = False
+    is_origin: bool = False
+    tags: Image | None = None
+    table: TagTable | None = None
+    image: CameraImage | None = None
+    grey: Image | None = None
+    depth: DepthMap | None = None
+    stereo: StereoDepth | Absent = _NOT_RUN
+    detections: tuple[Detection, ...] | None = None
+    instances: Ids | None = None
+    undecodable: tuple[Reason, ...] = ()
+    problems: tuple[Reason, ...] = ()
+
+    @property
+    def image_unusable(self) -> bool:
+        """Whether ``grey`` is None although the frame has an image."""
+        return self.image is not None and self.grey is None
+
+    @cached_property
+    def depth_m(self) -> Float32 | None:
+        """(H, W) metres as the front camera observes them."""
+        return None if self.depth is None else self.depth.registered_to(self.camera, self.ego_T_camera)
+
+    @property
+    def dense_depth_m(self) -> Float32 | None:
+        """``depth_m`` for what needs it at most pixels; None of the points of a lidar."""
+        return self.depth_m if self.depth is not None and self.depth.dense else None
+
+    @property
+    def depth_limit_m(self) -> float:
+        """Depth at which the encoding saturates; infinite without depth."""
+        return np.inf if self.depth is None else self.depth.limit_m
+
+    @property
+    def plane_source(self) -> str:
+        """What the assumed road plane rests on, in words."""
+        return "the mounting" if self.mounted else "the assumed height"
+
+    def labels(self, classes: tuple[str, ...]) -> Image | None:
+        """(H, W) uint8, 1 at pixels of the classes, read-only; None without tags."""
+        if self.table is None or self.tags is None:
+            return None
+        if classes not in self._labels:
+            self._labels[classes] = mark(self.tags, self.table.lookup(classes))
+            self._labels[classes].setflags(write=False)
+        return self._labels[classes]
+
+    @cached_property
+    def _labels(self) -> dict[tuple[str, ...], Image]:
+        """Of the classes that were asked for: several stages ask for the same."""
+        return {}

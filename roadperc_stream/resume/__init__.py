@@ -1,0 +1,1 @@
+"""The state of a finished or interrupted replay: what a continued or resumed replay begins with."""

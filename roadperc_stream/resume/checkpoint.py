@@ -1,0 +1,315 @@
+"""Checkpoints: the complete frames of a replay on disk, so that an interrupted replay can go on.
+
+They are in a hidden folder next to the output, which one replay at a time holds. ``frames`` has the output of every
+frame, one record behind the other. ``state`` has the replay's state after the last of them and the length of ``frames``
+then. Records behind that length were written after the checkpoint and are computed again.
+"""
+
+import os
+import shutil
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Final, Self
+
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.errors import StateError
+from roadperc_stream.output.writing import Counted, FrameOutput
+from roadperc_stream.resume.bounds import StateBounds
+from roadperc_stream.resume.encoding import decode, encode
+from roadperc_stream.resume.lock import FolderLock
+from roadperc_stream.resume.state import ReplayState
+from roadperc_stream.system.files import sync_folder, target_errors
+from roadperc_stream.system.time import seconds_to_ns
+
+_LENGTH: Final = struct.Struct("<Q")
+_FRAMES, _STATE = "frames", "state"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """How far a replay has come.
+
+    ``run`` is all that decides its results, by name and value. ``samples`` are complete, ``length`` is that of the file
+    of their outputs.
+    """
+
+    run: Mapping[str, str]
+    samples: int
+    length: int
+    state: ReplayState
+    counted: Counted
+
+
+def checkpoint_folder(target: Path) -> Path:
+    """The folder for the checkpoints of an output."""
+    return target.with_name(f".{target.name}.checkpoint")
+
+
+class CheckpointFolder:
+    """Reads and writes the checkpoints of one output. Use it as a context manager, or only to read."""
+
+    def __init__(self, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> None:
+        self.path = checkpoint_folder(target)
+        self._bounds = StateBounds.of(limits)
+        self._lock = FolderLock(self.path)
+        self._frames: IO[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        """Hold the folder, if it exists.
+
+        Raises:
+            StateError: another replay holds it, or it is not a folder.
+        """
+        if self.path.is_symlink() or (self.path.exists() and not self.path.is_dir()):
+            raise self.damaged("is no folder")
+        if self.path.exists():
+            self._hold()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Release the folder; remove it if it has no checkpoint."""
+        self.close()
+        try:
+            if self._lock.is_held and not self.holds_one:
+                self.remove()
+        finally:
+            self._lock.release()
+
+    def _hold(self) -> None:
+        with target_errors(self.path):
+            is_ours = self._lock.take()
+        if not is_ours:
+            raise StateError(f"{self.path}: another replay of the same output is at work; wait until it has ended")
+
+    def read(self) -> Checkpoint | None:
+        """The latest checkpoint; None without one.
+
+        Raises:
+            StateError: it cannot be read.
+        """
+        try:
+            checkpoint = decode((self.path / _STATE).read_bytes(), Checkpoint, self._bounds)
+            is_whole = (self.path / _FRAMES).stat().st_size >= checkpoint.length
+        except FileNotFoundError:
+            return None
+        except (OSError, StateError) as error:
+            raise self.damaged(str(error)) from error
+        if not is_whole:
+            raise self.damaged("its frames are cut short")
+        return checkpoint
+
+    def damaged(self, words: str) -> StateError:
+        """The error for checkpoints that cannot be used."""
+        return StateError(f"{self.path}: {words}; remove it to start over")
+
+    def outputs(self, checkpoint: Checkpoint) -> Iterator[FrameOutput]:
+        """The outputs of the frames up to a checkpoint, in order.
+
+        Raises:
+            StateError: it cannot be read.
+        """
+        with target_errors(self.path), (self.path / _FRAMES).open("rb") as frames:
+            while frames.tell() < checkpoint.length:
+                try:
+                    (length,) = _LENGTH.unpack(frames.read(_LENGTH.size))
+                    output = decode(frames.read(min(length, checkpoint.length)), FrameOutput, self._bounds)
+                except (struct.error, StateError) as error:
+                    raise self.damaged(str(error)) from error
+                yield output
+
+    def begin(self, checkpoint: Checkpoint | None) -> None:
+        """Prepare for more frames after a checkpoint; without one remove what is in the folder."""
+        with target_errors(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._hold()
+            if checkpoint is None:
+                self._clear()
+            self._frames = os.fdopen(_opened_to_append(self.path / _FRAMES), "ab")
+            self._frames.truncate(0 if checkpoint is None else checkpoint.length)
+            self._frames.seek(0, os.SEEK_END)  # else its length counts from the end it had
+            sync_folder(self.path.parent)
+
+    def append(self, output: FrameOutput) -> None:
+        """Add a frame: it counts from the next checkpoint on."""
+        assert self._frames is not None
+        data = encode(output)
+        with target_errors(self.path):
+            self._frames.write(_LENGTH.pack(len(data)) + data)
+
+    @property
+    def length(self) -> int:
+        """Length of the file of frames."""
+        assert self._frames is not None
+        return self._frames.tell()
+
+    def write(self, checkpoint: Checkpoint) -> None:
+        """Make a checkpoint durable: first the frames, then the state with their number, in one step."""
+        assert self._frames is not None
+        new = self.path / f"{_STATE}.new"
+        with target_errors(self.path):
+            self._frames.flush()
+            os.fsync(self._frames.fileno())
+            new.unlink(missing_ok=True)
+            with new.open("xb") as state:
+                state.write(encode(checkpoint))
+                state.flush()
+                os.fsync(state.fileno())
+            new.replace(self.path / _STATE)
+            sync_folder(self.path)
+
+    @property
+    def exists(self) -> bool:
+        """Whether a replay has begun to write checkpoints and has not ended."""
+        return self.path.exists()
+
+    @property
+    def holds_one(self) -> bool:
+        """Whether there is a checkpoint."""
+        return (self.path / _STATE).exists()
+
+    def close(self) -> None:
+        """Close the file of frames."""
+        if self._frames is not None:
+            with suppress(OSError):
+                self._frames.close()
+
+    def remove(self) -> None:
+        """Remove all checkpoints and the folder, which is held until then."""
+        self.close()
+        with target_errors(self.path):
+            if self.path.exists():
+                self._clear()
+                shutil.rmtree(self.path)
+
+    def _clear(self) -> None:
+        """Remove all checkpoints, the state with the number of frames first."""
+        for name in (_STATE, f"{_STATE}.new", _FRAMES):
+            (self.path / name).unlink(missing_ok=True)
+
+
+class Checkpoints:
+    """The checkpoints that a replay writes, and the one that it resumes. Use it as a context manager.
+
+    If the replay is interrupted, its checkpoints stay; a folder without a checkpoint is removed.
+    """
+
+    def __init__(
+        self,
+        folder: CheckpointFolder,
+        every_s: float | None,
+        run: Mapping[str, str],
+        found: Checkpoint | None,
+        *,
+        force: bool,
+    ) -> None:
+        """Check that the found checkpoint is of this replay.
+
+        Args:
+            folder: reads and writes the checkpoints.
+            every_s: seconds of log between two; None: no checkpoints.
+            run: all that decides the results.
+            found: the checkpoint to resume; None to begin.
+            force: start over if the checkpoint is of another replay, or if there is one that is not to be resumed.
+
+        Raises:
+            StateError: it is of another replay.
+        """
+        self._folder, self._run = folder, run
+        self._every_ns = None if every_s is None else seconds_to_ns(every_s)
+        self._found = _of_this_run(folder, run, found, force=force)
+        self._last_ns: int | None = None
+        left_over = folder.holds_one and self._found is None and every_s is None
+        self.notes = (f"{folder.path}: left by an interrupted replay, removed",) if left_over else ()
+        if found is None and every_s is not None and not force and folder.holds_one:
+            raise StateError(
+                f"{folder.path}: a replay was interrupted; --resume goes on from there, --force starts over"
+            )
+
+    @property
+    def are_durable(self) -> bool:
+        """Whether complete frames outlive a loss of power."""
+        return self._every_ns is not None
+
+    @property
+    def samples(self) -> int:
+        """Samples that are complete already."""
+        return 0 if self._found is None else self._found.samples
+
+    @property
+    def state(self) -> ReplayState | None:
+        """The replay's state after these samples; None if no checkpoint is resumed."""
+        return None if self._found is None else self._found.state
+
+    @property
+    def counted(self) -> Counted:
+        """What was counted in these samples."""
+        return Counted() if self._found is None else self._found.counted
+
+    def next_output(self, index: int) -> FrameOutput:
+        """The output of the next complete frame.
+
+        Args:
+            index: number of the frame.
+
+        Raises:
+            StateError: it cannot be read, or is of another frame.
+        """
+        output = next(self._outputs, None)
+        if output is None or output.row.frame != index:
+            raise self._folder.damaged(f"does not hold frame {index}")
+        return output
+
+    def __enter__(self) -> Self:
+        if self._found is not None:
+            self._outputs = self._folder.outputs(self._found)
+        if self._every_ns is not None:
+            self._folder.begin(self._found)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._folder.close()
+
+    def keep(self, output: FrameOutput | None) -> None:
+        """Keep the output of one more frame."""
+        if self._every_ns is not None and output is not None:
+            self._folder.append(output)
+
+    def reached(self, log_time_ns: int, samples: int, state: ReplayState, counted: Callable[[], Counted]) -> None:
+        """Write a checkpoint if it is due and the sample was not complete already.
+
+        Args:
+            log_time_ns: of the last frame.
+            samples: complete by now.
+            state: after these samples.
+            counted: gives what was counted in these samples.
+        """
+        if self._every_ns is None:
+            return
+        if self._last_ns is None or samples <= self.samples:
+            self._last_ns = log_time_ns
+        elif log_time_ns - self._last_ns >= self._every_ns:
+            self._folder.write(Checkpoint(self._run, samples, self._folder.length, state, counted()))
+            self._last_ns = log_time_ns
+
+    def sync(self, target: Path) -> None:
+        """Make the names of the complete outputs durable, if the checkpoints are."""
+        if self.are_durable:
+            sync_folder(target.parent)
+
+
+def _of_this_run(
+    folder: CheckpointFolder, run: Mapping[str, str], found: Checkpoint | None, *, force: bool
+) -> Checkpoint | None:
+    if found is None or not (names := [name for name in {**run, **found.run} if run.get(name) != found.run.get(name)]):
+        return found
+    if force:
+        return None
+    raise StateError(f"{folder.path}: of another replay ({', '.join(names)} differ); --force (force=True) starts over")
+
+
+def _opened_to_append(path: Path) -> int:
+    """A file opened without following a link."""
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o666)

@@ -1,0 +1,115 @@
+"""States as bytes: MessagePack, compressed with Zstandard, behind a magic number, the format's version and a CRC-32.
+
+Every dataclass is a map by its fields' names, every array one of ``dtype``, ``shape`` and ``elements``, its numbers
+little endian in the order of C: floats keep all their bits. Nothing is decoded whose type is not the one expected, that
+holds more than its bounds allow, or of which a single bit has changed; and no type is code.
+"""
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final, TypeVar, get_args
+
+import msgspec
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from roadperc_stream.errors import StateError
+from roadperc_stream.resume.bounds import DEFAULT_BOUNDS, StateBounds, require_bounded
+
+FORMAT_VERSION: Final = 5
+"""To be raised with every change of what a state holds: an older state would be taken for something else."""
+MOST_BYTES: Final = 512 * 1024**2
+"""Of a state, unpacked."""
+_MAGIC: Final = b"RPSTATE"
+_CRC: Final = struct.Struct("<I")
+_HEADER_BYTES: Final = len(_MAGIC) + 1 + _CRC.size
+_DTYPES: Final = frozenset({"|b1", "|u1", "<u2", "<i4", "<i8", "<f4", "<f8"})
+_LEVEL: Final = 3
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class _EncodedArray:
+    dtype: str
+    shape: tuple[int, ...]
+    elements: bytes
+
+
+def encode(state: Any) -> bytes:
+    """The bytes of a dataclass and all that it holds; equal things give equal bytes.
+
+    Raises:
+        StateError: it is too large.
+    """
+    plain = msgspec.msgpack.encode(state, enc_hook=_encoded)
+    if len(plain) > MOST_BYTES:
+        raise StateError(f"{len(plain)} bytes, at most {MOST_BYTES} are written")
+    packed = zstandard.ZstdCompressor(level=_LEVEL).compress(plain)
+    return _MAGIC + bytes([FORMAT_VERSION]) + _CRC.pack(zlib.crc32(packed)) + packed
+
+
+def decode(data: bytes, kind: type[T], bounds: StateBounds = DEFAULT_BOUNDS) -> T:
+    """A dataclass of its bytes.
+
+    Args:
+        data: from ``encode``, or from anybody.
+        kind: the dataclass.
+        bounds: the most that it may hold.
+
+    Raises:
+        StateError: the bytes are of another version of the format, of anything else, changed or beyond the bounds.
+    """
+    packed = data[_HEADER_BYTES:]
+    if data[: len(_MAGIC)] != _MAGIC or len(data) <= len(_MAGIC):
+        raise StateError("is no state of a replay")
+    if data[len(_MAGIC)] != FORMAT_VERSION:
+        raise StateError(f"its format has version {data[len(_MAGIC)]}, expected {FORMAT_VERSION}")
+    if data[len(_MAGIC) + 1 : _HEADER_BYTES] != _CRC.pack(zlib.crc32(packed)):
+        raise StateError("damaged: its CRC is wrong")
+    plain = _unpacked(packed)
+    require_bounded(plain, bounds)
+    try:
+        found: T = msgspec.msgpack.decode(plain, type=kind, dec_hook=partial(_decoded, bounds))
+    except (ValueError, RecursionError, OverflowError) as error:
+        raise StateError(f"damaged: {error}") from error
+    return found
+
+
+def _unpacked(packed: bytes) -> bytes:
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=2**27).stream_reader(packed) as reader:
+            plain: bytes = reader.read(MOST_BYTES + 1)
+    except zstandard.ZstdError as error:
+        raise StateError(f"damaged: {error}") from error
+    if len(plain) > MOST_BYTES:
+        raise StateError(f"more than {MOST_BYTES} bytes, at most that many are read")
+    return plain
+
+
+def _encoded(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return _EncodedArray(value.dtype.str, value.shape, value.tobytes())
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(f"{type(value).__name__} has no encoding")
+
+
+def _decoded(bounds: StateBounds, kind: Any, value: Any) -> NDArray[Any]:
+    array = msgspec.convert(value, _EncodedArray)
+    if len(array.elements) > bounds.array_bytes:
+        raise ValueError(f"array of {len(array.elements)} bytes: expected {bounds.array_bytes} at most")
+    if array.dtype not in _DTYPES or any(length < 0 for length in array.shape):
+        raise ValueError(f"array of dtype {array.dtype!r} and shape {array.shape}")
+    dtype = np.dtype(array.dtype)
+    expected = [item for part in get_args(kind)[1:] for item in get_args(part) if item is not Any]
+    if expected and np.dtype(expected[0]) != dtype:
+        raise ValueError(f"array of dtype {array.dtype!r}, expected {np.dtype(expected[0]).str!r}")
+    if math.prod(array.shape) * dtype.itemsize != len(array.elements):
+        raise ValueError(f"array of shape {array.shape} and dtype {array.dtype!r} in {len(array.elements)} bytes")
+    found = np.frombuffer(array.elements, dtype).reshape(array.shape).copy()
+    found.setflags(write=False)
+    return found

@@ -1,0 +1,287 @@
+"""Opens a log for a replay: its frames, the state before the first one, and whether its output is complete already."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Final
+
+from roadperc_stream import __version__, log
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.config import ReplayConfig
+from roadperc_stream.errors import ConfigError, NoFrameError, StateError, TableError
+from roadperc_stream.input import ReplayInput, ReplaySource, input_of
+from roadperc_stream.input.earlier_replay import is_result, replay_record
+from roadperc_stream.input.source import ReadableLog
+from roadperc_stream.input.state import FrameNumbers
+from roadperc_stream.log import DIGEST_ALGORITHM, Attachment, LogSummary
+from roadperc_stream.output.tables import read_footer
+from roadperc_stream.output.target import ReplayTarget
+from roadperc_stream.output.writing import ReplaySummary
+from roadperc_stream.resume.encoding import decode, encode
+from roadperc_stream.resume.state import (
+    Notes,
+    ReplayState,
+    SavedState,
+    attachment_of,
+    settings_of,
+    state_at_begin,
+    state_at_end,
+)
+from roadperc_stream.schemas.record import (
+    BEGIN_ATTACHMENT,
+    CONFIG_ATTACHMENT,
+    CONTINUES_KEY,
+    DIGEST_ALGORITHM_KEY,
+    DIGEST_KEY,
+    FIRST_FRAME_KEY,
+    FRAMES_KEY,
+    LOG_ID_KEY,
+    STATE_ATTACHMENT,
+    TOPIC_KEY,
+    VERSION_KEY,
+)
+from roadperc_stream.schemas.topics import result_schemas
+from roadperc_stream.system.threads import one_thread
+from roadperc_stream.system.time import TimeRange, ns_to_seconds, seconds_to_ns
+
+_MOST_FRAMES: Final = 2**32
+"""A log numbers its messages with 32 bits."""
+
+
+@dataclass(frozen=True)
+class OpenedLog:
+    """The input of a replay, and the saved state that it begins with, if there is one."""
+
+    input: ReplayInput
+    begin: SavedState | None = None
+    notes: Notes = ()
+    warnings: tuple[str, ...] = ()
+    """What the user should know of a damaged log."""
+    strict: bool = False
+    """Whether a message that cannot be used is an error."""
+
+    def saved_for(self, cfg: ReplayConfig) -> SavedState | None:
+        """The saved state that a replay with these settings begins with."""
+        return None if self.begin is None else self.begin.with_settings(cfg)
+
+    def state_for(self, cfg: ReplayConfig) -> ReplayState:
+        """The state of a replay with these settings before the first frame."""
+        saved = self.saved_for(cfg)
+        return ReplayState() if saved is None else saved.replay
+
+    def attachments(
+        self, cfg: ReplayConfig, end: ReplayState, *, with_messages: bool
+    ) -> tuple[tuple[Attachment, ...], Notes]:
+        """The states that the result begins and ends with, and notes for the user.
+
+        Args:
+            cfg: the chain's configuration.
+            end: the state after the last complete frame.
+            with_messages: whether the state at the end carries its messages, because the output does not.
+        """
+        begin, log_in = self.saved_for(cfg), self.input
+        states = () if begin is None else (attachment_of(BEGIN_ATTACHMENT, begin),)
+        waiting = log_in.end_state(with_messages=with_messages)
+        saved = SavedState(log_in.log_id, settings_of(cfg), waiting, end, log_in.lost_to_come)
+        try:
+            return (*states, attachment_of(STATE_ATTACHMENT, saved)), ()
+        except StateError as error:  # the results do not depend on it
+            return states, (f"{STATE_ATTACHMENT}: left out, this part cannot be continued: {error}",)
+
+    def facts(self) -> dict[str, str]:
+        """Which log the replay continues, for the output to record."""
+        return {CONTINUES_KEY: self.begin.log_id} if self.begin is not None and self.begin.log_id else {}
+
+    def table_facts(self) -> dict[str, str]:
+        """What the tables record of the log, and the number of a continued replay's first frame."""
+        log_id = {LOG_ID_KEY: self.input.log_id, DIGEST_ALGORITHM_KEY: DIGEST_ALGORITHM}
+        if self.begin is None or not self.begin.log_id:
+            return log_id
+        return {**log_id, **self.facts(), FIRST_FRAME_KEY: str(self.begin.input.numbers.next)}
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """How a replay runs.
+
+    Args:
+        continued: the result that the replay continues.
+        warm_up_s: seconds of log before the start whose frames build the state and are not written.
+        checkpoint_every_s: seconds of log between two checkpoints; None: no checkpoints.
+        resume: go on from the latest checkpoint, if there is one.
+        threads: how many work on the replay; the output does not depend on them, except for timing columns.
+    """
+
+    continued: Path | None = None
+    warm_up_s: float = 0.0
+    checkpoint_every_s: float | None = None
+    resume: bool = False
+    threads: int = 1
+
+
+PLAIN: Final = ReplayOptions()
+
+
+def open_replay(source: ReplaySource, cfg: ReplayConfig, options: ReplayOptions) -> OpenedLog:
+    """Open a log, with the state that the replay begins with.
+
+    Raises:
+        ConfigError: the options contradict each other; else as ``open_log``.
+    """
+    continued, warm_up_s = options.continued, options.warm_up_s
+    if warm_up_s and continued is not None:
+        raise ConfigError("warm_up_s: what is continued needs no warm-up")
+    if warm_up_s and source.time_range.start_s is None:
+        raise ConfigError("warm_up_s: only with a start")
+    if continued is not None:
+        return _open_continued(source, cfg, continued)
+    return _open_warmed(source, cfg, warm_up_s) if warm_up_s else open_log(source, cfg)
+
+
+def open_log(source: ReplaySource, cfg: ReplayConfig) -> OpenedLog:
+    """Open a log. If a replay wrote it, begin with the state that this replay began with.
+
+    Raises:
+        ChannelError: the channels do not fit the roles.
+        LogError: the log cannot be read, is damaged, or the part asked for holds no frame.
+        StateError: the state it carries cannot be read.
+    """
+    found = source.read(cfg.limits)
+    return _opened(found, source, cfg, *state_at_begin(found.summary, cfg, source.time_range))
+
+
+def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> OpenedLog:
+    """Open a log, to continue an earlier result.
+
+    Raises:
+        StateError: the log does not follow the result; else as ``open_log``.
+    """
+    begin = state_at_end(before, cfg)
+    opened = _opened(source.read(cfg.limits), source, cfg, begin)
+    summary, starts_ns, ended_ns = opened.input.summary, opened.input.span_ns[0], begin.input.from_ns
+    if summary.first_ns is not None and starts_ns < ended_ns:
+        lead_s, start_s = ns_to_seconds(ended_ns - starts_ns), ns_to_seconds(begin.input.next_ns - summary.first_ns)
+        raise StateError(
+            f"{summary.path}: begins {lead_s:.3f} s before the end of what {before} holds: expected what follows; "
+            f"--start {start_s:.9f} leaves out what it holds, and parts that are given together may overlap"
+        )
+    return opened
+
+
+def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> OpenedLog:
+    """Open a part of a log, with the state after the seconds before it."""
+    found = source.read(cfg.limits)
+    start_s = found.part(source.time_range).start_s or 0.0
+    short = (f"warm-up: {start_s:g} s, the log has no more before the start",) if start_s < warm_up_s else ()
+    lead = replace(source, time_range=TimeRange(start_s - warm_up_s, start_s))
+    if not source.recover:
+        _require_sound_lead(found, lead.time_range)
+    begin = _warmed(found.summary, lead, cfg) if start_s > 0 else None
+    return _opened(found, source, cfg, begin, short)
+
+
+def _opened(
+    found: ReadableLog, source: ReplaySource, cfg: ReplayConfig, begin: SavedState | None, notes: Notes = ()
+) -> OpenedLog:
+    """The input of a replay that begins with a state."""
+    if begin is None:
+        return OpenedLog(input_of(found, source, cfg), begin, notes, found.warnings, source.strict)
+    log_in = input_of(found, source, cfg, begin.input, begin.lost)
+    first = begin.input.numbers.next
+    if first < 0 or first + log_in.expected_frames > _MOST_FRAMES:
+        raise StateError(f"frame {first} and {log_in.expected_frames} more: a log numbers {_MOST_FRAMES} at most")
+    return OpenedLog(log_in, begin, notes, found.warnings, source.strict)
+
+
+def _require_sound_lead(found: ReadableLog, lead: TimeRange) -> None:
+    """Check that the seconds before a start are not damaged: the state would be another one.
+
+    Raises:
+        LogError: they are.
+    """
+    first_ns = found.summary.first_ns or 0
+    start_ns, end_ns = (first_ns + seconds_to_ns(limit_s or 0.0) for limit_s in (lead.start_s, lead.end_s))
+    found.require_outside(start_ns, end_ns)
+
+
+def _warmed(summary: LogSummary, lead: ReplaySource, cfg: ReplayConfig) -> SavedState | None:
+    """The state after the frames before a start, which are not written; None without such frames."""
+    try:
+        log_in = input_of(ReadableLog(summary), lead, cfg)
+    except NoFrameError:
+        return None
+    chain, earlier = ChainState(), None
+    with one_thread():
+        for sample in islice(log_in.samples(), log_in.plan.first_pass.complete_frames):
+            chain, _ = step(cfg, chain, sample.frame)
+            earlier = sample.as_earlier
+    end = log_in.end_state(with_messages=True)
+    start_ns = (summary.first_ns or 0) + seconds_to_ns(lead.time_range.end_s or 0.0)
+    end = replace(end, from_ns=start_ns, numbers=FrameNumbers(written_from_ns=start_ns))
+    saved = SavedState("", settings_of(cfg), end, ReplayState(chain, earlier))
+    return decode(encode(saved), SavedState)  # as a later replay reads it
+
+
+def run_of(cfg: ReplayConfig, opened: OpenedLog, target: ReplayTarget) -> dict[str, str]:
+    """Everything that decides what a replay writes, by name and value."""
+    plan, begin = opened.input.plan, opened.saved_for(cfg)
+    return {
+        **settings_of(cfg),
+        "version": __version__,
+        "input": plan.first_pass.digest,
+        "topics": json.dumps(dict(plan.roles.topics)),
+        "frames at most": str(plan.most_frames),
+        "pictures": json.dumps(sorted(target.on_request)),
+        "results only": str(target.results_only),
+        "strict": str(opened.strict),
+        "state at the beginning": "" if begin is None else hashlib.sha256(encode(begin)).hexdigest(),
+    }
+
+
+def finished(target: ReplayTarget, cfg: ReplayConfig, opened: OpenedLog) -> ReplaySummary | None:
+    """The summary of an earlier replay whose complete output is that of this replay; None without one."""
+    if not target.is_complete:
+        return None
+    summary = log.summarise(target.path)
+    attached = {item.name: item.data for item in summary.attachments}
+    record, begin = replay_record(summary.metadata), opened.saved_for(cfg)
+    is_same = (
+        record.get(DIGEST_KEY) == opened.input.plan.first_pass.digest
+        and record.get(VERSION_KEY) == __version__
+        and {key: topic for key, topic in record.items() if key.startswith(TOPIC_KEY)} == opened.input.chosen_topics
+        and attached.get(CONFIG_ATTACHMENT) == cfg.to_toml().encode()
+        and attached.get(BEGIN_ATTACHMENT) == (None if begin is None else encode(begin))
+        and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)
+    )
+    if not is_same or not _are_its_tables(target, record, opened):
+        return None
+    frames = int(record.get(FRAMES_KEY, 0))
+    return ReplaySummary(
+        opened.input.log_id,
+        frames,
+        sum(summary.counts.values()),
+        notes=(f"{target.path}: is complete, nothing is left to do",),
+        warnings=opened.warnings,
+        frames_before=frames,
+        is_new=False,
+        first_ns=opened.input.summary.first_ns or 0,
+    )
+
+
+def _are_its_tables(target: ReplayTarget, record: Mapping[str, str], opened: OpenedLog) -> bool:
+    """Whether both tables can be read and have the same input and frames as the log."""
+    try:
+        frames, objects = read_footer(target.metrics), read_footer(target.objects)
+    except TableError:
+        return False
+    log_ids = {frames.facts.get(LOG_ID_KEY), objects.facts.get(LOG_ID_KEY)}
+    return log_ids == {opened.input.log_id} and str(frames.rows) == record.get(FRAMES_KEY)
+
+
+def _topics(target: ReplayTarget, opened: OpenedLog) -> set[tuple[str, bool]]:
+    """The topics of the output, each with whether it is a result."""
+    copied = () if target.results_only else opened.input.channels
+    return {(topic, True) for topic in result_schemas(target.on_request)} | {(c.topic, False) for c in copied}

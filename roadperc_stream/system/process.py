@@ -1,0 +1,47 @@
+"""What reaches a process from outside: signals that end it, output that nobody reads. Imports no library."""
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+TYPE_CHECKING = False  # typing itself would be half the time that a command's first moment takes
+if TYPE_CHECKING:
+    from typing import IO, TextIO
+
+
+EXIT_DONE, EXIT_ERROR = 0, 1
+
+
+def ending_signals() -> list[int]:
+    """The signals that end a command; not those it was started to ignore, as under nohup."""
+    return [
+        number
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) != signal.SIG_IGN
+    ]
+
+
+@contextmanager
+def optional_output(stream: "TextIO | None" = None) -> Iterator[None]:
+    """Around output that is not the work itself: where nobody reads it, or stderr has no space, the work goes on.
+
+    Args:
+        stream: what is printed to, stdout where none is named.
+    """
+    stream = stream or sys.stdout
+    try:
+        yield
+        stream.flush()
+    except OSError as error:
+        if not (isinstance(error, BrokenPipeError) or stream is sys.stderr):
+            raise
+        discard_output(stream)
+
+
+def discard_output(stream: "IO[str]") -> None:
+    """Discard what is still buffered for a stream that nobody reads, and all that follows."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, stream.fileno())
+    os.close(null)

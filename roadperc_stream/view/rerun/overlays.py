@@ -1,0 +1,230 @@
+"""Lanes, detections and judged objects over the image and in space.
+
+Their classes have names and colours in annotation contexts.
+"""
+
+from collections.abc import Iterator, Sequence
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+import rerun as rr
+
+from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.model import EGO, Boundary, Box, Detection, Lanes, Object, Objects
+from roadperc_stream.model.tag_tables import Colour
+from roadperc_stream.output.drawing import colours
+from roadperc_stream.output.drawing.annotations import box_in_space, caption
+from roadperc_stream.output.drawing.captions import caption_places, viewer_text_size
+from roadperc_stream.view.rerun.tree import Entry, SceneState, annotation_context
+
+_TRUE: Final[Colour] = (255, 255, 255)
+
+
+class BoxClass(IntEnum):
+    """What became of a detection; ``DETECTED`` and ``TRUE`` are not for the chain to judge."""
+
+    KEPT = 0
+    UNVERIFIED = 1
+    DROPPED = 2
+    DETECTED = 3
+    TRUE = 4
+
+
+class LineClass(IntEnum):
+    """Where a line comes from."""
+
+    MEASURED = 0
+    HELD = 1
+    LOST = 2
+    RAW = 3
+    PROPOSAL = 4
+    TRUE = 5
+
+
+_BOX_COLOURS: Final = (*(colours.OBJECT[verdict] for verdict in ("kept", "unverified", "dropped")), colours.CYAN, _TRUE)
+_LINE_COLOURS: Final = (
+    *(colours.BOUNDARY[status] for status in ("measured", "held", "lost")),
+    colours.RAW_LINE,
+    colours.PROPOSED_LINE,
+    _TRUE,
+)
+
+
+def box_context() -> rr.AnnotationContext:
+    """Names and colours of ``BoxClass``."""
+    return annotation_context((c.name.lower() for c in BoxClass), _BOX_COLOURS)
+
+
+def line_context() -> rr.AnnotationContext:
+    """Names and colours of ``LineClass``."""
+    return annotation_context((c.name.lower() for c in LineClass), _LINE_COLOURS)
+
+
+_KEPT_PX, _DROPPED_PX = 1.5, 0.75
+_CAPTION_MARGIN = (1.25, 1.8)
+"""Columns and rows that the viewer's captions take beside those of the text."""
+
+
+def detections(entity: str, _role: str, payload: Sequence[Detection], world: SceneState) -> Iterator[Entry]:
+    """What the detector said."""
+    texts = [f"{detection.label} {detection.score:.2f}" for detection in payload]
+    yield Entry(entity, box_context())
+    boxes = _boxes([d.box_px for d in payload], [BoxClass.DETECTED] * len(payload), texts, shown=True)
+    yield Entry(entity, boxes, world.image_frame(world.reference, ""))
+
+
+def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iterator[Entry]:
+    """Boxes distinguished by what became of them; the kept ones of known distance in the camera's frame."""
+    true = role.startswith("truth")
+    judged = [(item, BoxClass.TRUE if true else BoxClass[item.verdict.upper()]) for item in payload.objects]
+    frame, camera = world.image_frame(world.reference, ""), world.front
+    yield Entry(entity, box_context())
+    kept = [(item, box) for item, box in judged if item.kept or true]
+    dropped = [(item, box) for item, box in judged if not (item.kept or true)]
+    yield Entry(f"{entity}/annotations/dropped", _judged(dropped), frame)
+    yield Entry(f"{entity}/annotations/kept", _judged(kept), frame)
+    if camera is not None:
+        places = _caption_places(kept, camera)
+        yield Entry(f"{entity}/annotations/captions", _captions(kept, places), frame)
+        yield from _in_space(f"{entity}/scene", kept, places, camera)
+
+
+def _caption_places(kept: Sequence[tuple[Object, BoxClass]], camera: Camera) -> tuple[Box | None, ...]:
+    """Space for the captions, which are larger here than elsewhere by the margin around them."""
+    items = [item for item, _ in kept]
+    sizes = [viewer_text_size(camera, caption(item)) for item in items]
+    wider = [(_CAPTION_MARGIN[0] * width, _CAPTION_MARGIN[1] * height) for width, height in sizes]
+    return caption_places((camera.width, camera.height), items, [item.detection.box_px for item in items], wider)
+
+
+def _captions(kept: Sequence[tuple[Object, BoxClass]], places: Sequence[Box | None]) -> rr.Points2D:
+    """Captions that fit, below their points; hovering over a box shows its caption as well."""
+    shown = [(caption(item), box, place) for (item, box), place in zip(kept, places, strict=True) if place]
+    return rr.Points2D(
+        np.array([((place.x_min + place.x_max) / 2, place.y_min) for _, _, place in shown]).reshape(-1, 2),
+        labels=[text for text, _, _ in shown],
+        class_ids=[box for _, box, _ in shown],
+        show_labels=True,
+        radii=rr.Radius.ui_points(0.0),
+        draw_order=50.0,
+    )
+
+
+def _judged(objects: Sequence[tuple[Object, BoxClass]]) -> rr.Boxes2D:
+    boxes_px, texts = [item.detection.box_px for item, _ in objects], [caption(item) for item, _ in objects]
+    return _boxes(boxes_px, [box for _, box in objects], texts, shown=False)
+
+
+def _boxes(boxes_px: Sequence[Box], classes: Sequence[BoxClass], texts: Sequence[str], *, shown: bool) -> rr.Boxes2D:
+    """Half-open boxes, counted from the image's corner as they stand; their texts shown, or shown on hovering only."""
+    corners = np.array([(b.x_min, b.y_min, b.x_max, b.y_max) for b in boxes_px], float).reshape(-1, 4)
+    return rr.Boxes2D(
+        array=corners,
+        array_format=rr.Box2DFormat.XYXY,
+        class_ids=list(classes),
+        labels=list(texts),
+        show_labels=shown,
+        radii=rr.Radius.ui_points([_DROPPED_PX if c is BoxClass.DROPPED else _KEPT_PX for c in classes]),
+        draw_order=40.0,
+    )
+
+
+def _in_space(
+    entity: str, kept: Sequence[tuple[Object, BoxClass]], places: Sequence[Box | None], camera: Camera
+) -> Iterator[Entry]:
+    """Those of known distance, and the captions of those that have one in the image."""
+    near = [(*pair, place) for pair, place in zip(kept, places, strict=True) if pair[0].distance_m]
+    slabs = [box_in_space(camera, item.detection.box_px, item.distance_m or 0.0) for item, _, _ in near]
+    centres = np.array([centre for centre, _ in slabs]).reshape(-1, 3)
+    classes, texts = [box for _, box, _ in near], [caption(item) for item, _, _ in near]
+    boxes = rr.Boxes3D(
+        centers=centres,
+        sizes=np.array([size for _, size in slabs]).reshape(-1, 3),
+        class_ids=classes,
+        labels=texts,
+        show_labels=False,
+        radii=rr.Radius.ui_points(1.5),
+    )
+    yield Entry(entity, boxes, camera.frame_id)
+    named = [k for k, (_, _, place) in enumerate(near) if place]
+    captions = rr.Points3D(
+        centres[named],
+        labels=[texts[k] for k in named],
+        class_ids=[classes[k] for k in named],
+        show_labels=True,
+        radii=rr.Radius.ui_points(0.0),
+    )
+    yield Entry(f"{entity}/captions", captions, camera.frame_id)
+
+
+_HALF_PIXEL = 0.5
+_SMOOTHED_PX, _RAW_PX, _PROPOSAL_PX = 2.0, 1.0, 0.5
+_ON_THE_ROAD_M, _TRUE_M = 0.09, 0.03
+_PARTS = 20
+"""Into so many a metre of line is cut to end it at the image's edge."""
+
+
+def lanes(entity: str, role: str, payload: Lanes, world: SceneState) -> Iterator[Entry]:
+    """Smoothed, raw and proposed lines in the image, and the boundaries in the ego frame."""
+    yield Entry(entity, line_context())
+    yield from _on_the_image(f"{entity}/annotations", payload, role, world)
+    drawn = [boundary for boundary in payload.boundaries if len(boundary.line_ego_m)]
+    strips = rr.LineStrips3D(
+        [boundary.line_ego_m for boundary in drawn],
+        radii=_TRUE_M if role.startswith("truth") else _ON_THE_ROAD_M,
+        class_ids=_classes(drawn, role),
+        labels=[_caption(boundary) for boundary in drawn],
+        show_labels=False,
+    )
+    yield Entry(f"{entity}/scene", strips, EGO)
+
+
+def _on_the_image(entity: str, payload: Lanes, role: str, world: SceneState) -> Iterator[Entry]:
+    frame, camera = world.image_frame(world.reference, ""), world.front
+    drawn = [boundary for boundary in payload.boundaries if len(boundary.line_px)]
+    smoothed = rr.LineStrips2D(
+        [_inside(boundary.line_px, camera) + _HALF_PIXEL for boundary in drawn],
+        radii=rr.Radius.ui_points(_SMOOTHED_PX),
+        class_ids=_classes(drawn, role),
+        labels=[_caption(boundary) for boundary in drawn],
+        show_labels=False,
+        draw_order=30.0,
+    )
+    raw = np.array([b.raw_px for b in payload.boundaries if b.raw_px is not None]).reshape(-1, 4)
+    yield Entry(f"{entity}/proposals", _segments(payload.proposals_px, LineClass.PROPOSAL, _PROPOSAL_PX, 10.0), frame)
+    yield Entry(f"{entity}/raw", _segments(raw, LineClass.RAW, _RAW_PX, 20.0), frame)
+    yield Entry(f"{entity}/smoothed", smoothed, frame)
+
+
+def _inside(line_px: Float, camera: Camera | None) -> Float:
+    """The part of an (N, 2) line that the image shows: what lies beside it would shift the view."""
+    if camera is None:
+        return line_px
+    places = np.arange(len(line_px))
+    fine = np.linspace(0, len(line_px) - 1, _PARTS * (len(line_px) - 1) + 1)
+    line = np.stack([np.interp(fine, places, column) for column in line_px.T], axis=-1)
+    corner = line + _HALF_PIXEL
+    shown = ((corner >= 0) & (corner < (camera.width, camera.height))).all(axis=1)
+    return np.asarray(line[shown], float)
+
+
+def _segments(lines_px: Float, line_class: LineClass, radius: float, draw_order: float) -> rr.LineStrips2D:
+    """(N, 4) x1, y1, x2, y2 as N strips."""
+    return rr.LineStrips2D(
+        [*(lines_px.reshape(-1, 2, 2) + _HALF_PIXEL)],
+        radii=rr.Radius.ui_points(radius),
+        class_ids=[line_class] * len(lines_px),
+        show_labels=False,
+        draw_order=draw_order,
+    )
+
+
+def _classes(boundaries: Sequence[Boundary], role: str) -> list[LineClass]:
+    true = role.startswith("truth")
+    return [LineClass.TRUE if true else LineClass[boundary.status.upper()] for boundary in boundaries]
+
+
+def _caption(boundary: Boundary) -> str:
+    offset = "" if boundary.offset_m is None else f"{boundary.offset_m:+.2f} m"
+    return f"{offset} {boundary.outside}".strip()

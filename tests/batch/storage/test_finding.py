@@ -1,0 +1,144 @@
+"""What files, folders and patterns stand for, on a disk and in stores."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from roadperc_stream.batch.storage.folder import Folder, find_files
+from roadperc_stream.errors import StorageError
+
+NAMES = (
+    "a b/ä?[1]%20.mcap",
+    "drive10.mcap",
+    "drive2.mcap",
+    "2024/5/x.MCAP",
+    "2024/5/x.bag",
+    ".a/t.mcap",
+    ".p.mcap",
+)
+
+
+@pytest.fixture
+def drives(place):
+    folder = Folder(place)
+    for name in NAMES:
+        folder.write(name, name.encode())
+    return folder
+
+
+def found(folder, pattern, **options):
+    return [folder.name_of(stored) for stored in find_files(f"{folder.address}{pattern}", **options)]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("", ["2024/5/x.MCAP", "a b/ä?[1]%20.mcap", "drive2.mcap", "drive10.mcap"]),
+        ("/", ["2024/5/x.MCAP", "a b/ä?[1]%20.mcap", "drive2.mcap", "drive10.mcap"]),
+        ("/2024", ["2024/5/x.MCAP"]),
+        ("/*.mcap", ["drive2.mcap", "drive10.mcap"]),
+        ("/*", ["2024/5/x.MCAP", "a b/ä?[1]%20.mcap", "drive2.mcap", "drive10.mcap"]),
+        ("/drive?.mcap", ["drive2.mcap"]),
+        ("/drive[0-9][0-9].*", ["drive10.mcap"]),
+        ("/**/x.*", ["2024/5/x.MCAP"]),
+        ("/20*/?", ["2024/5/x.MCAP"]),
+        ("/.a*/*", [".a/t.mcap"]),
+        ("/.p*", [".p.mcap"]),
+        ("/a b/ä?[1]%20.mcap", ["a b/ä?[1]%20.mcap"]),
+        ("/drive2.mcap", ["drive2.mcap"]),
+        ("/2024/5/x.bag", ["2024/5/x.bag"]),
+        ("/.a/t.mcap", [".a/t.mcap"]),
+    ],
+)
+def test_what_a_text_stands_for(drives, pattern, names):
+    assert found(drives, pattern) == names
+
+
+def test_another_ending_may_be_asked_for(drives):
+    assert found(drives, "", suffix=".bag") == ["2024/5/x.bag"]
+    assert found(drives, "/2024", suffix="") == ["2024/5/x.MCAP", "2024/5/x.bag"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "why"),
+    [
+        ("/no", "no such file or folder"),
+        ("/drive2.mcap/x", "no such file or folder"),
+        ("/no/*.mcap", "no file that ends in .mcap has such a name"),
+        ("/*.bag", "no file that ends in .mcap has such a name"),
+    ],
+)
+def test_nothing_found_is_an_error_with_the_address(drives, pattern, why):
+    with pytest.raises(StorageError) as caught:
+        find_files(f"{drives.address}{pattern}")
+    assert str(caught.value) == f"{drives.address}{pattern}: {why}"
+
+
+def test_a_folder_without_such_files(drives):
+    with pytest.raises(StorageError, match=r"no file that ends in \.log below this folder"):
+        find_files(drives.address, ".log")
+
+
+def test_size_and_fingerprint_are_of_the_content(drives):
+    (before,) = find_files(f"{drives.address}/drive2.mcap")
+    (listed,) = find_files(f"{drives.address}/drive2.*")
+    assert before == listed
+    assert before.size_bytes == len(b"drive2.mcap")
+    drives.write("drive2.mcap", b"longer than before")
+    (after,) = find_files(f"{drives.address}/drive2.*")
+    assert after.fingerprint != before.fingerprint
+    assert after.size_bytes == len(b"longer than before")
+
+
+def test_relative_paths_become_absolute(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.mcap").touch()
+    for text in ("a.mcap", ".", "*.mcap", tmp_path.as_uri()):
+        assert [stored.address for stored in find_files(text)] == [str(tmp_path / "a.mcap")]
+
+
+def test_links_are_followed_but_not_in_circles(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "disk" / "a.mcap").write_bytes(b"log")
+    (tmp_path / "drives").mkdir()
+    (tmp_path / "drives" / "linked").symlink_to(tmp_path / "disk")
+    (tmp_path / "drives" / "dead.mcap").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "disk" / "up").symlink_to(tmp_path / "drives")
+    drives = tmp_path / "drives"
+    found = {stored.address: stored.size_bytes for stored in find_files(str(drives))}
+    assert found == {str(drives / "dead.mcap"): 0, str(drives / "linked" / "a.mcap"): 3}
+
+
+def test_what_is_no_file_is_not_found(tmp_path):
+    os.mkfifo(tmp_path / "pipe.mcap")
+    with pytest.raises(StorageError, match="is a device or a pipe"):
+        find_files(str(tmp_path / "pipe.mcap"))
+    with pytest.raises(StorageError, match=r"no file that ends in \.mcap below this folder"):
+        find_files(str(tmp_path))
+
+
+def test_a_folder_that_may_not_be_read_is_named(tmp_path, monkeypatch):
+    (tmp_path / "closed").mkdir()
+    listed = os.scandir
+
+    def refused(folder):
+        """As for everybody but the superuser, to whom nothing is closed."""
+        if Path(folder).name == "closed":
+            raise PermissionError(errno.EACCES, "Permission denied", folder)
+        return listed(folder)
+
+    monkeypatch.setattr(os, "scandir", refused)
+    with pytest.raises(StorageError, match=r"closed: Permission denied"):
+        find_files(str(tmp_path))
+
+
+@pytest.mark.parametrize("pattern", ["", "/*.mcap", "/**/*.mcap", "/*/*.mcap"])
+def test_a_store_is_listed_once_and_not_asked_for_each_file(bucket, s3_server, pattern):
+    for k in range(12):
+        Folder(bucket).write(f"drives/{k}.mcap", b"")
+        Folder(bucket).write(f"drives/day {k}/{k}.mcap", b"")
+    before = len(s3_server.requests())
+    assert len(find_files(f"{bucket}/drives{pattern}")) >= 12
+    assert len(s3_server.requests()) - before <= 3

@@ -1,0 +1,72 @@
+"""Patterns stand for what Python's glob finds on a disk; what leads nowhere is not entered."""
+
+import glob
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream.batch.storage.addresses import leads_on, matches, natural, split_pattern
+
+NAMES = st.sampled_from(["a", "b2", "b10", ".h", "x.mcap", ".y.mcap", "[1]", "ä b"])
+PATHS = st.lists(NAMES, min_size=1, max_size=4).map(tuple)
+PATTERN_PARTS = st.sampled_from(["*", "**", "a", "b?", "b*", "*.mcap", ".*", "[ab]*", "[!a]*", ".h", "[[]1]", "*2"])
+PATTERNS = st.lists(PATTERN_PARTS, min_size=1, max_size=4).map(tuple)
+
+
+def files_of(paths):
+    """Those of the paths that can be files together: none is a folder of another one."""
+    return {path for path in paths if not any(other[: len(path)] == path for other in paths if other != path)}
+
+
+def found_by_glob(root, pattern):
+    """Files that glob finds, and those in the folders that it finds."""
+    for found in glob.glob("/".join(pattern), root_dir=root, recursive=True):  # noqa: PTH207 - the one that can
+        if (root / found).is_file():
+            yield tuple(Path(found).parts)
+        for below in (root / found).rglob("*"):
+            names = below.relative_to(root / found).parts
+            if below.is_file() and not any(name.startswith(".") for name in names):
+                yield below.relative_to(root).parts
+
+
+@given(paths=st.sets(PATHS, max_size=12), pattern=PATTERNS)
+def test_a_pattern_stands_for_what_glob_finds(tmp_path_factory, paths, pattern):
+    root = tmp_path_factory.mktemp("tree")
+    files = files_of(paths)
+    for names in files:
+        root.joinpath(*names).parent.mkdir(parents=True, exist_ok=True)
+        root.joinpath(*names).touch()
+    assert {names for names in files if matches(pattern, names)} == set(found_by_glob(root, pattern))
+
+
+@given(names=PATHS, pattern=PATTERNS)
+def test_every_folder_of_a_match_is_entered(names, pattern):
+    if matches(pattern, names):
+        assert all(leads_on(pattern, names[:depth]) for depth in range(len(names)))
+
+
+def test_folders_that_lead_nowhere_are_not_entered():
+    assert not leads_on(("*.mcap",), ("2024",))
+    assert not leads_on(("2024", "*.mcap"), ("2025",))
+    assert not leads_on(("**", "*.mcap"), (".git",))
+    assert not leads_on((), ("a", ".git"))
+    assert leads_on(("**", "*.mcap"), ("2024", "5"))
+
+
+def test_where_a_pattern_begins():
+    assert split_pattern("s3://bucket/drives/20*/**/*.mcap") == ("s3://bucket/drives", ("20*", "**", "*.mcap"))
+    assert split_pattern("s3://bucket/*") == ("s3://bucket", ("*",))
+    assert split_pattern("/a/b.mcap") == ("/a/b.mcap", ())
+    assert split_pattern("/*.mcap") == ("/", ("*.mcap",))
+
+
+def test_numbers_sort_by_their_value():
+    names = ["drive10", "drive2", "drive2b", "drive02", "Drive1", "a", "drive", "9", "²"]
+    assert sorted(names, key=natural) == ["9", "Drive1", "a", "drive", "drive02", "drive2", "drive2b", "drive10", "²"]
+
+
+@given(st.data())
+def test_any_names_have_one_order(data):
+    names = data.draw(st.lists(st.text(max_size=8), max_size=8))
+    assert sorted(data.draw(st.permutations(names)), key=natural) == sorted(names, key=natural)

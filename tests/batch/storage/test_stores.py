@@ -1,0 +1,142 @@
+"""What stores refuse is one line that says where and why; their clients are imported for addresses alone."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from roadperc_stream.batch.storage.folder import Folder, fetch, find_files
+from roadperc_stream.batch.storage.stores import store_errors
+from roadperc_stream.errors import StorageError
+
+
+def errors_of(address, tmp_path):
+    """What finding, fetching, reading and writing in a place that does not work say."""
+    (tmp_path / "source").write_bytes(b"x")
+    for action in (
+        lambda: find_files(f"{address}/*.mcap"),
+        lambda: find_files(f"{address}/a.mcap"),
+        lambda: fetch(f"{address}/a.mcap", tmp_path / "a.mcap"),
+        lambda: Folder(address).write("a", b"x"),
+        lambda: Folder(address).put(tmp_path / "source", "a"),
+        lambda: Folder(address).files(),
+    ):
+        with pytest.raises(StorageError) as caught:
+            action()
+        assert str(caught.value).startswith(address)
+        assert "\n" not in str(caught.value)
+        yield str(caught.value)
+
+
+@pytest.fixture(autouse=True)
+def no_waiting(monkeypatch):
+    monkeypatch.setattr("roadperc_stream.batch.storage.stores.WAITS_S", ())
+
+
+def test_a_missing_bucket(bucket, tmp_path):
+    for text in errors_of(f"{bucket}-not", tmp_path):
+        assert "no such bucket" in text or text.endswith("no such file")
+
+
+def test_keys_that_the_store_does_not_know(bucket, s3_server, tmp_path):
+    with s3_server.checking_credentials():
+        for text in errors_of(bucket, tmp_path):
+            assert "access denied" in text
+            assert "no credentials" not in text
+
+
+def test_no_keys_at_all(bucket, monkeypatch):
+    """The error is AWS's: moto's server fails of itself where it checks keys and a request has none."""
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    with (
+        pytest.raises(StorageError, match="access denied, and no credentials in the environment"),
+        store_errors(bucket),
+    ):
+        raise OSError("AWS Error ACCESS_DENIED during HeadObject operation: No response body.")
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "why"),
+    [("http://127.0.0.1:9", "the store takes no connection"), ("http://no-such.invalid", "name does not resolve")],
+)
+def test_a_store_that_cannot_be_reached_is_told_within_seconds(bucket, tmp_path, monkeypatch, endpoint, why):
+    monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
+    begin_s = time.monotonic()
+    with pytest.raises(StorageError, match=why):
+        find_files(f"{bucket}/*.mcap")
+    assert time.monotonic() - begin_s < 20
+
+
+def test_a_store_that_does_not_answer(bucket, monkeypatch):
+    monkeypatch.setattr(
+        "roadperc_stream.batch.storage.clients.TIMEOUTS_S", {"connect_timeout": 1.0, "request_timeout": 1.0}
+    )
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{silent.getsockname()[1]}")
+        begin_s = time.monotonic()
+        with pytest.raises(StorageError, match="the store does not answer"):
+            find_files(f"{bucket}/*.mcap")
+        assert time.monotonic() - begin_s < 20
+
+
+def test_an_endpoint_that_is_none(bucket, monkeypatch):
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "ftp://127.0.0.1")
+    with pytest.raises(StorageError, match="ftp"):
+        find_files(f"{bucket}/*.mcap")
+
+
+def test_the_endpoint_for_this_service_comes_first(bucket, s3_server, monkeypatch):
+    Folder(bucket).write("a.mcap", b"")
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
+    monkeypatch.setenv("AWS_ENDPOINT_URL_S3", s3_server.url)
+    assert len(find_files(bucket)) == 1
+
+
+def test_a_scheme_that_nobody_knows():
+    with pytest.raises(StorageError, match=r"nope://a: fsspec knows no scheme nope://"):
+        find_files("nope://a")
+
+
+def test_what_is_to_be_installed_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "adlfs", None)
+    with pytest.raises(StorageError, match=r"abfs://c/a: needs fsspec's package for abfs:// \(adlfs .*pip install"):
+        find_files("abfs://c/a")
+
+
+def run(code):
+    command = [sys.executable, "-c", f"from roadperc_stream.batch.storage import folder\n{code}"]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, env=os.environ)
+
+
+def test_local_files_need_no_store_client(tmp_path):
+    (tmp_path / "a.mcap").touch()
+    code = f"""
+import sys
+folder.find_files({str(tmp_path)!r})
+folder.Folder({str(tmp_path)!r}).write("b", b"")
+sys.exit(str([name for name in sys.modules if name.split(".")[0] in ("pyarrow", "fsspec", "numpy")]))
+"""
+    assert run(code).stderr == "[]\n"
+
+
+@pytest.mark.parametrize("end", ["", "sys.exit(0)", "os._exit(0)"])
+def test_a_process_that_used_a_store_and_forked_ends(bucket, end):
+    code = f"""
+import os, sys, warnings
+warnings.simplefilter("ignore", DeprecationWarning)  # of newer versions of Python, where threads are there
+place = folder.Folder({bucket!r})
+place.write("a", b"1")
+child = os.fork()
+if child == 0:
+    assert place.read("a") == b"1"
+    {end or "pass"}
+else:
+    assert os.waitpid(child, 0)[1] == 0
+    place.write("b", b"2")
+"""
+    done = run(code)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert Folder(bucket).read("b") == b"2"

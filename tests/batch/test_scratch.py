@@ -1,0 +1,131 @@
+"""Temporary files of a batch outside the dataset: in a folder that is the user's own, else one clear error."""
+
+import os
+import stat
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+from roadperc_stream.batch.attempt import attempt
+from roadperc_stream.batch.worker import scratch_of, work
+from roadperc_stream.system.progress import no_progress
+from tests.batch.dataset import batch, statuses, write_log
+from tests.batch.test_again import task as task_of
+
+NAME = f"roadperc-batch-{os.getuid()}"
+STRANGER = 12345
+
+
+def linked(folder, _):
+    (folder.parent / "theirs").mkdir(mode=0o700)
+    folder.symlink_to(folder.parent / "theirs")
+
+
+def linked_nowhere(folder, _):
+    folder.symlink_to(folder.parent / "theirs")
+
+
+def of_another_user(folder, monkeypatch):
+    folder.mkdir(mode=0o700)
+    if os.geteuid() == 0:
+        os.chown(folder, STRANGER, -1)
+    else:
+        monkeypatch.setattr(os, "geteuid", lambda: STRANGER)
+
+
+def open_to_readers(folder, _):
+    folder.mkdir()
+    folder.chmod(0o755)
+
+
+def open_to_a_group(folder, _):
+    folder.mkdir()
+    folder.chmod(0o770)
+
+
+def a_file(folder, _):
+    folder.touch(mode=0o600)
+
+
+FAULTS = {
+    linked: "is a link or a file",
+    linked_nowhere: "is a link or a file",
+    a_file: "is a link or a file",
+    of_another_user: "belongs to user",
+    open_to_readers: "has mode 755",
+    open_to_a_group: "has mode 770",
+}
+FAULTY = pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.__name__)
+
+
+@pytest.fixture
+def scratch(tmp_path):
+    (tmp_path / "scratch").mkdir()
+    return tmp_path / "scratch"
+
+
+@pytest.fixture
+def task(tmp_path, scratch):
+    """A task of a dataset that is elsewhere, or could be."""
+    return task_of(write_log(tmp_path / "in" / "a.mcap"), tmp_path / "out", scratch)
+
+
+@FAULTY
+def test_a_scratch_folder_that_is_not_ones_own_is_not_used(task, scratch, fault, monkeypatch):
+    fault(scratch / NAME, monkeypatch)
+    before = below(scratch)
+    for outcome in (attempt(task), work(task, no_progress)):
+        assert outcome.status == "unreachable"
+        assert outcome.error.startswith(f"{scratch / NAME}: {FAULTS[fault]}")
+        assert outcome.error.endswith("; remove it, or name another folder with --scratch")
+    assert below(scratch) == before
+
+
+@FAULTY
+def test_the_command_says_so_at_once(tmp_path, scratch, fault, monkeypatch):
+    if fault is of_another_user and os.geteuid() != 0:
+        pytest.skip("needs another user's folder")
+    fault(scratch / NAME, monkeypatch)
+    refused = batch(tmp_path / "out", write_log(tmp_path / "in" / "a.mcap"), "--scratch", scratch)
+    assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)
+    assert refused.stderr.startswith(f"error: {scratch / NAME}: {FAULTS[fault]}")
+
+
+@pytest.mark.parametrize("mask", [0, 0o022, 0o077])
+def test_a_scratch_folder_is_made_for_its_user_alone(task, scratch, mask):
+    before = os.umask(mask)
+    try:
+        assert work(task, no_progress).status == "done"
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((scratch / NAME).stat().st_mode) == 0o700
+    assert list(scratch.iterdir()) == [scratch / NAME] == list(scratch_of(task).parents)[1:2]
+
+
+def test_a_scratch_folder_is_used_again(tmp_path, scratch):
+    for name in ("a", "b"):
+        done = batch(
+            tmp_path / "out", write_log(tmp_path / "in" / f"{name}.mcap", 4 + (name == "b")), "--scratch", scratch
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert statuses(tmp_path / "out") == {"a.mcap": "done", "b.mcap": "done"}
+
+
+def test_the_scratch_folder_of_a_store_is_in_the_folder_for_temporary_files(tmp_path, bucket, monkeypatch):
+    source = write_log(tmp_path / "in" / "a.mcap")
+    with TemporaryDirectory() as short:  # a path of pytest's is too long for the sockets in it
+        monkeypatch.setenv("TMPDIR", short)
+        folder = Path(short) / NAME
+        linked(folder, monkeypatch)
+        refused = batch(f"{bucket}/out", source)
+        assert refused.stderr.startswith(f"error: {folder}: is a link or a file, expected a folder of this user")
+        assert (refused.stderr.count("\n"), list((Path(short) / "theirs").iterdir())) == (1, [])
+        folder.unlink()
+        done = batch(f"{bucket}/out", source)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+def below(folder):
+    return sorted((path, path.lstat().st_mode, path.lstat().st_uid) for path in folder.rglob("*"))

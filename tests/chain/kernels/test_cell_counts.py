@@ -1,0 +1,95 @@
+"""Points in the cells of a grid: known answers, and the compiled counts against numpy's."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream.chain.kernels import occupancy_plain
+from roadperc_stream.chain.kernels.occupancy_plain import Cells, KnownPixels, Rays
+
+compiled = pytest.importorskip("roadperc_stream.chain.kernels.occupancy_compiled")
+BOTH = pytest.mark.parametrize("kernel", [occupancy_plain, compiled], ids=["plain", "compiled"])
+CELLS = Cells(0.0, -2.0, 0.5, 0.25, 2.0)
+SHAPE = 8, 6
+LEVEL = np.zeros(3, np.float32)
+OBSTACLE_TAGS = np.zeros(256, np.uint8)
+OBSTACLE_TAGS[[7, 255]] = 1
+
+
+def counted(kernel, depth, rays, abd, height, drivable, tags):
+    free, occupied = np.zeros(SHAPE, np.int64), np.zeros(SHAPE, np.int64)
+    kernel.count_points(CELLS, KnownPixels(depth, height, drivable, tags, OBSTACLE_TAGS), rays, abd, free, occupied)
+    return free, occupied
+
+
+def one_row(x, y, z=0.0):
+    """Depths of 1 m, and rays to such points."""
+    column = np.zeros((3, len(x)), np.float32)
+    column[0], column[1], column[2] = x, y, z
+    return np.ones((1, len(x)), np.float32), Rays(column, np.zeros((3, 1), np.float32), LEVEL)
+
+
+def row(*numbers, kind=np.float32):
+    return np.array([numbers], kind)
+
+
+@BOTH
+def test_points_lie_in_their_cells(kernel):
+    points = one_row((0.1, 0.1, 2.9, 3.0, 0.1, -0.1, 1.2), (-2.0, -1.8, 1.9, 0.0, -2.1, 0.0, 0.0))
+    free, occupied = counted(kernel, *points, LEVEL, None, np.ones((1, 7), np.uint8), np.zeros((1, 7), np.uint8))
+    assert (free[0, 0], free[7, 5], free[4, 2], free.sum()) == (2, 1, 1, 4)
+    assert not occupied.any()
+
+
+@BOTH
+@pytest.mark.parametrize("is_plane", [True, False])
+def test_what_stands_in_the_way_is_high_or_an_obstacle_and_not_above(kernel, is_plane):
+    height = row(0.25, 0.2, 0.2, 2.0, 2.1, 2.1, np.nan, np.nan)
+    tags, drivable = row(0, 1, 7, 0, 0, 255, 7, 0, kind=np.uint8), row(1, 1, 0, 0, 0, 1, 1, 1, kind=np.uint8)
+    points = one_row(np.zeros(8), np.zeros(8), height if is_plane else 9.0)
+    free, occupied = counted(kernel, *points, LEVEL, None if is_plane else height, drivable, tags)
+    assert (free[4, 0], occupied[4, 0]) == (3, 3)
+
+
+@BOTH
+def test_heights_are_over_the_plane(kernel):
+    points = one_row((1.1, 1.1, 1.1), (1.6, 1.6, 1.6), (0.55, 0.65, 2.45))
+    climbing = np.array([-0.5, 0.25, 0.4], np.float32)  # 0.55 m high at that place
+    free, occupied = counted(kernel, *points, climbing, None, np.ones((1, 3), np.uint8), np.zeros((1, 3), np.uint8))
+    assert (free[7, 2], occupied[7, 2], occupied.sum()) == (3, 1, 1)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.integers(0, 300), st.booleans())
+def test_compiled_counts_are_the_same(seed, height, width, is_plane):
+    rng = np.random.default_rng(seed)
+    depth, heights = (rng.uniform(-4, 4, (height, width)).astype(np.float32) for _ in range(2))
+    for numbers in (depth, heights):
+        for wild in (np.nan, np.inf, -np.inf, 3e38):
+            numbers[rng.random(numbers.shape) < 0.04] = wild
+    column, parts, start = (rng.uniform(-1, 1, shape).astype(np.float32) for shape in ((3, width), (3, height), 3))
+    if rng.random() < 0.3:
+        depth, column, parts, start = (np.round(a) for a in (depth, column, parts, start))
+    marks = rng.integers(0, 2, (2 * height, 2 * width)).astype(np.uint8)[::2, ::2]
+    tags = rng.choice(np.array([0, 1, 7], np.uint8), (2 * height, 2 * width))[::2, ::2]
+    road = rng.uniform(-1, 1, 3).astype(np.float32), None if is_plane else heights
+    expected, found = (
+        counted(kernel, depth, Rays(column, parts, start), *road, marks, tags) for kernel in (occupancy_plain, compiled)
+    )
+    np.testing.assert_array_equal(found, expected)
+
+
+@BOTH
+def test_what_does_not_fit_is_refused(kernel):
+    depth, rays = one_row((0.0, 1.0, 2.0), (0.0, 1.0, 2.0))
+    marks = np.zeros((1, 3), np.uint8)
+    for others in ((marks, marks[:, :2]), (marks[:, :2], marks)):
+        with pytest.raises(ValueError, match="other sizes"):
+            counted(kernel, depth, rays, LEVEL, None, *others)
+    with pytest.raises(ValueError, match="other sizes"):
+        counted(kernel, depth, rays, LEVEL, depth[:, 1:], marks, marks)
+    with pytest.raises(ValueError, match="other sizes"):
+        counted(kernel, depth[:, 1:], rays, LEVEL, None, marks[:, 1:], marks[:, 1:])
+    counts = np.zeros((2, 2), np.int64), np.zeros((2, 3), np.int64)
+    with pytest.raises(ValueError, match="counts of"):
+        kernel.count_points(CELLS, KnownPixels(depth, None, marks, marks, OBSTACLE_TAGS), rays, LEVEL, *counts)

@@ -1,0 +1,94 @@
+"""Pixels near a plane: known answers, and the compiled bits against numpy's."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream.chain.kernels import surface_plain
+
+compiled = pytest.importorskip("roadperc_stream.chain.kernels.surface_compiled")
+BOTH = pytest.mark.parametrize("kernel", [surface_plain, compiled], ids=["plain", "compiled"])
+SIZES = st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 40)
+
+
+def image(seed, height, width):
+    """Depth with unknown and wild pixels, distances per depth, marks and rays."""
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(0.5, 3.0, (height, width)).astype(np.float32)
+    for wild in (np.nan, np.inf, -np.inf, 0.0, 3e38):
+        depth[rng.random(depth.shape) < 0.05] = wild
+    column, row, ray = (rng.normal(size=length).astype(np.float32) for length in (width, height, width))
+    return depth, column, row, rng.integers(0, 2, depth.shape).astype(np.uint8), ray
+
+
+@BOTH
+def test_near_are_marked_pixels_of_known_depth_within_the_distance(kernel):
+    depth = np.array([[1.0, 2.0, np.nan, 2.0], [1.0, 1.5, 2.0, 4.0]], np.float32)
+    among, near = np.array([[1, 1, 1, 0], [1, 1, 1, 1]], np.uint8), np.full((2, 4), 9, np.uint8)
+    plane = (np.zeros(4, np.float32), np.ones(2, np.float32), -1.5), 0.5
+    kernel.mark_near(depth, *plane, among, near)
+    np.testing.assert_array_equal(near, [[1, 1, 0, 0], [1, 1, 1, 0]])
+    assert kernel.count_near(depth, *plane, among) == 5
+
+
+@BOTH
+def test_moments_are_those_of_the_points(kernel):
+    depth, marks = np.array([[1.0, 2.0, 3.0, np.nan]], np.float32), np.array([[1, 1, 0, 1]], np.uint8)
+    flat, ray = np.zeros(4, np.float32), np.array([0.5, -1.0, 7.0, 7.0], np.float32)
+    found = kernel.moments_near(depth, (flat, flat[:1], 0.0), 1.0, marks, ray)
+    np.testing.assert_array_equal(found, [[2, 3, -1.5, 5, -3.5, 4.25]])
+
+
+@given(*SIZES)
+def test_compiled_marks_are_the_same(seed, height, width):
+    depth, column, row, among, _ = image(seed, height, width)
+    near = np.full((2, height, width), 9, np.uint8)
+    counts = []
+    for k, kernel in enumerate((surface_plain, compiled)):
+        kernel.mark_near(depth, (column, row, 0.25), 0.7, among, near[k])
+        counts.append(kernel.count_near(depth, (column, row, 0.25), 0.7, among))
+    assert counts[0] == counts[1] == np.count_nonzero(near[0])
+    np.testing.assert_array_equal(*near)
+
+
+@given(*SIZES)
+def test_compiled_moments_have_the_same_bits(seed, height, width):
+    depth, column, row, marks, ray = image(seed, height, width)
+    expected, found = (k.moments_near(depth, (column, row, 0.25), 0.7, marks, ray) for k in (surface_plain, compiled))
+    assert expected.tobytes() == found.tobytes()
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 90), st.sampled_from([0.01, 0.5, 1.0]))
+def test_marks_are_counted_row_by_row(seed, height, width, share):
+    marks = (np.random.default_rng(seed).random((height, width)) < share).astype(np.uint8)
+    ranks = np.random.default_rng(seed).permutation(np.count_nonzero(marks))
+    for kernel in (surface_plain, compiled):
+        np.testing.assert_array_equal(kernel.marked(marks, ranks), np.flatnonzero(marks)[ranks])
+
+
+@BOTH
+@pytest.mark.parametrize("rank", [-1, 3])
+def test_a_mark_that_is_not_there_is_refused(kernel, rank):
+    with pytest.raises(IndexError, match="of 3"):
+        kernel.marked(np.array([[0, 1, 1], [0, 0, 1]], np.uint8), np.array([0, rank]))
+
+
+def test_marks_that_are_no_marks_are_looked_for_in_the_image_alone():
+    marks = np.full((2, 3), 255, np.uint8)
+    assert set(compiled.marked(marks, np.arange(6 * 255)).tolist()) == set(range(6))
+
+
+@BOTH
+def test_what_does_not_fit_is_refused(kernel):
+    depth, column, row, marks, ray = image(0, 4, 5)
+    for wrong in ((column[1:], row, marks, marks), (column, row, marks[:3], marks), (column, row, marks, marks[:3])):
+        with pytest.raises(ValueError, match="of 4x5 depths"):
+            kernel.mark_near(depth, (*wrong[:2], 0.0), 1.0, *wrong[2:])
+    for wrong in ((column[1:], row, marks), (column, row, marks[:3])):
+        with pytest.raises(ValueError, match="of 4x5 depths"):
+            kernel.count_near(depth, (*wrong[:2], 0.0), 1.0, *wrong[2:])
+    with pytest.raises(ValueError, match="of 4x5 depths"):
+        kernel.moments_near(depth, (column, row[1:], 0.0), 1.0, marks, ray)
+    with pytest.raises(ValueError, match="of 4x5 depths"):
+        kernel.moments_near(depth, (column, row, 0.0), 1.0, marks, ray[1:])

@@ -1,0 +1,251 @@
+"""Every setting has an effect: on the sample's frames another value of it gives another result."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from roadperc_stream.chain.step import ChainState, step
+from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_off
+from roadperc_stream.config.fields import Section
+from roadperc_stream.input import ReplaySource, open_input
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.system.threads import one_thread
+from roadperc_stream.system.time import TimeRange
+from tests import logs
+from tests.chain.test_chain import same
+from tests.replaying import replay
+
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
+FRAMES = 8
+
+SURFACE = {
+    "seed": "1",
+    "surface.enabled": "false",
+    "surface.model": "plane",
+    "surface.classes": "road",
+    "surface.inlier_m": "0.005",
+    "surface.drivable_m": "0.02",
+    "surface.hypotheses": "1",
+    "surface.batch": "3",
+    "surface.subsample": "100",
+    "surface.enough_inliers": "1.0",
+    "surface.min_inliers": "1.0",
+    "surface.max_depth_m": "10",
+    "surface.max_tilt_deg": "0.1",
+}
+SPLINE = {
+    "surface.spline_knot_m": "10",
+    "surface.spline_curvature_per_m": "0.0005",
+    "surface.spline_half_width_m": "4",
+}
+STEREO = {
+    "stereo.method": "full",
+    "stereo.disparities": "16",
+    "stereo.block_px": "9",
+    "stereo.p1": "400",
+    "stereo.p2": "2000",
+    "stereo.uniqueness_percent": "40",
+    "stereo.left_right_px": "8",
+    "stereo.speckle_px": "0",
+    "stereo.speckle_step_px": "1",
+    "stereo.refine_px": "0",
+    "stereo.min_disparity_px": "8",
+}
+LANES = {
+    "lanes.enabled": "false",
+    "lanes.model": "line",
+    "lanes.separators": "sidewalk",
+    "lanes.median_px": "21",
+    "lanes.canny_low": "2000",
+    "lanes.canny_high": "2000",
+    "lanes.canny_aperture": "5",
+    "lanes.hough_rho_px": "4",
+    "lanes.hough_theta_deg": "3",
+    "lanes.hough_threshold": "200",
+    "lanes.hough_min_length_px": "200",
+    "lanes.hough_max_gap_px": "10",
+    "lanes.min_slope": "0.6",
+    "lanes.merge_slope": "0.01",
+    "lanes.merge_intercept_px": "4",
+    "lanes.near_m": "2",
+    "lanes.fit_max_m": "20",
+    "lanes.fit_strip_m": "0.1",
+    "lanes.fit_huber": "0.5",
+    "lanes.gate": "0.01",
+    "lanes.process_noise": "5",
+    "lanes.min_width_m": "5",
+    "lanes.max_width_m": "2.5",
+    "lanes.max_std_m": "0.001",
+    "lanes.car_width_m": "10",
+}
+LINES = {"lanes.offset_std_m": "0.2", "lanes.heading_std": "0.1", "lanes.curvature_std_per_m": "0.02"}
+OBJECTS = {
+    "objects.enabled": "false",
+    "objects.filter": "class_ratio",
+    "objects.min_fit": "0.95",
+    "objects.distance_quantile": "0.5",
+    "objects.distance_pixels": "box",
+    "objects.hold_s": "0",
+    "objects.template_search": "false",
+    "objects.carry_after_s": "1",
+    "objects.template_min_score": "0.99",
+    "objects.min_overlap": "0.9",
+    "objects.gate": "0.1",
+    "objects.min_distance_std_m": "1",
+    "objects.process_noise": "20",
+    "objects.max_speed_std_mps": "0.5",
+    "objects.car_width_m": "6",
+    "objects.path_margin_m": "3",
+    "objects.object_length_m": "0.05",
+    "objects.lateral_std_m": "2",
+    "objects.lateral_noise": "20",
+}
+IMPACTS = {"objects.min_closing_mps": "10", "objects.min_closing_sigmas": "1000"}
+LANE_PATH = {"objects.lane_width_min_m": "4.5", "objects.lane_width_max_m": "2.5"}
+EXPECTED = {"objects.min_fit_seen": "1"}
+LECTURE = {"objects.min_class_ratio": "0.9", "objects.distance_penalty": "1.0"}
+ODOMETRY = {
+    "odometry.enabled": "false",
+    "odometry.features": "orb",
+    "odometry.min_rows": "100",
+    "odometry.max_points": "100",
+    "odometry.cell_px": "300",
+    "odometry.window_px": "40",
+    "odometry.forward_backward_px": "0.01",
+    "odometry.max_depth_m": "10",
+    "odometry.depth_std_per_m": "0.01",
+    "odometry.inlier_px": "0.3",
+    "odometry.ransac_iterations": "1",
+    "odometry.min_inliers": "300",
+    "odometry.min_inlier_ratio": "1.0",
+    "odometry.max_speed_mps": "1",
+    "odometry.max_turn_rate_dps": "0.1",
+    "odometry.keyframe_share": "1.0",
+    "odometry.keyframe_flow_px": "1",
+}
+DESCRIPTORS = {"odometry.matcher": "flann", "odometry.match_ratio": "0.5"}
+MONO = {"odometry.min_parallax_px": "50"}
+OCCUPANCY = {
+    "occupancy.enabled": "false",
+    "occupancy.resolution_m": "0.4",
+    "occupancy.x_min_m": "5",
+    "occupancy.x_max_m": "20",
+    "occupancy.half_width_m": "10",
+    "occupancy.min_height_m": "1",
+    "occupancy.max_height_m": "1",
+    "occupancy.obstacle_classes": "pedestrian",
+    "occupancy.pixel_step": "16",
+    "occupancy.min_points": "10",
+    "occupancy.depth_tolerance": "0.0",
+}
+ELSEWHERE = {
+    "tag_table": "below",
+    "sync.tolerance_s": "input/test_sync.py",
+    "sync.max_wait_s": "input/test_sync.py",
+    "surface.assumed_height_m": "below",
+    "surface.hold_m": "tests/chain/stages/surface/test_memory.py",
+    "lanes.hold_s": "chain/stages/lanes/test_class_history.py",
+    "objects.template_png": "chain/stages/objects/test_obstacle.py",
+    "objects.template_distance": "chain/stages/objects/test_obstacle.py",
+    "objects.cut_in_mps": "chain/stages/objects/test_impact.py",
+    "objects.restart_s": "chain/stages/objects/test_tracker.py",
+    "limits.chunk_mb": "hostile/test_logs.py",
+    "limits.chunk_messages": "hostile/test_logs.py",
+    "limits.record_mb": "hostile/test_logs.py",
+    "limits.attachments_mb": "log/test_bounds.py",
+    "limits.gaps": "log/test_bounds.py",
+    "limits.image_megapixels": "hostile/test_messages.py",
+    "limits.image_formats": "hostile/test_images.py",
+    "limits.points": "hostile/test_messages.py",
+    "limits.message_mb": "hostile/test_messages.py",
+    "limits.detections": "hostile/test_messages.py",
+    "limits.transforms": "hostile/test_messages.py",
+    "limits.name_length": "hostile/test_messages.py",
+}
+"""Settings whose effect the sample does not show, and where it is tested."""
+
+GROUPS = (
+    (SURFACE, ("surface",), ()),
+    (SPLINE, ("surface",), ("surface.model=spline",)),
+    (STEREO, ("stereo",), ()),
+    (LANES, ("surface", "lanes"), ()),
+    (LINES, ("surface", "lanes"), ("lanes.model=line",)),
+    ({"lanes.use_odometry": "false"}, ("surface", "lanes", "odometry"), ()),
+    (OBJECTS, ("objects",), ()),
+    (IMPACTS, ("objects",), ("objects.path_margin_m=5",)),
+    (LANE_PATH, ("surface", "lanes", "objects"), ()),
+    ({"objects.path_memory_m": "0.5"}, ("surface", "odometry", "objects"), ()),
+    (LECTURE, ("objects",), ("objects.filter=class_ratio", "objects.distance_pixels=class")),
+    (EXPECTED, ("objects",), ("objects.min_class_ratio=1",)),
+    (ODOMETRY, ("odometry",), ()),
+    (DESCRIPTORS, ("odometry",), ("odometry.features=sift",)),
+    (MONO, ("odometry",), ("mono",)),
+    ({"odometry.pitch_std_deg": "0"}, ("surface", "odometry"), ("mono",)),
+    (OCCUPANCY, ("surface", "occupancy"), ()),
+)
+
+
+@cache
+def frames(mono):
+    found = open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES)), ReplayConfig()).samples()
+    lacking = {"depth": None, "right": None} if mono else {}
+    return [replace(sample.frame, **lacking) for sample in found]
+
+
+@cache
+def results(stages, settings):
+    others = tuple(switched_off(stage) for stage in STAGES if stage not in stages)
+    cfg = load_config(None, (*others, *(s for s in settings if s != "mono")))
+    state, found = ChainState(), []
+    with one_thread():
+        for frame in frames("mono" in settings):
+            state, result = step(cfg, state, frame)
+            found.append(result)
+    return tuple(found)
+
+
+def all_settings():
+    """``section.key``, and the keys that belong to no section."""
+    for name, field in ReplayConfig.model_fields.items():
+        if isinstance(field.default, Section):
+            yield from (f"{name}.{key}" for key in type(field.default).model_fields)
+        else:
+            yield name
+
+
+def test_no_setting_is_left_out():
+    shown = [key for changes, _, _ in GROUPS for key in changes]
+    assert sorted([*shown, *ELSEWHERE]) == sorted(all_settings())
+
+
+@pytest.mark.parametrize(
+    ("stages", "settings", "change"),
+    [
+        pytest.param(stages, settings, f"{key}={value}", id=key)
+        for changes, stages, settings in GROUPS
+        for key, value in changes.items()
+    ],
+)
+def test_another_value_gives_another_result(stages, settings, change):
+    assert not same(results(stages, (*settings, change)), results(stages, settings))
+
+
+def test_the_tag_table_that_is_set_wins_over_the_logs(tmp_path):
+    """Read as another version's, whose 7 is a traffic light and no road, the log's tags show no road."""
+    source = logs.write(tmp_path / "in.mcap", logs.items(1))
+    found = {}
+    for name in ("auto", "0.9.15"):
+        replay(source, tmp_path / f"{name}.mcap", load_config(None, (f"tag_table={name}",)))
+        found[name] = pl.read_parquet(sidecar_path(tmp_path / f"{name}.mcap", "metrics"))["surface_source"].to_list()
+    assert found == {"auto": ["depth"], "0.9.15": ["assumed"]}
+
+
+def test_without_mounting_and_depth_the_camera_has_the_assumed_height(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(2, roles=("calibration", "image", "segmentation")))
+    replay(source, tmp_path / "out.mcap", load_config(None, ("surface.assumed_height_m=2.5",)))
+    table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
+    assert table["surface_source"].to_list() == ["assumed", "estimated"]
+    assert table["camera_height_m"].to_list() == pytest.approx([2.5] * 2)

@@ -1,0 +1,188 @@
+"""Agreement of two values, what rules mean, and intervals: known answers, and how often chance is marked."""
+
+import argparse
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from roadperc_stream.errors import RoadpercError
+from roadperc_stream.eval.comparison.agreement import ABSENT, Agreement, Difference, distance, together
+from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, _block_means, block_length, mean_interval
+from roadperc_stream.eval.comparison.messages import without_indices
+from roadperc_stream.eval.options import Amount, Rules, allowance, tolerance
+
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    ("reference", "candidate", "apart"),
+    [
+        (1.0, 1.0, 0.0),
+        (1, 1.5, 0.5),
+        (NAN, NAN, 0.0),
+        (NAN, 1.0, ABSENT),
+        (None, None, 0.0),
+        (None, 0.0, ABSENT),
+        ("held", "lost", ABSENT),
+        (math.inf, math.inf, 0.0),
+        (math.inf, 1.0, ABSENT),
+    ],
+)
+def test_distance(reference, candidate, apart):
+    assert distance(reference, candidate) == apart
+    assert distance(candidate, reference) == apart
+
+
+@given(st.floats(), st.floats())
+def test_distance_of_floats_is_never_negative_and_zero_of_equals_only(a, b):
+    same = a == b or (math.isnan(a) and math.isnan(b))
+    assert distance(a, b) >= 0
+    assert (distance(a, b) == 0) == same
+
+
+def test_runs_together_keep_the_first_difference():
+    first, second = (Difference(run, 3, 7, "x", 1.0, 2.0) for run in "ab")
+    parts = [
+        {"x": Agreement()},
+        {"x": Agreement(1, 2, 0.5, first)},
+        {"x": Agreement(0, 1, 0.75, second), "y": Agreement()},
+    ]
+    assert together(parts) == {"x": Agreement(1, 3, 0.75, first), "y": Agreement()}
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [("boundaries[0].offset_m", "boundaries.offset_m"), ("a[1].b[12].c", "a.b.c"), ("pitch", "pitch"), ("x[3]", "x")],
+)
+def test_field_names_have_no_indices(place, name):
+    assert without_indices(place) == name
+
+
+def test_the_last_amount_that_matches_holds():
+    rules = Rules(tolerances=(Amount("lane_*", 0.1), Amount("lane_left_*", 0.2)))
+    assert [rules.tolerance(n) for n in ("lane_left_offset_m", "lane_width_m", "step_m")] == [0.2, 0.1, 0.0]
+
+
+def test_allowance_in_the_metrics_unit_or_as_a_share():
+    rules = Rules(allowances=(allowance("5%"), allowance("step_error_m=0.01"), allowance("turn_*=50%")))
+    assert rules.allowance("drivable_iou", 0.8) == pytest.approx(0.04)
+    assert rules.allowance("step_error_m", 0.8) == 0.01
+    assert rules.allowance("turn_error_deg", -2.0) == 1.0
+    assert rules.names("turn_error_deg")
+    assert not rules.names("drivable_iou")
+
+
+@pytest.mark.parametrize("text", ["5", "=5", "x=", "x=-1", "x=nan", "x=inf", "x=-5%", "%", "x=many"])
+def test_allowance_refused(text):
+    with pytest.raises(argparse.ArgumentTypeError):
+        allowance(text)
+
+
+@pytest.mark.parametrize("text", ["5", "=5", "x=", "x=-1", "x=5%"])
+def test_tolerance_refused(text):
+    with pytest.raises(argparse.ArgumentTypeError):
+        tolerance(text)
+
+
+def test_a_pattern_that_matches_nothing_is_an_error():
+    rules = Rules(ignored=("lane_*",), tolerances=(Amount("lame_*", 0.1),))
+    with pytest.raises(RoadpercError, match=r"lame_\*: matches no field and no metric"):
+        rules.require_use(["lane_width_m"])
+
+
+def drive(rng, frames, correlation):
+    """Noise around zero whose neighbours correlate, in its steady state."""
+    return lfilter([1.0], [1.0, -correlation], rng.normal(size=frames + 200))[200:]
+
+
+def excludes_zero(interval):
+    return interval.low > 0 or interval.high < 0
+
+
+def test_a_constant_shift_has_an_exact_interval():
+    interval = mean_interval([np.full(40, 0.25)])
+    assert (interval.low, interval.high) == (0.25, 0.25)
+
+
+def test_one_value_says_nothing():
+    interval = mean_interval([np.array([0.25])])
+    assert (interval.low, interval.high) == (-np.inf, np.inf)
+
+
+def test_interval_of_independent_values_is_that_of_students_t():
+    """At 900 values in 30 blocks: 2.756 standard errors to either side, 6 % for the resampling."""
+    values = np.random.default_rng(5).normal(loc=2.0, size=900)
+    interval = mean_interval([values])
+    expected = 2.756 * np.sqrt(30 / 29) * values.std() / 30
+    blocks = values.reshape(30, 30).mean(axis=1)
+    assert interval.low < 2.0 < interval.high
+    assert (interval.high - interval.low) / 2 == pytest.approx(expected, rel=0.35)
+    assert (interval.high - interval.low) / 2 == pytest.approx(2.756 * blocks.std() / np.sqrt(29), rel=0.35)
+
+
+@pytest.mark.parametrize(("frames", "correlation"), [(40, 0.0), (40, 0.8), (200, 0.0), (200, 0.8)])
+def test_chance_is_seldom_marked(frames, correlation):
+    """200 drives in which nothing changed: at 99 % two would be marked; short correlated ones may be 10 %."""
+    rng = np.random.default_rng(1)
+    marked = sum(excludes_zero(mean_interval([drive(rng, frames, correlation)])) for _ in range(200))
+    assert marked <= 20
+
+
+def test_correlated_noise_has_the_wider_interval():
+    """Its block interval is wider than one that takes the frames in random order, as if they were independent."""
+    values = drive(np.random.default_rng(2), 1000, 0.9)
+    shuffled = np.random.default_rng(3).permutation(values)
+    wide, narrow = mean_interval([values]), mean_interval([shuffled])
+    assert wide.high - wide.low > 2.5 * (narrow.high - narrow.low)
+
+
+def test_block_length_of_a_known_process():
+    """Of a first-order process with correlation c the circular bootstrap wants (6 n)^(1/3) (c / (1 - c^2))^(2/3)."""
+    rng, frames, correlation = np.random.default_rng(0), 20000, 0.9
+    lengths = [block_length(drive(rng, frames, correlation)) for _ in range(11)]
+    expected = (6 * frames) ** (1 / 3) * (correlation / (1 - correlation**2)) ** (2 / 3)
+    assert np.median(lengths) == pytest.approx(expected, rel=0.15)
+
+
+def test_the_same_every_time():
+    values = drive(np.random.default_rng(4), 300, 0.5)
+    assert mean_interval([values]) == mean_interval([values.copy()])
+
+
+def test_blocks_start_at_each_frame_and_go_round_the_end():
+    np.testing.assert_allclose(_block_means(np.array([1.0, 2.0, 3.0, 6.0]), 2), [1.5, 2.5, 4.5, 3.5])
+    np.testing.assert_allclose(_block_means(np.array([1.0, 2.0, 3.0, 6.0]), 1), [1.0, 2.0, 3.0, 6.0])
+
+
+def test_many_logs_are_the_blocks():
+    """Logs that differ among themselves: with logs as blocks their scatter counts, with frames it does not."""
+    rng = np.random.default_rng(6)
+    logs = [np.full(50, shift) + 0.01 * rng.normal(size=50) for shift in rng.normal(size=MANY_LOGS)]
+    assert not excludes_zero(mean_interval([log - np.mean(logs) + 0.05 for log in logs]))
+    few = logs[: MANY_LOGS - 1]
+    assert excludes_zero(mean_interval([log - np.mean(few) + 0.05 for log in few]))
+
+
+def test_a_log_of_one_frame_among_others():
+    interval = mean_interval([np.array([1.0]), np.array([2.0, 3.0, 2.5, 3.5])])
+    assert interval.low < 2.4 < interval.high
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=60), st.floats(0.001, 1000.0))
+def test_scale_scales_the_interval_and_the_mean_is_inside(values, factor):
+    array = np.array(values)
+    one, scaled = mean_interval([array]), mean_interval([array * factor])
+    slack = 1e-6 * factor * (1 + np.abs(array).max())
+    assert one.low - slack <= array.mean() <= one.high + slack
+    if np.isfinite(one.low) and block_length(array) == block_length(array * factor):
+        assert scaled.low == pytest.approx(one.low * factor, rel=1e-6, abs=slack)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=200))
+@example([0.0, 0.0, 0.0, 3e-143])
+def test_a_block_is_no_longer_than_the_log(values):
+    assert 1 <= block_length(np.array(values)) <= len(values)

@@ -1,0 +1,170 @@
+"""Precision, recall, F1 and lag, worked out by hand; thinned and merged distributions against sorting everything."""
+
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadperc_stream.eval.scores import averaged, correlations, lag_frames, scores
+from roadperc_stream.eval.statistics import FAN_IN, Sketch, absolute, exactly, merged, quantiles, thinned
+
+SUMS = {"filter_tp": 6, "filter_fp": 2, "filter_fn": 4}
+
+
+def lag(offsets, truths, segments=0):
+    table = pl.DataFrame({"offset": offsets, "truth": truths}, schema={"offset": pl.Float64, "truth": pl.Float64})
+    table = table.with_columns(segment=pl.Series(segments) if segments else pl.lit(0))
+    return lag_frames(table.select(correlations("offset", "truth")).item().to_list())
+
+
+def wave(frames, shift=0):
+    return [math.sin((k - shift) / 4) + 0.3 * math.sin((k - shift) / 1.7) for k in range(frames)]
+
+
+def test_scores_from_counts():
+    (kept,) = scores(SUMS)
+    assert (kept.precision, kept.recall, kept.f1) == (0.75, 0.6, pytest.approx(2 / 3))
+
+
+def test_scores_where_nothing_was_found_or_there():
+    (kept,) = scores(dict.fromkeys(SUMS, 0))
+    assert (kept.precision, kept.recall, kept.f1) == (None, None, None)
+    (kept,) = scores({**dict.fromkeys(SUMS, 0), "filter_fn": 3})
+    assert (kept.precision, kept.recall, kept.f1) == (None, 0, 0)
+
+
+def test_scores_need_all_their_counts():
+    assert scores({"filter_tp": 6, "filter_fp": 2}) == []
+
+
+@given(st.integers(-5, 5))
+def test_lag_is_the_shift(shift):
+    assert lag(wave(120, shift), wave(120)) == shift
+
+
+@pytest.mark.parametrize("shift", [-7, -6, 6, 7])
+def test_no_lag_at_the_end_of_the_shifts(shift):
+    assert lag(wave(120, shift), wave(120)) is None
+
+
+def test_lag_does_not_mind_an_offset_a_scale_or_frames_without_a_value():
+    late = [None if k % 7 == 0 else 2 + 0.5 * value for k, value in enumerate(wave(120, 2))]
+    assert lag(late, wave(120)) == 2
+
+
+@pytest.mark.parametrize("truths", [[1.5] * 40, [None] * 40, [(-1) ** (k // 20) for k in range(40)]])
+def test_no_lag_where_the_offset_does_not_follow_the_truth(truths):
+    assert lag([0.01 * (-1) ** k for k in range(40)], truths) is None
+
+
+def late(truths, frames):
+    """The truth, held at its first value and then so many frames late."""
+    return [truths[0]] * frames + truths[: len(truths) - frames]
+
+
+@pytest.mark.parametrize("shift", [0, 3, 5])
+@pytest.mark.parametrize(
+    "truths",
+    [
+        [3.5 * math.tanh((k - 100) / 20) for k in range(200)],
+        [(k / 100 - 1) ** 2 for k in range(200)],
+        [math.sin(math.pi * k / 200) for k in range(200)],
+    ],
+    ids=["lane change", "parabola", "half a sine"],
+)
+def test_lag_of_what_goes_one_way_is_the_shift_too(truths, shift):
+    assert lag(late(truths, shift), truths) == shift
+
+
+def test_on_a_straight_line_no_lag_can_be_told():
+    assert lag([0.01 * (k - 3) for k in range(100)], [0.01 * k for k in range(100)]) is None
+
+
+def test_lag_of_a_log_shorter_than_the_shifts():
+    assert lag([0.0, 1.0, 0.0], [0.0, 1.0, 0.0]) == 0
+    assert lag([1.0], [1.0]) is None
+
+
+def test_correlations_weigh_by_frames_and_leave_out_what_tells_nothing():
+    sure, late, silent = [1.0, 0.0, 0.0], [0.0, 0.8, None], [math.nan, None, 0.1]
+    assert averaged([(30, sure), (10, late), (1000, silent)]) == pytest.approx((0.75, 0.2, 0.0))
+    assert averaged([(5, silent)]) == ()
+
+
+FINITE = st.floats(-1e6, 1e6)
+PARTS = st.lists(st.lists(FINITE, min_size=1, max_size=40), min_size=1, max_size=3 * FAN_IN)
+SHARES = (0.0, 0.05, 0.5, 0.95, 0.99, 1.0)
+
+
+def sorted_part(values):
+    return exactly(np.sort(np.array(values, dtype=float)))
+
+
+def sketch_of(parts, points):
+    sketch = Sketch(points)
+    for part in parts:
+        sketch.add(sorted_part(part))
+    return sketch.distribution()
+
+
+def rank_distance(values, found, rank):
+    """How many values lie between a quantile and the rank it should have, from 0 to n; ties hold all their ranks."""
+    below, to = np.searchsorted(values, found, "left"), np.searchsorted(values, found, "right")
+    return max(below - rank, rank - to, 0)
+
+
+@given(st.lists(FINITE, min_size=1, max_size=50))
+def test_quantiles_of_all_values_are_those_of_numpy(values):
+    found = quantiles(sorted_part(values), SHARES)
+    assert found == pytest.approx(np.quantile(values, SHARES), rel=1e-9, abs=1e-9)
+
+
+def test_thinned_keeps_the_middle_of_equal_parts():
+    part = thinned(sorted_part(range(12)), 3)
+    assert part.values.tolist() == [1, 5, 9]
+    assert (part.weights.tolist(), part.error_frames) == ([4, 4, 4], 2)
+
+
+def test_few_values_are_not_thinned():
+    whole = sorted_part([1, 2, 3])
+    assert thinned(whole, 3) is whole
+    assert whole.rank_error == 0
+
+
+def test_merged_keeps_the_weights_with_their_values():
+    both = merged([thinned(sorted_part(range(12)), 3), sorted_part([4.0])])
+    assert both.values.tolist() == [1, 4, 5, 9]
+    assert both.weights.tolist() == [4, 1, 4, 4]
+    assert both.rank_error == pytest.approx((2 + 2) / 13)
+
+
+def test_absolute_values_err_from_both_sides():
+    sizes = absolute(thinned(sorted_part(range(-8, 4)), 3))
+    assert sizes.values.tolist() == [1, 3, 7]
+    assert sizes.error_frames == 4
+
+
+@given(PARTS)
+def test_a_sketch_with_room_for_all_is_exact(parts):
+    whole = sketch_of(parts, sum(len(part) for part in parts))
+    assert whole.values.tolist() == sorted(value for part in parts for value in part)
+    assert (whole.rank_error, whole.heights[-1]) == (0, len(whole.values))
+
+
+@given(PARTS, st.integers(1, 12))
+def test_rank_error_of_a_sketch_holds(parts, points):
+    whole = sketch_of(parts, points)
+    values = np.sort(np.concatenate(parts))
+    assert whole.heights[-1] == pytest.approx(len(values))
+    for share, found in zip(SHARES, quantiles(whole, SHARES), strict=True):
+        assert rank_distance(values, found, share * len(values)) <= whole.rank_error * len(values) + 1
+
+
+def test_size_of_a_sketch_grows_with_the_levels_alone():
+    rng = np.random.default_rng(0)
+    whole = sketch_of([rng.normal(size=100) for _ in range(FAN_IN**2 + FAN_IN - 1)], 8)
+    assert len(whole.values) <= 8 * 2 * FAN_IN
+    assert whole.rank_error < 3 / 16 + 1 / 16

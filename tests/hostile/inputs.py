@@ -1,0 +1,142 @@
+"""Inputs that mean harm: a few kilobytes that ask for gigabytes, MCAP files record by record with any lengths, and
+names that would command a terminal.
+"""
+
+import dataclasses
+import struct
+import zlib
+
+import lz4.frame
+import polars as pl
+from mcap.opcode import Opcode
+
+from roadperc_stream.log import Metadata
+from tests import logs
+from tests.analytic import box
+from tests.fuzz.pictures import png_of
+from tests.fuzz.records import MAGIC, Record, filled
+
+_LZ4_BLOCK = 4 * 1024 * 1024
+
+
+def lz4_zeros(size):
+    """An lz4 frame of so many zeros, a multiple of 4 MiB, without the size in its header."""
+    frame = lz4.frame.compress(
+        bytes(_LZ4_BLOCK), block_size=lz4.frame.BLOCKSIZE_MAX4MB, block_linked=False, store_size=False
+    )
+    head, block = frame[:7], frame[7:-4]
+    return head + block * (size // _LZ4_BLOCK) + bytes(4)
+
+
+def png(width, height, *, mode=2, bits=8, extra=(), rows=None):
+    """A PNG whose header says this size, with zeros for so many of its rows (all of them unless said).
+
+    ``extra`` are [name, content] of chunks behind the header.
+    """
+    channels = {0: 1, 2: 3, 3: 1, 6: 4}[mode]
+    row = bytes(1 + (width * channels * bits + 7) // 8)
+    packer = zlib.compressobj(9)
+    pixels = b"".join(packer.compress(row) for _ in range(height if rows is None else rows)) + packer.flush()
+    header = struct.pack(">IIBBBBB", width, height, bits, mode, 0, 0, 0)
+    palette = [[b"PLTE", bytes(range(48))]] if mode == 3 else []
+    return png_of([[b"IHDR", header], *extra, *palette, [b"IDAT", pixels], [b"IEND", b""]])
+
+
+def jpeg_of_size(jpeg, width, height):
+    """The same JPEG with another size in its header."""
+    at = jpeg.index(b"\xff\xc0") + 5
+    return jpeg[:at] + struct.pack(">HH", height, width) + jpeg[at + 4 :]
+
+
+def record(opcode, fields, **options):
+    """A record with these fields; the others are zeros."""
+    return Record(opcode, filled(opcode, fields), **options)
+
+
+HEADER = record(Opcode.HEADER, {"library": b"hostile"}).packed()
+
+
+def schema(number, name, encoding, data):
+    fields = {"id": number, "name": name.encode(), "encoding": encoding.encode(), "data": data}
+    return record(Opcode.SCHEMA, fields).packed()
+
+
+def channel(number, of, topic, encoding):
+    fields = {"id": number, "schema_id": of, "topic": topic.encode(), "encoding": encoding.encode()}
+    return record(Opcode.CHANNEL, fields).packed()
+
+
+def message(of, time_ns, data, length=None):
+    fields = {"channel_id": of, "log_time": time_ns, "publish_time": time_ns, "data": data}
+    return record(Opcode.MESSAGE, fields, length=length).packed()
+
+
+def attachment(length):
+    """An attachment that says that its data have this length."""
+    return record(Opcode.ATTACHMENT, {"name": b"a", "media_type": b"b"}, lies={"data": length}).packed()
+
+
+def chunk(data, compression="", *, size, length=None):
+    """A chunk whose header says that it is ``size`` bytes without compression, and ``length`` with it."""
+    fields = {"start": 1, "end": 1, "size": size, "compression": compression.encode(), "records": data}
+    return record(Opcode.CHUNK, fields, lies={} if length is None else {"records": length}).packed()
+
+
+def file(*records, index=()):
+    """A file of these records; ``index`` are those of its summary."""
+    data = MAGIC + HEADER + b"".join(records) + record(Opcode.DATA_END, {}).packed()
+    summary = b"".join(index)
+    footer = record(Opcode.FOOTER, {"summary_start": len(data) if summary else 0})
+    return data + summary + footer.packed() + MAGIC
+
+
+def indexed(chunk_record, *records, size, messages=1):
+    """A file of one chunk with an index that says the same as the chunk, and these schemas and channels."""
+    place = {"start": 1, "end": 1, "offset": len(MAGIC + HEADER), "length": len(chunk_record)}
+    entry = record(
+        Opcode.CHUNK_INDEX, {**place, "compression": b"zstd", "compressed_size": len(chunk_record), "size": size}
+    )
+    counts = {"messages": messages, "schemas": 1, "channels": 1, "chunks": 1, "start": 1, "end": 1}
+    statistics = record(Opcode.STATISTICS, {**counts, "counts": struct.pack("<HQ", 1, messages)})
+    return file(chunk_record, index=(*records, statistics.packed(), entry.packed()))
+
+
+EVIL = "x\x1b[31m\r\n\x07\x9b2J\u202ez[bold]"
+"""Colours, a new line, the bell, C1's way to clear the screen, text from right to left, and rich's own markup."""
+SHOWN = r"x\x1b[31m\r\n\x07\x9b2J\u202ez[bold]"
+"""The same as it is to be printed."""
+COMMANDS = frozenset("\x1b\r\x07\x9b\u202e")
+
+
+def write_log(path, name=EVIL):
+    """A log whose topics, schemas, frames, labels, attachments and metadata are called so."""
+    items = [dataclasses.replace(item, topic=f"/{item.role}/{name}") for item in logs.items(roles=logs.ALL[:-1])]
+    stamp = items[-1].stamp_ns
+    boxes = logs.encoding.encode_detections(stamp, name, [box(name, 20, 60, 60, 90)])
+    items.append(logs.Item("detections", stamp, boxes, f"/detections/{name}"))
+    items.append(logs.Item("image", stamp + 1, b"no image", f"/image/{name}"))
+    with logs.LogWriter(path) as writer:
+        for sequence, item in enumerate(items):
+            channel = logs.channel(item.role, item.topic, **{name: name})
+            writer.write(logs.Message(channel, item.stamp_ns, item.stamp_ns, sequence, item.data))
+        odd = dataclasses.replace(logs.foreign().channel, topic=f"/odd/{name}", schema_name=name, message_encoding=name)
+        writer.write(dataclasses.replace(logs.foreign(), channel=odd, log_time_ns=stamp, publish_time_ns=stamp))
+        writer.describe(Metadata(name, ((name, name),)))
+    return path
+
+
+def topic_options(name=EVIL):
+    return [word for role in logs.ALL for word in ("--topic", f"{role}=/{role}/{name}")]
+
+
+def taint(path, name=EVIL):
+    """Put the name into every text of a metrics table but the log's, and into its footer."""
+    table = pl.read_parquet(path)
+    texts = [c for c, t in table.schema.items() if t == pl.String and c != "log_id"]
+    lists = [c for c, t in table.schema.items() if t == pl.List(pl.String)]
+    table = table.with_columns(
+        *(pl.lit(name).alias(c) for c in texts), *(pl.lit([name], pl.List(pl.String)).alias(c) for c in lists)
+    )
+    facts = pl.read_parquet_metadata(path) | {"roadperc.version": name, "roadperc.source": name, "roadperc.log": name}
+    table.write_parquet(path, metadata={k: v for k, v in facts.items() if not k.startswith("ARROW")})
+    return path

@@ -1,0 +1,194 @@
+"""Images of formats that are not allowed, and of sizes that their containers hide: no decoder is given them."""
+
+import ast
+import dataclasses
+import io
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image as PillowImage
+
+from roadperc_stream.config import LimitsConfig, load_config
+from roadperc_stream.errors import ConfigError, DecodeError
+from roadperc_stream.formats import images
+from roadperc_stream.output import encoding
+from tests import logs
+from tests.commands import environment, run
+from tests.fuzz.pictures import AVIF, POSTSCRIPT
+from tests.hostile import inputs
+
+ROOT = Path(__file__).parents[2]
+DECODERS = (images.decode_bgr, images.decode_grey, images.decode_unchanged, images.image_size)
+LISTED = LimitsConfig(image_formats=("png", "jpeg", "webp", "avif", "bmp", "gif"))
+PICTURE = PillowImage.fromarray(np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8))
+
+
+def packed(name, picture=PICTURE, **options):
+    stream = io.BytesIO()
+    picture.save(stream, name, **options)
+    return stream.getvalue()
+
+
+@pytest.fixture
+def ghostscript(tmp_path):
+    """A ``gs`` that notes that it was started, and an environment that finds it first."""
+    folder, started = tmp_path / "bin", tmp_path / "started"
+    folder.mkdir()
+    (folder / "gs").write_text(f'#!/bin/sh\necho "$@" >> "{started}"\n')
+    (folder / "gs").chmod(0o755)
+    return started, environment(PATH=f"{folder}{os.pathsep}{os.environ['PATH']}")
+
+
+def log_of(path, data):
+    picture = encoding.encode_image(logs.START_NS, "camera", "png", data)
+    items = [dataclasses.replace(item, data=picture) if item.role == "image" else item for item in logs.items(1)]
+    return logs.write(path, items)
+
+
+@pytest.mark.commands
+@pytest.mark.parametrize("data", [POSTSCRIPT, b"\xc5\xd0\xd3\xc6" + bytes(28) + POSTSCRIPT], ids=["PS", "DOS EPS"])
+@pytest.mark.parametrize("command", ["replay", "overlay", "info", "convert", "template"])
+def test_no_command_starts_a_program_for_an_image(tmp_path, ghostscript, command, data):
+    started, variables = ghostscript
+    log_of(tmp_path / "in.mcap", data)
+    (tmp_path / "dump" / "rgb").mkdir(parents=True)
+    (tmp_path / "dump" / "rgb" / "1.png").write_bytes(data)
+    (tmp_path / "dump" / "calibration.json").write_text('{"width": 9, "height": 9, "fov_deg": 90}')
+    words = {
+        "replay": ("roadperc-replay", "in.mcap", "out.mcap"),
+        "overlay": ("roadperc-replay", "in.mcap", "out.mcap", "--overlay", "--debug"),
+        "info": ("roadperc-info", "in.mcap"),
+        "convert": ("roadperc-convert", "dump", "out.mcap"),
+        "template": ("roadperc-replay", "in.mcap", "out.mcap", "--template", "dump/rgb/1.png"),
+    }[command]
+    done = run(*words, cwd=tmp_path, env=variables)
+    assert not started.exists(), started.read_text()
+    assert "PostScript" in done.stdout + done.stderr or command == "info", done.stdout + done.stderr
+
+
+def test_the_trap_is_one(ghostscript, monkeypatch):
+    """Pillow, asked without a list of formats, does start it."""
+    started, variables = ghostscript
+    monkeypatch.setenv("PATH", variables["PATH"])
+    monkeypatch.setattr("PIL.EpsImagePlugin.gs_binary", None)
+    with pytest.raises(OSError), PillowImage.open(io.BytesIO(POSTSCRIPT)) as picture:  # noqa: PT011
+        picture.load()
+    assert started.exists()
+
+
+@pytest.mark.parametrize("folder", ["roadperc_stream", "tools", "eval"])
+def test_pillow_is_told_the_formats_wherever_it_opens(folder):
+    calls = [
+        (str(path), node.lineno, {keyword.arg for keyword in node.keywords})
+        for path in (ROOT / folder).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("Pillow.open", "PillowImage.open", "Image.open")
+    ]
+    assert [call for call in calls if "formats" not in call[2]] == []
+
+
+@pytest.mark.parametrize(
+    ("data", "name", "todo"),
+    [
+        (AVIF, "AVIF", r"convert it, or set limits\.image_formats=png,jpeg,webp,avif$"),
+        (packed("BMP"), "BMP", r"convert it, or set limits\.image_formats=png,jpeg,webp,bmp$"),
+        (packed("GIF"), "GIF", r"convert it, or set limits\.image_formats=png,jpeg,webp,gif$"),
+        (packed("TIFF"), "TIFF", "convert it$"),
+        (packed("JPEG2000"), "JPEG 2000", "convert it$"),
+        (packed("PPM"), "PNM", "convert it$"),
+        (POSTSCRIPT, "PostScript", "convert it$"),
+    ],
+    ids=["avif", "bmp", "gif", "tiff", "jpeg 2000", "ppm", "postscript"],
+)
+def test_other_formats_are_refused_by_name(monkeypatch, data, name, todo):
+    monkeypatch.setattr(cv2, "imdecode", None)
+    monkeypatch.setattr(PillowImage, "open", None)
+    for decoder in DECODERS:
+        with pytest.raises(DecodeError, match=rf"^image of format {name}: expected png, jpeg, webp; {todo}"):
+            decoder(data)
+
+
+@pytest.mark.parametrize("name", ["PNG", "JPEG", "WEBP", "AVIF", "BMP", "GIF"])
+def test_formats_that_are_listed_are_read(name):
+    data = packed(name)
+    assert images.decode_bgr(data, LISTED).shape == (24, 32, 3)
+    assert images.image_size(data, LISTED) == (32, 24)
+    small = LimitsConfig(image_formats=(name.lower(),), image_megapixels=0.01)
+    assert images.decode_grey(data, small).shape == (24, 32)
+    with pytest.raises(DecodeError, match=r"expected limits\.image_megapixels 0\.01"):
+        images.decode_bgr(packed(name, PICTURE.resize((320, 240))), small)
+
+
+def test_a_format_whose_size_cannot_be_known_is_not_listed():
+    assert load_config(None, ("limits.image_formats=png,avif",)).limits.image_formats == ("png", "avif")
+    with pytest.raises(ConfigError, match="image_formats"):
+        load_config(None, ("limits.image_formats=png,tiff",))
+
+
+def test_an_avif_is_held_against_its_coded_frame():
+    for decoder in DECODERS:
+        with pytest.raises(DecodeError, match="AVIF of 96x72 with frames of 16000x16000"):
+            decoder(AVIF, LISTED)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "RGBA"])
+@pytest.mark.parametrize("size", [(1, 1), (5, 7), (32, 24), (257, 128)])
+def test_avifs_of_any_size_are_read(mode, size):
+    data = packed("AVIF", PICTURE.resize(size).convert(mode))
+    assert images.decode_bgr(data, LISTED).shape == (size[1], size[0], 3)
+
+
+def without_reduced_header(data):
+    at = data.index(b"mdat") + 4
+    at = data.index(b"\x0a", at) + 2
+    return data[:at] + bytes([data[at] & ~0x08]) + data[at + 1 :]
+
+
+def in_pieces(data):
+    """The second item, alpha's, has a first piece without bytes."""
+    at = data.index(b"iloc") + 12 + 14 + 4
+    return data[:at] + b"\0\2" + data[at + 2 : at + 6] + bytes(4) + data[at + 10 :]
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        without_reduced_header(AVIF),
+        in_pieces(packed("AVIF", PICTURE.convert("RGBA"))),
+        AVIF.replace(b"mdat", b"free"),
+        AVIF + b"\0\0\0\x08free",
+        AVIF + b"\0\0\0\x01mdat",
+        AVIF.replace(b"iloc", b"iLoc"),
+        AVIF.replace(b"iloc\0", b"iloc\1"),
+        AVIF.replace(b"pict", b"iloc"),
+        AVIF[:-1500],
+        packed("AVIF", exif=b"Exif\0\0MM\0*\0\0\0\x08\0\0\0\0\0\0"),
+        packed("AVIF", save_all=True, append_images=[PICTURE.rotate(90)]),
+    ],
+    ids=[
+        "full header",
+        "pieces",
+        "no data",
+        "more",
+        "64 bits",
+        "no places",
+        "other places",
+        "two places",
+        "cut",
+        "exif",
+        "film",
+    ],
+)
+def test_an_avif_of_another_layout_is_refused(changed):
+    with pytest.raises(DecodeError, match=r"AVIF"):
+        images.decode_bgr(changed, LISTED)
+
+
+def test_the_reason_for_a_damaged_image_is_asked_within_the_limit():
+    """OpenCV refuses a second header, Pillow takes its size."""
+    twice = [[b"IHDR", inputs.png(12_000, 12_000, rows=0)[16:29]]]
+    with pytest.raises(DecodeError, match=r"125 bytes are no image: expected limits\.image_megapixels 40"):
+        images.decode_bgr(inputs.png(96, 72, extra=twice))

@@ -1,0 +1,102 @@
+"""A reason's sentence comes from one table, and goes back to its source, code and values."""
+
+from string import Formatter
+from typing import get_args
+
+import pytest
+
+from roadperc_stream.model import MISSING_ROLES, TEMPLATES, Reason, ReasonCode, parse_reason
+from roadperc_stream.model.reason import fields_of
+from roadperc_stream.schemas.roles import ROLES
+
+CODES = get_args(ReasonCode)
+EXAMPLES = {"d": -12, "g": 0.025, ".0f": 45.0, ".0%": 0.2, "": "left"}
+WORDS = {"frame_id": "velo: 'top'", "detail": "52 bytes are no PNG: cut off, \n{} lost", "known": "plumb_bob, other"}
+
+
+def example(code, cause=None):
+    fields = [(name, spec or "") for _, name, spec, _ in Formatter().parse(TEMPLATES[code]) if name]
+    values = tuple(WORDS.get(name, EXAMPLES[spec]) for name, spec in fields if name != "cause")
+    sources = {"no_surface": "surface", "no_drivable_surface": "drivable"}
+    because = Reason(sources.get(code, "lanes"), "no_plane", (7, 0.5)) if cause is None else cause
+    return Reason("lanes", code, values, because if "cause" in fields_of(code) else None)
+
+
+def test_every_code_has_a_template_and_every_template_a_code():
+    assert set(TEMPLATES) == set(CODES)
+    assert set(MISSING_ROLES) <= set(CODES)
+
+
+def test_missing_inputs_are_roles():
+    assert {role for roles in MISSING_ROLES.values() for role in roles} <= set(ROLES)
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_a_sentence_gives_its_reason_back(code):
+    reason = example(code)
+    assert parse_reason(str(reason)) == reason
+    assert parse_reason(str(reason)).kind == reason.kind
+
+
+def test_a_sentence_in_plain_words():
+    tilted = Reason("surface", "plane_tilted", (89.6, 30.0))
+    assert str(tilted) == "surface: the points' plane is tilted by 90 degrees, expected at most 30"
+    assert tilted.text == "the points' plane is tilted by 90 degrees, expected at most 30"
+    lanes = Reason("lanes", "no_surface", cause=tilted)
+    assert str(lanes) == f"lanes: no surface: {tilted.text}"
+    assert str(Reason("odometry", "lost", cause=Reason("odometry", "no_image"))) == "odometry: lost, no image"
+
+
+def test_causes_are_found_at_any_depth():
+    tilted = Reason("surface", "plane_tilted", (90.0, 30.0))
+    drivable = Reason("drivable", "no_surface", cause=tilted)
+    lanes = Reason("lanes", "no_drivable_surface", cause=drivable)
+    assert parse_reason(str(lanes)) == lanes
+    assert lanes.kind == (("lanes", "no_drivable_surface"), ("drivable", "no_surface"), ("surface", "plane_tilted"))
+
+
+def test_numbers_do_not_make_a_kind_and_words_do():
+    size = Reason("image", "wrong_size", (64, 48, 320, 240))
+    assert size.kind == Reason("image", "wrong_size", (640, 480, 320, 240)).kind
+    assert size.kind != Reason("depth", "wrong_size", (64, 48, 320, 240)).kind
+    by_mounting, by_height = (
+        Reason("surface", "no_depth_plane_assumed", (word,)) for word in ("the mounting", "the assumed height")
+    )
+    assert by_mounting.kind != by_height.kind
+
+
+def test_what_a_decoder_says_does_not_make_a_kind():
+    first, second = (Reason("image", "undecodable", (f"{n} bytes are no PNG",)) for n in (7, 8))
+    assert first.kind == second.kind
+
+
+@pytest.mark.parametrize("text", ["", "lanes", "lanes: gone", "in 3 of 4 frames: what", "Lanes: no image"])
+def test_any_other_text_stays_what_it_is(text):
+    reason = parse_reason(text)
+    assert (reason.code, str(reason)) == ("other", text)
+
+
+def test_texts_that_no_template_gives_are_kinds_of_their_own():
+    assert parse_reason("lanes: gone 1").kind != parse_reason("lanes: gone 2").kind
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf", "1e+30", "-0.5", "1e-30"])
+def test_numbers_of_any_size_are_read_back(number):
+    text = str(Reason("stereo", "wrong_baseline", (float(number), 0.001, 1000.0)))
+    assert f"gives a baseline of {number} m" in text
+    assert parse_reason(text).code == "wrong_baseline"
+    assert str(parse_reason(text)) == text
+
+
+@pytest.mark.parametrize(
+    ("code", "values", "cause"),
+    [
+        ("no_image", (1,), None),
+        ("wrong_size", (64, 48), None),
+        ("no_surface", (), None),
+        ("no_image", (), Reason("lanes", "no_depth")),
+    ],
+)
+def test_values_that_do_not_fit_the_template_are_refused(code, values, cause):
+    with pytest.raises(ValueError, match=f"{code}: expected"):
+        Reason("lanes", code, values, cause)

@@ -1,0 +1,161 @@
+"""Frames of a drive in parts are those of the whole: wherever it is cut, and however late its messages come."""
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadperc_stream import log
+from roadperc_stream.config import load_config
+from roadperc_stream.geometry import rigid
+from roadperc_stream.input import ReplaySource, input_of
+from roadperc_stream.input.source import ReadableLog
+from roadperc_stream.input.state import InputState
+from roadperc_stream.model import Transform
+from roadperc_stream.output import encoding
+from roadperc_stream.resume.encoding import decode, encode
+from tests import logs
+from tests.analytic import STEP_NS
+from tests.resume.parts import cut, write
+
+CFG = load_config(None, ("sync.max_wait_s=0.3", "sync.tolerance_s=0.02"))
+WAIT_NS = 300_000_000
+FRAMES = 24
+TINY = replace(logs.SMALL, width=16, height=12)
+
+
+def drive():
+    """A drive whose car is placed anew all the time, and whose camera changes once: all roles from its start on."""
+    made = list(logs.items(2, road=TINY))
+    blueprint = {item.role: item for item in made}
+    found = [item for item in made if item.role == "calibration"]
+    for k in range(FRAMES):
+        stamp = logs.START_NS + k * STEP_NS
+        edge = Transform("map", "ego", rigid(np.eye(3), np.array([float(k), 0.0, 0.0])))
+        found.append(logs.Item("tf", stamp, encoding.encode_transforms(stamp, [edge])))
+        if k == 0:
+            found.append(logs.Item("tf", stamp, blueprint["tf"].data))
+        if k == FRAMES // 2:
+            other = replace(TINY, width=32).camera
+            found.append(logs.Item("calibration", stamp, encoding.encode_calibration(stamp, replace(other, width=16))))
+        found += logs.frame_items(stamp, TINY)
+    return [
+        log.Message(logs.channel(item.role), item.stamp_ns, item.stamp_ns, number, item.data)
+        for number, item in enumerate(found)
+    ]
+
+
+DRIVE = drive()
+LATCHED = ("/camera/front/calibration", "/tf")
+
+
+def seen(sample):
+    """What of a sample shows which messages it is made of."""
+    frame = sample.frame
+    parts = (frame.image, frame.depth, frame.segmentation, frame.detections)
+    places = tuple(None if place is None else place.tobytes() for place in (frame.ego_T_camera, frame.ego_T_left))
+    return (
+        sample.index,
+        sample.log_time_ns,
+        frame.stamp_ns,
+        frame.camera,
+        places,
+        sample.missing,
+        sample.skew_ns,
+        sample.segment,
+        sample.anchor.frame_id,
+        sample.anchor.odom,
+        tuple(part is not None for part in parts),
+    )
+
+
+def frames(path, begin=None):
+    """What the frames of a log are, and the state for the next part, through its bytes."""
+    log_in = input_of(ReadableLog(log.summarise(path)), ReplaySource(path), CFG, begin)
+    found = {sample.index: seen(sample) for sample in log_in.samples()}
+    end = decode(encode(log_in.end_state(with_messages=False)), InputState)
+    return found, end.carrying(log.read(log.summarise(path))), log_in
+
+
+def in_parts(folder, parts):
+    found, begin = {}, None
+    for k, messages in enumerate(part for part in parts if part):
+        new, begin, _ = frames(write(folder / f"{k}.mcap", messages), begin)
+        found |= new
+    return found
+
+
+def arriving(delays_ns, lost=frozenset()):
+    kept = [(m, d) for k, (m, d) in enumerate(zip(DRIVE, delays_ns, strict=True)) if k not in lost]
+    late = [replace(m, log_time_ns=m.log_time_ns + d * (m.channel.topic not in LATCHED)) for m, d in kept]
+    return sorted(late, key=lambda m: m.log_time_ns)
+
+
+def edges_after_all_roles(messages):
+    first = {}
+    for message in messages:
+        first.setdefault(message.channel.topic, message.log_time_ns)
+    return max(first.values()) + 1, messages[-1].log_time_ns
+
+
+@settings(max_examples=12)
+@given(st.data())
+def test_wherever_a_drive_is_cut_its_frames_are_those_of_the_whole(data):
+    delays = data.draw(st.lists(st.integers(0, WAIT_NS), min_size=len(DRIVE), max_size=len(DRIVE)))
+    lost = data.draw(st.frozensets(st.integers(8, len(DRIVE) - 1), max_size=30))
+    messages = arriving(delays, lost)
+    cuts = data.draw(st.lists(st.integers(*edges_after_all_roles(messages)), min_size=1, max_size=6))
+    with TemporaryDirectory() as folder:
+        whole, _, _ = frames(write(Path(folder) / "whole.mcap", messages))
+        assert in_parts(Path(folder), cut(messages, cuts)) == whole
+
+
+@pytest.mark.parametrize("number", range(1, 8))
+def test_a_cut_between_an_image_and_its_depth_leaves_both_to_the_next_part(tmp_path, number):
+    """The first part gives the frame without what came after; the second gives it again, whole."""
+    messages = arriving([0] * len(DRIVE))
+    image = [k for k, m in enumerate(messages) if m.channel.topic == "/camera/front/image"][number]
+    first, end, _ = frames(write(tmp_path / "0.mcap", messages[: image + 1]))
+    assert first[number][5] == ("depth", "segmentation", "detections")
+    assert end.frames_waiting == number + 1 - end.numbers.next
+    assert any(message.data == messages[image].data for message in end.carried)
+    again, _, _ = frames(write(tmp_path / "1.mcap", messages[image + 1 :]), end)
+    whole, _, _ = frames(write(tmp_path / "whole.mcap", messages))
+    assert first | again == whole
+
+
+def test_parts_without_a_frame_of_their_own_go_on(tmp_path):
+    messages = arriving([0] * len(DRIVE))
+    at = edges_after_all_roles(messages)[0]
+    parts = cut(messages, [at + k * STEP_NS // 3 for k in range(3 * FRAMES)])
+    assert len([part for part in parts if part]) > FRAMES - 2
+    whole, _, _ = frames(write(tmp_path / "whole.mcap", messages))
+    assert in_parts(tmp_path, parts) == whole
+
+
+def test_a_cut_where_another_recording_begins(tmp_path):
+    """Two drives one after the other, the second with the stamps of the first: its first images wait for a third."""
+    later = [replace(m, log_time_ns=m.log_time_ns + (FRAMES + 4) * STEP_NS) for m in DRIVE]
+    messages = [*DRIVE, *later]
+    whole, _, _ = frames(write(tmp_path / "whole.mcap", messages))
+    assert {row[7] for row in whole.values()} == {0, 1}
+    for step in (-1, 1, 3, 5):
+        assert in_parts(tmp_path, cut(messages, [later[0].log_time_ns + step * STEP_NS // 2])) == whole
+
+
+def test_a_state_holds_no_more_than_what_the_frames_to_come_need():
+    """However long the part was: what was complete is not in it, and what an earlier part carried is forgotten."""
+    with TemporaryDirectory() as folder:
+        messages = arriving([0] * len(DRIVE))
+        half = messages[len(messages) // 2].log_time_ns
+        parts = cut(messages, [half, half + 2 * STEP_NS])
+        _, middle, _ = frames(write(Path(folder) / "0.mcap", parts[0]))
+        _, end, _ = frames(write(Path(folder) / "1.mcap", parts[1]), middle)
+    wait_frames = WAIT_NS // STEP_NS
+    assert len(middle.carried) <= 4 * (wait_frames + 3)
+    assert len(end.carried) <= 4 * (wait_frames + 3)
+    assert min(m.log_time_ns for m in end.carried) > min(m.log_time_ns for m in middle.carried)

@@ -1,0 +1,256 @@
+"""A replay that is killed at any moment goes on with ``--resume``, and its files are those of an undisturbed one."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from roadperc_stream.config import load_config
+from roadperc_stream.errors import StateError, TargetError
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.output.writing import Counted, FrameOutput
+from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, checkpoint_folder
+from roadperc_stream.resume.state import ReplayState
+from roadperc_stream.schemas.columns import FrameMetrics
+from tests import logs
+from tests.replaying import replay
+
+SETTINGS = ("sync.max_wait_s=0.1",)
+CFG = load_config(None, SETTINGS)
+ROAD = replace(logs.SMALL, width=96, height=72)
+EVERY = ("--checkpoint-every", "0.2")
+KILLS = int(os.environ.get("KILLS", "100"))
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    return logs.write(tmp_path_factory.mktemp("drive") / "in.mcap", logs.items(24, road=ROAD))
+
+
+@pytest.fixture(scope="module")
+def undisturbed(source):
+    replay(source, source.with_name("whole.mcap"), CFG)
+    return source.with_name("whole.mcap")
+
+
+def command(source, target, *options, kill_before=0, kill_after_s=0.0):
+    script = Path(__file__).with_name("killed.py")
+    settings = [part for setting in SETTINGS for part in ("--set", setting)]
+    return [
+        sys.executable,
+        str(script),
+        str(kill_before),
+        str(kill_after_s),
+        str(source),
+        str(target),
+        *settings,
+        *EVERY,
+        *options,
+    ]
+
+
+def same(target, expected):
+    """Whether all three files are equal, but for the times and the file's own name in the tables' footers."""
+    if target.read_bytes() != expected.read_bytes():
+        return False
+    rows, wanted = (pl.read_parquet(sidecar_path(path, "metrics")) for path in (target, expected))
+    times = [name for name in rows.columns if name.endswith("_ms") and name != "sync_skew_ms"]
+    objects = (pl.read_parquet(sidecar_path(path, "objects")) for path in (target, expected))
+    return rows.drop(times).equals(wanted.drop(times)) and next(objects).equals(next(objects))
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+LITTLE = FrameOutput((), FrameMetrics("log", 0, 0), {}, ())
+OUTPUTS = ["out.mcap", "out.metrics.parquet", "out.objects.parquet"]
+
+
+@pytest.mark.parametrize("kill_before", [8, 32, 39])
+def test_killed_before_a_change_of_a_name(source, undisturbed, tmp_path, kill_before):
+    """Of checkpoints, of the outputs at the end, of the checkpoints that are removed then."""
+    target = tmp_path / "out.mcap"
+    killed = subprocess.run(command(source, target, kill_before=kill_before), timeout=100, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    subprocess.run(command(source, target, "--resume"), timeout=100, check=True, capture_output=True)
+    assert same(target, undisturbed)
+    assert names(tmp_path) == OUTPUTS
+
+
+@pytest.mark.accuracy
+def test_a_hundred_kills_at_random_moments(source, undisturbed, tmp_path):
+    """``KILLS`` says how many; make kills runs it."""
+    target, rng, killed, completed = tmp_path / "out.mcap", random.Random(1), 0, 0
+    started_s = time.process_time()
+    replay(source, target, CFG, checkpoint_every_s=0.2)
+    takes_s = time.process_time() - started_s
+    while killed < KILLS or completed < KILLS // 3:
+        kill_after_s = rng.choice((0.0, *(rng.uniform(0.01, 1.2) * takes_s for _ in range(2))))
+        words = command(source, target, "--resume", "--quiet", kill_after_s=kill_after_s)
+        done = subprocess.run(words, check=False, capture_output=True)
+        if done.returncode == -signal.SIGPROF:
+            killed += 1
+            continue
+        assert (done.returncode, done.stderr) == (0, b"")
+        assert same(target, undisturbed)
+        assert names(tmp_path) == OUTPUTS
+        completed += 1
+        for name in OUTPUTS:
+            (tmp_path / name).unlink()
+    print(f"{killed} kills, {completed} replays completed, each the same files")
+
+
+class StoppedError(Exception):
+    pass
+
+
+def interrupt(source, target, at, cfg=CFG, **options):
+    def stop(done, _):
+        if done == at:
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        replay(source, target, cfg, checkpoint_every_s=0.2, progress=stop, **options)
+
+
+def test_only_the_rest_is_computed(source, undisturbed, tmp_path, monkeypatch):
+    target, computed = tmp_path / "out.mcap", []
+    interrupt(source, target, 15)
+    assert names(tmp_path) == [".out.mcap.checkpoint"]
+    from roadperc_stream import loop  # noqa: PLC0415 - to watch what it runs
+
+    measure = loop.frame_metrics
+    monkeypatch.setattr(loop, "frame_metrics", lambda *a: (computed.append(a[2].index), measure(*a))[1])
+    summary = replay(source, target, CFG, checkpoint_every_s=0.2, resume=True)
+    assert summary.frames == 24
+    assert 10 <= computed[0] <= 15
+    assert computed == list(range(computed[0], 24))
+    assert same(target, undisturbed)
+    assert names(tmp_path) == OUTPUTS
+
+
+@pytest.mark.parametrize("every_s", [0.01, 0.5, 100.0])
+def test_the_files_do_not_depend_on_how_often(source, undisturbed, tmp_path, every_s):
+    replay(source, tmp_path / "out.mcap", CFG, checkpoint_every_s=every_s)
+    assert same(tmp_path / "out.mcap", undisturbed)
+    assert names(tmp_path) == OUTPUTS
+
+
+def test_a_checkpoint_that_nobody_asks_for_is_not_thrown_away(source, undisturbed, tmp_path):
+    target = tmp_path / "out.mcap"
+    interrupt(source, target, 15)
+    with pytest.raises(StateError, match="--resume goes on from there, --force starts over"):
+        replay(source, target, CFG, checkpoint_every_s=0.2)
+    replay(source, target, CFG, checkpoint_every_s=0.2, force=True)
+    assert same(target, undisturbed)
+
+
+def test_a_checkpoint_of_another_replay_is_refused(source, tmp_path):
+    target = tmp_path / "out.mcap"
+    interrupt(source, target, 15)
+    other = load_config(None, (*SETTINGS, "lanes.hold_s=0.3"))
+    with pytest.raises(StateError, match=r"of another replay \(lanes.hold_s differ\)"):
+        replay(source, target, other, checkpoint_every_s=0.2, resume=True)
+    shorter = logs.write(tmp_path / "shorter.mcap", logs.items(20, road=ROAD))
+    with pytest.raises(StateError, match=r"of another replay \(input differ\)"):
+        replay(shorter, target, CFG, checkpoint_every_s=0.2, resume=True)
+    replay(shorter, target, CFG, checkpoint_every_s=0.2, resume=True, force=True)
+    replay(shorter, tmp_path / "direct.mcap", CFG)
+    assert same(target, tmp_path / "direct.mcap")
+
+
+@pytest.mark.parametrize("name", ["state", "frames"])
+def test_a_damaged_checkpoint_is_one_error(source, tmp_path, name):
+    target = tmp_path / "out.mcap"
+    interrupt(source, target, 15)
+    path = checkpoint_folder(target) / name
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(StateError, match=r"\.out\.mcap\.checkpoint: .*remove it to start over"):
+        replay(source, target, CFG, checkpoint_every_s=0.2, resume=True)
+
+
+def test_a_finished_replay_has_nothing_left_to_do_and_another_file_is_not_replaced(source, undisturbed, tmp_path):
+    target = tmp_path / "out.mcap"
+    replay(source, target, CFG)
+    before = target.stat().st_mtime_ns
+    assert "nothing is left to do" in replay(source, target, CFG, checkpoint_every_s=9, resume=True).notes[0]
+    assert target.stat().st_mtime_ns == before
+    with pytest.raises(TargetError, match="--force"):
+        replay(source, target, load_config(), checkpoint_every_s=9, resume=True)
+
+
+@pytest.mark.parametrize("options", [{"results_only": True}, {"on_request": ("overlay",)}])
+def test_a_finished_replay_that_wrote_something_else_is_another_one(source, tmp_path, options):
+    target = tmp_path / "out.mcap"
+    replay(source, target, CFG)
+    with pytest.raises(TargetError, match="--force"):
+        replay(source, target, CFG, checkpoint_every_s=9, resume=True, **options)
+
+
+@pytest.mark.parametrize("named", [1, 2])
+def test_killed_while_the_files_get_their_names_before_any_checkpoint(source, undisturbed, tmp_path, named):
+    """The tables get theirs before the log."""
+    target = tmp_path / "out.mcap"
+    replay(source, target, CFG)
+    checkpoint_folder(target).mkdir()
+    for name in OUTPUTS[: 3 - named]:
+        (tmp_path / name).unlink()
+    replay(source, target, CFG, checkpoint_every_s=9, resume=True)
+    assert same(target, undisturbed)
+    assert names(tmp_path) == OUTPUTS
+
+
+def test_checkpoints_of_little_behind_what_was_cut_off_count_right(tmp_path):
+    """What a replay wrote behind its last checkpoint is computed again: it may be little until the next one."""
+    checkpoint = Checkpoint({}, 0, 0, ReplayState(), Counted())
+    with CheckpointFolder(tmp_path / "out.mcap") as folder:
+        folder.begin(None)
+        folder.append(LITTLE)
+        folder.write(replace(checkpoint, samples=1, length=folder.length))
+        folder.append(LITTLE)
+    with CheckpointFolder(tmp_path / "out.mcap") as again:
+        again.begin(found := again.read())
+        assert again.length == found.length
+        again.append(LITTLE)
+        again.write(replace(checkpoint, samples=2, length=again.length))
+    assert len(list(again.outputs(again.read()))) == 2
+
+
+def test_a_checkpoint_of_other_frames_is_an_error(source, tmp_path):
+    target = tmp_path / "out.mcap"
+    interrupt(source, target, 15)
+    path = checkpoint_folder(target) / "frames"
+    data = path.read_bytes()
+    length = 8 + int.from_bytes(data[:8], "little")
+    path.write_bytes(data[length:] + data[:length])
+    with pytest.raises(StateError, match="does not hold frame 0; remove it to start over"):
+        replay(source, target, CFG, checkpoint_every_s=0.2, resume=True)
+
+
+def test_without_checkpoints_an_interrupted_replay_leaves_nothing(source, tmp_path):
+    def stop(done, _):
+        if done == 15:
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        replay(source, tmp_path / "out.mcap", CFG, progress=stop)
+    assert names(tmp_path) == []
+    interrupt(source, tmp_path / "out.mcap", 2)
+    assert names(tmp_path) == [], "nor one that did not come to its first checkpoint"
+
+
+def test_pictures_and_their_counts_go_on(source, tmp_path):
+    cfg, target = CFG, tmp_path / "out.mcap"
+    interrupt(source, target, 15, on_request=("overlay",))
+    resumed = replay(source, target, cfg, checkpoint_every_s=0.2, resume=True, on_request=("overlay",))
+    direct = replay(source, tmp_path / "direct.mcap", cfg, on_request=("overlay",))
+    assert target.read_bytes() == (tmp_path / "direct.mcap").read_bytes()
+    assert (resumed.throughout, resumed.notes) == (direct.throughout, direct.notes)

@@ -1,0 +1,326 @@
+"""The results of a drive's parts, each going on from the one before, are those of the whole."""
+
+import hashlib
+import os
+import zlib
+from contextlib import suppress
+from dataclasses import fields, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import msgspec
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from roadperc_stream import log, read_metrics
+from roadperc_stream.chain.step import step
+from roadperc_stream.cli.report import main as report
+from roadperc_stream.config import load_config
+from roadperc_stream.errors import NoFrameError, StateError
+from roadperc_stream.eval.runs import collect, find_runs
+from roadperc_stream.eval.scan import rows_of
+from roadperc_stream.input import ReplaySource, open_input
+from roadperc_stream.log import Attachment
+from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.output.writing import FrameOutput
+from roadperc_stream.resume import encoding
+from roadperc_stream.resume.checkpoint import Checkpoint
+from roadperc_stream.resume.encoding import FORMAT_VERSION, decode, encode
+from roadperc_stream.resume.state import ReplayState, SavedState
+from roadperc_stream.schemas.record import BEGIN_ATTACHMENT, STATE_ATTACHMENT
+from roadperc_stream.system.time import TimeRange
+from tests import logs
+from tests.replaying import replay
+from tests.resume.parts import cut, inputs, replayed, results, rows, write
+
+SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
+WAIT = ("sync.max_wait_s=0.2",)
+CFG = load_config(None, WAIT)
+ROAD = replace(logs.SMALL, width=96, height=72)
+LATCHED = ("/camera/front/calibration", "/tf")
+TABLES = ("metrics", "objects")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return inputs(logs.write(tmp_path_factory.mktemp("drive") / "in.mcap", logs.items(16, road=ROAD)))
+
+
+def assert_equal(whole, parts):
+    assert results(parts) == results(whole)
+    for table in TABLES:
+        assert rows(parts, table).equals(rows(whole, table))
+
+
+def cut_anywhere(data, messages, wait_ns):
+    """Messages delayed and lost at random, and the parts in which they are cut at random."""
+    draw = data.draw
+    delays = draw(st.lists(st.integers(0, wait_ns), min_size=len(messages), max_size=len(messages)))
+    lost = draw(st.frozensets(st.integers(10, len(messages) - 1), max_size=len(messages) // 8))
+    arrived = [
+        replace(m, log_time_ns=m.log_time_ns + delay * (m.channel.topic not in LATCHED))
+        for k, (m, delay) in enumerate(zip(messages, delays, strict=True))
+        if k not in lost
+    ]
+    arrived.sort(key=lambda m: m.log_time_ns)
+    first = {m.channel.topic: m.log_time_ns for m in reversed(arrived)}
+    times = st.integers(max(first.values()) + 1, arrived[-1].log_time_ns)
+    return arrived, cut(arrived, draw(st.lists(times, min_size=1, max_size=4)))
+
+
+def assert_parts_equal_the_whole(data, messages, cfg, wait_ns):
+    arrived, parts = cut_anywhere(data, messages, wait_ns)
+    with TemporaryDirectory() as folder:
+        (Path(folder) / "whole").mkdir()
+        assert_equal(replayed(Path(folder) / "whole", [arrived], cfg), replayed(Path(folder), parts, cfg))
+
+
+ANYHOW = {"deadline": None, "suppress_health_check": list(HealthCheck)}
+
+
+@settings(max_examples=3, **ANYHOW)
+@given(data=st.data())
+def test_wherever_a_small_drive_is_cut(drive, data):
+    assert_parts_equal_the_whole(data, drive, CFG, 200_000_000)
+
+
+@pytest.mark.accuracy
+@settings(max_examples=int(os.environ.get("PARTS", "500")), **ANYHOW)
+@given(data=st.data())
+def test_wherever_a_small_drive_is_cut_at_length(drive, data):
+    assert_parts_equal_the_whole(data, drive, CFG, 200_000_000)
+
+
+@pytest.mark.accuracy
+@settings(max_examples=max(int(os.environ.get("PARTS", "500")) // 20, 1), **ANYHOW)
+@given(data=st.data())
+def test_wherever_the_sample_is_cut(data):
+    assert_parts_equal_the_whole(data, inputs(SAMPLE), load_config(), 1_000_000_000)
+
+
+def test_the_sample_in_three_parts(tmp_path):
+    """Across several keyframes; the last part is shorter than what is waited for."""
+    messages = [m for m in inputs(SAMPLE) if m.log_time_ns < log.summarise(SAMPLE).first_ns + 1_100_000_000]
+    first, last = messages[0].log_time_ns, messages[-1].log_time_ns
+    cfg = load_config(None, ("sync.max_wait_s=0.3",))
+    parts = replayed(tmp_path, cut(messages, [first + (last - first) // 2, last - 120_000_000]), cfg)
+    (tmp_path / "whole").mkdir()
+    whole = replayed(tmp_path / "whole", [messages], cfg)
+    assert_equal(whole, parts)
+    assert read_metrics(parts)["frame"].to_list() == read_metrics(whole[0])["frame"].to_list()
+
+
+def test_the_state_after_any_frame_goes_on_from_its_bytes():
+    """Every frame of the sample's first second is computed from the bytes of the state before it."""
+    cfg = load_config()
+    state = again = ReplayState()
+    for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=12)), cfg).samples():
+        again = decode(encode(again), ReplayState)
+        rows = []
+        for before in (state, again):
+            chain, result = step(cfg, before.chain, sample.frame)
+            rows.append(frame_metrics(cfg, "", sample, result, before.earlier))
+            state, again = again, ReplayState(chain, sample.as_earlier)
+        assert rows[0] == rows[1]
+        assert encode(again) == encode(state)
+
+
+def test_what_a_state_holds_is_that_of_its_version():
+    """Where this fails, raise FORMAT_VERSION with the change: older states would be taken for something else."""
+    held = _held(msgspec.inspect.type_info(SavedState), {})
+    names = sorted(f"{kind.__name__}.{name}" for kind, names in held.items() for name in names)
+    digest = hashlib.sha256(" ".join(names).encode()).hexdigest()[:8]
+    assert (FORMAT_VERSION, digest) == (5, "69dca7e3"), names
+
+
+@pytest.mark.parametrize("kind", [SavedState, Checkpoint, FrameOutput])
+def test_no_field_of_what_is_encoded_is_a_cache(kind):
+    """A private field, or one that comparisons leave out, may differ in equal states."""
+    held = _held(msgspec.inspect.type_info(kind), {})
+    caches = [(part, f.name) for part in held for f in fields(part) if f.name.startswith("_") or not f.compare]
+    assert (caches, kind in held) == ([], True)
+
+
+def _held(info, found):
+    """Names of the fields of all dataclasses that a type holds, by dataclass."""
+    if isinstance(info, msgspec.inspect.DataclassType):
+        kind = getattr(info.cls, "__origin__", info.cls)
+        if kind in found:
+            return found
+        found[kind] = [field.encode_name for field in info.fields]
+    for name in ("fields", "item_type", "item_types", "types", "key_type", "value_type", "type"):
+        inner = getattr(info, name, ())
+        for part in inner if isinstance(inner, tuple) else (inner,):
+            if isinstance(part, msgspec.inspect.Type | msgspec.inspect.Field):
+                _held(part, found)
+    return found
+
+
+@pytest.fixture(scope="module")
+def parts(drive, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("parts")
+    return replayed(folder, cut(drive, [drive[0].log_time_ns + 500_000_000]), CFG)
+
+
+def names(path):
+    return [attachment.name for attachment in log.summarise(path).attachments]
+
+
+def test_a_continued_part_replays_to_itself(parts):
+    assert names(parts[0]) == ["roadperc.toml", "roadperc.state"]
+    assert names(parts[1]) == ["roadperc.toml", "roadperc.state.begin", "roadperc.state"]
+    again = parts[1].with_name("again.mcap")
+    replay(parts[1], again, CFG)
+    assert again.read_bytes() == parts[1].read_bytes()
+    for table in TABLES:
+        assert rows([again], table).equals(rows([parts[1]], table))
+
+
+def test_the_state_of_an_input_begins_no_plain_replay(parts):
+    again = parts[0].with_name("zero.mcap")
+    replay(parts[0], again, CFG)
+    assert again.read_bytes() == parts[0].read_bytes()
+    assert read_metrics(again)["frame"][0] == 0
+
+
+def test_a_result_says_which_part_it_continues(parts):
+    first = read_metrics(parts[0])["log_id"][0]
+    (record,) = log.summarise(parts[1]).metadata
+    assert dict(record.values)["continues"] == first
+    runs = find_runs([str(path) for path in parts])
+    assert [run.continues for run in runs] == ["", first]
+    assert runs[0].end_frame == runs[1].first_frame == read_metrics(parts[1])["frame"].min() > 0
+
+
+def test_readers_of_several_parts_take_the_last_of_frames_given_twice(parts, tmp_path):
+    runs = find_runs([str(path) for path in parts])
+    given = [collect(rows_of(run).select("frame"), "")["frame"].to_list() for run in runs]
+    assert [*given[0], *given[1]] == list(range(16)) == read_metrics(parts)["frame"].to_list()
+    assert [run.frames for run in runs] == [len(frames) for frames in given]
+    assert len(read_metrics(parts[0])) > runs[0].frames
+    assert find_runs([str(parts[0])])[0].frames == len(read_metrics(parts[0]))
+
+
+def test_other_settings_keep_the_frames_and_begin_the_memory_anew(parts, tmp_path):
+    other = load_config(None, (*WAIT, "lanes.hold_s=0.3"))
+    summary = replay(parts[1], tmp_path / "other.mcap", other)
+    assert any("lanes.hold_s was 0.5, is 0.3" in note for note in summary.notes)
+    assert read_metrics(tmp_path / "other.mcap")["frame"].equals(read_metrics(parts[1])["frame"])
+    replay(tmp_path / "other.mcap", tmp_path / "again.mcap", other)
+    assert (tmp_path / "again.mcap").read_bytes() == (tmp_path / "other.mcap").read_bytes()
+
+
+def test_a_state_that_is_too_large_is_left_out_and_the_results_are_not(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(encoding, "MOST_BYTES", 1000)
+    summary = replay(write(tmp_path / "in.mcap", drive), tmp_path / "out.mcap", CFG)
+    assert any("this part cannot be continued" in note for note in summary.notes)
+    assert names(tmp_path / "out.mcap") == ["roadperc.toml"]
+
+
+def test_results_alone_can_be_continued_too(drive, parts, tmp_path):
+    made = replayed(tmp_path, cut(drive, [drive[0].log_time_ns + 500_000_000]), CFG, results_only=True)
+    assert results(made) == results(parts)
+
+
+def with_attachments(source, target, **changed):
+    """A copy of a log with other attachments: None for none."""
+    with log.LogWriter(target) as writer:
+        for message in log.read(log.summarise(source)):
+            writer.write(message)
+        for item in log.summarise(source).attachments:
+            data = changed.get(item.name, item.data)
+            if data is not None:
+                writer.attach(Attachment(item.name, item.media_type, data))
+    return target
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (None, r"has no attachment roadperc\.state"),
+        (b"", "is no state of a replay"),
+        (b"RPSTATE\x63 and so on", "version 99, expected 5; replay its input again"),
+        (b"RPSTATE\x03 and so on", "version 3, expected 5; replay its input again"),
+        (b"RPSTATE\x05 and so on", "damaged"),
+    ],
+)
+def test_what_is_no_state_is_refused(drive, parts, tmp_path, data, expected):
+    before = with_attachments(parts[0], tmp_path / "before.mcap", **{STATE_ATTACHMENT: data})
+    with pytest.raises(StateError, match=expected):
+        replay(parts[1], tmp_path / "out.mcap", CFG, continued=before)
+    assert [path.name for path in tmp_path.iterdir()] == ["before.mcap"]
+
+
+def test_a_state_whose_messages_are_gone_is_refused(parts, tmp_path):
+    before = tmp_path / "before.mcap"
+    with log.LogWriter(before) as writer:
+        for item in log.summarise(parts[0]).attachments:
+            writer.attach(item)
+        for message in inputs(parts[0])[:-20]:
+            writer.write(message)
+    with pytest.raises(StateError, match="messages it needs are not in its log"):
+        replay(parts[1], tmp_path / "out.mcap", CFG, continued=before)
+
+
+@pytest.mark.parametrize("attachment", [STATE_ATTACHMENT, BEGIN_ATTACHMENT])
+def test_any_changed_byte_of_an_unpacked_state_gives_a_state_or_one_error(parts, attachment):
+    path = parts[attachment == BEGIN_ATTACHMENT]
+    (data,) = (item.data for item in log.summarise(path).attachments if item.name == attachment)
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        changed = bytearray(data)
+        changed[int(rng.integers(12, len(data)))] = int(rng.integers(256))
+        changed[8:12] = zlib.crc32(changed[12:]).to_bytes(4, "little")
+        with suppress(StateError):
+            assert isinstance(decode(bytes(changed), SavedState), SavedState)
+
+
+def test_a_part_that_is_not_later_is_refused(parts, tmp_path):
+    with pytest.raises(StateError, match=r"begins 0\.\d{3} s before the end of what .* holds"):
+        replay(parts[0], tmp_path / "out.mcap", CFG, continued=parts[0])
+
+
+def test_a_part_of_another_sensor_is_refused(parts, drive, tmp_path):
+    cut_ns = drive[0].log_time_ns + 500_000_000
+    depth = [m for m in drive if m.log_time_ns < cut_ns and m.channel.topic != "/camera/front/image"]
+    (before,) = replayed(tmp_path, [depth], CFG)
+    with pytest.raises(StateError, match="role image would make the frames, those before were made by role depth"):
+        replay(parts[1], tmp_path / "out.mcap", CFG, continued=before)
+
+
+def test_a_part_without_a_frame_goes_on_and_a_drive_without_one_does_not(drive, tmp_path):
+    """The camera fails, the depth sensor goes on."""
+    (depth, *_) = [m for m in drive if m.channel.topic == "/camera/front/depth"]
+    stamps = [drive[-1].log_time_ns + k * 100_000_000 for k in range(1, 20)]
+    alone = [replace(depth, log_time_ns=t, data=logs.frame_items(t, ROAD)[1].data) for t in stamps]
+    made = replayed(tmp_path, [[*drive, *alone[:10]], alone[10:]], CFG)
+    assert [len(read_metrics(path)) for path in made] == [16, 0]
+    assert read_metrics(made)["frame"].to_list() == list(range(16))
+    with pytest.raises(NoFrameError):
+        replay(tmp_path / "in_0.mcap", tmp_path / "out.mcap", CFG, time_range=TimeRange(start_s=1.0))
+
+
+def test_parts_of_one_file(parts, drive, tmp_path):
+    """By --start and --end: what arrives late for the first part is its frames' in the second."""
+    source = write(tmp_path / "in.mcap", drive)
+    first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    replay(source, first, CFG, time_range=TimeRange(end_s=0.5))
+    replay(source, second, CFG, time_range=TimeRange(start_s=0.5), continued=first)
+    assert results([first, second]) == results(parts)
+    replay(second, tmp_path / "again.mcap", CFG)
+    assert (tmp_path / "again.mcap").read_bytes() == second.read_bytes()
+
+
+def test_a_report_of_parts_counts_every_frame_once(parts, capsys):
+    assert report([str(path) for path in parts]) == 0
+    assert "16 frames" in " ".join(capsys.readouterr().out.split())
+
+
+def test_frames_of_tables_are_those_of_the_log(parts):
+    for path in parts:
+        written = {m.sequence for m in log.read(log.summarise(path), topics=["/perception/metrics"])}
+        assert written == set(pl.read_parquet(sidecar_path(path, "metrics"))["frame"])

@@ -1,0 +1,154 @@
+"""Checkpoints that are damaged, held by another replay, or no folder; and what a replay says of them."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from random import Random
+
+import pytest
+
+from roadperc_stream.cli.replay import main
+from roadperc_stream.config import load_config
+from roadperc_stream.errors import StateError, TargetError
+from roadperc_stream.resume.checkpoint import CheckpointFolder, checkpoint_folder
+from tests import logs
+from tests.replaying import replay
+from tests.resume.test_kills import CFG, EVERY, OUTPUTS, ROAD, SETTINGS, command, interrupt, names, same
+
+RESUMED = {"checkpoint_every_s": 0.2, "resume": True}
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    return logs.write(tmp_path_factory.mktemp("drive") / "in.mcap", logs.items(16, road=ROAD))
+
+
+@pytest.fixture
+def stopped(source, tmp_path):
+    """An output whose replay was interrupted behind a checkpoint."""
+    target = tmp_path / "out.mcap"
+    interrupt(source, target, 14)
+    return target
+
+
+@pytest.mark.parametrize("name", ["state", "frames"])
+def test_a_flipped_bit_anywhere_is_one_error(source, stopped, name):
+    """14 of 14, of which 7 gave another output before records had a CRC."""
+    path, rng = checkpoint_folder(stopped) / name, Random(1)
+    data, written = path.read_bytes(), CheckpointFolder(stopped).read().length
+    for bit in (rng.randrange(8 * (written if name == "frames" else len(data))) for _ in range(14)):
+        changed = bytearray(data)
+        changed[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(changed)
+        with pytest.raises(StateError, match="remove it to start over"):
+            replay(source, stopped, CFG, **RESUMED)
+        assert not stopped.exists()
+
+
+def test_a_second_replay_of_one_output_is_refused_while_the_first_lives(source, tmp_path):
+    target = tmp_path / "out.mcap"
+    first = subprocess.Popen(command(source, target, "--resume", "--quiet"))
+    while not (checkpoint_folder(target) / "state").exists():
+        assert first.poll() is None
+        time.sleep(0.001)
+    first.send_signal(signal.SIGSTOP)
+    try:
+        for options in (RESUMED, {**RESUMED, "force": True}, {}):
+            with pytest.raises(StateError, match=r"another replay of the same output is at work; wait until"):
+                replay(source, target, CFG, **options)
+    finally:
+        first.kill()
+        first.wait()
+    replay(source, target, CFG, **RESUMED)
+    replay(source, tmp_path / "direct.mcap", CFG)
+    assert same(target, tmp_path / "direct.mcap"), "the lock of a dead process is gone with it"
+    assert not checkpoint_folder(target).exists()
+
+
+@pytest.mark.parametrize("options", [RESUMED, {"checkpoint_every_s": 0.2}, {}])
+def test_a_link_in_place_of_the_folder_is_one_error(source, tmp_path, options):
+    (tmp_path / "victim").mkdir()
+    (tmp_path / "victim" / "frames").write_bytes(b"theirs")
+    checkpoint_folder(tmp_path / "out.mcap").symlink_to(tmp_path / "victim")
+    with pytest.raises(StateError, match="checkpoint: is no folder; remove it to start over"):
+        replay(source, tmp_path / "out.mcap", CFG, **options)
+    assert (tmp_path / "victim" / "frames").read_bytes() == b"theirs"
+
+
+def test_a_link_in_place_of_the_frames_is_not_written_through(source, stopped, tmp_path):
+    path = checkpoint_folder(stopped) / "frames"
+    path.rename(tmp_path / "victim")
+    path.symlink_to(tmp_path / "victim")
+    before = (tmp_path / "victim").read_bytes()
+    with pytest.raises(TargetError, match="checkpoint: "):
+        replay(source, stopped, CFG, **RESUMED)
+    assert (tmp_path / "victim").read_bytes() == before
+
+
+def test_a_plain_replay_removes_what_an_interrupted_one_left_and_says_so(source, stopped):
+    summary = replay(source, stopped, CFG)
+    assert any("checkpoint: left by an interrupted replay, removed" in note for note in summary.notes)
+    assert names(stopped.parent) == OUTPUTS
+
+
+@pytest.mark.parametrize("table", OUTPUTS[1:])
+def test_an_output_with_another_table_is_not_complete(source, tmp_path, table):
+    target = tmp_path / "out.mcap"
+    replay(source, target, CFG)
+    (tmp_path / table).write_bytes(b"junk")
+    with pytest.raises(TargetError, match="exists already; --force"):
+        replay(source, target, CFG, **RESUMED)
+    replay(source, target, CFG, **RESUMED, force=True)
+    assert "nothing is left to do" in replay(source, target, CFG, **RESUMED).notes[0]
+
+
+def test_what_is_continued_is_not_replaced(source, tmp_path):
+    target = tmp_path / "out.mcap"
+    replay(source, target, CFG)
+    before = target.read_bytes()
+    with pytest.raises(TargetError, match="is the part that the replay goes on from; name another output"):
+        replay(source, target, CFG, continued=target, force=True)
+    assert target.read_bytes() == before
+
+
+def words(source, target, *options):
+    settings = [part for setting in SETTINGS for part in ("--set", setting)]
+    return [str(source), str(target), *settings, *EVERY, *options]
+
+
+def test_a_resumed_replay_says_from_where(source, stopped, capsys):
+    assert main(words(source, stopped, "--resume")) == 0
+    said = capsys.readouterr().out.splitlines()
+    (resumed,) = (line for line in said if line.startswith("resumed: "))
+    before = int(resumed.split()[1])
+    assert resumed == f"resumed: {before} of 16 frames were complete, up to {0.05 * (before - 1):.3f} s of the log"
+    assert said[-2].startswith(f"{16 - before} frames in ")
+    assert main(words(source, stopped, "--resume")) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[-2].endswith("out.mcap: is complete, nothing is left to do")
+    assert said[-1].startswith("16 frames, log ")
+
+
+def test_the_same_command_with_force_resumes_over_an_older_output(source, tmp_path):
+    """Of the command that was interrupted ``--force`` is a part: it does not start over where its checkpoint is."""
+    target = tmp_path / "out.mcap"
+    replay(source, target, load_config())
+    interrupt(source, target, 14, force=True)
+    resumed = replay(source, target, CFG, **RESUMED, force=True)
+    assert resumed.frames_before > 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_who_interrupts_it_learns_how_it_goes_on(tmp_path, number):
+    source, target = logs.write(tmp_path / "in.mcap", logs.items(300, road=ROAD)), tmp_path / "out.mcap"
+    code = "import sys; from roadperc_stream.cli.replay import main; sys.exit(main())"
+    started = [sys.executable, "-c", code, *words(source, target)]
+    process = subprocess.Popen(started, stderr=subprocess.PIPE, text=True, env=os.environ)
+    while process.poll() is None and not (checkpoint_folder(target) / "state").exists():
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    expected = "error: interrupted; the same command with --resume goes on from the last checkpoint\n"
+    assert (process.returncode, err) == (1, expected)

@@ -1,0 +1,134 @@
+"""A replay that starts in the middle of a log, its memory built on the seconds before."""
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from roadperc_stream import log, read_metrics
+from roadperc_stream.cli.replay import main
+from roadperc_stream.config import load_config
+from roadperc_stream.errors import ConfigError
+from roadperc_stream.schemas.topics import ODOMETRY_TOPIC, TRAJECTORY_TOPIC
+from roadperc_stream.system.time import TimeRange
+from tests import logs
+from tests.analytic import STEP_NS
+from tests.replaying import replay
+from tests.resume.parts import inputs, results, write
+
+CFG = load_config(None, ("sync.max_wait_s=0.2",))
+ROAD = replace(logs.SMALL, width=96, height=72)
+START = TimeRange(start_s=0.5)
+FROM_START = ["odom_x_m", "odom_y_m", "odom_z_m", "odom_qx", "odom_qy", "odom_qz", "odom_qw"]
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    return logs.write(tmp_path_factory.mktemp("drive") / "in.mcap", logs.items(18, road=ROAD))
+
+
+@pytest.fixture(scope="module")
+def warmed(source):
+    replay(source, source.with_name("warmed.mcap"), CFG, time_range=START, warm_up_s=0.4)
+    return source.with_name("warmed.mcap")
+
+
+def test_what_is_written_begins_at_the_start(source, warmed):
+    rows = read_metrics(warmed)
+    assert rows["frame"].to_list() == list(range(8))
+    assert rows["stamp_ns"][0] == logs.START_NS + 10 * STEP_NS
+    images = list(log.read(log.summarise(warmed), topics=["/camera/front/image"]))
+    assert [m.log_time_ns for m in images] == [logs.START_NS + k * STEP_NS for k in range(10, 18)]
+
+
+def test_odometry_is_the_identity_at_the_first_frame_and_tracks_from_before(warmed):
+    first = read_metrics(warmed).row(0, named=True)
+    assert [first[name] for name in FROM_START] == [0, 0, 0, 0, 0, 0, 1]
+    assert first["odometry_status"] == "tracked"
+    lengths = [len(m.data) for m in log.read(log.summarise(warmed), topics=[TRAJECTORY_TOPIC])]
+    assert lengths == sorted(lengths)
+    assert len(next(iter(log.read(log.summarise(warmed), topics=[ODOMETRY_TOPIC]))).data) > 0
+
+
+def test_the_memory_is_the_one_of_the_frames_before(source, warmed, tmp_path):
+    """As in a replay from where the warm-up begins, but for the place from which the pose counts."""
+    replay(source, tmp_path / "longer.mcap", CFG, time_range=TimeRange(start_s=0.1))
+    rows, longer = read_metrics(warmed), read_metrics(tmp_path / "longer.mcap").tail(8)
+    same = [n for n in rows.columns if n not in {"log_id", "frame", *FROM_START} and (n[-3:] != "_ms" or n[0] == "y")]
+    for name in same:
+        ours, theirs = rows[name], longer[name]
+        if ours.dtype == pl.Float64:
+            np.testing.assert_allclose(ours.to_numpy(), theirs.to_numpy(), rtol=1e-6, atol=1e-9, err_msg=name)
+        else:
+            assert ours.equals(theirs), name
+
+
+def test_the_output_replays_to_itself(warmed, tmp_path):
+    names = [attachment.name for attachment in log.summarise(warmed).attachments]
+    assert names == ["roadperc.toml", "roadperc.state.begin", "roadperc.state"]
+    replay(warmed, tmp_path / "again.mcap", CFG)
+    assert (tmp_path / "again.mcap").read_bytes() == warmed.read_bytes()
+
+
+def test_it_can_be_continued(source, warmed, tmp_path):
+    first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    replay(source, first, CFG, time_range=TimeRange(0.5, 0.6), warm_up_s=0.4)
+    replay(source, second, CFG, time_range=TimeRange(0.6), continued=first)
+    assert results([first, second]) == results([warmed])
+
+
+def test_messages_that_come_late_for_the_start(source, tmp_path):
+    """Frames whose image came before the start are none of the part, whenever their depth comes."""
+    late = [
+        replace(m, log_time_ns=m.log_time_ns + 120_000_000 * (m.channel.topic == "/camera/front/depth"))
+        for m in inputs(source)
+    ]
+    drive = write(tmp_path / "in.mcap", late)
+    replay(drive, tmp_path / "out.mcap", CFG, time_range=START, warm_up_s=0.4)
+    rows = read_metrics(tmp_path / "out.mcap")
+    assert rows["stamp_ns"].to_list() == [logs.START_NS + k * STEP_NS for k in range(10, 18)]
+    assert rows["missing"].to_list() == [[]] * 8
+
+
+def test_more_than_there_is(source, tmp_path):
+    summary = replay(source, tmp_path / "a.mcap", CFG, time_range=TimeRange(start_s=0.1), warm_up_s=5.0)
+    assert summary.notes[0] == "warm-up: 0.1 s, the log has no more before the start"
+    assert read_metrics(tmp_path / "a.mcap")["odometry_status"][0] == "tracked"
+    summary = replay(source, tmp_path / "b.mcap", CFG, time_range=TimeRange(start_s=0.0), warm_up_s=5.0)
+    assert summary.notes[0].startswith("warm-up: 0 s")
+    replay(source, tmp_path / "c.mcap", CFG)
+    assert results([tmp_path / "b.mcap"]) == results([tmp_path / "c.mcap"])
+
+
+def test_without_a_frame_before_the_start_there_is_no_memory(source, tmp_path):
+    messages = [
+        m for m in inputs(source) if m.log_time_ns >= logs.START_NS + 10 * STEP_NS or "image" not in m.channel.topic
+    ]
+    drive = write(tmp_path / "in.mcap", messages)
+    replay(drive, tmp_path / "out.mcap", CFG, time_range=START, warm_up_s=0.4)
+    assert read_metrics(tmp_path / "out.mcap")["odometry_status"].to_list()[:2] == ["first", "tracked"]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--warm-up", "5"], "--warm-up: only with --start"),
+        (["--start", "1", "--warm-up", "5", "--continue", "o.mcap"], "--warm-up: not together with --continue"),
+        (["--start", "1", "--warm-up", "0"], "expected more than 0 seconds"),
+        (["--resume"], "--resume: only with --checkpoint-every"),
+        (["--checkpoint-every", "-1"], "expected more than 0 seconds"),
+    ],
+)
+def test_wrong_usage(capsys, options, expected):
+    with pytest.raises(SystemExit) as ended:
+        main(["in.mcap", "out.mcap", *options])
+    assert ended.value.code == 2
+    assert expected in capsys.readouterr().err
+
+
+def test_wrong_use_of_the_function(source, tmp_path):
+    with pytest.raises(ConfigError, match="only with a start"):
+        replay(source, tmp_path / "out.mcap", CFG, warm_up_s=1.0)
+    with pytest.raises(ConfigError, match="needs no warm-up"):
+        replay(source, tmp_path / "out.mcap", CFG, time_range=START, warm_up_s=1.0, continued=source)

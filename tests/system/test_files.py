@@ -1,0 +1,159 @@
+"""Files that are written: what may be replaced, and that none appears half written."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from roadperc_stream.errors import TargetError
+from roadperc_stream.system.files import completing, remove_dead_partials, require_free, require_suffix
+
+
+def test_a_free_name_may_be_written(tmp_path):
+    require_free(tmp_path / "new" / "out.mp4", force=False, source=tmp_path / "in.mcap", suffix=".mp4")
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_what_must_never_be_written(tmp_path, force):
+    source = tmp_path / "in.mcap"
+    source.write_bytes(b"log")
+    (tmp_path / "folder.mp4").mkdir()
+    for target, suffix, why in (
+        (tmp_path, ".mp4", "is a folder"),
+        (tmp_path / "folder.mp4", ".mp4", "is a folder"),
+        (tmp_path / "out.avi", ".mp4", "expected a name that ends in .mp4"),
+        (tmp_path / "mp4", ".mp4", "expected a name that ends in .mp4"),
+        (source, ".mp4", "expected a name that ends in .mp4"),
+        (source, ".mcap", "is the input itself"),
+        (tmp_path / "." / "in.mcap", ".mcap", "is the input itself"),
+    ):
+        with pytest.raises(TargetError, match=f"{re.escape(str(target))}: {why}"):
+            require_free(target, force=force, source=source, suffix=suffix)
+
+
+def test_an_existing_file_is_replaced_when_told_so_only(tmp_path):
+    target = tmp_path / "out.mp4"
+    target.write_bytes(b"old")
+    require_free(target, force=True, suffix=".mp4")
+    with pytest.raises(TargetError, match=r"exists already; --force \(force=True\) replaces it"):
+        require_free(target, force=False, suffix=".mp4")
+
+
+def test_a_name_may_end_in_one_of_several_suffixes_however_it_is_spelled(tmp_path):
+    for name in ("a.html", "a.HTM", "a.b.Html"):
+        require_suffix(tmp_path / name, ".html", ".htm")
+    with pytest.raises(TargetError, match=r"a\.mcap: expected a name that ends in \.html or \.htm$"):
+        require_suffix(tmp_path / "a.mcap", ".html", ".htm")
+
+
+def test_a_file_appears_when_it_is_complete(tmp_path):
+    target = tmp_path / "new" / "out.mp4"
+    with completing(target) as temporary:
+        temporary.write_bytes(b"whole")
+        assert temporary.suffix == ".mp4"
+        assert not target.exists()
+    assert target.read_bytes() == b"whole"
+    assert list(target.parent.iterdir()) == [target]
+
+
+def write_half(target):
+    with completing(target) as temporary:
+        temporary.write_bytes(b"half")
+        raise KeyboardInterrupt
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    target = tmp_path / "file" / "out.mp4"
+    with pytest.raises(TargetError, match=re.escape(f"{target}: ")):
+        write_half(target)
+
+
+def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path):
+    target = tmp_path / "out.mp4"
+    target.write_bytes(b"old")
+    with pytest.raises(KeyboardInterrupt):
+        write_half(target)
+    assert target.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def node(path, kind):
+    """Something that is no file: what a rename would replace, where writing would go elsewhere."""
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        if kind == "link":
+            path.with_name("real.mp4").write_bytes(b"old")
+        path.symlink_to("real.mp4" if kind != "loop" else path.name)
+
+
+@pytest.mark.parametrize(
+    ("kind", "why"),
+    [("pipe", "is a device or a pipe"), ("link", "is a link"), ("dangling", "is a link"), ("loop", "is a link")],
+)
+def test_what_is_no_file_is_not_replaced(tmp_path, kind, why):
+    target = tmp_path / "out.mp4"
+    node(target, kind)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(TargetError, match=re.escape(f"{target}: {why}")):
+        require_free(target, force=True, suffix=".mp4")
+    with pytest.raises(TargetError, match=why), completing(target):
+        pytest.fail("nothing can be written")
+    assert sorted(tmp_path.iterdir()) == before
+    assert target.is_fifo() or target.is_symlink()
+
+
+def test_a_name_that_is_no_text_is_refused(tmp_path):
+    """The libraries that write the files take text, and one of them ends the program where it is none."""
+    target = tmp_path / os.fsdecode(b"out\xff.mp4")
+    with pytest.raises(TargetError, match=r"out\\udcff\.mp4': expected a name in UTF-8"):
+        require_free(target, force=True, suffix=".mp4")
+
+
+def write_while_another_does(target, force):
+    with completing(target, force=force) as temporary:
+        temporary.write_bytes(b"mine")
+        target.write_bytes(b"theirs")
+
+
+def test_what_another_program_wrote_meanwhile_stays(tmp_path):
+    target = tmp_path / "out.mp4"
+    with pytest.raises(TargetError, match="exists now"):
+        write_while_another_does(target, force=False)
+    assert target.read_bytes() == b"theirs"
+    write_while_another_does(target, force=True)
+    assert target.read_bytes() == b"mine"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def dead_process():
+    with subprocess.Popen([sys.executable, "-c", ""]) as process:
+        return process.pid
+
+
+def test_what_dead_processes_left_of_a_target_is_removed(tmp_path):
+    dead, target = dead_process(), tmp_path / "out.mcap"
+    left = [f".out.mcap.{dead}.partial", f".out.mcap.{dead}.partial.mcap"]
+    kept = [
+        f".out.mcap.{os.getppid()}.partial",  # of one that lives
+        f".out.mcap.{dead}.partial.html",
+        f".other.mcap.{dead}.partial",
+        f".out.mcap.5.{dead}.partial",  # of the target out.mcap.5
+        f"out.mcap.{dead}.partial",
+        ".out.mcap.x.partial",
+    ]
+    for name in (*left, *kept):
+        (tmp_path / name).write_bytes(b"")
+    (tmp_path / ".out.mcap.0.partial").mkdir()
+    remove_dead_partials(target)
+    assert {path.name for path in tmp_path.iterdir()} == {*kept, ".out.mcap.0.partial"}
+    remove_dead_partials(tmp_path / "no folder" / "out.mcap")
+
+
+def test_a_number_too_large_for_a_process_is_a_dead_one(tmp_path):
+    (tmp_path / f".out.mcap.{'9' * 30}.partial").write_bytes(b"")
+    remove_dead_partials(tmp_path / "out.mcap")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,212 @@
+"""Items through steps: everything in order, whatever is faster; errors where they belong; no thread is left."""
+
+import signal
+import sys
+import threading
+import time
+from itertools import count
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadperc_stream.system import pipeline
+from roadperc_stream.system.pipeline import Pipeline
+
+CONDITION = {getattr(threading.Condition, name).__code__ for name in ("__enter__", "__exit__", "wait", "notify_all")}
+THREADS = (1, 2, 3, 4)
+STEPS = ("read", "first", "second", "last")
+DELAYS_MS = st.lists(st.tuples(*[st.integers(0, 3)] * len(STEPS)), max_size=8)
+
+
+class FaultError(Exception):
+    pass
+
+
+class StopError(BaseException):
+    """As a signal's KeyboardInterrupt, which no pytest stops for."""
+
+
+def threads_left():
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("roadperc")]
+
+
+def pause(milliseconds):
+    time.sleep(milliseconds / 1000)
+
+
+def run(threads, delays, broken=()):
+    """What each step has made of the items, and the job's error.
+
+    Every step takes so long for each item and adds what it has seen so far: it remembers. ``broken`` are steps that
+    fail, by item.
+    """
+    seen, failed = {step: [] for step in STEPS}, ""
+
+    def work(step, item, before):
+        pause(delays[item][STEPS.index(step)])
+        if (step, item) in broken:
+            raise FaultError(f"{step} {item}")
+        seen[step].append((item, *before))
+        return item, (*before, len(seen[step]))
+
+    items = (work("read", item, ()) for item in range(len(delays)))
+    job = Pipeline(items)
+    for step in STEPS[1:]:
+        job = job.then(lambda made, step=step: work(step, *made))
+    try:
+        job.run(threads)
+    except FaultError as error:
+        failed = str(error)
+    return seen, failed
+
+
+@given(DELAYS_MS, st.sampled_from(THREADS[1:]))
+@settings(max_examples=40)
+def test_every_step_takes_every_item_once_and_in_order(delays, threads):
+    seen, failed = run(threads, delays)
+    assert (seen, failed) == run(1, delays)
+    assert [item for item, *_ in seen["last"]] == list(range(len(delays)))
+    assert threads_left() == []
+
+
+@given(DELAYS_MS, st.sets(st.tuples(st.sampled_from(STEPS), st.integers(0, 7)), min_size=1))
+@settings(max_examples=60)
+def test_whatever_fails_the_first_error_is_that_of_one_thread(delays, broken):
+    expected, error = run(1, delays, broken)
+    for threads in THREADS[1:]:
+        seen, failed = run(threads, delays, broken)
+        assert failed == error
+        assert seen["last"] == expected["last"], "those before it are complete, and none behind it"
+    assert threads_left() == []
+
+
+@pytest.mark.parametrize(("threads", "expected"), [(1, 1), (2, 2), (4, 4), (9, 4)])
+def test_as_many_steps_are_at_work_as_there_are_threads(threads, expected):
+    together, seen = threading.Barrier(expected), set()
+
+    def meet(step, item):
+        """The last steps wait for each other, each at an item of its own: none gets on where they share a thread."""
+        if step >= len(STEPS) - expected and item == 10 - step:
+            together.wait(timeout=30)
+        seen.add(threading.get_ident())
+        return item
+
+    job = Pipeline(meet(0, item) for item in range(20))
+    for step in range(1, len(STEPS)):
+        job = job.then(lambda item, step=step: meet(step, item))
+    job.run(threads)
+    assert len(seen) == expected
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_little_is_under_way(threads):
+    under_way, most = set(), []
+
+    def finish(item):
+        pause(1)
+        under_way.remove(item)
+
+    items = (under_way.add(item) or most.append(len(under_way)) or item for item in range(50))
+    Pipeline(items).then(lambda item: item).then(finish).run(threads)
+    assert len(most) == 50
+    assert max(most) <= (threads + 1 if threads > 1 else 1)
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_a_signal_ends_at_once_what_waits(threads):
+    """It interrupts the caller's thread, whoever is at what step."""
+    done = []
+
+    def stop(_number, _frame):
+        raise StopError
+
+    def stopped(item):
+        pause(1)
+        if item == 3:
+            signal.raise_signal(signal.SIGALRM)
+        return item
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        with pytest.raises(StopError):
+            Pipeline(count()).then(stopped).then(stopped).then(done.append).run(threads)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert done == list(range(len(done)))
+    assert threads_left() == []
+    after = len(done)
+    pause(20)
+    assert len(done) == after
+
+
+def test_a_signal_may_come_anywhere():
+    """Also where the caller has just taken a lock: an error at each of its instructions in turn.
+
+    Those of the standard library's ``Thread`` are left out: it has locks of its own, which it takes once in a job.
+    """
+
+    def is_of_condition(frame):
+        return frame.f_code in CONDITION and frame.f_back.f_code.co_filename == pipeline.__file__
+
+    def interrupted(instruction):
+        """Whether the caller's run is over with the error, at the instruction of that number."""
+        left, outcome = [instruction], []
+
+        def trace(frame, event, _):
+            frame.f_trace_opcodes = frame.f_code.co_filename == pipeline.__file__ or is_of_condition(frame)
+            left[0] -= event == "opcode"
+            if left[0] < 0:
+                raise StopError
+            return trace
+
+        def call():
+            sys._getframe().f_trace_opcodes = True  # Python 3.12 traces none unless one asks before it traces
+            sys.settrace(trace)
+            try:
+                Pipeline(iter(range(6))).then(lambda _: pause(1)).then(lambda _: pause(1)).run(2)
+            except StopError:
+                outcome.append("interrupted")
+            finally:
+                sys.settrace(None)
+
+        caller = threading.Thread(target=call, daemon=True)
+        caller.start()
+        caller.join(timeout=30)
+        assert not caller.is_alive(), f"it hangs, interrupted at instruction {instruction}"
+        return bool(outcome)
+
+    number = next(number for number in count() if not interrupted(number))
+    assert number > 100
+    deadline = time.monotonic() + 30
+    while threads_left() and time.monotonic() < deadline:  # one that had hardly started, and does nothing
+        pause(1)
+    assert threads_left() == []
+
+
+@pytest.mark.parametrize("threads", THREADS[1:])
+def test_an_error_of_no_step_ends_the_job_too(threads, monkeypatch):
+    def no_memory(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(pipeline._Work, "_pass_on", no_memory)
+    outcome = []
+
+    def call():
+        with pytest.raises(MemoryError):
+            Pipeline(count()).then(lambda item: item).then(lambda item: item).run(threads)
+        outcome.append("ended")
+
+    caller = threading.Thread(target=call, daemon=True)
+    caller.start()
+    caller.join(timeout=30)
+    assert outcome == ["ended"]
+    assert threads_left() == []
+
+
+def test_numpy_is_silent_in_every_thread(recwarn):
+    with np.errstate(all="ignore"):
+        items = (np.float32(1e30) * np.float32(1e30) for _ in range(20))
+        Pipeline(items).then(lambda value: (pause(1), np.log(-value))).then(lambda _: np.log(np.float32(-1.0))).run(3)
+    assert not recwarn.list

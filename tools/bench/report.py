@@ -1,0 +1,164 @@
+"""How long a report over many tables takes, and in how much memory, against polars' bare group-by over the same files.
+
+So for a folder of tables, and for a batch's dataset of small ones. Run it with ``make bench-report`` or
+``python -m roadperc_stream.tools.bench.report FOLDER``.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any, Final, get_type_hints
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.console import Console
+from rich.table import Table
+
+from roadperc_stream.cli.plumbing import run, whole_number
+from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, TableWriter, arrow_schema
+from roadperc_stream.output.terminal import frame_progress
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, columns_of
+from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
+from roadperc_stream.system.cost import cost_of
+from roadperc_stream.system.files import METRICS_SUFFIX
+
+_COLUMNS: Final = (*(name for name, column in columns_of(FrameMetrics).items() if column.label), *TIME_COLUMNS)
+"""The numbers that a report shows."""
+_FACTS: Final = {
+    f"{FACT_PREFIX}{key}": value
+    for key, value in {"config_digest": "0" * 64, "version": "bench", "log": "none.mcap"}.items()
+}
+_CONFIGS: Final = ("00000000", "11111111")
+_STATES: Final = np.array(["measured", "held", "lost"])
+_REPORT: Final = "import sys; from roadperc_stream.cli.report import main; sys.exit(main(sys.argv[1:]))"
+_GROUP_BY: Final = (
+    "from sys import argv; from roadperc_stream.tools.bench.report import group_by; print(group_by(argv[1]).shape)"
+)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Write tables where there are none yet, read them both ways, print what that took."""
+    parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench.report", description=__doc__)
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="gets a folder of tables, and keeps it")
+    parser.add_argument("--files", type=whole_number, default=1000, metavar="N", help="tables (1000)")
+    parser.add_argument("--rows", type=whole_number, default=10_000, metavar="N", help="frames of each (10000)")
+    parser.add_argument(
+        "--dataset",
+        action="store_true",
+        help="a batch's dataset, by day, every log under two configurations: try --files 5000 --rows 2000",
+    )
+    arguments = parser.parse_args(argv)
+    return run(lambda: _bench(arguments))
+
+
+def group_by(folder: str) -> pl.DataFrame:
+    """Mean and quantiles of the report's columns for each log, or each configuration of a dataset, plainly."""
+    quantiles = [
+        pl.col(_COLUMNS).quantile(share, "linear").name.suffix(f"_{share}") for share in (0.05, 0.5, 0.95, 0.99)
+    ]
+    of_dataset = (Path(folder) / "runs.parquet").exists()
+    tables = pl.scan_parquet(f"{folder}/metrics/*/*.parquet" if of_dataset else f"{folder}/*{METRICS_SUFFIX}")
+    return (
+        tables.group_by("config" if of_dataset else "log_id")
+        .agg(pl.col(_COLUMNS).mean(), *quantiles)
+        .collect(engine="streaming")
+    )
+
+
+def write_tables(folder: Path, files: int, rows: int) -> None:
+    """Tables with a replay's columns and row groups, a tenth of what may be null being so; those there are kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with frame_progress("tables", enabled=True) as progress:
+        for index in range(files):
+            path = folder / f"log{index:05}{METRICS_SUFFIX}"
+            if not path.exists():
+                _write(path, index, rows)
+            progress(index + 1, files)
+
+
+def write_dataset(folder: Path, files: int, rows: int) -> None:
+    """The like of a batch: logs of thirty days, each under two configurations; tables that are there are kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    runs = [_run(index // 2, _CONFIGS[index % 2], rows) for index in range(files)]
+    with frame_progress("tables", enabled=True) as progress:
+        for index, item in enumerate(runs):
+            path = folder / "metrics" / f"date={item.date}" / f"{item.log_id}-{item.config}.parquet"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if not path.exists():
+                _write(path, index // 2, rows, item.config)
+            progress(index + 1, files)
+    with TableWriter(folder / "runs.parquet", RunRow, {}, RUN_TIME_COLUMNS) as table:
+        for item in runs:
+            table.append(item)
+
+
+def run_row(**known: object) -> RunRow:
+    """A row of a list of runs of which only some is known; the rest is empty, 0, false or null."""
+    empty = {str: "", int: 0, float: 0.0, bool: False, tuple[str, ...]: ()}
+    hints = get_type_hints(RunRow)
+    values: dict[str, Any] = {name: known.get(name, empty.get(hint)) for name, hint in hints.items()}
+    return RunRow(**values)
+
+
+def _run(index: int, config: str, rows: int) -> RunRow:
+    path = f"/drives/log{index:05}.mcap"
+    return run_row(
+        log_id=f"{index:016x}",
+        config=config,
+        status="done",
+        path=path,
+        names=(path,),
+        date=f"2026-01-{index % 30 + 1:02}",
+        duration_s=rows / 20,
+        frames=rows,
+        version="bench",
+        settings=f"seed = {_CONFIGS.index(config)}\n",
+        attempts=1,
+    )
+
+
+def _write(path: Path, index: int, rows: int, config: str | None = None) -> None:
+    schema = arrow_schema(FrameMetrics, TIME_COLUMNS, _FACTS, {} if config is None else {"config": config})
+    rng = np.random.default_rng(index)
+    columns = {field.name: _values(field, rng, rows) for field in schema}
+    columns["log_id"] = pa.array([f"{index:016x}"] * rows)
+    columns["frame"] = pa.array(np.arange(rows))
+    columns["segment"] = pa.array([0] * rows)
+    columns["stamp_ns"] = pa.array(np.arange(rows) * 50_000_000)
+    if config is not None:
+        columns["config"] = pa.array([config] * rows)
+    partial = path.with_suffix(".partial")
+    pq.write_table(pa.table(columns, schema=schema), partial, ROW_GROUP_ROWS, compression="zstd")
+    partial.replace(path)
+
+
+def _values(field: pa.Field, rng: np.random.Generator, rows: int) -> pa.Array:
+    """Values that do not compress, as those of cameras do not."""
+    null = rng.random(rows) < 0.1 if field.nullable and field.name not in TIME_COLUMNS else None
+    if pa.types.is_list(field.type):
+        return pa.array([("depth",) if lacks else () for lacks in rng.random(rows) < 0.02], type=field.type)
+    if pa.types.is_string(field.type):
+        return pa.array(_STATES[rng.choice(3, rows, p=(0.9, 0.08, 0.02))], mask=null)
+    if pa.types.is_integer(field.type):
+        return pa.array(rng.poisson(8, rows), mask=null)
+    return pa.array(rng.gamma(2, size=rows) if field.name in TIME_COLUMNS else rng.normal(size=rows), mask=null)
+
+
+def _bench(arguments: argparse.Namespace) -> None:
+    kind, write = ("dataset-", write_dataset) if arguments.dataset else ("", write_tables)
+    folder = arguments.folder / f"{kind}{arguments.files}x{arguments.rows}"
+    write(folder, arguments.files, arguments.rows)
+    programs = {"roadperc-report": _REPORT, "bare group-by": _GROUP_BY}
+    costs = {name: cost_of(name, [sys.executable, "-c", code, str(folder)]) for name, code in programs.items()}
+    bare = costs["bare group-by"]
+    table = Table("", "seconds", "core seconds", "peak MB", "times the bare", title=f"{folder.name} rows")
+    for name, cost in costs.items():
+        ratio = cost.wall_s / bare.wall_s
+        table.add_row(name, f"{cost.wall_s:.1f}", f"{cost.cpu_s:.1f}", f"{cost.peak_mb:.0f}", f"{ratio:.2f}")
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
