@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from roadperc_stream.cli.completers import completed_by, files, settings, topics, words
 from roadperc_stream.cli.plumbing import seconds, whole_number
 from roadperc_stream.schemas.topics import NEEDS, STAGES, switched_off
-from roadperc_stream.view.live.playhead import FASTEST, SLOWEST, PlaybackOptions
+from roadperc_stream.view.live import FASTEST, SLOWEST, PlaybackOptions
 
 if TYPE_CHECKING:
     from roadperc_stream.config import ReplayConfig

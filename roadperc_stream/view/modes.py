@@ -10,10 +10,11 @@ from roadperc_stream import log
 from roadperc_stream.input.source import warnings_of
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.schemas.topics import TIMES_TOPIC
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.view.layout.arrangement import write_layout
-from roadperc_stream.view.live.playhead import PlaybackOptions
-from roadperc_stream.view.live.serving import serve_log, serves_times
+from roadperc_stream.view.live import PlaybackOptions
+from roadperc_stream.view.live.serving import log_with_times, serve_log
 from roadperc_stream.view.video import write_video
 
 _RERUN = "roadperc_stream.view.rerun"
@@ -55,7 +56,8 @@ def _readable(arguments: argparse.Namespace) -> Path:
 
 def _lay_out(arguments: argparse.Namespace) -> None:
     overrides = parse_topic_options(arguments.topic)
-    timed = arguments.foxglove and serves_times(arguments.log)
+    channels = log_with_times(arguments.log).channels if arguments.foxglove else ()
+    timed = any(channel.topic == TIMES_TOPIC for channel in channels)
     write_layout(arguments.foxglove_layout, arguments.log, overrides, timed=timed, force=arguments.force)
     if not arguments.quiet:
         print_line(f"wrote {arguments.foxglove_layout}")

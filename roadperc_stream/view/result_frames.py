@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 from roadperc_stream import log
 from roadperc_stream.errors import ChannelError, DecodeError, LogError
@@ -28,14 +28,8 @@ _PARTS: Final = frozenset(TIME_COLUMNS) - {_TOTAL}
 """Tables of earlier versions lack some of them."""
 TimesMs = Mapping[str, float]
 """Milliseconds by time column; stages that did not run are left out."""
-
-
-class StageTimes(Protocol):
-    """Knows the times of a log's frames, in any order."""
-
-    def of(self, log_id: str, frame: int) -> TimesMs:
-        """Those of a frame; empty where they are not known."""
-        ...
+TimesOfFrame = Callable[[str, int], TimesMs]
+"""The times of a frame by ``log_id`` and ``frame``, in any order; empty where they are not known."""
 
 
 class TableTimes:

@@ -11,7 +11,7 @@ from roadperc_stream.cli.arguments import (
     playback_options,
     serving_options,
 )
-from roadperc_stream.view.live.playhead import PlaybackOptions
+from roadperc_stream.view.live import PlaybackOptions
 
 
 def parsed(add, *arguments):

@@ -1,4 +1,25 @@
 """Serves logs to Foxglove with play, pause, seek and speed: finished ones, and those a replay is writing.
 
-Commands use ``options.add_playback_arguments``, ``options.playback_options`` and ``serving.serve_log``.
+Commands use ``cli.arguments`` for the options below and ``serving`` for the rest.
 """
+
+from dataclasses import dataclass
+from typing import Final
+
+SLOWEST: Final = 1e-3
+FASTEST: Final = 1e3
+"""Log seconds per second."""
+
+
+@dataclass(frozen=True)
+class PlaybackOptions:
+    """How a log is served."""
+
+    rate: float = 1.0
+    """Log seconds per second."""
+    loop: bool = False
+    host: str = "127.0.0.1"
+    port: int = 8765
+    """0 for a free one."""
+    start_s: float = 0.0
+    """Where playback starts, counted from the log's first message."""

@@ -1,56 +1,132 @@
-"""The player: one thread that sends a log's messages at their time; viewers' orders change the playhead at once."""
+"""The player: one thread that sends a log's messages at their time; what viewers ask moves the playhead at once.
 
+Log times and clock times are integer nanoseconds; the rate is log seconds per second.
+"""
+
+import math
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Event, Lock
-from typing import Final, Protocol
+from typing import Final
+
+from foxglove.websocket import (
+    ChannelView,
+    Client,
+    PlaybackCommand,
+    PlaybackControlRequest,
+    PlaybackState,
+    PlaybackStatus,
+    ServerListener,
+    StatusLevel,
+)
 
 from roadperc_stream.log import Message
-from roadperc_stream.system.time import ns_to_seconds
-from roadperc_stream.view.live.playhead import Move, Order, Playhead, Status, decide, obey
-from roadperc_stream.view.live.source import Source, held
+from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
+from roadperc_stream.view.live import FASTEST, SLOWEST
+from roadperc_stream.view.live.server import Audience
+from roadperc_stream.view.live.source import Reach, Source, held
+
+TICK_S: Final = 0.1
+"""Longest wait while playing, so that the viewer's clock moves through gaps of the log."""
+EDGE_POLL_S: Final = 0.05
+"""How often to look for more of a log that is being written."""
+RESUME_LEAD_S: Final = 0.25
+"""How much must be computed, in seconds of playback, before playback goes on from the edge: otherwise it stutters."""
+LOOP_PAUSE_S: Final = 0.5
+"""How long the end is seen before playback starts over; what was sent arrives meanwhile."""
+LONGEST_WAIT_S: Final = 0.5
+"""A signal that comes just before a wait is handled only after it."""
+_STATUS_ID: Final = "roadperc"
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What became of an order: where playback is now and whether it went elsewhere."""
+class Playhead:
+    """Playback was at ``log_ns`` when the clock said ``clock_ns``, and goes on from there as its status says.
 
-    playhead: Playhead
-    moved: bool
+    It is buffering at the edge of what is computed.
+    """
 
+    status: PlaybackStatus
+    log_ns: int
+    clock_ns: int
+    rate: float = 1.0
 
-class Audience(Protocol):
-    """Those who watch."""
+    def at(self, clock_ns: int) -> int:
+        """Log time at a time of the clock."""
+        if self.status != PlaybackStatus.Playing:
+            return self.log_ns
+        return self.log_ns + round((clock_ns - self.clock_ns) * self.rate)
 
-    def send(self, message: Message) -> None:
-        """Show a message."""
-        ...
-
-    def time(self, log_ns: int) -> None:
-        """Tell what log time it is."""
-        ...
-
-    def state(self, answer: Answer) -> None:
-        """Tell that playback changed by itself."""
-        ...
-
-    def warn(self, text: str) -> None:
-        """Tell what could not be done."""
-        ...
-
-    def restart(self) -> None:
-        """Have all that was shown forgotten; who still watches subscribes again."""
-        ...
+    def state(self, request_id: str = "", *, moved: bool = False) -> PlaybackState:
+        """As viewers are told; ``request_id`` is that of the request it answers."""
+        return PlaybackState(self.status, self.log_ns, self.rate, moved, request_id)
 
 
-LONGEST_WAIT_S: Final = 0.5
-"""A signal that comes just before a wait is handled only after it."""
+def obey(playhead: Playhead, asked: PlaybackControlRequest, reach: Reach, clock_ns: int) -> tuple[Playhead, bool]:
+    """Carry out what a viewer asks for.
+
+    Playing from the end starts over; a rate that is no positive number changes nothing, one beyond what is played
+    becomes the slowest or the fastest that is.
+
+    Returns:
+        Where playback is now, and whether it went elsewhere.
+    """
+    now_ns, seek_ns, rate = playhead.at(clock_ns), asked.seek_time, asked.playback_speed
+    play = asked.playback_command == PlaybackCommand.Play
+    if play and seek_ns is None and reach.complete and now_ns >= reach.last_ns:
+        seek_ns = reach.first_ns
+    rate = min(max(rate, SLOWEST), FASTEST) if math.isfinite(rate) and rate > 0 else playhead.rate
+    status = PlaybackStatus.Playing if play else PlaybackStatus.Paused
+    return Playhead(status, reach.clamp(now_ns if seek_ns is None else seek_ns), clock_ns, rate), seek_ns is not None
 
 
-class Player:
+def advance(
+    playhead: Playhead, next_ns: int | None, reach: Reach, clock_ns: int, *, loop_ns: int | None = None
+) -> tuple[Playhead, float]:
+    """Where playback is now, and the seconds until it changes or the next message is due.
+
+    A message is due once playback has come to its log time, so one whose time goes back is due at once. Playback that
+    goes from its end to a pause starts over: viewers are to forget what was shown.
+
+    Args:
+        playhead: where playback was.
+        next_ns: log time of the next message, None where there is none yet or none any more.
+        reach: what can be played; taken before the next message was looked for.
+        clock_ns: the clock's time.
+        loop_ns: log time to start over from at the end, None to stay there.
+    """
+    if playhead.status == PlaybackStatus.Buffering:
+        return _at_the_edge(playhead, reach, clock_ns)
+    if playhead.status == PlaybackStatus.Ended and loop_ns is not None:
+        return _at_the_end(playhead, clock_ns, loop_ns)
+    if playhead.status != PlaybackStatus.Playing:
+        return playhead, LONGEST_WAIT_S
+    now_ns = playhead.at(clock_ns)
+    if next_ns is not None:
+        return playhead, min(max(next_ns - now_ns, 0) / playhead.rate / NS_PER_S, TICK_S)
+    if reach.complete:
+        return Playhead(PlaybackStatus.Ended, reach.last_ns, clock_ns, playhead.rate), LOOP_PAUSE_S
+    return Playhead(PlaybackStatus.Buffering, reach.clamp(now_ns), clock_ns, playhead.rate), EDGE_POLL_S
+
+
+def _at_the_edge(playhead: Playhead, reach: Reach, clock_ns: int) -> tuple[Playhead, float]:
+    if reach.complete or reach.last_ns - playhead.log_ns >= RESUME_LEAD_S * playhead.rate * NS_PER_S:
+        return replace(playhead, status=PlaybackStatus.Playing, clock_ns=clock_ns), 0.0
+    return playhead, EDGE_POLL_S
+
+
+def _at_the_end(playhead: Playhead, clock_ns: int, loop_ns: int) -> tuple[Playhead, float]:
+    wait_ns = playhead.clock_ns + round(LOOP_PAUSE_S * NS_PER_S) - clock_ns
+    if wait_ns > 0:
+        return playhead, wait_ns / NS_PER_S
+    return Playhead(PlaybackStatus.Paused, loop_ns, clock_ns, playhead.rate), LONGEST_WAIT_S
+
+
+class Player(ServerListener):
     """Plays a source to an audience from a log time on, once somebody watches.
 
-    Any thread may call ``watch``, ``control`` and ``stop``. They never wait for the disk: the thread in ``run`` reads.
+    Any thread may call ``stop``; the server's few threads call the ``on_`` methods. They never wait for the disk: the
+    thread in ``run`` reads.
     """
 
     def __init__(
@@ -67,27 +143,28 @@ class Player:
         self._loop_ns = start_ns if loop else None
         self._lock = Lock()
         """Guards what viewers change: the five below."""
-        self._playhead = Playhead(Status.PAUSED, start_ns, clock_ns(), rate)
+        self._playhead = Playhead(PlaybackStatus.Paused, start_ns, clock_ns(), rate)
         self._watched = self._stopped = False
         self._fresh = set[str]()
         """Topics to show to new subscribers."""
-        self._sought: Order | None = None
-        """The newest order that moved the playhead and is not carried out yet."""
+        self._sought: PlaybackControlRequest | None = None
+        """The newest request that moved the playhead and is not carried out yet."""
         self._follow_from(start_ns + 1)  # what holds at the start is shown to the first who watch
 
-    def watch(self, topic: str) -> None:
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002 - the signature is the SDK's
         """Show a topic to a new subscriber."""
         with self._lock:
-            self._fresh.add(topic)
+            self._fresh.add(channel.topic)
         self._asked.set()
 
-    def control(self, order: Order) -> Answer:
-        """Move the playhead as a viewer asks; ``run`` shows the messages there, or those of a newer order."""
+    def on_playback_control_request(self, playback_control_request: PlaybackControlRequest) -> PlaybackState:
+        """Move the playhead as a viewer asks; ``run`` shows the messages there, or those of a newer request."""
+        asked = playback_control_request
         with self._lock:
-            self._playhead, moved = obey(self._playhead, order, self._source.reach(), self._clock_ns())
+            self._playhead, moved = obey(self._playhead, asked, self._source.reach(), self._clock_ns())
             self._watched = True
-            self._sought = order if moved else self._sought
-            answer = Answer(self._playhead, moved)
+            self._sought = asked if moved else self._sought
+            answer = self._playhead.state(asked.request_id, moved=moved)
         self._asked.set()
         return answer
 
@@ -103,9 +180,9 @@ class Player:
             LogError: the log can no longer be read.
         """
         self._audience = audience
-        wait_s: float | None = 0.0
+        wait_s = 0.0
         while True:
-            self._asked.wait(LONGEST_WAIT_S if wait_s is None else min(wait_s, LONGEST_WAIT_S))
+            self._asked.wait(wait_s)
             self._asked.clear()
             if self._stopped:
                 return
@@ -116,14 +193,15 @@ class Player:
     def _seek(self) -> None:
         """Show what holds at the newest time sought, and go on from there."""
         with self._lock:
-            order, self._sought, log_ns = self._sought, None, self._playhead.log_ns
-        if order is None:
+            asked, self._sought, log_ns = self._sought, None, self._playhead.log_ns
+        if asked is None:
             return
-        reach, asked_ns = self._source.reach(), order.seek_ns
-        if asked_ns is not None and asked_ns > reach.last_ns and not reach.complete:
-            beyond_s = ns_to_seconds(asked_ns - reach.last_ns)
-            self._audience.warn(f"computed only up to {beyond_s:.1f} s before the time asked for: playing from there")
-        self._audience.time(log_ns)
+        reach, server = self._source.reach(), self._audience.server
+        if asked.seek_time is not None and asked.seek_time > reach.last_ns and not reach.complete:
+            beyond_s = ns_to_seconds(asked.seek_time - reach.last_ns)
+            warning = f"computed only up to {beyond_s:.1f} s before the time asked for: playing from there"
+            server.publish_status(warning, StatusLevel.Warning, _STATUS_ID)
+        server.broadcast_time(log_ns)
         self._show_held({channel.topic for channel in self._source.channels}, log_ns)
         self._follow_from(log_ns + 1)
 
@@ -135,12 +213,12 @@ class Player:
             fresh, self._fresh = self._fresh, set()
             clock_ns = self._clock_ns()
             now_ns = self._playhead.at(clock_ns)
-            status = self._playhead.status if self._watched else Status.PLAYING
-            self._watched, self._playhead = True, self._playhead.turned(status, now_ns, clock_ns)
+            status = self._playhead.status if self._watched else PlaybackStatus.Playing
+            self._watched, self._playhead = True, Playhead(status, now_ns, clock_ns, self._playhead.rate)
         coming = self._peek()
-        self._audience.time(now_ns)  # who comes when all is played, or while it stands, knows no time yet
+        self._audience.server.broadcast_time(now_ns)  # who comes while playback stands knows no time yet
         self._show_held(fresh, min(now_ns, coming.log_time_ns - 1) if coming else now_ns)
-        self._audience.state(Answer(self._playhead, moved=False))
+        self._audience.server.broadcast_playback_state(self._playhead.state())
 
     def _show_held(self, topics: Collection[str], log_ns: int) -> None:
         for message in held(self._source, topics, log_ns):
@@ -154,32 +232,25 @@ class Player:
         self._next = self._next or next(self._coming, None)
         return self._next
 
-    def _advance(self) -> float | None:
-        """Do what is due.
-
-        Returns:
-            Seconds to the next time there is something to do, None where only an order changes anything.
-        """
-        reach = self._source.reach()
-        coming = self._peek()
+    def _advance(self) -> float:
+        """Do what is due; gives the seconds to the next time there is something to do."""
+        reach, coming = self._source.reach(), self._peek()
         next_ns = coming.log_time_ns if coming else None
         with self._lock:
             if self._sought:
                 return 0.0  # the next message is not that of the playhead any more
-            before = self._playhead
-            move = decide(before, next_ns, reach, self._clock_ns(), loop_ns=self._loop_ns)
-            self._playhead, self._watched = move.playhead, self._watched and not move.restart
-        self._carry_out(move)
-        if move.playhead.status is not before.status:
-            self._audience.state(Answer(self._playhead, moved=move.restart))
-        return move.wait_s
-
-    def _carry_out(self, move: Move) -> None:
-        if move.restart:  # wait for subscribers, as at first: viewers that know no seek would join the end to the start
+            before, clock_ns = self._playhead, self._clock_ns()
+            head, wait_s = advance(before, next_ns, reach, clock_ns, loop_ns=self._loop_ns)
+            restarts = before.status == PlaybackStatus.Ended and head.status == PlaybackStatus.Paused
+            self._playhead, self._watched = head, self._watched and not restarts
+        if restarts:  # wait for subscribers, as at first: viewers that know no seek would join the end to the start
             self._audience.restart()
-            self._follow_from(move.playhead.log_ns + 1)
-        elif move.send and self._next:
-            self._audience.send(self._next)
+            self._follow_from(head.log_ns + 1)
+        elif coming and before.status == head.status == PlaybackStatus.Playing and wait_s == 0:
+            self._audience.send(coming)
             self._next = None
-        elif move.playhead.status is Status.PLAYING:
-            self._audience.time(move.playhead.at(self._clock_ns()))
+        elif head.status == PlaybackStatus.Playing:
+            self._audience.server.broadcast_time(head.at(self._clock_ns()))
+        if head.status != before.status:
+            self._audience.server.broadcast_playback_state(head.state(moved=restarts))
+        return wait_s

@@ -1,4 +1,4 @@
-"""The WebSocket server that Foxglove connects to: channels, messages, and the playback controls of its window.
+"""The WebSocket server that Foxglove connects to.
 
 Protocol and server are those of the foxglove-sdk: https://docs.foxglove.dev/docs/sdk/websocket-server.
 """
@@ -10,63 +10,25 @@ from typing import Final
 
 import foxglove
 from foxglove import Context, Schema
-from foxglove.websocket import (
-    Capability,
-    ChannelView,
-    Client,
-    PlaybackCommand,
-    PlaybackControlRequest,
-    PlaybackState,
-    PlaybackStatus,
-    ServerListener,
-    StatusLevel,
-    WebSocketServer,
-)
+from foxglove.websocket import Capability, ServerListener, WebSocketServer
 
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.view.live.player import Answer, Player
-from roadperc_stream.view.live.playhead import Order, Status
 
 _BACKLOG_MESSAGES: Final = 256
 """A viewer that is slower than this many messages loses the oldest."""
 _GOODBYE_S: Final = 2.0
-_STATUS_ID: Final = "roadperc"
-_STATUS: Final = {
-    Status.PLAYING: PlaybackStatus.Playing,
-    Status.PAUSED: PlaybackStatus.Paused,
-    Status.WAITING: PlaybackStatus.Buffering,
-    Status.ENDED: PlaybackStatus.Ended,
-}
 
 
 class ServeError(RoadpercError):
     """A server that cannot start."""
 
 
-class Controls(ServerListener):
-    """Hands what viewers do to the player; called in the server's few threads, which must not wait."""
-
-    def __init__(self, player: Player) -> None:
-        self._player = player
-
-    def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002 - the signature is the SDK's
-        """Somebody opened a panel."""
-        self._player.watch(channel.topic)
-
-    def on_playback_control_request(self, playback_control_request: PlaybackControlRequest) -> PlaybackState:
-        """Somebody pressed play or pause, sought or chose a speed."""
-        asked = playback_control_request
-        play = asked.playback_command == PlaybackCommand.Play
-        answer = self._player.control(Order(play, asked.playback_speed, asked.seek_time))
-        return _playback_state(answer, asked.request_id)
-
-
-class FoxgloveAudience:
-    """Those who are connected to a server."""
+class Audience:
+    """The viewers that are connected to a server, and the channels that it offers them."""
 
     def __init__(self, server: WebSocketServer, context: Context, channels: Iterable[Channel]) -> None:
-        self._server, self._context = server, context
+        self.server, self._context = server, context
         self._channels = {channel: _advertised(channel, context) for channel in channels}
 
     def send(self, message: Message) -> None:
@@ -75,18 +37,6 @@ class FoxgloveAudience:
             self._channels[message.channel] = _advertised(message.channel, self._context)
         self._channels[message.channel].log(message.data, log_time=message.log_time_ns)
 
-    def time(self, log_ns: int) -> None:
-        """Tell what log time it is."""
-        self._server.broadcast_time(log_ns)
-
-    def state(self, answer: Answer) -> None:
-        """Tell that playback changed by itself."""
-        self._server.broadcast_playback_state(_playback_state(answer, ""))
-
-    def warn(self, text: str) -> None:
-        """Show a warning in the viewer."""
-        self._server.publish_status(text, StatusLevel.Warning, _STATUS_ID)
-
     def restart(self) -> None:
         """Begin a new session, in which viewers forget what was shown, with channels of their own.
 
@@ -94,38 +44,38 @@ class FoxgloveAudience:
         """
         for advertised in self._channels.values():
             advertised.close()
-        self._server.clear_session()
+        self.server.clear_session()
         self._channels = {channel: _advertised(channel, self._context) for channel in self._channels}
 
 
 @contextmanager
 def serving(
-    name: str, host: str, port: int, span_ns: tuple[int, int], channels: Iterable[Channel], player: Player
-) -> Iterator[tuple[FoxgloveAudience, int]]:
+    name: str,
+    address: tuple[str, int],
+    span_ns: tuple[int, int],
+    channels: Iterable[Channel],
+    listener: ServerListener,
+) -> Iterator[Audience]:
     """Run a server.
 
     Args:
         name: what viewers call the source.
-        host: the address to listen on.
-        port: 0 for a free one.
+        address: host and port to listen on; port 0 for a free one.
         span_ns: first and last log time of the log, once it is complete.
         channels: those announced to viewers at once.
-        player: does what viewers ask.
-
-    Yields:
-        Those who are connected, and the port.
+        listener: does what viewers ask.
 
     Raises:
         ServeError: the address or the port cannot be had.
     """
-    context = Context()
+    context, (host, port) = Context(), address
     try:
         server = foxglove.start_server(
             name=name,
             host=host,
             port=port,
             capabilities=[Capability.Time, Capability.PlaybackControl],
-            server_listener=Controls(player),
+            server_listener=listener,
             context=context,
             playback_time_range=span_ns,
             message_backlog_size=_BACKLOG_MESSAGES,
@@ -135,21 +85,11 @@ def serving(
         hint = "; --port 0 takes a free port" if "in use" in reason else ""
         raise ServeError(f"{host}:{port}: {reason}{hint}") from error
     try:
-        yield FoxgloveAudience(server, context, channels), server.port
-    finally:
-        _stop(server)
-
-
-def _stop(server: WebSocketServer) -> None:
-    """Stop, but wait no longer for viewers to say goodbye than a person does: one that sleeps never will."""
-    stopping = Thread(target=server.stop, name="stop", daemon=True)
-    stopping.start()
-    stopping.join(_GOODBYE_S)
-
-
-def _playback_state(answer: Answer, request_id: str) -> PlaybackState:
-    head = answer.playhead
-    return PlaybackState(_STATUS[head.status], head.log_ns, head.rate, answer.moved, request_id)
+        yield Audience(server, context, channels)
+    finally:  # wait no longer for viewers to say goodbye than a person does: one that sleeps never will
+        stopping = Thread(target=server.stop, name="stop", daemon=True)
+        stopping.start()
+        stopping.join(_GOODBYE_S)
 
 
 def _advertised(channel: Channel, context: Context) -> foxglove.Channel:

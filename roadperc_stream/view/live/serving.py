@@ -2,25 +2,28 @@
 
 import shlex
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from threading import Thread
 from time import monotonic_ns
-from types import TracebackType
-from typing import Self
+from typing import Final
 
+from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.schemas.topics import TIMES_TOPIC
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
-from roadperc_stream.view.live.player import LONGEST_WAIT_S, Audience, Player
-from roadperc_stream.view.live.playhead import PlaybackOptions
-from roadperc_stream.view.live.server import serving
-from roadperc_stream.view.live.source import FinishedLog, RunningReplay, Source, TimedSource
+from roadperc_stream.view.live import PlaybackOptions
+from roadperc_stream.view.live.player import LONGEST_WAIT_S, Player
+from roadperc_stream.view.live.server import Audience, serving
+from roadperc_stream.view.live.source import Source, finished_log, has_times, running_replay, with_times
 from roadperc_stream.view.result_frames import ReplayTimes, TableTimes
+
+_HOW_TO_CONNECT: Final = (
+    "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open"
+)
 
 
 def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:
@@ -36,55 +39,41 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
         TableError: the metrics table beside it cannot be read.
         ServeError: the port cannot be had.
     """
-    log = FinishedLog.opened(path)
-    span_ns, length_s = (log.first_ns, log.last_ns), ns_to_seconds(log.last_ns - log.first_ns)
-    start_ns = log.first_ns + seconds_to_ns(options.start_s)
-    if log.reach().clamp(start_ns) != start_ns:
+    source = log_with_times(path)
+    reach, start_ns = source.reach(), source.reach().first_ns + seconds_to_ns(options.start_s)
+    if reach.clamp(start_ns) != start_ns:
+        length_s = ns_to_seconds(reach.last_ns - reach.first_ns)
         raise LogError(
             f"{path}: --start {options.start_s:g}: expected 0 to {length_s:.3f}, the log's length in seconds"
         )
     layout = (
         f"{shlex.quote(str(path))} --foxglove --foxglove-layout {shlex.quote(str(path.with_suffix('.layout.json')))}"
     )
-    served = playing(with_times(log), path.name, span_ns, options, layout, quiet=quiet)
+    served = playing(source, path.name, (reach.first_ns, reach.last_ns), options, None if quiet else layout)
     with suppress(KeyboardInterrupt), served as (player, audience):
         player.run(audience)
 
 
-def with_times(log: FinishedLog) -> Source:
-    """A log with the times of its stages, where the table beside it has them.
-
-    Raises:
-        TableError: the table cannot be read.
-    """
-    timed = TimedSource(log, TableTimes(sidecar_path(log.summary.path, "metrics")))
-    return timed if timed.has_times() else log
-
-
-def serves_times(path: Path) -> bool:
-    """Whether ``serve_log`` offers the times of a log's stages.
+def log_with_times(path: Path) -> Source:
+    """A finished log with the times of its stages, where the table beside it has them.
 
     Raises:
         LogError: the log cannot be read or holds no message.
-        TableError: the metrics table beside it cannot be read.
+        TableError: the table cannot be read.
     """
-    return any(channel.topic == TIMES_TOPIC for channel in with_times(FinishedLog.opened(path)).channels)
+    source, times = finished_log(log.summarise(path)), TableTimes(sidecar_path(path, "metrics")).of
+    return with_times(source, times) if has_times(source, times) else source
 
 
-class LiveReplay:
-    """Serves the output of a replay from its first message on. Use it as a context manager around ``replay``.
-
-    ``times`` takes each frame's times.
-    """
+class LiveReplay(ExitStack):
+    """Serves the output of a replay from its first message on. Use it as a context manager around ``replay``."""
 
     def __init__(self, options: PlaybackOptions, *, quiet: bool = False) -> None:
-        self._options, self._quiet, self.times = options, quiet, ReplayTimes()
-        self._until_exit = ExitStack()
-        self._thread: Thread | None = None
-        self._error: Exception | None = None
-
-    def __enter__(self) -> Self:
-        return self
+        super().__init__()
+        self._options, self._quiet = options, quiet
+        self._playback: Future[None] | None = None
+        self.times = ReplayTimes()
+        """Takes each frame's times."""
 
     def start(self, writer: LogWriter, span_ns: tuple[int, int]) -> None:
         """Begin: ``replay`` calls it when all channels are known and nothing is written yet.
@@ -96,14 +85,13 @@ class LiveReplay:
         Raises:
             ServeError: the port cannot be had.
         """
-        source = TimedSource(RunningReplay(writer.while_written(), span_ns[0]), self.times)
-        layout = "--foxglove-layout layout.json"  # one for all topics: the log's own are not known yet
-        served = playing(source, writer.path.name, span_ns, self._options, layout, quiet=self._quiet)
-        player, audience = self._until_exit.enter_context(served)
-        self._thread = Thread(target=self._run, args=(player, audience), name="player", daemon=True)
-        self._thread.start()
-        self._until_exit.callback(self._thread.join)
-        self._until_exit.callback(player.stop)
+        source = with_times(running_replay(writer.while_written(), span_ns[0]), self.times.of)
+        layout = None if self._quiet else "--foxglove-layout layout.json"  # for all topics: the log's are not known yet
+        player, audience = self.enter_context(playing(source, writer.path.name, span_ns, self._options, layout))
+        self.port = audience.server.port
+        thread = self.enter_context(ThreadPoolExecutor(1, "player"))
+        self.callback(player.stop)
+        self._playback = thread.submit(player.run, audience)
 
     def wait(self) -> None:
         """Go on serving the complete output until Ctrl-C; return at once where nothing is served.
@@ -111,37 +99,19 @@ class LiveReplay:
         Raises:
             LogError: it can no longer be read.
         """
-        if self._thread is not None:
-            with suppress(KeyboardInterrupt):
-                if not self._quiet:
-                    with optional_output():
-                        print("the replay is complete and still served: Ctrl-C ends")
-                while self._thread.is_alive():
-                    self._thread.join(LONGEST_WAIT_S)
-        if self._error is not None:
-            raise self._error
-
-    def _run(self, player: Player, audience: Audience) -> None:
-        try:
-            player.run(audience)
-        except Exception as error:  # Whatever ends this thread is raised where the command waits for it.
-            self._error = error
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._until_exit.close()
+        with suppress(KeyboardInterrupt):
+            if self._playback and not self._quiet:
+                with optional_output():
+                    print("the replay is complete and still served: Ctrl-C ends")
+            while self._playback and not self._playback.done():
+                wait([self._playback], LONGEST_WAIT_S)
+        if self._playback and self._playback.done():
+            self._playback.result()
 
 
 @contextmanager
 def playing(
-    source: Source,
-    name: str,
-    span_ns: tuple[int, int],
-    options: PlaybackOptions,
-    layout: str,
-    *,
-    quiet: bool,
+    source: Source, name: str, span_ns: tuple[int, int], options: PlaybackOptions, layout: str | None
 ) -> Iterator[tuple[Player, Audience]]:
     """A player that is served under an address, and those who watch it; the caller runs it for them.
 
@@ -150,23 +120,14 @@ def playing(
         name: what viewers call it.
         span_ns: first and last log time there will be.
         options: speed, start, loop and address.
-        layout: arguments with which roadperc-view writes a layout for it.
-        quiet: do not print where to connect.
+        layout: arguments with which roadperc-view writes a layout for it; None to print nothing.
     """
-    start_ns = source.reach().first_ns + seconds_to_ns(options.start_s)
+    start_ns, host = source.reach().first_ns + seconds_to_ns(options.start_s), options.host
     player = Player(source, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
-    with serving(name, options.host, options.port, span_ns, source.channels, player) as (audience, port):
-        if not quiet:
+    with serving(name, (host, options.port), span_ns, source.channels, player) as audience:
+        if layout is not None:
             with optional_output():
-                for line in _invitation(options.host, port, layout):
-                    print_line(line)
+                print_line(f"serving ws://{f'[{host}]' if ':' in host else host}:{audience.server.port} (Ctrl-C ends)")
+                print_line(_HOW_TO_CONNECT)
+                print_line(f"layout, for Layouts > Import from file: roadperc-view {layout}")
         yield player, audience
-
-
-def _invitation(host: str, port: int, layout: str) -> tuple[str, ...]:
-    address = f"[{host}]" if ":" in host else host
-    return (
-        f"serving ws://{address}:{port} (Ctrl-C ends)",
-        "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open",
-        f"layout, for Layouts > Import from file: roadperc-view {layout}",
-    )

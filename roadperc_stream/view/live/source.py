@@ -1,10 +1,8 @@
 """What the player reads from: a finished log, or one that a replay is writing; with the times of the stages."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from google.protobuf.message import DecodeError as ProtobufError
 
@@ -17,101 +15,74 @@ from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, TIMES_TOPIC
 from roadperc_stream.system.time import NS_PER_S
-from roadperc_stream.view.live.playhead import Reach
-from roadperc_stream.view.result_frames import StageTimes
+from roadperc_stream.view.result_frames import TimesOfFrame
 
 _LOOK_BACK_NS: Final = NS_PER_S
 _LOOK_BACK_GROWTH: Final = 4
 
 
-class Source(Protocol):
-    """A log to play, as far as it has come."""
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """All channels, those without a message included."""
-        ...
-
-    def reach(self) -> Reach:
-        """What can be played now."""
-        ...
-
-    def read(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
-        """Messages there are now, up to but not including ``end_ns``."""
-        ...
-
-    def follow(self, start_ns: int) -> Iterator[Message | None]:
-        """Messages from a log time on; None where there is no more yet, the end where there never will be."""
-        ...
-
-
 @dataclass(frozen=True)
-class FinishedLog:
-    """A log on disk."""
+class Reach:
+    """The part of a log that can be played now; a complete one gets no longer."""
 
-    summary: LogSummary
     first_ns: int
     last_ns: int
+    complete: bool = True
 
-    @classmethod
-    def opened(cls, path: Path) -> "FinishedLog":
-        """Look what a log holds; its CRCs are checked as it is read.
-
-        Raises:
-            LogError: it cannot be read, or holds no message.
-        """
-        summary = log.summarise(path)
-        if summary.first_ns is None or summary.last_ns is None or not sum(summary.counts.values()):
-            raise LogError(f"{path}: no message to play")
-        return cls(summary, summary.first_ns, summary.last_ns)
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """All channels of the log."""
-        return self.summary.channels
-
-    def reach(self) -> Reach:
-        """All of it."""
-        return Reach(self.first_ns, self.last_ns)
-
-    def read(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
-        """Messages of some topics, up to but not including ``end_ns``."""
-        return log.read(self.summary, topics=topics, start_ns=start_ns, end_ns=end_ns)
-
-    def follow(self, start_ns: int) -> Iterator[Message | None]:
-        """All messages from a log time on."""
-        return log.read(self.summary, start_ns=start_ns)
+    def clamp(self, log_ns: int) -> int:
+        """The nearest log time within."""
+        return max(self.first_ns, min(log_ns, self.last_ns))
 
 
 @dataclass(frozen=True)
-class RunningReplay:
+class Source:
+    """A log to play, as far as it has come."""
+
+    channels: tuple[Channel, ...]
+    """All channels, those without a message included."""
+    reach: Callable[[], Reach]
+    """What can be played now."""
+    read: Callable[[Collection[str], int, int], Iterator[Message]]
+    """Messages of some topics there are now, from a log time up to but not including another."""
+    follow: Callable[[int], Iterator[Message | None]]
+    """All messages from a log time on; None where there is no more yet, the end where there never will be."""
+
+
+def finished_log(summary: LogSummary) -> Source:
+    """A log on disk; its CRCs are checked as it is read.
+
+    Raises:
+        LogError: it holds no message.
+    """
+    if summary.first_ns is None or summary.last_ns is None or not sum(summary.counts.values()):
+        raise LogError(f"{summary.path}: no message to play")
+    reach = Reach(summary.first_ns, summary.last_ns)
+
+    def read(topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
+        return log.read(summary, topics=topics, start_ns=start_ns, end_ns=end_ns)
+
+    return Source(summary.channels, lambda: reach, read, lambda start_ns: log.read(summary, start_ns=start_ns))
+
+
+def running_replay(growing: GrowingLog, first_ns: int) -> Source:
     """The output of a replay, played while it is written.
 
     Its reach begins and ends just before a log time whose messages may not all be there yet.
+
+    Args:
+        growing: the output.
+        first_ns: first log time of the part that is replayed.
     """
 
-    growing: GrowingLog
-    first_ns: int
-    """First log time of the part that is replayed."""
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """All channels of the output."""
-        return self.growing.channels
-
-    def reach(self) -> Reach:
-        """What is computed."""
-        last_ns, complete = self.growing.progress()
+    def reach() -> Reach:
+        last_ns, complete = growing.progress()
         whole_ns = (last_ns or 0) if complete else (last_ns or 0) - 1
-        return Reach(self.first_ns - 1, max(whole_ns, self.first_ns - 1), complete)
+        return Reach(first_ns - 1, max(whole_ns, first_ns - 1), complete)
 
-    def read(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
-        """Messages of some topics computed by now, up to but not including ``end_ns``."""
-        return self.growing.read(topics=topics, start_ns=start_ns, end_ns=end_ns)
+    def read(topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
+        return growing.read(topics=topics, start_ns=start_ns, end_ns=end_ns)
 
-    def follow(self, start_ns: int) -> Iterator[Message | None]:
-        """All messages from a log time on, None at the edge of what is computed."""
-        return self.growing.follow(start_ns)
+    return Source(growing.channels, reach, read, growing.follow)
 
 
 def held(source: Source, topics: Collection[str], log_ns: int) -> list[Message]:
@@ -141,66 +112,52 @@ def _last_by_channel(messages: Iterator[Message]) -> dict[Channel, list[Message]
     return last
 
 
-@dataclass(frozen=True)
-class TimedSource:
-    """A source with one more channel, whose messages have the log times of the metrics they belong to."""
+def with_times(source: Source, times: TimesOfFrame) -> Source:
+    """A source with the stages' times as one more channel, at the log times of the metrics they belong to."""
+    found = schema(LIVE_ONLY[TIMES_TOPIC])
+    channel = Channel(TIMES_TOPIC, found.message_encoding, found.name, found.schema_encoding, found.data, (PRODUCER,))
 
-    source: Source
-    times: StageTimes
-
-    @cached_property
-    def channel(self) -> Channel:
-        """The channel of the times."""
-        found = schema(LIVE_ONLY[TIMES_TOPIC])
-        return Channel(TIMES_TOPIC, found.message_encoding, found.name, found.schema_encoding, found.data, (PRODUCER,))
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """Those of the log, and the times."""
-        return (*self.source.channels, self.channel)
-
-    def reach(self) -> Reach:
-        """That of the log."""
-        return self.source.reach()
-
-    def read(self, topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
-        """Messages there are now, up to but not including ``end_ns``."""
+    def read(topics: Collection[str], start_ns: int, end_ns: int) -> Iterator[Message]:
         if TIMES_TOPIC not in topics:
-            yield from self.source.read(topics, start_ns, end_ns)
-            return
-        for message in self.source.read({*topics, METRICS_TOPIC}, start_ns, end_ns):
-            if message.channel.topic in topics:
-                yield message
-            yield from self._times_of(message)
+            return source.read(topics, start_ns, end_ns)
+        timed = _timed(source.read({*topics, METRICS_TOPIC}, start_ns, end_ns), channel, times)
+        return (message for message in timed if message and message.channel.topic in topics)
 
-    def follow(self, start_ns: int) -> Iterator[Message | None]:
-        """Messages from a log time on; None where there is no more yet.
+    def follow(start_ns: int) -> Iterator[Message | None]:
+        return _timed(source.follow(start_ns), channel, times)
 
-        A replay writes a frame's metrics before it knows the frame's times, and knows these before it writes anything
-        later: so they come with what is next.
-        """
-        waiting: Message | None = None
-        for message in self.source.follow(start_ns):
-            found = self._times_of(waiting)
-            yield from found
-            yield message
-            waiting = message if _is_metrics(message) else None if found else waiting
-        yield from self._times_of(waiting)
+    return Source((*source.channels, channel), source.reach, read, follow)
 
-    def has_times(self) -> bool:
-        """Whether those of the first frame are known."""
-        reach = self.source.reach()
-        first = next(self.source.read({METRICS_TOPIC}, 0, reach.last_ns + 1), None)
-        return bool(self._times_of(first))
 
-    def _times_of(self, message: Message | None) -> list[Message]:
-        """The times that belong to a frame's metrics, as far as they are known."""
-        frame = _frame_of(message)
-        times_ms = self.times.of(frame.log_id, frame.frame) if frame else {}
-        if message is None or frame is None or not times_ms:
-            return []
-        times = pb.StageTimes(timestamp=frame.timestamp, frame_id=frame.frame_id, **times_ms)
-        return [replace(message, channel=self.channel, data=times.SerializeToString())]
+def has_times(source: Source, times: TimesOfFrame) -> bool:
+    """Whether the times of the first frame are known."""
+    frame = _frame_of(next(source.read({METRICS_TOPIC}, 0, source.reach().last_ns + 1), None))
+    return frame is not None and bool(times(frame.log_id, frame.frame))
+
+
+def _timed(messages: Iterator[Message | None], channel: Channel, times: TimesOfFrame) -> Iterator[Message | None]:
+    """The messages, and the times of each frame before the message that follows its metrics.
+
+    A replay writes a frame's metrics before it knows the frame's times, and knows these before it writes the next
+    frame: so they are looked for until they are known or the next metrics come.
+    """
+    waiting: Message | None = None
+    for message in messages:
+        found = _times_of(waiting, channel, times)
+        yield from found
+        yield message
+        waiting = message if _is_metrics(message) else None if found else waiting
+    yield from _times_of(waiting, channel, times)
+
+
+def _times_of(message: Message | None, channel: Channel, times: TimesOfFrame) -> list[Message]:
+    """The times that belong to a frame's metrics, as far as they are known."""
+    frame = _frame_of(message)
+    times_ms = times(frame.log_id, frame.frame) if frame else {}
+    if message is None or frame is None or not times_ms:
+        return []
+    content = pb.StageTimes(timestamp=frame.timestamp, frame_id=frame.frame_id, **times_ms)
+    return [replace(message, channel=channel, data=content.SerializeToString())]
 
 
 def _is_metrics(message: Message | None) -> bool:

@@ -40,7 +40,7 @@ from roadperc_stream.schemas.topics import (
 )
 from roadperc_stream.view.rerun import overlays, pictures, scene
 from roadperc_stream.view.rerun.tree import Entry, SceneState
-from roadperc_stream.view.result_frames import StageTimes
+from roadperc_stream.view.result_frames import TimesOfFrame
 
 Drawer = Callable[[Message], Iterator[Entry]]
 
@@ -82,14 +82,14 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[bytes], Any], Callable[[str, Any], 
 
 
 def drawers(
-    channels: Iterable[Channel], assigned: RoleAssignment, world: SceneState, times: StageTimes
+    channels: Iterable[Channel], assigned: RoleAssignment, world: SceneState, times: TimesOfFrame
 ) -> dict[Channel, Drawer]:
     """How the messages of each channel are drawn; channels that are not are left out."""
     found = {channel: _drawer(channel, assigned, world, times) for channel in channels}
     return {channel: drawer for channel, drawer in found.items() if drawer is not None}
 
 
-def _drawer(channel: Channel, assigned: RoleAssignment, world: SceneState, times: StageTimes) -> Drawer | None:
+def _drawer(channel: Channel, assigned: RoleAssignment, world: SceneState, times: TimesOfFrame) -> Drawer | None:
     if is_result(channel):
         return _result_drawer(channel, world, times)
     roles = assigned.roles_of(channel.topic)
@@ -98,7 +98,7 @@ def _drawer(channel: Channel, assigned: RoleAssignment, world: SceneState, times
     return _kind_drawer(channel, roles[0].kind, roles[0].name, world, assigned.tag_table)
 
 
-def _result_drawer(channel: Channel, world: SceneState, times: StageTimes) -> Drawer | None:
+def _result_drawer(channel: Channel, world: SceneState, times: TimesOfFrame) -> Drawer | None:
     topic = channel.topic
     if not is_result_of(channel, topic):
         return None
@@ -131,10 +131,10 @@ def _parsed(
     return draw(message.channel.topic, content)
 
 
-def _numbers(times: StageTimes, world: SceneState, entity: str, message: Any) -> Iterator[Entry]:
+def _numbers(times: TimesOfFrame, world: SceneState, entity: str, message: Any) -> Iterator[Entry]:
     """A frame's metrics, and the times of its stages, which stand in the table alone."""
     yield from scene.metrics(entity, message, world)
-    yield from scene.times(TIMES_TOPIC, times.of(message.log_id, message.frame))
+    yield from scene.times(TIMES_TOPIC, times(message.log_id, message.frame))
 
 
 def _encoded(role: str, world: SceneState, message: Message) -> Iterator[Entry]:

@@ -181,7 +181,7 @@ class _Sender:
     ) -> None:
         self._recording = recording
         self._roles = roles
-        self._drawers = drawers(summary.channels, roles, world, TableTimes(sidecar_path(summary.path, "metrics")))
+        self._drawers = drawers(summary.channels, roles, world, TableTimes(sidecar_path(summary.path, "metrics")).of)
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
         self._entities: set[str] = set()

@@ -19,7 +19,14 @@ class Viewer:
     """Connects, and remembers what it was told."""
 
     def __init__(self, port, host="127.0.0.1"):
-        self.socket = connect(f"ws://{host}:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None)
+        self.socket = connect(
+            f"ws://{host}:{port}",
+            subprotocols=["foxglove.sdk.v1"],
+            max_size=None,
+            open_timeout=PATIENCE_S,
+            ping_interval=None,
+            close_timeout=1,  # messages that nobody hears may be before the answer
+        )
         self.info, self.channels, self.heard, self.warnings, self.requests = {}, {}, [], [], count(1)
         self.sessions = []
         self.subscriptions, self.fresh, self.arrived = {}, count(1), set()

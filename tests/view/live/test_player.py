@@ -1,14 +1,37 @@
 """The player on a clock that moves only while it waits, with the log and the viewers scripted."""
 
+import math
+from collections import namedtuple
 from dataclasses import dataclass, field
 
 import pytest
+from foxglove.websocket import PlaybackCommand
+from foxglove.websocket import PlaybackStatus as Status
 
 from roadperc_stream.log import Channel, Message
-from roadperc_stream.view.live.player import Player
-from roadperc_stream.view.live.playhead import LOOP_PAUSE_S, Order, Reach, Status
+from roadperc_stream.view.live.player import (
+    EDGE_POLL_S,
+    LONGEST_WAIT_S,
+    LOOP_PAUSE_S,
+    RESUME_LEAD_S,
+    TICK_S,
+    Player,
+    Playhead,
+    advance,
+    obey,
+)
+from roadperc_stream.view.live.source import Reach
 
 S = 1_000_000_000
+Request = namedtuple("Request", "playback_command playback_speed seek_time request_id")
+Subscribed = namedtuple("Subscribed", "topic")
+
+
+def order(*, play, rate=1.0, seek_ns=None):
+    """What the SDK hands on when somebody presses a button."""
+    return Request(PlaybackCommand.Play if play else PlaybackCommand.Pause, rate, seek_ns, "id")
+
+
 CALIBRATION, IMAGE = Channel("/calibration", "raw"), Channel("/image", "raw")
 
 
@@ -71,12 +94,12 @@ class Script:
             self.ask(asked)
 
     def ask(self, asked):
-        if isinstance(asked, Order):
-            self.answers.append(self.player.control(asked))
+        if isinstance(asked, Request):
+            self.answers.append(self.player.on_playback_control_request(asked))
         elif asked is None:
             self.player.stop()
         else:
-            self.player.watch(asked)
+            self.player.on_subscribe(None, Subscribed(asked))
 
     def set(self):
         """What is asked comes in a wait: nothing to wake."""
@@ -87,13 +110,17 @@ class Script:
     def send(self, sent):
         self.events.append((sent.channel.topic, sent.log_time_ns / S, self.clock_ns / S))
 
-    def time(self, log_ns):
+    @property
+    def server(self):
+        return self
+
+    def broadcast_time(self, log_ns):
         self.told_ns = log_ns
 
-    def state(self, answer):
-        self.events.append((answer.playhead.status, answer.playhead.log_ns / S, answer.moved))
+    def broadcast_playback_state(self, state):
+        self.events.append((state.status, state.current_time / S, state.did_seek))
 
-    def warn(self, text):
+    def publish_status(self, text, *_):
         self.events.append(text)
 
     def restart(self):
@@ -107,7 +134,7 @@ class Script:
         return self
 
     def sent(self):
-        return [event for event in self.events if event[0] in {"/calibration", "/image"}]
+        return [event for event in self.events if event[0] in ("/calibration", "/image")]
 
 
 def drive():
@@ -122,7 +149,7 @@ def test_nothing_is_played_to_nobody():
 def test_messages_come_at_their_time_once_somebody_watches(rate):
     script = Script(drive(), {3: WATCH, 30: STOP}).run(rate=rate)
     assert script.sent() == [("/calibration", 0, 3), *(("/image", k, pytest.approx(3 + k / rate)) for k in range(5))]
-    assert script.events[-1:] == [(Status.ENDED, 4, False)]
+    assert script.events[-1:] == [(Status.Ended, 4, False)]
 
 
 def test_starting_later_shows_what_holds_there():
@@ -136,23 +163,23 @@ def test_who_comes_late_sees_what_holds_once():
 
 
 def test_a_pause_stops_and_play_goes_on():
-    pause, play = Order(play=False, rate=1.0), Order(play=True, rate=2.0)
+    pause, play = order(play=False), order(play=True, rate=2.0)
     script = Script(drive(), {0: WATCH, 1.5: [pause], 10: [play], 20: STOP}).run()
     times = [pytest.approx(at) for at in (0, 1, 10.25, 10.75, 11.25)]
     assert [event[2] for event in script.sent() if event[0] == "/image"] == times
-    assert script.answers[0].playhead.log_ns == round(1.5 * S)
+    assert script.answers[0].current_time == round(1.5 * S)
 
 
 def test_a_paused_seek_shows_the_whole_frame():
-    seek = Order(play=False, rate=1.0, seek_ns=3 * S)
+    seek = order(play=False, seek_ns=3 * S)
     script = Script(drive(), {0: WATCH, 1.5: [seek], 20: STOP}).run()
     assert script.sent()[-2:] == [("/calibration", 0, 1.5), ("/image", 3, 1.5)]
-    assert script.answers[0].moved
+    assert script.answers[0].did_seek
     assert script.told_ns == 3 * S
 
 
 def test_seeking_back_plays_again_from_there():
-    words = {0: WATCH, 3.5: [Order(play=True, rate=1.0, seek_ns=1 * S)], 20: STOP}
+    words = {0: WATCH, 3.5: [order(play=True, seek_ns=1 * S)], 20: STOP}
     images = [event[1] for event in Script(drive(), words).run().sent() if event[0] == "/image"]
     assert images == [0, 1, 2, 3, 1, 2, 3, 4]
 
@@ -165,13 +192,13 @@ def test_a_loop_goes_round():
     rounds = [i for i, event in enumerate(script.events) if event == "restarted"]
     assert len(rounds) == 2
     for start in rounds:
-        assert script.events[start - 1] == (Status.ENDED, 4, False)
+        assert script.events[start - 1] == (Status.Ended, 4, False)
         assert script.events[start + 1 : start + 4] == [
-            (Status.PAUSED, 0, True),
+            (Status.Paused, 0, True),
             ("/calibration", 0, pytest.approx(script.events[start + 2][2])),
             ("/image", 0, pytest.approx(script.events[start + 2][2])),
         ]
-        assert script.events[start + 4] == (Status.PLAYING, 0, False)
+        assert script.events[start + 4] == (Status.Playing, 0, False)
 
 
 def test_a_loop_goes_back_to_where_it_started():
@@ -182,7 +209,7 @@ def test_a_loop_goes_back_to_where_it_started():
 def test_a_loop_that_nobody_watches_any_more_waits():
     script = Script(drive(), {0: WATCH, 99: STOP}, watching=[]).run(loop=True)
     assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
-    assert script.events[-1:] == [(Status.PAUSED, 0, True)]
+    assert script.events[-1:] == [(Status.Paused, 0, True)]
 
 
 def test_a_loop_of_one_instant_is_no_race():
@@ -193,32 +220,32 @@ def test_a_loop_of_one_instant_is_no_race():
 def test_a_running_replay_is_waited_for_and_nothing_is_lost():
     script = Script(drive(), {0: WATCH, 30: STOP}, complete_at_s=9).run()
     assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
-    assert any(event[0] is Status.WAITING for event in script.events)
-    assert script.events[-1:] == [(Status.ENDED, 4, False)]
+    assert any(event[0] == Status.Buffering for event in script.events)
+    assert script.events[-1:] == [(Status.Ended, 4, False)]
 
 
 def test_seeking_beyond_what_is_computed_is_told():
-    seek = Order(play=True, rate=1.0, seek_ns=4 * S)
+    seek = order(play=True, seek_ns=4 * S)
     script = Script(drive(), {0: WATCH, 2.5: [seek], 30: STOP}, complete_at_s=9).run()
-    assert script.answers[0].playhead.log_ns == 1 * S
+    assert script.answers[0].current_time == 1 * S
     assert any("3.0 s before the time asked for" in event for event in script.events if isinstance(event, str))
 
 
 def test_an_order_to_a_player_that_ended_is_answered():
     script = Script(drive(), {0: WATCH, 1.5: STOP}).run()
-    assert script.player.control(Order(play=False, rate=1.0)).playhead.log_ns == round(1.5 * S)
+    assert script.player.on_playback_control_request(order(play=False)).current_time == round(1.5 * S)
 
 
 def test_only_the_newest_waiting_seek_is_carried_out():
-    seeks = [Order(play=False, rate=1.0, seek_ns=k * S) for k in (4, 3, 1, 2)]
+    seeks = [order(play=False, seek_ns=k * S) for k in (4, 3, 1, 2)]
     once, storm = (Script(drive(), {0: WATCH, 1.5: asked, 9: STOP}).run() for asked in (seeks[-1:], seeks))
-    assert [(answer.playhead.log_ns, answer.moved) for answer in storm.answers] == [(s.seek_ns, True) for s in seeks]
+    assert [(answer.current_time, answer.did_seek) for answer in storm.answers] == [(s.seek_time, True) for s in seeks]
     assert (storm.sent(), storm.reads) == (once.sent(), once.reads)
 
 
 def test_a_seek_that_comes_while_the_next_message_is_read_is_not_lost():
     """The end of what was read before is not the end of playback."""
-    script, seek = Script(drive(), {0: WATCH, 20: STOP}), Order(play=True, rate=1.0, seek_ns=3 * S)
+    script, seek = Script(drive(), {0: WATCH, 20: STOP}), order(play=True, seek_ns=3 * S)
     follow = script.follow
 
     def interrupted(start_ns):
@@ -228,7 +255,7 @@ def test_a_seek_that_comes_while_the_next_message_is_read_is_not_lost():
 
     script.follow = interrupted
     assert [event[1] for event in script.run().sent() if event[0] == "/image"] == [0, 1, 2, 3, 4, 3, 4]
-    assert script.events[-1] == (Status.ENDED, 4, False)
+    assert script.events[-1] == (Status.Ended, 4, False)
 
 
 def test_a_player_never_waits_without_end():
@@ -239,3 +266,73 @@ def test_a_player_never_waits_without_end():
     script.wait = lambda wait_s: (waits.append(wait_s), wait(wait_s))
     script.run()
     assert 0 < max(waits) < 1
+
+
+LOG = Reach(100 * S, 200 * S)
+GROWING = Reach(100 * S, 150 * S, complete=False)
+PLAYING = Playhead(Status.Playing, 110 * S, 7 * S)
+
+
+@pytest.mark.parametrize(("rate", "next_s", "wait_s"), [(1, 110.05, 0.05), (2, 110.05, 0.025), (1, 190, TICK_S)])
+def test_the_wait_is_the_gap_at_the_rate_in_ticks(rate, next_s, wait_s):
+    head = Playhead(Status.Playing, 110 * S, 7 * S, rate)
+    assert advance(head, round(next_s * S), LOG, 7 * S) == (head, pytest.approx(wait_s))
+
+
+def test_a_time_that_goes_back_is_due_at_once():
+    assert advance(PLAYING, 105 * S, LOG, 7 * S) == (PLAYING, 0)
+
+
+def test_another_speed_while_playing_counts_from_now():
+    faster, moved = obey(PLAYING, order(play=True, rate=3.0), LOG, 9 * S)
+    assert (faster.at(9 * S), faster.at(10 * S), moved) == (112 * S, 115 * S, False)
+
+
+@pytest.mark.parametrize(
+    ("asked", "played"),
+    [
+        (3e38, 1000.0),
+        (1000.5, 1000.0),
+        (1e-45, 0.001),
+        (0.5, 0.5),
+        *((r, 2.0) for r in (0.0, -1.0, math.nan, math.inf)),
+    ],
+)
+def test_a_rate_beyond_what_is_played_becomes_the_nearest_one_and_none_changes_nothing(asked, played):
+    head = Playhead(Status.Playing, 110 * S, 7 * S, 2.0)
+    assert obey(head, order(play=True, rate=asked), LOG, 9 * S)[0].rate == played
+
+
+@pytest.mark.parametrize(("seek_s", "lands_s"), [(180, 180), (101, 101), (5, 100), (999, 200)])
+@pytest.mark.parametrize("play", [True, False])
+def test_seeking_both_ways_within_the_log(seek_s, lands_s, play):
+    head, moved = obey(PLAYING, order(play=play, seek_ns=seek_s * S), LOG, 9 * S)
+    assert (head.log_ns, moved) == (lands_s * S, True)
+    assert head.status == (Status.Playing if play else Status.Paused)
+
+
+@pytest.mark.parametrize("status", [Status.Ended, Status.Paused])
+def test_playing_from_the_end_starts_over(status):
+    head, moved = obey(Playhead(status, 200 * S, 0), order(play=True), LOG, 9 * S)
+    assert (head.log_ns, head.status, moved) == (100 * S, Status.Playing, True)
+
+
+def test_who_paused_at_the_end_stays_there():
+    paused, _ = obey(Playhead(Status.Ended, 200 * S, 97 * S), order(play=False), LOG, 97 * S)
+    assert advance(paused, None, LOG, 999 * S, loop_ns=105 * S) == (paused, LONGEST_WAIT_S)
+
+
+@pytest.mark.parametrize("loop_ns", [100 * S, None])
+def test_a_growing_log_has_no_end_but_an_edge(loop_ns):
+    edge = Playhead(Status.Buffering, 150 * S, 90 * S)
+    assert advance(PLAYING, None, GROWING, 90 * S, loop_ns=loop_ns) == (edge, EDGE_POLL_S)
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
+@pytest.mark.parametrize(("ahead", "complete", "goes_on"), [(0.99, False, False), (1.0, False, True), (0, True, True)])
+def test_playback_leaves_the_edge_once_it_can_play_for_a_while(rate, ahead, complete, goes_on):
+    head = Playhead(Status.Buffering, 150 * S, 9 * S, rate)
+    reach = Reach(100 * S, 150 * S + round(ahead * RESUME_LEAD_S * rate * S), complete)
+    after, _ = advance(head, 150 * S, reach, 20 * S)
+    assert (after.status == Status.Playing) is goes_on
+    assert after.at(20 * S) == 150 * S  # the time it waited is not skipped

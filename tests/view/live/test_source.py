@@ -1,11 +1,17 @@
-"""A finished log and one that is being written give the player the same."""
+"""A finished log and one that is being written give the player the same; the times come behind each frame's metrics."""
 
 import pytest
 
+from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message
-from roadperc_stream.view.live.playhead import Reach
-from roadperc_stream.view.live.source import FinishedLog, RunningReplay, held
+from roadperc_stream.schemas import roadperc_pb2 as pb
+from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.record import PRODUCER
+from roadperc_stream.schemas.registry import schema
+from roadperc_stream.schemas.topics import LIVE_ONLY, RESULTS, TIMES_TOPIC
+from roadperc_stream.view.live.source import Reach, Source, finished_log, has_times, held, running_replay, with_times
+from roadperc_stream.view.result_frames import ReplayTimes
 
 S = 1_000_000_000
 ONCE, OFTEN, TWIN, SILENT = (
@@ -36,7 +42,7 @@ def opened(path):
     writer.__enter__()
     for channel in (ONCE, OFTEN, TWIN, SILENT):
         writer.register(channel)
-    return writer, RunningReplay(writer.while_written(), 10 * S)
+    return writer, running_replay(writer.while_written(), 10 * S)
 
 
 @pytest.fixture(params=["finished", "running", "complete"])
@@ -49,7 +55,7 @@ def source(request, tmp_path):
         writer.__exit__(None, None, None)
     else:
         writer.__exit__(None, None, None)
-        yield running if request.param == "complete" else FinishedLog.opened(tmp_path / "log.mcap")
+        yield running if request.param == "complete" else finished_log(log.summarise(tmp_path / "log.mcap"))
 
 
 def test_all_messages_in_order(source):
@@ -126,11 +132,11 @@ def test_following_waits_at_the_edge_and_survives_chunks_and_the_new_name(tmp_pa
 
 
 def test_memory_is_that_of_a_chunk(tmp_path):
-    writer, running = opened(tmp_path / "log.mcap")
-    most = 0
+    writer, _ = opened(tmp_path / "log.mcap")
+    most, growing = 0, writer.while_written()
     for message in messages(20):
         writer.write(message)
-        most = max(most, sum(len(m.data) for m in running.growing._open))
+        most = max(most, sum(len(m.data) for m in growing._open))
     assert most < 1_200_000
     writer.__exit__(None, None, None)
 
@@ -161,4 +167,132 @@ def test_a_log_without_messages_cannot_be_played(tmp_path):
     with LogWriter(tmp_path / "log.mcap"):
         pass
     with pytest.raises(LogError, match="no message to play"):
-        FinishedLog.opened(tmp_path / "log.mcap")
+        finished_log(log.summarise(tmp_path / "log.mcap"))
+
+
+IMAGE, LINE = Channel("/image", "raw"), Channel("/perception/log", "raw")
+METRICS = Channel("/perception/metrics", "protobuf", "roadperc.FrameMetrics", metadata=(PRODUCER,))
+
+
+def metrics(frame, channel=METRICS):
+    content = pb.FrameMetrics(log_id="log", frame=frame, frame_id="camera")
+    content.timestamp.FromNanoseconds(frame * S)
+    return Message(channel, frame * S, frame * S, frame, content.SerializeToString())
+
+
+def image(frame):
+    return Message(IMAGE, frame * S, frame * S, frame, b"")
+
+
+def timed(messages, times):
+    """A log of which some messages are not there yet, None in their place; with these times."""
+    return with_times(script(messages), times.of)
+
+
+def script(messages):
+    def read(topics, start_ns, end_ns):
+        there = (m for m in messages if m)
+        return (m for m in there if m.channel.topic in topics and start_ns <= m.log_time_ns < end_ns)
+
+    def follow(start_ns):
+        return (m for m in messages if not m or m.log_time_ns >= start_ns)
+
+    return Source((IMAGE, METRICS), lambda: Reach(0, 9 * S), read, follow)
+
+
+def known(*frames):
+    times = ReplayTimes()
+    for frame in frames:
+        note(times, frame)
+    return times
+
+
+def note(times, frame):
+    times.note(FrameMetrics("log", frame, 0), {"lanes_ms": 1.0 + frame, "total_ms": 10.0})
+
+
+def stamped(messages):
+    return [m and (m.channel.topic, m.log_time_ns // S) for m in messages]
+
+
+LOG = [image(0), metrics(0), image(1), metrics(1), image(2), metrics(2)]
+
+
+def test_the_channel_is_that_of_the_contract():
+    source = timed(LOG, known())
+    assert source.channels[:2] == (IMAGE, METRICS)
+    assert [(c.topic, c.schema_name) for c in source.channels[2:]] == list(LIVE_ONLY.items())
+    assert source.channels[2].schema_data == schema("roadperc.StageTimes").data
+    assert TIMES_TOPIC not in RESULTS
+
+
+def test_each_frames_times_follow_its_metrics():
+    assert stamped(timed(LOG, known(0, 1, 2)).follow(1 * S)) == [
+        ("/image", 1),
+        ("/perception/metrics", 1),
+        (TIMES_TOPIC, 1),
+        ("/image", 2),
+        ("/perception/metrics", 2),
+        (TIMES_TOPIC, 2),
+    ]
+
+
+def test_a_message_says_what_is_known():
+    *_, last = timed(LOG, known(2)).follow(0)
+    times = pb.StageTimes.FromString(last.data)
+    assert (times.timestamp.ToNanoseconds(), times.frame_id) == (2 * S, "camera")
+    assert (times.lanes_ms, times.total_ms, times.HasField("stereo_ms")) == (3.0, 10.0, False)
+
+
+def test_times_that_come_late_come_before_the_next_frame():
+    """The replay writes metrics and a line for the log, and only then knows how long the frame took."""
+    line = Message(LINE, 0, 0, 0, b"")
+    times = known()
+    coming = timed([metrics(0), None, line, None, None, image(1)], times).follow(0)
+    found = [next(coming) for _ in range(4)]
+    note(times, 0)
+    found += coming
+    assert stamped(found) == [
+        ("/perception/metrics", 0),
+        None,
+        ("/perception/log", 0),
+        None,
+        (TIMES_TOPIC, 0),
+        None,
+        ("/image", 1),
+    ]
+
+
+def test_times_of_the_last_frame_come_at_the_end():
+    times = known()
+    coming = timed([metrics(0)], times).follow(0)
+    assert stamped([next(coming)]) == [("/perception/metrics", 0)]
+    note(times, 0)
+    assert stamped(coming) == [(TIMES_TOPIC, 0)]
+
+
+def test_a_frame_whose_times_are_not_known_has_none():
+    assert stamped(timed(LOG, known(0, 2)).follow(0)).count((TIMES_TOPIC, 1)) == 0
+    assert (TIMES_TOPIC, 2) in stamped(timed(LOG, known(0, 2)).follow(0))
+
+
+def test_what_holds_after_a_seek():
+    source = timed(LOG, known(0, 1, 2))
+    assert stamped(held(source, {"/image", TIMES_TOPIC}, 1 * S + 5)) == [("/image", 1), (TIMES_TOPIC, 1)]
+    assert stamped(held(source, {"/image", "/perception/metrics"}, 0)) == [("/image", 0), ("/perception/metrics", 0)]
+
+
+def test_only_a_replays_own_metrics_are_asked():
+    foreign = Channel("/perception/metrics", "protobuf", "other.Metrics")
+    broken = Message(METRICS, 0, 0, 0, b"\xff\xff")
+    messages = [metrics(0, foreign), broken]
+    assert list(timed(messages, known(0)).follow(0)) == messages
+
+
+@pytest.mark.parametrize(
+    ("messages", "frame", "there"),
+    [(LOG, 0, True), (LOG, 5, False), ([image(0)], 0, False), ([metrics(9)], 9, True), ([metrics(9)], 8, False)],
+)
+def test_whether_there_are_times(messages, frame, there):
+    """Those of the first frame decide, even at the log's very end."""
+    assert has_times(script(messages), known(frame).of) is there
