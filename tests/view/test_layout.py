@@ -21,7 +21,7 @@ from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, ON_REQUEST,
 from roadperc_stream.view.layout import curves
 from roadperc_stream.view.layout.arrangement import layout_of, write_layout
 from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
-from roadperc_stream.view.layout.panels import column, row, tabs, words
+from roadperc_stream.view.layout.panels import column, panel, row, tabs
 from tests import logs
 from tests.replaying import replay
 
@@ -172,9 +172,7 @@ def test_a_path_leads_to_a_field_of_its_message(path):
 
 def test_every_plotted_metric_is_a_column():
     columns = {field.name for field in fields(FrameMetrics)}
-    described = [value for value in vars(curves).values() if isinstance(value, curves.Plot)]
-    assert len(described) > 10
-    assert {curve.metric for plot in described for curve in plot.curves} <= columns
+    assert {metric for plot in curves.PLOTS.values() for metric in plot.labels} <= columns
     assert {*curves.STATES, *curves.BOUNDARY_STATES} <= columns
 
 
@@ -252,12 +250,12 @@ def test_the_scene_follows_the_car_only_where_its_frame_is_known():
 
 
 def test_a_single_tab_is_none_and_a_missing_part_leaves_no_gap():
-    panel = words("log", "Log", "/log")
-    assert tabs("all", {"A": None, "B": panel}) is panel
-    assert row(None, panel, None) is panel
+    part = panel("RosOut", "log", "Log")
+    assert tabs("all", {"A": None, "B": part}) is part
+    assert row(None, part, None) is part
     assert column() is None
-    shares = column(panel, panel, panel, panel, first_percent=25)
-    assert (shares.first_percent, shares.second.first_percent) == (25, pytest.approx(100 / 3))
+    place = column(part, part, part, part, first_percent=25).place
+    assert (place["splitPercentage"], place["second"]["splitPercentage"]) == (25, pytest.approx(100 / 3))
 
 
 @pytest.fixture(scope="module")

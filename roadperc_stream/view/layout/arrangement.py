@@ -1,6 +1,7 @@
 """What stands where: the camera's image large, the scene beside it, other pictures and numbers below."""
 
-from collections.abc import Iterable, Mapping
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -27,28 +28,10 @@ from roadperc_stream.schemas.topics import (
     TRAJECTORY_TOPIC,
 )
 from roadperc_stream.system.files import completing, require_free
-from roadperc_stream.view.layout import curves
 from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
-from roadperc_stream.view.layout.panels import (
-    PRELOADED,
-    ROWS,
-    Config,
-    Node,
-    Panel,
-    Script,
-    column,
-    depth_picture,
-    detections_table,
-    layout_json,
-    objects_table,
-    picture,
-    raw_messages,
-    row,
-    table,
-    tabs,
-    titled,
-    words,
-)
+from roadperc_stream.view.layout.curves import BOUNDARY_STATES, STATES, plot, stage_times, states
+from roadperc_stream.view.layout.panels import PRELOADED, Config, Node, column, panel, picture, row, tabs
+from roadperc_stream.view.layout.tables import detections_table, objects_table
 
 _IN_THE_IMAGE: Final = (LANES_ANNOTATIONS_TOPIC, OBJECTS_ANNOTATIONS_TOPIC)
 _IN_SPACE: Final[Mapping[str, Config]] = {
@@ -88,6 +71,8 @@ _CAMERA: Final[Config] = {
     "far": 5000,
 }
 """From behind and above the car."""
+_MOST_DEPTH_M: Final = 60
+_MM_PER_M: Final = 1000
 _ALWAYS_TIMED: Final = tuple(f"{part}_ms" for part in ("read", "decode", "metrics", "copy", "encode", "write", "total"))
 _OUTPUT_OF: Final = {
     "surface_ms": SURFACE_TOPIC,
@@ -102,17 +87,27 @@ _OUTPUT_OF: Final = {
 
 def layout_of(has: LogContents) -> str:
     """The layout of a log as JSON."""
+    table, script = _table(has)
     left = column(_camera(has), _other_pictures(has), first_percent=60)
-    right = column(_scene(has), _numbers(has), first_percent=46)
-    return layout_json(row(left, right, first_percent=46), _scripts(has))
+    right = column(_scene(has), _numbers(has, table), first_percent=46)
+    root = row(left, right, first_percent=46)
+    layout: Config = {
+        "configById": dict(sorted(root.configs.items())) if root else {},
+        "globalVariables": {},
+        "userNodes": {script["name"]: script} if script else {},
+        "playbackConfig": {"speed": 1},
+    }
+    if root:
+        layout["layout"] = root.place
+    return json.dumps(layout, indent=2, ensure_ascii=False) + "\n"
 
 
 def _camera(has: LogContents) -> Node | None:
     """The camera the results are of with what was found drawn over it, the pictures of the stages, other cameras."""
     front = _front(has)
-    drawn = [has.result(topic) for topic in _IN_THE_IMAGE]
+    drawn = [topic for topic in _IN_THE_IMAGE if topic in has.results]
     camera = "Drivable" if front == DRIVABLE_TOPIC else "Front camera"
-    shown = picture("front", f"{camera}: lanes and objects" if any(drawn) else camera, front, drawn)
+    shown = picture("front", f"{camera}: lanes and objects" if drawn else camera, front, drawn)
     made = {topic.rpartition("/")[2].capitalize(): has.result(topic) for topic in ON_REQUEST}
     others = {side.capitalize(): has.roles.get(side) for side in ("left", "right") if has.roles.get(side) != front}
     named = made | others | {topic: topic for topic in has.more_images}
@@ -128,126 +123,124 @@ def _front(has: LogContents) -> str | None:
 def _other_pictures(has: LogContents) -> Node | None:
     """Tags and depth, what was made of them, and what is true of them."""
     roles = has.roles
-    tags = picture("tags", "Tags", roles.get("segmentation"))
-    drivable = None if _front(has) == DRIVABLE_TOPIC else picture("drivable", "Drivable", has.result(DRIVABLE_TOPIC))
-    stereo = depth_picture("stereo", "Stereo depth", has.result(STEREO_DEPTH_TOPIC))
-    true_tags = picture("true_tags", "True tags", roles.get("truth_segmentation"))
-    return tabs(
-        "pictures",
-        _named(
-            {
-                ("Tags", "depth"): (tags, _depth(has, "depth", "Depth")),
-                ("Instances",): (picture("instances", "Instances", roles.get("instances")),),
-                ("Drivable", "stereo"): (drivable, stereo),
-                ("True tags", "true depth"): (true_tags, _depth(has, "truth_depth", "True depth")),
-            }
-        ),
+    drivable = None if _front(has) == DRIVABLE_TOPIC else has.result(DRIVABLE_TOPIC)
+    pairs = (
+        {
+            "Tags": picture("tags", "Tags", roles.get("segmentation")),
+            "Depth": _depth(has, "depth", "Depth", roles.get("depth")),
+        },
+        {"Instances": picture("instances", "Instances", roles.get("instances"))},
+        {
+            "Drivable": picture("drivable", "Drivable", drivable),
+            "Stereo": _depth(has, "stereo", "Stereo depth", has.result(STEREO_DEPTH_TOPIC)),
+        },
+        {
+            "True tags": picture("true_tags", "True tags", roles.get("truth_segmentation")),
+            "True depth": _depth(has, "truth_depth", "True depth", roles.get("truth_depth")),
+        },
+    )
+    titles = [", ".join(name for name, part in pair.items() if part).capitalize() for pair in pairs]
+    return tabs("pictures", {title: row(*pair.values()) for title, pair in zip(titles, pairs, strict=True)})
+
+
+def _depth(has: LogContents, name: str, title: str, topic: str | None) -> Node | None:
+    """A depth image whose numbers are coloured, red far away."""
+    most = _MOST_DEPTH_M if topic in has.depth_in_metres else _MOST_DEPTH_M * _MM_PER_M
+    colours: Config = {"colorMode": "colormap", "colorMap": "turbo", "minValue": 0, "maxValue": most}
+    return picture(name, f"{title}, 0 to {_MOST_DEPTH_M} m", topic, **colours)
+
+
+def _scene(has: LogContents) -> Node | None:
+    """All that has a place in space, seen from behind the car."""
+    drawn = {topic: how for topic, how in _IN_SPACE.items() if topic in has.results}
+    drawn |= {has.roles[role]: how for role, how in _ROLES_IN_SPACE.items() if role in has.roles}
+    if not drawn:
+        return None
+    transforms = {"showLabel": False, "axisScale": 0.6, "lineWidth": 0, **PRELOADED}
+    return panel(
+        "3D",
+        "scene",
+        "Road, lanes, objects, occupancy, trajectory" if has.results else "Scene",
+        cameraState=_CAMERA,
+        followMode="follow-pose",
+        **({"followTf": EGO} if has.has_ego_frame else {}),
+        scene={"transforms": transforms, "labelScaleFactor": 1},
+        transforms={},
+        topics={topic: {"visible": True, **how} for topic, how in drawn.items()},
+        layers={},
     )
 
 
-def _named(pairs: Mapping[tuple[str, ...], tuple[Panel | None, ...]]) -> dict[str, Node | None]:
-    """Rows of panels by a title that names those that are there."""
-    rows = {}
-    for names, panels in pairs.items():
-        title = ", ".join(name for name, panel in zip(names, panels, strict=True) if panel)
-        rows[title.capitalize() if title else ", ".join(names)] = row(*panels)
-    return rows
-
-
-def _depth(has: LogContents, role: str, title: str) -> Panel | None:
-    topic = has.roles.get(role)
-    return depth_picture(role, title, topic, in_metres=topic in has.depth_in_metres)
-
-
-def _scene(has: LogContents) -> Panel | None:
-    """All that has a place in space, seen from behind the car."""
-    drawn = {topic: _IN_SPACE[topic] for topic in _IN_SPACE if topic in has.results}
-    drawn |= {has.roles[role]: _ROLES_IN_SPACE[role] for role in _ROLES_IN_SPACE if role in has.roles}
-    if not drawn:
-        return None
-    followed = {"followMode": "follow-pose", "followTf": EGO} if has.has_ego_frame else {"followMode": "follow-pose"}
-    transforms = {"showLabel": False, "axisScale": 0.6, "lineWidth": 0, **PRELOADED}
-    config: Config = {
-        "cameraState": _CAMERA,
-        **followed,
-        "scene": {"transforms": transforms, "labelScaleFactor": 1},
-        "transforms": {},
-        "topics": {topic: {"visible": True, **how} for topic, how in drawn.items()},
-        "layers": {},
-    }
-    title = "Road, lanes, objects, occupancy, trajectory" if has.results else "Scene"
-    return Panel("3D", "scene", {**config, **titled(title)})
-
-
-def _numbers(has: LogContents) -> Node | None:
+def _numbers(has: LogContents, table: Node | None) -> Node | None:
     """Plots of the metrics, states, and results in words."""
-    shown = has.columns
     return tabs(
         "numbers",
         {
-            "Lanes": _lanes(has),
-            "Objects": column(_objects(has), row(*_plots(has, curves.NEAREST, curves.OBJECT_ERRORS)), first_percent=58),
-            "Motion": column(*_plots(has, curves.MOTION, curves.MOTION_ERRORS, curves.COUNTS), first_percent=34),
+            "Lanes": column(
+                row(*_plots(has, "left_offset", "left_error"), first_percent=58),
+                row(*_plots(has, "right_offset", "right_error"), first_percent=58),
+                *_plots(has, "lane"),
+                first_percent=37,
+            ),
+            "Objects": column(table, row(*_plots(has, "objects", "object_errors")), first_percent=58),
+            "Motion": column(*_plots(has, "odometry", "odometry_errors", "inliers"), first_percent=34),
             "Road": column(
-                row(*_plots(has, curves.CAMERA, curves.SURFACE_ERRORS)),
-                row(*_plots(has, curves.SHARES, curves.SCORES)),
+                row(*_plots(has, "surface", "surface_errors")),
+                row(*_plots(has, "shares", "scores")),
             ),
             "States": row(
-                curves.states("states", "States", curves.STATES, shown),
-                curves.states("lane_states", "Boundaries", curves.BOUNDARY_STATES, shown),
+                states("states", "States", STATES, has.columns),
+                states("lane_states", "Boundaries", BOUNDARY_STATES, has.columns),
             ),
             "Times": _times(has),
-            "Log": words("log", "Log: what was missing", has.result(LOG_TOPIC)),
+            "Log": _log(has),
             "Messages": _messages(has),
         },
     )
 
 
-def _lanes(has: LogContents) -> Node | None:
-    """The offset of each boundary, and its error beside it where the truth is known."""
-    left = _plots(has, curves.LEFT_OFFSET, curves.LEFT_ERROR)
-    right = _plots(has, curves.RIGHT_OFFSET, curves.RIGHT_ERROR)
-    lane = curves.plot(curves.LANE, has.columns)
-    return column(row(*left, first_percent=58), row(*right, first_percent=58), lane, first_percent=37)
+def _plots(has: LogContents, *names: str) -> list[Node | None]:
+    return [plot(name, has.columns) for name in names]
 
 
-def _plots(has: LogContents, *described: curves.Plot) -> list[Panel | None]:
-    return [curves.plot(one, has.columns) for one in described]
-
-
-def _objects(has: LogContents) -> Panel | None:
-    """The objects in words; the detections of a log without any."""
-    return next((table(script.name, title, f"{script.output}.{ROWS}") for title, script in _tables(has)), None)
-
-
-def _tables(has: LogContents) -> Iterable[tuple[str, Script]]:
+def _table(has: LogContents) -> tuple[Node | None, Config | None]:
+    """The objects in words, the detections of a log without any; and the program that makes them."""
     if OBJECTS_TOPIC in has.results:
-        yield "Objects", objects_table(OBJECTS_TOPIC)
-    elif "detections" in has.roles:
-        yield "Detections", detections_table(has.roles["detections"])
+        return objects_table(OBJECTS_TOPIC)
+    return detections_table(has.roles["detections"]) if "detections" in has.roles else (None, None)
 
 
-def _scripts(has: LogContents) -> list[Script]:
-    return [script for _, script in _tables(has)]
-
-
-def _times(has: LogContents) -> Panel | None:
+def _times(has: LogContents) -> Node | None:
     """Of the stages that ran, where a server knows the times: no log has them."""
-    if TIMES_TOPIC not in has.results:
-        return None
     ran = {column for column, topic in _OUTPUT_OF.items() if topic in has.results}
-    return curves.plot(curves.stage_times(), ran | set(_ALWAYS_TIMED))
+    return stage_times(ran | set(_ALWAYS_TIMED)) if TIMES_TOPIC in has.results else None
+
+
+def _log(has: LogContents) -> Node | None:
+    if LOG_TOPIC not in has.results:
+        return None
+    return panel("RosOut", "log", "Log: what was missing", searchTerms=[], minLogLevel=1, topicToRender=LOG_TOPIC)
 
 
 def _messages(has: LogContents) -> Node | None:
     """Results as they are written; without results the truths of an input log."""
     results = [
-        raw_messages(name.replace("/", "_"), name.capitalize(), has.result(f"{RESULT_PREFIX}{name}"))
+        _raw_messages(name.replace("/", "_"), name.capitalize(), has.result(f"{RESULT_PREFIX}{name}"))
         for name in ("surface", "lanes", "odometry/state", "metrics")
     ]
-    truths = [raw_messages(name, ROLES[name].topic, has.roles.get(name)) for name in ("truth_surface", "truth_lanes")]
+    truths = [_raw_messages(name, ROLES[name].topic, has.roles.get(name)) for name in ("truth_surface", "truth_lanes")]
     first, second = (results[:2], results[2:]) if any(results) else (truths[:1], truths[1:])
     return row(column(*first), column(*second))
+
+
+def _raw_messages(name: str, title: str, topic: str | None) -> Node | None:
+    """A topic's messages as a tree that can be unfolded."""
+    if topic is None:
+        return None
+    difference = {"diffEnabled": False, "diffMethod": "previous message", "diffTopicPath": ""}
+    return panel(
+        "RawMessages", name, title, topicPath=topic, expansion="none", showFullMessageForDiff=False, **difference
+    )
 
 
 _NO_OVERRIDES: Final[Mapping[str, str]] = {}

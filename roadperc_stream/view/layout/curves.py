@@ -1,24 +1,24 @@
 """Plots of numbers over time, and of states in words."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.topics import METRICS_TOPIC, TIMES_TOPIC
-from roadperc_stream.view.layout.panels import Config, Panel, titled
+from roadperc_stream.view.layout.panels import Config, Node, panel
 
-BLUE: Final = "#4e98e2"
-ORANGE: Final = "#f5774d"
-GREEN: Final = "#3fae49"
-PURPLE: Final = "#b07aa1"
+_BLUE: Final = "#4e98e2"
+_ORANGE: Final = "#f5774d"
+_GREEN: Final = "#3fae49"
+_PURPLE: Final = "#b07aa1"
 _STAGE_COLOURS: Final = {
     "total": "#8c8c8c",
-    "decode": BLUE,
-    "surface": ORANGE,
-    "lanes": GREEN,
+    "decode": _BLUE,
+    "surface": _ORANGE,
+    "lanes": _GREEN,
     "objects": "#f0c419",
-    "stereo": PURPLE,
+    "stereo": _PURPLE,
     "odometry": "#e15759",
     "occupancy": "#76b7b2",
     "encode": "#9c755f",
@@ -33,133 +33,85 @@ _LEGEND_WIDTH_PX: Final = 150
 
 
 @dataclass(frozen=True)
-class PlotSeries:
-    """A metric in a plot."""
-
-    metric: str
-    label: str
-    colour: str
-    width: float = _THICK
-    joined: bool = True
-    """Drawn as a line, else as points."""
-    topic: str = METRICS_TOPIC
-
-
-@dataclass(frozen=True)
 class Plot:
-    """Curves of one panel."""
+    """Curves of one panel: thick lines in blue, orange and green, where ``_STYLES`` says nothing else."""
 
-    name: str
     title: str
     unit: str
-    curves: tuple[PlotSeries, ...]
+    labels: Mapping[str, str]
+    """By metric."""
 
 
-def _offsets(side: str) -> Plot:
-    """Thick what the filter says, as points what it was fed with, thin what is true: the same on either side."""
-    return Plot(
-        f"{side}_offset",
-        f"{side.capitalize()} boundary, offset",
-        "m",
-        (
-            PlotSeries(f"lane_{side}_raw_offset_m", "raw", ORANGE, joined=False),
-            PlotSeries(f"lane_{side}_offset_m", "smoothed", BLUE),
-            PlotSeries(f"lane_{side}_true_offset_m", "true", GREEN, _THIN),
-        ),
-    )
-
-
-def _offset_error(side: str) -> Plot:
-    curve = PlotSeries(f"lane_{side}_error_m", "smoothed", BLUE)
-    return Plot(f"{side}_error", f"{side.capitalize()} boundary, error at 10 m", "m", (curve,))
-
-
-LEFT_OFFSET, RIGHT_OFFSET = _offsets("left"), _offsets("right")
-LEFT_ERROR, RIGHT_ERROR = _offset_error("left"), _offset_error("right")
-LANE: Final = Plot(
-    "lane",
-    "Lane",
-    "m, degrees",
-    (PlotSeries("lane_width_m", "width, m", BLUE), PlotSeries("lane_heading_deg", "heading, °", ORANGE)),
-)
-NEAREST: Final = Plot(
-    "objects",
-    "Nearest object",
-    "m, s",
-    (
-        PlotSeries("nearest_object_m", "object, m", BLUE),
-        PlotSeries("stereo_nearest_m", "stereo, m", PURPLE, _THIN),
-        PlotSeries("time_to_impact_s", "impact, s", ORANGE),
+PLOTS: Final[Mapping[str, Plot]] = {
+    **{
+        f"{side}_offset": Plot(
+            f"{side.capitalize()} boundary, offset",
+            "m",
+            {
+                f"lane_{side}_raw_offset_m": "raw",
+                f"lane_{side}_offset_m": "smoothed",
+                f"lane_{side}_true_offset_m": "true",
+            },
+        )
+        for side in ("left", "right")
+    },
+    **{
+        f"{side}_error": Plot(f"{side.capitalize()} boundary, error at 10 m", "m", {f"lane_{side}_error_m": "smoothed"})
+        for side in ("left", "right")
+    },
+    "lane": Plot("Lane", "m, degrees", {"lane_width_m": "width, m", "lane_heading_deg": "heading, °"}),
+    "objects": Plot(
+        "Nearest object",
+        "m, s",
+        {"nearest_object_m": "object, m", "stereo_nearest_m": "stereo, m", "time_to_impact_s": "impact, s"},
     ),
-)
-MOTION: Final = Plot(
-    "odometry",
-    "Odometry",
-    "m, degrees",
-    (PlotSeries("step_m", "step, m", BLUE), PlotSeries("turn_deg", "turn, °", ORANGE)),
-)
-COUNTS: Final = Plot(
-    "inliers",
-    "Odometry inliers and detections",
-    "count",
-    (
-        PlotSeries("odometry_inliers", "inliers", BLUE),
-        PlotSeries("detections", "detections", ORANGE, _THIN),
-        PlotSeries("detections_kept", "kept", GREEN),
+    "odometry": Plot("Odometry", "m, degrees", {"step_m": "step, m", "turn_deg": "turn, °"}),
+    "inliers": Plot(
+        "Odometry inliers and detections",
+        "count",
+        {"odometry_inliers": "inliers", "detections": "detections", "detections_kept": "kept"},
     ),
-)
-CAMERA: Final = Plot(
-    "surface",
-    "Camera over the road",
-    "m, degrees",
-    (
-        PlotSeries("camera_height_m", "height, m", BLUE),
-        PlotSeries("camera_pitch_deg", "pitch, °", ORANGE),
-        PlotSeries("camera_roll_deg", "roll, °", GREEN),
+    "surface": Plot(
+        "Camera over the road",
+        "m, degrees",
+        {"camera_height_m": "height, m", "camera_pitch_deg": "pitch, °", "camera_roll_deg": "roll, °"},
     ),
-)
-SHARES: Final = Plot(
-    "shares",
-    "Shares",
-    "",
-    (
-        PlotSeries("drivable_ratio", "drivable", BLUE),
-        PlotSeries("surface_inlier_ratio", "road inliers", ORANGE),
-        PlotSeries("stereo_valid_ratio", "stereo valid", GREEN),
+    "shares": Plot(
+        "Shares",
+        "",
+        {"drivable_ratio": "drivable", "surface_inlier_ratio": "road inliers", "stereo_valid_ratio": "stereo valid"},
     ),
-)
-SURFACE_ERRORS: Final = Plot(
-    "surface_errors",
-    "Surface errors",
-    "degrees, m",
-    (
-        PlotSeries("surface_angle_error_deg", "angle, °", BLUE),
-        PlotSeries("camera_height_error_m", "camera, m", ORANGE),
-        PlotSeries("surface_height_error_m", "road, m", GREEN),
+    "surface_errors": Plot(
+        "Surface errors",
+        "degrees, m",
+        {
+            "surface_angle_error_deg": "angle, °",
+            "camera_height_error_m": "camera, m",
+            "surface_height_error_m": "road, m",
+        },
     ),
-)
-OBJECT_ERRORS: Final = Plot(
-    "object_errors",
-    "Object and stereo errors",
-    "m, px",
-    (PlotSeries("object_distance_error_m", "distance, m", BLUE), PlotSeries("stereo_epe_px", "disparity, px", ORANGE)),
-)
-MOTION_ERRORS: Final = Plot(
-    "odometry_errors",
-    "Odometry errors",
-    "m, degrees",
-    (PlotSeries("step_error_m", "step, m", BLUE), PlotSeries("turn_error_deg", "turn, °", ORANGE)),
-)
-SCORES: Final = Plot(
-    "scores",
-    "Scores of road and boxes",
-    "",
-    (
-        PlotSeries("drivable_iou", "drivable IoU", BLUE),
-        PlotSeries("filter_precision", "box precision", ORANGE),
-        PlotSeries("filter_recall", "box recall", GREEN),
+    "object_errors": Plot(
+        "Object and stereo errors",
+        "m, px",
+        {"object_distance_error_m": "distance, m", "stereo_epe_px": "disparity, px"},
     ),
-)
+    "odometry_errors": Plot("Odometry errors", "m, degrees", {"step_error_m": "step, m", "turn_error_deg": "turn, °"}),
+    "scores": Plot(
+        "Scores of road and boxes",
+        "",
+        {"drivable_iou": "drivable IoU", "filter_precision": "box precision", "filter_recall": "box recall"},
+    ),
+}
+"""By the name of their panel."""
+_STYLES: Final[Mapping[str, Config]] = {
+    "raw": {"color": _ORANGE, "showLine": False},
+    "smoothed": {"color": _BLUE},
+    "true": {"color": _GREEN, "lineSize": _THIN},
+    "stereo, m": {"color": _PURPLE, "lineSize": _THIN},
+    "impact, s": {"color": _ORANGE},
+    "detections": {"lineSize": _THIN},
+}
+"""Of some labels: a filter's result is a thick line, what it was fed with points, and the truth a thin line."""
 STATES: Final = {
     "odometry_status": "odometry",
     "surface_source": "surface",
@@ -174,24 +126,30 @@ BOUNDARY_STATES: Final = {
 }
 
 
-def stage_times() -> Plot:
-    """Milliseconds of each stage."""
-    stages = [column.removesuffix("_ms") for column in TIME_COLUMNS]
-    curves = [PlotSeries(f"{stage}_ms", stage, _STAGE_COLOURS[stage], _THIN, topic=TIMES_TOPIC) for stage in stages]
-    return Plot("times", "Time per stage, ms (live only)", "ms", tuple(curves))
-
-
-def plot(described: Plot, columns: Collection[str]) -> Panel | None:
+def plot(name: str, columns: Collection[str]) -> Node | None:
     """A plot of those of its curves that are among ``columns``."""
-    return _plot(described, [curve for curve in described.curves if curve.metric in columns])
+    described = PLOTS[name]
+    coloured = zip(described.labels.items(), (_BLUE, _ORANGE, _GREEN), strict=False)
+    paths = [
+        _path(METRICS_TOPIC, metric, label, color=colour, showLine=True, lineSize=_THICK) | _STYLES.get(label, {})
+        for (metric, label), colour in coloured
+        if metric in columns
+    ]
+    return _plot(name, described.title, described.unit, paths)
 
 
-def _plot(described: Plot, curves: Iterable[PlotSeries]) -> Panel | None:
-    paths = [_path(curve) for curve in curves]
-    if not paths:
-        return None
-    config: Config = {
-        "paths": paths,
+def stage_times(columns: Collection[str]) -> Node | None:
+    """Milliseconds of those stages whose column is among ``columns``."""
+    stages = [(column, column.removesuffix("_ms")) for column in TIME_COLUMNS if column in columns]
+    paths = [
+        _path(TIMES_TOPIC, column, stage, color=_STAGE_COLOURS[stage], showLine=True, lineSize=_THIN)
+        for column, stage in stages
+    ]
+    return _plot("times", "Time per stage, ms (live only)", "ms", paths)
+
+
+def _plot(name: str, title: str, unit: str, paths: list[Config]) -> Node | None:
+    shown = {
         "showXAxisLabels": True,
         "showYAxisLabels": True,
         "showLegend": True,
@@ -200,33 +158,16 @@ def _plot(described: Plot, curves: Iterable[PlotSeries]) -> Panel | None:
         "isSynced": True,
         "xAxisVal": "timestamp",
         "sidebarDimension": _LEGEND_WIDTH_PX,
-        "yAxisLabel": described.unit,
+        "yAxisLabel": unit,
     }
-    return Panel("Plot", described.name, {**config, **titled(described.title)})
+    return panel("Plot", name, title, paths=paths, **shown) if paths else None
 
 
-def _path(curve: PlotSeries) -> Config:
-    return {
-        "value": f"{curve.topic}.{curve.metric}",
-        "enabled": True,
-        "label": curve.label,
-        "color": curve.colour,
-        "timestampMethod": "receiveTime",
-        "showLine": curve.joined,
-        "lineSize": curve.width,
-    }
+def _path(topic: str, metric: str, label: str, **style: object) -> Config:
+    return {"value": f"{topic}.{metric}", "enabled": True, "label": label, "timestampMethod": "receiveTime", **style}
 
 
-def states(name: str, title: str, labels: dict[str, str], columns: Collection[str]) -> Panel | None:
+def states(name: str, title: str, labels: Mapping[str, str], columns: Collection[str]) -> Node | None:
     """Bars of words over time, of those metrics that are among ``columns``."""
-    paths = [
-        {
-            "value": f"{METRICS_TOPIC}.{metric}",
-            "label": label,
-            "enabled": True,
-            "timestampMethod": "receiveTime",
-        }
-        for metric, label in labels.items()
-        if metric in columns
-    ]
-    return Panel("StateTransitions", name, {"isSynced": True, "paths": paths, **titled(title)}) if paths else None
+    paths = [_path(METRICS_TOPIC, metric, label) for metric, label in labels.items() if metric in columns]
+    return panel("StateTransitions", name, title, isSynced=True, paths=paths) if paths else None
