@@ -96,7 +96,6 @@ Content = TypeVar("Content")
 LATENESS_NS: Final = (0, 2 * NS_PER_S)
 """How far a message's log time may lie from its stamp: first the window that is cheap to read is tried."""
 _KINDS: Final[Mapping[str, Kind]] = {LANES_TOPIC: "lanes", OBJECTS_TOPIC: "objects", DRIVABLE_TOPIC: "tags"}
-_NOTHING: Final = {name: Absent(Reason(name, "not_in_log")) for name in ("lanes", "objects", "drivable")}
 _MOST_WAITING: Final = 64
 """Instants that wait for their metrics at a time: of a sensor that is no frame's they never come."""
 
@@ -196,10 +195,11 @@ def _seen(
     if image_bgr is None:
         return None
     mask = content_of(lambda: _drivable(found), DRIVABLE_TOPIC, stamp_ns, problems)
-    drivable = _NOTHING["drivable"] if mask is None else mask
+    drivable = _drivable({}) if mask is None else mask
     # A mask of another size belongs to another camera than this image, and so do lanes and objects.
     fits = _image_fits(reasons) and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
-    return PerceivedFrame(image_bgr, _lanes(found), _objects(found), drivable, fits)
+    lanes = _result(found, LANES_TOPIC, Lanes, "lanes")
+    return PerceivedFrame(image_bgr, lanes, _result(found, OBJECTS_TOPIC, Objects, "objects"), drivable, fits)
 
 
 def _image_fits(reasons: Iterable[str]) -> bool:
@@ -245,19 +245,14 @@ def _kind(channel: Channel, image_topic: str) -> Kind | None:
     return "image" if channel.topic == image_topic else None
 
 
-def _lanes(found: Mapping[str, Decoded]) -> Lanes | Absent:
-    lanes = _payload(found, LANES_TOPIC)
-    return lanes if isinstance(lanes, Lanes) else _NOTHING["lanes"]
-
-
-def _objects(found: Mapping[str, Decoded]) -> Objects | Absent:
-    objects = _payload(found, OBJECTS_TOPIC)
-    return objects if isinstance(objects, Objects) else _NOTHING["objects"]
+def _result(found: Mapping[str, Decoded], topic: str, kind: type[Content], name: str) -> Content | Absent:
+    payload = _payload(found, topic)
+    return payload if isinstance(payload, kind) else Absent(Reason(name, "not_in_log"))
 
 
 def _drivable(found: Mapping[str, Decoded]) -> Mask | Absent:
-    tags = _payload(found, DRIVABLE_TOPIC)
-    return tags.tags > 0 if isinstance(tags, TagImage) else _NOTHING["drivable"]
+    tags = _result(found, DRIVABLE_TOPIC, TagImage, "drivable")
+    return tags if isinstance(tags, Absent) else tags.tags > 0
 
 
 def _payload(found: Mapping[str, Decoded], topic: str) -> Payload | None:

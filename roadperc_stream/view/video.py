@@ -42,14 +42,11 @@ _FFMPEG_QUIET: Final = -8
 
 @dataclass(frozen=True)
 class Video:
-    """Pictures written at ``rate_hz``, of so many frames of the log, so many of them without image."""
+    """Pictures written at ``rate_hz``, of so many frames of the log."""
 
     pictures: int
     rate_hz: float
     frames: int
-    without_image: int
-    shortened: int
-    """Gaps of the log that lasted longer than a still is shown."""
     problems: Problems
     """Messages that could not be read: they are not in the picture."""
 
@@ -77,22 +74,20 @@ def write_video(
     stamps = _frame_stamps(summary)
     rate_hz = frame_rate_hz(stamps)
     shown = pictures_shown(stamps, rate_hz)
-    frames = without_image = 0
+    frames = 0
     with (
         completing(target, force=force) as temporary,
         _quiet_opencv(),
         _VideoWriter(target, temporary, rate_hz) as video,
     ):
         for picture, times in zip(_shots(summary, problems), shown, strict=True):
-            without_image += picture is None
             video.show(picture, times)
             frames += 1
             progress(frames, len(stamps))
         if not video.pictures:
             why = "".join(f"; {text}" for text in problems.first.values())
             raise LogError(f"{source}: no camera image in any of {frames} frames{why}")
-    still = (later - earlier > _LONGEST_STILL_S * NS_PER_S for earlier, later in pairwise(stamps))
-    return Video(video.pictures, rate_hz, frames, without_image, sum(still), problems)
+    return Video(video.pictures, rate_hz, frames, problems)
 
 
 def _frame_stamps(summary: LogSummary) -> list[int]:

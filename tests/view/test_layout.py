@@ -3,7 +3,7 @@
 import json
 import random
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +15,9 @@ from roadperc_stream.config import load_config
 from roadperc_stream.errors import ChannelError, LogError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, ON_REQUEST, RESULTS, TIMES_TOPIC, result_schemas
-from roadperc_stream.view.layout import curves
 from roadperc_stream.view.layout.arrangement import layout_of, write_layout
 from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
 from roadperc_stream.view.layout.panels import column, panel, row, tabs
@@ -170,12 +169,6 @@ def test_a_path_leads_to_a_field_of_its_message(path):
     assert name in descriptor.fields_by_name
 
 
-def test_every_plotted_metric_is_a_column():
-    columns = {field.name for field in fields(FrameMetrics)}
-    assert {metric for plot in curves.PLOTS.values() for metric in plot.labels} <= columns
-    assert {*curves.STATES, *curves.BOUNDARY_STATES} <= columns
-
-
 def test_the_times_are_shown_only_where_somebody_serves_them():
     times = [path.partition(".")[2] for path in paths_of(laid_out(EVERYTHING)) if path.startswith(TIMES_TOPIC)]
     assert sorted(times) == sorted(TIME_COLUMNS)
@@ -184,40 +177,6 @@ def test_the_times_are_shown_only_where_somebody_serves_them():
     assert laid_out(without.with_times()) == laid_out(EVERYTHING)
     no_stereo = replace(EVERYTHING, results=EVERYTHING.results - {"/perception/stereo/depth"})
     assert f"{TIMES_TOPIC}.stereo_ms" not in paths_of(laid_out(no_stereo))
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_raw_smoothed_and_true_offsets_differ_in_colour_and_style(side):
-    layout = laid_out(EVERYTHING)
-    curves_of_side = layout["configById"][f"Plot!{side}_offset"]["paths"]
-    values = [path["value"].removeprefix(f"{METRICS_TOPIC}.lane_{side}_") for path in curves_of_side]
-    assert values == ["raw_offset_m", "offset_m", "true_offset_m"]
-    assert [path["label"] for path in curves_of_side] == ["raw", "smoothed", "true"]
-    assert len({path["color"] for path in curves_of_side}) == 3
-    assert len({(path["showLine"], path["lineSize"]) for path in curves_of_side}) == 3
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_the_error_stands_beside_the_offset_where_the_truth_is_known(side):
-    offset, error = f"Plot!{side}_offset", f"Plot!{side}_error"
-    layout = laid_out(EVERYTHING)
-    rows = [node for node in nodes(layout) if isinstance(node, dict) and node["direction"] == "row"]
-    assert any((node["first"], node["second"]) == (offset, error) for node in rows)
-    untrue = replace(EVERYTHING, columns=EVERYTHING.columns - {f"lane_{side}_error_m", f"lane_{side}_true_offset_m"})
-    layout = laid_out(untrue)
-    assert error not in layout["configById"]
-    assert [path["label"] for path in layout["configById"][offset]["paths"]] == ["raw", "smoothed"]
-
-
-def nodes(layout):
-    """Every part of the arrangement, those in tabs included."""
-    waiting = [layout["layout"]]
-    waiting += [tab["layout"] for config in panels_of(layout, "Tab").values() for tab in config["tabs"]]
-    while waiting:
-        node = waiting.pop()
-        yield node
-        if isinstance(node, dict):
-            waiting += [node["first"], node["second"]]
 
 
 def test_the_objects_table_says_status_and_filter_in_words():
@@ -236,10 +195,6 @@ def test_a_log_without_results_has_its_detections_in_a_table():
     assert made_topics(layout) == {"/studio_script/detections_table": "/boxes"}
     (script,) = layout["userNodes"].values()
     assert not re.search(r"\b[A-Z]{5,}\b", script["sourceCode"])
-
-
-def test_images_name_no_calibration_which_comes_too_late_for_some_viewers():
-    assert all("calibrationTopic" not in c["imageMode"] for c in panels_of(laid_out(EVERYTHING), "Image").values())
 
 
 def test_the_scene_follows_the_car_only_where_its_frame_is_known():
@@ -288,11 +243,6 @@ def test_a_log_s_layout_names_only_topics_with_messages(replayed, name):
 def log_summary(path):
     summary = log.summarise(path)
     return {c.topic: c.schema_name for c in summary.channels if summary.counts.get(c.source_id)}
-
-
-def test_no_two_of_these_layouts_are_the_same(replayed):
-    layouts = [layout_of(contents_of(replayed / f"{name}.mcap", {})) for name in ("in", "out", "full", "results")]
-    assert len(set(layouts)) == 4
 
 
 def test_metrics_without_a_value_are_not_plotted(replayed):

@@ -12,7 +12,7 @@ _BLUE: Final = "#4e98e2"
 _ORANGE: Final = "#f5774d"
 _GREEN: Final = "#3fae49"
 _PURPLE: Final = "#b07aa1"
-_STAGE_COLOURS: Final = {
+STAGE_COLOURS: Final = {
     "total": "#8c8c8c",
     "decode": _BLUE,
     "surface": _ORANGE,
@@ -142,7 +142,7 @@ def stage_times(columns: Collection[str]) -> Node | None:
     """Milliseconds of those stages whose column is among ``columns``."""
     stages = [(column, column.removesuffix("_ms")) for column in TIME_COLUMNS if column in columns]
     paths = [
-        _path(TIMES_TOPIC, column, stage, color=_STAGE_COLOURS[stage], showLine=True, lineSize=_THIN)
+        _path(TIMES_TOPIC, column, stage, color=STAGE_COLOURS[stage], showLine=True, lineSize=_THIN)
         for column, stage in stages
     ]
     return _plot("times", "Time per stage, ms (live only)", "ms", paths)

@@ -27,6 +27,7 @@ from roadperc_stream.schemas.topics import (
     TIMES_TOPIC,
     TRAJECTORY_TOPIC,
 )
+from roadperc_stream.view.layout.curves import STAGE_COLOURS
 from roadperc_stream.view.rerun.scene import MISSING, STATES
 from roadperc_stream.view.rerun.tree import TREE
 
@@ -63,21 +64,6 @@ _COLOURS: Final = {
     "lane_right_raw_offset_m": (90, 120, 170),
     "nearest_object_m": (255, 170, 0),
     "time_to_impact_s": (255, 80, 80),
-}
-STAGE_COLOURS: Final = {
-    "read": (110, 110, 170),
-    "decode": (150, 150, 150),
-    "surface": (0, 200, 120),
-    "lanes": (255, 220, 60),
-    "objects": (255, 110, 90),
-    "stereo": (60, 150, 255),
-    "odometry": (80, 220, 240),
-    "occupancy": (190, 120, 255),
-    "metrics": (170, 200, 90),
-    "copy": (110, 160, 130),
-    "encode": (255, 150, 220),
-    "write": (180, 120, 90),
-    "total": (240, 240, 240),
 }
 _WIDTHS: Final = (4.0, 2.0, 3.5)
 _SMOOTHED_WIDTH: Final = 2.0
@@ -214,7 +200,7 @@ def _times(log: Log) -> rrb.View:
 
 def _stage_line(stage: str) -> rr.SeriesLines:
     width = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH
-    return rr.SeriesLines(colors=STAGE_COLOURS[stage], widths=width, names=stage)
+    return rr.SeriesLines(colors=int(f"{STAGE_COLOURS[stage][1:]}ff", 16), widths=width, names=stage)
 
 
 def _stages_and_words(log: Log) -> list[rrb.View]:
