@@ -1,12 +1,10 @@
 """The facts of several logs on stdout, as text or JSON."""
 
 import json
-import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -175,16 +173,8 @@ def _fault(found: LogFacts | LogError) -> str:
 
 def _show_json(path: Path, found: LogFacts | LogError) -> None:
     facts = {"log": str(path), "error": str(found)} if isinstance(found, LogError) else asdict(found)
-    print(json.dumps(_finite(facts), allow_nan=False))
-
-
-def _finite(value: Any) -> Any:
-    """A tree with null for numbers that are not finite, which JSON cannot say."""
-    if isinstance(value, dict):
-        return {key: _finite(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    finite = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # JSON has no NaN and no infinity
+    print(json.dumps(finite, allow_nan=False))
 
 
 def _show_text(_: Path, found: LogFacts | LogError) -> None:

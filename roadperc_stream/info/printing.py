@@ -7,6 +7,7 @@ from shlex import quote
 from typing import Final
 
 from rich.console import Console
+from rich.filesize import decimal
 
 from roadperc_stream.info.facts import CameraFacts, ChannelFacts, LogFacts, Provenance, ReplayFacts
 from roadperc_stream.info.role_states import RoleState
@@ -18,15 +19,6 @@ from roadperc_stream.system.text import number, shown
 from roadperc_stream.system.time import ns_to_seconds
 
 _MOST_LISTED: Final = 6
-_KILO: Final = 1000
-
-
-def size(length: int) -> str:
-    """Bytes in the unit in which they have up to three digits."""
-    value, units = float(length), ["bytes", "kB", "MB", "GB"]
-    while value >= _KILO and len(units) > 1:
-        value, units = value / _KILO, units[1:]
-    return f"{length} bytes" if units[0] == "bytes" else f"{value:.1f} {units[0]}"
 
 
 def listed(names: Sequence[str], most: int = _MOST_LISTED) -> str:
@@ -180,9 +172,9 @@ def _file_lines(facts: LogFacts) -> Iterator[str]:
     yield f"{facts.log}: {'whole' if file.whole else 'DAMAGED'}, {_KINDS[facts.kind]}{called}"
     written = f" written by {file.library}" if file.library else ""
     profile = f", profile {file.profile}" if file.profile else ""
-    yield f"{size(file.size_bytes)}{written}{profile}, {_chunks(file.chunks)}"
+    yield f"{decimal(file.size_bytes)}{written}{profile}, {_chunks(file.chunks)}"
     yield f"{number(facts.messages, 'message')} on {number(len(facts.channels), 'channel')}{_span(facts)}"
-    beside = [f"attachment {name} ({size(length)})" for name, length in file.attachments.items()]
+    beside = [f"attachment {name} ({decimal(length)})" for name, length in file.attachments.items()]
     beside += [f"metadata {name}" for name in file.metadata]
     if beside:
         yield listed(beside)

@@ -66,11 +66,10 @@ def roles_of(channels: Sequence[Channel], overrides: Mapping[str, str], probe: C
         assignment = assign_roles(inputs, overrides)
     except ChannelError as error:
         refusal, assignment = str(error), RoleAssignment(_named(inputs, overrides))
-    found = Roles((), assignment, refusal)
     if refusal is None and assignment.reference is None:
         refusal = NOTHING_TO_REPLAY
     could = {**candidates(inputs, assignment.topics, probe), "truth_pose": _poses(inputs, assignment.topics)}
-    states = (_state(role, inputs, found, overrides, could.get(role.name, ())) for role in ROLES.values())
+    states = (_state(role, inputs, assignment, overrides, could.get(role.name, ())) for role in ROLES.values())
     return Roles(tuple(states), assignment, refusal)
 
 
@@ -104,16 +103,20 @@ def _on(topic: str, channels: Sequence[Channel]) -> list[Channel]:
 
 
 def _state(
-    role: Role, inputs: Sequence[Channel], roles: Roles, overrides: Mapping[str, str], could: tuple[str, ...]
+    role: Role,
+    inputs: Sequence[Channel],
+    assignment: RoleAssignment,
+    overrides: Mapping[str, str],
+    could: tuple[str, ...],
 ) -> RoleState:
-    topic = roles.assignment.topics.get(role.name)
+    topic = assignment.topics.get(role.name)
     if topic is not None:
-        return RoleState(role.name, "filled", topic, _choice(role, topic, roles.assignment, overrides))
+        return RoleState(role.name, "filled", topic, _choice(role, topic, assignment, overrides))
     named = overrides.get(role.name, role.topic)
     state, fault = channel_state(role, _on(named, inputs))
     if role.name in overrides and state == "missing":
         fault = "no such topic"
-    cost = _UNNAMED_TRUTH if role.truth and could else _cost(role.name, roles)
+    cost = _UNNAMED_TRUTH if role.truth and could else _cost(role.name, assignment)
     if state == "filled":  # it fits, but the log as a whole is refused before this role has its turn
         state = "missing"
     return RoleState(role.name, state, named if fault else None, fault, could, cost)
@@ -127,13 +130,13 @@ def _choice(role: Role, topic: str, assignment: RoleAssignment, overrides: Mappi
     return "guessed" if role.name in assignment.guessed else "known"
 
 
-def _cost(role: str, roles: Roles) -> str:
+def _cost(role: str, assignment: RoleAssignment) -> str:
     """What a replay does without, given what else is there; empty where that is nothing."""
-    there: Collection[str] = roles.assignment.topics
+    there: Collection[str] = assignment.topics
     if role == "image":
         return "no images: no odometry" if "left" not in there else ""
     if role == "calibration":
-        instead = {"left": "left_calibration", "depth": "depth_calibration"}.get(roles.assignment.reference or "", "")
+        instead = {"left": "left_calibration", "depth": "depth_calibration"}.get(assignment.reference or "", "")
         return "" if instead in there else _COSTS[role]
     if role == "depth":
         return _depth_cost(there)

@@ -15,7 +15,7 @@ from roadperc_stream.log import Channel, LogWriter, Message, MessageDigest, Meta
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
-from tests.info.odd import SECOND_NS, WRITERS, write
+from tests.info.odd import SECOND_NS, write
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
 
@@ -76,15 +76,6 @@ def test_a_huge_gap_and_times_beyond_any_date(tmp_path, capsys):
 def test_a_gap_of_more_than_63_bits(tmp_path):
     found = facts_of(write(tmp_path / "a.mcap", [0, 2**64 - 1], stamps=[1] * 2)).channels[0]
     assert found.longest_gap_s == pytest.approx((2**64 - 1) / 1e9)
-
-
-@pytest.mark.parametrize("options", WRITERS.values(), ids=WRITERS)
-def test_logs_of_other_writers(tmp_path, options):
-    facts = facts_of(write(tmp_path / "a.mcap", list(range(1, 41)), **options))
-    assert (facts.file.whole, facts.messages, facts.kind) == (True, 40, "input")
-    assert ("index" in facts.file.absent) is (
-        options.keys() & {"use_chunking", "index_types", "use_statistics"} != set()
-    )
 
 
 def test_no_messages_and_no_channels(tmp_path, capsys):

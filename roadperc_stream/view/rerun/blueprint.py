@@ -171,14 +171,8 @@ def _numbers(log: Log) -> tuple[rrb.Container | rrb.View | None, ...]:
 
 def _plot(log: Log, title: str, names: tuple[str, ...]) -> rrb.View | None:
     there = [name for name in names if f"{METRICS_TOPIC}/{name}" in log.entities]
-    if not there:
-        return None
-    return rrb.TimeSeriesView(
-        name=title,
-        contents=[f"{METRICS_TOPIC}/{name}" for name in there],
-        overrides={f"{METRICS_TOPIC}/{name}": _line(name) for name in there if name in _COLOURS},
-        plot_legend=rrb.Corner2D.RightTop,
-    )
+    lines = {f"{METRICS_TOPIC}/{name}": _line(name) if name in _COLOURS else None for name in there}
+    return _curves(title, lines) if lines else None
 
 
 def _line(name: str) -> rr.SeriesLines:
@@ -190,17 +184,22 @@ def _line(name: str) -> rr.SeriesLines:
 def _times(log: Log) -> rrb.View:
     """Milliseconds of the stages that ran; the legend lies over the curves, so it is short."""
     there = [stage for stage in STAGE_COLOURS if f"{TIMES_TOPIC}/{stage}_ms" in log.entities]
-    return rrb.TimeSeriesView(
-        name="time per stage, ms",
-        contents=[f"{TIMES_TOPIC}/{stage}_ms" for stage in there],
-        overrides={f"{TIMES_TOPIC}/{stage}_ms": _stage_line(stage) for stage in there},
-        plot_legend=rrb.Corner2D.RightTop,
-    )
+    return _curves("time per stage, ms", {f"{TIMES_TOPIC}/{stage}_ms": _stage_line(stage) for stage in there})
 
 
 def _stage_line(stage: str) -> rr.SeriesLines:
     width = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH
     return rr.SeriesLines(colors=int(f"{STAGE_COLOURS[stage][1:]}ff", 16), widths=width, names=stage)
+
+
+def _curves(title: str, lines: Mapping[str, rr.SeriesLines | None]) -> rrb.View:
+    """Curves over time by entity; those without a line look as the viewer likes."""
+    return rrb.TimeSeriesView(
+        name=title,
+        contents=[*lines],
+        overrides={entity: line for entity, line in lines.items() if line is not None},
+        plot_legend=rrb.Corner2D.RightTop,
+    )
 
 
 def _stages_and_words(log: Log) -> list[rrb.View]:

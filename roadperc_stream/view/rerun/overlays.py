@@ -42,25 +42,19 @@ class LineClass(IntEnum):
     TRUE = 5
 
 
-_BOX_COLOURS: Final = (*(colours.OBJECT[verdict] for verdict in ("kept", "unverified", "dropped")), colours.CYAN, _TRUE)
-_LINE_COLOURS: Final = (
-    *(colours.BOUNDARY[status] for status in ("measured", "held", "lost")),
-    colours.RAW_LINE,
-    colours.PROPOSED_LINE,
-    _TRUE,
+_BOXES: Final = annotation_context(
+    (box.name.lower() for box in BoxClass),
+    (*(colours.OBJECT[verdict] for verdict in ("kept", "unverified", "dropped")), colours.CYAN, _TRUE),
 )
-
-
-def box_context() -> rr.AnnotationContext:
-    """Names and colours of ``BoxClass``."""
-    return annotation_context((c.name.lower() for c in BoxClass), _BOX_COLOURS)
-
-
-def line_context() -> rr.AnnotationContext:
-    """Names and colours of ``LineClass``."""
-    return annotation_context((c.name.lower() for c in LineClass), _LINE_COLOURS)
-
-
+_LINES: Final = annotation_context(
+    (line.name.lower() for line in LineClass),
+    (
+        *(colours.BOUNDARY[status] for status in ("measured", "held", "lost")),
+        colours.RAW_LINE,
+        colours.PROPOSED_LINE,
+        _TRUE,
+    ),
+)
 _KEPT_PX, _DROPPED_PX = 1.5, 0.75
 _CAPTION_MARGIN = (1.25, 1.8)
 """Columns and rows that the viewer's captions take beside those of the text."""
@@ -69,7 +63,7 @@ _CAPTION_MARGIN = (1.25, 1.8)
 def detections(entity: str, _role: str, payload: Sequence[Detection], world: SceneState) -> Iterator[Entry]:
     """What the detector said."""
     texts = [f"{detection.label} {detection.score:.2f}" for detection in payload]
-    yield Entry(entity, box_context())
+    yield Entry(entity, _BOXES)
     boxes = _boxes([d.box_px for d in payload], [BoxClass.DETECTED] * len(payload), texts, shown=True)
     yield Entry(entity, boxes, world.image_frame(world.reference, ""))
 
@@ -79,7 +73,7 @@ def objects(entity: str, role: str, payload: Objects, world: SceneState) -> Iter
     true = role.startswith("truth")
     judged = [(item, BoxClass.TRUE if true else BoxClass[item.verdict.upper()]) for item in payload.objects]
     frame, camera = world.image_frame(world.reference, ""), world.front
-    yield Entry(entity, box_context())
+    yield Entry(entity, _BOXES)
     kept = [(item, box) for item, box in judged if item.kept or true]
     dropped = [(item, box) for item, box in judged if not (item.kept or true)]
     yield Entry(f"{entity}/annotations/dropped", _judged(dropped), frame)
@@ -167,7 +161,7 @@ _PARTS = 20
 
 def lanes(entity: str, role: str, payload: Lanes, world: SceneState) -> Iterator[Entry]:
     """Smoothed, raw and proposed lines in the image, and the boundaries in the ego frame."""
-    yield Entry(entity, line_context())
+    yield Entry(entity, _LINES)
     yield from _on_the_image(f"{entity}/annotations", payload, role, world)
     drawn = [boundary for boundary in payload.boundaries if len(boundary.line_ego_m)]
     strips = rr.LineStrips3D(
