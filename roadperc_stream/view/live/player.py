@@ -1,14 +1,16 @@
 """The player: one thread that sends a log's messages at their time; what viewers ask moves the playhead at once.
 
+Protocol and server are those of the foxglove-sdk: https://docs.foxglove.dev/docs/sdk/websocket-server.
 Log times and clock times are integer nanoseconds; the rate is log seconds per second.
 """
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from threading import Event, Lock
 from typing import Final
 
+import foxglove
 from foxglove.websocket import (
     ChannelView,
     Client,
@@ -18,12 +20,12 @@ from foxglove.websocket import (
     PlaybackStatus,
     ServerListener,
     StatusLevel,
+    WebSocketServer,
 )
 
-from roadperc_stream.log import Message
+from roadperc_stream.log import Channel, Message
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
 from roadperc_stream.view.live import FASTEST, SLOWEST
-from roadperc_stream.view.live.server import Audience
 from roadperc_stream.view.live.source import Reach, Source, held
 
 TICK_S: Final = 0.1
@@ -120,6 +122,41 @@ def _at_the_end(playhead: Playhead, clock_ns: int, loop_ns: int) -> tuple[Playhe
     if wait_ns > 0:
         return playhead, wait_ns / NS_PER_S
     return Playhead(PlaybackStatus.Paused, loop_ns, clock_ns, playhead.rate), LONGEST_WAIT_S
+
+
+class Audience:
+    """The viewers that are connected to a server, and the channels that it offers them."""
+
+    def __init__(self, server: WebSocketServer, context: foxglove.Context, channels: Iterable[Channel]) -> None:
+        self.server, self._context = server, context
+        self._channels = {channel: _advertised(channel, context) for channel in channels}
+
+    def send(self, message: Message) -> None:
+        """Show a message, at its log time."""
+        if message.channel not in self._channels:
+            self._channels[message.channel] = _advertised(message.channel, self._context)
+        self._channels[message.channel].log(message.data, log_time=message.log_time_ns)
+
+    def restart(self) -> None:
+        """Begin a new session, in which viewers forget what was shown, with channels of their own.
+
+        Some viewers forget the schemas too and learn them only from channels that are new.
+        """
+        for advertised in self._channels.values():
+            advertised.close()
+        self.server.clear_session()
+        self._channels = {channel: _advertised(channel, self._context) for channel in self._channels}
+
+
+def _advertised(channel: Channel, context: foxglove.Context) -> foxglove.Channel:
+    schema = foxglove.Schema(name=channel.schema_name, encoding=channel.schema_encoding, data=channel.schema_data)
+    return foxglove.Channel(
+        channel.topic,
+        message_encoding=channel.message_encoding,
+        schema=schema,
+        metadata=dict(channel.metadata),
+        context=context,
+    )
 
 
 class Player(ServerListener):

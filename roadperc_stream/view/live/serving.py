@@ -5,25 +5,35 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from threading import Thread
 from time import monotonic_ns
 from typing import Final
 
+from foxglove import Context, start_server
+from foxglove.websocket import Capability
+
 from roadperc_stream import log
-from roadperc_stream.errors import LogError
+from roadperc_stream.errors import LogError, RoadpercError
 from roadperc_stream.log import LogWriter
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
 from roadperc_stream.view.live import PlaybackOptions
-from roadperc_stream.view.live.player import LONGEST_WAIT_S, Player
-from roadperc_stream.view.live.server import Audience, serving
+from roadperc_stream.view.live.player import LONGEST_WAIT_S, Audience, Player
 from roadperc_stream.view.live.source import Source, finished_log, has_times, running_replay, with_times
 from roadperc_stream.view.result_frames import ReplayTimes, TableTimes
 
+_BACKLOG_MESSAGES: Final = 256
+"""A viewer that is slower than this many messages loses the oldest."""
+_GOODBYE_S: Final = 2.0
 _HOW_TO_CONNECT: Final = (
     "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open"
 )
+
+
+class ServeError(RoadpercError):
+    """A server that cannot start."""
 
 
 def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:
@@ -121,13 +131,36 @@ def playing(
         span_ns: first and last log time there will be.
         options: speed, start, loop and address.
         layout: arguments with which roadperc-view writes a layout for it; None to print nothing.
+
+    Raises:
+        ServeError: the address or the port cannot be had.
     """
-    start_ns, host = source.reach().first_ns + seconds_to_ns(options.start_s), options.host
+    start_ns, host, context = source.reach().first_ns + seconds_to_ns(options.start_s), options.host, Context()
     player = Player(source, monotonic_ns, start_ns=start_ns, rate=options.rate, loop=options.loop)
-    with serving(name, (host, options.port), span_ns, source.channels, player) as audience:
+    try:
+        server = start_server(
+            name=name,
+            host=host,
+            port=options.port,
+            capabilities=[Capability.Time, Capability.PlaybackControl],
+            server_listener=player,
+            context=context,
+            playback_time_range=span_ns,
+            message_backlog_size=_BACKLOG_MESSAGES,
+        )
+    except RuntimeError as error:
+        reason = str(error).removeprefix("FoxgloveError: ")
+        hint = "; --port 0 takes a free port" if "in use" in reason else ""
+        raise ServeError(f"{host}:{options.port}: {reason}{hint}") from error
+    try:
+        audience = Audience(server, context, source.channels)
         if layout is not None:
             with optional_output():
-                print_line(f"serving ws://{f'[{host}]' if ':' in host else host}:{audience.server.port} (Ctrl-C ends)")
+                print_line(f"serving ws://{f'[{host}]' if ':' in host else host}:{server.port} (Ctrl-C ends)")
                 print_line(_HOW_TO_CONNECT)
                 print_line(f"layout, for Layouts > Import from file: roadperc-view {layout}")
         yield player, audience
+    finally:  # wait no longer for viewers to say goodbye than a person does: one that sleeps never will
+        stopping = Thread(target=server.stop, name="stop", daemon=True)
+        stopping.start()
+        stopping.join(_GOODBYE_S)

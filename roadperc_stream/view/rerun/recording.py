@@ -1,6 +1,6 @@
 """A log to a Rerun viewer or into a recording, message by message."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
@@ -29,44 +29,6 @@ from roadperc_stream.view.rerun.drawing import drawers
 from roadperc_stream.view.rerun.tree import Entry, SceneState
 from roadperc_stream.view.rerun.viewer import URL, ending_at_once, saving, start_viewer
 from roadperc_stream.view.result_frames import TableTimes, nothing_shown, require_shown
-
-
-@dataclass(frozen=True)
-class Instant:
-    """All messages of one log time."""
-
-    log_time_ns: int
-    frame: int
-    """Number of the frame it belongs to, from 0; -1 before the first."""
-    messages: tuple[Message, ...]
-
-    @property
-    def has_results(self) -> bool:
-        """Whether a frame's results are among them: each frame has its metrics."""
-        return any(is_result_of(message.channel, METRICS_TOPIC) for message in self.messages)
-
-
-def instants(messages: Iterable[Message], reference: str | None) -> Iterator[Instant]:
-    """Group messages by log time.
-
-    Args:
-        messages: in log-time order.
-        reference: topic of which every message is a frame, where no metrics number it; None where there is none.
-    """
-    frame = -1
-    for log_time_ns, together in groupby(messages, key=lambda message: message.log_time_ns):
-        group = tuple(together)
-        frame = _frame(group, reference, frame)
-        yield Instant(log_time_ns, frame, group)
-
-
-def _frame(group: tuple[Message, ...], reference: str | None, last: int) -> int:
-    """The number that the metrics of these messages say, else the next one where a frame is among them."""
-    for message in (m for m in group if is_result_of(m.channel, METRICS_TOPIC)):
-        with suppress(ProtobufError):  # a damaged one is reported where it would be drawn
-            return int(FrameMetrics.FromString(message.data).frame)
-    return last + any(message.channel.topic == reference for message in group)
-
 
 LOG_TIME, FRAME = "message_log_time", "frame"
 _APPLICATION: Final = "roadperc"
@@ -120,11 +82,11 @@ def save_recording(
     require_free(target, force=force, source=path, suffix=".rrd")
     summary, roles = _opened(path, overrides)
     recording = _recording(path, _LARGE_CHUNKS)
-    with completing(target, force=force) as temporary, saving(recording, temporary) as outlet:
+    with completing(target, force=force) as temporary, saving(recording, temporary) as check:
 
         def keep_up() -> None:
             recording.flush()
-            outlet.check()
+            check()
 
         return _export(recording, summary, roles, progress, keep_up, arrange_early=False)
 
@@ -153,19 +115,17 @@ def _export(
     arrange_early: bool,
 ) -> Exported:
     """Log every message, and arrange what was logged; ``keep_up`` waits until what was logged has arrived."""
-    role = roles.reference or ""
-    reference = roles.topics.get(role)
-    sender = _Sender(recording, summary, roles, SceneState(role))
-    expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == reference)
+    sender = _Sender(recording, summary, roles)
+    expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == sender.reference)
     frames = 0
-    messages = log.read(summary)
-    for count, instant in enumerate(instants(messages, reference), 1):
-        sender.send(instant)
+    instants = groupby(log.read(summary), key=lambda message: message.log_time_ns)
+    for count, (log_time_ns, messages) in enumerate(instants, 1):
+        sender.send(log_time_ns, tuple(messages))
         if count % _MOST_WAITING == 0:
             keep_up()
-        if arrange_early and frames == 1 and instant.frame == 1:  # the first frame is there: it has most of what comes
+        if arrange_early and frames == 1 and sender.frame == 1:  # the first frame is there: it has most of what comes
             recording.send_blueprint(sender.arranged())
-        frames = max(frames, instant.frame + 1)
+        frames = max(frames, sender.frame + 1)
         progress(frames, expected)
     if not sender.has_sent:
         raise nothing_shown(summary.path, sender.problems.first.values())
@@ -174,13 +134,16 @@ def _export(
 
 
 class _Sender:
-    """Sends instants to a recording; what a frame does not have any more is cleared."""
+    """Sends messages to a recording; what a frame does not have any more is cleared."""
 
-    def __init__(
-        self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, world: SceneState
-    ) -> None:
+    def __init__(self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment) -> None:
         self._recording = recording
         self._roles = roles
+        self.reference = roles.topics.get(roles.reference or "")
+        """Topic of which every message is a frame, where no metrics number it; None where there is none."""
+        self.frame = -1
+        """Number of the frame that the last messages belong to, from 0; -1 before the first."""
+        world = SceneState(roles.reference or "")
         self._drawers = drawers(summary.channels, roles, world, TableTimes(sidecar_path(summary.path, "metrics")).of)
         self._contexts: dict[str, rr.AsComponents] = {}
         self._drawn: set[str] = set()
@@ -196,24 +159,33 @@ class _Sender:
         """The blueprint of what has been sent."""
         return blueprint(Log(self._roles.topics, frozenset(self._entities)), LOG_TIME)
 
-    def send(self, instant: Instant) -> None:
-        """Log one instant.
+    def send(self, log_time_ns: int, messages: Sequence[Message]) -> None:
+        """Log all messages of one log time.
 
         Raises:
-            LogError: its time is none that Rerun can show.
+            LogError: the time is none that Rerun can show.
         """
-        if instant.log_time_ns >= END_OF_TIME_NS:
-            raise LogError(f"log time {instant.log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
-        self._recording.set_time(LOG_TIME, timestamp=np.datetime64(instant.log_time_ns, "ns"))
-        self._recording.set_time(FRAME, sequence=max(instant.frame, 0))  # what comes before counts to the first frame
-        entries = list(self._entries(instant))
+        if log_time_ns >= END_OF_TIME_NS:
+            raise LogError(f"log time {log_time_ns} ns: expected less than 2^63, the last one Rerun shows")
+        metrics = [message for message in messages if is_result_of(message.channel, METRICS_TOPIC)]
+        self.frame = self._frame_of(messages, metrics)
+        self._recording.set_time(LOG_TIME, timestamp=np.datetime64(log_time_ns, "ns"))
+        self._recording.set_time(FRAME, sequence=max(self.frame, 0))  # what comes before counts to the first frame
+        entries = list(self._entries(messages))
         for entry in entries:
             self._log(entry)
-        if instant.has_results:
+        if metrics:  # each frame has them
             self._clear({entry.entity for entry in entries if _is_of_a_frame(entry)})
 
-    def _entries(self, instant: Instant) -> Iterator[Entry]:
-        for message in instant.messages:
+    def _frame_of(self, messages: Sequence[Message], metrics: Sequence[Message]) -> int:
+        """The number that the metrics say, else the next one where a frame is among the messages."""
+        for message in metrics:
+            with suppress(ProtobufError):  # a damaged one is reported where it would be drawn
+                return int(FrameMetrics.FromString(message.data).frame)
+        return self.frame + any(message.channel.topic == self.reference for message in messages)
+
+    def _entries(self, messages: Iterable[Message]) -> Iterator[Entry]:
+        for message in messages:
             drawer = self._drawers.get(message.channel)
             topic = message.channel.topic
             try:

@@ -7,7 +7,8 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException
@@ -92,65 +93,44 @@ def _is_viewer() -> bool:
 _PIECE_BYTES: Final = 2**20
 
 
-class Outlet:
-    """Copies what comes out of a pipe into a file."""
-
-    def __init__(self, path: Path) -> None:
-        readable, self._writable = os.pipe()
-        self._path = path
-        self._error: OSError | None = None
-        self._copier = threading.Thread(target=self._copy, args=(FileIO(readable),), name="recording", daemon=True)
-        self._copier.start()
-
-    def open(self, recording: rr.RecordingStream) -> None:
-        """Have a recording written into the pipe; its end is the SDK's alone from here on.
-
-        Raises:
-            OSError: the SDK cannot open it.
-        """
-        try:
-            recording.save(f"/dev/fd/{self._writable}")
-        except RuntimeError as error:  # what the SDK throws
-            raise OSError(str(error)) from error
-        finally:
-            os.close(self._writable)
-
-    def check(self) -> None:
-        """See that all that came out of the pipe so far is in the file.
-
-        Raises:
-            OSError: it is not, as when the disk is full.
-        """
-        if self._error:
-            raise self._error
-
-    def close(self) -> None:
-        """Wait for the end of what comes; the recording is disconnected."""
-        self._copier.join()
-
-    def _copy(self, readable: FileIO) -> None:
-        with readable:
-            try:
-                with self._path.open("wb") as file:
-                    shutil.copyfileobj(readable, file, _PIECE_BYTES)
-            except OSError as error:
-                self._error = error
-            while readable.read(_PIECE_BYTES):
-                pass  # the SDK goes on writing until it is disconnected, which needs an empty pipe
-
-
 @contextmanager
-def saving(recording: rr.RecordingStream, path: Path) -> Iterator[Outlet]:
-    """Save a recording to a file, which is whole where the block and this end without an error.
+def saving(recording: rr.RecordingStream, path: Path) -> Iterator[Callable[[], None]]:
+    """Save a recording through a pipe to a file, which is whole where the block and this end without an error.
+
+    Yields:
+        A check that all that came out of the pipe so far is in the file; it raises as this does.
 
     Raises:
-        OSError: the file cannot be written whole.
+        OSError: the SDK cannot open the pipe, or the file cannot be written whole, as when the disk is full.
     """
-    outlet = Outlet(path)
+    readable, writable = os.pipe()
+    with FileIO(readable) as pipe, ThreadPoolExecutor(1, "recording") as thread:
+        copied = thread.submit(_copy, pipe, path)
+        thread.submit(_drain, pipe)
+        try:
+            _open(recording, writable)
+            yield lambda: copied.result() if copied.done() else None
+        finally:
+            recording.disconnect()
+    copied.result()
+
+
+def _open(recording: rr.RecordingStream, writable: int) -> None:
+    """Have a recording written into the pipe; its end is the SDK's alone from here on."""
     try:
-        outlet.open(recording)
-        yield outlet
+        recording.save(f"/dev/fd/{writable}")
+    except RuntimeError as error:  # what the SDK throws
+        raise OSError(str(error)) from error
     finally:
-        recording.disconnect()
-        outlet.close()
-    outlet.check()
+        os.close(writable)
+
+
+def _copy(pipe: FileIO, path: Path) -> None:
+    with path.open("wb") as file:
+        shutil.copyfileobj(pipe, file, _PIECE_BYTES)
+
+
+def _drain(pipe: FileIO) -> None:
+    """Read what a failed copy leaves: the SDK writes until it is disconnected, which needs an empty pipe."""
+    while pipe.read(_PIECE_BYTES):
+        pass

@@ -20,10 +20,10 @@ def log(recording, values):
 
 def test_what_comes_through_the_pipe_is_a_whole_recording(recording, tmp_path):
     target = tmp_path / "out.rrd"
-    with saving(recording, target) as outlet:
+    with saving(recording, target) as check:
         log(recording, 500)
         recording.flush()
-        outlet.check()
+        check()
     assert recorded(target)["/value"].column("TextLog:text") == [[f"{k:04} " * 100] for k in range(500)]
     assert b"FOOT" in target.read_bytes()[-16:]  # the table of contents, without which a viewer must read all of it
 
@@ -40,11 +40,11 @@ def test_an_error_of_the_block_ends_the_pipe_too(recording, tmp_path):
 
 
 def save_for_ever(recording, target):
-    with saving(recording, target) as outlet:
+    with saving(recording, target) as check:
         while True:
             log(recording, 100)
             recording.flush()
-            outlet.check()
+            check()
 
 
 def test_a_file_that_cannot_be_written_is_told_while_it_goes_on(recording, tmp_path):
