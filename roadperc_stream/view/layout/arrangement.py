@@ -92,7 +92,7 @@ def layout_of(has: LogContents) -> str:
     right = column(_scene(has), _numbers(has, table), first_percent=46)
     root = row(left, right, first_percent=46)
     layout: Config = {
-        "configById": dict(sorted(root.configs.items())) if root else {},
+        "configById": dict(root.configs) if root else {},
         "globalVariables": {},
         "userNodes": {script["name"]: script} if script else {},
         "playbackConfig": {"speed": 1},

@@ -174,9 +174,8 @@ class Player(ServerListener):
         start_ns: int,
         rate: float = 1.0,
         loop: bool = False,
-        asked: Event | None = None,
     ) -> None:
-        self._source, self._clock_ns, self._asked = source, clock_ns, asked or Event()
+        self._source, self._clock_ns, self._asked = source, clock_ns, Event()
         self._loop_ns = start_ns if loop else None
         self._lock = Lock()
         """Guards what viewers change: the five below."""

@@ -129,7 +129,8 @@ class Script:
         self.asked[self.clock_ns / S + 0.1] = self.watching
 
     def run(self, start_s=0.0, **options):
-        self.player = Player(self, self.now, start_ns=round(start_s * S), asked=self, **options)
+        self.player = Player(self, self.now, start_ns=round(start_s * S), **options)
+        self.player._asked = self
         self.player.run(self)
         return self
 
