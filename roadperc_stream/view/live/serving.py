@@ -123,7 +123,7 @@ class LiveReplay(ExitStack):
 def playing(
     source: Source, name: str, span_ns: tuple[int, int], options: PlaybackOptions, layout: str | None
 ) -> Iterator[tuple[Player, Audience]]:
-    """A player that is served under an address, and those who watch it; the caller runs it for them.
+    """A player that is served under an address, and its audience; the caller runs the player.
 
     Args:
         source: what to play.
