@@ -3,31 +3,71 @@
 CI draws 2000; for as many as one likes: make fuzz N=20000.
 """
 
-import os
+import re
+import subprocess
+import sys
 
-import pytest
-
-from tests.fuzz.__main__ import main
 from tests.fuzz.cases import recorded
-from tests.fuzz.pool import Order, run
+from tests.fuzz.judge import ROOT
 
 DRAWN = 200
-JOBS = min(os.cpu_count() or 1, 4)
 
 
-@pytest.fixture(scope="module")
-def corpus():
-    """The faults of every entry, by name."""
-    return {order.case: verdict.faults for order, verdict in run([Order(name) for name in recorded()], JOBS)}
+def fuzz(*words):
+    words = [sys.executable, "-m", "tests.fuzz", *map(str, words)]
+    return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("name", recorded())
-def test_what_was_found_once_is_answered(corpus, name):
-    assert corpus[name] == []
+def test_the_corpus_and_what_is_drawn_are_answered():
+    done = fuzz("--count", DRAWN)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"\n{len(recorded()) + DRAWN} cases in " in f"\n{done.stdout}"
+    assert int(re.search(r"^results (\d+)", done.stdout, re.MULTILINE)[1]) > DRAWN / 4
 
 
-def test_what_is_drawn_is_answered(capsys):
-    code = main(["--count", str(DRAWN), "--jobs", str(JOBS), "--drawn", "--quick"])
-    said = capsys.readouterr().out
-    assert code == 0, said
-    assert f"\n{DRAWN} cases in " in f"\n{said}"
+def test_a_case_is_repeated_by_its_name_and_a_case_that_cannot_be_made_is_the_fuzzers_fault(tmp_path):
+    broken = tmp_path / "broken.json"
+    broken.write_text('{"family": "log", "base": "no such drive"}')
+    done = fuzz("--case", broken, "--case", "quaternion-of-1e308-in-trajectory", "--jobs", 1)
+    assert done.returncode == 1, done.stderr
+    assert "broken.json: ?: None" in done.stdout
+    assert "its own fault: KeyError: 'no such drive' in cases.py:_log" in done.stdout
+    assert "\nquaternion-of-1e308-in-trajectory: roadperc-trajectory out.metrics.parquet: 1" in done.stdout
+    assert "\n2 cases in " in done.stdout
+    assert "\nFAULT: 1 fuzzer: its own fault: KeyError: Q" in done.stdout
+
+
+FORKED = """
+import os, signal, sys, time
+from pathlib import Path
+from tests.fuzz import trying
+from tests.fuzz.cases import Case
+
+def prepared(case, folder):
+    if case.name == "never made": os.kill(os.getpid(), signal.SIGALRM)
+    return ["info", case.name], {}
+
+def info():
+    name = sys.argv[1]
+    if name == "busy":
+        while True: pass
+    if name == "asleep": time.sleep(60)
+    if name == "killed": os.kill(os.getpid(), 9)
+    if name == "large": bytearray(2**29); bytearray(2**31)
+    return 0
+
+trying.prepared, trying.launch.info, trying.CPU_S, trying.WALL_S = prepared, info, 1, 4
+names = ["a", "busy", "killed", "asleep", "never made", "large", "b"]
+found = {o.case.name: v.faults for o, v in trying.run([trying.Order(Case(name)) for name in names], 2)}
+print(found)
+"""
+
+
+def test_cases_are_bounded_and_the_others_go_on():
+    done = subprocess.run([sys.executable, "-c", FORKED], cwd=ROOT, capture_output=True, text=True, check=False)
+    found = eval(done.stdout)
+    assert found.pop("large")[0].startswith("traceback: MemoryError")
+    assert found == {
+        "a": [], "b": [], "busy": ["hang: more than 1 s"], "asleep": ["hang: more than 1 s"],
+        "killed": ["died: the process ended with -9"], "never made": ["its own fault: hang: more than 1 s"],
+    }, done.stderr  # fmt: skip

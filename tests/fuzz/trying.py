@@ -1,41 +1,58 @@
-"""A case tried: its commands run, in this process or as processes of their own, and what they did judged.
+"""A case tried in a forked process, so that no case pays for what all import; the system bounds its time and memory.
 
 The logs that are written have a second reader, MCAP's own TypeScript one where Node has it: it is looked for as
 ``mcap-validate/validate.mjs`` in the folder ``tools`` beside the recordings.
 """
 
 import contextlib
+import importlib
 import json
 import os
+import pkgutil
+import re
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from functools import cache, partial
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
+import cv2
+
+import roadperc_stream
 from roadperc_stream.cli import launch
 from tests import commands
 from tests.conftest import DEFAULT_DATA
-from tests.fuzz import bounds
+from tests.fuzz import contents
 from tests.fuzz.cases import Case, prepared
-from tests.fuzz.judge import Ran, crash_of, faults, kind_of_message
+from tests.fuzz.judge import FUZZER, Ran, crash_line, crash_of, faults, kind_of_message
 
-SECONDS = 10.0
+CPU_S = 10
 """Of the processor, for a command."""
-STARTING_S = 5.0
-"""Of it, until a process has imported its libraries."""
-WAITING_S = 120.0
-"""Of the day, for a command that does nothing, or on a machine that does all else."""
+WALL_S = 120
+"""For a case that does nothing, or on a machine that does all else."""
+MOST_GROWTH_BYTES = 2**30 + 2**28
+"""A gigabyte, and what libraries set aside for their threads when they first run."""
 EVERY_AGAIN = 8
-"""Of so many replays one is repeated: it must give the same bytes."""
-Runner = Callable[[list[str], Path], Ran]
+"""One replay in so many is repeated: it must give the same bytes."""
+VALIDATOR_S = 60
+
+
+@dataclass(frozen=True)
+class Order:
+    """A case to try; its commands are processes of their own where ``whole`` is set."""
+
+    case: Case
+    whole: bool = False
 
 
 @dataclass
@@ -43,174 +60,188 @@ class Verdict:
     """What came of a case."""
 
     command: str
-    codes: list[int | None]
-    message: str
+    code: int | None = None
+    message: str = ""
     """What stderr said, without the names and numbers of the case."""
-    faults: list[str]
-    recipe: dict[str, Any]
-    line: str
+    faults: list[str] = field(default_factory=list)
+    recipe: dict[str, Any] = field(default_factory=dict)
+    line: str = "?"
     """The command line, for a person."""
-    grown_bytes: int = 0
     seconds: float = 0.0
-    wrote: list[str] = field(default_factory=list)
 
 
-def without_answer(command: str, fault: str) -> Verdict:
-    """Of a case that came to no end."""
-    return Verdict(command, [None], "", [fault], {}, "?")
+def import_commands() -> None:
+    """Import what the commands import, and make the sound inputs, before any process is forked."""
+    for module in pkgutil.walk_packages(roadperc_stream.__path__, "roadperc_stream."):
+        importlib.import_module(module.name)
+    for make in contents.BASES.values():
+        make()
 
 
-def tried(case: Case, started: Callable[[], None], limit_bytes: int | None = None) -> Verdict:
-    """Run a case in a folder of its own.
+def run(orders: Iterable[Order], jobs: int) -> Iterator[tuple[Order, Verdict]]:
+    """Try cases in so many processes; the verdicts come as they are found."""
+    waiting = deque(enumerate(orders))
+    running: dict[int, tuple[Order, Path]] = {}
+    with TemporaryDirectory(prefix="fuzz-") as scratch:
+        try:
+            while waiting or running:
+                while waiting and len(running) < jobs:
+                    number, order = waiting.popleft()
+                    folder = Path(scratch, str(number))
+                    folder.mkdir()
+                    running[_forked(order, folder)] = order, folder
+                pid, status = os.wait()
+                _end_group(pid)  # what the commands started and left
+                order, folder = running.pop(pid)
+                yield order, _verdict(folder, os.waitstatus_to_exitcode(status))
+                shutil.rmtree(folder)
+        finally:
+            for pid in running:
+                _end_group(pid)
 
-    Args:
-        case: the case.
-        started: called before each command.
-        limit_bytes: of address space, for commands as processes of their own; None runs them in this one.
-    """
-    run: Runner = in_process if limit_bytes is None else partial(as_process, limit_bytes=limit_bytes)
-    with TemporaryDirectory(prefix="fuzz-") as name, contextlib.chdir(name):
-        folder = Path(name)
-        words, recipe = prepared(case, folder)
-        bounds.watch_opencv()
-        before = bounds.memory()["VmRSS"]
-        bounds.forget_peak()
-        began = time.monotonic()
-        runs = list(_runs(words, folder, run, started, sum(case.name.encode()) % EVERY_AGAIN == 0))
-        found = [fault for _, faults_found in runs for fault in faults_found]
-        found += bounds.refused()
-        if limit_bytes is not None:
-            found += [fault for name in _logs(runs[0][0]) for fault in damages(folder / name)]
-        first = runs[0][0]
-        return Verdict(
-            words[0], [ran.code for ran, _ in runs], kind_of_message(_last_line(first.err)), found, recipe,
-            " ".join(["roadperc-" + words[0], *words[1:]]), max(bounds.memory()["VmHWM"] - before, 0),
-            time.monotonic() - began, list(first.appeared),
-        )  # fmt: skip
+
+def _end_group(pid: int) -> None:
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(pid, signal.SIGKILL)
+
+
+def _verdict(folder: Path, code: int) -> Verdict:
+    """What the process left in its folder, or what is known of one that was killed."""
+    with contextlib.suppress(OSError, ValueError):
+        return Verdict(**json.loads((folder / "verdict").read_text()))
+    late = -code in (signal.SIGXCPU, signal.SIGALRM)
+    fault = f"hang: more than {CPU_S} s" if late else f"died: the process ended with {code}"
+    if not (folder / "made").exists():
+        return Verdict("fuzzer", faults=[f"its own fault: {fault}"])
+    words, recipe = json.loads((folder / "made").read_text())
+    return Verdict(words[0], faults=[fault], recipe=recipe, line=" ".join(words))
+
+
+def _forked(order: Order, folder: Path) -> int:
+    pid = os.fork()
+    if pid:
+        with contextlib.suppress(PermissionError):  # it has done so itself
+            os.setpgid(pid, pid)
+        return pid
+    os.setpgid(0, 0)
+    try:
+        verdict = tried(order, folder)
+    except BaseException as error:  # a fault of the fuzzer itself: it is reported as one, and the next case follows
+        verdict = Verdict("fuzzer", faults=[f"its own fault: {crash_line(crash_of(error), FUZZER)}"])
+    (folder / "verdict").write_text(json.dumps(asdict(verdict)))
+    os._exit(0)
+
+
+def tried(order: Order, folder: Path) -> Verdict:
+    """Make a case in a folder of its own and run its commands there. Changes the limits of this process."""
+    work = folder / "work"
+    work.mkdir()
+    os.chdir(work)
+    signal.alarm(WALL_S)
+    words, recipe = prepared(order.case, work)
+    (folder / "made").write_text(json.dumps([words, recipe]))
+    _limit_memory()
+    refused: list[str] = []
+    cv2.redirectError(lambda status, _f, message, *_: refused.append(message) if status == cv2.Error.StsNoMem else None)
+    began, again = time.monotonic(), sum(order.case.name.encode()) % EVERY_AGAIN == 0
+    first, found = _judged(words, _as_process if order.whole else _in_process, again)
+    found += [f"memory: OpenCV: {refused[0]}"] if refused else []
+    if order.whole:
+        found += [fault for name in _logs(first) for fault in damages(work / name)]
+    line = " ".join(["roadperc-" + words[0], *words[1:]])
+    message = kind_of_message(_last_line(first.err))
+    return Verdict(words[0], first.code, message, found, recipe, line, time.monotonic() - began)
+
+
+def _limit_memory() -> None:
+    """Of what can be written: polars and Rerun reserve more address space than they ever use."""
+    (kilobytes,) = re.findall(r"^VmData:\s+(\d+) kB$", Path("/proc/self/status").read_text("ascii"), re.MULTILINE)
+    resource.setrlimit(resource.RLIMIT_DATA, (1024 * int(kilobytes) + MOST_GROWTH_BYTES, resource.RLIM_INFINITY))
+
+
+def _lift_limit() -> None:
+    resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+
+
+def _limit_time() -> None:
+    """Allow a command its seconds beyond those that this process has used; other processes begin at none."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    most_s = int(used.ru_utime + used.ru_stime) + 1 + CPU_S
+    resource.setrlimit(resource.RLIMIT_CPU, (most_s, resource.RLIM_INFINITY))
+
+
+def _judged(words: list[str], run_command: Callable[[list[str]], Ran], again: bool) -> tuple[Ran, list[str]]:
+    """Run the command, roadperc-info on every log it wrote, and perhaps the same replay once more."""
+    first = run_command(words)
+    found = faults(first)
+    for name in _logs(first):
+        told = run_command(["info", name])
+        reason = kind_of_message(_last_line(told.err))
+        found += faults(told) or ([f"{name} is not whole: {reason}"] if told.code else [])
+        if again and words[0] == "replay":
+            before = Path(name).read_bytes()
+            repeated = run_command([*words, "--force"])
+            if repeated.code or Path(name).read_bytes() != before:
+                found.append("the same replay again gives other bytes")
+    return first, found
 
 
 def _last_line(data: bytes) -> str:
     return next((line for line in reversed(data.decode("utf-8", "replace").splitlines()) if line.strip()), "")
 
 
-def _runs(
-    words: list[str], folder: Path, run: Runner, started: Callable[[], None], again: bool
-) -> Iterator[tuple[Ran, list[str]]]:
-    """The command, then roadperc-info on every log it wrote, then a replay once more."""
-    started()
-    ran = run(words, folder)
-    yield ran, faults(ran)
-    for name in _logs(ran):
-        started()
-        told = run(["info", name], folder)
-        reason = kind_of_message(_last_line(told.err))
-        yield told, faults(told) or ([f"{name} is not whole: {reason}"] if told.code else [])
-    if again and words[0] == "replay" and ran.code == 0 and _logs(ran):
-        started()
-        (name,) = _logs(ran)
-        first = (folder / name).read_bytes()
-        repeated = run([*words, "--force"], folder)
-        same = repeated.code == 0 and (folder / name).read_bytes() == first
-        yield repeated, [] if same else ["the same replay again gives other bytes"]
-
-
 def _logs(ran: Ran) -> list[str]:
     return [name for name in ran.appeared if name.endswith(".mcap") and "/" not in name] if ran.code == 0 else []
 
 
-def in_process(words: list[str], folder: Path) -> Ran:
+def _in_process(words: list[str]) -> Ran:
     """Run a command by what its console script calls; what its C libraries print is caught as well."""
-    there = _files(folder)
-    crash, code = "", None
-    with _diverted() as printed:
+    _limit_time()
+    there, crash, code = _files(), "", None
+    printed = [Path("..", name) for name in ("stdout", "stderr")]
+    for number, path in enumerate(printed, 1):
+        opened = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
+        os.dup2(opened, number)
+        os.close(opened)
+    sys.stdout, sys.stderr = (open(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))  # noqa: SIM115
+    sys.argv = [f"roadperc-{words[0]}", *words[1:]]
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        for unseen in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
+            warnings.simplefilter("ignore", unseen)
         try:
-            sys.argv = [f"roadperc-{words[0]}", *words[1:]]
             with patch.object(launch, "_is_limited", return_value=False):  # a fork would have none of polars' threads
                 code = getattr(launch, words[0])()
         except BaseException as error:  # also what Rust throws, which is no Exception
             crash = crash_of(error)
-    out, err = printed
-    return Ran(tuple(words), code, bytes(out), bytes(err), crash, _appeared(there, folder))
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    return Ran(tuple(words), code, printed[0].read_bytes(), printed[1].read_bytes(), crash, _appeared(there))
 
 
-@contextlib.contextmanager
-def _diverted() -> Iterator[tuple[bytearray, bytearray]]:
-    """Lets stdout and stderr go to files, on the level of the system, and gives what they hold at the end."""
-    printed = bytearray(), bytearray()
-    names = [f"{os.getpid()}.{number}" for number in (1, 2)]
-    with TemporaryDirectory(prefix="fuzz-printed-") as folder, warnings.catch_warnings():
-        warnings.simplefilter("always")
-        for unseen in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
-            warnings.simplefilter("ignore", unseen)
-        kept = [os.dup(number) for number in (1, 2)]
-        streams = sys.stdout, sys.stderr
-        try:
-            for number, name in zip((1, 2), names, strict=True):
-                opened = os.open(Path(folder, name), os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-                os.dup2(opened, number)
-                os.close(opened)
-            sys.stdout, sys.stderr = (os.fdopen(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))
-            yield printed
-        finally:
-            for stream in (sys.stdout, sys.stderr):
-                with contextlib.suppress(OSError, ValueError):
-                    stream.flush()
-            sys.stdout, sys.stderr = streams
-            for number, before in zip((1, 2), kept, strict=True):
-                os.dup2(before, number)
-                os.close(before)
-            for target, name in zip(printed, names, strict=True):
-                target.extend(Path(folder, name).read_bytes())
-
-
-def as_process(words: list[str], folder: Path, limit_bytes: int) -> Ran:
-    """Run a command as a user does, without this environment, and within the limits."""
-    there = _files(folder)
+def _as_process(words: list[str]) -> Ran:
+    """Run a command as a user does, without this environment; it inherits the limits."""
+    _limit_time()
+    there = _files()
     variables = {name: os.environ[name] for name in ("HOME", "PATH") if name in os.environ}
     done = subprocess.run(
-        commands.words(f"roadperc-{words[0]}", *words[1:]), cwd=folder, capture_output=True, check=False,
+        commands.words(f"roadperc-{words[0]}", *words[1:]), capture_output=True, check=False,
         env=variables | {"PYTHONPATH": os.pathsep.join(sys.path), "MALLOC_ARENA_MAX": "2"},
-        preexec_fn=partial(bounds.limit_process, limit_bytes, int(SECONDS + STARTING_S)),
     )  # fmt: skip
-    return Ran(tuple(words), done.returncode, done.stdout, done.stderr, "", _appeared(there, folder))
+    return Ran(tuple(words), done.returncode, done.stdout, done.stderr, "", _appeared(there))
 
 
-def _files(folder: Path) -> set[str]:
-    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
+def _files() -> set[str]:
+    return {str(path) for path in Path().rglob("*") if path.is_symlink() or not path.is_dir()}
 
 
-def _appeared(there: set[str], folder: Path) -> tuple[str, ...]:
-    return tuple(sorted(_files(folder) - there))
-
-
-WARMING = (
-    "replay in.mcap out.mcap", "info out.mcap", "view out.mcap --save out.rrd", "view out.mcap --video out.mp4",
-    "view out.mcap --foxglove-layout out.json", "report out.mcap --html out.html", "compare out.mcap out.mcap",
-    "trajectory out.mcap", "lanes out.mcap --tusimple lanes.json", "sweep in.mcap --vary seed=1,2 --jobs 1",
-    "convert dump dump.mcap",
-)  # fmt: skip
-
-
-def warm_up(source: bytes, write_dump: Callable[[Path], None]) -> None:
-    """Import what the commands import, so that no case pays for it in time or memory.
-
-    Raises:
-        RuntimeError: a command fails without any fault in its input.
-    """
-    with TemporaryDirectory(prefix="fuzz-") as name, contextlib.chdir(name):
-        Path("in.mcap").write_bytes(source)
-        write_dump(Path("dump"))
-        for line in WARMING:
-            ran = in_process(line.split(), Path(name))
-            if ran.code and ran.words[0] != "trajectory":  # in pictures this small odometry finds nothing
-                raise RuntimeError(f"{line}: {ran.err.decode()}")
-
-
-PATIENCE_S = 60
+def _appeared(there: set[str]) -> tuple[str, ...]:
+    return tuple(sorted(_files() - there))
 
 
 @cache
-def program() -> Path | None:
+def _validator() -> Path | None:
     """The validator; None where it, its libraries or Node are missing."""
     data = Path(os.environ.get("ROADPERC_DATA", DEFAULT_DATA))
     path = data.parent / "tools" / "mcap-validate" / "validate.mjs"
@@ -220,12 +251,12 @@ def program() -> Path | None:
 
 def damages(log: Path) -> list[str]:
     """What the validator finds wrong with a log; what stands in the input's messages, which are copied, is not."""
-    path = program()
+    path = _validator()
     if path is None:
         return []
     done = subprocess.run(
-        ["node", path, "--json", log], capture_output=True, check=False, timeout=PATIENCE_S,
-        preexec_fn=bounds.lift_limit,  # Node alone takes ten gigabytes of address space
+        ["node", path, "--json", log], capture_output=True, check=False, timeout=VALIDATOR_S,
+        preexec_fn=_lift_limit,  # Node alone takes more
     )  # fmt: skip
     try:
         found = json.loads(done.stdout)

@@ -111,9 +111,9 @@ def test_what_can_be_salvaged_is_bounded_too(tmp_path):
     bomb = inputs.chunk(zeros_as_zstd(HUGE), "zstd", size=HUGE)
     path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 1, b"{}"), bomb, inputs.message(1, 2, b"{}")))
     salvage = Salvage(path)
-    started = time.monotonic()
+    started = time.process_time()
     assert [m.log_time_ns for m in salvage.messages()] == [1, 2]
-    assert time.monotonic() - started < 5
+    assert time.process_time() - started < 5
     assert "limits.chunk_mb" in salvage.damages[0].words
 
 

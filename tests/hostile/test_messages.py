@@ -85,13 +85,13 @@ def test_a_calibration_is_held_against_the_limit(tmp_path):
 def test_texts_that_are_compressed_in_an_image_cost_that_image():
     zeros = zlib.compress(bytes(100_000_000), 9)
     extra = ([b"iCCP", b"x\0\0" + zeros], [b"zTXt", b"c\0\0" + zeros])
-    started = time.monotonic()
+    started = time.process_time()
     for decoder in (images.decode_bgr, images.decode_indices, images.image_size):
         try:
             decoder(inputs.png(32, 24, mode=0, extra=extra))
         except DecodeError:
             continue
-    assert time.monotonic() - started < 5
+    assert time.process_time() - started < 5
 
 
 @pytest.mark.parametrize(
@@ -140,11 +140,11 @@ def test_a_long_chain_of_transforms_is_cut_where_the_tree_is_full():
     """One edge a message: the tree grows until the limit, and what is beyond is reported once."""
     edges = [Transform(f"f{k}", f"f{k + 1}", np.eye(4)) for k in range(20_000)]
     items = (Stamped("tf", k, k, (edge,)) for k, edge in enumerate(edges))
-    problems, started = Problems(), time.monotonic()
+    problems, started = Problems(), time.process_time()
     kept = list(without_loops(items, LatchedState(), {"tf": "/tf"}, problems, LimitsConfig(transforms=300)))
     assert len(kept) == 300
     assert "1 transforms to more frames than limits.transforms 300: left out" in problems.first["/tf, in part"]
-    assert time.monotonic() - started < 10
+    assert time.process_time() - started < 10
 
 
 def test_edges_that_are_known_are_still_replaced_in_a_full_tree():
@@ -160,8 +160,9 @@ def test_many_detections_take_a_time_that_grows_with_their_number(tmp_path):
     source = logs.write(
         tmp_path / "in.mcap", replaced("detections", encoding.encode_detections(STAMP, "camera", boxes), frames=1)
     )
-    summary = replay(source, tmp_path / "out.mcap", load_config(None, ("tag_table=0.9.13",)))
-    assert (summary.frames, summary.seconds < 15) == (1, True)
+    started = time.process_time()
+    assert replay(source, tmp_path / "out.mcap", load_config(None, ("tag_table=0.9.13",))).frames == 1
+    assert time.process_time() - started < 15
 
 
 @pytest.mark.parametrize(
