@@ -79,9 +79,8 @@ bench-compare: $(VENV)/.installed  # what is slower than at a commit: make bench
 	@test -n "$(BASE)" || { echo "make bench-compare BASE=<commit>"; exit 2; }
 	$(BIN)/python -m roadperc_stream.tools.bench.compare $(BENCH) $(BASE) $(BENCH_OPTIONS)
 
-bench-report: $(VENV)/.installed  # writes 10 GB; the bare group-by wants 8 GB of memory
+bench-report: $(VENV)/.installed  # writes 5 GB; the bare group-by wants 8 GB of memory
 	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report
-	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report --dataset --files 5000 --rows 2000
 
 ENGINE ?= docker
 IMAGE ?= roadperc

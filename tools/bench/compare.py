@@ -14,6 +14,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Final, Literal
@@ -25,10 +26,9 @@ from roadperc_stream.errors import RegressionError
 from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import print_line
 
-from .figures import LOGS, BenchJob, Series, measured, noise
+from .figures import LOGS, Measure, Series, measured, noise, print_tables
 from .inputs import BenchLog, add_input_arguments, logs_of
-from .printing import print_tables
-from .replays import Installation, installed, replay_job
+from .replays import installed, replay_cost
 
 Verdict = Literal["slower", "faster", "no difference shown"]
 
@@ -119,9 +119,7 @@ def main(argv: list[str] | None = None) -> int:
         "--logs", type=_logs, default=("png", "stereo"), metavar="NAMES", help="some of png,jpeg,stereo,truth"
     )
     parser.add_argument("--rounds", type=whole_number, default=10, metavar="N", help="runs of each; 8 or more (10)")
-    parser.add_argument(
-        "--threads", type=whole_number, default=1, metavar="N", help="of both, where they can be told (1)"
-    )
+    parser.add_argument("--threads", type=whole_number, default=1, metavar="N", help="of both (1)")
     parser.add_argument("--share", type=float, default=0.03, help="by which something must be slower (0.03)")
     parser.add_argument("--confidence", type=float, default=0.99, help="of the intervals (0.99)")
     arguments = parser.parse_args(argv)
@@ -138,9 +136,8 @@ def _logs(text: str) -> tuple[str, ...]:
 def _compare(arguments: argparse.Namespace) -> None:
     logs = [log for name, log in logs_of(arguments).items() if name in arguments.logs]
     print_line(f"installing {arguments.base}")
-    with installed(arguments.base) as python:
-        versions = {BASE: Installation.of(python), NEW: Installation.of(Path(sys.executable))}
-        series = measured(_jobs(arguments.folder, logs, versions, arguments.threads), arguments.rounds)
+    with installed(arguments.base) as package:
+        series = measured(_jobs(arguments.folder, logs, package, arguments.threads), arguments.rounds)
     rows = [row for log in logs for row in compared(series, log.name, arguments.share, arguments.confidence)]
     print_tables([_table(log.name, [item for item in rows if item.log == log.name]) for log in logs])
     print_line(f"noise of the control: {noise(series):.0%}")
@@ -149,13 +146,15 @@ def _compare(arguments: argparse.Namespace) -> None:
     require_no_slower(rows, arguments.base, arguments.share)
 
 
-def _jobs(folder: Path, logs: list[BenchLog], versions: dict[str, Installation], threads: int) -> list[BenchJob]:
+def _jobs(folder: Path, logs: list[BenchLog], base: Path, threads: int) -> dict[str, Measure]:
     """Both versions of a log one after the other."""
-    return [
-        replay_job(f"{version} {log.name}", installation, log, folder / f"compared-{version}.mcap", threads)
+    return {
+        (job := f"{version} {log.name}"): partial(
+            replay_cost, job, log, folder / f"compared-{version}.mcap", threads, package
+        )
         for log in logs
-        for version, installation in versions.items()
-    ]
+        for version, package in ((BASE, base), (NEW, None))
+    }
 
 
 def compared(series: Series, log: str, share: float, confidence: float) -> list[Compared]:
@@ -189,21 +188,15 @@ def require_no_slower(rows: list[Compared], base: str, share: float) -> None:
 
 
 def _table(log: str, rows: list[Compared]) -> TextTable:
-    lines = (
-        row(item.name, *map(_text, (item.base, item.new)), *_ratio_cells(item.ratio), item.verdict or "")
-        for item in rows
-    )
-    return TextTable(
-        f"{log}, ms a frame", ("base", "new", "new / base", "from", "to", ""), tuple(lines), last_is_text=True
-    )
+    def text(value: float | None, layout: str = "{:.3f}") -> str:
+        return "" if value is None else layout.format(value)
 
-
-def _text(value: float | None) -> str:
-    return "" if value is None else f"{value:.2f}"
-
-
-def _ratio_cells(ratio: Ratio | None) -> tuple[str, str, str]:
-    return ("", "", "") if ratio is None else (f"{ratio.middle:.3f}", f"{ratio.low:.3f}", f"{ratio.high:.3f}")
+    lines = []
+    for item in rows:
+        ratio = (None, None, None) if item.ratio is None else (item.ratio.middle, item.ratio.low, item.ratio.high)
+        times = (text(item.base, "{:.2f}"), text(item.new, "{:.2f}"))
+        lines.append(row(item.name, *times, *map(text, ratio), item.verdict or ""))
+    return TextTable(f"{log}, ms a frame", ("base", "new", "new / base", "from", "to", ""), tuple(lines))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,6 @@
 """A log of any length out of a short one."""
 
-import pytest
-
 import roadperc_stream as rp
-from roadperc_stream.errors import LogError
 from roadperc_stream.log import summarise
 from roadperc_stream.tools.bench.long import folded, write_long
 
@@ -32,8 +29,3 @@ def test_contents_are_those_of_the_frames(bench_logs, tmp_path):
     images = [frame.input.image.bgr for frame in rp.frames(path)]
     assert all((images[k] == images[6 - k]).all() for k in range(3))
     assert not (images[0] == images[3]).all()
-
-
-def test_a_single_frame_does_not_do(bench_logs, tmp_path):
-    with pytest.raises(LogError, match="expected two frames or more"):
-        write_long(bench_logs["png"].first_frame, tmp_path / "long.mcap", 8)
