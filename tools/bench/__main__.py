@@ -25,6 +25,7 @@ from .figures import (
     ONE,
     Measure,
     figures,
+    figures_table,
     measured,
     print_tables,
     replay_name,
@@ -32,6 +33,7 @@ from .figures import (
     write_json,
 )
 from .inputs import BenchLog, add_input_arguments, logs_of
+from .long import long_figures
 from .replays import replay_cost, replay_words, start_cost
 
 _AGREEING_FRAMES: Final = 3
@@ -45,8 +47,11 @@ def main(argv: list[str] | None = None) -> int:
         "--course-frames", type=whole_number, default=10, metavar="N", help="of the course's method (10)"
     )
     parser.add_argument("--rounds", type=whole_number, default=3, metavar="N", help="runs of each (3)")
+    parser.add_argument(
+        "--long-frames", type=whole_number, metavar="N", help="measure what may not grow with a log of N frames instead"
+    )
     arguments = parser.parse_args(argv)
-    return run(lambda: _bench(arguments))
+    return run(lambda: _long(arguments) if arguments.long_frames else _bench(arguments))
 
 
 def _bench(arguments: argparse.Namespace) -> None:
@@ -60,6 +65,13 @@ def _bench(arguments: argparse.Namespace) -> None:
         write_json(arguments.json, series, found, {"frames": arguments.frames, "rounds": arguments.rounds})
 
 
+def _long(arguments: argparse.Namespace) -> None:
+    found = long_figures(arguments.folder, logs_of(arguments)["stereo"], arguments.long_frames)
+    print_tables([figures_table(found)])
+    if arguments.json:
+        write_json(arguments.json, {}, found, {"frames": arguments.long_frames})
+
+
 def _jobs(folder: Path, logs: dict[str, BenchLog], course_frames: int) -> dict[str, Measure]:
     """In an order that puts beside each other what is compared; the floor needs a replay's results."""
     jobs: dict[str, Measure] = {
@@ -69,19 +81,21 @@ def _jobs(folder: Path, logs: dict[str, BenchLog], course_frames: int) -> dict[s
     for name in LOGS:
         log, out = logs[name], folder / f"{name}-result.mcap"
         if name in COMPARED:
-            jobs[f"course {name}"] = partial(_measured_by, "course", log.path, "--frames", course_frames)
+            jobs[f"course {name}"] = partial(_measured_by, "course", log.path, course_frames)
         for threads, count in ((ONE, 1), (ALL, os.cpu_count() or 1)):
             job = replay_name(name, threads)
             jobs[job] = partial(replay_cost, job, log, out, count)
         if name in COMPARED:
-            jobs[f"floor {name}"] = partial(_measured_by, "floor", log.path, "--result", out)
+            jobs[f"floor {name}"] = partial(_measured_by, "floor", log.path, str(out))
     return jobs
 
 
-def _measured_by(module: str, log: Path, *options: str | int | Path) -> dict[str, float]:
-    """What a module of this folder measures on a log, in a process of its own, and writes to a file."""
+def _measured_by(module: str, log: Path, argument: str | int) -> dict[str, float]:
+    """What ``measure`` of a module of this folder gives, in a process of its own, by way of a file."""
     out = log.with_name("measured.json")
-    cost_of(module, [sys.executable, "-P", "-m", f"{__package__}.{module}", str(log), str(out), *map(str, options)])
+    call = f"from {__package__}.{module} import measure; found = measure({str(log)!r}, {argument!r})"
+    code = f"import json; {call}; open({str(out)!r}, 'w').write(json.dumps(found))"
+    cost_of(module, [sys.executable, "-P", "-c", code])
     found: dict[str, float] = json.loads(out.read_text())
     return found
 

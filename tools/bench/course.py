@@ -5,16 +5,13 @@ lines by Canny and Hough on the segmentation, the distance of detections that th
 part for the camera's motion by matched features and perspective from n points, in its first for depth from a pair.
 This is written as its public solutions are, with whole arrays where an ordinary engineer uses them, and with the lane
 stage's and the surface's thresholds of this project, so that both find the same. It shares no code with the chain.
-
-Run by the bench as ``python -m roadperc_stream.tools.bench.course LOG.mcap OUT.json --frames N``.
 """
 
-import argparse
 import io
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, Final
@@ -287,34 +284,19 @@ class Course:
         return CourseResult(plane, drivable, lines, nearest, motion)
 
 
-def measure(path: Path, frames: int) -> dict[str, float]:
-    """Milliseconds a frame behind the first one: ``cpu``, ``wall``, and the processor's of each part."""
-    stream = read_messages(path)
+def measure(log: str | Path, frames: int) -> dict[str, float]:
+    """Milliseconds a frame of a log behind the first one: ``cpu``, ``wall``, and the processor's of each part."""
+    stream = read_messages(Path(log))
     first = next(stream)
     times = Times()
     course = Course(first, times)
-    course.step(first)
-    times.ms.clear()
-    cpu, wall, count = process_time(), perf_counter(), 0
-    for _, messages in zip(range(frames), stream, strict=False):
-        course.step(messages)
-        count += 1
-    cpu, wall = process_time() - cpu, perf_counter() - wall
+    with one_thread():
+        course.step(first)
+        times.ms.clear()
+        cpu, wall, count = process_time(), perf_counter(), 0
+        for messages in islice(stream, frames):
+            course.step(messages)
+            count += 1
+        cpu, wall = process_time() - cpu, perf_counter() - wall
     totals = {"cpu": cpu * 1000, "wall": wall * 1000} | {f"part/{part}": ms for part, ms in times.ms.items()}
     return {name: value / count for name, value in totals.items()}
-
-
-def main(argv: list[str] | None = None) -> None:
-    """Measure, and write what came of it."""
-    parser = argparse.ArgumentParser(description="the course's method over a log's frames")
-    parser.add_argument("log", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--frames", type=int, required=True)
-    arguments = parser.parse_args(argv)
-    with one_thread():
-        measured = measure(arguments.log, arguments.frames)
-    arguments.out.write_text(json.dumps(measured))
-
-
-if __name__ == "__main__":
-    main()

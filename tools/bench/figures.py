@@ -5,7 +5,7 @@ import os
 import platform
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 from time import process_time
@@ -220,16 +220,12 @@ def _parts(series: Series, title: str, jobs: dict[str, str]) -> TextTable:
 
 def write_json(path: Path, series: Series, found: Sequence[SpeedFigure], about: dict[str, Any]) -> None:
     """All of it for programs: the figures, and the values of each quantity, one a round."""
+    versions = {"python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__}
     content = {
         "version": __version__,
-        "machine": {
-            "processors": os.cpu_count(),
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "opencv": cv2.__version__,
-        },
+        "machine": {"processors": os.cpu_count(), **versions},
         **about,
-        "figures": [{"name": f.name, "value": f.value, "least": f.least, "most": f.most, "met": f.met} for f in found],
+        "figures": [{**asdict(figure), "met": figure.met} for figure in found],
         "series": series,
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

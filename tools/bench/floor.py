@@ -3,13 +3,9 @@
 Inflating what is compressed, decoding pixels, corners with optical flow, Hough's lines, disparities, and serialising
 the results. The calls of OpenCV are those of the chain itself, timed while it runs over the log's frames; the others
 are made once a frame on the messages and results of the same replay. What prepares a call is not counted.
-
-Run by the bench as ``python -m roadperc_stream.tools.bench.floor LOG.mcap OUT.json --result RESULT.mcap``.
 """
 
-import argparse
 import io
-import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -122,28 +118,13 @@ def _compress(chunk: bytearray, times: Times) -> None:
         zstandard.ZstdCompressor(level=1).compress(chunk)
 
 
-def measure(log: Path, result: Path) -> dict[str, float]:
-    """Milliseconds of a processor a frame: ``cpu`` together, and of each part."""
+def measure(log: str | Path, result: str | Path) -> dict[str, float]:
+    """Milliseconds of a processor a frame of a log and its replay: ``cpu`` together, and of each part."""
     times = Times()
-    inflate_chunks(log, times)
-    decode_images(log, times)
-    count = perceive(log, times)
-    serialise(result, times)
+    with one_thread():
+        inflate_chunks(Path(log), times)
+        decode_images(Path(log), times)
+        count = perceive(Path(log), times)
+        serialise(Path(result), times)
     together = {"cpu": sum(times.ms.values())} | {f"part/{part}": ms for part, ms in times.ms.items()}
     return {name: value / count for name, value in together.items()}
-
-
-def main(argv: list[str] | None = None) -> None:
-    """Measure, and write what came of it."""
-    parser = argparse.ArgumentParser(description="what no replay of a log can do without")
-    parser.add_argument("log", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--result", type=Path, required=True, help="the log's replay")
-    arguments = parser.parse_args(argv)
-    with one_thread():
-        measured = measure(arguments.log, arguments.result)
-    arguments.out.write_text(json.dumps(measured))
-
-
-if __name__ == "__main__":
-    main()

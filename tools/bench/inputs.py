@@ -15,7 +15,7 @@ from roadperc_stream.log import LogSummary, LogWriter, Message, summarise
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.text import print_line
 
-from ..render_scene import render
+from ..scene.job import render_and_report
 from ..scene.options import RenderOptions
 
 TRUTH: Final = "/truth/"
@@ -82,7 +82,7 @@ def _make(folder: Path, options: RenderOptions) -> None:
     for kind, names in (("png", ("png", "truth")), ("jpeg", JPEG)):
         dump, whole = folder / f"{kind}-dump", folder / f"{kind}-whole.mcap"
         print_line(f"rendering {options.frames} frames with {kind.upper()} images")
-        render(dump, replace(options, jpeg=kind == "jpeg"), force=True)
+        render_and_report(dump, replace(options, jpeg=kind == "jpeg"), force=True)
         if convert([str(dump), str(whole), "--force", "--quiet"]):
             raise DumpError(f"{dump}: cannot be converted")
         summary = summarise(whole)

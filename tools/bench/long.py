@@ -1,27 +1,24 @@
 """What may not grow with the log: memory over 100 and 3000 frames, and encoding over frames 0 to 100 and 900 to 1000.
 
-Run it with ``make bench-long`` or ``python -m roadperc_stream.tools.bench.long FOLDER``. The log is that of the bench
-with a stereo pair, its frames forwards and backwards in turn.
+Run it with ``make bench-long``. The log is that of the bench with a stereo pair, its frames forwards and backwards in
+turn.
 """
 
-import argparse
 import struct
-import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.api import read_metrics
-from roadperc_stream.cli.plumbing import run, whole_number
 from roadperc_stream.log import LogWriter, Message, summarise
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
 from roadperc_stream.system.cost import Cost, cost_of
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import NS_PER_S
 
-from .figures import SpeedFigure, figures_table, print_tables, write_json
-from .inputs import add_input_arguments, logs_of
+from .figures import SpeedFigure
+from .inputs import BenchLog
 from .replays import replay_words
 
 _CDR_STAMP: Final = struct.Struct("<iI")
@@ -83,36 +80,22 @@ _LATE: Final = 900
 """Frames of the short log, frames over which encoding is averaged, and where they begin late in the log."""
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench.long", description=__doc__)
-    add_input_arguments(parser)
-    parser.add_argument("--long-frames", type=whole_number, default=3000, metavar="N", help="of the long log (3000)")
-    arguments = parser.parse_args(argv)
-    return run(lambda: _bench(arguments))
-
-
-def _bench(arguments: argparse.Namespace) -> None:
-    source, lengths = logs_of(arguments)["stereo"], (min(_SHORT, arguments.long_frames), arguments.long_frames)
-    log, result = arguments.folder / "long.mcap", arguments.folder / "long-result.mcap"
-    costs: dict[int, Cost] = {}
-    for frames in dict.fromkeys(lengths):
-        print_line(f"replaying {frames} frames")
+def long_figures(folder: Path, source: BenchLog, frames: int) -> list[SpeedFigure]:
+    """Replay a long log and a short one, made of a short one's frames; the last result is kept in the folder."""
+    log, result = folder / "long.mcap", folder / "long-result.mcap"
+    costs: list[Cost] = []
+    for length in (min(_SHORT, frames), frames):
         words = replay_words(log, result, "--threads", "1", "--force", "--quiet")
         try:
-            write_long(source.path, log, frames)
-            costs[frames] = cost_of(f"replay of {frames} frames", words)
+            write_long(source.path, log, length)
+            costs.append(cost := cost_of(f"replay of {length} frames", words))
         finally:
             log.unlink(missing_ok=True)
-    found = long_figures(costs[lengths[0]], costs[lengths[1]], read_metrics(result)["encode_ms"].to_list())
-    print_tables([figures_table(found)])
-    for frames, cost in costs.items():
-        print_line(f"{frames} frames: {cost.peak_mb:.0f} MB, {cost.cpu_s:.0f} s of processors, {cost.wall_s:.0f} s")
-    if arguments.json:
-        write_json(arguments.json, {}, found, {"frames": lengths[1]})
+        print_line(f"{length} frames: {cost.peak_mb:.0f} MB, {cost.cpu_s:.0f} s of processors, {cost.wall_s:.0f} s")
+    return growth(costs[0], costs[1], read_metrics(result)["encode_ms"].to_list())
 
 
-def long_figures(short: Cost, long: Cost, encode_ms: list[float]) -> list[SpeedFigure]:
+def growth(short: Cost, long: Cost, encode_ms: list[float]) -> list[SpeedFigure]:
     """What is wanted of a long log, and what was measured.
 
     Args:
@@ -128,7 +111,3 @@ def long_figures(short: Cost, long: Cost, encode_ms: list[float]) -> list[SpeedF
         return found
     early, late = (sum(encode_ms[at : at + _WINDOW]) for at in (0, _LATE))
     return [*found, SpeedFigure("encoding late in the log, of that early in it", late / early, most=1.1)]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

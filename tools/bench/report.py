@@ -58,7 +58,22 @@ def group_by(folder: str) -> pl.DataFrame:
 def write_dataset(folder: Path, files: int, rows: int) -> None:
     """The like of a batch: logs of thirty days, each under two configurations; tables that are there are kept."""
     folder.mkdir(parents=True, exist_ok=True)
-    runs = [_run(index // 2, _CONFIGS[index % 2], rows) for index in range(files)]
+    runs = [
+        run_row(
+            log_id=f"{index // 2:016x}",
+            config=_CONFIGS[index % 2],
+            status="done",
+            path=f"/drives/log{index // 2:05}.mcap",
+            names=(f"/drives/log{index // 2:05}.mcap",),
+            date=f"2026-01-{index // 2 % 30 + 1:02}",
+            duration_s=rows / 20,
+            frames=rows,
+            version="bench",
+            settings=f"seed = {index % 2}\n",
+            attempts=1,
+        )
+        for index in range(files)
+    ]
     with frame_progress("tables", enabled=True) as progress:
         for index, item in enumerate(runs):
             path = folder / "metrics" / f"date={item.date}" / f"{item.log_id}-{item.config}.parquet"
@@ -77,23 +92,6 @@ def run_row(**known: object) -> RunRow:
     hints = get_type_hints(RunRow)
     values: dict[str, Any] = {name: known.get(name, empty.get(hint)) for name, hint in hints.items()}
     return RunRow(**values)
-
-
-def _run(index: int, config: str, rows: int) -> RunRow:
-    path = f"/drives/log{index:05}.mcap"
-    return run_row(
-        log_id=f"{index:016x}",
-        config=config,
-        status="done",
-        path=path,
-        names=(path,),
-        date=f"2026-01-{index % 30 + 1:02}",
-        duration_s=rows / 20,
-        frames=rows,
-        version="bench",
-        settings=f"seed = {_CONFIGS.index(config)}\n",
-        attempts=1,
-    )
 
 
 def _write(path: Path, index: int, rows: int, config: str) -> None:

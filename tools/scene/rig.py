@@ -31,11 +31,6 @@ class CameraPair:
     ego_T_right: Float
     mount: Mount
 
-    @property
-    def height_m(self) -> float:
-        """Of the front camera over the ego origin."""
-        return self.mount[2]
-
 
 def make_rig(width: int, height: int, fov_deg: float, mount: Mount) -> CameraPair:
     """Cameras of a size in pixels; their centre is CARLA's w / 2 counted from the corner of the first pixel.

@@ -13,10 +13,10 @@ import numpy as np
 
 from roadperc_stream.geometry import Float, rigid
 
+from .lanes import RoadSection
 from .options import RenderOptions, SceneName
 from .path import Element, Path, chain
 from .roads import Crossing, Road, road_of
-from .section import RoadSection
 
 VIEW_M: Final = 1100.0
 """How far rays are followed: somewhat beyond CARLA's far plane."""
@@ -169,28 +169,20 @@ def make_world(options: RenderOptions, length_m: float) -> World:
         return World(name, road.crossing.path, level_ground(), road)
     if options.bumps:
         terrain = with_bumps(terrain, length_m + MARGIN_M)
-    return World(name, _PATHS[name](length_m), terrain, road)
+    return World(name, _path(name, length_m), terrain, road)
 
 
-def _straight(length_m: float) -> Path:
-    del length_m
-    return Path((Element(0.0, 0.0, 0.0, 0.0, 0.0),))
-
-
-def _ring(length_m: float) -> Path:
-    del length_m
-    return Path((Element(0.0, 0.0, 0.0, 0.0, 1 / RADIUS_M),))
-
-
-def _winding(length_m: float) -> Path:
-    """Bends of 30 degrees to either side, so that the road always runs towards positive x."""
+def _path(name: SceneName, length_m: float) -> Path:
+    """Straight on, a ring, or bends of 30 degrees to either side: the road of a town always runs towards positive x."""
+    start = Element(0.0, 0.0, 0.0, 0.0, 1 / RADIUS_M if name == "bend" else 0.0)
+    if name != "town":
+        return Path((start,))
     arc, line = RADIUS_M * np.radians(60), 25.0
     swing = [(arc, -1 / RADIUS_M), (line, 0.0), (arc, 1 / RADIUS_M), (line, 0.0)]
     pieces = [(45.0, 0.0), (arc / 2, 1 / RADIUS_M), (line, 0.0)]
     turns = int((length_m + MARGIN_M) / sum(length for length, _ in swing)) + 1
-    return chain(Element(0.0, 0.0, 0.0, 0.0, 0.0), joined(pieces, *repeat(swing, turns)))
+    return chain(start, joined(pieces, *repeat(swing, turns)))
 
 
-_PATHS: Final = {"straight": _straight, "bend": _ring, "hill": _straight, "town": _winding}
 _WAVES_M: Final = {"hill": 240.0, "town": 320.0}
 _MAX_GRADE: Final = 0.08

@@ -6,16 +6,9 @@ import pytest
 
 from roadperc_stream.system.cost import Cost
 from roadperc_stream.tools.bench import __main__ as bench
-from roadperc_stream.tools.bench.figures import (
-    SpeedFigure,
-    figures,
-    measured,
-    middle,
-    noise,
-    parts_of,
-)
+from roadperc_stream.tools.bench.figures import SpeedFigure, figures, measured, middle, noise, parts_of
 from roadperc_stream.tools.bench.inputs import WARM_UP
-from roadperc_stream.tools.bench.long import long_figures
+from roadperc_stream.tools.bench.long import growth
 from roadperc_stream.tools.bench.replays import a_frame
 
 SERIES = {
@@ -94,11 +87,11 @@ def test_parts_and_noise():
 
 def test_a_long_log_may_not_need_more():
     short, long = Cost(1.0, 1.0, 300.0), Cost(9.0, 9.0, 318.0)
-    memory, peak, encoding = long_figures(short, long, [5.0] * 500 + [6.0] * 500)
+    memory, peak, encoding = growth(short, long, [5.0] * 500 + [6.0] * 500)
     assert (memory.value, memory.met) == (pytest.approx(1.06), False)
     assert (peak.value, peak.met) == (318.0, True)
     assert (encoding.value, encoding.met) == (pytest.approx(1.2), False)
-    assert len(long_figures(short, long, [5.0] * 999)) == 2
+    assert len(growth(short, long, [5.0] * 999)) == 2
 
 
 def test_it_prints_all_and_writes_it_for_programs(bench_logs, tmp_path, monkeypatch, capsys):
