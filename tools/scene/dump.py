@@ -17,8 +17,7 @@ from roadperc_stream.system.files import completing, completing_folder
 
 from .ground import FAR_M
 from .options import SENSORS
-from .rig import BASELINE_M, CameraPair, carla_mountings
-from .rig import MOUNT_Z_M as LIDAR_Z_M
+from .rig import BASELINE_M, LIDAR_Z_M, CameraPair
 
 JPEG_QUALITY: Final = 90
 CARLA_VERSION: Final = "0.9.15"
@@ -108,8 +107,12 @@ def calibration(rig: CameraPair, rate_hz: float, *, lidar: bool) -> dict[str, An
     """The calibration file: K as CARLA has it, its centre counted from the corner of the first pixel."""
     camera, K = rig.camera, rig.camera.K
     K[:2, 2] += 0.5
-    of_cameras = carla_mountings(rig)
-    mountings = {sensor: of_cameras["right" if sensor == "right" else "front"] for sensor in SENSORS}
+    _, _, _, roll, pitch, yaw = rig.mount
+    mountings = {}
+    for sensor in SENSORS:
+        x, y, z = (float(c) for c in (rig.ego_T_right if sensor == "right" else rig.ego_T_left)[:3, 3])
+        place = {"x": round(x, 7), "y": round(0.0 - y, 7), "z": round(z, 7)}
+        mountings[sensor] = {**place, "roll": roll, "pitch": pitch, "yaw": yaw}
     if lidar:
         mountings[LIDAR] = {"x": 0.0, "y": 0.0, "z": LIDAR_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
     return {

@@ -65,7 +65,7 @@ def trace_ground(camera: Camera, world_T_camera: Float, world: World, s_m: float
     start = rays.centre_m[:2] - road.origin_m
     x, y = _at(start, rays, depth)
     s, across, d = _places(road, world, x, y)
-    gap = world.section.gap(s, road.s_origin_m)
+    gap = line_gap(s, road.s_origin_m) if world.section.broken else np.zeros(s.shape, np.bool_)
     ground = Ground(top_row, depth.astype(np.float32), s, d, across, x, y, np.zeros(depth.shape, np.bool_), gap, road)
     _raise_beyond_curbs(ground, depth, rays, start, world)
     return ground

@@ -90,12 +90,6 @@ class RoadSection:
             table[_bin(self.right_edge_m - LINE_M) : _bin(self.right_edge_m)] = True
         return table
 
-    def gap(self, s_m: Float32, s_origin_m: float) -> NDArray[np.bool_]:
-        """Where the right line is interrupted; s counts from ``s_origin_m``."""
-        if not self.broken:
-            return np.zeros(s_m.shape, np.bool_)
-        return line_gap(s_m, s_origin_m)
-
 
 def line_gap(s_m: Float32, s_origin_m: float) -> NDArray[np.bool_]:
     """Where a line that is dashed for stretches is interrupted; s counts from ``s_origin_m``."""
