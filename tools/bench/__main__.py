@@ -27,7 +27,6 @@ from .figures import (
     figures,
     figures_table,
     measured,
-    print_tables,
     replay_name,
     tables,
     write_json,
@@ -60,14 +59,14 @@ def _bench(arguments: argparse.Namespace) -> None:
         require_agreement(logs[log].path, _AGREEING_FRAMES)
     series = measured(_jobs(arguments.folder, logs, arguments.course_frames), arguments.rounds)
     found = figures(series)
-    print_tables(tables(series, found))
+    print("\n".join(tables(series, found)))
     if arguments.json:
         write_json(arguments.json, series, found, {"frames": arguments.frames, "rounds": arguments.rounds})
 
 
 def _long(arguments: argparse.Namespace) -> None:
     found = long_figures(arguments.folder, logs_of(arguments)["stereo"], arguments.long_frames)
-    print_tables([figures_table(found)])
+    print(figures_table(found))
     if arguments.json:
         write_json(arguments.json, {}, found, {"frames": arguments.long_frames})
 

@@ -23,10 +23,9 @@ import numpy as np
 
 from roadperc_stream.cli.plumbing import run, whole_number
 from roadperc_stream.errors import RegressionError
-from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import print_line
 
-from .figures import LOGS, Measure, Series, measured, noise, print_tables
+from .figures import LOGS, Measure, Series, cell, markdown, measured, noise
 from .inputs import BenchLog, add_input_arguments, logs_of
 from .replays import installed, replay_cost
 
@@ -139,7 +138,8 @@ def _compare(arguments: argparse.Namespace) -> None:
     with installed(arguments.base) as package:
         series = measured(_jobs(arguments.folder, logs, package, arguments.threads), arguments.rounds)
     rows = [row for log in logs for row in compared(series, log.name, arguments.share, arguments.confidence)]
-    print_tables([_table(log.name, [item for item in rows if item.log == log.name]) for log in logs])
+    for log in logs:
+        print(_table(log.name, [item for item in rows if item.log == log.name]))
     print_line(f"noise of the control: {noise(series):.0%}")
     if arguments.json:
         arguments.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
@@ -187,16 +187,13 @@ def require_no_slower(rows: list[Compared], base: str, share: float) -> None:
         raise RegressionError(f"surely slower than {base} by more than {share:.0%}: {', '.join(slower)}")
 
 
-def _table(log: str, rows: list[Compared]) -> TextTable:
-    def text(value: float | None, layout: str = "{:.3f}") -> str:
-        return "" if value is None else layout.format(value)
-
+def _table(log: str, rows: list[Compared]) -> str:
     lines = []
     for item in rows:
         ratio = (None, None, None) if item.ratio is None else (item.ratio.middle, item.ratio.low, item.ratio.high)
-        times = (text(item.base, "{:.2f}"), text(item.new, "{:.2f}"))
-        lines.append(row(item.name, *times, *map(text, ratio), item.verdict or ""))
-    return TextTable(f"{log}, ms a frame", ("base", "new", "new / base", "from", "to", ""), tuple(lines))
+        times = (cell(item.base, 2), cell(item.new, 2))
+        lines.append((item.name, *times, *(cell(value, 3) for value in ratio), item.verdict or ""))
+    return markdown((f"{log}, ms a frame", "base", "new", "new / base", "from", "to", ""), lines)
 
 
 if __name__ == "__main__":

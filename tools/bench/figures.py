@@ -4,7 +4,7 @@ import json
 import os
 import platform
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 
 from roadperc_stream import __version__
-from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import print_line
 
 from .inputs import WARM_UP
@@ -156,66 +155,57 @@ def noise(series: Series) -> float:
 _MET: Final = {None: "", True: "met", False: "missed"}
 
 
-def tables(series: Series, found: Sequence[SpeedFigure]) -> list[TextTable]:
+def tables(series: Series, found: Sequence[SpeedFigure]) -> list[str]:
     """Times of each run, of each part, and what is wanted, with the machine's noise."""
     control = series[CONTROL]
-    noise_note = (
-        f"The same work between all runs took {median(control):.0f} ms of a processor, {min(control):.0f} to "
-        f"{max(control):.0f}: noise of {noise(series):.0%}."
-    )
     return [
         _runs(series),
         _parts(series, "a replay with one thread", {name: replay_name(name, ONE) for name in LOGS}),
         _parts(series, "the course's method", {name: f"course {name}" for name in COMPARED}),
         _parts(series, "the floor", {name: f"floor {name}" for name in COMPARED}),
-        figures_table(found, (noise_note,)),
+        figures_table(found),
+        f"The same work between all runs took {median(control):.0f} ms of a processor, {min(control):.0f} to "
+        f"{max(control):.0f}: noise of {noise(series):.0%}.",
     ]
 
 
-def print_tables(found: Sequence[TextTable]) -> None:
-    """Print tables on stdout, in Markdown: docs/performance.md takes them as they are."""
-    for table in found:
-        print_line(_line(table.title, *table.headers))
-        print_line(_line("---", *("---:" for _ in table.headers)))
-        for item in table.rows:
-            print_line(_line(item.label, *item.cells[0]))
-        for text in ("", *(f"{note}\n" for note in table.notes)):
-            print_line(text)
+def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown: docs/performance.md takes it as it is."""
+    lines = (headers, ("---", *("---:" for _ in headers[1:])), *rows)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n"
 
 
-def _line(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
+def cell(value: float | None, decimals: int = 1) -> str:
+    """A number in a table; empty for None."""
+    return "" if value is None else f"{value:.{decimals}f}"
 
 
-def figures_table(found: Sequence[SpeedFigure], notes: tuple[str, ...] = ()) -> TextTable:
+def figures_table(found: Sequence[SpeedFigure]) -> str:
     """A row a figure."""
-    rows = (row(item.name, f"{item.value:.2f}", _MET[item.met], item.wanted) for item in found)
-    return TextTable("figure", ("measured", "", "wanted"), tuple(rows), notes)
+    rows = ((item.name, f"{item.value:.2f}", _MET[item.met], item.wanted) for item in found)
+    return markdown(("figure", "measured", "", "wanted"), rows)
 
 
-def _runs(series: Series) -> TextTable:
+def _runs(series: Series) -> str:
     names = dict.fromkeys(key.split("/")[0] for key in series if key != CONTROL)
-    quantities = (("cpu", "{:.1f}"), ("wall", "{:.1f}"), ("peak_mb", "{:.0f}"), ("first frame/wall", "{:.0f}"))
+    quantities = {"cpu": 1, "wall": 1, "peak_mb": 0, "first frame/wall": 0}
     rows = (
-        row(name, *(_text(middle(series, f"{name}/{key}"), layout) for key, layout in quantities)) for name in names
+        (name, *(cell(middle(series, f"{name}/{key}"), decimals) for key, decimals in quantities.items()))
+        for name in names
     )
     note = f"Medians of the rounds; of a log a frame, without the start: what its first {WARM_UP} frames alone take."
-    return TextTable("run", ("cpu ms", "wall ms", "peak MB", "first frame ms"), tuple(rows), (note,))
+    return markdown(("run", "cpu ms", "wall ms", "peak MB", "first frame ms"), rows) + f"\n{note}\n"
 
 
-def _text(value: float | None, layout: str = "{:.1f}") -> str:
-    return "" if value is None else layout.format(value)
-
-
-def _parts(series: Series, title: str, jobs: dict[str, str]) -> TextTable:
+def _parts(series: Series, title: str, jobs: dict[str, str]) -> str:
     """A column a log, a row a part, the parts' sum last where nothing gives a total."""
     columns = {log: parts for log, job in jobs.items() if (parts := parts_of(series, job))}
     names = dict.fromkeys(name for parts in columns.values() for name in parts)
     if "total" not in names:
         columns = {log: {**parts, "total": sum(parts.values())} for log, parts in columns.items()}
-    names = {**{name: None for name in names if name != "total"}, "total": None}
-    rows = (row(name, *(_text(parts.get(name)) for parts in columns.values())) for name in names)
-    return TextTable(f"{title}, ms a frame", tuple(columns), tuple(rows))
+    ordered = (*(name for name in names if name != "total"), "total")
+    rows = ((name, *(cell(parts.get(name)) for parts in columns.values())) for name in ordered)
+    return markdown((f"{title}, ms a frame", *columns), rows)
 
 
 def write_json(path: Path, series: Series, found: Sequence[SpeedFigure], about: dict[str, Any]) -> None:

@@ -6,8 +6,6 @@ are made once a frame on the messages and results of the same replay. What prepa
 """
 
 import io
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -68,26 +66,14 @@ def perceive(log: Path, times: Times) -> int:
     Returns:
         The number of frames.
     """
-    with _opencv_timed(times):
-        return sum(1 for _ in frames(log))
-
-
-@contextmanager
-def _opencv_timed(times: Times) -> Iterator[None]:
-    def timed(part: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        def measure(*arguments: Any, **options: Any) -> Any:
-            with times(part):
-                return call(*arguments, **options)
-
-        return measure
+    create = cv2.StereoSGBM.create
 
     def matcher(**settings: Any) -> SimpleNamespace:
-        return SimpleNamespace(compute=timed("disparity", create_matcher(**settings).compute))
+        return SimpleNamespace(compute=times("disparity")(create(**settings).compute))
 
-    create_matcher = cv2.StereoSGBM.create
-    calls: dict[str, Any] = {name: timed(part, getattr(cv2, name)) for name, part in _CALLS.items()}
+    calls: dict[str, Any] = {name: times(part)(getattr(cv2, name)) for name, part in _CALLS.items()}
     with patch.multiple(cv2, StereoSGBM=SimpleNamespace(create=matcher), **calls):
-        yield
+        return sum(1 for _ in frames(log))
 
 
 def serialise(result: Path, times: Times) -> None:
