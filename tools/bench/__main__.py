@@ -10,7 +10,6 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 from roadperc_stream.cli.plumbing import run, whole_number
 from roadperc_stream.system.cost import cost_of
@@ -35,8 +34,6 @@ from .inputs import BenchLog, add_input_arguments, logs_of
 from .long import long_figures
 from .replays import replay_cost, replay_words, start_cost
 
-_AGREEING_FRAMES: Final = 3
-
 
 def main(argv: list[str] | None = None) -> int:
     """Measure and print."""
@@ -56,7 +53,7 @@ def main(argv: list[str] | None = None) -> int:
 def _bench(arguments: argparse.Namespace) -> None:
     logs = logs_of(arguments)
     for log in COMPARED:
-        require_agreement(logs[log].path, _AGREEING_FRAMES)
+        require_agreement(logs[log].path)
     series = measured(_jobs(arguments.folder, logs, arguments.course_frames), arguments.rounds)
     found = figures(series)
     print("\n".join(tables(series, found)))

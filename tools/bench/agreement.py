@@ -19,7 +19,7 @@ LEAST_COVERED: Final = 0.97
 """Of the pixels that the chain finds drivable; it leaves out pixels of another class than road."""
 
 
-def require_agreement(log: Path, count: int) -> None:
+def require_agreement(log: Path, count: int = 3) -> None:
     """Check the first frames of a log.
 
     Raises:

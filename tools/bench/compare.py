@@ -58,19 +58,13 @@ def ratio_of(base: Sequence[float], new: Sequence[float], confidence: float) -> 
     logs = np.log(np.asarray(new, float) / np.asarray(base, float))
     first, second = np.triu_indices(len(logs))
     averages = np.sort((logs[first] + logs[second]) / 2)
-    outside = _outside(len(logs), confidence)
-    if outside is None:
+    below = np.cumsum(signed_rank_probabilities(len(logs)))
+    # The interval leaves out ``beyond - 1`` of the sorted averages at either end.
+    beyond = int(np.searchsorted(below, (1 - confidence) / 2, side="right"))
+    if not beyond:
         return Ratio(float(np.exp(np.median(averages))), 0.0, np.inf)
-    low, middle, high = np.exp([averages[outside], np.median(averages), averages[-1 - outside]]).tolist()
+    low, middle, high = np.exp([averages[beyond - 1], np.median(averages), averages[-beyond]]).tolist()
     return Ratio(low=low, middle=middle, high=high)
-
-
-def _outside(count: int, confidence: float) -> int | None:
-    """How many of the sorted averages lie beyond either end of the interval; None where all of them are too few."""
-    below = np.cumsum(signed_rank_probabilities(count))
-    allowed = (1 - confidence) / 2
-    outside = int(np.searchsorted(below, allowed, side="right"))
-    return outside - 1 if outside else None
 
 
 def signed_rank_probabilities(count: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

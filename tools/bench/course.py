@@ -24,7 +24,7 @@ from mcap.reader import make_reader
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from roadperc_stream.schemas.roadperc_pb2 import Box, Detections
+from roadperc_stream.schemas.roadperc_pb2 import Detections
 from roadperc_stream.system.threads import one_thread
 
 Array = NDArray[Any]
@@ -81,13 +81,10 @@ def decode(messages: dict[str, bytes]) -> CourseFrame:
     segmentation = _content(messages[f"{FRONT}/segmentation"])
     tags = np.array(PillowImage.open(io.BytesIO(segmentation), formats=("PNG",)))
     found = Detections.FromString(messages[f"{FRONT}/detections"]).detections
-    boxes = [(item.label, _corners(item.box_px)) for item in found]
+    sides = ((d.label, d.box_px.x_min, d.box_px.y_min, d.box_px.x_max, d.box_px.y_max) for d in found)
+    boxes = [(label, (round(x0), round(y0), round(x1), round(y1))) for label, x0, y0, x1, y1 in sides]
     right = _colour(messages[f"{RIGHT}/image"]) if f"{RIGHT}/image" in messages else None
     return CourseFrame(image, depth_mm / 1000.0, tags, boxes, right)
-
-
-def _corners(box: Box) -> tuple[int, int, int, int]:
-    return round(box.x_min), round(box.y_min), round(box.x_max), round(box.y_max)
 
 
 def _content(message: bytes) -> bytes:

@@ -27,6 +27,7 @@ JPEG: Final = ("jpeg", "stereo")
 WARM_UP: Final = 3
 """Frames that are part of a replay's start: what is loaded late is loaded by then, tracks and motion have begun."""
 _MADE_BY: Final = "made_by.txt"
+_RATE_HZ: Final = 20.0
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,7 @@ class BenchLog:
 
 def drive(frames: int, size: tuple[int, int]) -> RenderOptions:
     """The drive of the bench: a bend of 150 m radius with cars, the ego car weaving in its lane."""
-    width, height = size
-    rate_hz = RenderOptions().rate_hz
-    return RenderOptions(width, height, frames / rate_hz, rate_hz, "bend", weave_m=0.5)
+    return RenderOptions(*size, seconds=frames / _RATE_HZ, rate_hz=_RATE_HZ, scene="bend", weave_m=0.5)
 
 
 def prepared(folder: Path, options: RenderOptions) -> dict[str, BenchLog]:

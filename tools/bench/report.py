@@ -24,16 +24,11 @@ from roadperc_stream.system.cost import cost_of
 
 _COLUMNS: Final = (*(name for name, column in columns_of(FrameMetrics).items() if column.label), *TIME_COLUMNS)
 """The numbers that a report shows."""
-_FACTS: Final = {
-    f"{FACT_PREFIX}{key}": value
-    for key, value in {"config_digest": "0" * 64, "version": "bench", "log": "none.mcap"}.items()
-}
+_FACTS: Final = {f"{FACT_PREFIX}{key}": "bench" for key in ("config_digest", "version", "log")}
 _CONFIGS: Final = ("00000000", "11111111")
 _STATES: Final = np.array(["measured", "held", "lost"])
 _REPORT: Final = "import sys; from roadperc_stream.cli.report import main; sys.exit(main(sys.argv[1:]))"
-_GROUP_BY: Final = (
-    "from sys import argv; from roadperc_stream.tools.bench.report import group_by; print(group_by(argv[1]).shape)"
-)
+_GROUP_BY: Final = "import sys; from roadperc_stream.tools.bench.report import group_by; group_by(sys.argv[1])"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -48,9 +43,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def group_by(folder: str) -> pl.DataFrame:
     """Mean and quantiles of the report's columns for each configuration of a dataset, plainly."""
-    quantiles = [
-        pl.col(_COLUMNS).quantile(share, "linear").name.suffix(f"_{share}") for share in (0.05, 0.5, 0.95, 0.99)
-    ]
+    shares = (0.05, 0.5, 0.95, 0.99)
+    quantiles = [pl.col(_COLUMNS).quantile(share, "linear").name.suffix(f"_{share}") for share in shares]
     tables = pl.scan_parquet(f"{folder}/metrics/*/*.parquet")
     return tables.group_by("config").agg(pl.col(_COLUMNS).mean(), *quantiles).collect(engine="streaming")
 
