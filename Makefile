@@ -73,15 +73,14 @@ bench: $(VENV)/.installed  # how fast a replay is, beside the course's method: m
 	$(BIN)/python -m roadperc_stream.tools.bench $(BENCH) $(BENCH_OPTIONS)
 
 bench-long: $(VENV)/.installed  # memory and encoding over 3000 frames: a quarter of an hour, and 5 GB
-	$(BIN)/python -m roadperc_stream.tools.bench.long $(BENCH) $(BENCH_OPTIONS)
+	$(BIN)/python -m roadperc_stream.tools.bench $(BENCH) --long-frames 3000 $(BENCH_OPTIONS)
 
 bench-compare: $(VENV)/.installed  # what is slower than at a commit: make bench-compare BASE=main
 	@test -n "$(BASE)" || { echo "make bench-compare BASE=<commit>"; exit 2; }
 	$(BIN)/python -m roadperc_stream.tools.bench.compare $(BENCH) $(BASE) $(BENCH_OPTIONS)
 
-bench-report: $(VENV)/.installed  # writes 10 GB; the bare group-by wants 8 GB of memory
+bench-report: $(VENV)/.installed  # writes 5 GB; the bare group-by wants 8 GB of memory
 	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report
-	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report --dataset --files 5000 --rows 2000
 
 ENGINE ?= docker
 IMAGE ?= roadperc

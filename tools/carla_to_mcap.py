@@ -5,26 +5,29 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from rich.console import Console
 from rich.progress import Progress
+from rich.table import Table
 
 from roadperc_stream import __version__
 from roadperc_stream.errors import DumpError
+from roadperc_stream.geometry import Camera
 from roadperc_stream.log import LogWriter, Message, Metadata
 from roadperc_stream.output.terminal import PipeConsole, print_lines
 from roadperc_stream.schemas.record import CONVERSION_RECORD, PIXEL_ORIGIN_KEY
 from roadperc_stream.system.files import require_free
 from roadperc_stream.system.process import optional_output
-from roadperc_stream.system.text import print_line
+from roadperc_stream.system.text import print_line, shown
 
+from .carla_dump.camera_rig import LIDAR
 from .carla_dump.messages import channels, messages
 from .carla_dump.plan import ConvertOptions, Plan, make_plan
-from .carla_dump.report import console, print_plan
 
 _MISSING: Final = "counted as missing: {}"
+_PIPED_WIDTH: Final = 140
 
 
 def convert(arguments: argparse.Namespace) -> None:
@@ -33,7 +36,19 @@ def convert(arguments: argparse.Namespace) -> None:
     Raises:
         RoadpercError: the dump cannot be converted, or the log not be written.
     """
-    _convert(arguments.dump, arguments.out, _options(arguments), force=arguments.force, quiet=arguments.quiet)
+    out = arguments.out
+    require_free(out, force=arguments.force, suffix=".mcap")
+    started = time.monotonic()
+    plan = make_plan(arguments.dump, _options(arguments))
+    terminal = _console(quiet=arguments.quiet)
+    with optional_output():
+        _print_plan(terminal, plan)
+    _warn((*plan.warnings, *map(_MISSING.format, plan.unreadable)))
+    unreadable: list[str] = []
+    count = _write(plan, out, unreadable, force=arguments.force, quiet=arguments.quiet)
+    _warn(map(_MISSING.format, unreadable))
+    megabytes, seconds = out.stat().st_size / 1e6, time.monotonic() - started
+    print_lines(terminal, f"{count} messages, {megabytes:.1f} MB, {seconds:.1f} s: {out}", unbroken=True)
 
 
 def _options(arguments: argparse.Namespace) -> ConvertOptions:
@@ -56,49 +71,31 @@ def _role_path(dump: Path, role: str, name: str) -> Path:
     return found
 
 
-@dataclass
-class _Progress:
-    """Messages by role, and files that turned out to be no frames."""
-
-    counts: Counter[str]
-    unreadable: list[str]
-
-
-def _convert(dump: Path, out: Path, options: ConvertOptions, *, force: bool, quiet: bool) -> None:
-    require_free(out, force=force, suffix=".mcap")
-    started = time.monotonic()
-    plan = make_plan(dump, options)
-    terminal = console(quiet=quiet)
-    with optional_output():
-        print_plan(terminal, plan)
-    _warn((*plan.warnings, *map(_MISSING.format, plan.unreadable)))
-    done = _write(plan, out, force=force, quiet=quiet)
-    _warn(map(_MISSING.format, done.unreadable))
-    megabytes, seconds = out.stat().st_size / 1e6, time.monotonic() - started
-    said = f"{done.counts.total()} messages, {megabytes:.1f} MB, {seconds:.1f} s: {out}"
-    print_lines(terminal, said, unbroken=True)
-
-
 def _warn(texts: Iterable[str]) -> None:
     with optional_output(sys.stderr):
         for text in texts:
             print_line(f"warning: {text}", sys.stderr)
 
 
-def _write(plan: Plan, out: Path, *, force: bool, quiet: bool) -> _Progress:
-    done = _Progress(Counter(), [])
+def _write(plan: Plan, out: Path, unreadable: list[str], *, force: bool, quiet: bool) -> int:
+    """Write the log; ``unreadable`` takes the faults of files that turn out to be no frames.
+
+    Returns:
+        The number of messages.
+    """
+    counts: Counter[str] = Counter()
     with LogWriter(out) as log:
         for channel in channels(plan).values():
             log.register(channel)
-        for role, message in _shown(messages(plan, done.unreadable), plan, quiet=quiet):
+        for role, message in _shown(messages(plan, unreadable), plan, quiet=quiet):
             log.write(message)
-            done.counts[role] += 1
-        lost = [role for role in plan.surveys if not done.counts[role]]
+            counts[role] += 1
+        lost = [role for role in plan.surveys if not counts[role]]
         if lost:
-            raise DumpError(f"{lost[0]}: no file can be read; {(done.unreadable or ['none has a frame'])[0]}")
+            raise DumpError(f"{lost[0]}: no file can be read; {(unreadable or ['none has a frame'])[0]}")
         log.describe(_description(plan))
         require_free(out, force=force, suffix=".mcap")  # another program may have written it meanwhile
-    return done
+    return counts.total()
 
 
 def _shown(stream: Iterable[tuple[str, Message]], plan: Plan, *, quiet: bool) -> Iterator[tuple[str, Message]]:
@@ -118,3 +115,69 @@ def _description(plan: Plan) -> Metadata:
     values = {"version": __version__, "frames": str(len(plan.frames)), "time": plan.timing, **encodings, **table}
     origin = {PIXEL_ORIGIN_KEY: plan.pixel_origin} if plan.pixel_origin else {}
     return Metadata(CONVERSION_RECORD, tuple(sorted({**values, **origin}.items())))
+
+
+def _console(*, quiet: bool) -> Console:
+    """Console on stdout that prints text as it is; wide where it is not a terminal."""
+    plain = PipeConsole(markup=False, highlight=False, emoji=False, quiet=quiet)
+    if not plain.is_terminal:
+        plain.width = _PIPED_WIDTH
+    return plain
+
+
+def _print_plan(out: Console, plan: Plan) -> None:
+    """Roles, counts, sizes, encodings, time, tag table, cameras, mountings and notes."""
+    facts = _facts(plan)
+    width = max(len(name) for name, _ in facts)
+    said = (f" {name:<{width}}  {text}" for name, text in facts)
+    notes = (f" note: {note}" for note in plan.notes)
+    title = f"{plan.layout.dump}: {len(plan.frames)} frames"
+    print_lines(out, title, _sensor_table(plan), *said, *notes, unbroken=True)
+
+
+def _sensor_table(plan: Plan) -> Table:
+    table = Table(box=None, pad_edge=True, header_style="bold")
+    for name, side in (("role", "left"), ("from", "left"), ("frames", "right"), ("missing", "right")):
+        table.add_column(name, justify="right" if side == "right" else "left", no_wrap=True)
+    table.add_column("size", no_wrap=True)
+    table.add_column("encoding")
+    for role, survey in plan.surveys.items():
+        camera, count = plan.rig.camera_of(role), sum(number in plan.stamps_ns for number in survey.sensor.files)
+        size = "" if role == LIDAR else f"{camera.width}x{camera.height}"
+        table.add_row(role, shown(survey.sensor.source), str(count), str(plan.missing[role]), size, survey.encoding)
+    if plan.detections:
+        missing = str(sum(number not in plan.detections for number in plan.frames))
+        boxes = f"{sum(map(len, plan.detections.values()))} boxes"
+        table.add_row("detections", shown(plan.detections_source), str(len(plan.detections)), missing, "", boxes)
+    return table
+
+
+def _facts(plan: Plan) -> list[tuple[str, str]]:
+    facts = [("time", plan.timing)]
+    if plan.tag_table is not None:
+        facts.append(("tags", f"{plan.tag_table.name} ({plan.tag_table_source})"))
+    facts += [(role.replace("_", " "), _camera(camera)) for role, camera in plan.rig.cameras.items()]
+    facts += [("pixel origin", plan.pixel_origin)] if plan.pixel_origin else []
+    facts.append(("mounting", _mounting(plan)))
+    truth = {
+        "poses": plan.poses,
+        "surface": plan.truth.surfaces,
+        "lanes": plan.truth.lanes,
+        "objects": plan.truth.objects,
+    }
+    counts = [f"{name} {len(entries)}" for name, entries in truth.items() if entries]
+    return facts + ([("truth", ", ".join(counts))] if counts else [])
+
+
+def _camera(camera: Camera) -> str:
+    pair = f", baseline {camera.baseline_m:g} m" if camera.baseline_m else ""
+    where = f"cx {camera.cx:g} cy {camera.cy:g} (pixel centres from 0)"
+    return f"{camera.frame_id}: fx {camera.fx:g} fy {camera.fy:g} {where}{pair}"
+
+
+def _mounting(plan: Plan) -> str:
+    edges = [
+        f"{edge.parent} -> {edge.child} at {', '.join(f'{value:g}' for value in edge.parent_T_child[:3, 3].round(4))} m"
+        for edge in plan.rig.transforms
+    ]
+    return "; ".join(edges) or "not known"

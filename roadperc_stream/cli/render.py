@@ -23,8 +23,8 @@ degrees ahead, PLY files with CARLA's left-handed x forward, y right, z up. The 
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-render``: 0 done, 1 a stated error, 2 wrong usage."""
     arguments = parse(_parser(), argv)
-    rendering = part("tools.render_scene")
-    return run(lambda: rendering.render(arguments.dump, _options(arguments), force=arguments.force))
+    rendering = part("tools.scene.job")
+    return run(lambda: rendering.render_and_report(arguments.dump, _options(arguments), force=arguments.force))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,16 +1,23 @@
-"""Measures the figures of docs/accuracy.md and prints them, required beside measured."""
+"""Measures the figures of docs/accuracy.md and prints them, required beside measured, or writes them into the page."""
 
 import argparse
 import os
+import re
 import time
+from itertools import groupby
 from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
 
 from tests.accuracy.drives import ROOT
 from tests.accuracy.figures import FIGURES
-from tests.accuracy.printing import print_table, rows, with_figures
 from tests.accuracy.running import remove_replays, run
 
 SEEDS = 4
+BLOCK = re.compile(r"(<!-- figures -->\n).*?(<!-- end -->)", re.DOTALL)
+VERDICTS = {True: "yes", False: "no", None: ""}
+HEADERS = ("figure", "required", "measured", "coverage", "met")
 FIRST_SEED = 100
 
 
@@ -42,7 +49,7 @@ def main():
         jobs=arguments.jobs,
         said=lambda text: print(text, flush=True),
     )
-    lines = rows(figures, results)
+    lines = [(figure, figure.measured(results)) for figure in figures]
     print_table(lines)
     print(f"{(time.monotonic() - started) / 60:.1f} minutes")
     if arguments.page:
@@ -55,6 +62,57 @@ def about(results):
     seeds = sorted({replay.seed for replays in results.replays.values() for replay in replays})
     frames = sum(replay.frames.height for replays in results.replays.values() for replay in replays)
     return f"Seeds {seeds[0]} to {seeds[-1]}, {frames} frames replayed."
+
+
+def cells(figure, measured):
+    """The texts of a line."""
+    return figure.name, figure.required, measured.text, measured.coverage, VERDICTS[measured.met]
+
+
+def summary(lines):
+    """How many of the figures that something is required of are met."""
+    required = [(figure, measured) for figure, measured in lines if figure.required]
+    met = sum(measured.met is True for _, measured in required)
+    missing = sum(measured.met is None for _, measured in required)
+    return f"{met} of {len(required)} required figures are met, {missing} could not be measured"
+
+
+def print_table(lines):
+    """One table with a section after the other."""
+    table = Table(title="Accuracy", show_lines=False)
+    for header in HEADERS:
+        table.add_column(header, overflow="fold")
+    for section, group in groupby(lines, key=lambda line: line[0].section):
+        table.add_section()
+        table.add_row(f"[bold]{section}")
+        for figure, measured in group:
+            style = {True: "green", False: "red", None: ""}[measured.met]
+            table.add_row(*(text.replace("[", r"\[") for text in cells(figure, measured)), style=style)
+    console = Console()
+    console.print(table)
+    console.print(summary(lines))
+
+
+def with_figures(page, lines, about):
+    """A page with the tables of a run in the place of those of an earlier one.
+
+    Raises:
+        ValueError: the page has no place for them.
+    """
+    text = f"{about} {summary(lines).capitalize()}.\n\n" + "\n".join(markdown(lines))
+    changed, count = BLOCK.subn(lambda block: f"{block[1]}{text}{block[2]}", page)
+    if count != 1:
+        raise ValueError("expected one <!-- figures --> with an <!-- end --> in the page")
+    return changed
+
+
+def markdown(lines):
+    """Lines of Markdown: a table a section."""
+    for section, group in groupby(lines, key=lambda line: line[0].section):
+        yield f"### {section}\n"
+        yield f"| {' | '.join(HEADERS)} |\n|---|---|---|---|---|"
+        yield from (f"| {' | '.join(cells(*line))} |" for line in group)
+        yield ""
 
 
 if __name__ == "__main__":

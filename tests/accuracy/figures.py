@@ -67,16 +67,20 @@ def of_changes():
         line("`lane_changes` as often as it was", at_least(100, "%"), value=of_lanes.counted),
         line("both measured, but not left > 0 > right or 2 to 6 m wide", at_most(0, "%"), value=of_lanes.implausible),
         *off_by_more("", line),
-        line("offset at the car, median", at_most(2, "cm"), value=of_lanes.median_at_car),
-        line("offset at the car, 95 %", at_most(6, "cm"), value=of_lanes.p95_at_car),
+        line("offset at the car, median", at_most(2, "cm"), value=of_lanes.offset_error),
+        line("offset at the car, 95 %", at_most(6, "cm"), value=partial(of_lanes.offset_error, share=0.95)),
     )
 
 
 def off_by_more(prefix, line):
     """What is required of measured boundaries at any noise."""
     return (
-        line(f"{prefix}measured, off by more than 0.3 m at the car", at_most(1, "%"), value=of_lanes.gross_at_car),
-        line(f"{prefix}measured, off by more than 0.3 m 10 m ahead", at_most(1, "%"), value=of_lanes.gross_ahead),
+        line(f"{prefix}measured, off by more than 0.3 m at the car", at_most(1, "%"), value=of_lanes.gross),
+        line(
+            f"{prefix}measured, off by more than 0.3 m 10 m ahead",
+            at_most(1, "%"),
+            value=partial(of_lanes.gross, place="ahead_m"),
+        ),
     )
 
 
@@ -91,8 +95,10 @@ def of_tag_noise():
         yield from off_by_more(prefix, line)
         yield line(f"{prefix}boundaries measured", COVERED[percent], value=of_lanes.covered)
         median_cm, p95_cm = PRECISE.get(percent, (None, None))
-        yield line(f"{prefix}offset at the car, median", at_most(median_cm, "cm"), value=of_lanes.median_at_car)
-        yield line(f"{prefix}offset at the car, 95 %", at_most(p95_cm, "cm"), value=of_lanes.p95_at_car)
+        yield line(f"{prefix}offset at the car, median", at_most(median_cm, "cm"), value=of_lanes.offset_error)
+        yield line(
+            f"{prefix}offset at the car, 95 %", at_most(p95_cm, "cm"), value=partial(of_lanes.offset_error, share=0.95)
+        )
 
 
 def of_hard_inputs():
@@ -173,8 +179,12 @@ def of_impact():
         yield bounded("Impact", title, at_most(0, "frames"), scenarios, of_objects.false_alarms)
     line = partial(bounded, "Impact", scenarios=BRAKING["1+2 %"])
     yield line("braking lead car, 0.5 to 3 s: frames with a value", at_least(95, "%"), value=of_objects.impact_known)
-    yield line("braking lead car, 0.5 to 3 s: error, median", at_most(0.2, "s"), value=of_objects.impact_median)
-    yield line("braking lead car, 0.5 to 3 s: error, 95 %", at_most(0.5, "s"), value=of_objects.impact_p95)
+    yield line("braking lead car, 0.5 to 3 s: error, median", at_most(0.2, "s"), value=of_objects.impact_error)
+    yield line(
+        "braking lead car, 0.5 to 3 s: error, 95 %",
+        at_most(0.5, "s"),
+        value=partial(of_objects.impact_error, share=0.95),
+    )
 
 
 def of_deviations():

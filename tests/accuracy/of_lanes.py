@@ -57,33 +57,15 @@ def covered(replays):
     return Value(None if coverage is None else 100 * coverage)
 
 
-def gross_at_car(replays):
-    """Share of the measured ones that are off by more than 0.3 m at the car."""
+def gross(replays, place="at_car_m"):
+    """Share of the measured ones that are off by more than 0.3 m, at the car or ``ahead_m``: 10 m ahead."""
     found = measures.boundaries(replays)
-    return _gross(found.at_car_m, found)
-
-
-def gross_ahead(replays):
-    """The same 10 m ahead."""
-    found = measures.boundaries(replays)
-    return _gross(found.ahead_m, found)
-
-
-def median_at_car(replays):
-    """Median error of the measured offsets, cm."""
-    return _quantile(measures.boundaries(replays), 0.5)
-
-
-def p95_at_car(replays):
-    """95 % quantile of it, cm."""
-    return _quantile(measures.boundaries(replays), 0.95)
-
-
-def _gross(errors_m, found):
-    share = measures.share_above(errors_m, 0.3)
+    share = measures.share_above(getattr(found, place), 0.3)
     return Value(None if share is None else 100 * share, found.coverage)
 
 
-def _quantile(found, share):
+def offset_error(replays, share=0.5):
+    """A quantile of the errors of the measured offsets at the car, cm."""
+    found = measures.boundaries(replays)
     error_m = measures.quantile(found.at_car_m, share)
     return Value(None if error_m is None else 100 * error_m, found.coverage)

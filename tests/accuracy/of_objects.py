@@ -25,15 +25,19 @@ def off_by_a_metre(replays, nearest_m, farthest_m):
 
 def obstacle_off(replays):
     """By how much the course's obstacle is off its public distance, millimetres; where it is, too."""
-    found = pl.concat([replay.objects for replay in replays]).filter(pl.col("label") == "template").row(0, named=True)
+    found = _obstacle(replays)
     place = f"at ({found['x_min_px']:.0f}, {found['y_min_px']:.0f}), {found['distance_m']:.4f} m"
     return Value(1000 * abs(found["distance_m"] - COURSE_DISTANCE_M), None, place)
 
 
 def obstacle_place_off(replays):
     """By how much the place of its picture is off the public one, pixels."""
-    found = pl.concat([replay.objects for replay in replays]).filter(pl.col("label") == "template").row(0, named=True)
+    found = _obstacle(replays)
     return Value(max(abs(found["x_min_px"] - COURSE_PLACE_PX[0]), abs(found["y_min_px"] - COURSE_PLACE_PX[1])))
+
+
+def _obstacle(replays):
+    return pl.concat([replay.objects for replay in replays]).filter(pl.col("label") == "template").row(0, named=True)
 
 
 def _counts(replays):
@@ -69,17 +73,8 @@ def impact_known(replays):
     )
 
 
-def impact_median(replays):
-    """Median error of it, seconds."""
-    return _impact_quantile(replays, 0.5)
-
-
-def impact_p95(replays):
-    """95 % quantile of its error, seconds."""
-    return _impact_quantile(replays, 0.95)
-
-
-def _impact_quantile(replays, share):
+def impact_error(replays, share=0.5):
+    """A quantile of its errors, seconds."""
     times_s = measures.impacts(replays)
     errors_s = (times_s[:, 0] - times_s[:, 1])[np.isfinite(times_s[:, 0])]
     return Value(measures.quantile(errors_s, share), len(errors_s) / len(times_s) if len(times_s) else None)

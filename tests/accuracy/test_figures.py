@@ -4,9 +4,9 @@ import polars as pl
 import pytest
 
 from tests.accuracy import of_motion, of_objects, of_uncertainty
+from tests.accuracy.__main__ import cells, summary, with_figures
 from tests.accuracy.drives import Drive, drive
 from tests.accuracy.figures import FIGURES, Figure
-from tests.accuracy.printing import cells, summary, with_figures
 from tests.accuracy.running import Replayed, Results, seeds_of
 from tests.accuracy.scenarios import BY_MODEL
 from tests.accuracy.values import Measured, Value, at_least, at_most, judged, nothing
@@ -96,8 +96,8 @@ def test_precision_and_recall_are_of_the_sums():
 def test_errors_of_the_impact_are_of_the_frames_that_have_one():
     replays = frames(time_to_impact_s=[1.1, None, 2.6, 9.0], true_time_to_impact_s=[1.0, 1.0, 2.0, 9.0])
     assert of_objects.impact_known(replays).number == pytest.approx(200 / 3)
-    assert of_objects.impact_median(replays).number == pytest.approx(0.35)
-    assert of_objects.impact_p95(replays).coverage == pytest.approx(2 / 3)
+    assert of_objects.impact_error(replays).number == pytest.approx(0.35)
+    assert of_objects.impact_error(replays, 0.95).coverage == pytest.approx(2 / 3)
 
 
 def test_uncertainty_is_that_of_the_report(tmp_path):

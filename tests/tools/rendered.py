@@ -5,7 +5,10 @@ import json
 import cv2
 import numpy as np
 
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
+
 CAMERA_X, CAMERA_Z = 1.5, 1.4
+TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
 
 
 class Dump:

@@ -10,9 +10,7 @@ from roadperc_stream.cli.convert import main as convert
 from roadperc_stream.cli.replay import main as replay
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input import ReplaySource, open_input
-from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
-
-TAG = {name: tag for tag, name in enumerate(CARLA_FROM_0_9_14.names)}
+from tests.tools.rendered import TAG
 
 
 def test_the_car_before_is_in_the_path_until_the_lane_is_changed(rendered):

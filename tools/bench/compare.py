@@ -14,6 +14,7 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Final, Literal
@@ -22,13 +23,11 @@ import numpy as np
 
 from roadperc_stream.cli.plumbing import run, whole_number
 from roadperc_stream.errors import RegressionError
-from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import print_line
 
-from .figures import LOGS, BenchJob, Series, measured, noise
+from .figures import LOGS, Measure, Series, cell, markdown, measured, noise
 from .inputs import BenchLog, add_input_arguments, logs_of
-from .printing import print_tables
-from .replays import Installation, installed, replay_job
+from .replays import installed, replay_cost
 
 Verdict = Literal["slower", "faster", "no difference shown"]
 
@@ -59,19 +58,13 @@ def ratio_of(base: Sequence[float], new: Sequence[float], confidence: float) -> 
     logs = np.log(np.asarray(new, float) / np.asarray(base, float))
     first, second = np.triu_indices(len(logs))
     averages = np.sort((logs[first] + logs[second]) / 2)
-    outside = _outside(len(logs), confidence)
-    if outside is None:
+    below = np.cumsum(signed_rank_probabilities(len(logs)))
+    # The interval leaves out ``beyond - 1`` of the sorted averages at either end.
+    beyond = int(np.searchsorted(below, (1 - confidence) / 2, side="right"))
+    if not beyond:
         return Ratio(float(np.exp(np.median(averages))), 0.0, np.inf)
-    low, middle, high = np.exp([averages[outside], np.median(averages), averages[-1 - outside]]).tolist()
+    low, middle, high = np.exp([averages[beyond - 1], np.median(averages), averages[-beyond]]).tolist()
     return Ratio(low=low, middle=middle, high=high)
-
-
-def _outside(count: int, confidence: float) -> int | None:
-    """How many of the sorted averages lie beyond either end of the interval; None where all of them are too few."""
-    below = np.cumsum(signed_rank_probabilities(count))
-    allowed = (1 - confidence) / 2
-    outside = int(np.searchsorted(below, allowed, side="right"))
-    return outside - 1 if outside else None
 
 
 def signed_rank_probabilities(count: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -119,9 +112,7 @@ def main(argv: list[str] | None = None) -> int:
         "--logs", type=_logs, default=("png", "stereo"), metavar="NAMES", help="some of png,jpeg,stereo,truth"
     )
     parser.add_argument("--rounds", type=whole_number, default=10, metavar="N", help="runs of each; 8 or more (10)")
-    parser.add_argument(
-        "--threads", type=whole_number, default=1, metavar="N", help="of both, where they can be told (1)"
-    )
+    parser.add_argument("--threads", type=whole_number, default=1, metavar="N", help="of both (1)")
     parser.add_argument("--share", type=float, default=0.03, help="by which something must be slower (0.03)")
     parser.add_argument("--confidence", type=float, default=0.99, help="of the intervals (0.99)")
     arguments = parser.parse_args(argv)
@@ -138,24 +129,26 @@ def _logs(text: str) -> tuple[str, ...]:
 def _compare(arguments: argparse.Namespace) -> None:
     logs = [log for name, log in logs_of(arguments).items() if name in arguments.logs]
     print_line(f"installing {arguments.base}")
-    with installed(arguments.base) as python:
-        versions = {BASE: Installation.of(python), NEW: Installation.of(Path(sys.executable))}
-        series = measured(_jobs(arguments.folder, logs, versions, arguments.threads), arguments.rounds)
+    with installed(arguments.base) as package:
+        series = measured(_jobs(arguments.folder, logs, package, arguments.threads), arguments.rounds)
     rows = [row for log in logs for row in compared(series, log.name, arguments.share, arguments.confidence)]
-    print_tables([_table(log.name, [item for item in rows if item.log == log.name]) for log in logs])
+    for log in logs:
+        print(_table(log.name, [item for item in rows if item.log == log.name]))
     print_line(f"noise of the control: {noise(series):.0%}")
     if arguments.json:
         arguments.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
     require_no_slower(rows, arguments.base, arguments.share)
 
 
-def _jobs(folder: Path, logs: list[BenchLog], versions: dict[str, Installation], threads: int) -> list[BenchJob]:
+def _jobs(folder: Path, logs: list[BenchLog], base: Path, threads: int) -> dict[str, Measure]:
     """Both versions of a log one after the other."""
-    return [
-        replay_job(f"{version} {log.name}", installation, log, folder / f"compared-{version}.mcap", threads)
+    return {
+        (job := f"{version} {log.name}"): partial(
+            replay_cost, job, log, folder / f"compared-{version}.mcap", threads, package
+        )
         for log in logs
-        for version, installation in versions.items()
-    ]
+        for version, package in ((BASE, base), (NEW, None))
+    }
 
 
 def compared(series: Series, log: str, share: float, confidence: float) -> list[Compared]:
@@ -188,22 +181,13 @@ def require_no_slower(rows: list[Compared], base: str, share: float) -> None:
         raise RegressionError(f"surely slower than {base} by more than {share:.0%}: {', '.join(slower)}")
 
 
-def _table(log: str, rows: list[Compared]) -> TextTable:
-    lines = (
-        row(item.name, *map(_text, (item.base, item.new)), *_ratio_cells(item.ratio), item.verdict or "")
-        for item in rows
-    )
-    return TextTable(
-        f"{log}, ms a frame", ("base", "new", "new / base", "from", "to", ""), tuple(lines), last_is_text=True
-    )
-
-
-def _text(value: float | None) -> str:
-    return "" if value is None else f"{value:.2f}"
-
-
-def _ratio_cells(ratio: Ratio | None) -> tuple[str, str, str]:
-    return ("", "", "") if ratio is None else (f"{ratio.middle:.3f}", f"{ratio.low:.3f}", f"{ratio.high:.3f}")
+def _table(log: str, rows: list[Compared]) -> str:
+    lines = []
+    for item in rows:
+        ratio = (None, None, None) if item.ratio is None else (item.ratio.middle, item.ratio.low, item.ratio.high)
+        times = (cell(item.base, 2), cell(item.new, 2))
+        lines.append((item.name, *times, *(cell(value, 3) for value in ratio), item.verdict or ""))
+    return markdown((f"{log}, ms a frame", "base", "new", "new / base", "from", "to", ""), lines)
 
 
 if __name__ == "__main__":

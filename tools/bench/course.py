@@ -5,15 +5,13 @@ lines by Canny and Hough on the segmentation, the distance of detections that th
 part for the camera's motion by matched features and perspective from n points, in its first for depth from a pair.
 This is written as its public solutions are, with whole arrays where an ordinary engineer uses them, and with the lane
 stage's and the surface's thresholds of this project, so that both find the same. It shares no code with the chain.
-
-Run by the bench as ``python -m roadperc_stream.tools.bench.course LOG.mcap OUT.json --frames N``.
 """
 
-import argparse
-import json
+import io
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any, Final
@@ -21,11 +19,17 @@ from typing import Any, Final
 import cv2
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from mcap.reader import make_reader
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
 
+from roadperc_stream.schemas.roadperc_pb2 import Detections
 from roadperc_stream.system.threads import one_thread
 
-from .course_log import RIGHT, Array, CourseFrame, decode, intrinsics, read_messages
-
+Array = NDArray[Any]
+FRONT: Final = "/camera/front"
+RIGHT: Final = "/camera/right"
 ROAD, ROAD_LINE, SIDEWALK = 1, 24, 2
 TAG_OF_LABEL: Final = {"Car": 14, "Pedestrian": 12, "Truck": 15, "Bicycle": 19}
 RANSAC_ITERATIONS, INLIER_M, DRIVABLE_M = 30, 0.05, 0.15
@@ -35,6 +39,60 @@ FULL_ROWS = 960
 MIN_SLOPE, MERGE_SLOPE, MERGE_INTERCEPT_PX = 0.3, 0.1, 40.0
 MIN_CLASS_RATIO = 0.3
 MATCH_RATIO = 0.7
+
+
+@dataclass(frozen=True)
+class CourseFrame:
+    """Decoded images of a frame: colour, metres, tags, boxes; of a pair's right camera too."""
+
+    image: Array
+    depth_m: Array
+    tags: Array
+    detections: list[tuple[str, tuple[int, int, int, int]]]
+    right: Array | None
+
+
+def read_messages(path: Path) -> Iterator[dict[str, bytes]]:
+    """The messages of each frame by topic; the first one has the calibration as well."""
+    with path.open("rb") as stream:
+        of_frame: dict[str, bytes] = {}
+        stamp = None
+        for _, channel, message in make_reader(stream).iter_messages():
+            if stamp is not None and message.log_time != stamp and f"{FRONT}/image" in of_frame:
+                yield of_frame
+                of_frame = {}
+            stamp = message.log_time
+            of_frame[channel.topic] = message.data
+        if f"{FRONT}/image" in of_frame:
+            yield of_frame
+
+
+def intrinsics(messages: dict[str, bytes]) -> Array:
+    """(3, 3) K of the front camera."""
+    return np.array(CameraCalibration.FromString(messages[f"{FRONT}/calibration"]).K).reshape(3, 3)
+
+
+def decode(messages: dict[str, bytes]) -> CourseFrame:
+    """Pixels of a frame's messages."""
+    image = _colour(messages[f"{FRONT}/image"])
+    height, width = image.shape[:2]
+    # The pixels of a raw ROS image are its last bytes.
+    depth_mm = np.frombuffer(messages[f"{FRONT}/depth"][-2 * height * width :], np.uint16).reshape(height, width)
+    segmentation = _content(messages[f"{FRONT}/segmentation"])
+    tags = np.array(PillowImage.open(io.BytesIO(segmentation), formats=("PNG",)))
+    found = Detections.FromString(messages[f"{FRONT}/detections"]).detections
+    sides = ((d.label, d.box_px.x_min, d.box_px.y_min, d.box_px.x_max, d.box_px.y_max) for d in found)
+    boxes = [(label, (round(x0), round(y0), round(x1), round(y1))) for label, x0, y0, x1, y1 in sides]
+    right = _colour(messages[f"{RIGHT}/image"]) if f"{RIGHT}/image" in messages else None
+    return CourseFrame(image, depth_mm / 1000.0, tags, boxes, right)
+
+
+def _content(message: bytes) -> bytes:
+    return bytes(CompressedImage.FromString(message).data)
+
+
+def _colour(message: bytes) -> Array:
+    return np.asarray(cv2.imdecode(np.frombuffer(_content(message), np.uint8), cv2.IMREAD_COLOR))
 
 
 @dataclass
@@ -124,17 +182,6 @@ def merged(slopes: Array, intercepts: Array, reach_px: float) -> Array:
         else:
             groups.append([(slope, intercept)])
     return np.array([np.mean(group, axis=0) for group in groups]).reshape(-1, 2)
-
-
-def ego_lines(lines: Array, shape: tuple[int, ...]) -> tuple[Array | None, Array | None]:
-    """The line to the left and the one to the right that are nearest to the middle of the image's bottom."""
-    height, width = shape[:2]
-    at_bottom = (height - 1 - lines[:, 1]) / lines[:, 0] - width / 2
-    left, right = np.flatnonzero(at_bottom < 0), np.flatnonzero(at_bottom >= 0)
-    return (
-        lines[left[np.argmax(at_bottom[left])]] if len(left) else None,
-        lines[right[np.argmin(at_bottom[right])]] if len(right) else None,
-    )
 
 
 def object_distances(frame: CourseFrame, xyz: Array) -> list[float]:
@@ -234,35 +281,19 @@ class Course:
         return CourseResult(plane, drivable, lines, nearest, motion)
 
 
-def measure(path: Path, frames: int) -> dict[str, float]:
-    """Milliseconds a frame behind the first one: ``cpu``, ``wall``, and the processor's of each part."""
-    stream = read_messages(path)
+def measure(log: str | Path, frames: int) -> dict[str, float]:
+    """Milliseconds a frame of a log behind the first one: ``cpu``, ``wall``, and the processor's of each part."""
+    stream = read_messages(Path(log))
     first = next(stream)
     times = Times()
     course = Course(first, times)
-    course.step(first)
-    times.ms.clear()
-    cpu, wall, count = process_time(), perf_counter(), 0
-    for _, messages in zip(range(frames), stream, strict=False):
-        course.step(messages)
-        count += 1
-    cpu, wall = process_time() - cpu, perf_counter() - wall
+    with one_thread():
+        course.step(first)
+        times.ms.clear()
+        cpu, wall, count = process_time(), perf_counter(), 0
+        for messages in islice(stream, frames):
+            course.step(messages)
+            count += 1
+        cpu, wall = process_time() - cpu, perf_counter() - wall
     totals = {"cpu": cpu * 1000, "wall": wall * 1000} | {f"part/{part}": ms for part, ms in times.ms.items()}
     return {name: value / count for name, value in totals.items()}
-
-
-def main(argv: list[str] | None = None) -> None:
-    """Measure, and write what came of it."""
-    parser = argparse.ArgumentParser(description="the course's method over a log's frames")
-    parser.add_argument("log", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--frames", type=int, required=True)
-    parser.add_argument("--all-threads", action="store_true", help="let the libraries start as many as they do")
-    arguments = parser.parse_args(argv)
-    with nullcontext() if arguments.all_threads else one_thread():
-        measured = measure(arguments.log, arguments.frames)
-    arguments.out.write_text(json.dumps(measured))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,16 +1,23 @@
-"""Measurements in turn, and the figures they give beside those wanted."""
+"""Measurements in turn, the figures they give beside those wanted, and both as tables and as JSON."""
 
+import json
+import os
+import platform
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from statistics import median
 from time import process_time
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
+from roadperc_stream import __version__
 from roadperc_stream.system.text import print_line
+
+from .inputs import WARM_UP
 
 _REPEATS: Final = 8
 _SIDE: Final = 512
@@ -31,20 +38,16 @@ Series = dict[str, list[float]]
 """A value a round of each quantity, such as ``replay png, 1 thread/cpu``."""
 
 
-@dataclass(frozen=True)
-class BenchJob:
-    """What is measured: ``run`` gives quantities by name, milliseconds a frame where nothing else is said."""
-
-    name: str
-    run: Callable[[], dict[str, float]]
+Measure = Callable[[], dict[str, float]]
+"""Gives quantities by name, milliseconds a frame where the name says nothing else."""
 
 
-def measured(jobs: Sequence[BenchJob], rounds: int) -> Series:
+def measured(jobs: Mapping[str, Measure], rounds: int) -> Series:
     """Run all jobs in turn, again and again, with the control before each of them.
 
     Args:
-        jobs: what is measured, in this order.
-        rounds: how often; each is said when it begins.
+        jobs: what is measured, by name, in this order.
+        rounds: how often.
 
     Returns:
         The values of each quantity, one a round; those of the control one a job.
@@ -52,16 +55,11 @@ def measured(jobs: Sequence[BenchJob], rounds: int) -> Series:
     series: Series = {}
     for index in range(rounds):
         print_line(f"round {index + 1} of {rounds}")
-        for job in jobs:
+        for job, measure in jobs.items():
             series.setdefault(CONTROL, []).append(control())
-            for quantity, value in job.run().items():
-                series.setdefault(f"{job.name}/{quantity}", []).append(value)
+            for quantity, value in measure().items():
+                series.setdefault(f"{job}/{quantity}", []).append(value)
     return series
-
-
-def ratios(series: Series, above: str, below: str) -> list[float]:
-    """One quantity over another, round by round."""
-    return [a / b for a, b in zip(series[above], series[below], strict=True)]
 
 
 def middle(series: Series, quantity: str) -> float | None:
@@ -76,9 +74,9 @@ def parts_of(series: Series, job: str) -> dict[str, float]:
 
 
 ONE, ALL = "one thread", "all threads"
-COMPARED = ("png", "jpeg", "stereo")
-"""Logs that the course's method is run on, and of which is measured what no replay can do without."""
-LOGS = (*COMPARED, "truth")
+COMPARED: Final = ("png", "jpeg", "stereo")
+"""Logs that the course's method is run on, and whose floor is measured."""
+LOGS: Final = (*COMPARED, "truth")
 BARE, HELP = "import numpy, cv2", "--help"
 
 
@@ -106,72 +104,118 @@ class SpeedFigure:
 
 
 def replay_name(log: str, threads: str) -> str:
-    """The job of replaying a log."""
+    """The job of replaying a log; those of the course's method and of the floor are ``course LOG``, ``floor LOG``."""
     return f"replay {log}, {threads}"
 
 
-def course_name(log: str) -> str:
-    """The job of the course's method on a log."""
-    return f"course {log}"
-
-
-def floor_name(log: str) -> str:
-    """The job of measuring what no replay of a log can do without."""
-    return f"floor {log}"
-
-
-PNG: Final = replay_name("png", ONE)
-
-
 def figures(series: Series) -> list[SpeedFigure]:
-    """Every figure that the series show, medians of ratios of the same round."""
-    asked = (
-        *_speeds(series, "cpu", ONE, {"png": 7.0, "jpeg": 9.0, "stereo": 5.0}),
-        *_speeds(series, "wall", ALL, {"png": 10.0, "jpeg": 12.0}),
-        *(_ratio(series, f"gate, {n}", f"{replay_name(n, ONE)}/cpu", f"{floor_name(n)}/cpu", 1.5) for n in COMPARED),
-        _plain(series, "objects: p95 over median", f"{PNG}/objects p95 over median", most=4.0),
-        _plain(series, "parts over their total", f"{PNG}/parts over total", 0.97, 1.03),
-        _ratio(series, "frames' totals over the replay's cpu", f"{PNG}/part/total", f"{PNG}/cpu"),
-        _plain(series, "peak memory with stereo, MB", f"{replay_name('stereo', ONE)}/peak_mb", most=500.0),
-        *(_ratio(series, f"--help over {BARE}, {c}", f"{HELP}/{c}", f"{BARE}/{c}", 1.7) for c in ("cpu", "wall")),
-        *(
-            _ratio(series, f"first frame over {BARE}, {c}", f"{PNG}/first frame/{c}", f"{BARE}/{c}", 6.0)
-            for c in ("cpu", "wall")
-        ),
-    )
-    return [figure for figure in asked if figure is not None]
-
-
-def _speeds(series: Series, clock: str, threads: str, least: dict[str, float]) -> list[SpeedFigure | None]:
-    """How many times as fast as the course's method."""
-    return [
-        _ratio(
-            series,
+    """Every figure that the series show, medians of the rounds; of a ratio those of the same round."""
+    png, speeds = replay_name("png", ONE), {"png": 7.0, "jpeg": 9.0, "stereo": 5.0}
+    clocks = [("cpu", ONE, log, least) for log, least in speeds.items()]
+    clocks += [("wall", ALL, log, least) for log, least in {"png": 10.0, "jpeg": 12.0}.items()]
+    asked: list[tuple[str, str, str | None, float | None, float | None]] = [
+        (
             f"{log}: times the course's method, {clock}, {threads}",
-            f"{course_name(log)}/{clock}",
+            f"course {log}/{clock}",
             f"{replay_name(log, threads)}/{clock}",
-            least=wanted,
+            least,
+            None,
         )
-        for log, wanted in least.items()
+        for clock, threads, log, least in clocks
     ]
+    asked += [(f"gate, {log}", f"{replay_name(log, ONE)}/cpu", f"floor {log}/cpu", None, 1.5) for log in COMPARED]
+    asked += [
+        ("objects: p95 over median", f"{png}/objects p95 over median", None, None, 4.0),
+        ("parts over their total", f"{png}/parts over total", None, 0.97, 1.03),
+        ("frames' totals over the replay's cpu", f"{png}/part/total", f"{png}/cpu", None, None),
+        ("peak memory with stereo, MB", f"{replay_name('stereo', ONE)}/peak_mb", None, None, 500.0),
+    ]
+    for start, quantity, most in (("--help", HELP, 1.7), ("first frame", f"{png}/first frame", 6.0)):
+        asked += [
+            (f"{start} over {BARE}, {clock}", f"{quantity}/{clock}", f"{BARE}/{clock}", None, most)
+            for clock in ("cpu", "wall")
+        ]
+    found = ((name, _median_of(series, above, below), least, most) for name, above, below, least, most in asked)
+    return [SpeedFigure(name, value, least, most) for name, value, least, most in found if value is not None]
 
 
-def _ratio(
-    series: Series, name: str, above: str, below: str, most: float | None = None, least: float | None = None
-) -> SpeedFigure | None:
-    if above not in series or below not in series:
-        return None
-    return SpeedFigure(name, median(ratios(series, above, below)), least, most)
-
-
-def _plain(
-    series: Series, name: str, quantity: str, least: float | None = None, most: float | None = None
-) -> SpeedFigure | None:
-    value = middle(series, quantity)
-    return None if value is None else SpeedFigure(name, value, least, most)
+def _median_of(series: Series, quantity: str, over: str | None) -> float | None:
+    """Median of a quantity, or of its ratio to another; None where one was not measured."""
+    if over is None or quantity not in series or over not in series:
+        return middle(series, quantity) if over is None else None
+    return median(a / b for a, b in zip(series[quantity], series[over], strict=True))
 
 
 def noise(series: Series) -> float:
     """How far the slowest run of the control lies above its fastest one, as a share of their median."""
     values = series[CONTROL]
     return (max(values) - min(values)) / median(values)
+
+
+_MET: Final = {None: "", True: "met", False: "missed"}
+
+
+def tables(series: Series, found: Sequence[SpeedFigure]) -> list[str]:
+    """Times of each run, of each part, and what is wanted, with the machine's noise."""
+    control = series[CONTROL]
+    return [
+        _runs(series),
+        _parts(series, "a replay with one thread", {name: replay_name(name, ONE) for name in LOGS}),
+        _parts(series, "the course's method", {name: f"course {name}" for name in COMPARED}),
+        _parts(series, "the floor", {name: f"floor {name}" for name in COMPARED}),
+        figures_table(found),
+        f"The same work between all runs took {median(control):.0f} ms of a processor, {min(control):.0f} to "
+        f"{max(control):.0f}: noise of {noise(series):.0%}.",
+    ]
+
+
+def markdown(headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown: docs/performance.md takes it as it is."""
+    lines = (headers, ("---", *("---:" for _ in headers[1:])), *rows)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n"
+
+
+def cell(value: float | None, decimals: int = 1) -> str:
+    """A number in a table; empty for None."""
+    return "" if value is None else f"{value:.{decimals}f}"
+
+
+def figures_table(found: Sequence[SpeedFigure]) -> str:
+    """A row a figure."""
+    rows = ((item.name, f"{item.value:.2f}", _MET[item.met], item.wanted) for item in found)
+    return markdown(("figure", "measured", "", "wanted"), rows)
+
+
+def _runs(series: Series) -> str:
+    names = dict.fromkeys(key.split("/")[0] for key in series if key != CONTROL)
+    quantities = {"cpu": 1, "wall": 1, "peak_mb": 0, "first frame/wall": 0}
+    rows = (
+        (name, *(cell(middle(series, f"{name}/{key}"), decimals) for key, decimals in quantities.items()))
+        for name in names
+    )
+    note = f"Medians of the rounds; of a log a frame, without the start: what its first {WARM_UP} frames alone take."
+    return markdown(("run", "cpu ms", "wall ms", "peak MB", "first frame ms"), rows) + f"\n{note}\n"
+
+
+def _parts(series: Series, title: str, jobs: dict[str, str]) -> str:
+    """A column a log, a row a part, the parts' sum last where nothing gives a total."""
+    columns = {log: parts for log, job in jobs.items() if (parts := parts_of(series, job))}
+    names = dict.fromkeys(name for parts in columns.values() for name in parts)
+    if "total" not in names:
+        columns = {log: {**parts, "total": sum(parts.values())} for log, parts in columns.items()}
+    ordered = (*(name for name in names if name != "total"), "total")
+    rows = ((name, *(cell(parts.get(name)) for parts in columns.values())) for name in ordered)
+    return markdown((f"{title}, ms a frame", *columns), rows)
+
+
+def write_json(path: Path, series: Series, found: Sequence[SpeedFigure], about: dict[str, Any]) -> None:
+    """All of it for programs: the figures, and the values of each quantity, one a round."""
+    versions = {"python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__}
+    content = {
+        "version": __version__,
+        "machine": {"processors": os.cpu_count(), **versions},
+        **about,
+        "figures": [{**asdict(figure), "met": figure.met} for figure in found],
+        "series": series,
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -15,7 +15,7 @@ from roadperc_stream.log import LogSummary, LogWriter, Message, summarise
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.text import print_line
 
-from ..render_scene import render
+from ..scene.job import render_and_report
 from ..scene.options import RenderOptions
 
 TRUTH: Final = "/truth/"
@@ -27,6 +27,7 @@ JPEG: Final = ("jpeg", "stereo")
 WARM_UP: Final = 3
 """Frames that are part of a replay's start: what is loaded late is loaded by then, tracks and motion have begun."""
 _MADE_BY: Final = "made_by.txt"
+_RATE_HZ: Final = 20.0
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,7 @@ class BenchLog:
 
 def drive(frames: int, size: tuple[int, int]) -> RenderOptions:
     """The drive of the bench: a bend of 150 m radius with cars, the ego car weaving in its lane."""
-    width, height = size
-    rate_hz = RenderOptions().rate_hz
-    return RenderOptions(width, height, frames / rate_hz, rate_hz, "bend", weave_m=0.5)
+    return RenderOptions(*size, seconds=frames / _RATE_HZ, rate_hz=_RATE_HZ, scene="bend", weave_m=0.5)
 
 
 def prepared(folder: Path, options: RenderOptions) -> dict[str, BenchLog]:
@@ -82,7 +81,7 @@ def _make(folder: Path, options: RenderOptions) -> None:
     for kind, names in (("png", ("png", "truth")), ("jpeg", JPEG)):
         dump, whole = folder / f"{kind}-dump", folder / f"{kind}-whole.mcap"
         print_line(f"rendering {options.frames} frames with {kind.upper()} images")
-        render(dump, replace(options, jpeg=kind == "jpeg"), force=True)
+        render_and_report(dump, replace(options, jpeg=kind == "jpeg"), force=True)
         if convert([str(dump), str(whole), "--force", "--quiet"]):
             raise DumpError(f"{dump}: cannot be converted")
         summary = summarise(whole)

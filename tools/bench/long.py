@@ -1,20 +1,16 @@
 """What may not grow with the log: memory over 100 and 3000 frames, and encoding over frames 0 to 100 and 900 to 1000.
 
-Run it with ``make bench-long`` or ``python -m roadperc_stream.tools.bench.long FOLDER``. The log is that of the bench
-with a stereo pair, its frames forwards and backwards in turn.
+Run it with ``make bench-long``. The log is that of the bench with a stereo pair, its frames forwards and backwards in
+turn.
 """
 
-import argparse
 import struct
-import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.api import read_metrics
-from roadperc_stream.cli.plumbing import run, whole_number
-from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter, Message, summarise
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES, set_stamp
 from roadperc_stream.system.cost import Cost, cost_of
@@ -22,9 +18,8 @@ from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import NS_PER_S
 
 from .figures import SpeedFigure
-from .inputs import BenchLog, add_input_arguments, logs_of
-from .printing import figures_table, print_tables, write_json
-from .replays import Installation
+from .inputs import BenchLog
+from .replays import replay_words
 
 _CDR_STAMP: Final = struct.Struct("<iI")
 _CDR_HEADER_BYTES: Final = 4
@@ -35,12 +30,10 @@ def write_long(source: Path, target: Path, frames: int) -> None:
     """Write a log in which the car drives to and fro, so that there is motion between all frames.
 
     Args:
-        source: a log whose messages of one frame have one log time; a topic's only message holds throughout.
+        source: a log of two frames or more whose messages of one frame have one log time; a topic's only message holds
+            throughout.
         target: the log to write.
         frames: how many it gets.
-
-    Raises:
-        LogError: the source has fewer than two frames.
     """
     summary = summarise(source)
     messages = list(summary.source.messages(None, None, None))
@@ -50,8 +43,6 @@ def write_long(source: Path, target: Path, frames: int) -> None:
         if counts[message.channel.topic] > 1:
             of_time.setdefault(message.log_time_ns, []).append(message)
     stamps = list(of_time)
-    if len(stamps) < 2:
-        raise LogError(f"{source}: expected two frames or more")
     step_ns = (stamps[-1] - stamps[0]) // (len(stamps) - 1)
     with LogWriter(target) as writer:
         for message in messages:
@@ -66,30 +57,21 @@ def write_long(source: Path, target: Path, frames: int) -> None:
 
 def folded(index: int, count: int) -> int:
     """0, 1, ..., count - 1, count - 2, ..., 1, 0, 1, ...: the frame that stands in a place."""
-    there_and_back = 2 * (count - 1)
-    at = index % there_and_back
-    return at if at < count else there_and_back - at
+    at = index % (2 * (count - 1))
+    return at if at < count else 2 * (count - 1) - at
 
 
 def restamped(message: Message, stamp_ns: int, sequence: int) -> Message:
     """A message with another stamp, in its header as well."""
-    return replace(
-        message,
-        log_time_ns=stamp_ns,
-        publish_time_ns=stamp_ns,
-        sequence=sequence,
-        data=_with_stamp(message, stamp_ns),
-    )
-
-
-def _with_stamp(message: Message, stamp_ns: int) -> bytes:
     if message.channel.message_encoding == "cdr":
-        data = bytearray(message.data)
-        _CDR_STAMP.pack_into(data, _CDR_HEADER_BYTES, *divmod(stamp_ns, NS_PER_S))
-        return bytes(data)
-    content = MESSAGE_TYPES[message.channel.schema_name].FromString(message.data)
-    set_stamp(content, stamp_ns)
-    return content.SerializeToString()
+        buffer = bytearray(message.data)
+        _CDR_STAMP.pack_into(buffer, _CDR_HEADER_BYTES, *divmod(stamp_ns, NS_PER_S))
+        data = bytes(buffer)
+    else:
+        content = MESSAGE_TYPES[message.channel.schema_name].FromString(message.data)
+        set_stamp(content, stamp_ns)
+        data = content.SerializeToString()
+    return replace(message, log_time_ns=stamp_ns, publish_time_ns=stamp_ns, sequence=sequence, data=data)
 
 
 _SHORT: Final = 100
@@ -98,44 +80,22 @@ _LATE: Final = 900
 """Frames of the short log, frames over which encoding is averaged, and where they begin late in the log."""
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench.long", description=__doc__)
-    add_input_arguments(parser)
-    parser.add_argument("--long-frames", type=whole_number, default=3000, metavar="N", help="of the long log (3000)")
-    arguments = parser.parse_args(argv)
-    return run(lambda: _bench(arguments))
+def long_figures(folder: Path, source: BenchLog, frames: int) -> list[SpeedFigure]:
+    """Replay a long log and a short one, made of a short one's frames; the last result is kept in the folder."""
+    log, result = folder / "long.mcap", folder / "long-result.mcap"
+    costs: list[Cost] = []
+    for length in (min(_SHORT, frames), frames):
+        words = replay_words(log, result, "--threads", "1", "--force", "--quiet")
+        try:
+            write_long(source.path, log, length)
+            costs.append(cost := cost_of(f"replay of {length} frames", words))
+        finally:
+            log.unlink(missing_ok=True)
+        print_line(f"{length} frames: {cost.peak_mb:.0f} MB, {cost.cpu_s:.0f} s of processors, {cost.wall_s:.0f} s")
+    return growth(costs[0], costs[1], read_metrics(result)["encode_ms"].to_list())
 
 
-def _bench(arguments: argparse.Namespace) -> None:
-    source, lengths = logs_of(arguments)["stereo"], (min(_SHORT, arguments.long_frames), arguments.long_frames)
-    costs = {frames: _replayed(arguments.folder, source, frames) for frames in dict.fromkeys(lengths)}
-    rows = read_metrics(_result(arguments.folder))
-    found = long_figures(costs[lengths[0]], costs[lengths[1]], rows["encode_ms"].to_list())
-    print_tables([figures_table(found)])
-    for frames, cost in costs.items():
-        print_line(f"{frames} frames: {cost.peak_mb:.0f} MB, {cost.cpu_s:.0f} s of processors, {cost.wall_s:.0f} s")
-    if arguments.json:
-        write_json(arguments.json, {}, found, {"frames": lengths[1]})
-
-
-def _result(folder: Path) -> Path:
-    return folder / "long-result.mcap"
-
-
-def _replayed(folder: Path, source: BenchLog, frames: int) -> Cost:
-    """What replaying a log of so many frames takes; the log is removed, the result kept for the tables beside it."""
-    log, here = folder / "long.mcap", Installation.of(Path(sys.executable))
-    print_line(f"replaying {frames} frames")
-    try:
-        write_long(source.path, log, frames)
-        words = here.replay(log, _result(folder), *here.threads(1), "--force", "--quiet")
-        return cost_of(f"replay of {frames} frames", words)
-    finally:
-        log.unlink(missing_ok=True)
-
-
-def long_figures(short: Cost, long: Cost, encode_ms: list[float]) -> list[SpeedFigure]:
+def growth(short: Cost, long: Cost, encode_ms: list[float]) -> list[SpeedFigure]:
     """What is wanted of a long log, and what was measured.
 
     Args:
@@ -151,7 +111,3 @@ def long_figures(short: Cost, long: Cost, encode_ms: list[float]) -> list[SpeedF
         return found
     early, late = (sum(encode_ms[at : at + _WINDOW]) for at in (0, _LATE))
     return [*found, SpeedFigure("encoding late in the log, of that early in it", late / early, most=1.1)]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

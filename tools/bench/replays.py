@@ -1,13 +1,12 @@
-"""What a replay takes, from outside: the command in a process of its own, here or in another installation."""
+"""What a replay takes, from outside: the command in a process of its own, of this version or another one."""
 
 import subprocess
 import sys
-import sysconfig
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 from typing import Final
 
 import numpy as np
@@ -16,69 +15,39 @@ from roadperc_stream.api import read_metrics
 from roadperc_stream.errors import ProgramError
 from roadperc_stream.system.cost import Cost, cost_of
 
-from .figures import BenchJob
 from .inputs import WARM_UP, BenchLog
 
-_COMMAND: Final = "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"
-_THREADS: Final = "--threads"
 _NO_PART: Final = frozenset({"sync_skew_ms", "wall_ms"})
 """Columns in milliseconds that are no share of a frame's total."""
 
 
-@dataclass(frozen=True)
-class Installation:
-    """A version of the package: the interpreter that finds it, and whether its replay can be told its threads."""
-
-    python: Path
-    takes_threads: bool
-
-    @classmethod
-    def of(cls, python: Path) -> "Installation":
-        """The one that an interpreter finds.
-
-        Raises:
-            ProgramError: it finds none that runs.
-        """
-        said = subprocess.run([*_words(python), "--help"], capture_output=True, text=True, check=False)
-        if said.returncode:
-            raise ProgramError(f"{python}: roadperc-replay --help ended with exit code {said.returncode}")
-        return cls(python, _THREADS in said.stdout)
-
-    def replay(self, *arguments: str | Path) -> list[str]:
-        """The words of a replay."""
-        return [*_words(self.python), *map(str, arguments)]
-
-    def threads(self, count: int) -> Sequence[str]:
-        """The arguments that ask for so many threads; none where there is always one."""
-        return (_THREADS, str(count)) if self.takes_threads else ()
+def replay_words(*arguments: str | Path, package: Path | None = None) -> list[str]:
+    """The command of a replay, of this package or of the one in a folder; ``-P`` ignores the folder it starts in."""
+    found = "" if package is None else f"sys.path.insert(0, {str(package)!r}); "
+    code = f"import sys; {found}from roadperc_stream.cli.launch import replay; sys.exit(replay())"
+    return [sys.executable, "-P", "-c", code, *map(str, arguments)]
 
 
-def _words(python: Path) -> list[str]:
-    """``-P`` keeps the folder it is started in from standing in for what is installed."""
-    return [str(python), "-P", "-c", _COMMAND]
-
-
-def replay_job(name: str, installation: Installation, log: BenchLog, out: Path, threads: int) -> BenchJob:
-    """The job of replaying a log: ``cpu`` and ``wall`` a frame without the start, peak memory, the first frame, parts.
+def replay_cost(name: str, log: BenchLog, out: Path, threads: int, package: Path | None = None) -> dict[str, float]:
+    """Replay a log: ``cpu`` and ``wall`` a frame without the start, peak memory, the first frame, parts.
 
     The start is what the log's first ``WARM_UP`` frames alone take, in a run of their own.
 
     Args:
-        name: the job's.
-        installation: which version.
+        name: what an error calls the replay.
         log: what is replayed.
         out: the log that is written, and kept.
-        threads: how many are asked for.
+        threads: how many it gets.
+        package: the folder of another version.
+
+    Raises:
+        ProgramError: a replay fails.
     """
-    options = (*installation.threads(threads), "--force", "--quiet")
-
-    def run() -> dict[str, float]:
-        short = out.with_suffix(".short.mcap")
-        paths = ((log.first_frame, short), (log.warm_up, short), (log.path, out))
-        first, warm_up, whole = (cost_of(name, installation.replay(*pair, *options)) for pair in paths)
-        return a_frame(warm_up, whole, log.frames) | _first_frame(first) | parts(out)
-
-    return BenchJob(name, run)
+    options, short = ("--threads", str(threads), "--force", "--quiet"), out.with_suffix(".short.mcap")
+    paths = ((log.first_frame, short), (log.warm_up, short), (log.path, out))
+    first, warm_up, whole = (cost_of(name, replay_words(*pair, *options, package=package)) for pair in paths)
+    start = {"first frame/cpu": first.cpu_s * 1000, "first frame/wall": first.wall_s * 1000}
+    return a_frame(warm_up, whole, log.frames) | start | parts(out)
 
 
 def a_frame(warm_up: Cost, whole: Cost, frames: int) -> dict[str, float]:
@@ -88,10 +57,6 @@ def a_frame(warm_up: Cost, whole: Cost, frames: int) -> dict[str, float]:
         "wall": (whole.wall_s - warm_up.wall_s) / (frames - WARM_UP) * 1000,
         "peak_mb": whole.peak_mb,
     }
-
-
-def _first_frame(cost: Cost) -> dict[str, float]:
-    return {"first frame/cpu": cost.cpu_s * 1000, "first frame/wall": cost.wall_s * 1000}
 
 
 def parts(out: Path) -> dict[str, float]:
@@ -107,34 +72,20 @@ def parts(out: Path) -> dict[str, float]:
     }
 
 
-def start_jobs(installation: Installation) -> list[BenchJob]:
-    """The jobs of starting Python with numpy and OpenCV, and of a replay's ``--help``."""
-    bare = [str(installation.python), "-P", "-c", "import numpy, cv2"]
-    return [_start_job("import numpy, cv2", bare), _start_job("--help", installation.replay("--help"))]
-
-
-def _start_job(name: str, command: list[str]) -> BenchJob:
-    def run() -> dict[str, float]:
-        costs = [cost_of(name, command) for _ in range(3)]
-        return {
-            "cpu": float(np.median([cost.cpu_s for cost in costs]) * 1000),
-            "wall": float(np.median([cost.wall_s for cost in costs]) * 1000),
-        }
-
-    return BenchJob(name, run)
+def start_cost(name: str, command: Sequence[str]) -> dict[str, float]:
+    """Milliseconds that a short program takes, medians of three runs."""
+    costs = [cost_of(name, command) for _ in range(3)]
+    return {"cpu": median(cost.cpu_s for cost in costs) * 1000, "wall": median(cost.wall_s for cost in costs) * 1000}
 
 
 _REPOSITORY: Final = Path(__file__).resolve().parents[2]
-_PROJECT: Final = "roadperc_stream"
-_LIBRARIES: Final = "libraries.pth"
 
 
 @contextmanager
 def installed(commit: str) -> Iterator[Path]:
-    """The interpreter of an environment in which a commit is installed, with what it has to build; removed in the end.
+    """A folder in which a commit's package is installed, with its compiled loops; removed in the end.
 
-    Its libraries are those of this environment: what differs is this project alone. One that this environment lacks is
-    installed as the commit asks for it.
+    Its libraries are those of this environment: what differs is this project alone.
 
     Args:
         commit: anything that git takes for one.
@@ -142,27 +93,11 @@ def installed(commit: str) -> Iterator[Path]:
     Raises:
         ProgramError: there is no such commit, or it cannot be installed.
     """
-    named = _output("git", "-C", str(_REPOSITORY), "rev-parse", "--verify", "--quiet", f"{commit}^{{commit}}")
+    named = _output("git", "-C", str(_REPOSITORY), "rev-parse", "--verify", "--quiet", f"{commit}^{{commit}}").strip()
     with tempfile.TemporaryDirectory(prefix="roadperc-bench-") as folder:
-        tree, environment = Path(folder) / "tree", Path(folder) / "environment"
-        _output("git", "-C", str(_REPOSITORY), "worktree", "add", "--detach", "--quiet", str(tree), named.strip())
-        try:
-            yield _environment(environment, tree)
-        finally:
-            _output("git", "-C", str(_REPOSITORY), "worktree", "remove", "--force", str(tree))
-
-
-def _environment(environment: Path, tree: Path) -> Path:
-    """The interpreter of a new environment that finds this one's libraries behind its own package."""
-    _output(sys.executable, "-m", "venv", "--without-pip", str(environment))
-    python = environment / "bin" / "python"
-    own = Path(_output(str(python), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
-    libraries = dict.fromkeys(sysconfig.get_path(kind) for kind in ("purelib", "platlib"))
-    own.joinpath(_LIBRARIES).write_text("".join(f"{folder}\n" for folder in libraries))
-    pip = [sys.executable, "-m", "pip", "--python", str(python), "--disable-pip-version-check", "install", "--quiet"]
-    _output(*pip, "--no-deps", "--ignore-installed", str(tree))
-    _output(*pip, _PROJECT)  # which is there already: what it lacks is not
-    return python
+        pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-deps")
+        _output(*pip, "--target", folder, f"git+file://{_REPOSITORY}@{named}")
+        yield Path(folder)
 
 
 def _output(*command: str) -> str:
@@ -173,14 +108,6 @@ def _output(*command: str) -> str:
     """
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        raise ProgramError(f"{_shown(command)} ended with exit code {done.returncode}: {_last_line(done.stderr)}")
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise ProgramError(f"{' '.join(command)} ended with exit code {done.returncode}: {last}")
     return done.stdout
-
-
-def _shown(command: Sequence[str]) -> str:
-    return " ".join(command)
-
-
-def _last_line(text: str) -> str:
-    lines = text.strip().splitlines()
-    return lines[-1] if lines else "it says nothing"

@@ -1,6 +1,6 @@
 """How long a report over many tables takes, and in how much memory, against polars' bare group-by over the same files.
 
-So for a folder of tables, and for a batch's dataset of small ones. Run it with ``make bench-report`` or
+The tables are those of a batch's dataset. Run it with ``make bench-report`` or
 ``python -m roadperc_stream.tools.bench.report FOLDER``.
 """
 
@@ -13,75 +13,61 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
-from rich.console import Console
-from rich.table import Table
 
 from roadperc_stream.cli.plumbing import run, whole_number
 from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, TableWriter, arrow_schema
-from roadperc_stream.output.terminal import frame_progress
+from roadperc_stream.output.terminal import console_for, frame_progress, print_table
+from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, columns_of
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 from roadperc_stream.system.cost import cost_of
-from roadperc_stream.system.files import METRICS_SUFFIX
 
 _COLUMNS: Final = (*(name for name, column in columns_of(FrameMetrics).items() if column.label), *TIME_COLUMNS)
 """The numbers that a report shows."""
-_FACTS: Final = {
-    f"{FACT_PREFIX}{key}": value
-    for key, value in {"config_digest": "0" * 64, "version": "bench", "log": "none.mcap"}.items()
-}
+_FACTS: Final = {f"{FACT_PREFIX}{key}": "bench" for key in ("config_digest", "version", "log")}
 _CONFIGS: Final = ("00000000", "11111111")
 _STATES: Final = np.array(["measured", "held", "lost"])
 _REPORT: Final = "import sys; from roadperc_stream.cli.report import main; sys.exit(main(sys.argv[1:]))"
-_GROUP_BY: Final = (
-    "from sys import argv; from roadperc_stream.tools.bench.report import group_by; print(group_by(argv[1]).shape)"
-)
+_GROUP_BY: Final = "import sys; from roadperc_stream.tools.bench.report import group_by; group_by(sys.argv[1])"
 
 
 def main(argv: list[str] | None = None) -> int:
     """Write tables where there are none yet, read them both ways, print what that took."""
     parser = argparse.ArgumentParser(prog="python -m roadperc_stream.tools.bench.report", description=__doc__)
-    parser.add_argument("folder", metavar="FOLDER", type=Path, help="gets a folder of tables, and keeps it")
-    parser.add_argument("--files", type=whole_number, default=1000, metavar="N", help="tables (1000)")
-    parser.add_argument("--rows", type=whole_number, default=10_000, metavar="N", help="frames of each (10000)")
-    parser.add_argument(
-        "--dataset",
-        action="store_true",
-        help="a batch's dataset, by day, every log under two configurations: try --files 5000 --rows 2000",
-    )
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="gets a dataset, and keeps it")
+    parser.add_argument("--files", type=whole_number, default=5000, metavar="N", help="tables (5000)")
+    parser.add_argument("--rows", type=whole_number, default=2000, metavar="N", help="frames of each (2000)")
     arguments = parser.parse_args(argv)
     return run(lambda: _bench(arguments))
 
 
 def group_by(folder: str) -> pl.DataFrame:
-    """Mean and quantiles of the report's columns for each log, or each configuration of a dataset, plainly."""
-    quantiles = [
-        pl.col(_COLUMNS).quantile(share, "linear").name.suffix(f"_{share}") for share in (0.05, 0.5, 0.95, 0.99)
-    ]
-    of_dataset = (Path(folder) / "runs.parquet").exists()
-    tables = pl.scan_parquet(f"{folder}/metrics/*/*.parquet" if of_dataset else f"{folder}/*{METRICS_SUFFIX}")
-    return (
-        tables.group_by("config" if of_dataset else "log_id")
-        .agg(pl.col(_COLUMNS).mean(), *quantiles)
-        .collect(engine="streaming")
-    )
-
-
-def write_tables(folder: Path, files: int, rows: int) -> None:
-    """Tables with a replay's columns and row groups, a tenth of what may be null being so; those there are kept."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with frame_progress("tables", enabled=True) as progress:
-        for index in range(files):
-            path = folder / f"log{index:05}{METRICS_SUFFIX}"
-            if not path.exists():
-                _write(path, index, rows)
-            progress(index + 1, files)
+    """Mean and quantiles of the report's columns for each configuration of a dataset, plainly."""
+    shares = (0.05, 0.5, 0.95, 0.99)
+    quantiles = [pl.col(_COLUMNS).quantile(share, "linear").name.suffix(f"_{share}") for share in shares]
+    tables = pl.scan_parquet(f"{folder}/metrics/*/*.parquet")
+    return tables.group_by("config").agg(pl.col(_COLUMNS).mean(), *quantiles).collect(engine="streaming")
 
 
 def write_dataset(folder: Path, files: int, rows: int) -> None:
     """The like of a batch: logs of thirty days, each under two configurations; tables that are there are kept."""
     folder.mkdir(parents=True, exist_ok=True)
-    runs = [_run(index // 2, _CONFIGS[index % 2], rows) for index in range(files)]
+    runs = [
+        run_row(
+            log_id=f"{index // 2:016x}",
+            config=_CONFIGS[index % 2],
+            status="done",
+            path=f"/drives/log{index // 2:05}.mcap",
+            names=(f"/drives/log{index // 2:05}.mcap",),
+            date=f"2026-01-{index // 2 % 30 + 1:02}",
+            duration_s=rows / 20,
+            frames=rows,
+            version="bench",
+            settings=f"seed = {index % 2}\n",
+            attempts=1,
+        )
+        for index in range(files)
+    ]
     with frame_progress("tables", enabled=True) as progress:
         for index, item in enumerate(runs):
             path = folder / "metrics" / f"date={item.date}" / f"{item.log_id}-{item.config}.parquet"
@@ -102,33 +88,15 @@ def run_row(**known: object) -> RunRow:
     return RunRow(**values)
 
 
-def _run(index: int, config: str, rows: int) -> RunRow:
-    path = f"/drives/log{index:05}.mcap"
-    return run_row(
-        log_id=f"{index:016x}",
-        config=config,
-        status="done",
-        path=path,
-        names=(path,),
-        date=f"2026-01-{index % 30 + 1:02}",
-        duration_s=rows / 20,
-        frames=rows,
-        version="bench",
-        settings=f"seed = {_CONFIGS.index(config)}\n",
-        attempts=1,
-    )
-
-
-def _write(path: Path, index: int, rows: int, config: str | None = None) -> None:
-    schema = arrow_schema(FrameMetrics, TIME_COLUMNS, _FACTS, {} if config is None else {"config": config})
+def _write(path: Path, index: int, rows: int, config: str) -> None:
+    schema = arrow_schema(FrameMetrics, TIME_COLUMNS, _FACTS, {"config": config})
     rng = np.random.default_rng(index)
     columns = {field.name: _values(field, rng, rows) for field in schema}
     columns["log_id"] = pa.array([f"{index:016x}"] * rows)
     columns["frame"] = pa.array(np.arange(rows))
     columns["segment"] = pa.array([0] * rows)
     columns["stamp_ns"] = pa.array(np.arange(rows) * 50_000_000)
-    if config is not None:
-        columns["config"] = pa.array([config] * rows)
+    columns["config"] = pa.array([config] * rows)
     partial = path.with_suffix(".partial")
     pq.write_table(pa.table(columns, schema=schema), partial, ROW_GROUP_ROWS, compression="zstd")
     partial.replace(path)
@@ -147,17 +115,17 @@ def _values(field: pa.Field, rng: np.random.Generator, rows: int) -> pa.Array:
 
 
 def _bench(arguments: argparse.Namespace) -> None:
-    kind, write = ("dataset-", write_dataset) if arguments.dataset else ("", write_tables)
-    folder = arguments.folder / f"{kind}{arguments.files}x{arguments.rows}"
-    write(folder, arguments.files, arguments.rows)
+    folder = arguments.folder / f"{arguments.files}x{arguments.rows}"
+    write_dataset(folder, arguments.files, arguments.rows)
     programs = {"roadperc-report": _REPORT, "bare group-by": _GROUP_BY}
     costs = {name: cost_of(name, [sys.executable, "-c", code, str(folder)]) for name, code in programs.items()}
     bare = costs["bare group-by"]
-    table = Table("", "seconds", "core seconds", "peak MB", "times the bare", title=f"{folder.name} rows")
-    for name, cost in costs.items():
-        ratio = cost.wall_s / bare.wall_s
-        table.add_row(name, f"{cost.wall_s:.1f}", f"{cost.cpu_s:.1f}", f"{cost.peak_mb:.0f}", f"{ratio:.2f}")
-    Console().print(table)
+    rows = [
+        row(name, f"{c.wall_s:.1f}", f"{c.cpu_s:.1f}", f"{c.peak_mb:.0f}", f"{c.wall_s / bare.wall_s:.2f}")
+        for name, c in costs.items()
+    ]
+    headers = ("seconds", "core seconds", "peak MB", "times the bare")
+    print_table(console_for(sys.stdout), TextTable(f"{folder.name} rows", headers, tuple(rows)))
 
 
 if __name__ == "__main__":

@@ -56,14 +56,8 @@ _MISSPELLED = 0.78
 """Likeness from which a key is no note: ``widht`` has 0.8, ``fov_y`` 0.75."""
 
 
-@dataclass(frozen=True)
-class Pinhole:
-    """Intrinsics in pixels, pixel centres at integers from 0."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+Pinhole = tuple[float, float, float, float]
+"""fx, fy, cx, cy in pixels, pixel centres at integers from 0."""
 
 
 def load_calibration(path: Path) -> CalibrationFile:
@@ -71,7 +65,6 @@ def load_calibration(path: Path) -> CalibrationFile:
 
     Raises:
         DumpError: names file, key and fault.
-
     """
     document = read_json(path)
     _refuse_misspelled(path, document)
@@ -114,13 +107,13 @@ def _require_pinhole(where: str, K: Float) -> None:
 def pinhole_of_K(K: Float, pixel_origin: str) -> Pinhole:
     """Pinhole of K; a principal point counted from the pixel's corner lies half a pixel less from its centre."""
     shift = _HALF_PIXEL if pixel_origin == "corner" else 0.0
-    return Pinhole(float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) - shift, float(K[1, 2]) - shift)
+    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]) - shift, float(K[1, 2]) - shift
 
 
 def pinhole_of_fov(fov_deg: float, width: int, height: int) -> Pinhole:
     """Square pixels: f = w / (2 tan(fov / 2)), the principal point in the middle of the image."""
     f = round(float(width / (2.0 * np.tan(np.deg2rad(fov_deg) / 2.0))), _FOCAL_DIGITS)
-    return Pinhole(f, f, (width - 1) / 2.0, (height - 1) / 2.0)
+    return f, f, (width - 1) / 2.0, (height - 1) / 2.0
 
 
 @dataclass(frozen=True)
@@ -139,7 +132,6 @@ def decompose_pair(path: Path, P_left: Float, P_right: Float) -> ProjectionPair:
 
     Raises:
         DumpError: a matrix is no projection, or both have one centre.
-
     """
     K_left, R_left, centre_left = _decompose(f"{path}: P_left", P_left)
     K_right, _, centre_right = _decompose(f"{path}: P_right", P_right)

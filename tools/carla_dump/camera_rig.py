@@ -1,6 +1,6 @@
 """The cameras of a dump: intrinsics, frames and mountings, from ``calibration.json`` and the images' sizes."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -84,7 +84,6 @@ def build_rig(
 
     Raises:
         DumpError: a camera without intrinsics or size, or a mounting that contradicts the baseline.
-
     """
     known = _known(calibration, path, sizes, front_name)
     front_role = next(role for role in CAMERA_ROLES if role in roles)
@@ -108,13 +107,7 @@ def build_rig(
         transforms += _right_edge(known, base, base_T, baseline_m)
     transforms += _edge(EGO, LIDAR, known.ego_T_lidar) if LIDAR in roles else ()
     frame_ids = {"depth": depth_frame, "truth_depth": depth_frame, "left": LEFT, "right": RIGHT, "lidar": LIDAR}
-    notes = (
-        *_notes(known, front_T),
-        *_pixel_notes(known, cameras),
-        *_stereo_notes(known, cameras),
-        *_lidar_notes(known, roles),
-    )
-    return Rig(cameras, frame_ids, transforms, notes)
+    return Rig(cameras, frame_ids, transforms, tuple(_notes(known, front_T, cameras, roles)))
 
 
 def _known(calibration: CalibrationFile, path: Path, sizes: Mapping[str, Size], front_name: str) -> _Known:
@@ -146,7 +139,7 @@ def _camera(known: _Known, frame_id: str, role: str) -> Camera:
             f"{frame_id} has no calibration: {known.path} gives neither K nor fov_deg; "
             "add one there, or say --fov DEGREES (horizontal field of view)"
         )
-    return Camera(frame_id, width, height, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy)
+    return Camera(frame_id, width, height, *pinhole)
 
 
 def _pinhole(source: Intrinsics, pixel_origin: str, width: int, height: int, K_of_pair: Float | None) -> Pinhole | None:
@@ -201,27 +194,24 @@ def _baseline(known: _Known, base_T: Float | None) -> float | None:
     return stated or mounted
 
 
-def _notes(known: _Known, front_T: Float | None) -> list[str]:
-    names = dict.fromkeys((*known.file.mounting, *known.file.cameras))
-    notes = [f"{known.path.name}: {name!r} is no sensor known: left out" for name in names if role_of(name) is None]
+def _notes(
+    known: _Known, front_T: Float | None, cameras: Mapping[str, Camera], roles: Collection[str]
+) -> Iterator[str]:
+    """What of the calibration is left out, contradicts itself or is missing."""
+    for name in dict.fromkeys((*known.file.mounting, *known.file.cameras)):
+        if role_of(name) is None:
+            yield f"{known.path.name}: {name!r} is no sensor known: left out"
     if "segmentation" in known.mountings and not _same(known.mountings["segmentation"], front_T):
-        notes.append("the segmentation camera is not mounted where the front camera is: tags and image do not align")
-    return notes
-
-
-def _pixel_notes(known: _Known, cameras: Mapping[str, Camera]) -> list[str]:
+        yield "the segmentation camera is not mounted where the front camera is: tags and image do not align"
     skewed = {(camera.fx, camera.fy): camera for camera in cameras.values() if not camera.square_pixels}
-    return [
-        f"{camera.frame_id}: fx {camera.fx:g} and fy {camera.fy:g} of {known.path.name} differ by more than 5 %: the "
-        "pixels of nearly every camera are square, and heights and pitch are wrong where one of the two is"
-        for camera in skewed.values()
-    ]
-
-
-def _lidar_notes(known: _Known, roles: Collection[str]) -> list[str]:
-    if LIDAR not in roles or known.ego_T_lidar is not None:
-        return []
-    return [f'nobody says where the lidar is, its points will not be used: say "mounting" in {known.path.name}']
+    for camera in skewed.values():
+        yield (
+            f"{camera.frame_id}: fx {camera.fx:g} and fy {camera.fy:g} of {known.path.name} differ by more than 5 %: "
+            "the pixels of nearly every camera are square, and heights and pitch are wrong where one of the two is"
+        )
+    yield from _stereo_notes(known, cameras)
+    if LIDAR in roles and known.ego_T_lidar is None:
+        yield f'the place of the lidar is not known, its points will not be used: say "mounting" in {known.path.name}'
 
 
 def _stereo_notes(known: _Known, cameras: Mapping[str, Camera]) -> list[str]:

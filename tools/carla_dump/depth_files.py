@@ -52,7 +52,6 @@ def depth_encoding(files: Sequence[Path]) -> DepthEncoding:
 
     Raises:
         DumpError: no file can be read, or the content is no depth.
-
     """
     samples = surveyed(files)
     found = [encoding for pixels in samples if (encoding := _encoding(pixels))]
@@ -103,7 +102,6 @@ def depth_metres(pixels: Pixels, encoding: DepthEncoding) -> Float32:
 
     Raises:
         DumpError: this file is not encoded as the sensor's others.
-
     """
     own = _encoding(pixels)
     same = own == encoding or (own in GREY and encoding in GREY)

@@ -69,7 +69,6 @@ def load_detections(path: Path) -> tuple[Detections, str, tuple[str, ...]]:
 
     Raises:
         DumpError: names the file, the key and the fault.
-
     """
     data = read_json(path)
     if isinstance(data, list) or (isinstance(data, dict) and any(isinstance(data.get(k), list) for k in _COCO_LISTS)):
@@ -88,7 +87,6 @@ def checked_box(where: str, x_min: float, y_min: float, x_max: float, y_max: flo
 
     Raises:
         DumpError: a maximum below its minimum.
-
     """
     if x_max < x_min or y_max < y_min:
         raise DumpError(f"{where}: box {x_min}, {y_min}, {x_max}, {y_max}: expected x_min, y_min, x_max, y_max")
@@ -131,7 +129,6 @@ def load_kitti_labels(files: Mapping[int, Path]) -> Detections:
 
     Raises:
         DumpError: names file and line.
-
     """
     return {number: _kitti_file(path) for number, path in files.items()}
 

@@ -5,7 +5,7 @@ A file has a stamp in each line, or is a table whose first line names its column
 
 import csv
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from fractions import Fraction
@@ -23,14 +23,18 @@ _UNITS: Final = {"ns": 9, "nsec": 9, "nanoseconds": 9, "us": 6, "ms": 3, "s": 0,
 _STAMPS: Final = ("timestamp", "stamp", "time", "sim_time", "elapsed", "t", "secs", "seconds")
 _FRAMES: Final = ("frame", "frame_number", "frame_id", "index", "idx", "number", "id")
 _FILES: Final = ("filename", "file", "file_name", "image", "name", "path")
-_UNIX_FROM_S: Final = 1_000_000_000
-_UNIX_TO_S: Final = 2**31
 _SEPARATORS: Final = (",", ";", "\t")
+EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
+"""2020-01-01T00:00:00Z: where the time of every dump starts, so that a conversion is reproducible."""
+DEFAULT_RATE_HZ: Final = 20.0
+_UNIX_TIME_FROM_S: Final = 1_000_000_000
+"""Seconds from here on (2001) are Unix time; a simulation does not run for 31 years."""
+_LIMIT_S: Final = 2**31
+"""Stamps of ROS messages end here, in 2038."""
+_DATE: Final = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?Z?")
 
 
-def column_table(
-    path: Path, lines: Sequence[str], stamp_of_seconds: Callable[[str], int | None]
-) -> list[tuple[int | None, int, int]]:
+def _column_table(path: Path, lines: Sequence[str]) -> list[tuple[int | None, int, int]]:
     """Frame number where there is one, stamp in nanoseconds and line of each row; empty where no line names columns.
 
     The stamps are in the column ``timestamp``, ``stamp_ns``, ``#timestamp [ns]`` or one of a like name, in the unit
@@ -40,7 +44,6 @@ def column_table(
     Args:
         path: of the table, for messages.
         lines: its lines.
-        stamp_of_seconds: nanoseconds of seconds as a text; None of no time.
 
     Raises:
         DumpError: no column is known for stamps, or a row has none.
@@ -86,19 +89,9 @@ def _in_seconds(text: str, unit: str) -> str:
         return text
     digits = _UNITS.get(unit)
     if digits is None:
-        fits = (d for d in (0, 3, 6, 9) if _UNIX_FROM_S <= value.scaleb(-d) < _UNIX_TO_S)
+        fits = (d for d in (0, 3, 6, 9) if _UNIX_TIME_FROM_S <= value.scaleb(-d) < _LIMIT_S)
         digits = next(fits, 0)
     return str(value.scaleb(-digits))
-
-
-EPOCH_NS: Final = 1_577_836_800 * NS_PER_S
-"""2020-01-01T00:00:00Z: where the time of every dump starts, so that a conversion is reproducible."""
-DEFAULT_RATE_HZ: Final = 20.0
-_UNIX_TIME_FROM_S: Final = 1_000_000_000
-"""Seconds from here on (2001) are Unix time; a simulation does not run for 31 years."""
-_LIMIT_S: Final = 2**31
-"""Stamps of ROS messages end here, in 2038."""
-_DATE: Final = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?Z?")
 
 
 def stamps_of_rate(frames: Sequence[int], rate_hz: float) -> dict[int, int]:
@@ -142,13 +135,13 @@ def stamps_of_file(path: Path, frames: Sequence[int]) -> dict[int, int]:
     """Stamp in nanoseconds of each frame number from lines ``frame seconds`` or, one value a line, in frame order.
 
     Values are seconds (counted from ``EPOCH_NS``, or Unix time) or ISO dates with time, as KITTI raw has them. Where
-    the first line names columns, they are found by their names, whatever others there are (``column_table``).
+    the first line names columns, they are found by their names, whatever others there are (``_column_table``).
 
     Raises:
         DumpError: names the line that cannot be read or does not increase, or the frame without a stamp.
-
     """
-    lines = column_table(path, read_lines(path), stamp_of_seconds) or _lines(path)
+    texts = read_lines(path)
+    lines = _column_table(path, texts) or _lines(path, texts)
     if any(number is not None for number, _, _ in lines):
         stamps = {number: (stamp, line) for number, stamp, line in lines if number is not None}
         if len(stamps) != len(lines):
@@ -172,9 +165,8 @@ def read_lines(path: Path) -> list[str]:
         raise DumpError(f"{path}: {error}") from error
 
 
-def _lines(path: Path) -> list[tuple[int | None, int, int]]:
+def _lines(path: Path, texts: Sequence[str]) -> list[tuple[int | None, int, int]]:
     """Frame number, stamp in nanoseconds and line number of each line."""
-    texts = read_lines(path)
     numbered = [(text.strip(), line) for line, text in enumerate(texts, 1)]
     kept = [(text, line) for text, line in numbered if text and not text.startswith("#")]
     if kept and not any(character.isdigit() for character in kept[0][0]):

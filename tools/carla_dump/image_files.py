@@ -2,7 +2,6 @@
 
 import struct
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
@@ -21,27 +20,11 @@ class UnreadableFrameError(DumpError):
     """One file that is no frame: it is reported and counted as missing, the others go on."""
 
 
-@dataclass(frozen=True)
-class ImageHeader:
-    """What an image file's first bytes say."""
-
-    format: ImageFormat
-    width: int
-    height: int
-    description: str
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Columns and rows."""
-        return self.width, self.height
-
-
 def image_format(path: Path, data: bytes) -> ImageFormat:
     """Format by content.
 
     Raises:
         UnreadableFrameError: empty, or neither PNG nor JPEG; the message says what it is.
-
     """
     name = format_of(data)
     if name == "PNG":
@@ -52,12 +35,11 @@ def image_format(path: Path, data: bytes) -> ImageFormat:
     raise UnreadableFrameError(f"{path}: {found}, expected PNG or JPEG")
 
 
-def read_header(path: Path) -> ImageHeader:
-    """Header of an image file; only its first and last bytes are read.
+def read_header(path: Path) -> tuple[tuple[int, int], str]:
+    """Columns and rows of an image file, and its encoding in words; only its first and last bytes are read.
 
     Raises:
         UnreadableFrameError: empty, cut off, or neither PNG nor JPEG.
-
     """
     try:
         with path.open("rb") as stream:
@@ -66,19 +48,13 @@ def read_header(path: Path) -> ImageHeader:
             stream.seek(0, 2)
             stream.seek(max(stream.tell() - _TAIL_BYTES, 0))
             _require_end(path, form, stream.read())
-        return _png_header(head) if form == "png" else _jpeg_header(path)
+        if form == "png":
+            width, height, bits, mode = struct.unpack_from(">IIBB", head, 16)
+            return (width, height), f"png {_PNG_MODES.get(mode, '?')} {bits} bit"
+        with PillowImage.open(path, formats=("JPEG",)) as image:
+            return image.size, f"jpeg {'grey' if image.mode == 'L' else 'colour'}"
     except (OSError, struct.error, PillowImage.DecompressionBombError) as error:
         raise UnreadableFrameError(f"{path}: {error}") from error
-
-
-def _png_header(head: bytes) -> ImageHeader:
-    width, height, bits, mode = struct.unpack_from(">IIBB", head, 16)
-    return ImageHeader("png", width, height, f"png {_PNG_MODES.get(mode, '?')} {bits} bit")
-
-
-def _jpeg_header(path: Path) -> ImageHeader:
-    with PillowImage.open(path, formats=("JPEG",)) as image:
-        return ImageHeader("jpeg", image.width, image.height, f"jpeg {'grey' if image.mode == 'L' else 'colour'}")
 
 
 def _require_end(path: Path, form: ImageFormat, tail: bytes) -> None:
@@ -92,7 +68,6 @@ def require_whole(path: Path, data: bytes) -> ImageFormat:
 
     Raises:
         UnreadableFrameError: empty, cut off, damaged, or neither PNG nor JPEG.
-
     """
     form = image_format(path, data)
     if form == "png":
@@ -123,7 +98,6 @@ def read_bytes(path: Path) -> bytes:
 
     Raises:
         UnreadableFrameError: the system does not give it.
-
     """
     try:
         return path.read_bytes()

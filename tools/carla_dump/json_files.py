@@ -30,7 +30,6 @@ def read_json(path: Path) -> Any:
 
     Raises:
         DumpError: the file cannot be read or is no JSON.
-
     """
     try:
         return json.loads(path.read_bytes())
@@ -45,7 +44,6 @@ def checked(path: Path, expected: TypeAdapter[T], data: Any) -> T:
 
     Raises:
         DumpError: names file, key, fault and value.
-
     """
     try:
         return expected.validate_python(data)
@@ -71,7 +69,6 @@ def by_frame(path: Path, entries: Mapping[str, T]) -> dict[int, T]:
 
     Raises:
         DumpError: a key without a number, or two keys of one number.
-
     """
     numbered: dict[int, T] = {}
     names: dict[int, str] = {}

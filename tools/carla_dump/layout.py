@@ -73,7 +73,6 @@ def find_layout(dump: Path, overrides: Mapping[str, Path]) -> DumpLayout:
 
     Raises:
         DumpError: no such folder, nothing that fits a role, two candidates for one role, two files of one frame.
-
     """
     entries = _entries(dump)
     notes: list[str] = []

@@ -3,8 +3,9 @@
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import TypeVar
+from functools import partial
+from pathlib import Path
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -13,12 +14,11 @@ from roadperc_stream.formats.images import encode_indices
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import EGO
 from roadperc_stream.output import encoding
-from roadperc_stream.output.encoding import encode_points
 from roadperc_stream.schemas.record import TAG_TABLE_KEY
 from roadperc_stream.schemas.registry import schema
 from roadperc_stream.schemas.roles import ROLES
 
-from .camera_rig import FRONT
+from .camera_rig import FRONT, LIDAR
 from .depth_files import depth_metres
 from .image_files import UnreadableFrameError, read_bytes, require_whole
 from .pixel_files import Pixels, load_pixels
@@ -30,6 +30,8 @@ from .tag_files import tags_of
 T = TypeVar("T")
 Encode = Callable[[int, int], bytes | None]
 """A frame's message from its number and stamp in nanoseconds; None where the frame has none."""
+EncodeFile = Callable[[Plan, str, Path, int], bytes]
+"""The message of a role's file with a stamp in nanoseconds."""
 
 ODOM = "odom"
 _WORKERS = 2
@@ -64,24 +66,20 @@ def messages(plan: Plan, unreadable: list[str]) -> Iterator[tuple[str, Message]]
 
     Raises:
         DumpError: a file that contradicts the plan: other size, other encoding, unknown tags.
-
     """
     by_role = channels(plan)
     first_ns = next(iter(plan.stamps_ns.values()))
     for role, data in _static(plan):
         yield role, Message(by_role[role], first_ns, first_ns, 0, data)
-    for sequence, (stamp_ns, frame) in enumerate(zip(plan.stamps_ns.values(), _frames_ahead(plan), strict=True)):
-        for role, content in frame.contents:
+    frames = zip(plan.stamps_ns.values(), _frames_ahead(plan), strict=True)
+    for sequence, (stamp_ns, (contents, faults)) in enumerate(frames):
+        for role, content in contents:
             yield role, Message(by_role[role], stamp_ns, stamp_ns, sequence, content)
-        unreadable.extend(frame.unreadable)
+        unreadable.extend(faults)
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """One frame's encoded messages in the order of the contract's table, and the faults of its files."""
-
-    contents: tuple[tuple[str, bytes], ...]
-    unreadable: tuple[str, ...]
+_Frame = tuple[list[tuple[str, bytes]], list[str]]
+"""One frame's encoded messages with their roles, in the order of the contract's table, and the faults of its files."""
 
 
 def _frames_ahead(plan: Plan) -> Iterator[_Frame]:
@@ -107,7 +105,7 @@ def _frame(encoders: Mapping[str, Encode], number: int, stamp_ns: int) -> _Frame
             continue
         if content is not None:
             contents.append((role, content))
-    return _Frame(tuple(contents), tuple(unreadable))
+    return contents, unreadable
 
 
 def _static(plan: Plan) -> list[tuple[str, bytes]]:
@@ -122,11 +120,7 @@ def _static(plan: Plan) -> list[tuple[str, bytes]]:
 
 def _encoders(plan: Plan) -> dict[str, Encode]:
     """What makes a frame's messages, in the order of the contract's table."""
-    cameras = {"image": _image, "left": _image, "right": _image}
-    depths = {"depth": _depth, "truth_depth": _depth}
-    tags = {"segmentation": _tags, "truth_segmentation": _tags}
-    of_files = {**cameras, **depths, **tags, "instances": _instances, "lidar": _points}
-    found: dict[str, Encode] = {role: of_files[role](plan, role) for role in plan.surveys}
+    found: dict[str, Encode] = {role: partial(_of_file, plan, role, _OF_FILES[role]) for role in plan.surveys}
     if plan.detections:
         found["detections"] = _each(plan.detections, lambda ns, d: encoding.encode_detections(ns, FRONT, d))
     if plan.poses:
@@ -144,74 +138,51 @@ def _each(entries: Mapping[int, T], encode: Callable[[int, T], bytes]) -> Encode
     return lambda number, stamp_ns: encode(stamp_ns, entries[number]) if number in entries else None
 
 
-def _image(plan: Plan, role: str) -> Encode:
-    """Camera images pass through byte for byte."""
-    files = plan.surveys[role].sensor.files
-    frame_id = plan.rig.frame_ids.get(role, FRONT)
-
-    def encode(number: int, stamp_ns: int) -> bytes | None:
-        if number not in files:
-            return None
-        data = read_bytes(files[number])
-        return encoding.encode_image(stamp_ns, frame_id, require_whole(files[number], data), data)
-
-    return encode
-
-
-def _instances(plan: Plan, role: str) -> Encode:
-    """Masks pass through byte for byte: they are PNG, as colours with eight bits each."""
-    files = plan.surveys[role].sensor.files
-
-    def encode(number: int, stamp_ns: int) -> bytes | None:
-        pixels = _pixels(plan, role, number)
-        if pixels is None:
-            return None
-        if pixels.container != "png" or pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
-            raise DumpError(f"{pixels.path}: expected masks as a PNG of red, green and blue, as CARLA saves them")
-        return encoding.encode_image(stamp_ns, FRONT, "png", read_bytes(files[number]))
-
-    return encode
-
-
-def _depth(plan: Plan, role: str) -> Encode:
-    frame_id = plan.rig.frame_ids[role]
-    found, as_float = plan.depth_encodings[role], plan.options.depth_as_float
-
-    def encode(number: int, stamp_ns: int) -> bytes | None:
-        pixels = _pixels(plan, role, number)
-        if pixels is None:
-            return None
-        return encoding.encode_depth(stamp_ns, frame_id, depth_metres(pixels, found), as_float=as_float)
-
-    return encode
-
-
-def _tags(plan: Plan, role: str) -> Encode:
-    found, table, lossy = plan.tag_encodings[role], plan.tag_table, plan.options.allow_lossy_tags
-
-    def encode(number: int, stamp_ns: int) -> bytes | None:
-        pixels = _pixels(plan, role, number)
-        if pixels is None or table is None:
-            return None
-        tags = tags_of(pixels, found, table, allow_lossy=lossy)
-        return encoding.encode_image(stamp_ns, FRONT, "png", encode_indices(tags, table.colours))
-
-    return encode
-
-
-def _points(plan: Plan, role: str) -> Encode:
-    files, frame_id = plan.surveys[role].sensor.files, plan.rig.frame_ids[role]
-
-    def encode(number: int, stamp_ns: int) -> bytes | None:
-        return encode_points(stamp_ns, frame_id, load_points(files[number])) if number in files else None
-
-    return encode
-
-
-def _pixels(plan: Plan, role: str, number: int) -> Pixels | None:
+def _of_file(plan: Plan, role: str, encode: EncodeFile, number: int, stamp_ns: int) -> bytes | None:
     path = plan.surveys[role].sensor.files.get(number)
-    if path is None:
-        return None
+    return None if path is None else encode(plan, role, path, stamp_ns)
+
+
+def _image(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
+    """Camera images pass through byte for byte."""
+    data = read_bytes(path)
+    return encoding.encode_image(stamp_ns, plan.rig.frame_ids.get(role, FRONT), require_whole(path, data), data)
+
+
+def _instances(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
+    """Masks pass through byte for byte: they are PNG, as colours with eight bits each."""
+    pixels = _pixels(plan, role, path)
+    if pixels.container != "png" or pixels.channels not in (3, 4) or pixels.values.dtype != np.uint8:
+        raise DumpError(f"{path}: expected masks as a PNG of red, green and blue, as CARLA saves them")
+    return encoding.encode_image(stamp_ns, FRONT, "png", read_bytes(path))
+
+
+def _depth(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
+    depth_m = depth_metres(_pixels(plan, role, path), plan.depth_encodings[role])
+    return encoding.encode_depth(stamp_ns, plan.rig.frame_ids[role], depth_m, as_float=plan.options.depth_as_float)
+
+
+def _tags(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
+    table, lossy = plan.tag_table, plan.options.allow_lossy_tags
+    assert table is not None  # a plan with tags has their table
+    tags = tags_of(_pixels(plan, role, path), plan.tag_encodings[role], table, allow_lossy=lossy)
+    return encoding.encode_image(stamp_ns, FRONT, "png", encode_indices(tags, table.colours))
+
+
+def _points(plan: Plan, role: str, path: Path, stamp_ns: int) -> bytes:
+    return encoding.encode_points(stamp_ns, plan.rig.frame_ids[role], load_points(path))
+
+
+def _pixels(plan: Plan, role: str, path: Path) -> Pixels:
     pixels, camera = load_pixels(path), plan.rig.camera_of(role)
     require_size(path, pixels.size, (camera.width, camera.height))
     return pixels
+
+
+_OF_FILES: Final[Mapping[str, EncodeFile]] = {
+    **dict.fromkeys(("image", "left", "right"), _image),
+    **dict.fromkeys(("depth", "truth_depth"), _depth),
+    **dict.fromkeys(("segmentation", "truth_segmentation"), _tags),
+    "instances": _instances,
+    LIDAR: _points,
+}

@@ -26,10 +26,7 @@ from .image_files import UnreadableFrameError, read_bytes, read_header, require_
 NPY_MAGIC: Final = npy_format.MAGIC_PREFIX
 _NUMBERS: Final = "fiu"
 _SHOWN_BYTES: Final = 60
-_HEADER_READERS: Final = {
-    (1, 0): npy_format.read_array_header_1_0,
-    (2, 0): npy_format.read_array_header_2_0,
-}
+_HEADER_READERS: Final = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
 """Version 3 differs in the names of fields alone, which plain numbers do not have."""
 _FAULTS: Final = (
     ValueError,
@@ -114,7 +111,6 @@ def load_pixels(path: Path) -> Pixels:
 
     Raises:
         UnreadableFrameError: empty, cut off, damaged, or of no known format.
-
     """
     data = read_bytes(path)
     if data.startswith(NPY_MAGIC):
@@ -172,7 +168,6 @@ def file_size(path: Path) -> tuple[int, int] | None:
 
     Raises:
         UnreadableFrameError: an empty, cut off or foreign file.
-
     """
     try:
         with path.open("rb") as stream:
@@ -181,7 +176,7 @@ def file_size(path: Path) -> tuple[int, int] | None:
         raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error
     if head.startswith(NPY_MAGIC) or (head and set(head) <= _TEXT):
         return None
-    return read_header(path).size
+    return read_header(path)[0]
 
 
 def surveyed(files: Iterable[Path]) -> list[Pixels]:
@@ -189,7 +184,6 @@ def surveyed(files: Iterable[Path]) -> list[Pixels]:
 
     Raises:
         UnreadableFrameError: not one can be read.
-
     """
     paths = list(files)
     chosen = sorted({0, len(paths) // 2, len(paths) - 1})

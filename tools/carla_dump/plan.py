@@ -91,14 +91,17 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     Raises:
         DumpError: whatever stands against the conversion; nothing has been written then.
         ConfigError: a CARLA version that is none.
-
     """
     layout = find_layout(dump, options.roles)
     notes = list(layout.notes)
     said, calibration_path = _calibration(layout, options)
     calibration = _with_pixel_origin(layout, said)
     surveys = _surveys(layout, options, notes)
-    rig = _rig(layout, calibration, calibration_path, surveys, notes)
+    sizes = {role: found.size for role, found in surveys.items() if found.size}
+    left_is_front = "image" in surveys and "image" not in layout.sensors
+    front_name = "left" if left_is_front else "image"
+    rig = build_rig(calibration, calibration_path, list(surveys), sizes, front_name=front_name)
+    notes += rig.notes
     cameras = {role: rig.camera_of(role) for role in surveys}
     surveys = {role: of_size(found, (cameras[role].width, cameras[role].height)) for role, found in surveys.items()}
     stamps_ns, timing, is_by_name = _stamps(layout, options, calibration.rate_hz, notes)
@@ -113,10 +116,14 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
     tags, table, table_source = _tags(surveys, options, calibration.carla_tags)
     detections, detections_source = _detections(layout, notes)
     poses = load_poses(layout.documents["poses"]) if "poses" in layout.documents else {}
+    truth = layout.documents.get("truth")
     return Plan(
         layout=layout,
         options=options,
-        surveys={role: _described(found, depth_encodings, tags) for role, found in surveys.items()},
+        surveys={
+            role: replace(found, encoding=depth_encodings.get(role) or tags.get(role) or found.encoding)
+            for role, found in surveys.items()
+        },
         stamps_ns=stamps_ns,
         frames=frames,
         missing=missing,
@@ -129,7 +136,7 @@ def make_plan(dump: Path, options: ConvertOptions) -> Plan:
         detections=_of_frames("detections", detections, stamps_ns, notes),
         detections_source=detections_source,
         poses=_of_frames("poses", poses, stamps_ns, notes),
-        truth=_truth(layout, rig.frame_ids["truth_depth"]),
+        truth=load_truth(truth, rig.frame_ids["truth_depth"]) if truth else NO_TRUTH,
         notes=tuple(notes),
         pixel_origin=_origin_in_words(layout, said, calibration),
     )
@@ -179,16 +186,6 @@ def _surveys(layout: DumpLayout, options: ConvertOptions, notes: list[str]) -> d
         notes.append(f"{guessed.source} is left out: {fault}")
         del sensors[LIDAR]
     return {role: survey(sensors[role]) for role in ROLES if role in sensors}
-
-
-def _rig(
-    layout: DumpLayout, calibration: CalibrationFile, path: Path, surveys: Mapping[str, SensorSurvey], notes: list[str]
-) -> Rig:
-    sizes = {role: found.size for role, found in surveys.items() if found.size}
-    left_is_front = "image" in surveys and "image" not in layout.sensors
-    rig = build_rig(calibration, path, list(surveys), sizes, front_name="left" if left_is_front else "image")
-    notes += rig.notes
-    return rig
 
 
 def _depth_encoding(files: Sequence[Path], camera: Camera, options: ConvertOptions, notes: list[str]) -> DepthEncoding:
@@ -274,13 +271,6 @@ def _tags(
     return encodings, table, source
 
 
-def _described(
-    survey: SensorSurvey, depth: Mapping[str, DepthEncoding], tags: Mapping[str, TagEncoding]
-) -> SensorSurvey:
-    role = survey.sensor.role
-    return replace(survey, encoding=depth.get(role) or tags.get(role) or survey.encoding)
-
-
 def _detections(layout: DumpLayout, notes: list[str]) -> tuple[Mapping[int, tuple[Detection, ...]], str]:
     """Detections by frame number, and where they come from."""
     if "detections" in layout.sensors:
@@ -292,11 +282,6 @@ def _detections(layout: DumpLayout, notes: list[str]) -> tuple[Mapping[int, tupl
     detections, kind, found = load_detections(path)
     notes += found
     return detections, f"{path.name}, {kind}"
-
-
-def _truth(layout: DumpLayout, surface_frame_id: str) -> TruthTables:
-    path = layout.documents.get("truth")
-    return load_truth(path, surface_frame_id) if path else NO_TRUTH
 
 
 def _of_frames(what: str, entries: Mapping[int, T], frames: Mapping[int, int], notes: list[str]) -> dict[int, T]:

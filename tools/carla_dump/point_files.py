@@ -22,7 +22,12 @@ from .image_files import UnreadableFrameError, read_bytes
 from .pixel_files import NPY_MAGIC, read_npy
 
 _LEFT_HANDED: Final = frozenset({".ply", ".npy"})
-_PLY_MAGIC: Final = b"ply"
+_KINDS: Final = {
+    ".ply": (b"ply", "PLY", "ply, left-handed"),
+    ".npy": (NPY_MAGIC, ".npy", "npy, left-handed"),
+    ".bin": (b"", "", "KITTI velodyne, right-handed"),
+}
+"""By suffix a file's first bytes, its name in messages, and what it is in words."""
 _PLY_END: Final = re.compile(rb"(?<=\n)end_header\r?\n")
 """A line of its own, whose end is that of all lines: Windows writes two bytes. The points follow at once."""
 _PLY_TYPES: Final[Mapping[str, str]] = {
@@ -51,21 +56,19 @@ def points_kind(path: Path) -> str:
     Raises:
         UnreadableFrameError: names the file, what was expected and what is there.
     """
-    start = _start(path)
+    if path.suffix.lower() not in _KINDS:
+        raise UnreadableFrameError(f"{path}: expected points as .ply, .npy or .bin")
+    magic, expected, kind = _KINDS[path.suffix.lower()]
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(NPY_MAGIC))
+    except OSError as error:
+        raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error
     if not start:
         raise UnreadableFrameError(f"{path}: empty file")
-    match path.suffix.lower():
-        case ".ply":
-            if not start.startswith(_PLY_MAGIC):
-                raise UnreadableFrameError(f"{path}: starts with {start[:4].hex()}, expected a PLY file")
-            return "ply, left-handed"
-        case ".npy":
-            if not start.startswith(NPY_MAGIC):
-                raise UnreadableFrameError(f"{path}: starts with {start[:4].hex()}, expected a .npy file")
-            return "npy, left-handed"
-        case ".bin":
-            return "KITTI velodyne, right-handed"
-    raise UnreadableFrameError(f"{path}: expected points as .ply, .npy or .bin")
+    if not start.startswith(magic):
+        raise UnreadableFrameError(f"{path}: starts with {start[:4].hex()}, expected a {expected} file")
+    return kind
 
 
 def load_points(path: Path) -> Float32:
@@ -83,14 +86,6 @@ def load_points(path: Path) -> Float32:
     if suffix in _LEFT_HANDED:
         points[:, 1] *= -1
     return points
-
-
-def _start(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(len(NPY_MAGIC))
-    except OSError as error:
-        raise UnreadableFrameError(f"{path}: {error.strerror or error}") from error
 
 
 def _kitti(path: Path, data: bytes) -> NDArray[Any]:

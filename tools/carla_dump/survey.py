@@ -5,24 +5,20 @@ Where the names of files are stamps, also which images have a file of each other
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 from roadperc_stream.config import SyncConfig
 from roadperc_stream.errors import DumpError
 from roadperc_stream.schemas.roles import REFERENCE_ROLES
 from roadperc_stream.system.time import ns_to_seconds, seconds_to_ns
 
-from .camera_rig import CAMERA_ROLES
+from .camera_rig import CAMERA_ROLES, LIDAR
 from .image_files import UnreadableFrameError, read_header
 from .layout import Sensor
 from .pixel_files import file_size
 from .point_files import load_points, points_kind
-
-Header = tuple[tuple[int, int] | None, str]
-"""Columns and rows, where the header tells, and a description."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +47,6 @@ def front_sensors(sensors: Mapping[str, Sensor]) -> tuple[dict[str, Sensor], str
 
     Raises:
         DumpError: no camera among them.
-
     """
     if not any(role in sensors for role in CAMERA_ROLES):
         raise DumpError(f"no camera found, only {', '.join(s.source for s in sensors.values())}")
@@ -80,16 +75,14 @@ def survey(sensor: Sensor) -> SensorSurvey:
 
     Raises:
         DumpError: not one file of the sensor can be read.
-
     """
-    read = _HEADERS.get(sensor.role, _pixels_header)
     files: dict[int, Path] = {}
     sizes: dict[int, tuple[int, int]] = {}
     faults: list[str] = []
     kinds = Counter[str]()
     for number, path in sorted(sensor.files.items()):
         try:
-            size, kind = read(path)
+            size, kind = _header(sensor.role, path)
         except UnreadableFrameError as error:
             faults.append(str(error))
             continue
@@ -124,23 +117,13 @@ def points_fault(sensor: Sensor, frames: Collection[int]) -> str:
     return f"none of {len(faults)} files can be read; {faults[0]}"
 
 
-def _image_header(path: Path) -> Header:
-    header = read_header(path)
-    return header.size, header.description
-
-
-def _pixels_header(path: Path) -> Header:
+def _header(role: str, path: Path) -> tuple[tuple[int, int] | None, str]:
+    """Columns and rows, where the header tells, and a description."""
+    if role == LIDAR:
+        return None, points_kind(path)
+    if role in ("image", "left", "right"):
+        return read_header(path)
     return file_size(path), ""
-
-
-def _points_header(path: Path) -> Header:
-    return None, points_kind(path)
-
-
-_HEADERS: Final[Mapping[str, Callable[[Path], Header]]] = {
-    **dict.fromkeys(("image", "left", "right"), _image_header),
-    "lidar": _points_header,
-}
 
 
 def _counted(kinds: Counter[str]) -> str:
@@ -174,7 +157,6 @@ def require_size(path: Path, found: tuple[int, int], expected: tuple[int, int]) 
 
     Raises:
         UnreadableFrameError: names the file and both sizes.
-
     """
     if found != expected:
         raise UnreadableFrameError(f"{path}: image is {found[0]}x{found[1]}, its camera {expected[0]}x{expected[1]}")
@@ -184,26 +166,8 @@ TOLERANCE_S = SyncConfig().tolerance_s
 
 
 def reference_of(sensors: Mapping[str, object]) -> str:
-    """The sensor each of whose images makes a frame.
-
-    Args:
-        sensors: by role, a camera among them.
-    """
+    """The sensor each of whose images makes a frame, of sensors by role with a camera among them."""
     return next(role for role in REFERENCE_ROLES if role in sensors)
-
-
-def distances_ns(frames_ns: Sequence[int], stamps_ns: Sequence[int]) -> list[int]:
-    """How far the nearest stamp of a sensor is from that of each frame.
-
-    Args:
-        frames_ns: of the frames.
-        stamps_ns: of the sensor, one or more, ascending.
-    """
-    found = []
-    for frame_ns in frames_ns:
-        place = bisect_left(stamps_ns, frame_ns)
-        found.append(min(abs(ns - frame_ns) for ns in stamps_ns[max(place - 1, 0) : place + 1]))
-    return found
 
 
 def apart_ns(surveys: Mapping[str, SensorSurvey], stamps_ns: Mapping[int, int]) -> dict[str, list[int]]:
@@ -216,13 +180,19 @@ def apart_ns(surveys: Mapping[str, SensorSurvey], stamps_ns: Mapping[int, int]) 
     stamps = {
         role: [stamps_ns[n] for n in sorted(found.sensor.files) if n in stamps_ns] for role, found in surveys.items()
     }
-    frames_ns = stamps[reference_of(surveys)]
     limit_ns = seconds_to_ns(TOLERANCE_S)
-    return {
-        role: [ns for ns in distances_ns(frames_ns, of_role) if ns > limit_ns]
-        for role, of_role in stamps.items()
-        if of_role
-    }
+    apart: dict[str, list[int]] = {}
+    for role, of_role in stamps.items():
+        if of_role:
+            nearest = (_distance_ns(frame_ns, of_role) for frame_ns in stamps[reference_of(surveys)])
+            apart[role] = [ns for ns in nearest if ns > limit_ns]
+    return apart
+
+
+def _distance_ns(frame_ns: int, stamps_ns: Sequence[int]) -> int:
+    """How far the nearest of one or more stamps, ascending, is from that of a frame."""
+    place = bisect_left(stamps_ns, frame_ns)
+    return min(abs(ns - frame_ns) for ns in stamps_ns[max(place - 1, 0) : place + 1])
 
 
 def meeting_notes(

@@ -36,7 +36,6 @@ def tag_encoding(files: Sequence[Path], *, allow_lossy: bool) -> tuple[TagEncodi
 
     Raises:
         DumpError: no file can be read, the content is no tags, or it is JPEG and lossy tags are not allowed.
-
     """
     samples = surveyed(files)
     for pixels in samples:
@@ -95,7 +94,6 @@ def choose_table(
     Raises:
         DumpError: the numbers do not tell and nobody says.
         ConfigError: the version is none.
-
     """
     if version is not None:
         return table_for_version(version), version if version in TABLES else f"CARLA {version}"
@@ -117,7 +115,6 @@ def tags_of(pixels: Pixels, encoding: TagEncoding, table: TagTable, *, allow_los
 
     Raises:
         DumpError: a tag or colour that the table does not know, or a file stored otherwise than the sensor's others.
-
     """
     _refuse_jpeg(pixels, allow_lossy=allow_lossy)
     own = _encoding(pixels)

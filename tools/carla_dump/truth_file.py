@@ -18,7 +18,7 @@ from pydantic import AliasPath, ConfigDict, Field, FiniteFloat, PositiveInt, Typ
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import EGO_R_OPTICAL, Float, Plane, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
-from roadperc_stream.model import SIDES, Boundary, Detection, HeightGrid, Lanes, Object, Objects, Side, Surface
+from roadperc_stream.model import Boundary, Detection, HeightGrid, Lanes, Object, Objects, Side, Surface
 from roadperc_stream.model.results import LaneChange
 
 from .detection_files import checked_box
@@ -71,7 +71,6 @@ def load_poses(path: Path) -> dict[int, Float]:
 
     Raises:
         DumpError: the file is neither the JSON nor the table expected, or holds values that are no pose.
-
     """
     if path.suffix == ".json":
         entries = checked(path, _TRANSFORMS, read_json(path))
@@ -172,36 +171,30 @@ def load_truth(path: Path, surface_frame_id: str) -> TruthTables:
 
     Raises:
         DumpError: names file, key and fault.
-
     """
     truth = checked(path, TypeAdapter(_Truth), read_json(path))
     return TruthTables(
         {n: _lanes(lanes) for n, lanes in by_frame(path, truth.lanes).items()},
         {n: _surface(path, n, s, surface_frame_id) for n, s in by_frame(path, truth.surface).items()},
-        {n: _objects(path, n, objects) for n, objects in by_frame(path, truth.objects).items()},
+        {
+            n: Objects(tuple(_object(f"{path}: objects of frame {n}", entry) for entry in entries))
+            for n, entries in by_frame(path, truth.objects).items()
+        },
     )
 
 
 def _lanes(lanes: _Lanes) -> Lanes:
     sides: dict[Side, _Boundary | None] = {"left": lanes.left, "right": lanes.right}
     return Lanes(
-        tuple(_boundary(side, entry) for side in SIDES if (entry := sides[side]) is not None),
+        tuple(_boundary(side, entry) for side, entry in sides.items() if entry is not None),
         lane_change=lanes.lane_change,
         lane_changes=lanes.lane_changes,
     )
 
 
 def _boundary(side: Side, entry: _Boundary) -> Boundary:
-    return Boundary(
-        side,
-        "measured",
-        offset_m=entry.offset_m,
-        heading=entry.heading,
-        curvature_per_m=entry.curvature_per_m,
-        inside=entry.inside,
-        outside=entry.outside,
-        line_ego_m=np.array(entry.line_ego_m, np.float64).reshape(-1, 3),
-    )
+    line_ego_m = np.array(entry.line_ego_m, np.float64).reshape(-1, 3)
+    return Boundary(side, "measured", **entry.model_dump(exclude={"line_ego_m"}), line_ego_m=line_ego_m)
 
 
 def _surface(path: Path, number: int, entry: _Surface, frame_id: str) -> Surface:
@@ -229,18 +222,7 @@ def _grid(path: Path, number: int, grid: _HeightGrid | None) -> HeightGrid | Non
     return HeightGrid(grid.x_min_m, grid.y_min_m, grid.step_m, heights)
 
 
-def _objects(path: Path, number: int, entries: list[_Object]) -> Objects:
-    return Objects(tuple(_object(f"{path}: objects of frame {number}", entry) for entry in entries))
-
-
 def _object(where: str, entry: _Object) -> Object:
-    return Object(
-        Detection(entry.label, checked_box(where, *entry.box_px), 1.0, str(entry.id)),
-        kept=True,
-        distance_m=entry.distance_m,
-        closing_speed_mps=entry.closing_speed_mps,
-        time_to_impact_s=entry.time_to_impact_s,
-        track_id=str(entry.id),
-        lateral_m=entry.lateral_m,
-        in_path=entry.in_path,
-    )
+    detection = Detection(entry.label, checked_box(where, *entry.box_px), 1.0, str(entry.id))
+    known = entry.model_dump(exclude={"id", "label", "box_px"})
+    return Object(detection, kept=True, track_id=str(entry.id), **known)

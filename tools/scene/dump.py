@@ -17,26 +17,17 @@ from roadperc_stream.system.files import completing, completing_folder
 
 from .ground import FAR_M
 from .options import SENSORS
-from .rig import BASELINE_M, CameraPair, carla_mountings
-from .rig import MOUNT_Z_M as LIDAR_Z_M
+from .rig import BASELINE_M, LIDAR_Z_M, CameraPair
 
 JPEG_QUALITY: Final = 90
 CARLA_VERSION: Final = "0.9.15"
 DEPTH_CODES: Final = 2**24 - 1
 LIDAR: Final = "lidar"
 INSTANCES: Final = "instance_segmentation"
-FILES: Final = (
-    "calibration.json",
-    "detections.json",
-    "poses.json",
-    "timestamps.txt",
-    "truth.json",
-)
-
-
-MARK = "truth.json"
+MARK: Final = "truth.json"
 """The file by which an earlier dump of this renderer is known."""
-_OWN: Final = frozenset((*SENSORS, LIDAR, INSTANCES, "truth", *FILES))
+_FILES: Final = ("calibration.json", "detections.json", "poses.json", "timestamps.txt", MARK)
+_OWN: Final = frozenset((*SENSORS, LIDAR, INSTANCES, "truth", *_FILES))
 
 
 @contextmanager
@@ -49,67 +40,45 @@ def new_dump(folder: Path, *, force: bool) -> Iterator[Path]:
         DumpError: it is a file, or holds something and ``force`` is not given.
         TargetError: it cannot be made.
     """
-    _require_free(folder, force=force)
+    if folder.exists() and not folder.is_dir():
+        raise DumpError(f"{folder}: is a file, expected the name of a folder")
+    if folder.is_dir() and any(folder.iterdir()):
+        if not force:
+            raise DumpError(f"{folder}: exists and is not empty; --force replaces an earlier dump in it")
+        if not (folder / MARK).is_file():
+            raise DumpError(f"{folder}: holds no {MARK}, so it is no earlier dump of this renderer; left as it is")
     with completing_folder(folder, keep=lambda entry: entry.name not in _OWN) as hidden:
         yield hidden
 
 
-def _require_free(folder: Path, *, force: bool) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise DumpError(f"{folder}: is a file, expected the name of a folder")
-    if not folder.is_dir() or not any(folder.iterdir()):
-        return
-    if not force:
-        raise DumpError(f"{folder}: exists and is not empty; --force replaces an earlier dump in it")
-    if not (folder / MARK).is_file():
-        raise DumpError(f"{folder}: holds no {MARK}, so it is no earlier dump of this renderer; left as it is")
-
-
-def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Encodes by the path's suffix, ``.png`` or ``.jpg``.
+def write_file(path: Path, data: bytes) -> None:
+    """A file of a dump, and its folder.
 
     Raises:
         TargetError: the file cannot be written.
     """
-    settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
-    _, encoded = cv2.imencode(path.suffix, picture, settings)
-    _write_sensor_file(path, encoded.tobytes())
-
-
-def write_points(path: Path, points: Float32) -> None:
-    """(N, 4) x, y, z and intensity as ``carla.LidarMeasurement.save_to_disk`` writes them: PLY text, four decimals.
-
-    Raises:
-        TargetError: the file cannot be written.
-    """
-    properties = "".join(f"property float32 {name}\n" for name in "xyzI")
-    header = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
-    lines = "%.4f %.4f %.4f %.4f\n" * len(points) % tuple(points.ravel().tolist())
-    _write_sensor_file(path, (header + lines).encode())
-
-
-def _write_sensor_file(path: Path, data: bytes) -> None:
     with completing(path) as temporary:
         temporary.write_bytes(data)
 
 
+def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Encodes by the path's suffix, ``.png`` or ``.jpg``; raises as ``write_file``."""
+    settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
+    _, encoded = cv2.imencode(path.suffix, picture, settings)
+    write_file(path, encoded.tobytes())
+
+
+def write_points(path: Path, points: Float32) -> None:
+    """(N, 4) x, y, z and intensity as ``carla.LidarMeasurement.save_to_disk`` writes them: PLY text, four decimals."""
+    properties = "".join(f"property float32 {name}\n" for name in "xyzI")
+    header = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
+    lines = "%.4f %.4f %.4f %.4f\n" * len(points) % tuple(points.ravel().tolist())
+    write_file(path, (header + lines).encode())
+
+
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Compact JSON; floats as they are, so round them before.
-
-    Raises:
-        TargetError: the file cannot be written.
-    """
-    write_text(path, json.dumps(content, separators=(",", ":")) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """A small text file.
-
-    Raises:
-        TargetError: the file cannot be written.
-    """
-    with completing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    """Compact JSON; floats as they are, so round them before."""
+    write_file(path, (json.dumps(content, separators=(",", ":")) + "\n").encode())
 
 
 def depth_picture(depth_m: Float32) -> NDArray[np.uint8]:
@@ -138,8 +107,12 @@ def calibration(rig: CameraPair, rate_hz: float, *, lidar: bool) -> dict[str, An
     """The calibration file: K as CARLA has it, its centre counted from the corner of the first pixel."""
     camera, K = rig.camera, rig.camera.K
     K[:2, 2] += 0.5
-    of_cameras = carla_mountings(rig)
-    mountings = {sensor: of_cameras["right" if sensor == "right" else "front"] for sensor in SENSORS}
+    _, _, _, roll, pitch, yaw = rig.mount
+    mountings = {}
+    for sensor in SENSORS:
+        x, y, z = (float(c) for c in (rig.ego_T_right if sensor == "right" else rig.ego_T_left)[:3, 3])
+        place = {"x": round(x, 7), "y": round(0.0 - y, 7), "z": round(z, 7)}
+        mountings[sensor] = {**place, "roll": roll, "pitch": pitch, "yaw": yaw}
     if lidar:
         mountings[LIDAR] = {"x": 0.0, "y": 0.0, "z": LIDAR_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
     return {

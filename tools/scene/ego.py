@@ -42,15 +42,6 @@ class Manoeuvre:
             share, slope = _eased(u)
         return self.aside_m * share, self.aside_m * slope / self.length_m
 
-    def is_under_way(self, s_m: float) -> bool:
-        """Whether it has begun and not yet ended."""
-        return self.from_m <= s_m < self.from_m + self.length_m
-
-    @property
-    def towards(self) -> LaneChange:
-        """The side to which it goes."""
-        return "left" if self.aside_m > 0 else "right"
-
 
 def _eased(u: float) -> tuple[float, float]:
     """From 0 to 1 without a jerk at either end, and its derivative."""
@@ -161,11 +152,12 @@ class Ego:
         lanes, count = self.world.road.lanes, 0
         lane: Lane | None = lanes.start
         for change in self.changes:
-            if change.is_under_way(s) and lane is not None:
+            if change.from_m <= s < change.from_m + change.length_m and lane is not None:
+                towards: LaneChange = "left" if change.aside_m > 0 else "right"
                 now = lanes.at(s, d)
                 over = any(lane.beside_m(s, d + side * half_width_m) > 0 for side in (-1, 1))
                 arrived = now is not lane and all(now.beside_m(s, d + k * half_width_m) == 0 for k in (-1, 1) if now)
-                return LaneChangeState(change.towards if over and not arrived else "none", count + (now is not lane))
+                return LaneChangeState(towards if over and not arrived else "none", count + (now is not lane))
             if s >= change.from_m and not change.broken_off:
                 count, lane = count + 1, next((other for other in lanes.lanes if other is not lane), None)
         return LaneChangeState("none", count)

@@ -1,7 +1,12 @@
-"""Planar faces in bulk: parallelograms with a texture, and boxes and extrusions made of them."""
+"""Planar faces in bulk: parallelograms with a texture, and the things made of them.
 
-from collections.abc import Sequence
+A thing's own frame is x forward, y left, z up, with the origin on the ground below its middle.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +14,8 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float, transform
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
-Patch = tuple[float, float, float, float]
-"""u0, du, v0, dv: texture coordinates u0 + a du, v0 + b dv of a face's point origin + a across + b up, texels."""
+from .sheet import CAR_M, CAR_PROFILE, CAR_WIDTH_M, CROWN_M, DRAWINGS, FACADE_M, PLAIN_M, WHEELS, Patch, load_sheet
+
 Vector = tuple[float, float, float]
 
 
@@ -35,6 +40,12 @@ class Faces:
 
     def __len__(self) -> int:
         return len(self.origin)
+
+    @property
+    def corners(self) -> Float:
+        """(N, 4, 3) corners in order around each face."""
+        a, b = self.across, self.up
+        return self.origin[:, None] + np.stack((np.zeros_like(a), a, a + b, b), axis=1)
 
     def moved(self, a_T_b: Float) -> "Faces":
         """The same faces in another frame."""
@@ -107,3 +118,126 @@ def ribbon(
     if z1 >= z0:
         return face((x0, -width / 2, z0), (0.0, width, 0.0), (x1 - x0, 0.0, z1 - z0), patch, tint, tag_name)
     return face((x1, width / 2, z1), (0.0, -width, 0.0), (x0 - x1, 0.0, z0 - z1), patch, tint, tag_name)
+
+
+@dataclass(frozen=True)
+class Thing:
+    """Something in the scene: its faces and its pose (world_T_body) at any time."""
+
+    name: str
+    label: str
+    """``Car`` or ``Pedestrian``; empty for what is no object."""
+    faces: Faces
+    pose: Callable[[float], Float]
+
+
+CAR_COLOURS: Final[tuple[Vector, ...]] = (
+    (0.62, 0.28, 0.12), (0.16, 0.14, 0.66), (0.95, 0.95, 0.95), (0.28, 0.27, 0.26), (0.62, 0.62, 0.60),
+    (0.20, 0.42, 0.24), (0.25, 0.62, 0.82), (0.70, 0.52, 0.25),
+)  # fmt: skip
+CLOTHES: Final[tuple[Vector, ...]] = (
+    (0.55, 0.25, 0.18), (0.16, 0.16, 0.55), (0.75, 0.75, 0.75), (0.2, 0.2, 0.2), (0.25, 0.5, 0.7), (0.3, 0.45, 0.25),
+)  # fmt: skip
+SKIN: Final[Vector] = (0.55, 0.66, 0.86)
+STEEL: Final[Vector] = (0.5, 0.5, 0.48)
+BARK: Final[Vector] = (0.22, 0.28, 0.34)
+FACADES: Final = tuple(name for name, _ in DRAWINGS if name.startswith("facade"))
+FOUNDATION_M: Final = 2.5
+"""How deep walls go below the ground, so that none floats where the road climbs."""
+
+
+@cache
+def car(colour: int) -> Faces:
+    """A car 4.3 m long: two cut side views and what spans between them."""
+    sheet, tint = load_sheet(), CAR_COLOURS[colour % len(CAR_COLOURS)]
+    length, height = CAR_M
+    rear, half = -length / 2, CAR_WIDTH_M / 2
+
+    def side(x: float, y: float, across: float, patch: Patch) -> Faces:
+        return face((x, y, 0.0), (across, 0.0, 0.0), (0.0, 0.0, height), patch, tint, "car", cut=True)
+
+    right = side(rear, -half, length, sheet.patch("car_side"))
+    left = side(-rear, half, -length, _flipped(sheet.patch("car_side")))
+    return together([right, left, *_skin(rear, tint), *_tyres(rear, half)])
+
+
+def _skin(rear: float, tint: Vector) -> list[Faces]:
+    """What spans between a car's two sides, its floor excepted."""
+    corners = [(x + rear, z) for x, z in CAR_PROFILE]
+    sheet, width, plain = load_sheet(), CAR_WIDTH_M, plain_patch(1.8, 1.0)
+    textures = {1: "car_nose", 4: "glass", 6: "glass", 8: "car_tail"}
+    patches = [sheet.patch(textures[i]) if i in textures else plain for i in range(len(corners))]
+    spans = zip(corners, [*corners[1:], corners[0]], patches, strict=True)
+    return [ribbon(start, end, width, patch, tint, "car") for start, end, patch in list(spans)[1:]]
+
+
+def _tyres(rear: float, half: float) -> list[Faces]:
+    """What one sees of the tyres from before and behind."""
+    dark, patch = (0.13, 0.13, 0.13), plain_patch(0.2, 0.4)
+    ends = (rear + WHEELS[0][0] - 0.2, rear + WHEELS[1][0] + 0.2)
+    tyres = []
+    for y in (-half + 0.02, half - 0.22):
+        tyres.append(face((ends[0], y + 0.2, 0.0), (0.0, -0.2, 0.0), (0.0, 0.0, 0.4), patch, dark, "car"))
+        tyres.append(face((ends[1], y, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.4), patch, dark, "car"))
+    return tyres
+
+
+def pedestrian(clothes: int, stride_m: float) -> Faces:
+    """A person 1.75 m tall in mid-step: ``stride_m`` is how far the left foot is ahead of the hips."""
+    jacket, trousers = CLOTHES[clothes % len(CLOTHES)], CLOTHES[(clothes * 5 + 3) % len(CLOTHES)]
+    patch = plain_patch(0.4, 0.6)
+    parts = [((0.0, 0.0, 1.13), (0.26, 0.44, 0.6), jacket, 0.0), ((0.02, 0.0, 1.6), (0.2, 0.18, 0.26), SKIN, 0.0)]
+    for y, foot in ((0.11, stride_m), (-0.11, -stride_m)):
+        parts.append(((foot, y, 0.42), (0.15, 0.16, 0.84), trousers, -foot))
+    for y, hand in ((0.27, -stride_m), (-0.27, stride_m)):
+        parts.append(((hand * 0.8, y, 1.13), (0.11, 0.1, 0.56), jacket, -hand * 0.8))
+    return together([box(c, size, patch, tint, "pedestrian", lean) for c, size, tint, lean in parts])
+
+
+@cache
+def lamp_post(towards: int) -> Faces:
+    """A lamp post whose arm reaches to the left (+1) or the right (-1)."""
+    post = box((0.0, 0.0, 3.0), (0.16, 0.16, 6.0), plain_patch(0.2, 4.0), STEEL, "pole")
+    arm = box((0.0, towards * 0.7, 5.95), (0.1, 1.5, 0.1), plain_patch(1.5, 0.2), STEEL, "pole")
+    lamp = box((0.0, towards * 1.5, 5.95), (0.25, 0.6, 0.14), plain_patch(0.6, 0.3), (0.7, 0.7, 0.7), "pole")
+    return together([post, arm, lamp])
+
+
+@cache
+def tree() -> Faces:
+    """A trunk and a crown of crossing cut cards."""
+    size, patch = CROWN_M, load_sheet().patch("crown")
+    trunk = box((0.0, 0.0, 1.2), (0.24, 0.24, 2.4), plain_patch(0.3, 2.4), BARK, "vegetation")
+    cards = []
+    for angle in np.radians((20.0, 80.0, 140.0)):
+        x, y = float(np.cos(angle)) * size, float(np.sin(angle)) * size
+        corner, up = (-x / 2, -y / 2, 2.0), (0.0, 0.0, size)
+        cards.append(face(corner, (x, y, 0.0), up, patch, (1.0, 1.0, 1.0), "vegetation", cut=True, two_sided=True))
+    return together([trunk, *cards])
+
+
+def building(style: int, length_m: float, depth_m: float, height_m: float, tint: Vector) -> Faces:
+    """A house whose front faces +y with its middle at the origin; it stands behind, towards -y."""
+    sheet, name = load_sheet(), FACADES[style % len(FACADES)]
+    height = height_m + FOUNDATION_M
+    up, half = (0.0, 0.0, height), length_m / 2
+
+    def wall(origin: tuple[float, float], across: tuple[float, float], width: float) -> Faces:
+        patch = sheet.patch(name, (width / FACADE_M[0], height / FACADE_M[1]))
+        return face((*origin, -FOUNDATION_M), (*across, 0.0), up, patch, tint, "building")
+
+    back = -depth_m
+    grey, top = (0.4, 0.4, 0.4), ((-half, back, height_m), (length_m, 0.0, 0.0), (0.0, depth_m, 0.0))
+    front = wall((half, 0.0), (-length_m, 0.0), length_m)
+    sides = (wall((-half, 0.0), (0.0, back), depth_m), wall((half, back), (0.0, depth_m), depth_m))
+    return together([front, *sides, face(*top, plain_patch(4, 4), grey, "building")])
+
+
+def plain_patch(width_m: float, height_m: float) -> Patch:
+    """As much of the plain texture as a face of this size shows."""
+    return load_sheet().patch("plain", (width_m / PLAIN_M, height_m / PLAIN_M))
+
+
+def _flipped(patch: Patch) -> Patch:
+    u, du, v, dv = patch
+    return u + du, -du, v, dv

@@ -1,10 +1,11 @@
-"""Where each pixel's ray meets the ground: road, raised sidewalks and the curbs between them, exactly.
+"""Where each pixel's ray meets the ground: road, raised sidewalks and the curbs between them, exactly, and its paint.
 
 The ground is two layers of the terrain, the road and, a curb's height above it, everything beyond the curbs. A ray that
 passes the upper layer over the road and would meet the lower one beyond the curb has met the curb's upright face.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -12,9 +13,11 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Camera, Float, Float32
 
+from .grain import pink_noise
+from .lanes import CURB_HEIGHT_M, DASH_M, DASH_PERIOD_M, LINE_M, Colour, Marking, Markings, line_gap
+from .options import Stretch
 from .path import LocalPath, Real
 from .roads import LocalCrossing
-from .section import CURB_HEIGHT_M
 from .world import World
 
 FAR_M: Final = 1000.0
@@ -62,7 +65,7 @@ def trace_ground(camera: Camera, world_T_camera: Float, world: World, s_m: float
     start = rays.centre_m[:2] - road.origin_m
     x, y = _at(start, rays, depth)
     s, across, d = _places(road, world, x, y)
-    gap = world.section.gap(s, road.s_origin_m)
+    gap = line_gap(s, road.s_origin_m) if world.section.broken else np.zeros(s.shape, np.bool_)
     ground = Ground(top_row, depth.astype(np.float32), s, d, across, x, y, np.zeros(depth.shape, np.bool_), gap, road)
     _raise_beyond_curbs(ground, depth, rays, start, world)
     return ground
@@ -147,3 +150,82 @@ def _curb_depth(
         f_low, f_high = np.where(past, f_low / 2, f_middle), np.where(past, f_middle, f_high / 2)
         low, high = np.where(past, low, middle), np.where(past, middle, high)
     return middle
+
+
+PAINT_CONTRAST: Final = 0.3
+"""Relative strength of the paint's grain, as the sections have it."""
+
+REMAINING: Final = 0.35
+"""Share of worn paint that is still there."""
+FADED: Final = 0.6
+"""How much of its colour that has left."""
+WEAR_TEXEL_M: Final = 0.04
+
+
+@dataclass(frozen=True)
+class Paint:
+    """What of the ground's rows is painted.
+
+    ``line`` are the pixels of the class, exactly; ``layers`` are colours with the share (rows, W) of each pixel that
+    they cover, softly at the borders.
+    """
+
+    line: NDArray[np.bool_]
+    layers: tuple[tuple[Colour, Float32], ...]
+
+
+def paint_on(markings: Markings, ground: Ground, focal_px: float) -> Paint:
+    """The paint that a camera sees."""
+    s = ground.s_m + np.float64(ground.road.s_origin_m)
+    on_road = (ground.depth_m < FAR_M) & ~ground.curb & ~_within(s, markings.missing)
+    fresh: Float32 = np.ones(s.shape, np.float32)
+    if markings.worn:
+        worn = _within(s, markings.worn)
+        on_road &= ~worn | _remains(s, ground.across_m)
+        fresh = np.where(worn, np.float32(FADED), fresh)
+    line = np.zeros(s.shape, np.bool_)
+    layers: dict[Colour, Float32] = {}
+    for marking in markings.lines:
+        inside, cover = _painted(marking, ground, s, focal_px)
+        line |= inside & on_road
+        before = layers.get(marking.colour, np.float32(0))
+        layers[marking.colour] = np.maximum(before, cover * on_road * fresh).astype(np.float32)
+    return Paint(line, tuple(layers.items()))
+
+
+def _within(s_m: NDArray[np.float64], stretches: tuple[Stretch, ...]) -> NDArray[np.bool_]:
+    inside = np.zeros(s_m.shape, np.bool_)
+    for start, end in stretches:
+        inside |= (s_m >= start) & (s_m < end)
+    return inside
+
+
+def _remains(s_m: NDArray[np.float64], across_m: Float32) -> NDArray[np.bool_]:
+    """Where worn paint is still there."""
+    pattern = _wear_pattern()
+    rows = np.floor(s_m / WEAR_TEXEL_M).astype(np.intp) % pattern.shape[0]
+    columns = np.floor(across_m / WEAR_TEXEL_M).astype(np.intp) % pattern.shape[1]
+    remains: NDArray[np.bool_] = pattern[rows, columns]
+    return remains
+
+
+@cache
+def _wear_pattern() -> NDArray[np.bool_]:
+    """Patches of every size; it repeats every 20 m along the road and every 5 m across it."""
+    noise = pink_noise((512, 128), np.random.default_rng(17))
+    return noise > np.quantile(noise, 1 - REMAINING)
+
+
+def _painted(
+    marking: Marking, ground: Ground, s_m: NDArray[np.float64], focal_px: float
+) -> tuple[NDArray[np.bool_], Float32]:
+    """(rows, W) whether a pixel is on the line, and the share of it that is."""
+    there = (s_m >= marking.from_m) & (s_m < marking.to_m)
+    if marking.dashes == "all":
+        there &= s_m % DASH_PERIOD_M < DASH_M
+    elif marking.dashes == "stretches":
+        there &= ~line_gap(s_m.astype(np.float32), 0.0)
+    inward = LINE_M / 2 - np.abs(ground.across_m - marking.middle_m.at(s_m))
+    pixel_m = ground.depth_m / np.float32(focal_px)
+    share = np.clip(inward / pixel_m + 0.5, 0, 1) * np.minimum(LINE_M / pixel_m, 1)
+    return there & (inward >= 0), np.asarray(share * there, np.float32)

@@ -1,7 +1,9 @@
-"""One rendering job: the loop from frame to files."""
+"""One rendering job: a drive in CARLA's own file formats, with exact ground truth, frame by frame."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,10 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.output.terminal import frame_progress
+from roadperc_stream.system.text import print_line
+
 from . import dump, noise
 from .drive import Drive, SceneMoment
-from .noise import detect
-from .object_truth import ObjectTruth, objects_truth
+from .object_truth import objects_truth
 from .options import SENSORS, RenderOptions
 from .rig import CameraPair, make_rig, scan
 from .truth import lanes_truth, surface_truth
@@ -22,25 +26,19 @@ from .world import make_world
 PURPOSES: Final = {name: number for number, name in enumerate(("detections", "tags", "depth", "rgb", "right", "drop"))}
 
 
-@dataclass
-class _Records:
-    """What the JSON files say, frame by frame."""
+def render_and_report(folder: Path, options: RenderOptions, *, force: bool) -> None:
+    """Render a drive into a folder with a progress bar, and print how long it took.
 
-    detections: dict[str, Any] = field(default_factory=dict)
-    poses: dict[str, Any] = field(default_factory=dict)
-    stamps: list[str] = field(default_factory=list)
-    lanes: dict[str, Any] = field(default_factory=dict)
-    surface: dict[str, Any] = field(default_factory=dict)
-    objects: dict[str, Any] = field(default_factory=dict)
-    ids: dict[str, int] = field(default_factory=dict)
-    """Number of each thing that has come into view, by its name."""
-
-    def instances(self, moment: SceneMoment, view: RenderedView) -> NDArray[np.int32]:
-        """(H, W) number of the thing in each pixel through all of the drive, 0 for none."""
-        of_owner = np.zeros(len(moment.things) + 1, np.int32)
-        for owner in np.unique(view.owner[view.owner > 0]):
-            of_owner[owner] = self.ids.setdefault(moment.things[owner - 1].name, len(self.ids) + 1)
-        return of_owner[view.owner]
+    Raises:
+        DumpError: an option is wrong, or the folder is not free.
+    """
+    started = time.perf_counter()
+    with frame_progress("rendering", enabled=True) as progress:
+        done = count(1)
+        render_dump(folder, options, force=force, on_frame=lambda: progress(next(done), options.frames))
+    seconds = time.perf_counter() - started
+    size, rate = f"{options.width}x{options.height}", options.frames / seconds
+    print_line(f"{options.frames} frames of {size} in {seconds:.1f} s ({rate:.1f} frames/s): {folder}")
 
 
 def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: Callable[[], None]) -> None:
@@ -53,105 +51,107 @@ def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: 
         on_frame: called after each frame.
 
     Raises:
-        DumpError: an option or the folder does not do.
+        DumpError: an option is wrong, or the folder is not free.
     """
     options.check()
     cv2.setNumThreads(1)
     with dump.new_dump(folder, force=force) as hidden:
-        _render(hidden, options, on_frame)
+        world = make_world(options, 0.0 if options.static else options.speed_mps * options.seconds)
+        drive = Drive.of(world, options)
+        job = _Job(hidden, options, drive, make_rig(options.width, options.height, options.fov_deg, options.mount))
+        for frame in range(options.frames):
+            job.add_frame(frame)
+            on_frame()
+        job.write_records()
 
 
-def _render(folder: Path, options: RenderOptions, on_frame: Callable[[], None]) -> None:
-    world = make_world(options, 0.0 if options.static else options.speed_mps * options.seconds)
-    drive = Drive.of(world, options)
-    rig = make_rig(options.width, options.height, options.fov_deg, options.mount)
-    records = _Records()
-    for frame in range(options.frames):
-        moment = drive.at(frame / options.rate_hz)
-        left = render(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_left)
-        objects = objects_truth(drive, moment, rig, left, whole=options.whole_boxes)
-        _write_frame(folder, options, frame, moment, rig, left)
+@dataclass
+class _Job:
+    """A dump in the making; what its JSON files say is kept by frame name."""
+
+    folder: Path
+    options: RenderOptions
+    drive: Drive
+    rig: CameraPair
+    detections: dict[str, Any] = field(default_factory=dict)
+    poses: dict[str, Any] = field(default_factory=dict)
+    stamps: list[str] = field(default_factory=list)
+    lanes: dict[str, Any] = field(default_factory=dict)
+    surface: dict[str, Any] = field(default_factory=dict)
+    objects: dict[str, Any] = field(default_factory=dict)
+    ids: dict[str, int] = field(default_factory=dict)
+    """Number of each thing that has come into view, by its name."""
+
+    def add_frame(self, frame: int) -> None:
+        """Write the files of a frame but those that are dropped, and record its truth."""
+        options, rig, name = self.options, self.rig, f"{frame:06d}"
+        moment = self.drive.at(frame / options.rate_hz)
+        world_T_camera = moment.world_T_ego @ rig.ego_T_left
+        left = render(moment.scenery, rig.camera, world_T_camera)
+        objects = objects_truth(self.drive, moment, rig, left, whole=options.whole_boxes)
+        entries = [truth.to_json(with_path=options.knows_path) for truth in objects]
+        self._write_pictures(frame, name, moment, left)
         if options.instances:
-            picture = dump.instance_picture(left.tags, records.instances(moment, left))
-            dump.write_picture(folder / dump.INSTANCES / f"{frame_name(frame)}.png", picture)
-        _record(records, options, frame, moment, rig, objects)
-        on_frame()
-    _write_records(folder, options, rig, records)
+            ids = self._instances(moment, left)
+            dump.write_picture(self._path(dump.INSTANCES, name), dump.instance_picture(left.tags, ids))
+            for truth, entry in zip(objects, entries, strict=True):
+                entry["instance_id"] = self.ids[truth.name]
+        rng = self._rng(frame, "detections")
+        self.detections[name] = noise.detect(moment, rig.camera, world_T_camera, objects, rng)
+        self.poses[name] = dump.carla_transform(moment.world_T_ego)
+        self.stamps.append(f"{name} {moment.time_s:.9f}\n")
+        self.lanes[name] = lanes_truth(moment, with_change=options.knows_path)
+        self.surface[name] = surface_truth(moment, rig)
+        self.objects[name] = entries
 
+    def write_records(self) -> None:
+        """Write the JSON files and the stamps."""
+        truth = {"lanes": self.lanes, "surface": self.surface, "objects": self.objects}
+        calibration = dump.calibration(self.rig, self.options.rate_hz, lidar=self.options.lidar)
+        documents = {"calibration": calibration, "detections": self.detections, "poses": self.poses, "truth": truth}
+        for name, content in documents.items():
+            dump.write_json(self.folder / f"{name}.json", content)
+        dump.write_file(self.folder / "timestamps.txt", "".join(self.stamps).encode())
 
-def _rng(options: RenderOptions, frame: int, purpose: str) -> np.random.Generator:
-    return np.random.default_rng((options.seed, frame, PURPOSES[purpose]))
+    def _rng(self, frame: int, purpose: str) -> np.random.Generator:
+        return np.random.default_rng((self.options.seed, frame, PURPOSES[purpose]))
 
+    def _path(self, sensor: str, name: str) -> Path:
+        jpeg = self.options.jpeg and sensor in ("rgb", "right")
+        return self.folder / sensor / f"{name}{'.jpg' if jpeg else '.png'}"
 
-def frame_name(frame: int) -> str:
-    """Six digits, as CARLA's own recorders write them."""
-    return f"{frame:06d}"
+    def _instances(self, moment: SceneMoment, view: RenderedView) -> NDArray[np.int32]:
+        """(H, W) number of the thing in each pixel through all of the drive, 0 for none."""
+        of_owner = np.zeros(len(moment.things) + 1, np.int32)
+        for owner in np.unique(view.owner[view.owner > 0]):
+            of_owner[owner] = self.ids.setdefault(moment.things[owner - 1].name, len(self.ids) + 1)
+        return of_owner[view.owner]
 
+    def _write_pictures(self, frame: int, name: str, moment: SceneMoment, left: RenderedView) -> None:
+        options = self.options
+        kept = (self._rng(frame, "drop").random(len(SENSORS) + 1) >= options.drop) | (frame == 0)
+        for sensor, keep in zip(SENSORS, kept[:-1], strict=True):
+            if keep and sensor not in options.without:
+                dump.write_picture(self._path(sensor, name), self._picture(frame, sensor, moment, left))
+        if options.lidar and kept[-1]:
+            dump.write_points(self.folder / dump.LIDAR / f"{name}.ply", scan(moment))
+        if options.tag_noise or options.drop or "segmentation" in options.without:
+            dump.write_picture(self._path("truth/segmentation", name), dump.tags_picture(left.tags))
+        if options.depth_noise or options.drop or "depth" in options.without:
+            dump.write_picture(self._path("truth/depth", name), dump.depth_picture(left.depth_m))
 
-def _write_frame(
-    folder: Path, options: RenderOptions, frame: int, moment: SceneMoment, rig: CameraPair, left: RenderedView
-) -> None:
-    """The files of one frame, but for those that are dropped."""
-    suffix = ".jpg" if options.jpeg else ".png"
-    name = frame_name(frame)
-    kept = (_rng(options, frame, "drop").random(len(SENSORS) + 1) >= options.drop) | (frame == 0)
-    for sensor, keep in zip(SENSORS, kept[:-1], strict=True):
-        if keep and sensor not in options.without:
-            picture = _picture(options, frame, sensor, moment, rig, left)
-            dump.write_picture(folder / sensor / (name + (suffix if sensor in ("rgb", "right") else ".png")), picture)
-    if options.lidar and kept[-1]:
-        dump.write_points(folder / dump.LIDAR / f"{name}.ply", scan(moment))
-    if options.tag_noise or options.drop or "segmentation" in options.without:
-        dump.write_picture(folder / "truth" / "segmentation" / f"{name}.png", dump.tags_picture(left.tags))
-    if options.depth_noise or options.drop or "depth" in options.without:
-        dump.write_picture(folder / "truth" / "depth" / f"{name}.png", dump.depth_picture(left.depth_m))
-
-
-def _picture(
-    options: RenderOptions, frame: int, sensor: str, moment: SceneMoment, rig: CameraPair, left: RenderedView
-) -> NDArray[np.uint8]:
-    """What a sensor's file shows, with the noise asked for."""
-    if sensor == "depth":
-        share = options.depth_noise
-        depth = noise.noisy_depth(left.depth_m, share, _rng(options, frame, "depth")) if share else left.depth_m
-        return dump.depth_picture(depth)
-    if sensor == "segmentation":
-        share = options.tag_noise
-        return dump.tags_picture(
-            noise.noisy_tags(left.tags, share, _rng(options, frame, "tags")) if share else left.tags
-        )
-    rgb = left.rgb
-    if sensor == "right":
-        rgb = photograph(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_right)
-    return noise.noisy_rgb(rgb, options.rgb_noise, _rng(options, frame, sensor)) if options.rgb_noise else rgb
-
-
-def _record(
-    records: _Records,
-    options: RenderOptions,
-    frame: int,
-    moment: SceneMoment,
-    rig: CameraPair,
-    objects: list[ObjectTruth],
-) -> None:
-    name = frame_name(frame)
-    world_T_camera = moment.world_T_ego @ rig.ego_T_left
-    found = detect(moment, rig.camera, world_T_camera, objects, _rng(options, frame, "detections"))
-    records.detections[name] = [detection.to_json() for detection in found]
-    records.poses[name] = dump.carla_transform(moment.world_T_ego)
-    records.stamps.append(f"{name} {moment.time_s:.9f}\n")
-    records.lanes[name] = lanes_truth(moment, with_change=options.knows_path)
-    records.surface[name] = surface_truth(moment, rig)
-    records.objects[name] = [truth.to_json(with_path=options.knows_path) for truth in objects]
-    if options.instances:
-        for truth, entry in zip(objects, records.objects[name], strict=True):
-            entry["instance_id"] = records.ids[truth.name]
-
-
-def _write_records(folder: Path, options: RenderOptions, rig: CameraPair, records: _Records) -> None:
-    truth = {"lanes": records.lanes, "surface": records.surface, "objects": records.objects}
-    dump.write_json(folder / "calibration.json", dump.calibration(rig, options.rate_hz, lidar=options.lidar))
-    dump.write_json(folder / "detections.json", records.detections)
-    dump.write_json(folder / "poses.json", records.poses)
-    dump.write_json(folder / "truth.json", truth)
-    dump.write_text(folder / "timestamps.txt", "".join(records.stamps))
+    def _picture(self, frame: int, sensor: str, moment: SceneMoment, left: RenderedView) -> NDArray[np.uint8]:
+        """What a sensor's file shows, with the noise of the options."""
+        options, rig = self.options, self.rig
+        if sensor == "depth":
+            share, depth_m = options.depth_noise, left.depth_m
+            return dump.depth_picture(
+                noise.noisy_depth(depth_m, share, self._rng(frame, "depth")) if share else depth_m
+            )
+        if sensor == "segmentation":
+            share, tags = options.tag_noise, left.tags
+            return dump.tags_picture(noise.noisy_tags(tags, share, self._rng(frame, "tags")) if share else tags)
+        rgb = left.rgb
+        if sensor == "right":
+            rgb = photograph(moment.scenery, rig.camera, moment.world_T_ego @ rig.ego_T_right)
+        return noise.noisy_rgb(rgb, options.rgb_noise, self._rng(frame, sensor)) if options.rgb_noise else rgb

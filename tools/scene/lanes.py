@@ -1,20 +1,145 @@
-"""The lanes of the ego car's own direction, their edges, and painted lines whose place changes along the road.
+"""The road across and along: its cross-section with exact borders, lanes and their edges, and painted lines.
 
-Lines are dashed, worn or missing for stretches. The plain scenes have their lines in the cross-section; these are
-painted over a cross-section without lines.
+The plain scenes have their lines in the cross-section. Other lines are painted over a cross-section without lines:
+their place changes along the road, and they are dashed, worn or missing for stretches.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import cache, cached_property
+from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.geometry import Float, Float32
+from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
 from .options import Stretch
 from .path import Real
-from .section import Colour
+
+Colour = tuple[float, float, float]
+"""Blue, green, red, 0 to 255."""
+
+ASPHALT: Final[Colour] = (157.0, 155.0, 154.0)
+STRIP: Final[Colour] = (149.0, 148.0, 147.0)
+PAVING: Final[Colour] = (112.0, 113.0, 114.0)
+GRASS: Final[Colour] = (58.0, 92.0, 74.0)
+YELLOW: Final[Colour] = (62.0, 184.0, 218.0)
+WHITE: Final[Colour] = (218.0, 220.0, 221.0)
+
+BIN_M: Final = 0.005
+"""Borders lie on multiples of this, so that a table of d has no rounding at a border."""
+REACH_M: Final = 32.0
+CURB_HEIGHT_M: Final = 0.15
+GAP_BIN_M: Final = 0.02
+DASH_M: Final = 3.0
+DASH_PERIOD_M: Final = 7.5
+STRETCH_M: Final = 160.0
+DASHED_FROM_M: Final = 25.0
+DASHED_TO_M: Final = 85.0
+"""Of every ``STRETCH_M`` of a road with a broken line, the part where it is broken."""
+
+
+@dataclass(frozen=True)
+class Zone:
+    """The strip low_m <= d < high_m of one class; ``contrast`` is its grain's relative amplitude."""
+
+    low_m: float
+    high_m: float
+    tag_name: str
+    colour: Colour
+    contrast: float
+
+
+@dataclass(frozen=True)
+class RoadSection:
+    """Zones painted one over the other, curbs at d = +-curb_m, and the ego lane's borders."""
+
+    zones: tuple[Zone, ...]
+    curb_m: float
+    walk_m: float
+    """Outer edge of the sidewalks."""
+    left_edge_m: float
+    right_edge_m: float
+    outside_left: str
+    """Class beyond the marking on the left, and on the right."""
+    outside_right: str
+    broken: bool
+    """Whether the ego lane's right line is dashed for stretches."""
+    lane_m: float
+    """Width of half the carriageway, the lanes without the parking strips."""
+
+    @property
+    def lane_centre_m(self) -> float:
+        """D of the middle of the ego lane."""
+        return (self.left_edge_m + self.right_edge_m) / 2
+
+    @cached_property
+    def tag_table(self) -> NDArray[np.uint8]:
+        """Tag by d: bin i covers -REACH_M + i BIN_M onwards."""
+        table = np.zeros(round(2 * REACH_M / BIN_M), np.uint8)
+        for zone in self.zones:
+            table[_bin(zone.low_m) : _bin(zone.high_m)] = CARLA_FROM_0_9_14.names.index(zone.tag_name)
+        return table
+
+    @cached_property
+    def right_line_table(self) -> NDArray[np.bool_]:
+        """Where d is on the ego lane's right line, by the same bins."""
+        table = np.zeros(round(2 * REACH_M / BIN_M), np.bool_)
+        if self.broken:
+            table[_bin(self.right_edge_m - LINE_M) : _bin(self.right_edge_m)] = True
+        return table
+
+
+def line_gap(s_m: Float32, s_origin_m: float) -> NDArray[np.bool_]:
+    """Where a line that is dashed for stretches is interrupted; s counts from ``s_origin_m``."""
+    period = round(STRETCH_M / GAP_BIN_M)
+    index = ((s_m + np.float32(s_origin_m % STRETCH_M + STRETCH_M)) * np.float32(1 / GAP_BIN_M)).astype(np.int32)
+    return _gap_table()[index % period]
+
+
+@cache
+def _gap_table() -> NDArray[np.bool_]:
+    """Where a broken line is interrupted, over one stretch."""
+    s = np.arange(round(STRETCH_M / GAP_BIN_M)) * GAP_BIN_M
+    broken = (s >= DASHED_FROM_M) & (s < DASHED_TO_M)
+    return broken & ((s - DASHED_FROM_M) % DASH_PERIOD_M >= DASH_M)
+
+
+LINE_M: Final = 0.15
+
+
+def bins(d_m: Float32) -> NDArray[np.int32]:
+    """Bin of the tables that each d falls into, clipped to the tables."""
+    index = (d_m + np.float32(REACH_M)) * np.float32(1 / BIN_M)
+    np.clip(index, 0, round(2 * REACH_M / BIN_M) - 1, out=index)
+    return index.astype(np.int32)
+
+
+def street(*, parking: bool, broken: bool, lines: bool = True) -> RoadSection:
+    """Two lanes of 3.6 m about a double yellow line; with parking also white edge lines and a strip beyond them.
+
+    Without ``lines`` the asphalt is bare: what is painted on it is then a matter of ``markings``.
+    """
+    lane, curb = 3.6, 6.0 if parking else 3.6
+    zones = [
+        Zone(-REACH_M, REACH_M, "terrain", GRASS, 0.6),
+        Zone(-curb - 3.5, curb + 3.5, "sidewalk", PAVING, 0.45),
+        Zone(-curb, curb, "road", STRIP, 0.2),
+        Zone(-lane, lane, "road", ASPHALT, 0.2),
+    ]
+    if lines:
+        zones.append(Zone(-0.225, -0.075, "road_line", YELLOW, 0.3))
+        zones.append(Zone(0.075, 0.225, "road_line", YELLOW, 0.3))
+    if lines and parking:
+        zones.append(Zone(-lane - LINE_M, -lane, "road_line", WHITE, 0.3))
+        zones.append(Zone(lane, lane + LINE_M, "road_line", WHITE, 0.3))
+    outside = "road" if parking else "sidewalk"
+    return RoadSection(tuple(zones), curb, curb + 3.5, -0.225, -lane, "road", outside, broken and parking, lane)
+
+
+def _bin(d_m: float) -> int:
+    return round((d_m + REACH_M) / BIN_M)
 
 
 @dataclass(frozen=True)
@@ -82,17 +207,6 @@ class LaneMap:
         """The lane that a place is in; None where there is none along the road."""
         there = [lane for lane in self.lanes if lane.from_m <= s_m < lane.to_m]
         return min(there, key=lambda lane: lane.beside_m(s_m, d_m)) if there else None
-
-
-def single(lane: Lane) -> LaneMap:
-    """One lane all along."""
-    return LaneMap((lane,), lane)
-
-
-def side_by_side(edges: Sequence[tuple[Edge, Edge]], start: int) -> LaneMap:
-    """Lanes without end from left to right; ``start`` is the number of the one the ego car begins in."""
-    lanes = tuple(Lane(left, right) for left, right in edges)
-    return LaneMap(lanes, lanes[start])
 
 
 Dashes = Literal["none", "all", "stretches"]

@@ -1,7 +1,6 @@
 """Sensors and networks as one gets them: noise in clean pictures, and a detector that errs."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import cv2
@@ -10,7 +9,8 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Camera, Float, Float32, inverse, project, transform
 
-from .drive import SceneMoment, Thing
+from .drive import SceneMoment
+from .faces import Thing
 from .ground import FAR_M
 from .object_truth import ObjectTruth
 
@@ -99,25 +99,16 @@ FALSE_PER_FRAME: Final = 2.2
 Box = tuple[float, float, float, float]
 
 
-@dataclass(frozen=True)
-class DetectedBox:
-    """A half-open box in pixels with a label and a score."""
-
-    label: str
-    box_px: Box
-    score: float
-
-    def to_json(self) -> dict[str, Any]:
-        """As ``detections.json`` holds it."""
-        return {"label": self.label, "box_px": [round(c, 2) for c in self.box_px], "score": round(self.score, 4)}
+Detected = tuple[str, Box, float]
+"""Label, half-open box in pixels, and score."""
 
 
 def detect(
     moment: SceneMoment, camera: Camera, world_T_camera: Float, seen: Sequence[ObjectTruth], rng: np.random.Generator
-) -> list[DetectedBox]:
-    """Detections in one frame, the best first."""
-    found = [
-        DetectedBox(truth.label, _jittered(truth.box_px, camera, rng), float(rng.uniform(0.55, 0.99)))
+) -> list[dict[str, Any]]:
+    """Detections in one frame as ``detections.json`` holds them, the best first."""
+    found: list[Detected] = [
+        (truth.label, _jittered(truth.box_px, camera, rng), float(rng.uniform(0.55, 0.99)))
         for truth in seen
         if rng.random() >= MISSED
     ]
@@ -125,7 +116,10 @@ def detect(
     hidden = [thing for thing in moment.things if thing.name not in visible]
     found += _occluded(hidden, camera, world_T_camera, rng)
     found += [_false(camera, rng) for _ in range(rng.poisson(FALSE_PER_FRAME))]
-    return sorted(found, key=lambda detection: -detection.score)
+    return [
+        {"label": label, "box_px": [round(c, 2) for c in box], "score": round(score, 4)}
+        for label, box, score in sorted(found, key=lambda detected: -detected[2])
+    ]
 
 
 def _jittered(box: Box, camera: Camera, rng: np.random.Generator) -> Box:
@@ -141,19 +135,17 @@ def _jittered(box: Box, camera: Camera, rng: np.random.Generator) -> Box:
 
 def _occluded(
     hidden: Sequence[Thing], camera: Camera, world_T_camera: Float, rng: np.random.Generator
-) -> Iterator[DetectedBox]:
+) -> Iterator[Detected]:
     """Some of the things that stand behind others, with the box of the whole thing."""
     for thing in hidden:
         box = whole_box(thing, camera, world_T_camera)
         if box is not None and box[2] - box[0] >= OCCLUDED_MIN_PX * camera.width and rng.random() < OCCLUDED_FOUND:
-            yield DetectedBox(thing.label, _jittered(box, camera, rng), float(rng.uniform(0.35, 0.75)))
+            yield thing.label, _jittered(box, camera, rng), float(rng.uniform(0.35, 0.75))
 
 
 def whole_box(thing: Thing, camera: Camera, world_T_camera: Float) -> Box | None:
     """The box of all of a thing, hidden parts included; None outside the image, behind or far off."""
-    faces = thing.faces
-    corners = np.concatenate([faces.origin + a * faces.across + b * faces.up for a in (0, 1) for b in (0, 1)])
-    points = transform(inverse(world_T_camera), corners)
+    points = transform(inverse(world_T_camera), thing.faces.corners.reshape(-1, 3))
     if points[:, 2].min() < 0.5 or points[:, 2].min() > OCCLUDED_MAX_M:
         return None
     (x0, y0), (x1, y1) = project(camera, points).min(axis=0), project(camera, points).max(axis=0)
@@ -161,11 +153,11 @@ def whole_box(thing: Thing, camera: Camera, world_T_camera: Float) -> Box | None
     return (float(x0), float(y0), float(x1), float(y1)) if inside else None
 
 
-def _false(camera: Camera, rng: np.random.Generator) -> DetectedBox:
+def _false(camera: Camera, rng: np.random.Generator) -> Detected:
     """A box of a likely shape on whatever is there: a facade, a tree, the road."""
     label = "Car" if rng.random() < 0.6 else "Pedestrian"
     height = camera.height * float(np.exp(rng.uniform(np.log(0.03), np.log(0.2))))
     width = height * float(rng.uniform(1.0, 2.2) if label == "Car" else rng.uniform(0.3, 0.55))
     x, y = rng.uniform(0, camera.width), camera.height * rng.uniform(0.2, 0.8)
     box = (float(x) - width / 2, float(y) - height / 2, float(x) + width / 2, float(y) + height / 2)
-    return DetectedBox(label, box, float(rng.uniform(0.3, 0.75)))
+    return label, box, float(rng.uniform(0.3, 0.75))

@@ -12,7 +12,8 @@ from scipy import ndimage
 
 from roadperc_stream.geometry import Camera, Float, inverse, project, rays, transform
 
-from .drive import Drive, SceneMoment, Thing
+from .drive import Drive, SceneMoment
+from .faces import Thing
 from .raster import NEAR_M
 from .rig import CameraPair
 from .sheet import CAR_WIDTH_M
@@ -21,16 +22,8 @@ from .view import RenderedView
 PATH_MARGIN_M: Final = 0.3
 
 
-@dataclass(frozen=True)
-class PathPlace:
-    """How far a thing's middle is to the left of the path's, and whether any of it is in the path."""
-
-    lateral_m: float
-    in_path: bool
-
-
-def path_place(moment: SceneMoment, thing: Thing) -> PathPlace:
-    """Where a thing is beside the path."""
+def path_place(moment: SceneMoment, thing: Thing) -> tuple[float, bool]:
+    """How far a thing's middle is to the left of the path's, metres, and whether any of it is in the path."""
     world = moment.scenery.world
     corners = body_corners(thing, moment.time_s)
     road = world.path.around(moment.scenery.s_m)
@@ -39,14 +32,13 @@ def path_place(moment: SceneMoment, thing: Thing) -> PathPlace:
     lane = world.road.lanes.at(moment.scenery.s_m, moment.d_m) or world.road.lanes.start
     aside = d - [lane.way_m(float(at) + road.s_origin_m) for at in s]
     half = CAR_WIDTH_M / 2 + PATH_MARGIN_M
-    return PathPlace(float(aside[-1]), bool(aside[:-1].min() < half and aside[:-1].max() > -half))
+    return float(aside[-1]), bool(aside[:-1].min() < half and aside[:-1].max() > -half)
 
 
 def body_corners(thing: Thing, time_s: float) -> Float:
     """(8, 3) the corners of the upright box around a thing in its own frame, in the world."""
-    faces, pose = thing.faces, thing.pose(time_s)
-    points = np.concatenate([faces.origin + a * faces.across + b * faces.up for a in (0, 1) for b in (0, 1)])
-    body = transform(inverse(pose), points)
+    pose = thing.pose(time_s)
+    body = transform(inverse(pose), thing.faces.corners.reshape(-1, 3))
     low, high = body.min(axis=0), body.max(axis=0)
     corners = np.array([[(low, high)[(i >> axis) & 1][axis] for axis in range(3)] for i in range(8)])
     return transform(pose, corners)
@@ -70,12 +62,13 @@ class ObjectTruth:
     box_px: tuple[int, int, int, int]
     distance_m: float
     closing_speed_mps: float
-    place: PathPlace
+    lateral_m: float
+    in_path: bool
 
     @property
     def time_to_impact_s(self) -> float | None:
         """Range over range rate of what is in the path and comes nearer, else None."""
-        nears = self.place.in_path and self.closing_speed_mps > MIN_CLOSING_MPS
+        nears = self.in_path and self.closing_speed_mps > MIN_CLOSING_MPS
         return self.distance_m / self.closing_speed_mps if nears else None
 
     def to_json(self, *, with_path: bool) -> dict[str, Any]:
@@ -90,8 +83,8 @@ class ObjectTruth:
         if with_path:
             impact = self.time_to_impact_s
             seen |= {
-                "lateral_m": round(self.place.lateral_m, 5),
-                "in_path": self.place.in_path,
+                "lateral_m": round(self.lateral_m, 5),
+                "in_path": self.in_path,
                 "time_to_impact_s": None if impact is None else round(impact, 5),
             }
         return seen
@@ -178,4 +171,4 @@ def _object(
     step = DERIVATIVE_STEP_S
     speed = (distance(moment.time_s - step) - distance(moment.time_s + step)) / (2 * step)
     seen_box = (x0, y0, box[1].stop, box[0].stop)
-    return ObjectTruth(thing.name, thing.label, seen_box, float(distances[nearest]), speed, path_place(moment, thing))
+    return ObjectTruth(thing.name, thing.label, seen_box, float(distances[nearest]), speed, *path_place(moment, thing))

@@ -81,8 +81,7 @@ class RenderOptions:
     @property
     def knows_path(self) -> bool:
         """Whether the truth says what is in the path and when a lane is changed."""
-        ordinary = RenderOptions()
-        return any(getattr(self, name) != getattr(ordinary, name) for name in PATH_OPTIONS)
+        return any(getattr(self, name) for name in PATH_OPTIONS)
 
     @property
     def frames(self) -> int:
@@ -114,8 +113,9 @@ class RenderOptions:
         for name, value, low, high in limits:
             if not low <= value <= high:
                 raise DumpError(f"{name} {value:g}: expected a number from {low:g} to {high:g}")
-        if self.scene not in SCENES:
-            raise DumpError(f"--scene {self.scene}: expected one of {', '.join(SCENES)}")
+        for name, stretch in (("--worn-lines", self.worn_lines), ("--missing-lines", self.missing_lines)):
+            if stretch is not None and not 0 <= stretch[0] < stretch[1] < inf:
+                raise DumpError(f"{name} {stretch[0]:g},{stretch[1]:g}: expected FROM,TO, the nearer place first")
         if not set(SENSORS) - set(self.without):
             raise DumpError("--without: no camera is left")
         self._check_together()
@@ -124,40 +124,26 @@ class RenderOptions:
         """Refuses options that do not go with others."""
         follows = self.lead_brakes or self.stop_and_go
         crosses = self.turn is not None or self.crossing_cars
-        back = self.change_back or self.change_broken_off
-        refused = (
-            (
-                back and self.change_lane is None,
-                "--change-back and --change-broken-off: expected --change-lane as well",
+        changes, back = self.change_lane is not None, self.change_back or self.change_broken_off
+        refused = {
+            "--change-back and --change-broken-off: expected --change-lane as well": back and not changes,
+            "--change-back: not with --change-broken-off": self.change_back and self.change_broken_off,
+            "--lead-brakes: not with --stop-and-go": self.lead_brakes and self.stop_and_go,
+            "--static: not with a lane change, a crossing or a car to follow": (
+                self.static and (follows or crosses or changes)
             ),
-            (
-                self.change_back and self.change_broken_off,
-                "--change-back: a change that is broken off is no change to go back from",
+            "--turn: not with --lead-brakes or --stop-and-go": self.turn is not None and follows,
+            "--turn and --crossing-cars: not with --change-lane": crosses and changes,
+            "--lane: not with --change-lane, --turn or --crossing-cars": (
+                self.lane is not None and (crosses or changes)
             ),
-            (self.lead_brakes and self.stop_and_go, "--lead-brakes and --stop-and-go: the car before does one of them"),
-            (
-                self.static and (follows or crosses or self.change_lane is not None),
-                "--static: a car that stands neither follows one nor changes its lane nor comes to a crossing",
-            ),
-            (self.turn is not None and follows, "--turn: not with --lead-brakes or --stop-and-go"),
-            (crosses and self.change_lane is not None, "--turn and --crossing-cars: not with --change-lane"),
-            (
-                self.lane is not None and (crosses or self.change_lane is not None),
-                "--lane: not with --change-lane, --turn or --crossing-cars",
-            ),
-            (crosses and self.bumps, "--turn and --crossing-cars: not with --bumps"),
-            (self.bumps and self.scene == "bend", "--bumps: not in the scene bend, whose road turns back"),
-        )
-        for wrong, why in refused:
+            "--turn and --crossing-cars: not with --bumps": crosses and self.bumps,
+            "--bumps: not in the scene bend, whose road turns back": self.bumps and self.scene == "bend",
+        }
+        for why, wrong in refused.items():
             if wrong:
                 raise DumpError(why)
-        self._check_stretches()
         self._check_sight(level=crosses or (self.scene in ("straight", "bend") and not self.bumps))
-
-    def _check_stretches(self) -> None:
-        for name, stretch in (("--worn-lines", self.worn_lines), ("--missing-lines", self.missing_lines)):
-            if stretch is not None and not 0 <= stretch[0] < stretch[1] < inf:
-                raise DumpError(f"{name} {stretch[0]:g},{stretch[1]:g}: expected FROM,TO, the nearer place first")
 
     def _check_sight(self, *, level: bool) -> None:
         beside = self.fov_deg / 2 + abs(self.mount[5])

@@ -41,8 +41,8 @@ def draw_faces(
         outline: what cut faces show, by texel (see ``Sheet``).
     """
     seen = _facing(faces.moved(inverse(world_T_camera)))
-    H = _matrices(camera, seen)
-    boxes = pixel_boxes(camera, _corners(seen))
+    H = np.linalg.inv(np.stack((seen.across, seen.up, seen.origin), axis=-1)) @ np.linalg.inv(camera.K)
+    boxes = pixel_boxes(camera, seen.corners)
     owner = np.full(camera.size, -1, np.int32)
     for i in np.flatnonzero((boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])):
         x0, y0, x1, y1 = boxes[i]
@@ -92,20 +92,8 @@ def _facing(faces: Faces) -> Faces:
     normal = np.cross(faces.across, faces.up)
     towards = np.einsum("ij,ij->i", normal, faces.origin)
     size = np.linalg.norm(normal, axis=1)
-    ahead = _corners(faces)[..., 2].max(axis=1) > NEAR_M
+    ahead = faces.corners[..., 2].max(axis=1) > NEAR_M
     return faces.pick(ahead & np.where(faces.two_sided, np.abs(towards) > 1e-6 * size, towards < -1e-6 * size))
-
-
-def _matrices(camera: Camera, faces: Faces) -> Float:
-    columns = np.stack((faces.across, faces.up, faces.origin), axis=-1)
-    result: Float = np.linalg.inv(columns) @ np.linalg.inv(camera.K)
-    return result
-
-
-def _corners(faces: Faces) -> Float:
-    """(N, 4, 3) corners in order around each face."""
-    a, b = faces.across, faces.up
-    return faces.origin[:, None] + np.stack((np.zeros_like(a), a, a + b, b), axis=1)
 
 
 def pixel_boxes(camera: Camera, corners: Float) -> NDArray[np.int64]:

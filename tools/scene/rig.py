@@ -31,11 +31,6 @@ class CameraPair:
     ego_T_right: Float
     mount: Mount
 
-    @property
-    def height_m(self) -> float:
-        """Of the front camera over the ego origin."""
-        return self.mount[2]
-
 
 def make_rig(width: int, height: int, fov_deg: float, mount: Mount) -> CameraPair:
     """Cameras of a size in pixels; their centre is CARLA's w / 2 counted from the corner of the first pixel.
@@ -58,24 +53,8 @@ def make_rig(width: int, height: int, fov_deg: float, mount: Mount) -> CameraPai
     return CameraPair(camera, body @ optical, body @ beside @ optical, mount)
 
 
-def carla_mountings(rig: CameraPair) -> dict[str, dict[str, float]]:
-    """Of the front camera (``front``) and the right one, as ``calibration.json`` has it."""
-    _, _, _, roll, pitch, yaw = rig.mount
-    return {
-        name: {
-            "x": round(float(ego_T_camera[0, 3]), 7),
-            "y": round(0.0 - float(ego_T_camera[1, 3]), 7),
-            "z": round(float(ego_T_camera[2, 3]), 7),
-            "roll": roll,
-            "pitch": pitch,
-            "yaw": yaw,
-        }
-        for name, ego_T_camera in (("front", rig.ego_T_left), ("right", rig.ego_T_right))
-    }
-
-
-MOUNT_Z_M: Final = 2.4
-"""Height above the ego origin."""
+LIDAR_Z_M: Final = 2.4
+"""Height of the lidar above the ego origin."""
 CHANNELS: Final = 64
 ELEVATION_DEG: Final = (10.0, -30.0)
 """Of the upper and the lower ring: CARLA's defaults."""
@@ -92,7 +71,7 @@ _FOCAL_PX: Final = 640.0
 def scan(moment: SceneMoment) -> Float32:
     """(N, 4) x forward, y right, z up in metres and intensity, as CARLA has it: left-handed, from the lidar."""
     camera, pixels = _rays()
-    world_T_camera = moment.world_T_ego @ rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, MOUNT_Z_M]))
+    world_T_camera = moment.world_T_ego @ rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, LIDAR_Z_M]))
     depth_m = depth_seen(moment.scenery, camera, world_T_camera)[pixels[:, 1], pixels[:, 0]]
     right, down, forward = (rays(camera, pixels.astype(float)) * depth_m[:, None]).T
     distance_m = np.sqrt(right**2 + down**2 + forward**2)

@@ -8,10 +8,23 @@ from typing import Final
 
 import numpy as np
 
-from .lanes import Along, Dashes, Edge, Lane, LaneMap, Marking, Markings, constant, side_by_side, single
+from .lanes import (
+    LINE_M,
+    WHITE,
+    YELLOW,
+    Along,
+    Dashes,
+    Edge,
+    Lane,
+    LaneMap,
+    Marking,
+    Markings,
+    RoadSection,
+    constant,
+    street,
+)
 from .options import LaneEvent, RenderOptions
 from .path import Element, Path, Real, chain
-from .section import LINE_M, WHITE, YELLOW, RoadSection, street
 
 TURN_RADIUS_M: Final = 12.0
 """Of the ego car's way round the corner."""
@@ -157,7 +170,8 @@ def plain_road(section: RoadSection) -> Road:
     """A road that is the same all along, with its lines in the cross-section."""
     left = Edge(constant(section.left_edge_m), section.outside_left)
     right = Edge(constant(section.right_edge_m), section.outside_right)
-    return Road(section, single(Lane(left, right)), constant(0.0))
+    lane = Lane(left, right)
+    return Road(section, LaneMap((lane,), lane), constant(0.0))
 
 
 def road_of(options: RenderOptions) -> Road:
@@ -186,13 +200,9 @@ def road_of(options: RenderOptions) -> Road:
 def _two_lanes(section: RoadSection, change_to: str) -> Road:
     """Two lanes of the own direction with a dashed line between them."""
     inner, outer = -section.lane_m, -section.lane_m - LINE_M - LANE_M
-    lanes = side_by_side(
-        (
-            (Edge(constant(section.left_edge_m), "road"), Edge(constant(inner), "road")),
-            (Edge(constant(inner - LINE_M), "road"), Edge(constant(outer), section.outside_right)),
-        ),
-        start=1 if change_to == "left" else 0,
-    )
+    left = Lane(Edge(constant(section.left_edge_m), "road"), Edge(constant(inner), "road"))
+    right = Lane(Edge(constant(inner - LINE_M), "road"), Edge(constant(outer), section.outside_right))
+    lanes = LaneMap((left, right), right if change_to == "left" else left)
     lines = [*_outer_lines(section, constant(outer)), Marking(constant(inner - LINE_M / 2), WHITE, "all")]
     return Road(section, lanes, constant(LINE_M + LANE_M), Markings(tuple(lines)))
 

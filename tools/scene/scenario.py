@@ -1,6 +1,5 @@
 """How the ego car and the one before it drive on, brake, stand and drive off, in phases of constant acceleration."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -54,11 +53,6 @@ def stopping(speed_mps: float, braking_mps2: float) -> Phase:
 def starting(speed_mps: float, acceleration_mps2: float) -> Phase:
     """The phase from a standstill to a speed."""
     return speed_mps / acceleration_mps2, acceleration_mps2
-
-
-def repeated(phases: Iterable[Phase], times: int) -> tuple[Phase, ...]:
-    """The phases one after the other, again and again."""
-    return tuple(phases) * times
 
 
 BRAKES_AFTER_S: Final = 2.0
@@ -129,5 +123,5 @@ def queue(speed_mps: float, seconds: float) -> Pair:
     wave: tuple[Phase, ...] = ((CRUISE_S, 0.0), brake, (STAND_S, 0.0), off)
     times = int(seconds / sum(phase[0] for phase in wave)) + 2
     gap = CAR_M[0] + QUEUE_GAP_M + speed_mps * REACTION_S
-    leader = SpeedProfile(gap, speed_mps, repeated(wave, times))
-    return Pair(SpeedProfile(0.0, speed_mps, ((REACTION_S, 0.0), *repeated(wave, times))), leader)
+    leader = SpeedProfile(gap, speed_mps, wave * times)
+    return Pair(SpeedProfile(0.0, speed_mps, ((REACTION_S, 0.0), *wave * times)), leader)

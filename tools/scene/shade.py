@@ -13,10 +13,9 @@ from roadperc_stream.geometry import Camera, Float, Float32, inverse, transform
 
 from .grain import GRAIN_STD, ROWS, TEXEL_M, Grain, depth_level, level_depth_m, pink_noise
 from .grain import LEVELS as GRAIN_LEVELS
-from .ground import Ground
-from .paint import PAINT_CONTRAST, Paint
+from .ground import PAINT_CONTRAST, Ground, Paint
+from .lanes import REACH_M, RoadSection, Zone
 from .raster import Drawn, pixel_boxes
-from .section import REACH_M, RoadSection, Zone
 from .sheet import LEVELS as SHEET_LEVELS
 from .sheet import Sheet
 

@@ -1,7 +1,7 @@
 """What moves beside the ego car: cars before and towards it, people on the sidewalks and across the road."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -10,11 +10,10 @@ import numpy as np
 from roadperc_stream.geometry import Float, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 
-from . import prefabs
 from .ego import Ego
-from .faces import Faces
+from .faces import Thing, car, pedestrian
+from .lanes import CURB_HEIGHT_M
 from .scenario import SpeedProfile
-from .section import CURB_HEIGHT_M
 from .world import World
 
 HEADWAY_S: Final = 2.8
@@ -37,18 +36,8 @@ STRIDE_M: Final = 0.22
 
 
 @dataclass(frozen=True)
-class Mover:
-    """A moving thing: faces in its own frame and its pose at any time."""
-
-    name: str
-    label: str
-    faces: Faces
-    pose: Callable[[float], Float]
-
-
-@dataclass(frozen=True)
 class Traffic:
-    """All movers of a drive."""
+    """All that moves in a drive."""
 
     ego: Ego
     seed: int
@@ -61,18 +50,19 @@ class Traffic:
         """Where they move."""
         return self.ego.world
 
-    def at(self, time_s: float) -> list[Mover]:
+    def at(self, time_s: float) -> list[Thing]:
         """Those that may be seen at a time, in a fixed order."""
         leaders = self._leaders() if self.leader is None else self._led(self.leader)
         # People run across before a car whose speed is constant; before another they would be run over.
         crossing = self._crossing(time_s) if self.ego.motion is None else ()
         across = self._across() if self.crossing_cars else ()
-        return [*leaders, *self._oncoming(time_s), *across, *self._walkers(time_s), *crossing]
+        movers = (*leaders, *self._oncoming(time_s), *across, *self._walkers(time_s), *crossing)
+        return [replace(thing, faces=thing.faces.moved(thing.pose(time_s))) for thing in movers]
 
     def _rng(self, kind: int, slot: int) -> np.random.Generator:
         return np.random.default_rng((self.seed, 202, kind, slot + 1_000_000))
 
-    def _leaders(self) -> Iterator[Mover]:
+    def _leaders(self) -> Iterator[Thing]:
         """Two cars in the ego's lane; before a car that stands they drive off."""
         headway = max(HEADWAY_MIN_M, HEADWAY_S * self.ego.speed_mps)
         for i, (gap, swing, period) in enumerate(((headway, 0.18, 11.0), (headway + 34.0, 0.1, 17.0))):
@@ -84,18 +74,18 @@ class Traffic:
                 s = self.ego.s(time_s) + ahead
                 return self.world.ground_pose(s, self.world.road.lanes.start.way_m(s))
 
-            yield Mover(f"leader:{i}", "Car", prefabs.car(int(self._rng(0, i).integers(100))), pose)
+            yield Thing(f"leader:{i}", "Car", car(int(self._rng(0, i).integers(100))), pose)
 
-    def _led(self, motion: SpeedProfile) -> Iterator[Mover]:
+    def _led(self, motion: SpeedProfile) -> Iterator[Thing]:
         """One car in the ego's lane with a motion of its own."""
 
         def pose(time_s: float) -> Float:
             s = motion.at(time_s)[0]
             return self.world.ground_pose(s, self.world.road.lanes.start.way_m(s))
 
-        yield Mover("leader:0", "Car", prefabs.car(int(self._rng(0, 0).integers(100))), pose)
+        yield Thing("leader:0", "Car", car(int(self._rng(0, 0).integers(100))), pose)
 
-    def _oncoming(self, time_s: float) -> Iterator[Mover]:
+    def _oncoming(self, time_s: float) -> Iterator[Thing]:
         """An endless row of cars in the other lane, numbered by where they were at time 0."""
         start = self.ego.s(time_s) + ONCOMING_SPEED_MPS * time_s
         for k in range(int((start - 8) // ONCOMING_SPACING_M), int((start + CAR_RANGE_M) // ONCOMING_SPACING_M)):
@@ -108,7 +98,7 @@ class Traffic:
             def pose(time_s: float, first: float = first, d: float = d) -> Float:
                 return self.world.ground_pose(first - ONCOMING_SPEED_MPS * time_s, d, np.pi)
 
-            yield Mover(f"oncoming:{k}", "Car", prefabs.car(int(rng.integers(100))), pose)
+            yield Thing(f"oncoming:{k}", "Car", car(int(rng.integers(100))), pose)
 
     def _meets_crossing_car(self, first_m: float) -> bool:
         """Whether an oncoming car that was at s at time 0 would run into one that crosses."""
@@ -130,7 +120,7 @@ class Traffic:
         arrives = float(times[int(reached.argmax())]) if reached.any() else LATEST_S
         return tuple((arrives - before, towards) for before, towards in CROSSES_BEFORE_S)
 
-    def _across(self) -> Iterator[Mover]:
+    def _across(self) -> Iterator[Thing]:
         """Cars on the other road, close before the ego car."""
         crossing = self.world.road.crossing
         for k, (crosses_s, towards) in enumerate(self._crossing_times if crossing else ()):
@@ -140,9 +130,9 @@ class Traffic:
                 y = towards * ACROSS_MPS * (time_s - crosses_s)
                 return rigid(rotation_from_rpy(0.0, 0.0, towards * np.pi / 2), np.array([x, y, 0.0]))
 
-            yield Mover(f"across:{k}", "Car", prefabs.car(int(self._rng(4, k).integers(100))), pose)
+            yield Thing(f"across:{k}", "Car", car(int(self._rng(4, k).integers(100))), pose)
 
-    def _walkers(self, time_s: float) -> Iterator[Mover]:
+    def _walkers(self, time_s: float) -> Iterator[Thing]:
         """People who walk to and fro on the sidewalks."""
         s = self.ego.s(time_s)
         for k in range(int((s - 10) // WALKER_SLOT_M), int((s + WALKER_RANGE_M) // WALKER_SLOT_M)):
@@ -158,7 +148,7 @@ class Traffic:
             if rng.random() < 0.7:
                 yield self._person(f"walker:{k}", int(rng.integers(100)), time_s + late, WALK_MPS, pose)
 
-    def _crossing(self, time_s: float) -> Iterator[Mover]:
+    def _crossing(self, time_s: float) -> Iterator[Thing]:
         """People who run across the road from the right, between the ego car and the one before it."""
         s, speed = self.ego.s(time_s), max(self.ego.speed_mps, 1.0)
         left = self.world.section.curb_m + 1.0
@@ -174,9 +164,9 @@ class Traffic:
             moving = 0 < time_s - start < (left + right) / RUN_MPS
             yield self._person(f"crossing:{k}", 3 * k + 1, time_s if moving else 0.0, RUN_MPS, pose)
 
-    def _person(self, name: str, clothes: int, walked_s: float, speed: float, pose: Callable[[float], Float]) -> Mover:
+    def _person(self, name: str, clothes: int, walked_s: float, speed: float, pose: Callable[[float], Float]) -> Thing:
         stride = STRIDE_M * float(np.sin(np.pi * speed * walked_s / 0.75))
-        return Mover(name, "Pedestrian", prefabs.pedestrian(clothes, stride), pose)
+        return Thing(name, "Pedestrian", pedestrian(clothes, stride), pose)
 
     def _on_foot(self, s_m: float, d_m: float, turn: float) -> Float:
         """Pose of somebody upright on the road or, beyond the curb, on the sidewalk."""

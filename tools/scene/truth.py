@@ -5,15 +5,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.geometry import (
-    Float,
-    camera_pitch_roll,
-    facing,
-    fit_plane,
-    inverse,
-    transform,
-    transform_plane,
-)
+from roadperc_stream.geometry import Float, camera_pitch_roll, facing, fit_plane, inverse, transform, transform_plane
 
 from .drive import SceneMoment
 from .lanes import Edge

@@ -11,18 +11,10 @@ from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
 from .faces import Faces
 from .grain import make_grain
-from .ground import FAR_M, Ground, trace_ground
-from .paint import Paint, paint_on
+from .ground import FAR_M, Ground, Paint, paint_on, trace_ground
+from .lanes import RoadSection, bins
 from .raster import Drawn, draw_faces
-from .section import RoadSection, bins
-from .shade import (
-    Shadow,
-    cast_shadows,
-    daylight,
-    shade_faces,
-    shade_ground,
-    shade_sky,
-)
+from .shade import Shadow, cast_shadows, daylight, shade_faces, shade_ground, shade_sky
 from .sheet import load_sheet
 from .world import World
 

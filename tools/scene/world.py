@@ -13,10 +13,10 @@ import numpy as np
 
 from roadperc_stream.geometry import Float, rigid
 
+from .lanes import RoadSection
 from .options import RenderOptions, SceneName
 from .path import Element, Path, chain
 from .roads import Crossing, Road, road_of
-from .section import RoadSection
 
 VIEW_M: Final = 1100.0
 """How far rays are followed: somewhat beyond CARLA's far plane."""
@@ -51,16 +51,14 @@ class Terrain:
         """Ground height at world x, any shape."""
         return np.interp(x_m, self.x_m, self.z_m)
 
-    def slope(self, x_m: float, reach_m: float) -> float:
-        """Mean dz/dx between ``reach_m`` behind and before x."""
-        low, high = self.height(np.array([x_m - reach_m, x_m + reach_m]))
-        return float(high - low) / (2 * reach_m)
+    def below(self, x_m: float, reach_m: float) -> tuple[float, float]:
+        """Height and mean dz/dx of a body at x on wheels ``reach_m`` behind and before it.
 
-    def carried_height(self, x_m: float, reach_m: float) -> float:
-        """Height of a body at x on wheels ``reach_m`` behind and before it; on smooth ground that of the ground."""
-        if self.rough:
-            return float(self.height(np.array([x_m - reach_m, x_m + reach_m])).mean())
-        return float(self.height(np.array([x_m]))[0])
+        On smooth ground the height is that of the ground.
+        """
+        ends = self.height(np.array([x_m - reach_m, x_m + reach_m]))
+        height = ends.mean() if self.rough else self.height(np.array([x_m]))[0]
+        return float(height), float(ends[1] - ends[0]) / (2 * reach_m)
 
     def first_hits(self, centre_m: Float, dx: Float, dz: Float, lift_m: float) -> Float:
         """How many times their direction rays travel until they meet the ground lifted by ``lift_m``; inf for never.
@@ -74,14 +72,9 @@ class Terrain:
         if self.flat:
             with np.errstate(divide="ignore"):
                 return np.where(dz < 0, (self.z_m[0] + lift_m - centre_m[2]) / dz, np.inf)
-        return self._first_strip_hits(centre_m, dx, dz, lift_m)
-
-    def _first_strip_hits(self, centre_m: Float, dx: Float, dz: Float, lift_m: float) -> Float:
-        """Seen from the centre, a ray meets the ground at the first knot that stands as high in view as the ray.
-
-        The view angle of a straight strip is monotone, so its knots decide; the running maximum hides what lies behind
-        a crest.
-        """
+        # Seen from the centre, a ray meets the ground at the first knot that stands as high in view as the ray.
+        # The view angle of a straight strip is monotone: its knots decide. The running maximum hides what lies behind
+        # a crest.
         first = int(np.searchsorted(self.x_m, centre_m[0] + 0.1))
         last = int(np.searchsorted(self.x_m, centre_m[0] + VIEW_M))
         x, z = self.x_m[first - 1 : last], self.z_m[first - 1 : last] + lift_m
@@ -150,13 +143,13 @@ class World:
         """
         x, y, heading = (float(v[0]) for v in self.path.pose(np.array([s_m])))
         x, y = x - d_m * np.sin(heading), y + d_m * np.cos(heading)
-        slope = 0.0 if self.terrain.flat else self.terrain.slope(x, WHEELBASE_M / 2)
+        height, slope = self.terrain.below(x, WHEELBASE_M / 2)
         yaw = heading + turn
         forward = np.array([np.cos(yaw), np.sin(yaw), slope * np.cos(yaw)])
         up = np.array([-slope, 0.0, 1.0])
         forward, up = forward / np.linalg.norm(forward), up / np.linalg.norm(up)
         rotation = np.column_stack((forward, np.cross(up, forward), up))
-        return rigid(rotation, np.array([x, y, self.terrain.carried_height(x, WHEELBASE_M / 2)]))
+        return rigid(rotation, np.array([x, y, height]))
 
 
 def make_world(options: RenderOptions, length_m: float) -> World:
@@ -169,28 +162,20 @@ def make_world(options: RenderOptions, length_m: float) -> World:
         return World(name, road.crossing.path, level_ground(), road)
     if options.bumps:
         terrain = with_bumps(terrain, length_m + MARGIN_M)
-    return World(name, _PATHS[name](length_m), terrain, road)
+    return World(name, _path(name, length_m), terrain, road)
 
 
-def _straight(length_m: float) -> Path:
-    del length_m
-    return Path((Element(0.0, 0.0, 0.0, 0.0, 0.0),))
-
-
-def _ring(length_m: float) -> Path:
-    del length_m
-    return Path((Element(0.0, 0.0, 0.0, 0.0, 1 / RADIUS_M),))
-
-
-def _winding(length_m: float) -> Path:
-    """Bends of 30 degrees to either side, so that the road always runs towards positive x."""
+def _path(name: SceneName, length_m: float) -> Path:
+    """Straight on, a ring, or bends of 30 degrees to either side: the road of a town always runs towards positive x."""
+    start = Element(0.0, 0.0, 0.0, 0.0, 1 / RADIUS_M if name == "bend" else 0.0)
+    if name != "town":
+        return Path((start,))
     arc, line = RADIUS_M * np.radians(60), 25.0
     swing = [(arc, -1 / RADIUS_M), (line, 0.0), (arc, 1 / RADIUS_M), (line, 0.0)]
     pieces = [(45.0, 0.0), (arc / 2, 1 / RADIUS_M), (line, 0.0)]
     turns = int((length_m + MARGIN_M) / sum(length for length, _ in swing)) + 1
-    return chain(Element(0.0, 0.0, 0.0, 0.0, 0.0), joined(pieces, *repeat(swing, turns)))
+    return chain(start, joined(pieces, *repeat(swing, turns)))
 
 
-_PATHS: Final = {"straight": _straight, "bend": _ring, "hill": _straight, "town": _winding}
 _WAVES_M: Final = {"hill": 240.0, "town": 320.0}
 _MAX_GRADE: Final = 0.08

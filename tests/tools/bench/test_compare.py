@@ -1,16 +1,16 @@
-"""Two versions in turn: what is said of known series, and with which exit code."""
+"""Two versions in turn: intervals of ratios on known numbers, what is printed of known series, and the exit code."""
 
 import json
-import sys
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import nullcontext
 
+import numpy as np
 import pytest
+from scipy.stats import wilcoxon
 
 from roadperc_stream.errors import ProgramError, RegressionError
 from roadperc_stream.tools.bench import compare
-from roadperc_stream.tools.bench.compare import compared, require_no_slower
-from roadperc_stream.tools.bench.replays import Installation, installed
+from roadperc_stream.tools.bench.compare import Ratio, compared, ratio_of, require_no_slower, signed_rank_probabilities
+from roadperc_stream.tools.bench.replays import installed
 
 ROUNDS = 10
 
@@ -61,17 +61,11 @@ def test_a_part_that_only_one_of_them_has_is_listed():
     assert rows["copy"].new == pytest.approx(5.0, rel=0.01)
 
 
-@contextmanager
-def here(_commit):
-    yield sys.executable
-
-
 @pytest.mark.parametrize(("lanes", "code"), [(11.0, 1), (9.0, 0)])
 def test_the_command_prints_writes_and_ends_with_the_verdict(bench_logs, tmp_path, monkeypatch, capsys, lanes, code):
     monkeypatch.setattr(compare, "logs_of", lambda _: bench_logs)
-    monkeypatch.setattr(compare, "installed", here)
+    monkeypatch.setattr(compare, "installed", nullcontext)
     monkeypatch.setattr(compare, "measured", lambda *_: series(lanes))
-    monkeypatch.setenv("COLUMNS", "160")
     out = tmp_path / "compared.json"
     assert compare.main([str(tmp_path), "main", "--logs", "png", "--json", str(out)]) == code
     printed = capsys.readouterr()
@@ -83,9 +77,8 @@ def test_the_command_prints_writes_and_ends_with_the_verdict(bench_logs, tmp_pat
 
 
 def test_both_versions_of_a_log_follow_each_other(bench_logs, tmp_path):
-    logs, here = [bench_logs["png"], bench_logs["stereo"]], Installation(Path(sys.executable), takes_threads=False)
-    names = [job.name for job in compare._jobs(tmp_path, logs, {"base": here, "new": here}, 1)]
-    assert names == ["base png", "new png", "base stereo", "new stereo"]
+    jobs = compare._jobs(tmp_path, [bench_logs["png"], bench_logs["stereo"]], tmp_path / "base", 1)
+    assert list(jobs) == ["base png", "new png", "base stereo", "new stereo"]
 
 
 def test_no_such_commit():
@@ -98,3 +91,64 @@ def test_unknown_logs_are_refused(tmp_path, capsys):
         compare.main([str(tmp_path), "main", "--logs", "png,gif"])
     assert end.value.code == 2
     assert "expected some of png,jpeg,stereo,truth" in capsys.readouterr().err
+
+
+def test_probabilities_of_three_ranks():
+    assert signed_rank_probabilities(3) * 8 == pytest.approx([1, 1, 1, 2, 1, 1, 1])
+
+
+@pytest.mark.parametrize("count", [1, 6, 12])
+def test_probabilities_are_those_of_wilcoxons_test(count):
+    rng = np.random.default_rng(count)
+    values = rng.normal(0.4, 1, count)
+    ranks = np.argsort(np.argsort(np.abs(values))) + 1
+    below = signed_rank_probabilities(count)[: int(ranks[values < 0].sum()) + 1].sum()
+    assert wilcoxon(values, alternative="greater", method="exact").pvalue == pytest.approx(below)
+
+
+def test_six_rounds_give_95_percent_with_all_of_them():
+    """P(sum of ranks = 0) is 1/64 on either side."""
+    ratio = ratio_of([1.0] * 6, [1.0, 1.1, 1.2, 1.3, 1.4, 1.5], 0.95)
+    assert (ratio.low, ratio.high) == (pytest.approx(1.0), pytest.approx(1.5))
+    assert 1.2 < ratio.middle < 1.3
+
+
+def test_five_rounds_cannot():
+    ratio = ratio_of([1.0] * 5, [1.1] * 5, 0.95)
+    assert (ratio.low, ratio.high) == (0.0, np.inf)
+    assert ratio.middle == pytest.approx(1.1)
+    assert ratio.verdict(0.03) == "no difference shown"
+
+
+def test_noise_that_both_share_is_none():
+    base = [10.0, 30.0, 11.0, 25.0, 9.0, 14.0, 60.0, 10.0]
+    ratio = ratio_of(base, [1.2 * value for value in base], 0.99)
+    assert (ratio.low, ratio.middle, ratio.high) == pytest.approx((1.2, 1.2, 1.2))
+
+
+def test_one_disturbed_round_moves_it_little():
+    new = [1.05] * 9 + [9.0]
+    assert ratio_of([1.0] * 10, new, 0.95).middle == pytest.approx(1.05)
+
+
+def test_the_interval_holds_the_ratio_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    held = 0
+    for _ in range(1000):
+        base, new = np.exp(0.05 * rng.standard_t(2, (2, 8)))
+        ratio = ratio_of(base.tolist(), (1.1 * new).tolist(), 0.95)
+        held += ratio.low <= 1.1 <= ratio.high
+    assert 930 <= held <= 980
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [
+        (1.04, 1.2, "slower"),
+        (1.02, 1.2, "no difference shown"),
+        (0.8, 0.99, "faster"),
+        (0.9, 1.01, "no difference shown"),
+    ],
+)
+def test_verdicts(low, high, verdict):
+    assert Ratio((low + high) / 2, low, high).verdict(0.03) == verdict

@@ -6,21 +6,29 @@ import pytest
 from roadperc_stream.errors import LogError
 from roadperc_stream.model import Boundary
 from roadperc_stream.tools.bench import agreement, course
-from roadperc_stream.tools.bench.agreement import difference_of, require_agreement
-from roadperc_stream.tools.bench.course import Course, CourseResult, Times, ego_lines, merged, plane_of, ransac_plane
-from roadperc_stream.tools.bench.course_log import read_messages
+from roadperc_stream.tools.bench.agreement import ego_lines, lines_apart_px, plane_difference, require_agreement
+from roadperc_stream.tools.bench.course import (
+    Course,
+    CourseResult,
+    Times,
+    merged,
+    plane_of,
+    ransac_plane,
+    read_messages,
+)
 
 
 @pytest.mark.parametrize("name", ["png", "jpeg"])
-def test_plane_lines_and_drivable_road_are_those_of_the_chain(bench_logs, name):
-    found = require_agreement(bench_logs[name].path, 4)
-    assert len(found) == 4
-    for frame in found:
-        assert frame.tilt_deg < 0.01
-        assert frame.height_m < 0.001
-        assert len(frame.lines_px) == 2
-        assert max(frame.lines_px) < 0.5
-        assert frame.covered > 0.99
+def test_plane_lines_and_drivable_road_are_those_of_the_chain(bench_logs, name, monkeypatch):
+    """Within a tenth of the limits, and both find both lines in every frame."""
+    for limit, value in (("TILT_DEG", 0.01), ("HEIGHT_M", 0.001), ("COLUMNS", 0.5 / 320)):
+        monkeypatch.setattr(agreement, f"LARGEST_{limit}", value)
+    monkeypatch.setattr(agreement, "LEAST_COVERED", 0.99)
+    found = []
+    apart_px = agreement.lines_apart_px
+    monkeypatch.setattr(agreement, "lines_apart_px", lambda *given: found.append(apart_px(*given)) or found[-1])
+    require_agreement(bench_logs[name].path, 4)
+    assert [len(lines) for lines in found] == [2] * 4
 
 
 def test_another_plane_is_refused(bench_logs, monkeypatch):
@@ -76,12 +84,12 @@ def test_the_ego_lane_lies_between_the_nearest_lines():
 
 def test_differences_of_known_results():
     plane = np.array([0.0, np.cos(0.01), np.sin(0.01), -1.4])
-    found = CourseResult(-plane, np.array([[True, False]]), np.array([[-2.0, 100.0], [2.0, 0.0]]), [], None)
+    tilt_deg, height_m = plane_difference(-plane, np.array([0.0, 1.0, 0.0, -1.45]))
+    assert tilt_deg == pytest.approx(np.degrees(0.01))
+    assert height_m == pytest.approx(0.05)
+    found = CourseResult(plane, np.ones((100, 60), bool), np.array([[-2.0, 100.0], [2.0, 0.0]]), [], None)
     boundary = Boundary(side="left", status="measured", raw_px=(1.0, 100.0, 20.0, 50.0))
-    difference = difference_of(found, np.array([0.0, 1.0, 0.0, -1.45]), (boundary,), np.array([[True, True]]))
-    assert difference.tilt_deg == pytest.approx(np.degrees(0.01))
-    assert difference.height_m == pytest.approx(0.05)
-    assert difference.covered == 0.5
+    assert lines_apart_px(found, (boundary,)) == [5.0]
 
 
 def test_it_measures_every_part_of_every_frame_behind_the_first(bench_logs):

@@ -1,26 +1,14 @@
 """What is computed of the measured series, and how it is printed and written."""
 
 import json
-from pathlib import Path
 
 import pytest
 
-from roadperc_stream.errors import TargetError
 from roadperc_stream.system.cost import Cost
 from roadperc_stream.tools.bench import __main__ as bench
-from roadperc_stream.tools.bench.figures import (
-    BenchJob,
-    SpeedFigure,
-    figures,
-    measured,
-    middle,
-    noise,
-    parts_of,
-    ratios,
-)
+from roadperc_stream.tools.bench.figures import SpeedFigure, figures, measured, middle, noise, parts_of
 from roadperc_stream.tools.bench.inputs import WARM_UP
-from roadperc_stream.tools.bench.long import long_figures
-from roadperc_stream.tools.bench.printing import tables, write_page
+from roadperc_stream.tools.bench.long import growth
 from roadperc_stream.tools.bench.replays import a_frame
 
 SERIES = {
@@ -81,14 +69,13 @@ def test_jobs_take_turns_with_the_control_before_each():
     order = []
 
     def job(name):
-        return BenchJob(name, lambda: {"cpu": float(len(order))} if order.append(name) is None else {})
+        return lambda: {"cpu": float(len(order))} if order.append(name) is None else {}
 
-    series = measured([job("a"), job("b")], 2)
+    series = measured({"a": job("a"), "b": job("b")}, 2)
     assert order == ["a", "b", "a", "b"]
     assert series["a/cpu"] == [1.0, 3.0]
     assert len(series["control"]) == 4
     assert min(series["control"]) > 0
-    assert ratios(series, "b/cpu", "a/cpu") == pytest.approx([2.0, 4 / 3])
     assert middle(series, "b/cpu") == 3.0
     assert middle(series, "c/cpu") is None
 
@@ -100,54 +87,24 @@ def test_parts_and_noise():
 
 def test_a_long_log_may_not_need_more():
     short, long = Cost(1.0, 1.0, 300.0), Cost(9.0, 9.0, 318.0)
-    memory, peak, encoding = long_figures(short, long, [5.0] * 500 + [6.0] * 500)
+    memory, peak, encoding = growth(short, long, [5.0] * 500 + [6.0] * 500)
     assert (memory.value, memory.met) == (pytest.approx(1.06), False)
     assert (peak.value, peak.met) == (318.0, True)
     assert (encoding.value, encoding.met) == (pytest.approx(1.2), False)
-    assert len(long_figures(short, long, [5.0] * 999)) == 2
+    assert len(growth(short, long, [5.0] * 999)) == 2
 
 
 def test_it_prints_all_and_writes_it_for_programs(bench_logs, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bench, "logs_of", lambda _: bench_logs)
     monkeypatch.setattr(bench, "measured", lambda *_: SERIES)
-    monkeypatch.setenv("COLUMNS", "200")
     assert bench.main([str(tmp_path), "--frames", "4", "--json", str(tmp_path / "bench.json")]) == 0
     text = capsys.readouterr().out
-    for words in ("gate, png", "≤ 1.5", "met", "replay png, one thread", "decode", "noise of 15%"):
-        assert words in text
+    assert text.startswith("| run | cpu ms |")
+    assert "| gate, png | 1.50 | met | ≤ 1.5 |" in text
+    assert "| the floor, ms a frame | png |\n| --- | ---: |\n| decode | 31.0 |\n| total | 31.0 |\n" in text
+    assert "noise of 15%." in text
     written = json.loads((tmp_path / "bench.json").read_text())
     assert written["series"] == SERIES
     assert written["frames"] == 4
     gate = next(figure for figure in written["figures"] if figure["name"] == "gate, png")
     assert gate == {"name": "gate, png", "value": 1.5, "least": None, "most": 1.5, "met": True}
-
-
-PAGE = "Before.\n\n<!-- make bench writes here -->\nold\n<!-- to here -->\n\nBehind.\n"
-
-
-def test_the_tables_get_their_place_in_a_page(tmp_path):
-    path = tmp_path / "page.md"
-    path.write_text(PAGE)
-    for _ in range(2):
-        write_page(path, tables(SERIES, figures(SERIES)))
-        text = path.read_text()
-        assert text.startswith("Before.\n\n<!-- make bench writes here -->\n\n| run | cpu ms |")
-        assert text.endswith("\n<!-- to here -->\n\nBehind.\n")
-        assert "old" not in text
-    assert "| gate, png | 1.50 | met | ≤ 1.5 |" in text
-    assert "| the floor, ms a frame | png |\n| --- | ---: |\n| decode | 31.0 |\n| total | 31.0 |\n" in text
-
-
-def test_a_page_without_a_place_is_left_as_it_is(tmp_path):
-    path = tmp_path / "page.md"
-    path.write_text("Nothing here.")
-    with pytest.raises(TargetError, match="expected a place for the tables"):
-        write_page(path, [])
-    assert path.read_text() == "Nothing here."
-
-
-def test_the_projects_own_page_has_a_place(tmp_path):
-    path = tmp_path / "performance.md"
-    path.write_text((Path(__file__).parents[3] / "docs" / "performance.md").read_text())
-    write_page(path, tables(SERIES, figures(SERIES)))
-    assert "| gate, png | 1.50 | met | ≤ 1.5 |" in path.read_text()

@@ -1,20 +1,15 @@
 """A replay measured from outside."""
 
-import sys
-from pathlib import Path
-
 import pytest
 
 from roadperc_stream.errors import ProgramError
 from roadperc_stream.tools.bench import __main__ as bench
 from roadperc_stream.tools.bench.inputs import BenchLog
-from roadperc_stream.tools.bench.replays import Installation, replay_job
-
-HERE = Installation.of(Path(sys.executable))
+from roadperc_stream.tools.bench.replays import replay_cost
 
 
 def test_a_replay_gives_its_parts(bench_logs, tmp_path):
-    found = replay_job("replay", HERE, bench_logs["png"], tmp_path / "out.mcap", 1).run()
+    found = replay_cost("replay", bench_logs["png"], tmp_path / "out.mcap", 1)
     assert {"part/decode", "part/surface", "part/lanes", "part/objects", "part/encode", "part/total"} <= set(found)
     assert "part/sync_skew" not in found
     assert 0.5 < found["parts over total"] <= 1.5
@@ -27,30 +22,24 @@ def test_a_replay_gives_its_parts(bench_logs, tmp_path):
 def test_a_replay_that_fails_is_an_error(tmp_path):
     missing = BenchLog("png", *(tmp_path / f"{part}.mcap" for part in ("in", "warm-up", "first")), 4)
     with pytest.raises(ProgramError, match="replay png ended with exit code 1"):
-        replay_job("replay png", HERE, missing, tmp_path / "out.mcap", 1).run()
+        replay_cost("replay png", missing, tmp_path / "out.mcap", 1)
 
 
-def test_an_interpreter_without_the_package_is_refused(tmp_path):
-    python = tmp_path / "python"
-    python.write_text("#!/bin/sh\nexit 7\n")
-    python.chmod(0o755)
-    with pytest.raises(ProgramError, match="roadperc-replay --help ended with exit code 7"):
-        Installation.of(python)
-
-
-def test_threads_are_asked_for_where_the_version_takes_them():
-    assert Installation(Path("python"), takes_threads=True).threads(2) == ("--threads", "2")
-    assert Installation(Path("python"), takes_threads=False).threads(2) == ()
+def test_another_version_is_found_in_its_folder(bench_logs, tmp_path):
+    launch = tmp_path / "roadperc_stream" / "cli" / "launch.py"
+    launch.parent.mkdir(parents=True)
+    launch.write_text("replay = lambda: 7")
+    with pytest.raises(ProgramError, match="replay png ended with exit code 7"):
+        replay_cost("replay png", bench_logs["png"], tmp_path / "out.mcap", 1, tmp_path)
 
 
 def test_the_floor_comes_behind_a_replay_whose_results_it_needs(bench_logs, tmp_path):
-    names = [job.name for job in bench._jobs(tmp_path, bench_logs, 2)]
+    names = list(bench._jobs(tmp_path, bench_logs, 2))
     for log in ("png", "jpeg", "stereo"):
         assert names.index(f"course {log}") < names.index(f"replay {log}, one thread") < names.index(f"floor {log}")
     assert "replay truth, one thread" in names
-    assert ("replay png, all threads" in names) == HERE.takes_threads
+    assert "replay png, all threads" in names
 
 
-def test_the_course_runs_as_a_program_of_its_own(bench_logs):
-    job = bench._course_job(bench_logs["png"], 1)
-    assert {"cpu", "wall", "part/odometry"} <= set(job.run())
+def test_the_course_runs_as_a_program_of_its_own(bench_logs, tmp_path):
+    assert {"cpu", "wall", "part/odometry"} <= set(bench._jobs(tmp_path, bench_logs, 1)["course png"]())

@@ -57,8 +57,7 @@ def test_poses_of_json(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["frame,x,y,z,roll,pitch,yaw\n7,1,2,3,4,5,6\n", "yaw pitch roll z y x frame speed\n6 5 4 3 2 1 000007 9\n"],
+    "text", ["frame,x,y,z,roll,pitch,yaw\n7,1,2,3,4,5,6\n", "yaw pitch roll z y x frame speed\n6 5 4 3 2 1 000007 9\n"]
 )
 def test_poses_of_tables(tmp_path, text):
     path = tmp_path / "poses.txt"

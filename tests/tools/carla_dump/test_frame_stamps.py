@@ -5,12 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.tools.carla_dump.frame_stamps import (
-    EPOCH_NS,
-    stamps_of_file,
-    stamps_of_names,
-    stamps_of_rate,
-)
+from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS, stamps_of_file, stamps_of_names, stamps_of_rate
 
 
 def test_rate_counts_frame_numbers_from_the_first():
@@ -58,11 +53,7 @@ def test_numbers_that_are_unix_time_are_stamps(names, unit_ns):
     assert stamps_of_names(names) == {name: name * unit_ns for name in names}
 
 
-@pytest.mark.parametrize(
-    "names",
-    [[], [0, 1], [142_916], [20_240_101]],
-    ids=["none", "counted", "simulation", "date"],
-)
+@pytest.mark.parametrize("names", [[], [0, 1], [142_916], [20_240_101]], ids=["none", "counted", "simulation", "date"])
 def test_other_numbers_count_frames(names):
     assert stamps_of_names(names) is None
 
