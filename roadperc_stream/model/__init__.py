@@ -11,6 +11,7 @@ from roadperc_stream.model.frame import (
     InstanceImage,
     PointCloud,
     TagImage,
+    Transform,
 )
 from roadperc_stream.model.reason import (
     MISSING_ROLES,
@@ -51,4 +52,3 @@ from roadperc_stream.model.sample import (
     Sample,
     Truth,
 )
-from roadperc_stream.model.transform import Transform

@@ -166,6 +166,18 @@ class InstanceImage:
 
 
 @dataclass(frozen=True)
+class Transform:
+    """One edge of the transform tree: ``parent_T_child``."""
+
+    parent: str
+    child: str
+    parent_T_child: Float
+
+    def __post_init__(self) -> None:
+        read_only(self.parent_T_child, np.float64, (4, 4), "parent_T_child")
+
+
+@dataclass(frozen=True)
 class Box:
     """Half-open box in pixels: columns x_min to x_max and rows y_min to y_max, the maxima excluded."""
 

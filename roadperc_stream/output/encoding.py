@@ -33,7 +33,7 @@ from roadperc_stream.model import (
 )
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
-from roadperc_stream.schemas.ros2 import RosGrid, RosImage, pack_image, pack_occupancy_grid
+from roadperc_stream.schemas.ros2 import RosImage, pack_image, pack_occupancy_grid
 
 _KEPT_POSES: Final = 1024
 """Some trajectories' poses: each is shown by all frames of its window, and encoded for the first one."""
@@ -180,15 +180,7 @@ def encode_surface(stamp_ns: int, surface: Surface) -> bytes:
 
 def encode_occupancy(stamp_ns: int, occupancy: Occupancy) -> bytes:
     """nav_msgs/msg/OccupancyGrid in the ego frame."""
-    grid = RosGrid(
-        stamp_ns,
-        EGO,
-        occupancy.resolution_m,
-        occupancy.x_min_m,
-        occupancy.y_min_m,
-        np.ascontiguousarray(occupancy.cells),
-    )
-    return pack_occupancy_grid(grid)
+    return pack_occupancy_grid(stamp_ns, EGO, occupancy)
 
 
 def encode_lanes(stamp_ns: int, frame_id: str, lanes: Lanes) -> bytes:
