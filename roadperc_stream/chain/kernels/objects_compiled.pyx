@@ -149,11 +149,7 @@ cdef void _sum_rows(
 
 
 def region_distances(const int32_t[:, :] labels, of_region, const float[:, :] distances_m, const float[:, :] noise):
-    """As ``objects_plain``.
-
-    Raises:
-        ValueError: as there.
-    """
+    """As ``objects_plain``; a ValueError where the sizes do not fit."""
     cdef const uint8_t[::1] chosen = of_region.view(np.uint8)
     cdef Py_ssize_t height = labels.shape[0], width = labels.shape[1], y, x, known = 0, finite = 0
     if not (distances_m.shape[0] == noise.shape[0] == height and distances_m.shape[1] == noise.shape[1] == width):
@@ -185,11 +181,7 @@ def region_distances(const int32_t[:, :] labels, of_region, const float[:, :] di
 def object_points(
     const float[:, :] depth_m, camera, box, of_class, double distance_m, behind_m,
 ):
-    """As ``objects_plain``.
-
-    Raises:
-        ValueError: as there.
-    """
+    """As ``objects_plain``; a ValueError where the sizes do not fit."""
     cdef double fx = camera[0], fy = camera[1], cx = camera[2], cy = camera[3]
     cdef Py_ssize_t x0 = box[0], y0 = box[1], x1 = box[2], y1 = box[3], step = box[4], row, column, count = 0, most
     cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1]
