@@ -1,6 +1,6 @@
 """One frozen model per stage, nested in ``ReplayConfig``; TOML in, TOML out. Every key has a default."""
 
-from roadperc_stream.config.limits import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.config.fields import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.config.loading import load_config, validated
 from roadperc_stream.config.stages import (
     LanesConfig,

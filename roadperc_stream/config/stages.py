@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from roadperc_stream.config.fields import (
     Classes,
     Count,
+    LimitsConfig,
     OddCount,
     Pixels,
     Positive,
@@ -21,7 +22,6 @@ from roadperc_stream.config.fields import (
     TableName,
     unit,
 )
-from roadperc_stream.config.limits import LimitsConfig
 
 MOST_PNG_BYTES = 1_000_000
 """Of a picture in base 64 that a configuration holds."""
