@@ -24,7 +24,6 @@ from roadperc_stream.model import (
     Objects,
     Odometry,
     Reason,
-    ReasonCode,
     StereoDepth,
     Surface,
 )
@@ -331,5 +330,5 @@ def _instead_of_depth(scene: Scene, road: Surface | Absent) -> list[Reason]:
     source = None if isinstance(road, Absent) else road.source
     if source == "held":
         return []
-    code: ReasonCode = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
+    code = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
     return [Reason("surface", code, (scene.plane_source,))]

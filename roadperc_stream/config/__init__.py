@@ -1,35 +1,16 @@
 """One frozen model per stage, nested in ``ReplayConfig``; TOML in, TOML out. Every key has a default."""
 
-from roadperc_stream.config.limits import DEFAULT_LIMITS, LimitsConfig
+from roadperc_stream.config.fields import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.config.loading import load_config, validated
-from roadperc_stream.config.replay import ReplayConfig
-from roadperc_stream.config.scaling import scaled
 from roadperc_stream.config.stages import (
     LanesConfig,
     ObjectsConfig,
     OccupancyConfig,
     OdometryConfig,
+    ReplayConfig,
     StereoConfig,
     SurfaceConfig,
     SyncConfig,
+    scaled,
 )
 from roadperc_stream.schemas.topics import NEEDS, STAGES, switched_off
-
-__all__ = [
-    "DEFAULT_LIMITS",
-    "NEEDS",
-    "STAGES",
-    "LanesConfig",
-    "LimitsConfig",
-    "ObjectsConfig",
-    "OccupancyConfig",
-    "OdometryConfig",
-    "ReplayConfig",
-    "StereoConfig",
-    "SurfaceConfig",
-    "SyncConfig",
-    "load_config",
-    "scaled",
-    "switched_off",
-    "validated",
-]

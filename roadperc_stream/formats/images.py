@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.config.limits import ImageFormat
+from roadperc_stream.config.fields import ImageFormat
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import avif, png
 from roadperc_stream.geometry import Float32

@@ -1,6 +1,6 @@
 """Arrays in frozen dataclasses: their kinds, and the check that makes them read-only."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,11 @@ Float32 = NDArray[np.float32]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.uint16]
+Kind = TypeVar("Kind", bound=np.generic)
 
 
-def read_only(array: NDArray[Any], dtype: type[np.generic], shape: tuple[int | None, ...], name: str) -> None:
-    """Check an array's dtype and shape (None: any length) and forbid writing to it.
+def read_only(array: NDArray[Any], dtype: type[Kind], shape: tuple[int | None, ...], name: str) -> NDArray[Kind]:
+    """Check an array's dtype and shape (None: any length), forbid writing to it, and return it.
 
     Raises:
         ValueError: with what was expected and what came.
@@ -23,3 +24,4 @@ def read_only(array: NDArray[Any], dtype: type[np.generic], shape: tuple[int | N
     if array.dtype != np.dtype(dtype) or not fits:
         raise ValueError(f"{name}: expected {np.dtype(dtype)} {shape}, got {array.dtype} {array.shape}")
     array.setflags(write=False)
+    return array

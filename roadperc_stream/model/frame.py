@@ -38,9 +38,7 @@ class CameraImage:
         Raises:
             DecodeError: the bytes are no image.
         """
-        pixels = self.decode_grey()
-        read_only(pixels, np.uint8, (None, None), "image")
-        return pixels
+        return read_only(self.decode_grey(), np.uint8, (None, None), "image")
 
     @cached_property
     def bgr(self) -> Image:
@@ -50,9 +48,7 @@ class CameraImage:
             DecodeError: the bytes are no image.
 
         """
-        pixels = self.decode_bgr()
-        read_only(pixels, np.uint8, (None, None, 3), "image")
-        return pixels
+        return read_only(self.decode_bgr(), np.uint8, (None, None, 3), "image")
 
 
 @dataclass(frozen=True)
@@ -65,8 +61,7 @@ class DepthImage:
     @cached_property
     def _decoded(self) -> tuple[Float32, float]:
         depth_m, limit_m = self.decode_depth()
-        read_only(depth_m, np.float32, (None, None), "depth")
-        return depth_m, limit_m
+        return read_only(depth_m, np.float32, (None, None), "depth"), limit_m
 
     @property
     def depth_m(self) -> Float32:
@@ -110,9 +105,7 @@ class PointCloud:
 
         """
         finite = np.isfinite(self._all_m).all(axis=1)
-        points_m = self._all_m if finite.all() else self._all_m[finite]
-        read_only(points_m, np.float32, (None, 3), "points")
-        return points_m
+        return read_only(self._all_m if finite.all() else self._all_m[finite], np.float32, (None, 3), "points")
 
     @property
     def left_out(self) -> int:
@@ -140,9 +133,7 @@ class TagImage:
             DecodeError: the bytes are no tag image.
 
         """
-        pixels = self.decode_tags()
-        read_only(pixels, np.uint8, (None, None), "tags")
-        return pixels
+        return read_only(self.decode_tags(), np.uint8, (None, None), "tags")
 
 
 @dataclass(frozen=True)
@@ -160,9 +151,19 @@ class InstanceImage:
             DecodeError: the bytes are no instance masks.
 
         """
-        numbers = self.decode_ids()
-        read_only(numbers, np.uint16, (None, None), "instances")
-        return numbers
+        return read_only(self.decode_ids(), np.uint16, (None, None), "instances")
+
+
+@dataclass(frozen=True)
+class Transform:
+    """One edge of the transform tree: ``parent_T_child``."""
+
+    parent: str
+    child: str
+    parent_T_child: Float
+
+    def __post_init__(self) -> None:
+        read_only(self.parent_T_child, np.float64, (4, 4), "parent_T_child")
 
 
 @dataclass(frozen=True)

@@ -98,9 +98,12 @@ _COLOURS: Final[dict[str, Colour]] = {
     "crosswalk": (140, 140, 200),
     "bike_lane": (128, 64, 255),
 }
-_FENCE_LATER: Final[Colour] = (100, 40, 40)
-_OTHER_LATER: Final[Colour] = (55, 90, 80)
-_TERRAIN_EARLIER: Final[Colour] = (145, 170, 100)
+_OF_SOME_VERSIONS: Final[dict[Colour, str]] = {
+    (100, 40, 40): "fence",
+    (55, 90, 80): "other",
+    (145, 170, 100): "terrain",
+}
+"""Later versions paint fences and other things so, early ones terrain."""
 
 
 def _table(name: str, names: str, variants: dict[Colour, str]) -> TagTable:
@@ -117,14 +120,14 @@ CARLA_BEFORE_0_9_14: Final = _table(
     "carla-before-0.9.14",
     "unlabeled building fence other pedestrian pole road_line road sidewalk vegetation vehicle wall traffic_sign "
     "sky ground bridge rail_track guard_rail traffic_light static dynamic water terrain",
-    {_FENCE_LATER: "fence", _OTHER_LATER: "other", _TERRAIN_EARLIER: "terrain"},
+    _OF_SOME_VERSIONS,
 )
 CARLA_FROM_0_9_14: Final = _table(
     "carla-from-0.9.14",
     "unlabeled road sidewalk building wall fence pole traffic_light traffic_sign vegetation terrain sky pedestrian "
     "rider car truck bus train motorcycle bicycle static dynamic other water road_line ground bridge rail_track "
     "guard_rail",
-    {_FENCE_LATER: "fence", _OTHER_LATER: "other", _TERRAIN_EARLIER: "terrain"},
+    _OF_SOME_VERSIONS,
 )
 CITYSCAPES: Final = _table(
     "cityscapes",
@@ -154,24 +157,13 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
 CLASS_NAMES: Final = frozenset(name for table in TABLES.values() for name in table.names) | frozenset(GROUPS)
 
 LABEL_CLASSES: Final[dict[str, tuple[str, ...]]] = {
-    "vehicle": ("vehicle",),
-    "car": ("vehicle",),
-    "van": ("vehicle",),
-    "truck": ("vehicle",),
-    "bus": ("vehicle",),
-    "tram": ("vehicle",),
-    "train": ("vehicle",),
-    "motorcycle": ("vehicle", "rider"),
-    "bicycle": ("vehicle", "rider"),
+    **dict.fromkeys(("vehicle", "car", "van", "truck", "bus", "tram", "train"), ("vehicle",)),
+    **dict.fromkeys(("motorcycle", "bicycle"), ("vehicle", "rider")),
+    **dict.fromkeys(("pedestrian", "person", "person_sitting", "walker"), ("pedestrian",)),
     "cyclist": ("vehicle", "rider", "pedestrian"),
-    "pedestrian": ("pedestrian",),
-    "person": ("pedestrian",),
-    "person_sitting": ("pedestrian",),
-    "walker": ("pedestrian",),
     "rider": ("pedestrian", "rider"),
     "traffic_light": ("traffic_light", "traffic_sign"),
-    "traffic_sign": ("traffic_sign",),
-    "stop_sign": ("traffic_sign",),
+    **dict.fromkeys(("traffic_sign", "stop_sign"), ("traffic_sign",)),
 }
 """Detector labels (lower case, blanks as underscores) and the classes their pixels may carry."""
 

@@ -33,7 +33,7 @@ from roadperc_stream.model import (
 )
 from roadperc_stream.schemas import roadperc_pb2 as pb
 from roadperc_stream.schemas.protobuf import set_stamp
-from roadperc_stream.schemas.ros2 import RosGrid, RosImage, pack_image, pack_occupancy_grid
+from roadperc_stream.schemas.ros2 import RosImage, pack_image, pack_occupancy_grid
 
 _KEPT_POSES: Final = 1024
 """Some trajectories' poses: each is shown by all frames of its window, and encoded for the first one."""
@@ -42,8 +42,7 @@ _KEPT_POSES: Final = 1024
 def encode_image(stamp_ns: int, frame_id: str, image_format: str, data: bytes) -> bytes:
     """foxglove.CompressedImage around bytes that are already ``png`` or ``jpeg``."""
     message = CompressedImage(frame_id=frame_id, format=image_format, data=data)
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    return _serialised(message, stamp_ns)
 
 
 def encode_depth(stamp_ns: int, frame_id: str, depth_m: Float32, *, as_float: bool = False) -> bytes:
@@ -69,8 +68,7 @@ def encode_calibration(stamp_ns: int, camera: Camera) -> bytes:
         R=_rectification(camera),
         P=P.ravel().tolist(),
     )
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    return _serialised(message, stamp_ns)
 
 
 def _rectification(camera: Camera) -> tuple[float, ...]:
@@ -133,15 +131,13 @@ def encode_odometry(stamp_ns: int, frame_id: str, odometry: Odometry) -> bytes:
         covariance=odometry.covariance,
         reason="" if odometry.reason is None else odometry.reason.text,
     )
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    return _serialised(message, stamp_ns)
 
 
 def encode_detections(stamp_ns: int, frame_id: str, detections: Iterable[Detection]) -> bytes:
     """roadperc.Detections."""
     message = pb.Detections(frame_id=frame_id, detections=[_detection(d) for d in detections])
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    return _serialised(message, stamp_ns)
 
 
 def encode_surface(stamp_ns: int, surface: Surface) -> bytes:
@@ -174,21 +170,12 @@ def encode_surface(stamp_ns: int, surface: Surface) -> bytes:
                 z_m=grid.z_m.ravel().tolist(),
             )
         )
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    return _serialised(message, stamp_ns)
 
 
 def encode_occupancy(stamp_ns: int, occupancy: Occupancy) -> bytes:
     """nav_msgs/msg/OccupancyGrid in the ego frame."""
-    grid = RosGrid(
-        stamp_ns,
-        EGO,
-        occupancy.resolution_m,
-        occupancy.x_min_m,
-        occupancy.y_min_m,
-        np.ascontiguousarray(occupancy.cells),
-    )
-    return pack_occupancy_grid(grid)
+    return pack_occupancy_grid(stamp_ns, EGO, occupancy)
 
 
 def encode_lanes(stamp_ns: int, frame_id: str, lanes: Lanes) -> bytes:
@@ -201,22 +188,26 @@ def encode_lanes(stamp_ns: int, frame_id: str, lanes: Lanes) -> bytes:
         lane_change=lanes.lane_change or "",
         lane_changes=lanes.lane_changes,
     )
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    return _serialised(message, stamp_ns)
 
 
 def encode_objects(stamp_ns: int, frame_id: str, objects: Objects) -> bytes:
     """roadperc.Objects."""
     message = pb.Objects(frame_id=frame_id, objects=[_object(o) for o in objects.objects])
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    return _serialised(message, stamp_ns)
 
 
 def encode_log(stamp_ns: int, level: str, text: str) -> bytes:
     """foxglove.Log of this project; level such as ``INFO`` or ``WARNING``."""
     message = Log(level=Log.Level.Value(level), message=text, name="roadperc")
+    return _serialised(message, stamp_ns)
+
+
+def _serialised(message: Any, stamp_ns: int) -> bytes:
+    """The bytes of a message with its stamp."""
     set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    data: bytes = message.SerializeToString()
+    return data
 
 
 def _detection(detection: Detection) -> pb.Detection:
@@ -239,42 +230,22 @@ def _optional_line(line: Line | None) -> pb.Line | None:
 
 
 def _boundary(boundary: Boundary) -> pb.Boundary:
-    return pb.Boundary(
-        side=pb.Boundary.Side.Value(boundary.side.upper()),
-        status=pb.Boundary.Status.Value(boundary.status.upper()),
-        raw_px=_optional_line(boundary.raw_px),
-        smoothed_px=_optional_line(boundary.smoothed_px),
-        offset_m=boundary.offset_m,
-        heading=boundary.heading,
-        curvature_per_m=boundary.curvature_per_m,
-        raw_offset_m=boundary.raw_offset_m,
-        covariance=boundary.covariance,
-        inside=boundary.inside,
-        outside=boundary.outside,
-        line_ego_m=[pb.Vector3(x=x, y=y, z=z) for x, y, z in boundary.line_ego_m.tolist()],
-        line_px=[pb.Point2(x=x, y=y) for x, y in boundary.line_px.tolist()],
-        reason="" if boundary.reason is None else str(boundary.reason),
-    )
+    """Fields of a boundary have the same names in the message; these are of other types there."""
+    converted = {
+        "side": pb.Boundary.Side.Value(boundary.side.upper()),
+        "status": pb.Boundary.Status.Value(boundary.status.upper()),
+        "raw_px": _optional_line(boundary.raw_px),
+        "smoothed_px": _optional_line(boundary.smoothed_px),
+        "line_ego_m": [pb.Vector3(x=x, y=y, z=z) for x, y, z in boundary.line_ego_m.tolist()],
+        "line_px": [pb.Point2(x=x, y=y) for x, y in boundary.line_px.tolist()],
+        "reason": "" if boundary.reason is None else str(boundary.reason),
+    }
+    return pb.Boundary(**vars(boundary) | converted)
 
 
 def _object(item: Object) -> pb.Object:
-    return pb.Object(
-        detection=_detection(item.detection),
-        kept=item.kept,
-        class_ratio=item.class_ratio,
-        distance_m=item.distance_m,
-        distance_std_m=item.distance_std_m,
-        closing_speed_mps=item.closing_speed_mps,
-        closing_speed_std_mps=item.closing_speed_std_mps,
-        time_to_impact_s=item.time_to_impact_s,
-        time_to_impact_std_s=item.time_to_impact_std_s,
-        beyond_range=item.beyond_range,
-        status=pb.Object.Status.Value(item.status.upper()),
-        track_id=item.track_id,
-        lateral_m=item.lateral_m,
-        in_path=item.in_path,
-        cut_in=item.cut_in,
-    )
+    converted = {"detection": _detection(item.detection), "status": pb.Object.Status.Value(item.status.upper())}
+    return pb.Object(**vars(item) | converted)
 
 
 def _pose(transform: Float) -> pb.Pose:
@@ -305,5 +276,4 @@ def encode_points(stamp_ns: int, frame_id: str, points: Float32) -> bytes:
         data=np.ascontiguousarray(points, "<f4").tobytes(),
     )
     message.pose.orientation.w = 1.0
-    set_stamp(message, stamp_ns)
-    return message.SerializeToString()
+    return _serialised(message, stamp_ns)

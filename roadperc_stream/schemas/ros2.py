@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.errors import LogError
+from roadperc_stream.model import Occupancy
 from roadperc_stream.model.sample import LAST_ROS_STAMP_NS
 from roadperc_stream.schemas import cdr
 from roadperc_stream.schemas.topics import ROS_GRID_SCHEMA, ROS_IMAGE_SCHEMA
@@ -78,19 +79,7 @@ class RosImage:
     pixels: NDArray[Any]
 
 
-@dataclass(frozen=True)
-class RosGrid:
-    """An occupancy grid message with its cells as a (rows, columns) int8 array; x, y is the first cell's corner."""
-
-    stamp_ns: int
-    frame_id: str
-    resolution_m: float
-    x_m: float
-    y_m: float
-    cells: NDArray[np.int8]
-
-
-def pack_occupancy_grid(grid: RosGrid) -> bytes:
+def pack_occupancy_grid(stamp_ns: int, frame_id: str, grid: Occupancy) -> bytes:
     """CDR bytes of a grid whose axes are those of its frame, columns along x and rows along y.
 
     Raises:
@@ -98,13 +87,12 @@ def pack_occupancy_grid(grid: RosGrid) -> bytes:
     """
     types = cdr.types_of_message(OCCUPANCY_GRID, OCCUPANCY_GRID_DEFINITION)
     rows, columns = grid.cells.shape
-    header = _header(types, grid.stamp_ns, grid.frame_id)
-    position = types["geometry_msgs/msg/Point"](grid.x_m, grid.y_m, 0.0)
+    header = _header(types, stamp_ns, frame_id)
+    position = types["geometry_msgs/msg/Point"](grid.x_min_m, grid.y_min_m, 0.0)
     origin = types["geometry_msgs/msg/Pose"](position, types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
     info = types["nav_msgs/msg/MapMetaData"](header.stamp, grid.resolution_m, columns, rows, origin)
-    return cdr.write(
-        types[OCCUPANCY_GRID](header, info, grid.cells.reshape(-1)), OCCUPANCY_GRID, OCCUPANCY_GRID_DEFINITION
-    )
+    message = types[OCCUPANCY_GRID](header, info, np.ascontiguousarray(grid.cells).reshape(-1))
+    return cdr.write(message, OCCUPANCY_GRID, OCCUPANCY_GRID_DEFINITION)
 
 
 def pack_image(image: RosImage) -> bytes:

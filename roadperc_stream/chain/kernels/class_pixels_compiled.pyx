@@ -60,11 +60,7 @@ def mark(tags, const uint8_t[::1] of_class):
 
 
 def mark_together(const uint8_t[:, :] tags, const uint8_t[::1] of_class, int least, uint8_t[:, :] marked):
-    """As ``class_pixels_plain``.
-
-    Raises:
-        ValueError: as there.
-    """
+    """As ``class_pixels_plain``; a ValueError where the sizes do not fit."""
     cdef Py_ssize_t height = tags.shape[0], width = tags.shape[1], y, x, above, below, left, right
     cdef int together
     if marked.shape[0] != height or marked.shape[1] != width or not height * width or of_class.shape[0] != 256:
@@ -84,11 +80,7 @@ def mark_together(const uint8_t[:, :] tags, const uint8_t[::1] of_class, int lea
 
 
 def count_of_class(const uint8_t[:, :] tags, const uint8_t[::1] of_class):
-    """As ``class_pixels_plain``.
-
-    Raises:
-        ValueError: as there.
-    """
+    """As ``class_pixels_plain``; a ValueError where the sizes do not fit."""
     cdef Py_ssize_t y, x, count = 0
     if of_class.shape[0] != 256:
         raise ValueError(f"a class of {of_class.shape[0]} tags: expected 256")

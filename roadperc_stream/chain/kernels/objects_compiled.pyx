@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
 """Regions divided where the depth jumps, their distances, and an object's points: ``objects_plain`` says what."""
 
-from libc.math cimport INFINITY, fabsf, hypot, sqrt
+from libc.math cimport INFINITY, fabsf, sqrt
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 import numpy as np
@@ -149,11 +149,7 @@ cdef void _sum_rows(
 
 
 def region_distances(const int32_t[:, :] labels, of_region, const float[:, :] distances_m, const float[:, :] noise):
-    """As ``objects_plain``.
-
-    Raises:
-        ValueError: as there.
-    """
+    """As ``objects_plain``; a ValueError where the sizes do not fit."""
     cdef const uint8_t[::1] chosen = of_region.view(np.uint8)
     cdef Py_ssize_t height = labels.shape[0], width = labels.shape[1], y, x, known = 0, finite = 0
     if not (distances_m.shape[0] == noise.shape[0] == height and distances_m.shape[1] == noise.shape[1] == width):
@@ -185,11 +181,7 @@ def region_distances(const int32_t[:, :] labels, of_region, const float[:, :] di
 def object_points(
     const float[:, :] depth_m, camera, box, of_class, double distance_m, behind_m,
 ):
-    """As ``objects_plain``.
-
-    Raises:
-        ValueError: as there.
-    """
+    """As ``objects_plain``; a ValueError where the sizes do not fit."""
     cdef double fx = camera[0], fy = camera[1], cx = camera[2], cy = camera[3]
     cdef Py_ssize_t x0 = box[0], y0 = box[1], x1 = box[2], y1 = box[3], step = box[4], row, column, count = 0, most
     cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1]
@@ -225,51 +217,3 @@ def object_points(
                     )
                     count += 1
     return all_points[:count], all_ranges[:count]
-
-
-def left_of(const double[:, ::1] points, const double[:, :] ego_T_camera, circle):
-    """As ``objects_plain``.
-
-    Raises:
-        ValueError: as there.
-    """
-    cdef Py_ssize_t count = points.shape[0], row, column
-    cdef double offset_m = circle[0], cosine = circle[1], sine = circle[2], bend = circle[3]
-    cdef double x, y, z, across, along, ahead, aside
-    cdef double[2][4] T
-    if points.shape[1] != 3 or ego_T_camera.shape[0] != 4 or ego_T_camera.shape[1] != 4:
-        raise ValueError(f"{points.shape[0], points.shape[1]} points and "
-                         f"{ego_T_camera.shape[0], ego_T_camera.shape[1]}: expected (N, 3) and (4, 4)")
-    for row in range(2):
-        for column in range(4):
-            T[row][column] = ego_T_camera[row, column]
-    cdef double[::1] lateral = np.empty(count)
-    with nogil:
-        for row in range(count):
-            x, y, z = points[row, 0], points[row, 1], points[row, 2]
-            along = T[0][0] * x + T[0][1] * y + T[0][2] * z + T[0][3]
-            across = T[1][0] * x + T[1][1] * y + T[1][2] * z + T[1][3] - offset_m
-            ahead, aside = cosine * along + sine * across, cosine * across - sine * along
-            lateral[row] = (2.0 * aside - bend * (ahead * ahead + aside * aside)) / (
-                1.0 + hypot(bend * ahead, 1.0 - bend * aside)
-            )
-    return np.asarray(lateral)
-
-
-def mean_direction(const double[:, ::1] points, const double[::1] ranges_m, double most_m):
-    """As ``objects_plain``.
-
-    Raises:
-        ValueError: as there.
-    """
-    cdef Py_ssize_t n, count = 0
-    cdef double x = 0, y = 0
-    if points.shape[0] != ranges_m.shape[0] or points.shape[1] != 3:
-        raise ValueError(f"{points.shape[0]}x{points.shape[1]} points of {ranges_m.shape[0]} distances")
-    with nogil:
-        for n in range(points.shape[0]):
-            if ranges_m[n] <= most_m:
-                x += points[n, 0] / points[n, 2]
-                y += points[n, 1] / points[n, 2]
-                count += 1
-    return (x / count, y / count) if count else (float("nan"), float("nan"))

@@ -43,27 +43,31 @@ _BOX_LINE: Final = 12.0
 """A box's line is its smaller side by this, as long as that is thinner than other lines."""
 
 
-def draw_overlay(
-    image_bgr: Image,
-    lanes: Lanes | Absent,
-    objects: Objects | Absent,
-    drivable: Mask | Absent,
-    *,
-    width_px: int | None = None,
-    top_px: int = 0,
-) -> Image:
-    """A copy of the image with the frame's results drawn into it; what is absent is not drawn.
+@dataclass(frozen=True)
+class PerceivedFrame:
+    """A camera image, (H, W, 3), and what the chain saw.
+
+    ``fits`` says whether the image is of the size its calibration, and so all the results, speak of.
+    """
+
+    image_bgr: Image
+    lanes: Lanes | Absent
+    objects: Objects | Absent
+    drivable: Mask | Absent
+    fits: bool = True
+
+
+def draw_results(frame: PerceivedFrame, width_px: int, top_px: int = 0) -> Image:
+    """A copy of the image with the frame's results drawn in; what is absent is not drawn.
 
     The drivable pixels are tinted blue; a lane boundary is a broad line along the smoothed curve, green where measured
     and orange where held, with the raw line thin, dashed and yellow; kept objects have a solid box with label, distance
-    and time to impact, yellow where nothing could judge them; dropped ones a dashed grey box.
+    and time to impact, yellow where nothing could judge them; dropped ones a dashed grey box. An image that does not
+    fit the results stays bare.
 
     Args:
-        image_bgr: (H, W, 3) the camera image the results belong to.
-        lanes: the ego lane's boundaries, in pixels of ``image_bgr``.
-        objects: the detections, boxes in pixels of ``image_bgr``.
-        drivable: (H, W) the drivable pixels.
-        width_px: columns of the copy, None for those of ``image_bgr``; lines and text are sized for the copy.
+        frame: what is drawn.
+        width_px: columns of the copy, for which lines and text are sized.
         top_px: rows at the copy's top where no label goes.
 
     Returns:
@@ -72,16 +76,18 @@ def draw_overlay(
     Raises:
         ValueError: the mask is not of the image's size.
     """
-    scale = 1.0 if width_px is None else width_px / image_bgr.shape[1]
-    canvas = resized(image_bgr, scale)
+    scale = width_px / frame.image_bgr.shape[1]
+    canvas = resized(frame.image_bgr, scale)
+    if not frame.fits:
+        return canvas
     pen = Pen.of(canvas, scale)
-    if not isinstance(drivable, Absent):
-        _require_same_size(image_bgr, drivable)
-        _tint(canvas, drivable, pen)
-    if not isinstance(lanes, Absent):
-        _draw_lanes(canvas, lanes, pen)
-    if not isinstance(objects, Absent):
-        _draw_objects(canvas, objects.objects, pen, top_px)
+    if not isinstance(frame.drivable, Absent):
+        _require_same_size(frame.image_bgr, frame.drivable)
+        _tint(canvas, frame.drivable, pen)
+    if not isinstance(frame.lanes, Absent):
+        _draw_lanes(canvas, frame.lanes, pen)
+    if not isinstance(frame.objects, Absent):
+        _draw_objects(canvas, frame.objects.objects, pen, top_px)
     return canvas
 
 
@@ -136,30 +142,6 @@ def _draw_tie(canvas: Image, item: Object, box: Box, place: Box) -> None:
         x = (box.x_min + box.x_max) / 2
         start = min(max(x, place.x_min + 1), place.x_max - 1), place.y_max
         polyline(canvas, np.array((start, (x, box.y_min))), bgr(colours.OBJECT[item.verdict]), 1, Pen.of(canvas))
-
-
-@dataclass(frozen=True)
-class PerceivedFrame:
-    """A camera image, (H, W, 3), and what the chain saw.
-
-    ``fits`` says whether the image is of the size its calibration, and so all the results, speak of.
-    """
-
-    image_bgr: Image
-    lanes: Lanes | Absent
-    objects: Objects | Absent
-    drivable: Mask | Absent
-    fits: bool = True
-
-
-def draw_results(frame: PerceivedFrame, width_px: int, top_px: int = 0) -> Image:
-    """The image, ``width_px`` columns wide, with the results drawn in; bare where it does not fit them.
-
-    No label goes into the topmost ``top_px`` rows.
-    """
-    if not frame.fits:
-        return resized(frame.image_bgr, width_px / frame.image_bgr.shape[1])
-    return draw_overlay(frame.image_bgr, frame.lanes, frame.objects, frame.drivable, width_px=width_px, top_px=top_px)
 
 
 def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: float, width_px: int) -> Image:

@@ -9,6 +9,16 @@ _NO_PLANE = "no plane was found"
 _NO_OBJECTS = "the stage did not run"
 
 
+def _count(meaning: str, label: str, null: str = _NO_OBJECTS) -> Column:
+    """A number whose absence a neighbouring column shows as well."""
+    return Column(meaning, COUNT, null, label=label, decimals=1, compares_coverage=False)
+
+
+def _shown_beside(meaning: str, unit: str, null: str, label: str, decimals: int) -> Column:
+    """A measurement whose absence a neighbouring column shows as well."""
+    return Column(meaning, unit, null, label=label, decimals=decimals, compares_coverage=False)
+
+
 @dataclass(frozen=True)
 class SurfaceColumns:
     """The road's plane and the drivable pixels."""
@@ -36,24 +46,12 @@ class SurfaceColumns:
     ] = None
     camera_pitch_deg: Annotated[
         float | None,
-        Column(
-            "pitch of that camera against the road, nose down positive",
-            "deg",
-            _NO_PLANE,
-            label="camera pitch",
-            decimals=3,
-            compares_coverage=False,
-        ),
+        _shown_beside("pitch of that camera against the road, nose down positive", "deg", _NO_PLANE, "camera pitch", 3),
     ] = None
     camera_roll_deg: Annotated[
         float | None,
-        Column(
-            "roll of that camera against the road, right side down positive",
-            "deg",
-            _NO_PLANE,
-            label="camera roll",
-            decimals=3,
-            compares_coverage=False,
+        _shown_beside(
+            "roll of that camera against the road, right side down positive", "deg", _NO_PLANE, "camera roll", 3
         ),
     ] = None
     drivable_ratio: Annotated[
@@ -113,25 +111,16 @@ class LaneColumns:
     lane_right_raw_offset_m: Annotated[float | None, _raw_offset("right")] = None
     lane_right_boundary_class: Annotated[str | None, _boundary_class()] = None
     lane_width_m: Annotated[
-        float | None,
-        Column(
-            "left offset less right offset",
-            "m",
-            "a boundary is lost",
-            label="lane width",
-            decimals=3,
-            compares_coverage=False,
-        ),
+        float | None, _shown_beside("left offset less right offset", "m", "a boundary is lost", "lane width", 3)
     ] = None
     lane_heading_deg: Annotated[
         float | None,
-        Column(
+        _shown_beside(
             "mean heading of the boundaries against the car's axis, positive to the left",
             "deg",
             _BOTH_LOST,
-            label="lane heading",
-            decimals=3,
-            compares_coverage=False,
+            "lane heading",
+            3,
         ),
     ] = None
     lane_left_offset_std_m: Annotated[float | None, _offset_std()] = None
@@ -154,26 +143,11 @@ class LaneColumns:
         ),
     ] = None
     lane_proposals: Annotated[
-        int | None,
-        Column(
-            "lines found in the image",
-            COUNT,
-            "the stage did not run",
-            label="lane lines proposed",
-            decimals=1,
-            compares_coverage=False,
-        ),
+        int | None, _count("lines found in the image", "lane lines proposed", "the stage did not run")
     ] = None
     lane_merged: Annotated[
         int | None,
-        Column(
-            "lines left after neighbouring ones are merged",
-            COUNT,
-            "the stage did not run",
-            label="lane lines merged",
-            decimals=1,
-            compares_coverage=False,
-        ),
+        _count("lines left after neighbouring ones are merged", "lane lines merged", "the stage did not run"),
     ] = None
 
 
@@ -185,60 +159,30 @@ class ObjectColumns:
         int | None,
         Column("detections of the detector", COUNT, _NO_OBJECTS, label="detections a frame", decimals=1),
     ] = None
-    detections_kept: Annotated[
-        int | None,
-        Column(
-            "of these, kept by the filter",
-            COUNT,
-            _NO_OBJECTS,
-            label="detections kept",
-            decimals=1,
-            compares_coverage=False,
-        ),
-    ] = None
+    detections_kept: Annotated[int | None, _count("of these, kept by the filter", "detections kept")] = None
     detections_unjudged: Annotated[
         int | None,
-        Column(
+        _count(
             "of these, kept because nothing could verify them: no segmentation, or a label without classes",
-            COUNT,
-            _NO_OBJECTS,
-            label="detections unverified",
-            decimals=1,
-            compares_coverage=False,
+            "detections unverified",
         ),
     ] = None
     objects_carried: Annotated[
-        int | None,
-        Column(
-            "objects the detector missed in this frame, carried by their image patch",
-            COUNT,
-            _NO_OBJECTS,
-            label="objects carried",
-            decimals=1,
-            compares_coverage=False,
-        ),
+        int | None, _count("objects the detector missed in this frame, carried by their image patch", "objects carried")
     ] = None
     nearest_object_m: Annotated[
         float | None,
-        Column(
-            "distance of the nearest kept object",
-            "m",
-            "no kept object has a distance",
-            label="nearest object",
-            decimals=2,
-            compares_coverage=False,
-        ),
+        _shown_beside("distance of the nearest kept object", "m", "no kept object has a distance", "nearest object", 2),
     ] = None
     nearest_object_class: Annotated[str | None, Column("label of that object", null="the same")] = None
     time_to_impact_s: Annotated[
         float | None,
-        Column(
+        _shown_beside(
             "smallest time to impact of the kept objects in the path: distance over closing speed",
             "s",
             "none in the path comes nearer",
-            label="time to impact",
-            decimals=2,
-            compares_coverage=False,
+            "time to impact",
+            2,
         ),
     ] = None
     time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")] = None
@@ -252,24 +196,18 @@ class ObjectColumns:
     ] = None
     objects_in_path: Annotated[
         int | None,
-        Column(
+        _count(
             "kept objects in the path",
-            COUNT,
+            "objects in the path",
             "the stage did not run, or it is known of no kept object whether it is in the path",
-            label="objects in the path",
-            decimals=1,
-            compares_coverage=False,
         ),
     ] = None
     cut_ins: Annotated[
         int | None,
-        Column(
+        _count(
             "kept objects beside the path, over the lane's line and moving in",
-            COUNT,
+            "cut-ins",
             "the stage did not run, or no lane is known",
-            label="cut-ins",
-            decimals=1,
-            compares_coverage=False,
         ),
     ] = None
 
@@ -288,12 +226,8 @@ class StereoColumns:
     ] = None
 
 
-def _pose_of(what: str, null: str) -> Column:
-    return Column(what, "m", null)
-
-
-def _rotation_of(what: str, null: str) -> Column:
-    return Column(what, "", null)
+def _pose(what: str, unit: str = "") -> Column:
+    return Column(what, unit, "as the status")
 
 
 @dataclass(frozen=True)
@@ -304,15 +238,7 @@ class OdometryColumns:
         str | None, Column("`first`, `tracked` or `lost`", null="the stage did not run, or has no image")
     ] = None
     odometry_inliers: Annotated[
-        int | None,
-        Column(
-            "points that agree with the motion",
-            COUNT,
-            "as the status",
-            label="odometry inliers",
-            decimals=1,
-            compares_coverage=False,
-        ),
+        int | None, _count("points that agree with the motion", "odometry inliers", "as the status")
     ] = None
     step_m: Annotated[
         float | None,
@@ -323,24 +249,16 @@ class OdometryColumns:
         Column("standard deviation of `step_m`", "m", "no step, no scale, no covariance", label="step std", decimals=4),
     ] = None
     turn_deg: Annotated[
-        float | None,
-        Column(
-            "angle of the rotation since the last frame",
-            "deg",
-            "no step",
-            label="turn",
-            decimals=3,
-            compares_coverage=False,
-        ),
+        float | None, _shown_beside("angle of the rotation since the last frame", "deg", "no step", "turn", 3)
     ] = None
     turn_std_deg: Annotated[
         float | None,
         Column("standard deviation of `turn_deg`", "deg", "no step, no covariance", label="turn std", decimals=4),
     ] = None
-    odom_x_m: Annotated[float | None, _pose_of("position of the ego frame in odom, x", "as the status")] = None
-    odom_y_m: Annotated[float | None, _pose_of("the same, y", "as the status")] = None
-    odom_z_m: Annotated[float | None, _pose_of("the same, z", "as the status")] = None
-    odom_qx: Annotated[float | None, _rotation_of("its orientation, unit quaternion, x", "as the status")] = None
-    odom_qy: Annotated[float | None, _rotation_of("the same, y", "as the status")] = None
-    odom_qz: Annotated[float | None, _rotation_of("the same, z", "as the status")] = None
-    odom_qw: Annotated[float | None, _rotation_of("the same, w", "as the status")] = None
+    odom_x_m: Annotated[float | None, _pose("position of the ego frame in odom, x", "m")] = None
+    odom_y_m: Annotated[float | None, _pose("the same, y", "m")] = None
+    odom_z_m: Annotated[float | None, _pose("the same, z", "m")] = None
+    odom_qx: Annotated[float | None, _pose("its orientation, unit quaternion, x")] = None
+    odom_qy: Annotated[float | None, _pose("the same, y")] = None
+    odom_qz: Annotated[float | None, _pose("the same, z")] = None
+    odom_qw: Annotated[float | None, _pose("the same, w")] = None

@@ -14,8 +14,7 @@ from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import Channel, LogSummary
-from roadperc_stream.model import EGO, DepthImage
-from roadperc_stream.model.transform import Transform
+from roadperc_stream.model import EGO, DepthImage, Transform
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.roles import ROLES, Kind
 from roadperc_stream.schemas.topics import (

@@ -5,7 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.model import Box, Object
-from roadperc_stream.output.drawing.captions import by_nearness, caption_places, viewer_font_px, viewer_text_size
+from roadperc_stream.output.drawing.captions import (
+    by_nearness,
+    caption_places,
+    label_places,
+    viewer_font_px,
+    viewer_text_size,
+)
 from tests.analytic import Road, box
 
 SIZE = (320, 240)
@@ -75,3 +81,70 @@ def test_text_in_a_viewer_grows_with_the_image_and_its_letters():
     columns, rows = viewer_text_size(CAMERA, "Car 4.0 m")
     assert viewer_text_size(CAMERA, 2 * "Car 4.0 m") == pytest.approx((2 * columns, rows))
     assert rows > viewer_font_px(CAMERA) >= CAMERA.height / 40
+
+
+def labels(*objects, top_px=0.0, text_size=(50.0, 10.0)):
+    boxes = [item.detection.box_px for item in objects]
+    return label_places(SIZE, top_px, objects, boxes, [text_size] * len(objects))
+
+
+def test_the_first_choice_is_just_above_the_box():
+    assert labels(car(5.0)) == (Box(100, 48.5, 150, 58.5),)
+
+
+@pytest.mark.parametrize(
+    ("corners", "left"),
+    [((-20, 60, 30, 90), 0.0), ((300, 60, 320, 90), 270.0)],
+)
+def test_a_label_is_moved_sideways_into_the_picture(corners, left):
+    (place,) = labels(car(5.0, corners))
+    assert (place.x_min, place.x_max) == (left, left + 50)
+
+
+def test_a_second_object_in_the_same_place_has_its_label_higher():
+    far, near = labels(car(30.0), car(4.0))
+    assert near == Box(100, 48.5, 150, 58.5)
+    assert far == Box(100, 37, 150, 47)
+
+
+def test_a_label_covers_no_object_that_is_kept_and_may_cover_a_dropped_one():
+    covered = (100, 50, 150, 59)
+    assert labels(car(9.0), car(2.0, covered))[0] == Box(100, 25.5, 150, 35.5)
+    assert labels(car(9.0), car(2.0, covered, kept=False))[0] == Box(100, 48.5, 150, 58.5)
+
+
+def test_a_large_object_may_be_covered_by_the_label_of_what_is_in_front_of_it():
+    assert labels(car(9.0), car(2.0, (20, 10, 300, 230)))[0] == Box(100, 48.5, 150, 58.5)
+
+
+def test_where_nothing_is_free_above_a_large_box_has_its_label_inside_and_a_small_one_below():
+    assert labels(car(5.0, (100, 4, 200, 90))) == (Box(101.5, 5.5, 151.5, 15.5),)
+    assert labels(car(5.0, (100, 4, 120, 20))) == (Box(100, 21.5, 150, 31.5),)
+
+
+def test_the_rows_that_are_taken_stay_free():
+    assert labels(car(5.0), top_px=48.0) == (Box(100, 48.5, 150, 58.5),)
+    assert labels(car(5.0), top_px=49.0) == (Box(100, 91.5, 150, 101.5),)
+
+
+def test_a_dropped_object_has_its_label_near_or_none():
+    crowd = [car(1.0, (40, 40, 170, 59)), car(2.0, (40, 91, 170, 110))]
+    assert labels(car(5.0), *crowd)[0] == Box(100, 25.5, 150, 35.5)
+    assert labels(car(5.0, kept=False), *crowd)[0] is None
+
+
+def test_a_text_too_large_for_the_picture_is_left_out():
+    assert labels(car(5.0), text_size=(50.0, 241.0)) == (None,)
+
+
+coordinate = st.integers(-50, 350)
+
+
+@given(st.lists(st.tuples(st.none() | st.floats(0, 100), *[coordinate] * 4, st.booleans()), max_size=12))
+def test_labels_lie_in_the_picture_and_over_no_other_one(rows):
+    objects = [car(distance_m, corners, kept=kept) for distance_m, *corners, kept in rows]
+    found = [place for place in labels(*objects, top_px=30.0) if place is not None]
+    for index, place in enumerate(found):
+        assert 0 <= place.x_min < place.x_max <= SIZE[0]
+        assert 30 <= place.y_min < place.y_max <= SIZE[1]
+        assert not any(place.overlap(other) for other in found[:index])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from roadperc_stream.model import Absent, Boundary, Lanes, Object, Objects, Reason
 from roadperc_stream.output.drawing.colours import DRIVABLE
-from roadperc_stream.output.drawing.overlay import draw_overlay
+from roadperc_stream.output.drawing.overlay import PerceivedFrame, draw_results
 from tests.analytic import box
 
 NOTHING = Absent(Reason("lanes", "not_run"))
@@ -22,6 +22,11 @@ def black(rows=240, columns=320):
 def lane(status, x=100.0, **more):
     line = np.array([(x, 239.0), (x, 120.0)])
     return Lanes((Boundary("left", status, line_px=line, **more),))
+
+
+def draw_overlay(image, lanes, objects, drivable, width_px=None, top_px=0):
+    width_px = image.shape[1] if width_px is None else width_px
+    return draw_results(PerceivedFrame(image, lanes, objects, drivable), width_px, top_px)
 
 
 def is_colour(drawn, colour):

@@ -17,6 +17,13 @@ from roadperc_stream.model import Image, Line, Mask
 _ON_ROAD = 0.5
 _ROAD_MARGIN_PX = 2.0
 _MIN_VERTICAL = 1e-6
+_HOUGH_THETA_DEG = 1.0
+"""Resolution of the angle in the Hough transform: 2 px over the length of the shortest line, 100 px."""
+_MIN_SLOPE = 0.3
+"""Rows per column below which a line is too flat in the image for a boundary of the ego lane."""
+_MERGE_SLOPE = 0.1
+_MERGE_INTERCEPT_PX = 40.0
+"""Lines whose slopes differ by less, and at 960 rows their rows at the image's left edge, may be one and the same."""
 _AROUND_PX = 5
 """Rows beside a mask that its edges depend on: half of the largest Sobel filter, and Canny's neighbours."""
 
@@ -77,7 +84,7 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
     found = cv2.HoughLinesP(
         edges,
         cfg.hough_rho_px * scale,
-        np.radians(cfg.hough_theta_deg),
+        np.radians(_HOUGH_THETA_DEG),
         max(round(cfg.hough_threshold * scale), 1),
         minLineLength=cfg.hough_min_length_px * scale,
         maxLineGap=cfg.hough_max_gap_px * scale,
@@ -85,12 +92,12 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
     return np.empty((0, 4)) if found is None else found.reshape(-1, 4).astype(float)
 
 
-def on_road(cfg: LanesConfig, proposals: Float, drivable: Mask) -> Float:
+def on_road(proposals: Float, drivable: Mask) -> Float:
     """The (M, 4) proposals that are steep enough and lie on the (H, W) drivable surface for over half of their length.
 
     The surface is widened by a pixel or two, for a curb's edge lies just outside it.
     """
-    steep = proposals[_steep(cfg, proposals)]
+    steep = proposals[_steep(proposals)]
     margin_px = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
     kept: Float = steep[line_shares(steep, drivable, margin_px) > _ON_ROAD]
     return kept
@@ -121,16 +128,16 @@ def line_shares(lines: Float, mask: Mask, margin_px: int) -> Float:
     return shares
 
 
-def merge(cfg: LanesConfig, proposals: Float, rows: int) -> tuple[LineGroup, ...]:
+def merge(proposals: Float, rows: int) -> tuple[LineGroup, ...]:
     """Proposals joined greedily: each goes to the first group whose first line has nearly its slope and intercept."""
-    reach = scaled(cfg.merge_intercept_px, rows)
+    reach = scaled(_MERGE_INTERCEPT_PX, rows)
     groups: list[list[tuple[float, float, float, float]]] = []
     for x1, y1, x2, y2 in proposals.tolist():
         slope = (y2 - y1) / _nonzero(x2 - x1)
         intercept = y1 - slope * x1
         line = (slope, intercept, min(y1, y2), max(y1, y2))
         for group in groups:
-            if abs(group[0][0] - slope) < cfg.merge_slope and abs(group[0][1] - intercept) < reach:
+            if abs(group[0][0] - slope) < _MERGE_SLOPE and abs(group[0][1] - intercept) < reach:
                 group.append(line)
                 break
         else:
@@ -166,8 +173,8 @@ def _nonzero(dx: float) -> float:
     return dx if abs(dx) > _MIN_VERTICAL else _MIN_VERTICAL
 
 
-def _steep(cfg: LanesConfig, lines: Float) -> Mask:
+def _steep(lines: Float) -> Mask:
     """Where |slope| reaches the minimum; a vertical line is steep, one within a single row is not."""
     dx, dy = np.abs(lines[:, 2] - lines[:, 0]), np.abs(lines[:, 3] - lines[:, 1])
-    steep: Mask = (dy > 0) & (dy >= cfg.min_slope * dx)
+    steep: Mask = (dy > 0) & (dy >= _MIN_SLOPE * dx)
     return steep

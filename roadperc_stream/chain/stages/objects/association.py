@@ -18,6 +18,8 @@ from roadperc_stream.model import Box, Object
 
 EXPECTED_OVERLAP = 0.4
 """Intersection over union with the predicted box from which a detection is where its object is expected."""
+DISTANCE_PENALTY = 0.3
+"""Share of the overlap that does not count where the distances contradict each other."""
 
 
 def assign(
@@ -49,7 +51,7 @@ def similarities(
     ours, theirs = kinds([track.detection.label for track in tracks], [item.detection.label for item in items])
     with np.errstate(all="ignore"):  # boxes may be beyond all numbers: what is no number is no similarity
         overlap = overlaps(corners(track.box_px for track in tracks), corners(boxes))
-        scores = overlap * (1.0 - cfg.distance_penalty * _contradictions(cfg, tracks, items))
+        scores = overlap * (1.0 - DISTANCE_PENALTY * _contradictions(cfg, tracks, items))
         fits = (ours[:, None] == theirs) & (scores >= cfg.min_overlap)
     return np.where(fits, scores, 0.0)
 

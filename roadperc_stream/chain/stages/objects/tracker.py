@@ -82,8 +82,8 @@ def step(
         Last is the obstacle that ``objects.template_png`` shows. Absent where there are neither detections nor objects
         found without them.
     """
-    arc = state.arc.after(cfg, last_T_this)
-    path = path_of(cfg, ego_lane, arc)
+    arc = state.arc.after(last_T_this)
+    path = path_of(ego_lane, arc)
     now_T_last = motion_of_camera(scene, last_T_this)
     known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in state.tracks]
     known = [track for track in known if not tracking.expired(cfg, track)]
@@ -93,7 +93,7 @@ def step(
     kept = _kept(scene.camera, own)
     pairs = assign(cfg, known, kept.items, kept.boxes)
     detected = {
-        k: tracking.placed(track, extent(cfg, scene, path, own[k]), _template(cfg, scene, track))
+        k: tracking.placed(track, extent(scene, path, own[k]), _template(cfg, scene, track))
         for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
     }
     missed = [track for k, track in enumerate(known) if k not in pairs]
@@ -201,7 +201,7 @@ def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrac
     detected = similarities(cfg, [after], kept.items, kept.boxes).any()
     if detected:
         return lost
-    return _Searched(tracking.placed(after, extent(cfg, scene, path, item), after.template), item, correlation)
+    return _Searched(tracking.placed(after, extent(scene, path, item), after.template), item, correlation)
 
 
 def _around(track: ObjectTrack) -> Box:

@@ -34,6 +34,8 @@ _SCALE_REASONS: Final[dict[Scale | None, Reason]] = {
 }
 _ASTRAY_PX = 20.0
 """Distance, at 960 rows, from the pixel that steady motion predicts beyond which something else was found."""
+MIN_INLIER_RATIO: Final = 0.25
+"""Share of the points in sight that must agree on a steady motion, twice that on an unforeseen one."""
 
 
 def step(
@@ -176,7 +178,7 @@ def _estimated(
     if frame.camera != keyframe.camera:
         return Absent(Reason("odometry", "camera_changed"))
     odom_T_last, rejected = state.odom_T_ego, Reason("odometry", "too_few_inliers")
-    for guess_px, near_px, ratio in _guesses(cfg, odom_T_last, keyframe, last, frame):
+    for guess_px, near_px, ratio in _guesses(odom_T_last, keyframe, last, frame):
         px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.landmarks.features, guess_px, frame.grey)
         astray = np.linalg.norm(px - near_px, axis=1) > scaled(_ASTRAY_PX, frame.grey.shape[0])
         px[astray | frame.on_movable(px)] = np.nan
@@ -192,7 +194,7 @@ def _estimated(
 
 
 def _guesses(
-    cfg: OdometryConfig, odom_T_last: Float, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
+    odom_T_last: Float, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
 ) -> Iterator[tuple[Float32, Float32, float]]:
     """(N, 2) pixels where features are searched, (N, 2) near which they must be found, and the share that must agree.
 
@@ -204,8 +206,8 @@ def _guesses(
         odom_T_camera = odom_T_last @ moved(last.velocity * seconds) @ frame.ego_T_camera
         camera_T_key = inverse(odom_T_camera) @ keyframe.odom_T_camera
         predicted = project(frame.camera, transform(camera_T_key, keyframe.landmarks.points_m)).astype(np.float32)
-        yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, cfg.min_inlier_ratio
-    yield last.found_px, np.full_like(last.found_px, np.nan), min(2 * cfg.min_inlier_ratio, 1.0)
+        yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, MIN_INLIER_RATIO
+    yield last.found_px, np.full_like(last.found_px, np.nan), 2 * MIN_INLIER_RATIO
 
 
 def _possible(

@@ -90,10 +90,10 @@ def localised(
     landmarks = keyframe.landmarks
     if landmarks.source != "depth":
         return _localised_without_depth(cfg, state, keyframe, last, frame, px)
-    motion = motion_from_points(cfg, frame.camera, landmarks.points_m, px)
+    motion = motion_from_points(frame.camera, landmarks.points_m, px)
     if motion is not None:
         px = aligned(keyframe, frame, motion.this_T_key)
-        motion = motion_from_points(cfg, frame.camera, landmarks.points_m, px, motion.this_T_key)
+        motion = motion_from_points(frame.camera, landmarks.points_m, px, motion.this_T_key)
     if motion is None:
         return None
     odom_T_ego = _pose(keyframe, frame, motion)
@@ -113,7 +113,7 @@ def _localised_without_depth(
     seconds = (frame.stamp_ns - keyframe.stamp_ns) / NS_PER_S
     length = _FIRST_LENGTH if last.velocity is None else float(np.linalg.norm(last.velocity[:3])) * seconds
     points_m = np.full_like(keyframe.landmarks.points_m, np.nan) if on_road else keyframe.landmarks.points_m
-    motion = motion_from_rays(cfg, frame.camera, features_px, px, points_m, length)
+    motion = motion_from_rays(frame.camera, features_px, px, points_m, length)
     if motion is None:
         return None
     pitch = _turned(cfg, state, last, frame, _pose(keyframe, frame, motion))

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 
 from roadperc_stream.chain.stages.objects import association, tracking
-from roadperc_stream.chain.stages.objects.association import assign, similarities
+from roadperc_stream.chain.stages.objects.association import DISTANCE_PENALTY, assign, similarities
 from roadperc_stream.model import Box, Object
 from roadperc_stream.model.tag_tables import classes_of_label
 from tests.analytic import box
@@ -74,7 +74,7 @@ def similarity(cfg, track, item, box_px):
 def test_contradicting_distances_count_against_a_pair():
     here = Box(0, 0, 10, 10)
     assert similarity(CFG, track_at(20.0), item_at(20.0), here) == 1.0
-    assert similarity(CFG, track_at(20.0), item_at(5.0), here) == 1.0 - CFG.distance_penalty
+    assert similarity(CFG, track_at(20.0), item_at(5.0), here) == 1.0 - DISTANCE_PENALTY
     assert similarity(CFG, track_at(20.0), item_at(None), here) == 1.0
     assert similarity(CFG, track_at(None), item_at(20.0), here) == 1.0
     assert similarity(CFG, track_at(20.0), item_at(20.0, "Pedestrian"), here) == 0.0
@@ -105,7 +105,7 @@ def plain_similarity(cfg, track, item, box_px):
     if track.distance_m is not None and item.distance_m is not None:
         surprise = track.distance_m.surprise(item.distance_m, tracking.distance_std_m(cfg, item))
         contradiction = min(surprise / cfg.gate, 1.0)
-    score = track.box_px.overlap(box_px) * (1.0 - cfg.distance_penalty * contradiction)
+    score = track.box_px.overlap(box_px) * (1.0 - DISTANCE_PENALTY * contradiction)
     return score if score >= cfg.min_overlap else 0.0
 
 
