@@ -25,8 +25,7 @@ from PIL import Image as PillowImage
 
 from roadperc_stream.api import frames
 from roadperc_stream.chain.stages.lanes.lines import propose
-from roadperc_stream.chain.stages.stereo.matching import matcher_of
-from roadperc_stream.chain.stages.stereo.pair import disparities_needed
+from roadperc_stream.chain.stages.stereo import disparities_needed, matcher_of
 from roadperc_stream.config import LanesConfig, ReplayConfig, StereoConfig
 from roadperc_stream.formats import images
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
