@@ -146,10 +146,6 @@ class Curve:
         """Whether its edges lie as close to it as those of clean tags."""
         return self.noise_px <= _LOW_PX
 
-    def y(self, x: Float) -> Float:
-        """Lateral position in metres at distances ahead."""
-        return lateral(self.state, x)
-
 
 def other_side(side: Side) -> Side:
     """The opposite one."""

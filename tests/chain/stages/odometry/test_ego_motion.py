@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.odometry.ego_motion import _guesses
+from roadperc_stream.chain.stages.odometry.ego_motion import FollowedFrame, guesses
 from roadperc_stream.chain.stages.odometry.features import tracking_frame
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.config import OdometryConfig
@@ -222,7 +222,8 @@ def test_features_are_sought_first_where_a_steady_motion_takes_them(missed):
     stamp_ns = 1_000_000_000 + frame * STEP_NS
     scene = scene_of(CAMERA, EGO_T_CAMERA, depth_m=SHOTS[frame].depth_m, stamp_ns=stamp_ns)
     view = tracking_frame(CFG, scene, SHOTS[frame].grey, None)
-    (first, near, share), (second, anywhere, twice) = _guesses(CFG, state.odom_T_ego, state.keyframe, state.last, view)
+    this = FollowedFrame(CFG, view, state.keyframe, state.last, state.odom_T_ego, state.pitch)
+    (first, near, share), (second, anywhere, twice) = guesses(this)
     camera_T_key = inverse(POSES[frame] @ EGO_T_CAMERA) @ state.keyframe.odom_T_camera
     expected = project(view.camera, transform(camera_T_key, state.keyframe.landmarks.points_m))
     known = np.isfinite(near).all(axis=1)
