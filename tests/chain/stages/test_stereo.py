@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import astuple, replace
 from statistics import fmean
 from time import process_time
 
@@ -378,7 +378,7 @@ def figures(cfg, camera, baseline_m, mounting, frames):
         found = stereo.match(cfg, camera, replace(camera, baseline_m=baseline_m), mounting, left, right)
         seconds += process_time() - started
         errors.append(stereo_errors(found.depth_m, true_m, camera, baseline_m))
-    epe_px, d1_ratio, _, coverage = (fmean(values) for values in zip(*errors, strict=True))
+    epe_px, d1_ratio, _, coverage = (fmean(values) for values in zip(*map(astuple, errors), strict=True))
     print(
         f"\n{cfg.method}: EPE {epe_px:.3f} px, D1 {d1_ratio:.2%}, coverage {coverage:.1%}, "
         f"{1000 * seconds / len(frames):.0f} ms a frame, {len(frames)} frames of {camera.width}x{camera.height}"
