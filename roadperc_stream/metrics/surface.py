@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from roadperc_stream.chain.stages.surface import drivable_mask
+from roadperc_stream.chain.stages.surface.road import drivable_mask
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import angle_between

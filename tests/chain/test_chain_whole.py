@@ -129,6 +129,11 @@ def test_any_input_may_be_missing(frames, whole, missing):
     if missing == "depth":
         assert last.surface.source == "stereo"
         assert last.odometry.status == "tracked"
+    if missing == "segmentation":
+        assert last.surface.source == "lower_image"
+        assert last.lanes == Absent(Reason("lanes", "no_segmentation"))
+    if missing == "detections":
+        assert last.objects == Absent(Reason("objects", "no_detections"))
 
 
 def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):

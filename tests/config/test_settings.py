@@ -147,7 +147,7 @@ ELSEWHERE = {
     "sync.max_wait_s": "input/test_sync.py",
     "surface.assumed_height_m": "below",
     "surface.hold_m": "tests/chain/stages/surface/test_memory.py",
-    "lanes.hold_s": "chain/stages/lanes/test_class_history.py",
+    "lanes.hold_s": "chain/stages/lanes/test_tracking.py",
     "objects.template_png": "chain/stages/objects/test_template.py",
     "objects.template_distance": "chain/stages/objects/test_template.py",
     "objects.cut_in_mps": "chain/stages/objects/test_path.py",

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.kernels import left_of
-from roadperc_stream.chain.stages.objects import ObjectsState, step
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, path_of
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, level_mounting, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.objects import ObjectsState, step
 from roadperc_stream.chain.stages.objects.template import LABEL, correlate, find_obstacle, picture, png_of
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.model import Absent, Box
 from tests.chain.stages.objects.frames import CAMERA, texture

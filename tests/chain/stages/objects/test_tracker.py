@@ -5,7 +5,8 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects import ObjectsState, step, tracker
+from roadperc_stream.chain.stages.objects import tracker
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.model import Absent, Box, Reason
 from tests.analytic import STEP_NS, box

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages import odometry
-from roadperc_stream.chain.stages.odometry import OdometryState
+from roadperc_stream.chain.stages.odometry import ego_motion
+from roadperc_stream.chain.stages.odometry.keyframes import OdometryState
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.cli import render
 from roadperc_stream.config import OdometryConfig
@@ -52,7 +52,7 @@ def track(frames, camera, ego_T_camera, cfg=CFG, depth=True, tags=True, road=Non
             table=TABLE,
             stamp_ns=round(1e9 * (1 + k / rate_hz)),
         )
-        state, out = odometry.step(cfg, state, scene, road, np.random.default_rng((0, k)))
+        state, out = ego_motion.step(cfg, state, scene, road, np.random.default_rng((0, k)))
         results.append(out)
     return results
 

@@ -221,13 +221,6 @@ def test_a_shifted_image_is_matched_to_sub_pixels(features):
     assert np.median(np.abs(px - g.project(CAMERA, about_lens))[far]) < 1.5
 
 
-def test_halving_keeps_rays():
-    shot = photograph(pose(0))
-    frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA), shot.grey, None)
-    assert (frame.shrink, frame.grey.shape) == (2, (240, 320))
-    np.testing.assert_allclose(g.rays(frame.camera, np.array([10.0, 20.0])), g.rays(CAMERA, np.array([20.5, 40.5])))
-
-
 @pytest.mark.parametrize(
     ("rows", "columns", "shrink"),
     [(480, 640, 2), (960, 1280, 4), (478, 640, 1), (481, 640, 1), (480, 641, 1), (482, 642, 2), (240, 640, 1)],

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages import lanes
-from roadperc_stream.chain.stages.lanes import LanesState
+from roadperc_stream.chain.stages.lanes import ego_lane
+from roadperc_stream.chain.stages.lanes.tracking import LanesState
 from roadperc_stream.chain.stages.surface import spline
 from roadperc_stream.chain.stages.surface.road import drivable_mask, fit_surface
 from roadperc_stream.chain.stages.surface.spline import DEGREE, band_of, basis, solved
@@ -236,7 +236,7 @@ def test_lanes_over_a_hill_are_as_straight_as_they_are():
     found = {}
     for model in (surface, replace(surface, model="plane", height_grid=None)):
         scene = scene_of(hill.camera, hill.ego_T_camera, tags=hill.tags())
-        left = lanes.step(LanesConfig(), LanesState(), scene, model, road, None)[1].side("left")
+        left = ego_lane.step(LanesConfig(), LanesState(), scene, model, road, None)[1].side("left")
         x = left.offset_m + 30 * left.heading + 450 * left.curvature_per_m
         found[model.model] = abs(x - 1.8)
         if model is surface:
