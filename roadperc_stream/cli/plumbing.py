@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -109,6 +110,7 @@ def run(command: Callable[[], None]) -> int:
         gc.enable()
     logging = import_module("logging")  # 4 ms that a wrong usage does not wait for
     logging.setLogRecordFactory(part("cli.log_records").ShownRecord)
+    warnings.showwarning = _note
     try:
         with _signals_unwind():
             command()
@@ -125,6 +127,12 @@ def run(command: Callable[[], None]) -> int:
     except UnicodeEncodeError as error:
         return _fail(_unencodable(error))
     return EXIT_DONE
+
+
+def _note(message: Warning | str, *_: object, **__: object) -> None:
+    """Show a warning of the package or of a library as a line on stderr, without the place in its code."""
+    with optional_output(sys.stderr):
+        print_line(f"note: {' '.join(str(message).splitlines())}", sys.stderr)
 
 
 def _fail(text: str, prefix: str = "error: ") -> int:

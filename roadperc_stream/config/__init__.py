@@ -2,16 +2,16 @@
 
 from roadperc_stream.config.limits import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.config.loading import load_config, validated
-from roadperc_stream.config.replay import ReplayConfig
-from roadperc_stream.config.scaling import scaled
 from roadperc_stream.config.stages import (
     LanesConfig,
     ObjectsConfig,
     OccupancyConfig,
     OdometryConfig,
+    ReplayConfig,
     StereoConfig,
     SurfaceConfig,
     SyncConfig,
+    scaled,
 )
 from roadperc_stream.schemas.topics import NEEDS, STAGES, switched_off
 

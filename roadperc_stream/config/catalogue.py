@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel
 
-from roadperc_stream.config.replay import ReplayConfig
+from roadperc_stream.config.stages import ReplayConfig
 
 _UNIT_OF_ENDING: Final[Mapping[str, str]] = {
     "_per_m": "1/m",

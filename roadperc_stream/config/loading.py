@@ -7,8 +7,8 @@ from typing import Any, Final
 from pydantic import BaseModel, ValidationError
 
 from roadperc_stream.config.catalogue import Setting, catalogue
-from roadperc_stream.config.replay import ReplayConfig
-from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml
+from roadperc_stream.config.settings import MOST_BYTES, in_brief, parsed_toml, without_fixed
+from roadperc_stream.config.stages import ReplayConfig
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.nearest import nearest
 
@@ -19,6 +19,8 @@ _KINDS: Final[Mapping[str, str]] = {"integer": "a whole number ", "number": "a n
 def load_config(path: str | Path | None = None, settings: str | Sequence[str] = ()) -> ReplayConfig:
     """Configuration of a TOML file and ``KEY=VALUE`` settings, the settings winning.
 
+    A file of an older version may have settings that are constants now: one warning says so.
+
     Args:
         path: TOML file with any part of the keys; None for the defaults.
         settings: one or several such as ``lanes.hold_s=0.8``; the value is TOML, a bare word is a string.
@@ -27,7 +29,7 @@ def load_config(path: str | Path | None = None, settings: str | Sequence[str] = 
         ConfigError: the file cannot be read, or a key or value does not fit; the message names it.
 
     """
-    tree = _read_toml(Path(path)) if path else {}
+    tree = without_fixed(_read_toml(Path(path)), Path(path)) if path else {}
     for setting in [settings] if isinstance(settings, str) else settings:
         key, separator, value = setting.partition("=")
         if not separator:

@@ -1,17 +1,28 @@
-"""The settings of each stage, with their defaults and meaning.
+"""The whole configuration of a replay: the settings of each stage, with their defaults and meaning.
 
 Lengths in pixels are given at 960 image rows and scale with the image.
 """
 
 from base64 import b64decode
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
+import tomli_w
 from pydantic import Field, model_validator
 
-from roadperc_stream.config.fields import Classes, Count, OddCount, Pixels, Positive, Ratio, Seconds, Section, unit
+from roadperc_stream.config.fields import (
+    Classes,
+    Count,
+    OddCount,
+    Pixels,
+    Positive,
+    Ratio,
+    Seconds,
+    Section,
+    TableName,
+    unit,
+)
+from roadperc_stream.config.limits import LimitsConfig
 
-_MOST_DISTANCES = 10_000_000
-"""Distances of points to planes that RANSAC may have in memory together: some 100 MB."""
 MOST_PNG_BYTES = 1_000_000
 """Of a picture in base 64 that a configuration holds."""
 _MOST_PNG_PIXELS = 4_000_000
@@ -19,6 +30,12 @@ _PNG_HEADER = 32
 """Characters in base 64 of a PNG's first 24 bytes, which end in width and height."""
 _PNG_IN_BASE64 = "^(iVBORw0KGgo[A-Za-z0-9+/]*={0,2})?$"
 """What the eight bytes that begin a PNG are in base 64, and its characters."""
+_CONFIG_ROWS: Final = 960.0
+
+
+def scaled(length_px: float, rows: int) -> float:
+    """A length of the configuration, given at 960 image rows, in an image of so many rows."""
+    return length_px * rows / _CONFIG_ROWS
 
 
 class SyncConfig(Section):
@@ -85,18 +102,8 @@ class SurfaceConfig(Section):
     """Classes one may drive on; a sidewalk stands higher than the road and is none."""
     inlier_m: Positive = 0.05
     """Largest distance to the plane of an inlier."""
-    drivable_m: Positive = 0.15
-    """Largest distance to the plane of a drivable pixel."""
     hypotheses: Annotated[Count, unit("planes")] = 256
     """Most planes tried."""
-    batch: Annotated[Count, unit("planes")] = 32
-    """Planes tried at once."""
-    subsample: Annotated[Count, unit("points")] = 2048
-    """Points they are tried on."""
-    enough_inliers: Ratio = 0.95
-    """Share of inliers at which no further planes are tried."""
-    min_inliers: Ratio = 0.2
-    """Share of inliers below which there is no plane."""
     max_depth_m: Positive = 60.0
     """Farthest point, along the camera's axis, that the plane is fitted to."""
     max_tilt_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 30.0
@@ -112,15 +119,6 @@ class SurfaceConfig(Section):
     """Standard deviation of the road's curvature upwards; smaller is smoother. A crest of 200 m radius has 0.005."""
     spline_half_width_m: Annotated[float, Field(ge=2.0, le=50.0)] = 10.0
     """How far to either side of the ego x axis points count for the height field."""
-
-    @model_validator(mode="after")
-    def _affordable(self) -> Self:
-        if self.batch * self.subsample > _MOST_DISTANCES:
-            raise ValueError(
-                f"batch * subsample must not exceed {_MOST_DISTANCES:,}, for so many distances are in memory at once: "
-                f"batch {self.batch}, subsample {self.subsample}"
-            )
-        return self
 
 
 class LanesConfig(Section):
@@ -142,37 +140,17 @@ class LanesConfig(Section):
     """Side of the Sobel filter that measures the gradient."""
     hough_rho_px: Pixels = 2.0
     """Resolution of the distance in the Hough transform; coarser gathers more edge pixels in a line."""
-    hough_theta_deg: Annotated[float, Field(ge=0.05, le=90.0)] = 1.0
-    """Resolution of the angle in the Hough transform."""
     hough_threshold: Annotated[Positive, unit("px")] = 100.0
     """Edge pixels that must agree on a line."""
     hough_min_length_px: Pixels = 100.0
     """Shortest line."""
     hough_max_gap_px: Pixels = 50.0
     """Largest gap within a line."""
-    min_slope: Annotated[Positive, unit("px/px")] = 0.3
-    """Rows per column below which a line is too flat in the image for a boundary of the ego lane."""
-    merge_slope: Annotated[Positive, unit("px/px")] = 0.1
-    """Lines whose slopes differ by less may be one and the same."""
-    merge_intercept_px: Pixels = 40.0
-    """Lines whose rows at the image's left edge differ by less may be one and the same."""
-    near_m: Positive = 15.0
-    """A line whose nearest support lies farther ahead (ego x) is no boundary of the ego lane."""
-    fit_max_m: Annotated[float, Field(ge=1.0, le=500.0)] = 40.0
-    """Farthest point of the boundary that the curve is fitted to."""
     fit_strip_m: Positive = 0.3
     """Half width of the strip around the last fit whose edges the next one takes."""
-    fit_huber: Annotated[float, Field(ge=0.1, le=100.0), unit("standard deviations")] = 2.0
-    """Distance beyond which an edge counts less and less (Huber's constant)."""
     gate: Annotated[Positive, unit("standard deviations, squared")] = 48.8
     """Squared Mahalanobis distance beyond which a measurement is rejected: three times 99.9 % of chi squared, 3
     degrees, for wrong tags err by more than noise does. What lies within, but far, widens the standard deviation."""
-    min_width_m: Positive = 2.0
-    """Narrowest lane: boundaries closer together are none."""
-    max_width_m: Positive = 7.0
-    """Widest lane: boundaries farther apart are not those of one lane."""
-    max_std_m: Positive = 0.16
-    """Standard deviation, at the car or 10 m ahead, beyond which a boundary is lost: it might be anywhere."""
     car_width_m: Positive = 1.8
     """Width of the car: while a boundary is under it, the car is changing lanes."""
     hold_s: Seconds = 0.5
@@ -181,18 +159,6 @@ class LanesConfig(Section):
     """Whether odometry, where it is metric, predicts the boundaries from frame to frame."""
     process_noise: Annotated[float, Field(ge=1e-3, le=100.0), unit("m/s")] = 0.5
     """Standard deviation by which the car's sideways speed changes within a second, where no odometry predicts it."""
-    offset_std_m: Positive = 0.05
-    """Standard deviation of a measured boundary's offset with ``model`` ``line``."""
-    heading_std: Annotated[Positive, unit("rad")] = 0.01
-    """Standard deviation of a measured boundary's heading with ``model`` ``line``."""
-    curvature_std_per_m: Positive = 0.002
-    """Standard deviation of a measured boundary's curvature with ``model`` ``line``."""
-
-    @model_validator(mode="after")
-    def _some_width_is_possible(self) -> Self:
-        if self.min_width_m > self.max_width_m:
-            raise ValueError(f"min_width_m must not exceed max_width_m: {self.min_width_m:g}, {self.max_width_m:g}")
-        return self
 
 
 class ObjectsConfig(Section):
@@ -203,11 +169,6 @@ class ObjectsConfig(Section):
     filter: Literal["region", "class_ratio"] = "region"
     """What keeps a detection: pixels of its class, connected in depth or of one instance, that fit its box; or the
     share of its box that carries its class. Without dense depth and without instance masks it is the share."""
-    min_fit: Ratio = 0.7
-    """Fit of those pixels' bounds to the box above which a detection is kept; what the box holds beside them costs less
-    than what they hold beside it."""
-    min_fit_seen: Ratio = 0.2
-    """The same where an object has been seen for ``carry_after_s``; there ``min_class_ratio`` is enough, too."""
     min_class_ratio: Ratio = 0.3
     """With ``filter`` ``class_ratio`` a detection is kept when more than this share of its box carries its class."""
     distance_quantile: Ratio = 0.05
@@ -230,8 +191,6 @@ class ObjectsConfig(Section):
     """How far that obstacle is: straight from the camera, or its depth along the camera's axis."""
     min_overlap: Ratio = 0.2
     """Intersection over union with an object's predicted box from which a detection may be the same object."""
-    distance_penalty: Ratio = 0.3
-    """Share of the overlap that does not count where the distances contradict each other."""
     gate: Annotated[Positive, unit("standard deviations, squared")] = 10.83
     """Squared Mahalanobis distance beyond which a distance is rejected (99.9 % of chi squared, 1 degree)."""
     restart_s: Positive = 0.2
@@ -250,18 +209,6 @@ class ObjectsConfig(Section):
     """Width of the car: its path is as wide, and ``path_margin_m`` wider on either side."""
     path_margin_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
     """What is beside the car by no more than this is in its path."""
-    path_memory_m: Positive = 5.0
-    """Way over which the path's curvature by odometry is averaged, the latest metres counting most."""
-    lane_width_min_m: Positive = 2.0
-    """A narrower lane is none that the car drives in."""
-    lane_width_max_m: Positive = 5.0
-    """In a wider lane the path runs along its boundaries, but where the car is, not in the middle."""
-    object_length_m: Positive = 5.0
-    """Pixels so far behind an object's nearest point count for its place beside the path."""
-    lateral_std_m: Positive = 0.1
-    """Least standard deviation of where an object's edges are beside the path."""
-    lateral_noise: Annotated[Positive, unit("m/s")] = 1.0
-    """Standard deviation by which the speed of an object's edges across the path changes within a second."""
     cut_in_mps: Positive = 0.3
     """Least speed, towards the path, of an object over the lane's line that cuts in."""
 
@@ -287,42 +234,16 @@ class OdometryConfig(Section):
     """``klt`` follows corners by optical flow, ``orb`` and ``sift`` match descriptors."""
     matcher: Literal["brute_force", "flann"] = "brute_force"
     """How the nearest descriptors are found."""
-    match_ratio: Annotated[float, Field(gt=0.0, le=1.0), unit("ratio")] = 0.8
-    """Largest ratio of a match's descriptor distance to that of the second nearest."""
     min_rows: Annotated[Count, unit("rows")] = 480
     """The image is halved as long as it keeps this many rows: more take longer and hardly improve the result."""
-    max_points: Annotated[Count, unit("points")] = 400
-    """Points per keyframe, spread over the image."""
-    cell_px: Positive = 80.0
-    """Side of the cells that share the points equally."""
-    window_px: Positive = 20.0
-    """Side of the window that optical flow compares; corners are as far apart, and as far from movable things."""
-    forward_backward_px: Positive = 1.0
-    """Largest distance by which a point followed into the frame and back may miss where it came from."""
-    max_depth_m: Positive = 60.0
-    """Points farther away, by their depth, are not used."""
-    depth_std_per_m: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0005
-    """The depth's standard deviation over the distance squared, as stereo has it: it weighs the points."""
-    inlier_px: Positive = 2.0
-    """Largest distance of an inlier from where the motion predicts it."""
-    ransac_iterations: Annotated[Count, unit("motions")] = 200
-    """Most motions tried."""
     min_inliers: Annotated[Count, unit("points")] = 20
     """Points that must agree on the motion, or the frame is lost."""
-    min_inlier_ratio: Ratio = 0.25
-    """Share of the points in sight that must agree on a steady motion, twice that on an unforeseen one."""
     max_speed_mps: Positive = 70.0
     """A faster motion is a jump the car cannot make, and the frame is lost."""
     max_turn_rate_dps: Positive = 120.0
     """A faster turn is one the car cannot make, and the frame is lost."""
-    min_parallax_px: Positive = 1.5
-    """Without depth: median shift, the turn's own left out, below which the camera is assumed to stand still."""
     pitch_std_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 2.0
     """Without depth: standard deviation of the mounting's pitch, which the drive corrects; 0 believes the mounting."""
-    keyframe_share: Ratio = 0.5
-    """Share of the keyframe's points below which, found again as inliers, a frame becomes the next keyframe."""
-    keyframe_flow_px: Positive = 60.0
-    """Median shift of the points since the keyframe above which a frame becomes the next one."""
 
 
 class OccupancyConfig(Section):
@@ -358,3 +279,24 @@ class OccupancyConfig(Section):
         if self.max_height_m <= self.min_height_m:
             raise ValueError(f"max_height_m {self.max_height_m} is not above min_height_m {self.min_height_m}")
         return self
+
+
+class ReplayConfig(Section):
+    """Everything that decides what a replay computes."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Random numbers follow from it and from the frame's stamp: the same seed gives the same results."""
+    tag_table: TableName = "auto"
+    """Table of the segmentation's tag numbers: a CARLA version or a table's name; ``auto`` takes what the log says."""
+    sync: SyncConfig = SyncConfig()
+    stereo: StereoConfig = StereoConfig()
+    surface: SurfaceConfig = SurfaceConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    lanes: LanesConfig = LanesConfig()
+    objects: ObjectsConfig = ObjectsConfig()
+    occupancy: OccupancyConfig = OccupancyConfig()
+    limits: LimitsConfig = LimitsConfig()
+
+    def to_toml(self) -> str:
+        """The whole configuration, defaults included; ``load_config`` reads it back."""
+        return tomli_w.dumps(self.model_dump(mode="json"))

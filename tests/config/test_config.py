@@ -2,7 +2,10 @@
 
 import pytest
 
+from roadperc_stream.cli.replay import main
 from roadperc_stream.config import ReplayConfig, load_config
+from roadperc_stream.config.catalogue import catalogue
+from roadperc_stream.config.settings import FIXED, settings_in
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import CLASS_NAMES
 
@@ -42,13 +45,12 @@ def test_defaults_need_no_file():
         ("stereo.block_px=4", "must be odd"),
         ("stereo.disparities=100", "multiple of 16"),
         ("stereo.p1=800", "p2 must exceed p1"),
-        ("surface.batch=5000", r"batch \* subsample must not exceed 10,000,000"),
         ("seed", "KEY=VALUE"),
         ("seed.x=1", "seed"),
         ("tag_table=newest", "tag_table"),
         ("lanes.hough_rho_px=inf", "lanes.hough_rho_px"),
         ("sync.max_wait_s=1e300", "sync.max_wait_s"),
-        ("lanes.fit_max_m=nan", "lanes.fit_max_m"),
+        ("lanes.fit_strip_m=nan", "lanes.fit_strip_m"),
         ("lanes.holds_s=1", r"^no setting lanes\.holds_s; did you mean lanes\.hold_s\?"),
         ("lane.hold_s=1", r"did you mean lanes\?"),
         ("surface.zzz=1", "known: enabled, model"),
@@ -71,6 +73,50 @@ def test_an_unknown_key_of_a_file_is_named_with_the_nearest(tmp_path):
     path.write_text("[lanes]\nhold = 1\n")
     with pytest.raises(ConfigError, match=r"mine\.toml: no setting lanes\.hold; did you mean lanes\.hold_s\?"):
         load_config(path)
+
+
+OLD = """
+seed = 3
+[surface]
+inlier_m = 0.07
+drivable_m = 0.15
+[lanes]
+fit_huber = 3.0
+"""
+"""A file of a version in which two of the constants were settings, one with another value."""
+
+
+def test_a_file_of_an_older_version_is_read_with_one_note(tmp_path):
+    (tmp_path / "old.toml").write_text(OLD)
+    with pytest.warns(UserWarning, match="older version") as notes:
+        cfg = load_config(tmp_path / "old.toml", "lanes.hold_s=1")
+    assert cfg == load_config(None, ("seed=3", "surface.inlier_m=0.07", "lanes.hold_s=1"))
+    (note,) = notes
+    assert str(note.message) == (
+        f"{tmp_path / 'old.toml'}: 2 settings of an older version cannot be changed any more; lanes.fit_huber is 2.0"
+    )
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_command_prints_the_note_on_one_line(tmp_path, capsys):
+    (tmp_path / "old.toml").write_text(OLD)
+    assert main(["--config", str(tmp_path / "old.toml"), "--print-config"]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"note: {tmp_path / 'old.toml'}: 2 settings of an older version")
+
+
+def test_of_an_attached_configuration_only_what_differs_from_the_constants_counts():
+    assert settings_in(OLD.encode()) == {"seed": 3, "surface.inlier_m": 0.07, "lanes.fit_huber": 3.0}
+
+
+def test_no_constant_is_a_setting():
+    assert not FIXED.keys() & {setting.key for setting in catalogue()}
+
+
+@pytest.mark.parametrize("key", ["lanes.fit_huber", "surface.drivable_m"])
+def test_a_constant_cannot_be_set(key):
+    with pytest.raises(ConfigError, match=f"no setting {key}"):
+        load_config(None, f"{key}=1")
 
 
 def test_broken_files(tmp_path):

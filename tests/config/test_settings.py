@@ -27,12 +27,7 @@ SURFACE = {
     "surface.model": "plane",
     "surface.classes": "road",
     "surface.inlier_m": "0.005",
-    "surface.drivable_m": "0.02",
     "surface.hypotheses": "1",
-    "surface.batch": "3",
-    "surface.subsample": "100",
-    "surface.enough_inliers": "1.0",
-    "surface.min_inliers": "1.0",
     "surface.max_depth_m": "10",
     "surface.max_tilt_deg": "0.1",
 }
@@ -63,29 +58,17 @@ LANES = {
     "lanes.canny_high": "2000",
     "lanes.canny_aperture": "5",
     "lanes.hough_rho_px": "4",
-    "lanes.hough_theta_deg": "3",
     "lanes.hough_threshold": "200",
     "lanes.hough_min_length_px": "200",
     "lanes.hough_max_gap_px": "10",
-    "lanes.min_slope": "0.6",
-    "lanes.merge_slope": "0.01",
-    "lanes.merge_intercept_px": "4",
-    "lanes.near_m": "2",
-    "lanes.fit_max_m": "20",
     "lanes.fit_strip_m": "0.1",
-    "lanes.fit_huber": "0.5",
     "lanes.gate": "0.01",
     "lanes.process_noise": "5",
-    "lanes.min_width_m": "5",
-    "lanes.max_width_m": "2.5",
-    "lanes.max_std_m": "0.001",
     "lanes.car_width_m": "10",
 }
-LINES = {"lanes.offset_std_m": "0.2", "lanes.heading_std": "0.1", "lanes.curvature_std_per_m": "0.02"}
 OBJECTS = {
     "objects.enabled": "false",
     "objects.filter": "class_ratio",
-    "objects.min_fit": "0.95",
     "objects.distance_quantile": "0.5",
     "objects.distance_pixels": "box",
     "objects.hold_s": "0",
@@ -99,35 +82,16 @@ OBJECTS = {
     "objects.max_speed_std_mps": "0.5",
     "objects.car_width_m": "6",
     "objects.path_margin_m": "3",
-    "objects.object_length_m": "0.05",
-    "objects.lateral_std_m": "2",
-    "objects.lateral_noise": "20",
 }
 IMPACTS = {"objects.min_closing_mps": "10", "objects.min_closing_sigmas": "1000"}
-LANE_PATH = {"objects.lane_width_min_m": "4.5", "objects.lane_width_max_m": "2.5"}
-EXPECTED = {"objects.min_fit_seen": "1"}
-LECTURE = {"objects.min_class_ratio": "0.9", "objects.distance_penalty": "1.0"}
 ODOMETRY = {
     "odometry.enabled": "false",
     "odometry.features": "orb",
     "odometry.min_rows": "100",
-    "odometry.max_points": "100",
-    "odometry.cell_px": "300",
-    "odometry.window_px": "40",
-    "odometry.forward_backward_px": "0.01",
-    "odometry.max_depth_m": "10",
-    "odometry.depth_std_per_m": "0.01",
-    "odometry.inlier_px": "0.3",
-    "odometry.ransac_iterations": "1",
     "odometry.min_inliers": "300",
-    "odometry.min_inlier_ratio": "1.0",
     "odometry.max_speed_mps": "1",
     "odometry.max_turn_rate_dps": "0.1",
-    "odometry.keyframe_share": "1.0",
-    "odometry.keyframe_flow_px": "1",
 }
-DESCRIPTORS = {"odometry.matcher": "flann", "odometry.match_ratio": "0.5"}
-MONO = {"odometry.min_parallax_px": "50"}
 OCCUPANCY = {
     "occupancy.enabled": "false",
     "occupancy.resolution_m": "0.4",
@@ -172,17 +136,12 @@ GROUPS = (
     (SPLINE, ("surface",), ("surface.model=spline",)),
     (STEREO, ("stereo",), ()),
     (LANES, ("surface", "lanes"), ()),
-    (LINES, ("surface", "lanes"), ("lanes.model=line",)),
     ({"lanes.use_odometry": "false"}, ("surface", "lanes", "odometry"), ()),
     (OBJECTS, ("objects",), ()),
     (IMPACTS, ("objects",), ("objects.path_margin_m=5",)),
-    (LANE_PATH, ("surface", "lanes", "objects"), ()),
-    ({"objects.path_memory_m": "0.5"}, ("surface", "odometry", "objects"), ()),
-    (LECTURE, ("objects",), ("objects.filter=class_ratio", "objects.distance_pixels=class")),
-    (EXPECTED, ("objects",), ("objects.min_class_ratio=1",)),
+    ({"objects.min_class_ratio": "0.9"}, ("objects",), ("objects.filter=class_ratio",)),
     (ODOMETRY, ("odometry",), ()),
-    (DESCRIPTORS, ("odometry",), ("odometry.features=sift",)),
-    (MONO, ("odometry",), ("mono",)),
+    ({"odometry.matcher": "flann"}, ("odometry",), ("odometry.features=sift",)),
     ({"odometry.pitch_std_deg": "0"}, ("surface", "odometry"), ("mono",)),
     (OCCUPANCY, ("surface", "occupancy"), ()),
 )

@@ -5,6 +5,8 @@ from typing import Final
 import cv2
 import numpy as np
 
+from roadperc_stream.chain.stages.odometry.features import FORWARD_BACKWARD_PX, MAX_POINTS, WINDOW_PX
+from roadperc_stream.chain.stages.odometry.keyframes import KEYFRAME_FLOW_PX, KEYFRAME_SHARE
 from roadperc_stream.config import OdometryConfig, scaled
 
 from .course import FARTHEST_M, Times
@@ -47,7 +49,7 @@ class Tracking:
             self._locate(points_m[good], there[good], K)
         self._found = there
         shift = float(np.median(np.linalg.norm((there - px)[good], axis=1))) if good.any() else np.inf
-        if good.mean() < self._cfg.keyframe_share or shift > scaled(self._cfg.keyframe_flow_px, grey.shape[0]):
+        if good.mean() < KEYFRAME_SHARE or shift > scaled(KEYFRAME_FLOW_PX, grey.shape[0]):
             self._begin(grey, depth_m, K, shrink)
 
     def _begin(self, grey: Array, depth_m: Array, K: Array, shrink: int) -> None:
@@ -55,7 +57,7 @@ class Tracking:
         self.keyframes += 1
         side = self._side(grey)
         with self._times("track"):
-            found = cv2.goodFeaturesToTrack(grey, self._cfg.max_points, _CORNER_QUALITY, side, blockSize=5)
+            found = cv2.goodFeaturesToTrack(grey, MAX_POINTS, _CORNER_QUALITY, side, blockSize=5)
         px = np.empty((0, 2), np.float32) if found is None else np.asarray(found, np.float32).reshape(-1, 2)
         columns, rows = np.rint((px + 0.5) * shrink - 0.5).astype(int).T
         z = depth_m[rows, columns]
@@ -73,7 +75,7 @@ class Tracking:
             there, found = self._flow(before, grey, px, self._found)
             back, returned = self._flow(grey, before, there, px)
         miss = np.linalg.norm(back - px, axis=1)
-        return there, found & returned & (miss < scaled(self._cfg.forward_backward_px, grey.shape[0]))
+        return there, found & returned & (miss < scaled(FORWARD_BACKWARD_PX, grey.shape[0]))
 
     def _flow(self, first: Array, second: Array, px: Array, guess: Array) -> tuple[Array, Array]:
         side = self._side(first)
@@ -99,4 +101,4 @@ class Tracking:
 
     def _side(self, grey: Array) -> int:
         """Of the window that is compared, pixels."""
-        return max(round(scaled(self._cfg.window_px, grey.shape[0])), 5) | 1
+        return max(round(scaled(WINDOW_PX, grey.shape[0])), 5) | 1

@@ -18,6 +18,12 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.model import Mask, Side
 
 _REACH_STEP_M = 6.0
+NEAR_M = 15.0
+"""A line whose nearest support lies farther ahead (ego x) is no boundary of the ego lane."""
+FIT_MAX_M = 40.0
+"""Farthest point of the boundary that the curve is fitted to: beyond, a pixel spans a metre of road and more."""
+_FIT_HUBER = 2.0
+"""Standard deviations beyond which an edge counts less and less (Huber's constant)."""
 _SHORTEST_M = 0.25
 """Length on the road from which a line has a direction: the nearest 100 rows of 960 show less than half a metre."""
 _SEARCH_M = 0.6
@@ -70,9 +76,9 @@ class Edges:
     rows: NDArray[np.int64]
 
     @classmethod
-    def of(cls, cfg: LanesConfig, points: Float, rows: Float) -> "Edges":
+    def of(cls, points: Float, rows: Float) -> "Edges":
         """Of (N, 2) points and the image row of each; what is no number is left out."""
-        ahead = np.flatnonzero((points[:, 0] > 0) & (points[:, 0] <= cfg.fit_max_m) & np.isfinite(points[:, 1]))
+        ahead = np.flatnonzero((points[:, 0] > 0) & (points[:, 0] <= FIT_MAX_M) & np.isfinite(points[:, 1]))
         ahead = ahead[np.argsort(rows[ahead], kind="stable")]
         x, y = np.ascontiguousarray(points[ahead].T)
         return cls(x, y, rows[ahead].astype(np.int64))
@@ -177,7 +183,7 @@ def fit_curve(cfg: LanesConfig, edges: Edges, line: Float, side: Side, metres_pe
     """The boundary near a line, from edges on the ground.
 
     Args:
-        cfg: reach and robustness.
+        cfg: width of the strip.
         edges: those of its side.
         line: (3,) where the Hough line has it.
         side: the boundary's side.
@@ -187,7 +193,7 @@ def fit_curve(cfg: LanesConfig, edges: Edges, line: Float, side: Side, metres_pe
         The curve, or None where too few edges support it.
     """
     near = np.abs(edges.y - lateral(line, edges.x)) < _SEARCH_M
-    if np.count_nonzero(near) < _MIN_POINTS or edges.x[near].min() > cfg.near_m:
+    if np.count_nonzero(near) < _MIN_POINTS or edges.x[near].min() > NEAR_M:
         return None
     for noise_px in _NOISE_PX:
         noise = _Noise(noise_px, metres_per_px)
@@ -220,10 +226,10 @@ def _fit_at(cfg: LanesConfig, edges: Edges, near: Mask, line: Float, inward: flo
     begin = near & (edges.x <= reach)
     aside = inward * _best_aside(edges.x[begin], edges.y[begin], line, inward, noise)
     offset, heading, curvature = line.tolist()
-    farthest = min(cfg.fit_max_m, max(noise.reach_m, nearest_m + _REACH_STEP_M))
+    farthest = min(FIT_MAX_M, max(noise.reach_m, nearest_m + _REACH_STEP_M))
     how = Following(inward, min(reach, farthest), _REACH_STEP_M, farthest, noise.is_low, _MIN_POINTS, _MIN_ROWS)
     points = Points(edges.x, edges.y, std_m, edges.rows, *noise.strip_m(cfg, std_m))
-    weighing = Weighing(cfg.fit_huber, _CORRELATED_ROWS, _CURVATURE_INFORMATION)
+    weighing = Weighing(_FIT_HUBER, _CORRELATED_ROWS, _CURVATURE_INFORMATION)
     fit = follow(points, (offset + aside, heading, curvature), how, weighing)
     if fit is None:
         return None

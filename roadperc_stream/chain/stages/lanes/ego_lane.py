@@ -7,7 +7,7 @@ import numpy as np
 
 from roadperc_stream.chain.stages.lanes import following, lines, tracking
 from roadperc_stream.chain.stages.lanes.curves import lateral, other_side, outward
-from roadperc_stream.chain.stages.lanes.following import JUDGED_AT_M, followed, least_known_m
+from roadperc_stream.chain.stages.lanes.following import JUDGED_AT_M, MAX_STD_M, MIN_WIDTH_M, followed, least_known_m
 from roadperc_stream.chain.stages.lanes.observe import Observation, RoadProjection, observe
 from roadperc_stream.chain.stages.lanes.tracking import LanesState, TrackedBoundary
 from roadperc_stream.config import LanesConfig
@@ -17,6 +17,8 @@ from roadperc_stream.model.scene import Scene
 from roadperc_stream.system.time import NS_PER_S
 
 _CHORD_AHEAD_M = 15.0
+_MAX_WIDTH_M = 7.0
+"""Widest lane: boundaries farther apart are not those of one lane."""
 _SHORTEST_DRAWN_M = 10.0
 _LEVEL_PX = 1e-6
 _STEP_M = 1.0
@@ -90,30 +92,30 @@ def _chord(state: Float, projection: RoadProjection | None, far: float | None) -
     return float(u1 + slope * (bottom - v1)), bottom, float(u1 + slope * (far - v1)), far
 
 
-def without_implausible(cfg: LanesConfig, state: LanesState) -> tuple[LanesState, dict[Side, Reason]]:
+def without_implausible(state: LanesState) -> tuple[LanesState, dict[Side, Reason]]:
     """The state without the boundary that contradicts the better one of the two, and why it is left out."""
     if state.left is None or state.right is None:
         return state, {}
     side: Side = "left" if _worse(state.left, state.right) else "right"
-    reason = _contradiction(cfg, side, state.left, state.right)
+    reason = _contradiction(side, state.left, state.right)
     if reason is None:
         return state, {}
     return state.with_side(side, None), {side: reason}
 
 
-def unusable(cfg: LanesConfig, state: LanesState) -> dict[Side, Reason]:
+def unusable(state: LanesState) -> dict[Side, Reason]:
     """Boundaries that are followed, but are none to be given in this frame, and why."""
-    reasons = {side: _fault(cfg, state, side, tracked) for side in SIDES if (tracked := state.side(side))}
+    reasons = {side: _fault(state, side, tracked) for side in SIDES if (tracked := state.side(side))}
     return {side: reason for side, reason in reasons.items() if reason is not None}
 
 
-def _fault(cfg: LanesConfig, state: LanesState, side: Side, tracked: TrackedBoundary) -> Reason | None:
+def _fault(state: LanesState, side: Side, tracked: TrackedBoundary) -> Reason | None:
     if outward(side) * tracked.offset_m <= 0:
         return Reason("lanes", "car_on_boundary", (side,))
     if not tracked.is_sure:
         at_m = least_known_m(tracked)
         std_m = tracking.std_at(tracked.track, at_m)
-        return Reason("lanes", "boundary_uncertain", (side, at_m, round(std_m, 2), cfg.max_std_m))
+        return Reason("lanes", "boundary_uncertain", (side, at_m, round(std_m, 2), MAX_STD_M))
     std_m = tracking.std_at(tracked.track, JUDGED_AT_M)
     if std_m > _CERTAIN_STD_M and not _confirmed(tracked, state.side(other_side(side))):
         return Reason("lanes", "boundary_unconfirmed", (side, JUDGED_AT_M, round(std_m, 2)))
@@ -128,10 +130,10 @@ def _confirmed(tracked: TrackedBoundary, other: TrackedBoundary | None) -> bool:
     return abs(float(lateral(apart, np.array(JUDGED_AT_M)) - apart[0])) < _PARALLEL_M
 
 
-def _contradiction(cfg: LanesConfig, side: Side, left: TrackedBoundary, right: TrackedBoundary) -> Reason | None:
+def _contradiction(side: Side, left: TrackedBoundary, right: TrackedBoundary) -> Reason | None:
     width_m = left.offset_m - right.offset_m
-    if not cfg.min_width_m <= width_m <= cfg.max_width_m:
-        return Reason("lanes", "lane_width", (side, round(width_m, 2), cfg.min_width_m, cfg.max_width_m))
+    if not MIN_WIDTH_M <= width_m <= _MAX_WIDTH_M:
+        return Reason("lanes", "lane_width", (side, round(width_m, 2), MIN_WIDTH_M, _MAX_WIDTH_M))
     reach_m = min(left.reach_m, right.reach_m)
     x = np.append(np.arange(0.0, reach_m, _STEP_M), reach_m)
     crossed: Float = x[lateral(left.track.state - right.track.state, x) <= 0]
@@ -173,11 +175,11 @@ def step(
     observation = None if isinstance(found, Absent) else found
     after = _followed(cfg, _remembered(cfg, state, motion, scene.stamp_ns), motion, observation, scene.stamp_ns)
     after = following.handed_over(cfg, after, observation, scene.stamp_ns)
-    after, implausible = without_implausible(cfg, after)
+    after, implausible = without_implausible(after)
     after = replace(after, lane_change=following.change_of(cfg, after.lane_change, after))
     if isinstance(found, Absent) and after.left is None and after.right is None:
         return after, found
-    reasons = implausible | unusable(cfg, after)
+    reasons = implausible | unusable(after)
     projection = None if isinstance(surface, Absent) else RoadProjection(scene.camera, scene.ego_T_camera, surface)
     boundaries = _boundaries(after, found, reasons, projection)
     lanes = Lanes(boundaries, lane_change=after.lane_change, lane_changes=after.lane_changes)

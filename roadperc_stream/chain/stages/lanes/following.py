@@ -18,6 +18,10 @@ from roadperc_stream.model import SIDES, LaneChange, Side
 
 JUDGED_AT_M = 10.0
 """How far ahead a boundary must be known, as well as at the car."""
+MIN_WIDTH_M = 2.0
+"""Narrowest lane: of boundaries closer together one is none."""
+MAX_STD_M = 0.16
+"""Standard deviation, at the car or ``JUDGED_AT_M`` ahead, beyond which a boundary is lost: it might be anywhere."""
 _SAME_M = 0.6
 """A line so close to the other boundary's prediction is that boundary, both edges of a double line included."""
 _MARKING_M = 0.15
@@ -51,7 +55,7 @@ def followed(
     curve = observation.curves.get(side) if observation else None
     # While the other side's boundary is crossed the car has it on both sides.
     if observation and curve and other and abs(float(curve.state[0]) - other.offset_m) < _SAME_M:
-        curve = observation.curve_beyond(cfg, side, outward(side) * other.offset_m + cfg.min_width_m)
+        curve = observation.curve_beyond(cfg, side, outward(side) * other.offset_m + MIN_WIDTH_M)
     if before is not None:
         for candidate in _candidates(cfg, side, before, observation, curve):
             updated = tracking.update(cfg, before.track, candidate.state, candidate.covariance)
@@ -77,12 +81,12 @@ def measured(
         inside=tracked.inside.add(cfg, stamp_ns, inside),
         outside=tracked.outside.add(cfg, stamp_ns, outside),
     )
-    return judged(cfg, now)
+    return judged(now)
 
 
-def judged(cfg: LanesConfig, tracked: TrackedBoundary) -> TrackedBoundary:
+def judged(tracked: TrackedBoundary) -> TrackedBoundary:
     """The boundary, and whether it is known well enough to be given."""
-    return replace(tracked, is_sure=tracking.std_at(tracked.track, least_known_m(tracked)) <= cfg.max_std_m)
+    return replace(tracked, is_sure=tracking.std_at(tracked.track, least_known_m(tracked)) <= MAX_STD_M)
 
 
 def least_known_m(tracked: TrackedBoundary) -> float:
@@ -125,7 +129,7 @@ def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | 
         if far_edge is not None:
             updated = tracking.update(cfg, track, far_edge.state, far_edge.covariance)
             track = updated or tracking.start(far_edge.state, far_edge.covariance, stamp_ns)
-        inner = judged(cfg, TrackedBoundary(track, crossed.reach_m, crossed.outside, crossed.inside))
+        inner = judged(TrackedBoundary(track, crossed.reach_m, crossed.outside, crossed.inside))
         outer = followed(cfg, side, None, inner, observation, stamp_ns)
         changed = replace(state, lane_change=side, lane_changes=state.lane_changes + 1)
         return changed.with_side(side, outer).with_side(other_side(side), inner)

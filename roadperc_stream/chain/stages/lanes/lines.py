@@ -19,6 +19,13 @@ _ROAD_MARGIN_PX = 2.0
 _ROAD_COLUMNS = 0.01
 """Share of the columns that are road in a row from which the row shows the road."""
 _MIN_VERTICAL = 1e-6
+_HOUGH_THETA_DEG = 1.0
+"""Resolution of the angle in the Hough transform: 2 px over the length of the shortest line, 100 px."""
+_MIN_SLOPE = 0.3
+"""Rows per column below which a line is too flat in the image for a boundary of the ego lane."""
+_MERGE_SLOPE = 0.1
+_MERGE_INTERCEPT_PX = 40.0
+"""Lines whose slopes differ by less, and at 960 rows their rows at the image's left edge, may be one and the same."""
 _AROUND_PX = 5
 """Rows beside a mask that its edges depend on: half of the largest Sobel filter, and Canny's neighbours."""
 
@@ -79,7 +86,7 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
     found = cv2.HoughLinesP(
         edges,
         cfg.hough_rho_px * scale,
-        np.radians(cfg.hough_theta_deg),
+        np.radians(_HOUGH_THETA_DEG),
         max(round(cfg.hough_threshold * scale), 1),
         minLineLength=cfg.hough_min_length_px * scale,
         maxLineGap=cfg.hough_max_gap_px * scale,
@@ -87,14 +94,14 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
     return np.empty((0, 4)) if found is None else found.reshape(-1, 4).astype(float)
 
 
-def on_road(cfg: LanesConfig, proposals: Float, drivable: Mask) -> Float:
+def on_road(proposals: Float, drivable: Mask) -> Float:
     """The (M, 4) proposals that are steep enough and lie on the (H, W) drivable surface for over half of their length.
 
     A vertical line is steep, one within a single row is not. The surface is widened by a pixel or two, for the edge of
     a curb lies just outside it.
     """
     dx, dy = np.abs(proposals[:, 2:] - proposals[:, :2]).T
-    steep = proposals[(dy > 0) & (dy >= cfg.min_slope * dx)]
+    steep = proposals[(dy > 0) & (dy >= _MIN_SLOPE * dx)]
     margin_px = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
     kept: Float = steep[line_shares(steep, drivable, margin_px) > _ON_ROAD]
     return kept
@@ -125,9 +132,9 @@ def line_shares(lines: Float, mask: Mask, margin_px: int) -> Float:
     return shares
 
 
-def merge(cfg: LanesConfig, proposals: Float, rows: int) -> tuple[LineGroup, ...]:
+def merge(proposals: Float, rows: int) -> tuple[LineGroup, ...]:
     """Proposals joined greedily: each goes to the first group whose first line has nearly its slope and intercept."""
-    reach = scaled(cfg.merge_intercept_px, rows)
+    reach = scaled(_MERGE_INTERCEPT_PX, rows)
     groups: list[list[tuple[float, float, float, float]]] = []
     for x1, y1, x2, y2 in proposals.tolist():
         dx = x2 - x1 if abs(x2 - x1) > _MIN_VERTICAL else _MIN_VERTICAL
@@ -135,7 +142,7 @@ def merge(cfg: LanesConfig, proposals: Float, rows: int) -> tuple[LineGroup, ...
         intercept = y1 - slope * x1
         line = (slope, intercept, min(y1, y2), max(y1, y2))
         for group in groups:
-            if abs(group[0][0] - slope) < cfg.merge_slope and abs(group[0][1] - intercept) < reach:
+            if abs(group[0][0] - slope) < _MERGE_SLOPE and abs(group[0][1] - intercept) < reach:
                 group.append(line)
                 break
         else:

@@ -7,7 +7,16 @@ from numpy.typing import NDArray
 
 from roadperc_stream.chain.kernels import mark
 from roadperc_stream.chain.stages.lanes import lines
-from roadperc_stream.chain.stages.lanes.curves import Curve, Edges, fit_curve, lateral, line_on_ground, outward
+from roadperc_stream.chain.stages.lanes.curves import (
+    FIT_MAX_M,
+    NEAR_M,
+    Curve,
+    Edges,
+    fit_curve,
+    lateral,
+    line_on_ground,
+    outward,
+)
 from roadperc_stream.chain.stages.lanes.lines import LineGroup
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Camera, Float, inverse, project, transform
@@ -22,6 +31,8 @@ _OUTSIDE_M = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Distances beside a boundary at which the class there is sampled; a double marking is 0.35 m wide."""
 _MARKINGS = ("road_line",)
 _LINE_SAMPLES = 20
+_LINE_STD = np.array([0.05, 0.01, 0.002])
+"""Standard deviations of the offset (m), heading (rad) and curvature (1/m) of a line by the model ``line``."""
 _CLASS_AHEAD_M = np.arange(4.0, 14.0, 0.5)
 
 
@@ -144,13 +155,13 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     separators = mark(tags, table.lookup(cfg.separators))
     edge_pixels = lines.edges_of(cfg, separators)
     proposals = lines.propose(cfg, edge_pixels)
-    groups = lines.merge(cfg, lines.on_road(cfg, proposals, drivable), projection.camera.height)
+    groups = lines.merge(lines.on_road(proposals, drivable), projection.camera.height)
     edges = {}
     for side in SIDES if cfg.model == "curve" else ():
         pixels = facing_edges(separators[far:], drivable, side, far)
-        edges[side] = Edges.of(cfg, projection.ground(pixels)[:, :2], pixels[:, 1])
+        edges[side] = Edges.of(projection.ground(pixels)[:, :2], pixels[:, 1])
     found = Observation(projection, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
-    near = _near_lines(cfg, projection, groups)
+    near = _near_lines(projection, groups)
     curves = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
     return replace(found, near=near, curves=curves)
 
@@ -169,9 +180,7 @@ def _ends_of_runs(marked: Image, towards: int) -> tuple[NDArray[np.intp], NDArra
     return rows[order], columns[order]
 
 
-def _near_lines(
-    cfg: LanesConfig, projection: RoadProjection, groups: tuple[LineGroup, ...]
-) -> dict[Side, tuple[LineGroup, ...]]:
+def _near_lines(projection: RoadProjection, groups: tuple[LineGroup, ...]) -> dict[Side, tuple[LineGroup, ...]]:
     """The lines on each side of the car's path at the image's bottom, among those with near support, closest first.
 
     A short fragment far away would otherwise extrapolate to the closest position.
@@ -180,7 +189,7 @@ def _near_lines(
         return {}
     bottom, path = float(projection.camera.height), projection.path_column()
     nearest_m = projection.ground(np.array([(group.x(group.bottom_px), group.bottom_px) for group in groups]))[:, 0]
-    near = [group for group, x in zip(groups, nearest_m.tolist(), strict=True) if x <= cfg.near_m]  # NaN is not near
+    near = [group for group, x in zip(groups, nearest_m.tolist(), strict=True) if x <= NEAR_M]  # NaN is not near
     left = [group for group in near if group.x(bottom) < path and group.slope < 0]
     right = [group for group in near if group.x(bottom) >= path and group.slope > 0]
     closest_first: dict[Side, tuple[LineGroup, ...]] = {
@@ -196,5 +205,4 @@ def _curve(cfg: LanesConfig, observation: Observation, side: Side, group: LineGr
     line = line_on_ground(observation.projection.ground(np.array([(group.x(row), row) for row in rows])))
     if line is None or cfg.model == "curve":
         return None if line is None else observation.curve_along(cfg, side, line)
-    std = np.array([cfg.offset_std_m, cfg.heading_std, cfg.curvature_std_per_m])
-    return Curve(line, np.diag(std**2), cfg.fit_max_m)
+    return Curve(line, np.diag(_LINE_STD**2), FIT_MAX_M)

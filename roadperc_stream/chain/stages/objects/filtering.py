@@ -51,6 +51,11 @@ AS_EXPECTED = 0.1
 """Share by which the distance of an object that is known may differ from the expected one."""
 LEAST_RATIO = 0.2
 """Share of its class in a box that shows an object nobody has seen before, however well it fits."""
+_MIN_FIT = 0.7
+"""Fit of its pixels' bounds to the box above which a detection is kept; what the box holds beside them costs less than
+what they hold beside it."""
+_MIN_FIT_SEEN = 0.2
+"""The same where an object has been seen for ``carry_after_s``; there ``min_class_ratio`` is enough, too."""
 
 
 def choose(
@@ -187,8 +192,8 @@ def _filtered(
     if scene.tags is not None and lookup is not None:
         ratio = count_of_class(scene.tags[y0:y1, x0:x1], lookup) / ((y1 - y0) * (x1 - x0))
     fit, measured = candidate if cfg.distance_pixels == "region" else (candidate[0], UNKNOWN)
-    of_class = _of_class(scene, lookup, box) if fit <= cfg.min_fit or measured == UNKNOWN else None
-    beyond = fit <= cfg.min_fit and divides(scene) and _mostly_beyond(scene, box, of_class)
+    of_class = _of_class(scene, lookup, box) if fit <= _MIN_FIT or measured == UNKNOWN else None
+    beyond = fit <= _MIN_FIT and divides(scene) and _mostly_beyond(scene, box, of_class)
     kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     if beyond and cfg.distance_pixels == "region":
         measured = Measured(beyond_range=True)
@@ -242,5 +247,5 @@ def _is_kept(cfg: ObjectsConfig, scene: Scene, ratio: float, fit: float, *, expe
     if cfg.filter == "class_ratio" or not divides(scene):
         return of_class
     if expected:
-        return fit > cfg.min_fit_seen or of_class
-    return of_class if beyond else fit > cfg.min_fit and ratio > LEAST_RATIO
+        return fit > _MIN_FIT_SEEN or of_class
+    return of_class if beyond else fit > _MIN_FIT and ratio > LEAST_RATIO

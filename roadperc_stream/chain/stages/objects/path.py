@@ -22,6 +22,16 @@ _TURNING_FROM_M = 1e-3
 """A shorter step says nothing of the direction in which the car drives."""
 _STRAIGHT_M = 0.1
 """Less way than this says nothing of a curvature."""
+PATH_MEMORY_M = 5.0
+"""Way over which the path's curvature by odometry is averaged, the latest metres counting most."""
+_LANE_WIDTH_MIN_M = 2.0
+"""A narrower lane is none that the car drives in."""
+_LANE_WIDTH_MAX_M = 5.0
+"""In a wider lane the path runs along its boundaries, but where the car is, not in the middle."""
+_OBJECT_LENGTH_M = 5.0
+"""Pixels so far behind an object's nearest point count for its place beside the path: a car's length."""
+_LATERAL_STD_M = 0.1
+"""Least standard deviation of where an object's edges are beside the path."""
 _MOST_PIXELS = 1000
 """A place needs no more."""
 _FEWEST_PIXELS = 5
@@ -75,14 +85,14 @@ class DrivenArc:
     turned: float = 0.0
     driven_m: float = 0.0
 
-    def after(self, cfg: ObjectsConfig, last_T_this: Float | None) -> "DrivenArc":
+    def after(self, last_T_this: Float | None) -> "DrivenArc":
         """After a step, by metres, not by time: a car that stands still keeps what its wheels point at."""
         if last_T_this is None:
             return self
         way_m = hypot(last_T_this[0, 3], last_T_this[1, 3])
         if way_m < _TURNING_FROM_M:
             return self
-        fading = exp(-way_m / cfg.path_memory_m)
+        fading = exp(-way_m / PATH_MEMORY_M)
         turn = atan2(last_T_this[1, 0], last_T_this[0, 0])
         return DrivenArc(fading * self.turned + turn, fading * self.driven_m + way_m)
 
@@ -92,20 +102,19 @@ class DrivenArc:
         return self.turned / self.driven_m if self.driven_m >= _STRAIGHT_M else None
 
 
-def path_of(cfg: ObjectsConfig, lanes: Lanes | None, arc: DrivenArc) -> EgoPath:
+def path_of(lanes: Lanes | None, arc: DrivenArc) -> EgoPath:
     """The lane's middle; along a boundary where the lane is not known; the circle the car drives on; straight ahead.
 
     Args:
-        cfg: which widths a lane may have.
         lanes: the frame's, None where they were not looked for or could not be found.
         arc: what odometry says of the last metres.
     """
     known = [] if lanes is None else [line for side in SIDES if (line := _known(lanes.side(side))) is not None]
     width_m = known[0][0] - known[1][0] if len(known) == len(SIDES) else None
-    if known and (width_m is None or width_m >= cfg.lane_width_min_m):
+    if known and (width_m is None or width_m >= _LANE_WIDTH_MIN_M):
         offset, heading, curvature = (fsum(values) / len(values) for values in zip(*known, strict=True))
         changes = None if lanes is None else lanes.lane_changes
-        if width_m is None or width_m > cfg.lane_width_max_m:
+        if width_m is None or width_m > _LANE_WIDTH_MAX_M:
             return EgoPath("boundary", 0.0, heading, curvature, None, changes)
         return EgoPath("lane", offset, heading, curvature, width_m / 2, changes)
     curvature_per_m = arc.curvature_per_m
@@ -121,11 +130,10 @@ def _known(boundary: Boundary) -> tuple[float, float, float] | None:
     return boundary.offset_m, boundary.heading, boundary.curvature_per_m or 0.0
 
 
-def extent(cfg: ObjectsConfig, scene: Scene, path: EgoPath, item: Object) -> Extent | None:
-    """Where the object's nearest pixels lie, to ``object_length_m`` behind its nearest point.
+def extent(scene: Scene, path: EgoPath, item: Object) -> Extent | None:
+    """Where the object's nearest pixels lie, as far as a car is long behind its nearest point.
 
     Args:
-        cfg: lengths and deviations.
         scene: the frame.
         path: the car's, in the ego frame.
         item: with its distance, this frame's own.
@@ -135,17 +143,15 @@ def extent(cfg: ObjectsConfig, scene: Scene, path: EgoPath, item: Object) -> Ext
     """
     if item.distance_m is None or scene.depth_m is None:
         return None
-    points, ranges_m = _points(cfg, scene, scene.depth_m, item.detection, item.distance_m)
+    points, ranges_m = _points(scene, scene.depth_m, item.detection, item.distance_m)
     if len(points) < _FEWEST_PIXELS:
         return None
     right, left = ranked(left_of(points, scene.ego_T_camera, path.circle), _OUTERMOST, 1.0 - _OUTERMOST)
     nearest_ray = *mean_direction(points, ranges_m, ranked(ranges_m, _NEAREST)[0]), 1.0
-    return Extent(right, left, cfg.lateral_std_m + _STD_SHARE * item.distance_m, nearest_ray)
+    return Extent(right, left, _LATERAL_STD_M + _STD_SHARE * item.distance_m, nearest_ray)
 
 
-def _points(
-    cfg: ObjectsConfig, scene: Scene, depth_m: Float32, detection: Detection, distance_m: float
-) -> tuple[Float, Float]:
+def _points(scene: Scene, depth_m: Float32, detection: Detection, distance_m: float) -> tuple[Float, Float]:
     """(N, 3) points of the object in the camera's frame, and their distances.
 
     They are of pixels spread over its box: of every one of a small box.
@@ -155,7 +161,7 @@ def _points(
     step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
     lookup = None if scene.table is None else label_lookup(scene.table, detection.label)
     of_class = None if scene.tags is None or lookup is None else (scene.tags, lookup)
-    behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, cfg.object_length_m
+    behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, _OBJECT_LENGTH_M
     pinhole = camera.fx, camera.fy, camera.cx, camera.cy
     return object_points(depth_m, pinhole, (x0, y0, x1, y1, step), of_class, distance_m, behind_m)
 

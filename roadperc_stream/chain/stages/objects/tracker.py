@@ -28,6 +28,8 @@ MOST_TRACKS = 256
 """Objects that are remembered; beyond, those longest without a detection are forgotten."""
 EXPECTED_OVERLAP = 0.4
 """Intersection over union with the predicted box from which a detection is where its object is expected."""
+DISTANCE_PENALTY = 0.3
+"""Share of the overlap that does not count where the distances contradict each other."""
 _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0
 """Most that is searched to each side of the predicted centre, in box sides."""
@@ -91,8 +93,8 @@ def step(
         Last is the obstacle that ``objects.template_png`` shows. Absent where there are neither detections nor objects
         found without them.
     """
-    arc = state.arc.after(cfg, last_T_this)
-    path = path_of(cfg, ego_lane, arc)
+    arc = state.arc.after(last_T_this)
+    path = path_of(ego_lane, arc)
     now_T_last = None if last_T_this is None else inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
     known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in state.tracks]
     known = [track for track in known if not tracking.expired(cfg, track)]
@@ -102,7 +104,7 @@ def step(
     kept = _kept(scene.camera, own)
     pairs = assign(cfg, known, kept.items, kept.boxes)
     detected = {
-        k: tracking.placed(track, extent(cfg, scene, path, own[k]), _template(cfg, scene, track))
+        k: tracking.placed(track, extent(scene, path, own[k]), _template(cfg, scene, track))
         for k, track in _detected(cfg, state.next_number, scene, known, kept, pairs).items()
     }
     missed = [track for k, track in enumerate(known) if k not in pairs]
@@ -166,7 +168,7 @@ def similarities(
     ours, theirs = kinds([track.detection.label for track in tracks], [item.detection.label for item in items])
     with np.errstate(all="ignore"):  # boxes may be beyond all numbers: what is no number is no similarity
         overlap = overlaps(corners(track.box_px for track in tracks), corners(boxes))
-        scores = overlap * (1.0 - cfg.distance_penalty * _contradictions(cfg, tracks, items))
+        scores = overlap * (1.0 - DISTANCE_PENALTY * _contradictions(cfg, tracks, items))
         fits = (ours[:, None] == theirs) & (scores >= cfg.min_overlap)
     return np.where(fits, scores, 0.0)
 
@@ -261,7 +263,7 @@ def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrac
     after = tracking.observed(cfg, track, item, item.detection.box_px)
     if similarities(cfg, [after], kept.items, kept.boxes).any():
         return lost
-    return _Searched(tracking.placed(after, extent(cfg, scene, path, item), after.template), item, correlation)
+    return _Searched(tracking.placed(after, extent(scene, path, item), after.template), item, correlation)
 
 
 def _around(track: ObjectTrack) -> Box:

@@ -19,6 +19,8 @@ from roadperc_stream.system.time import NS_PER_S
 _FIRST_SPEED_STD_MPS = 20.0
 _FIRST_DRIFT_STD_MPS = 3.0
 """Of an unknown motion across the path."""
+_LATERAL_NOISE = 1.0
+"""m/s by which the speed of an object's edges across the path changes within a second."""
 _SIDE_STD = 0.03
 """Of a detected box's centre, in box sides."""
 _LEAST_STD_PX = 0.5
@@ -116,7 +118,7 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
     x_px = track.x_px.predict(_DRIFT_WALK * width, dt_s)
     y_px = track.y_px.predict(_DRIFT_WALK * height, dt_s)
     distance_m, rival_m = (m.predict(cfg.process_noise, dt_s) if m else None for m in (track.distance_m, track.rival_m))
-    right_m, left_m = (m.predict(cfg.lateral_noise, dt_s) if m else None for m in (track.right_m, track.left_m))
+    right_m, left_m = (m.predict(_LATERAL_NOISE, dt_s) if m else None for m in (track.right_m, track.left_m))
     ego_rate = _ego_rate(track, now_T_last, dt_s)
     if ego_rate is not None and track.ego_rate is not None:
         change_m = (ego_rate.mean_mps - track.ego_rate.end_mps) * dt_s

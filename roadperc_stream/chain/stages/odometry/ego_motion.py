@@ -48,6 +48,8 @@ _SCALE_REASONS: Final[dict[Scale | None, Reason]] = {
 }
 _ASTRAY_PX = 20.0
 """Distance, at 960 rows, from the pixel that steady motion predicts beyond which something else was found."""
+MIN_INLIER_RATIO: Final = 0.25
+"""Share of the points in sight that must agree on a steady motion, twice that on an unforeseen one."""
 _ITERATIONS = 4
 _FARTHEST_PX = 1.5
 """Shift beyond which the alignment has found something else."""
@@ -241,13 +243,13 @@ def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
     First where they are if the car moved on as it did, and only near there: a road's texture repeats itself, and its
     next repetition is a consistent motion too. Then, if need be, around where they were found last; NaN: anywhere.
     """
-    cfg, frame, keyframe, last = this.cfg, this.frame, this.keyframe, this.last
+    frame, keyframe, last = this.frame, this.keyframe, this.last
     if last.velocity is not None:
         odom_T_camera = this.odom_T_last @ moved(last.velocity * this.seconds) @ frame.ego_T_camera
         camera_T_key = inverse(odom_T_camera) @ keyframe.odom_T_camera
         predicted = project(frame.camera, transform(camera_T_key, keyframe.landmarks.points_m)).astype(np.float32)
-        yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, cfg.min_inlier_ratio
-    yield last.found_px, np.full_like(last.found_px, np.nan), min(2 * cfg.min_inlier_ratio, 1.0)
+        yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, MIN_INLIER_RATIO
+    yield last.found_px, np.full_like(last.found_px, np.nan), 2 * MIN_INLIER_RATIO
 
 
 def _possible(this: FollowedFrame, estimate: Estimate) -> bool:
@@ -266,13 +268,13 @@ def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> i
 
 def _localised(this: FollowedFrame, px: Float32) -> Estimate | None:
     """The motion estimated from the features' pixels, and the pose that follows."""
-    cfg, camera, landmarks = this.cfg, this.frame.camera, this.keyframe.landmarks
+    camera, landmarks = this.frame.camera, this.keyframe.landmarks
     if landmarks.source != "depth":
         return _localised_without_depth(this, px)
-    motion = motion_from_points(cfg, camera, landmarks.points_m, px)
+    motion = motion_from_points(camera, landmarks.points_m, px)
     if motion is not None:
         px = aligned(this.keyframe, this.frame, motion.this_T_key)
-        motion = motion_from_points(cfg, camera, landmarks.points_m, px, motion.this_T_key)
+        motion = motion_from_points(camera, landmarks.points_m, px, motion.this_T_key)
     if motion is None:
         return None
     odom_T_ego = this.pose(motion)
@@ -286,7 +288,7 @@ def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | Non
     seconds = (frame.stamp_ns - this.keyframe.stamp_ns) / NS_PER_S
     length = _FIRST_LENGTH if last.velocity is None else float(np.linalg.norm(last.velocity[:3])) * seconds
     points_m = np.full_like(landmarks.points_m, np.nan) if on_road else landmarks.points_m
-    motion = motion_from_rays(cfg, frame.camera, features_px, px, points_m, length)
+    motion = motion_from_rays(frame.camera, features_px, px, points_m, length)
     if motion is None:
         return None
     odom_T_ego = this.pose(motion)

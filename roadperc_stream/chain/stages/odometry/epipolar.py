@@ -9,8 +9,8 @@ would then be fitted to noise.
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.stages.odometry.motion import PIXEL_STD_PX, Motion
-from roadperc_stream.config import OdometryConfig, scaled
+from roadperc_stream.chain.stages.odometry.motion import INLIER_PX, PIXEL_STD_PX, RANSAC_ITERATIONS, Motion
+from roadperc_stream.config import scaled
 from roadperc_stream.geometry import Camera, Float, Float32, project, rays, rigid
 from roadperc_stream.geometry.rotations import rotation_from_vector
 from roadperc_stream.model import Mask
@@ -22,6 +22,9 @@ _MIN_KNOWN = 5
 _MIN_DEPTH_PARALLAX_PX = 2.0
 """Parallax, at 960 rows, from which a point is triangulated."""
 _EVALUATIONS = 20
+_MIN_PARALLAX_PX = 1.5
+"""Shift of the points at 960 rows, the turn's own left out, below which the camera is assumed to stand still: three
+standard deviations."""
 _STANDING_SHARE = 0.75
 """Share of the points that must lie where a rotation alone predicts them if the camera stands."""
 _REWEIGHTINGS = 5
@@ -30,7 +33,6 @@ _SMALL_ANGLE = 1e-4
 
 
 def motion_from_rays(
-    cfg: OdometryConfig,
     camera: Camera,
     key_px: Float32,
     px: Float32,
@@ -40,7 +42,6 @@ def motion_from_rays(
     """The motion between two images.
 
     Args:
-        cfg: thresholds.
         camera: of both.
         key_px: (N, 2) pixels in the keyframe.
         px: (N, 2) pixels in this frame, NaN not found.
@@ -54,8 +55,8 @@ def motion_from_rays(
     if len(usable) < _SMALLEST_SET:
         return None
     a, b = rays(camera, key_px[usable].astype(float)), rays(camera, px[usable].astype(float))
-    standing = _standing(cfg, camera, a, px[usable])
-    direction = standing or _direction(cfg, camera, a, b)
+    standing = _standing(camera, a, px[usable])
+    direction = standing or _direction(camera, a, b)
     if direction is None:
         return None
     R, t, agrees, pulls = direction
@@ -64,7 +65,7 @@ def motion_from_rays(
     if standing is not None:
         return Motion(rigid(R, t), inliers, points_m, None, scaled=True)
     known = agrees & np.isfinite(points_m[usable, 2])
-    length = _length(cfg, camera, R, t, points_m[usable][known], b[known])
+    length = _length(camera, R, t, points_m[usable][known], b[known])
     metres, variance = length or (fallback_length, 0.0)
     filled = points_m.copy()
     new = usable[agrees & ~np.isfinite(points_m[usable, 2])]
@@ -74,13 +75,13 @@ def motion_from_rays(
     return Motion(rigid(R, metres * t), inliers, filled, influence, length is not None, variance)
 
 
-def _standing(cfg: OdometryConfig, camera: Camera, a: Float, px: Float32) -> tuple[Float, Float, Mask, Float] | None:
+def _standing(camera: Camera, a: Float, px: Float32) -> tuple[Float, Float, Mask, Float] | None:
     """The rotation alone, where it predicts nearly all points; None where the camera has moved."""
     R = _turn(a, rays(camera, px.astype(float)))
     shift_px = np.linalg.norm(project(camera, a @ R.T) - px, axis=1)
-    if not np.quantile(shift_px, _STANDING_SHARE) < scaled(cfg.min_parallax_px, camera.height):
+    if not np.quantile(shift_px, _STANDING_SHARE) < scaled(_MIN_PARALLAX_PX, camera.height):
         return None
-    return R, np.zeros(3), shift_px < scaled(cfg.inlier_px, camera.height), np.zeros((len(a), 6))
+    return R, np.zeros(3), shift_px < scaled(INLIER_PX, camera.height), np.zeros((len(a), 6))
 
 
 def _turn(a: Float, b: Float) -> Float:
@@ -95,7 +96,7 @@ def _turn(a: Float, b: Float) -> Float:
     return R
 
 
-def _direction(cfg: OdometryConfig, camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, Float] | None:
+def _direction(camera: Camera, a: Float, b: Float) -> tuple[Float, Float, Mask, Float] | None:
     """R, unit t with b ~ R a + t, (N,) inliers, and the (N, 6) pulls of all points on unit t and R."""
     E, _ = cv2.findEssentialMat(
         a[:, :2],
@@ -103,12 +104,12 @@ def _direction(cfg: OdometryConfig, camera: Camera, a: Float, b: Float) -> tuple
         np.eye(3),
         method=cv2.USAC_DEFAULT,
         prob=_CONFIDENCE,
-        threshold=scaled(cfg.inlier_px, camera.height) / camera.fx,
-        maxIters=cfg.ransac_iterations,
+        threshold=scaled(INLIER_PX, camera.height) / camera.fx,
+        maxIters=RANSAC_ITERATIONS,
     )
     if E is None or E.shape != (3, 3):
         return None
-    gate = scaled(cfg.inlier_px, camera.height) / camera.fx
+    gate = scaled(INLIER_PX, camera.height) / camera.fx
     _, rotation, translation, _ = cv2.recoverPose(E, a[:, :2], b[:, :2], np.eye(3), mask=None)
     R, t = np.asarray(rotation, float), np.ravel(np.asarray(translation, float))
     agrees = np.abs(_sampson(R, t, a, b)) < gate
@@ -150,7 +151,7 @@ def _sampson(R: Float, t: Float, a: Float, b: Float) -> Float:
     return np.asarray(np.sum(b * Ea, axis=1) / np.sqrt(np.sum(Ea[:, :2] ** 2 + Eb[:, :2] ** 2, axis=1)))
 
 
-def _length(cfg: OdometryConfig, camera: Camera, R: Float, t: Float, X: Float, b: Float) -> tuple[float, float] | None:
+def _length(camera: Camera, R: Float, t: Float, X: Float, b: Float) -> tuple[float, float] | None:
     """Length of the motion and its variance, from known points.
 
     Each point gives one: b x (R X + length t) = 0. The weighted median of them starts a least squares over those that
@@ -165,7 +166,7 @@ def _length(cfg: OdometryConfig, camera: Camera, R: Float, t: Float, X: Float, b
     order = np.argsort(lengths)
     cumulative = np.cumsum(px_per_m[order])
     median = float(lengths[order][np.searchsorted(cumulative, cumulative[-1] / 2)])
-    close = np.abs(lengths - median) * px_per_m < scaled(cfg.inlier_px, camera.height)
+    close = np.abs(lengths - median) * px_per_m < scaled(INLIER_PX, camera.height)
     if not median > 0 or int(np.sum(close)) < _MIN_KNOWN:
         return None
     weights = px_per_m[close] ** 2

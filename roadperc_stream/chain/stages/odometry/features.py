@@ -27,6 +27,16 @@ _REFINING_LEVELS = 0
 _FLOW_STOP: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
 _CORNER_BLOCK_PX = 5
 _SMALLEST_WINDOW_PX = 5
+MAX_POINTS: Final = 400
+"""Points per keyframe: twice as many take twice as long and hardly improve the motion."""
+_CELL_PX: Final = 80.0
+"""Side, at 960 rows, of the cells that share the points equally: points all over the image determine the rotation."""
+WINDOW_PX: Final = 20.0
+"""Side, at 960 rows, of the window that flow compares; corners are as far apart, and as far from movable things."""
+FORWARD_BACKWARD_PX: Final = 1.0
+"""Largest distance, at 960 rows, by which a point followed into the frame and back may miss where it came from."""
+_MATCH_RATIO: Final = 0.8
+"""Largest ratio of a match's descriptor distance to that of the second nearest (Lowe 2004)."""
 _CORNER_FLOOR = 1e-5
 """Eigenvalue below which a window has no texture that could be tracked."""
 _CANDIDATES_PER_POINT = 4
@@ -95,12 +105,12 @@ class Features:
 class Frontend:
     """One way to detect features and to match them.
 
-    ``detect(cfg, grey, allowed)`` gives the features of an image where ``allowed`` (uint8) is not 0, and their (N,)
+    ``detect(grey, allowed)`` gives the features of an image where ``allowed`` (uint8) is not 0, and their (N,)
     strengths. ``match(cfg, before, features, guess_px, grey)`` gives the (N, 2) pixels in ``grey`` of the features of
     the image ``before``, NaN where they are not found; descriptors need no guess.
     """
 
-    detect: Callable[[OdometryConfig, Image, Image], tuple[Features, Float32]]
+    detect: Callable[[Image, Image], tuple[Features, Float32]]
     match: Callable[[OdometryConfig, Image, Features, Float32, Image], Float32]
 
 
@@ -118,7 +128,7 @@ def tracking_frame(cfg: OdometryConfig, scene: Scene, grey: Image, road: Surface
         grey = np.asarray(cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
         camera = _halved(camera)
         shrink *= 2
-    movable = _movable(cfg, scene, grey)
+    movable = _movable(scene, grey)
     return TrackingFrame(camera, scene.ego_T_camera, grey, shrink, scene.dense_depth_m, movable, road, scene.stamp_ns)
 
 
@@ -135,7 +145,7 @@ def _halved(camera: Camera) -> Camera:
     )
 
 
-def _movable(cfg: OdometryConfig, scene: Scene, grey: Image) -> Image | None:
+def _movable(scene: Scene, grey: Image) -> Image | None:
     """Movable objects in the tracked image, and as far around them as a window reaches; None without tags."""
     if scene.tags is None or scene.table is None:
         return None
@@ -144,42 +154,41 @@ def _movable(cfg: OdometryConfig, scene: Scene, grey: Image) -> Image | None:
     movable: Image = mark(np.asarray(tags, np.uint8), scene.table.lookup(_MOVABLE))
     if not movable.any():
         return movable
-    side = max(round(scaled(cfg.window_px, rows)), 1) | 1
+    side = max(round(scaled(WINDOW_PX, rows)), 1) | 1
     return np.asarray(cv2.dilate(movable, np.ones((side, side), np.uint8)), np.uint8)
 
 
-def window_side(cfg: OdometryConfig, rows: int) -> int:
+def window_side(rows: int) -> int:
     """Side in pixels, odd, of the window that optical flow compares in an image of so many rows."""
-    return max(round(scaled(cfg.window_px, rows)), _SMALLEST_WINDOW_PX) | 1
+    return max(round(scaled(WINDOW_PX, rows)), _SMALLEST_WINDOW_PX) | 1
 
 
-def spread(cfg: OdometryConfig, px: Float32, strength: Float32, shape: tuple[int, ...]) -> NDArray[np.intp]:
-    """Indices of the strongest points of each cell, the same number from all: ``max_points`` together.
+def spread(px: Float32, strength: Float32, shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """Indices of the strongest points of each cell, the same number from all: ``MAX_POINTS`` together.
 
     Cells grow until there are no more than points; where the image's edges make it a few more, the weakest go.
 
     Args:
-        cfg: size of the cells.
         px: (N, 2) pixels.
         strength: (N,) the larger the better.
         shape: rows and columns of the image.
     """
-    side = max(scaled(cfg.cell_px, shape[0]), float(np.sqrt(shape[0] * shape[1] / cfg.max_points)))
+    side = max(scaled(_CELL_PX, shape[0]), float(np.sqrt(shape[0] * shape[1] / MAX_POINTS)))
     columns = int(np.ceil(shape[1] / side))
     cell = (px[:, 1] // side).astype(int) * columns + (px[:, 0] // side).astype(int)
     order = np.lexsort((-strength, cell))
     by_cell = cell[order]
     rank = np.arange(len(order)) - np.searchsorted(by_cell, by_cell)
-    each = max(cfg.max_points // max(len(np.unique(cell)), 1), 1)
+    each = max(MAX_POINTS // max(len(np.unique(cell)), 1), 1)
     chosen = order[rank < each]
-    strongest = np.argsort(-strength[chosen], kind="stable")[: cfg.max_points]
+    strongest = np.argsort(-strength[chosen], kind="stable")[:MAX_POINTS]
     return np.asarray(chosen[np.sort(strongest)])
 
 
-def _detect_corners(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[Features, Float32]:
+def _detect_corners(grey: Image, allowed: Image) -> tuple[Features, Float32]:
     """Pixels whose window's smaller eigenvalue is the largest within a window."""
     strength = cv2.cornerMinEigenVal(grey, _CORNER_BLOCK_PX)
-    side = window_side(cfg, grey.shape[0])
+    side = window_side(grey.shape[0])
     highest = cv2.dilate(strength, np.ones((side, side), np.uint8))
     peaks = (strength == highest) & (strength > _CORNER_FLOOR) & allowed.view(bool)
     # np.nonzero of two axes takes several times as long.
@@ -188,16 +197,16 @@ def _detect_corners(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[F
     return Features(px, np.empty((len(px), 0), np.uint8)), np.asarray(strength[rows, columns], np.float32)
 
 
-def _detect_orb(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[Features, Float32]:
+def _detect_orb(grey: Image, allowed: Image) -> tuple[Features, Float32]:
     none = np.empty((0, 32), np.uint8)
     if min(grey.shape) < _ORB_SMALLEST_SIDE_PX:
         return Features(np.empty((0, 2), np.float32), none), np.empty(0, np.float32)
-    orb = cv2.ORB.create(nfeatures=_CANDIDATES_PER_POINT * cfg.max_points, fastThreshold=_ORB_FAST_THRESHOLD)
+    orb = cv2.ORB.create(nfeatures=_CANDIDATES_PER_POINT * MAX_POINTS, fastThreshold=_ORB_FAST_THRESHOLD)
     return _described(orb, grey, allowed, none)
 
 
-def _detect_sift(cfg: OdometryConfig, grey: Image, allowed: Image) -> tuple[Features, Float32]:
-    sift = cv2.SIFT.create(nfeatures=_CANDIDATES_PER_POINT * cfg.max_points, contrastThreshold=_SIFT_CONTRAST)
+def _detect_sift(grey: Image, allowed: Image) -> tuple[Features, Float32]:
+    sift = cv2.SIFT.create(nfeatures=_CANDIDATES_PER_POINT * MAX_POINTS, contrastThreshold=_SIFT_CONTRAST)
     return _described(sift, grey, allowed, np.empty((0, 128), np.float32))
 
 
@@ -208,28 +217,28 @@ def _described(detector: Any, grey: Image, allowed: Image, none: NDArray[Any]) -
     return Features(px, none if descriptors is None else descriptors), strength
 
 
-def _follow(cfg: OdometryConfig, before: Image, features: Features, guess_px: Float32, grey: Image) -> Float32:
-    return _flow(cfg, before, features.px, guess_px, grey, _PYRAMID_LEVELS)
+def _follow(_: OdometryConfig, before: Image, features: Features, guess_px: Float32, grey: Image) -> Float32:
+    return _flow(before, features.px, guess_px, grey, _PYRAMID_LEVELS)
 
 
 def _match_orb(cfg: OdometryConfig, before: Image, features: Features, _: Float32, grey: Image) -> Float32:
     everywhere = np.full_like(grey, 255)
-    coarse = _nearest(cfg, features, _detect_orb(cfg, grey, everywhere)[0], cv2.NORM_HAMMING)
-    return _flow(cfg, before, features.px, coarse, grey, _REFINING_LEVELS)
+    coarse = _nearest(cfg, features, _detect_orb(grey, everywhere)[0], cv2.NORM_HAMMING)
+    return _flow(before, features.px, coarse, grey, _REFINING_LEVELS)
 
 
 def _match_sift(cfg: OdometryConfig, _: Image, features: Features, __: Float32, grey: Image) -> Float32:
     everywhere = np.full_like(grey, 255)
-    return _nearest(cfg, features, _detect_sift(cfg, grey, everywhere)[0], cv2.NORM_L2)
+    return _nearest(cfg, features, _detect_sift(grey, everywhere)[0], cv2.NORM_L2)
 
 
-def _flow(cfg: OdometryConfig, before: Image, px: Float32, guess_px: Float32, grey: Image, levels: int) -> Float32:
+def _flow(before: Image, px: Float32, guess_px: Float32, grey: Image, levels: int) -> Float32:
     """(N, 2) pixels by optical flow that starts at the guess (NaN: nowhere), forward and back."""
     found = np.full_like(px, np.nan)
     tried = np.isfinite(guess_px).all(axis=1)
     if not tried.any():
         return found
-    side = window_side(cfg, grey.shape[0])
+    side = window_side(grey.shape[0])
 
     def track(a: Image, b: Image, start: Float32, guess: Float32) -> tuple[Float32, NDArray[np.uint8]]:
         end, good, _ = cv2.calcOpticalFlowPyrLK(
@@ -253,7 +262,7 @@ def _flow(cfg: OdometryConfig, before: Image, px: Float32, guess_px: Float32, gr
     chosen, there = chosen[kept], there[kept]
     back, returned = track(grey, before, there, px[chosen])
     miss = np.linalg.norm(back - px[chosen], axis=1)
-    kept = returned.astype(bool) & (miss < scaled(cfg.forward_backward_px, grey.shape[0]))
+    kept = returned.astype(bool) & (miss < scaled(FORWARD_BACKWARD_PX, grey.shape[0]))
     found[chosen[kept]] = there[kept]
     return found
 
@@ -264,7 +273,7 @@ def _nearest(cfg: OdometryConfig, features: Features, others: Features, norm: in
     if len(features.px) == 0 or len(others.px) < 2:
         return found
     pairs = MATCHERS[cfg.matcher](norm).knnMatch(features.descriptors, others.descriptors, k=2)
-    clear = [p[0] for p in pairs if len(p) == 2 and p[0].distance < cfg.match_ratio * p[1].distance]
+    clear = [p[0] for p in pairs if len(p) == 2 and p[0].distance < _MATCH_RATIO * p[1].distance]
     # Later entries win: of several that match one feature, the nearest.
     best = {match.trainIdx: match for match in sorted(clear, key=lambda match: -match.distance)}
     for match in best.values():

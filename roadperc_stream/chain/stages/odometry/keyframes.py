@@ -32,6 +32,12 @@ from roadperc_stream.geometry import (
 from roadperc_stream.model import Image, Mask, read_only
 
 _REACH_PX = 3
+_MAX_DEPTH_M: Final = 60.0
+"""Points farther away are not used: depth as logs store it ends at 65.535 m."""
+KEYFRAME_SHARE: Final = 0.5
+"""Share of the keyframe's points below which, found again as inliers, a frame becomes the next keyframe."""
+KEYFRAME_FLOW_PX: Final = 60.0
+"""Median shift of the points, at 960 rows, above which a frame becomes the next keyframe: windows differ too much."""
 _SAME_SURFACE = 0.15
 """Relative difference of depth up to which a neighbouring pixel belongs to the feature's own surface."""
 _MIN_PIXELS = 6
@@ -173,10 +179,10 @@ def _by_depth(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
     if frame.depth_m is None:
         return None
     with np.errstate(invalid="ignore"):
-        near = frame.depth_m[:: frame.shrink, :: frame.shrink] < np.float32(cfg.max_depth_m)
+        near = frame.depth_m[:: frame.shrink, :: frame.shrink] < np.float32(_MAX_DEPTH_M)
     features = _detected(cfg, frame, near.view(np.uint8))
     inverse_depth, slope = local_planes_from_depth(frame.depth_m, features.px.astype(float), frame.shrink)
-    known = inverse_depth > 1.0 / cfg.max_depth_m
+    known = inverse_depth > 1.0 / _MAX_DEPTH_M
     if int(np.sum(known)) < 2 * cfg.min_inliers:
         return None
     features = features.take(known)
@@ -205,20 +211,20 @@ def _carried_on(cfg: OdometryConfig, frame: TrackingFrame, carried: Landmarks | 
     if carried is not None:
         features, points_m = carried.features.joined(features), np.concatenate((carried.points_m, points_m))
         strength = np.concatenate((np.full(len(carried.points_m), np.inf, np.float32), strength))
-    chosen = spread(cfg, features.px, strength, frame.grey.shape)
+    chosen = spread(features.px, strength, frame.grey.shape)
     slope = np.full((len(chosen), 2), np.nan)
     return Landmarks(features.take(chosen), points_m[chosen], slope, "carried", carried is not None and carried.metric)
 
 
 def _detected(cfg: OdometryConfig, frame: TrackingFrame, allowed: Image) -> Features:
     features, strength = _candidates(cfg, frame, allowed)
-    return features.take(spread(cfg, features.px, strength, frame.grey.shape))
+    return features.take(spread(features.px, strength, frame.grey.shape))
 
 
 def _candidates(cfg: OdometryConfig, frame: TrackingFrame, allowed: Image) -> tuple[Features, Float32]:
     if frame.movable is not None:
         allowed = allowed & (frame.movable == 0)
-    return FRONTENDS[cfg.features].detect(cfg, frame.grey, allowed)
+    return FRONTENDS[cfg.features].detect(frame.grey, allowed)
 
 
 def make_keyframe(
@@ -250,9 +256,9 @@ def is_due(cfg: OdometryConfig, keyframe: Keyframe, frame: TrackingFrame, px: Fl
     """
     share = float(np.sum(inliers)) / max(len(px), 1)
     if keyframe.landmarks.source == "depth" and frame.depth_m is None:
-        return share < cfg.keyframe_share / 2 or int(np.sum(inliers)) < 2 * cfg.min_inliers
+        return share < KEYFRAME_SHARE / 2 or int(np.sum(inliers)) < 2 * cfg.min_inliers
     shift = float(np.median(np.linalg.norm(px[inliers] - keyframe.landmarks.features.px[inliers], axis=1)))
-    return share < cfg.keyframe_share or shift > scaled(cfg.keyframe_flow_px, frame.grey.shape[0])
+    return share < KEYFRAME_SHARE or shift > scaled(KEYFRAME_FLOW_PX, frame.grey.shape[0])
 
 
 def carry(landmarks: Landmarks, motion: Motion, px: Float32) -> Landmarks:

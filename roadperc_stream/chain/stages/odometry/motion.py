@@ -19,13 +19,19 @@ import numpy as np
 
 from roadperc_stream.chain.kernels import linearise
 from roadperc_stream.chain.kernels.odometry_plain import Projection, Weighting
-from roadperc_stream.config import OdometryConfig, scaled
+from roadperc_stream.config import scaled
 from roadperc_stream.geometry import Camera, Float, Float32, adjoint, inverse, rigid
 from roadperc_stream.geometry.rotations import rotation_from_vector
 from roadperc_stream.model import Mask
 
 PIXEL_STD_PX = 0.5
 """Standard deviation of a tracked point, at 960 rows, by which points are weighed."""
+INLIER_PX: Final = 2.0
+"""Largest distance, at 960 rows, of an inlier from where the motion predicts it: four standard deviations."""
+RANSAC_ITERATIONS: Final = 200
+"""Most motions tried: with half of the points wrong, one of sets of five is right with 99.8 %."""
+_DEPTH_STD_PER_M: Final = 0.0005
+"""The depth's standard deviation over the distance squared, as stereo has it: it weighs the points."""
 _HUBER = 1.5
 _ITERATIONS = 8
 _CONFIDENCE = 0.999
@@ -61,13 +67,10 @@ class Motion:
     length_variance: float = 0.0
 
 
-def motion_from_points(
-    cfg: OdometryConfig, camera: Camera, points_m: Float, px: Float32, start: Float | None = None
-) -> Motion | None:
+def motion_from_points(camera: Camera, points_m: Float, px: Float32, start: Float | None = None) -> Motion | None:
     """The motion that projects points to the pixels where they were found.
 
     Args:
-        cfg: thresholds.
         camera: of both frames.
         points_m: (N, 3) in the keyframe's camera, NaN unknown.
         px: (N, 2) pixels in this frame, NaN not found.
@@ -80,10 +83,10 @@ def motion_from_points(
     if len(usable) < _SMALLEST_SET:
         return None
     X, observed = points_m[usable], px[usable].astype(float)
-    first = _consensus(cfg, camera, X, observed) if start is None else start
+    first = _consensus(camera, X, observed) if start is None else start
     if first is None:
         return None
-    this_T_key, agreeing, pulls = refined(cfg, camera, X, observed, first)
+    this_T_key, agreeing, pulls = refined(camera, X, observed, first)
     inliers = np.zeros(len(px), bool)
     inliers[usable[agreeing]] = True
     influence = None
@@ -93,14 +96,14 @@ def motion_from_points(
     return Motion(this_T_key, inliers, points_m, influence, scaled=True)
 
 
-def _consensus(cfg: OdometryConfig, camera: Camera, X: Float, px: Float) -> Float | None:
+def _consensus(camera: Camera, X: Float, px: Float) -> Float | None:
     found, rotation, translation, _ = cv2.solvePnPRansac(
         X,
         px,
         camera.K,
         None,
-        iterationsCount=cfg.ransac_iterations,
-        reprojectionError=scaled(cfg.inlier_px, camera.height),
+        iterationsCount=RANSAC_ITERATIONS,
+        reprojectionError=scaled(INLIER_PX, camera.height),
         confidence=_CONFIDENCE,
         flags=cv2.SOLVEPNP_ITERATIVE,
     )
@@ -109,13 +112,10 @@ def _consensus(cfg: OdometryConfig, camera: Camera, X: Float, px: Float) -> Floa
     return rigid(rotation_from_vector(np.ravel(rotation)), np.ravel(translation).astype(float))
 
 
-def refined(
-    cfg: OdometryConfig, camera: Camera, X: Float, px: Float, this_T_key: Float
-) -> tuple[Float, Mask, Float | None]:
+def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Float, Mask, Float | None]:
     """Gauss-Newton over those that agree, who are chosen anew each time.
 
     Args:
-        cfg: thresholds, and the depth's standard deviation.
         camera: of both frames.
         X: (N, 3) points in the keyframe's camera.
         px: (N, 2) pixels in this frame.
@@ -126,7 +126,7 @@ def refined(
     """
     std_px = scaled(PIXEL_STD_PX, camera.height)
     projection = Projection(camera.fx, camera.fy, camera.cx, camera.cy)
-    weighting = Weighting(std_px, cfg.depth_std_per_m, _HUBER, cfg.inlier_px / PIXEL_STD_PX)
+    weighting = Weighting(std_px, _DEPTH_STD_PER_M, _HUBER, INLIER_PX / PIXEL_STD_PX)
     for _ in range(_ITERATIONS):
         residual, J, agrees = linearise(projection, weighting, X, px, this_T_key)
         N = J.T @ J

@@ -40,6 +40,14 @@ _ONE_PLACE_M = 1e-6
 _CAMERA_CENTRE = np.zeros(3)
 _COLLINEAR = 1e-3
 """Sine of the angle between two sides of a triangle below which its three points count as a line."""
+_BATCH: Final = 32
+"""Planes tried at once: enough for one matrix product, few enough to stop soon after a good one."""
+_SUBSAMPLE: Final = 2048
+"""Points that planes are tried on: the share of inliers is known to 1 %, and the refit takes all points."""
+_ENOUGH_INLIERS: Final = 0.95
+"""Share of inliers at which no further planes are tried: more cannot win by much."""
+_MIN_INLIERS: Final = 0.2
+"""Share of inliers below which there is no plane: noise and clutter alone reach less."""
 _PATCH_M: Final = 5.0
 """Length of a patch; there is one on either side of the ego x axis."""
 _REACH_M: Final = 40.0
@@ -156,11 +164,11 @@ def road_plane(
     count = int(np.count_nonzero(usable))
     if count < 3:
         return Absent(Reason("surface", "too_few_road_points", (count,)))
-    chosen = rng.integers(0, count, min(cfg.subsample, count))
+    chosen = rng.integers(0, count, min(_SUBSAMPLE, count))
     sample = points_of(camera, depth_m, marked(usable.view(np.uint8), chosen))
     plane = _ransac(cfg, sample, up, rng)
     if plane is None:
-        return Absent(Reason("surface", "no_plane", (count, cfg.min_inliers)))
+        return Absent(Reason("surface", "no_plane", (count, _MIN_INLIERS)))
     # Refitting to the sample is cheap, and leaves one pass over all points to do.
     close = np.abs(plane.distance(sample)) <= cfg.inlier_m
     refitted = None
@@ -180,11 +188,11 @@ def road_plane(
 
 def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:
     """The hypothesis that most points support; None where none is supported enough."""
-    best, best_share = None, cfg.min_inliers
-    for tried in range(0, cfg.hypotheses, cfg.batch):
-        if best_share >= cfg.enough_inliers:
+    best, best_share = None, _MIN_INLIERS
+    for tried in range(0, cfg.hypotheses, _BATCH):
+        if best_share >= _ENOUGH_INLIERS:
             break
-        normals, offsets = _hypotheses(points, up, cfg.max_tilt_deg, min(cfg.batch, cfg.hypotheses - tried), rng)
+        normals, offsets = _hypotheses(points, up, cfg.max_tilt_deg, min(_BATCH, cfg.hypotheses - tried), rng)
         if not len(normals):
             continue
         shares = np.count_nonzero(np.abs(points @ normals.T + offsets) <= cfg.inlier_m, axis=0) / len(points)

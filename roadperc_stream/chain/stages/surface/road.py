@@ -24,6 +24,9 @@ from roadperc_stream.model import Absent, Mask, Reason, Surface, SurfaceSource
 from roadperc_stream.model.scene import DepthMap, Scene
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
+_DRIVABLE_M = 0.15
+"""Largest distance of a drivable pixel to the surface: three times that of an inlier, for the far road's depth errs
+more."""
 _ROWS_AT_ONCE = 32
 """Rows whose distances to the surface stay in the processor's cache from one operation on them to the next."""
 _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
@@ -122,14 +125,14 @@ def known_surface(source: SurfaceSource, camera: Camera, ego_T_camera: Float, eg
 
 
 def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -> Mask | Absent:
-    """(H, W) pixels of a drivable class within ``drivable_m`` of the surface.
+    """(H, W) pixels of a drivable class near the surface.
 
     The distance to a plane is measured at right angles, that to a height field vertically: on a slope of 10 % that is
     half a percent more. Without dense depth, or where it does not show the road, the class alone decides; without
     segmentation the surface alone.
 
     Args:
-        cfg: classes and thresholds.
+        cfg: drivable classes.
         scene: the frame.
         surface: the road, its plane in the frame of the front camera.
     """
@@ -144,14 +147,14 @@ def drivable_mask(cfg: SurfaceConfig, scene: Scene, surface: Surface | Absent) -
         return Absent(Reason("drivable", "depth_misses_road")) if drivable is None else drivable.view(bool)
     among = np.ones(camera.size, bool) if drivable is None else drivable.view(bool)
     if surface.height_grid is None:
-        return pixels_near(camera, depth_m, surface.plane, cfg.drivable_m, among)
+        return pixels_near(camera, depth_m, surface.plane, _DRIVABLE_M, among)
     top = max(first_row(among), _horizon_row(surface, camera, scene.ego_T_camera))
     mask = np.zeros(camera.size, bool)
     for first in range(top, camera.height, _ROWS_AT_ONCE):
         rows = slice(first, min(first + _ROWS_AT_ONCE, camera.height))
         off_m = height_above(surface, *ego_points(camera, scene.ego_T_camera, depth_m[rows], first))
         # A comparison with NaN is False in OpenCV as in numpy: unknown depth is never drivable.
-        near = np.asarray(cv2.inRange(off_m, -cfg.drivable_m, cfg.drivable_m), np.uint8)
+        near = np.asarray(cv2.inRange(off_m, -_DRIVABLE_M, _DRIVABLE_M), np.uint8)
         mask[rows] = near & among[rows].view(np.uint8)
     return mask
 

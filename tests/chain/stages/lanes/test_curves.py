@@ -17,7 +17,7 @@ def points(state, step_m=0.1, reach_m=35.0):
 
 def fit(cloud, line, side="left", rows=None):
     rows = np.arange(len(cloud), dtype=float) if rows is None else rows
-    return curves.fit_curve(CFG, curves.Edges.of(CFG, cloud, rows), np.array(line), side, PX)
+    return curves.fit_curve(CFG, curves.Edges.of(cloud, rows), np.array(line), side, PX)
 
 
 def test_exact_points_give_the_curve_back():

@@ -21,7 +21,7 @@ def line(slope, intercept, y1=960.0, y2=500.0):
 
 def test_merge_joins_what_is_close_in_slope_and_intercept():
     proposals = np.array([line(-1.0, 1000), line(-1.05, 1020), line(-1.2, 1000), line(-1.0, 1060), line(0.5, 100)])
-    groups = lines.merge(CFG, proposals, 960)
+    groups = lines.merge(proposals, 960)
     assert [(round(g.slope, 3), round(g.intercept, 3)) for g in groups] == [
         (-1.025, 1010.0),
         (-1.2, 1000.0),
@@ -33,17 +33,17 @@ def test_merge_joins_what_is_close_in_slope_and_intercept():
 def test_merge_compares_with_each_groups_first_line():
     """The third line is near the second but not near the first: it starts a group of its own."""
     proposals = np.array([line(-1.0, 1000), line(-1.09, 1000), line(-1.18, 1000)])
-    assert len(lines.merge(CFG, proposals, 960)) == 2
+    assert len(lines.merge(proposals, 960)) == 2
 
 
 def test_intercept_reach_scales_with_the_image():
     proposals = np.array([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)])
-    assert len(lines.merge(CFG, proposals, 960)) == 1
-    assert len(lines.merge(CFG, proposals, 480)) == 2
+    assert len(lines.merge(proposals, 960)) == 1
+    assert len(lines.merge(proposals, 480)) == 2
 
 
 def test_a_group_remembers_the_rows_that_support_it():
-    (group,) = lines.merge(CFG, np.array([line(-1.0, 1000, 900, 700), line(-1.0, 1001, 650, 600)]), 960)
+    (group,) = lines.merge(np.array([line(-1.0, 1000, 900, 700), line(-1.0, 1001, 650, 600)]), 960)
     assert (group.top_px, group.bottom_px) == (600, 900)
     assert lines.drawn(group, 960.0, 500.0) == pytest.approx((40.5, 960.0, 500.5, 500.0))
 
@@ -54,7 +54,7 @@ def test_near_horizontal_lines_and_lines_off_the_road_are_dropped():
     proposals = np.array(
         [[400.0, 900, 800, 800], [400.0, 900, 500, 600], [950.0, 900, 1000, 600], [298.0, 900, 298, 600]]
     )
-    kept = lines.on_road(CFG, proposals, road)
+    kept = lines.on_road(proposals, road)
     np.testing.assert_array_equal(kept, proposals[[1, 3]])
 
 
@@ -73,11 +73,11 @@ def test_a_lines_share_is_that_of_its_pixels(margin):
 
 def test_a_line_of_one_pixel_is_none():
     proposals = np.array([[500.0, 700, 500, 700], [500.0, 900, 500, 600]])
-    np.testing.assert_array_equal(lines.on_road(CFG, proposals, np.ones((960, 1280), bool)), proposals[[1]])
+    np.testing.assert_array_equal(lines.on_road(proposals, np.ones((960, 1280), bool)), proposals[[1]])
 
 
 def test_a_vertical_line_is_a_line():
-    (group,) = lines.merge(CFG, np.array([[500.0, 900, 500, 600]]), 960)
+    (group,) = lines.merge(np.array([[500.0, 900, 500, 600]]), 960)
     assert group.x(960.0) == pytest.approx(500.0, abs=1e-3)
 
 
@@ -96,7 +96,7 @@ def test_public_figures_of_course_frame_0(data_dir):
     proposals = lines.propose(cfg, lines.edges_of(cfg, TABLE.lookup(cfg.separators)[tags]))
     assert len(proposals) == 9
     road = TABLE.lookup(["road", "road_line"])[tags].view(bool)
-    assert len(lines.merge(cfg, lines.on_road(cfg, proposals, road), 960)) == 5
+    assert len(lines.merge(lines.on_road(proposals, road), 960)) == 5
 
 
 @pytest.mark.parametrize(("gap_px", "found"), [(60, True), (80, False)])

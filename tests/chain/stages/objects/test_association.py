@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 
 from roadperc_stream.chain.stages.objects import tracker, tracking
-from roadperc_stream.chain.stages.objects.tracker import assign, similarities
+from roadperc_stream.chain.stages.objects.tracker import DISTANCE_PENALTY, assign, similarities
 from roadperc_stream.model import Box, Object
 from roadperc_stream.model.tag_tables import classes_of_label
 from tests.analytic import box
@@ -76,7 +76,7 @@ def plain_similarity(cfg, track, item, box_px):
     if track.distance_m is not None and item.distance_m is not None:
         surprise = track.distance_m.surprise(item.distance_m, tracking.distance_std_m(cfg, item))
         contradiction = min(surprise / cfg.gate, 1.0)
-    score = track.box_px.overlap(box_px) * (1.0 - cfg.distance_penalty * contradiction)
+    score = track.box_px.overlap(box_px) * (1.0 - DISTANCE_PENALTY * contradiction)
     return score if score >= cfg.min_overlap else 0.0
 
 

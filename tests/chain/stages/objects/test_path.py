@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.kernels import left_of
-from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, path_of
+from roadperc_stream.chain.stages.objects.path import PATH_MEMORY_M, DrivenArc, EgoPath, path_of
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, level_mounting, rigid
@@ -53,38 +53,38 @@ def test_places_beside_a_circle_are_square_to_it(radius_m, offset_m, heading):
 
 
 def test_the_path_is_the_middle_of_the_lane():
-    path = path_of(CFG, lanes(2.0, -1.5, heading=0.02, curvature=0.01), RIGHT_BEND)
+    path = path_of(lanes(2.0, -1.5, heading=0.02, curvature=0.01), RIGHT_BEND)
     assert path == EgoPath("lane", 0.25, 0.02, 0.01, 1.75, 2)
 
 
 @pytest.mark.parametrize("sides", [(2.0, None), (None, -1.0), (5.0, -1.5)])
 def test_along_a_boundary_where_the_lane_is_not_known_or_too_wide(sides):
-    assert path_of(CFG, lanes(*sides, heading=0.02), RIGHT_BEND) == EgoPath("boundary", 0.0, 0.02, 0.0, None, 2)
+    assert path_of(lanes(*sides, heading=0.02), RIGHT_BEND) == EgoPath("boundary", 0.0, 0.02, 0.0, None, 2)
 
 
 @pytest.mark.parametrize("ego_lane", [None, lanes(None, None), lanes(-1.8, -1.35)])
 def test_the_circle_that_the_car_drives_on_where_no_lane_can_be_one(ego_lane):
-    path = path_of(CFG, ego_lane, RIGHT_BEND)
+    path = path_of(ego_lane, RIGHT_BEND)
     assert (path.source, path.curvature_per_m) == ("odometry", -0.01)
-    assert path_of(CFG, ego_lane, DrivenArc()).source == "straight"
+    assert path_of(ego_lane, DrivenArc()).source == "straight"
 
 
 @pytest.mark.parametrize("steps", [40, 4])
 def test_the_curvature_driven_does_not_depend_on_the_frame_rate(steps):
     arc = DrivenArc()
     for _ in range(steps):
-        arc = arc.after(CFG, step_of(20 / steps, 0.4 / steps))
+        arc = arc.after(step_of(20 / steps, 0.4 / steps))
     assert arc.curvature_per_m == pytest.approx(0.02, rel=0.01)
     straight = arc
     for _ in range(steps):
-        straight = straight.after(CFG, step_of(5 / steps, 0.0))
-    assert straight.curvature_per_m == pytest.approx(0.02 * np.exp(-5 / CFG.path_memory_m), rel=0.35)
+        straight = straight.after(step_of(5 / steps, 0.0))
+    assert straight.curvature_per_m == pytest.approx(0.02 * np.exp(-5 / PATH_MEMORY_M), rel=0.35)
 
 
 def test_a_car_that_stands_still_keeps_its_curvature():
-    arc = DrivenArc().after(CFG, step_of(1.0, 0.05))
-    assert arc.after(CFG, step_of(0.0, 0.001)) == arc.after(CFG, None) == arc
-    assert DrivenArc().after(CFG, step_of(0.05, 0.0)).curvature_per_m is None
+    arc = DrivenArc().after(step_of(1.0, 0.05))
+    assert arc.after(step_of(0.0, 0.001)) == arc.after(None) == arc
+    assert DrivenArc().after(step_of(0.05, 0.0)).curvature_per_m is None
 
 
 CAMERA = Camera("camera", 640, 480, 320.0, 320.0, 319.5, 239.5)

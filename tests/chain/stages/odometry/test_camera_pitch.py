@@ -194,7 +194,7 @@ def test_the_pulls_of_a_motion_by_rays_are_its_scatter():
     unknown, key_px, found = np.full_like(X, np.nan), g.project(CAMERA, X).astype(np.float32), []
     for _ in range(40):
         px = g.project(CAMERA, g.transform(this_T_key, X)) + rng.normal(0, 0.2, (200, 2))
-        found.append(motion_from_rays(CFG, CAMERA, key_px, px.astype(np.float32), unknown, 0.6))
+        found.append(motion_from_rays(CAMERA, key_px, px.astype(np.float32), unknown, 0.6))
     sideways = np.std([m.this_T_key[:2, 3] for m in found], axis=0)
     claimed = np.sqrt(np.mean([np.diag(m.influence.T @ m.influence)[:2] for m in found], axis=0))
     assert ((sideways / claimed > 0.6) & (sideways / claimed < 1.6)).all()

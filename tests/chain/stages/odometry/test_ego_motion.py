@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.odometry.ego_motion import FollowedFrame, guesses
+from roadperc_stream.chain.stages.odometry.ego_motion import MIN_INLIER_RATIO, FollowedFrame, guesses
 from roadperc_stream.chain.stages.odometry.features import tracking_frame
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.config import OdometryConfig
@@ -234,4 +234,4 @@ def test_features_are_sought_first_where_a_steady_motion_takes_them(missed):
     assert np.isnan(anywhere).all()
     np.testing.assert_allclose(state.last.velocity[[0, 1, 2]], [0.4 / 0.05, 0.0, 0.0], atol=0.2)
     np.testing.assert_allclose(state.last.velocity[[3, 4, 5]], [0.0, 0.0, 0.01 / 0.05], atol=0.02)
-    assert (share, twice) == (CFG.min_inlier_ratio, 2 * CFG.min_inlier_ratio)
+    assert (share, twice) == (MIN_INLIER_RATIO, 2 * MIN_INLIER_RATIO)

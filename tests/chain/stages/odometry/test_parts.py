@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.odometry.ego_motion import aligned
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
-from roadperc_stream.chain.stages.odometry.features import FRONTENDS, spread, tracking_frame
+from roadperc_stream.chain.stages.odometry.features import FRONTENDS, MAX_POINTS, spread, tracking_frame
 from roadperc_stream.chain.stages.odometry.keyframes import (
     local_planes_from_depth,
     make_keyframe,
@@ -51,7 +51,7 @@ def test_points_give_the_motion_despite_outliers(this_T_key):
     X = cloud()
     px = pixels_of(this_T_key, X)
     px[::5] += 15
-    motion = motion_from_points(FULL, CAMERA, X, px)
+    motion = motion_from_points(CAMERA, X, px)
     np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=1e-4)
     assert motion.inliers.sum() == 160
     assert not motion.inliers[::5].any()
@@ -63,7 +63,7 @@ def test_rays_give_rotation_direction_and_length(this_T_key):
     X = cloud()
     px, known = pixels_of(this_T_key, X), X.copy()
     known[30:] = np.nan
-    motion = motion_from_rays(FULL, CAMERA, pixels_of(np.eye(4), X), px, known, 1.0)
+    motion = motion_from_rays(CAMERA, pixels_of(np.eye(4), X), px, known, 1.0)
     np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=2e-3)
     assert motion.scaled
     filled = np.isfinite(motion.points_m[30:, 0])
@@ -74,16 +74,14 @@ def test_rays_give_rotation_direction_and_length(this_T_key):
 def test_rays_alone_have_the_fallback_length():
     this_T_key, X = moved(np.array([0.05, 0.0, -0.6, 0.0, 0.02, 0.0])), cloud()
     nothing = np.full_like(X, np.nan)
-    motion = motion_from_rays(FULL, CAMERA, pixels_of(np.eye(4), X), pixels_of(this_T_key, X), nothing, 3.0)
+    motion = motion_from_rays(CAMERA, pixels_of(np.eye(4), X), pixels_of(this_T_key, X), nothing, 3.0)
     assert not motion.scaled
     assert np.linalg.norm(motion.this_T_key[:3, 3]) == pytest.approx(3.0)
 
 
 def test_a_turn_alone_is_no_translation():
     this_T_key, X = moved(np.array([0.0, 0.0, 0.0, 0.01, -0.03, 0.005])), cloud()
-    motion = motion_from_rays(
-        FULL, CAMERA, pixels_of(np.eye(4), X), pixels_of(this_T_key, X), np.full_like(X, np.nan), 1.0
-    )
+    motion = motion_from_rays(CAMERA, pixels_of(np.eye(4), X), pixels_of(this_T_key, X), np.full_like(X, np.nan), 1.0)
     np.testing.assert_allclose(motion.this_T_key, this_T_key, atol=1e-5)
     assert motion.influence is None
 
@@ -100,7 +98,7 @@ def test_the_covariance_is_the_scatter():
     rng, px, errors, variances = np.random.default_rng(1), pixels_of(this_T_key, X), [], []
     for _ in range(200):
         noisy = px + rng.normal(0, 0.2, px.shape).astype(np.float32)
-        motion = motion_from_points(FULL, CAMERA, X, noisy)
+        motion = motion_from_points(CAMERA, X, noisy)
         error = motion.this_T_key @ g.inverse(this_T_key)
         errors.append(np.concatenate((error[:3, 3], Rotation.from_matrix(error[:3, :3]).as_rotvec())))
         variances.append(np.diag(scatter(motion.influence, px, CAMERA.width)))
@@ -148,8 +146,8 @@ def test_what_pulls_both_poses_alike_leaves_the_step_as_it_is():
 @pytest.mark.parametrize("points", [0, 5])
 def test_too_few_points_give_no_motion(points):
     X = cloud(points)
-    assert motion_from_points(FULL, CAMERA, X, pixels_of(np.eye(4), X)) is None
-    assert motion_from_rays(FULL, CAMERA, pixels_of(np.eye(4), X), pixels_of(np.eye(4), X), X, 1.0) is None
+    assert motion_from_points(CAMERA, X, pixels_of(np.eye(4), X)) is None
+    assert motion_from_rays(CAMERA, pixels_of(np.eye(4), X), pixels_of(np.eye(4), X), X, 1.0) is None
 
 
 @settings(max_examples=25)
@@ -187,8 +185,8 @@ def test_a_patch_seen_from_half_the_distance_is_twice_as_large():
 def test_points_are_spread_over_the_image():
     rng = np.random.default_rng(0)
     px = np.concatenate((rng.uniform(0, 100, (5000, 2)), rng.uniform(0, (640, 480), (300, 2)))).astype(np.float32)
-    chosen = spread(FULL, px, rng.random(len(px)).astype(np.float32), CAMERA.size)
-    assert len(chosen) <= FULL.max_points
+    chosen = spread(px, rng.random(len(px)).astype(np.float32), CAMERA.size)
+    assert len(chosen) <= MAX_POINTS
     assert (px[chosen] < 100).all(axis=1).mean() < 0.2
     assert len(set(chosen.tolist())) == len(chosen)
 
@@ -197,8 +195,8 @@ def test_points_are_spread_over_the_image():
 def test_points_reach_every_edge_of_an_image_of_any_shape(size):
     rows, columns = np.indices(size)[:, ::4, ::4].reshape(2, -1)
     px = np.stack((columns, rows), axis=-1).astype(np.float32)
-    chosen = px[spread(FULL, px, np.random.default_rng(0).random(len(px)).astype(np.float32), size)]
-    assert 0.9 * FULL.max_points <= len(chosen) <= FULL.max_points
+    chosen = px[spread(px, np.random.default_rng(0).random(len(px)).astype(np.float32), size)]
+    assert 0.9 * MAX_POINTS <= len(chosen) <= MAX_POINTS
     for axis, length in ((0, size[1]), (1, size[0])):
         share = np.histogram(chosen[:, axis], bins=8, range=(0, length))[0] / len(chosen)
         assert share.min() > 0.07
@@ -209,8 +207,8 @@ def test_a_shifted_image_is_matched_to_sub_pixels(features):
     cfg = CFG.model_copy(update={"features": features})
     before, after = photograph(pose(0)).grey, photograph(pose(0, yaw=0.02)).grey
     front = FRONTENDS[features]
-    found, strength = front.detect(cfg, before, np.ones_like(before))
-    found = found.take(spread(cfg, found.px, strength, before.shape))
+    found, strength = front.detect(before, np.ones_like(before))
+    found = found.take(spread(found.px, strength, before.shape))
     px = front.match(cfg, before, found, found.px, after)
     turn = EGO_T_CAMERA[:3, :3].T @ rotation_from_rpy(0, 0, -0.02) @ EGO_T_CAMERA[:3, :3]
     about_lens = g.rays(CAMERA, found.px.astype(float)) @ turn.T
@@ -282,7 +280,7 @@ def test_where_no_feature_is_visible_none_is_aligned():
 @pytest.mark.parametrize("features", ["klt", "orb", "sift"])
 def test_images_too_small_for_a_feature_have_none(features, shape):
     cfg, grey = CFG.model_copy(update={"features": features}), np.zeros(shape, np.uint8)
-    found, strength = FRONTENDS[features].detect(cfg, grey, np.ones_like(grey))
+    found, strength = FRONTENDS[features].detect(grey, np.ones_like(grey))
     assert (found.px.shape, strength.shape) == ((0, 2), (0,))
     assert FRONTENDS[features].match(cfg, grey, found, found.px, grey).shape == (0, 2)
 
@@ -293,7 +291,7 @@ def test_a_point_of_which_one_coordinate_is_unknown_is_not_used():
     key_T_this = g.rigid(np.eye(3), np.array([0.0, 0.0, 0.5]))
     px = g.project(CAMERA, g.transform(g.inverse(key_T_this), X)).astype(np.float32)
     px[::7, 1] = np.nan
-    found = motion_from_points(FULL, CAMERA, X, px)
+    found = motion_from_points(CAMERA, X, px)
     assert found is not None
     assert not found.inliers[::7].any()
     assert found.inliers[px[:, 1] == px[:, 1]].mean() > 0.95
