@@ -18,7 +18,6 @@ from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, count
 from roadperc_stream.chain.stages.surface.road import (
     SurfaceState,
     drivable_mask,
-    estimated_surface,
     find_surface,
     remember,
 )
@@ -150,14 +149,13 @@ def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = 
     last_T_this = _metric_step(motion, last.stamp_ns)
     kept, road, held = stages.run(
         "surface",
-        lambda: remember(cfg.surface, last.surface, scene, seen, failed, last_T_this),
+        lambda: remember(cfg.surface, last.surface, scene, seen, failed, last_T_this, _shown_pitch(moved)),
         (last.surface, no_road, ()),
     )
-    road = _with_pitch(scene, road, moved)
     front_road = _in_front_camera(scene, road)
     drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), _off("drivable"))
     state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
-    localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, _as_estimated(held, road))
+    localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held)
     return _with_origin_here(localised) if scene.is_origin and last.stamp_ns is not None else localised
 
 
@@ -262,18 +260,9 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
     return front_road
 
 
-def _with_pitch(scene: Scene, road: Surface | Absent, state: OdometryState) -> Surface | Absent:
-    """A road that is assumed, with the pitch that the drive has shown."""
-    if isinstance(road, Absent) or road.source != "assumed" or state.pitch is None or not state.pitch.measured:
-        return road
-    return estimated_surface(scene, state.pitch.offset)
-
-
-def _as_estimated(held: tuple[Reason, ...], road: Surface | Absent) -> tuple[Reason, ...]:
-    """The reasons for the road's plane, which name an estimated plane as such."""
-    if isinstance(road, Absent) or road.source != "estimated":
-        return held
-    return tuple(replace(reason, code="plane_estimated") for reason in held)
+def _shown_pitch(state: OdometryState) -> float | None:
+    """By how much the camera looks further down than its mounting says, radians, if the drive has shown it."""
+    return state.pitch.offset if state.pitch is not None and state.pitch.measured else None
 
 
 def _since(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:

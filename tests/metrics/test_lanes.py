@@ -166,11 +166,6 @@ def culane(predicted, truth, shape, threshold=0.5):
     return counts_above(line_overlaps(predicted, truth, shape), threshold)
 
 
-def test_the_true_lanes_score_full():
-    lanes = [upright(300.0), 400 + 0.5 * ROWS]
-    assert tusimple(lanes, lanes, ROWS) == TuSimpleScore(1.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize(("moved_px", "expected"), [(19, (1.0, 0.0, 0.0)), (20, (0, 1, 1)), (25, (0, 1, 1))])
 def test_an_upright_lane_is_right_below_twenty_pixels(moved_px, expected):
     assert tusimple([upright(300 + moved_px)], [upright(300.0)], ROWS) == expected
@@ -252,15 +247,13 @@ def test_a_line_far_outside_is_nowhere():
     assert line_overlaps([across], [line(800)], SHAPE).item() == 1
 
 
-def test_a_line_moved_by_25_pixels_is_found_wrongly_and_missed():
-    assert culane([line(825)], [line(800)], SHAPE) == Counts(0, 1, 1)
-    assert culane([line(825)], [line(800)], SHAPE, threshold=0.3) == Counts(0, 1, 1)
-
-
-def test_a_line_moved_by_13_pixels_is_found_at_the_looser_threshold_only():
-    """17 of 43 columns are shared: 0.4."""
-    assert culane([line(813)], [line(800)], SHAPE, threshold=0.5) == Counts(0, 1, 1)
-    assert culane([line(813)], [line(800)], SHAPE, threshold=0.3) == Counts(1, 0, 0)
+@pytest.mark.parametrize(
+    ("moved_px", "threshold", "counts"),
+    [(25, 0.5, (0, 1, 1)), (25, 0.3, (0, 1, 1)), (13, 0.5, (0, 1, 1)), (13, 0.3, (1, 0, 0))],
+)
+def test_a_line_moved_too_far_is_found_wrongly_and_missed(moved_px, threshold, counts):
+    """Moved by 13 of 30 columns, 17 of 43 are shared: 0.4."""
+    assert culane([line(800 + moved_px)], [line(800)], SHAPE, threshold) == counts
 
 
 def test_a_pair_at_the_threshold_is_not_found():

@@ -107,21 +107,6 @@ def test_uniqueness_and_speckles_have_an_effect():
     assert known["patches"] > known["strict patches"]
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [{"block_px": 9}, {"p1": 2000, "p2": 2001}, {"p2": 5000}, {"disparities": 16}, {"refine_px": 0}, {"refine_px": 11}],
-)
-def test_matching_settings_have_an_effect(changes):
-    rng = np.random.default_rng(4)
-    noise = rng.normal(0, 25, (2, HEIGHT, WIDTH))
-    left, right = (
-        np.clip(view(texture(), d) + n, 0, 255).astype(np.uint8) for d, n in zip((0, 20), noise, strict=True)
-    )
-    plain = matched(FULL, left, right)
-    changed = matched(StereoConfig(method="full", **changes), left, right)
-    assert not np.array_equal(plain, changed, equal_nan=True)
-
-
 def test_a_disparity_too_small_is_unknown():
     pair = view(texture(), 0.0), view(texture(), 3.0)
     assert np.isfinite(matched(FULL, *pair)).mean() > 0.9

@@ -34,7 +34,8 @@ _ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"
 
 def boundary_of(
     side: Side,
-    found: TrackedBoundary | Reason,
+    tracked: TrackedBoundary | None,
+    reason: Reason | None,
     observation: Observation | None,
     projection: RoadProjection | None,
 ) -> Boundary:
@@ -44,11 +45,11 @@ def boundary_of(
         raw_px = lines.drawn(observation.near[side][0], float(observation.projection.camera.height), observation.far)
         curve = observation.curves[side]
         raw_offset_m = None if curve is None else float(curve.state[0])
-    if isinstance(found, Reason):
-        return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m, reason=found)
-    track = found.track
+    if tracked is None or reason is not None:
+        return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m, reason=reason)
+    track = tracked.track
     offset, heading, curvature = (float(value) for value in track.state)
-    ahead, pixels = _drawn_curve(track.state, found.reach_m, projection)
+    ahead, pixels = _drawn_curve(track.state, tracked.reach_m, projection)
     return Boundary(
         side,
         "measured" if track.measured_ns == track.stamp_ns else "held",
@@ -59,8 +60,8 @@ def boundary_of(
         curvature,
         raw_offset_m,
         tuple(track.state_covariance.ravel().tolist()),
-        found.inside.majority,
-        found.outside.majority,
+        tracked.inside.majority,
+        tracked.outside.majority,
         ahead,
         pixels,
     )
@@ -231,13 +232,10 @@ def _boundaries(
     observation = None if isinstance(found, Absent) else found
     boundaries = []
     for side in SIDES:
-        tracked = state.side(side)
-        reason = reasons.get(side)
+        tracked, reason = state.side(side), reasons.get(side)
         if reason is None and tracked is None:
             reason = Reason("lanes", "boundary_lost", (side,), _why_unseen(side, found))
-        given = reason if reason is not None else tracked
-        assert given is not None
-        boundaries.append(boundary_of(side, given, observation, projection))
+        boundaries.append(boundary_of(side, tracked, reason, observation, projection))
     return tuple(boundaries)
 
 

@@ -188,11 +188,13 @@ def _filtered(
     x0, y0, x1, y1 = box = detection.box_px.rounded(scene.camera.width, scene.camera.height)
     if x0 >= x1 or y0 >= y1:
         return Object(detection, kept=lookup is None)  # nothing of it is in the image
-    ratio = None
-    if scene.tags is not None and lookup is not None:
-        ratio = count_of_class(scene.tags[y0:y1, x0:x1], lookup) / ((y1 - y0) * (x1 - x0))
+    ratio = of_class = None
     fit, measured = candidate if cfg.distance_pixels == "region" else (candidate[0], UNKNOWN)
-    of_class = _of_class(scene, lookup, box) if fit <= _MIN_FIT or measured == UNKNOWN else None
+    if scene.tags is not None and lookup is not None:
+        tags = scene.tags[y0:y1, x0:x1]
+        ratio = count_of_class(tags, lookup) / tags.size
+        if fit <= _MIN_FIT or measured == UNKNOWN:
+            of_class = mark(tags, lookup)
     beyond = fit <= _MIN_FIT and divides(scene) and _mostly_beyond(scene, box, of_class)
     kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     if beyond and cfg.distance_pixels == "region":
@@ -217,14 +219,6 @@ def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: I
     if cfg.distance_pixels == "class" or scene.dense_depth_m is not None:
         return distances_m[of_class > 0]
     return own_distances(np.where(of_class > 0, distances_m, np.float32(np.nan)))
-
-
-def _of_class(scene: Scene, lookup: Image | None, box: tuple[int, int, int, int]) -> Image | None:
-    """(h, w) 1 at the class in a box, else 0; None where it is not known."""
-    if scene.tags is None or lookup is None:
-        return None
-    x0, y0, x1, y1 = box
-    return mark(scene.tags[y0:y1, x0:x1], lookup)
 
 
 def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image | None) -> bool:

@@ -133,7 +133,10 @@ def scaled_by_road(
     """
     length = float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3] / length
-    tried_m = (0.0, longest_m) if expected is None else _around(expected, longest_m)
+    tried_m = 0.0, longest_m
+    if expected is not None:
+        reach_m = _SEARCHED * expected.length_m + _SIGMAS * float(np.sqrt(expected.variance))
+        tried_m = max(expected.length_m - reach_m, 0.0), min(expected.length_m + reach_m, longest_m)
     found = _on_road(frame, key_grey, (R, t), pitch, tried_m)
     if found is None:
         return _carried(motion, pitch, expected)
@@ -164,11 +167,6 @@ def _on_road(
 
 def _is_assumed(frame: TrackingFrame) -> bool:
     return frame.road is not None and frame.road.source == "assumed"
-
-
-def _around(expected: Expected, longest_m: float) -> tuple[float, float]:
-    reach_m = _SEARCHED * expected.length_m + _SIGMAS * float(np.sqrt(expected.variance))
-    return max(expected.length_m - reach_m, 0.0), min(expected.length_m + reach_m, longest_m)
 
 
 def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:

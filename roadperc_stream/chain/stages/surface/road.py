@@ -20,7 +20,7 @@ from roadperc_stream.geometry import (
     transform_plane,
 )
 from roadperc_stream.geometry.ground import ego_points, height_above, height_at, tilted_ground
-from roadperc_stream.model import Absent, Mask, Reason, Surface, SurfaceSource
+from roadperc_stream.model import Absent, Mask, Reason, ReasonCode, Surface, SurfaceSource
 from roadperc_stream.model.scene import DepthMap, Scene
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
@@ -103,16 +103,6 @@ def assumed_surface(camera: Camera, ego_T_camera: Float) -> Surface:
     return known_surface("assumed", camera, ego_T_camera, Plane.of(_UP_EGO, 0.0))
 
 
-def estimated_surface(scene: Scene, pitch: float) -> Surface:
-    """The ground by the mounting, tilted, in the frame of the depth's camera where there is depth: ``estimated``.
-
-    Args:
-        scene: the frame.
-        pitch: by how much the front camera looks further down than its mounting says, radians.
-    """
-    return known_surface("estimated", *_depth_camera(scene), tilted_ground(scene.ego_T_camera, pitch))
-
-
 def _depth_camera(scene: Scene) -> tuple[Camera, Float]:
     """The camera of the depth and its mounting; those of the front camera without depth."""
     place = scene if scene.depth is None else scene.depth
@@ -182,6 +172,7 @@ def remember(
     road: Surface | Absent,
     failed: Reason | None,
     last_T_this: Float | None,
+    pitch: float | None = None,
 ) -> tuple[SurfaceState, Surface | Absent, tuple[Reason, ...]]:
     """Keep the plane of a frame whose depth shows the road; where it does not, the one kept stands in.
 
@@ -192,6 +183,7 @@ def remember(
         road: the frame's own, or what the mounting promises.
         failed: why the frame's depth does not show the road; None: it does, or there is no depth.
         last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None where it is not known.
+        pitch: by how much the front camera looks further down than its mounting says, radians; None: not known.
 
     Returns:
         The new state, the road, and what stands in for the depth, as a reason.
@@ -203,9 +195,14 @@ def remember(
         cause = Reason("surface", "no_depth") if failed is None else failed
         held = known_surface("held", *_depth_camera(scene), state.ego_plane)
         return state, held, (Reason("surface", "plane_held", cause=cause),)
-    if failed is None or isinstance(road, Absent):
+    if isinstance(road, Absent):
         return state, road, ()
-    return state, road, (Reason("surface", "plane_assumed", (scene.plane_source,), failed),)
+    code: ReasonCode = "plane_assumed"
+    if pitch is not None:
+        code = "plane_estimated"
+        ground = tilted_ground(scene.ego_T_camera, pitch)
+        road = known_surface("estimated", *_depth_camera(scene), ground)
+    return state, road, () if failed is None else (Reason("surface", code, (scene.plane_source,), failed),)
 
 
 def _moved(state: SurfaceState, last_T_this: Float | None) -> SurfaceState:

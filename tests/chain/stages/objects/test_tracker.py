@@ -108,19 +108,6 @@ def test_a_jump_to_something_in_front_is_rejected():
     assert follower.only.track_id == "1"
 
 
-def test_a_jump_that_lasts_is_believed():
-    follower = Follower()
-    for _ in range(20):
-        follower.frame(CAR, depth_m=20.0)
-    speeds = []
-    for k in range(8):
-        follower.frame(CAR, depth_m=10.0 - 0.1 * k)
-        speeds.append(follower.only.closing_speed_mps)
-    np.testing.assert_allclose(speeds[:4], 0.0, atol=0.1)
-    assert speeds[-1] == pytest.approx(2.0, abs=0.3)
-    assert follower.only.track_id == "1"
-
-
 @pytest.mark.parametrize(("restart_s", "frames"), [(0.05, 1), (0.2, 4), (0.4, 8)])
 def test_a_jump_is_believed_when_it_has_lasted_for_restart_s(restart_s, frames):
     """Frames of 50 ms after the jump's first one until the filtered distance jumps, too."""
@@ -328,24 +315,6 @@ def test_memory_is_bounded(monkeypatch):
     for k in range(30):
         follower.frame(box("Car", 10 * k, 10, 10 * k + 8, 20))
     assert [track.number for track in follower.state.tracks] == [26, 27, 28, 29, 30]
-
-
-@pytest.mark.parametrize(
-    ("setting", "value"),
-    [
-        ("max_speed_std_mps", 0.01),
-        ("min_closing_mps", 6.0),
-        ("min_closing_sigmas", 50.0),
-        ("min_distance_std_m", 1.0),
-        ("process_noise", 0.1),
-    ],
-)
-def test_settings_of_the_motion_have_an_effect(setting, value):
-    usual, changed = Follower(), Follower(CFG.model_copy(update={setting: value}))
-    for k in range(10):
-        for follower in (usual, changed):
-            follower.frame(CAR, depth_m=20.0 - 0.25 * k)
-    assert usual.only != changed.only
 
 
 def test_an_object_that_partly_lies_beyond_the_depths_range_is_tracked():
