@@ -32,7 +32,6 @@ from roadperc_stream.model import (
     Objects,
     Odometry,
     Reason,
-    ReasonCode,
     StereoDepth,
     Surface,
 )
@@ -316,7 +315,7 @@ def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Abs
     """What a stage that gave something had to do without."""
     source = None if isinstance(road, Absent) else road.source
     if scene.depth is None and source != "held":  # of a plane that is held its own reason says so
-        code: ReasonCode = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
+        code = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
         yield Reason("surface", code, (scene.plane_source,))
     if scene.depth is not None and scene.tags is None:
         yield Reason("surface", "no_segmentation_lower_image")

@@ -14,22 +14,3 @@ from roadperc_stream.config.stages import (
     scaled,
 )
 from roadperc_stream.schemas.topics import NEEDS, STAGES, switched_off
-
-__all__ = [
-    "DEFAULT_LIMITS",
-    "NEEDS",
-    "STAGES",
-    "LanesConfig",
-    "LimitsConfig",
-    "ObjectsConfig",
-    "OccupancyConfig",
-    "OdometryConfig",
-    "ReplayConfig",
-    "StereoConfig",
-    "SurfaceConfig",
-    "SyncConfig",
-    "load_config",
-    "scaled",
-    "switched_off",
-    "validated",
-]

@@ -11,15 +11,11 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.kernels import COMPILED
 from roadperc_stream.chain.kernels.occupancy_plain import Rays
 from roadperc_stream.geometry.arrays import Float, Float32
 from roadperc_stream.geometry.cameras import Camera, rays
 from roadperc_stream.geometry.planes import HeightGrid, Plane, Surface, intersect_plane
 from roadperc_stream.geometry.rotations import transform
-
-if COMPILED:
-    from roadperc_stream.chain.kernels import first_meetings
 
 REACH_M: Final = 200.0
 """Depth to which a ray is followed to the height field; what is straight beyond the grid ends somewhere."""
@@ -171,15 +167,6 @@ def _first_meeting(grid: HeightGrid, centre: Float, directions: Float) -> Float:
 
     A crest hides what lies behind it, so the first crossing counts; Newton's method might find another one.
     """
-    if not COMPILED:
-        return _first_meeting_of_all(grid, centre, directions)
-    depths = np.empty(len(directions))
-    first_meetings(grid, centre, directions, _TRIED_M, _PARTS, _REFINEMENTS, depths)
-    return depths
-
-
-def _first_meeting_of_all(grid: HeightGrid, centre: Float, directions: Float) -> Float:
-    """The same without a compiled kernel: every depth of every ray is tried."""
     depth: Float = np.broadcast_to(_TRIED_M, (len(directions), len(_TRIED_M)))
     near, far, above_m, below_m = _first_dip(grid, centre, directions, depth)
     for _ in range(_REFINEMENTS):

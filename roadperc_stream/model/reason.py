@@ -8,83 +8,10 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from string import Formatter
-from typing import Final, Literal
+from typing import Final
 
 Value = str | int | float
-ReasonCode = Literal[
-    "switched_off",
-    "not_run",
-    "not_in_log",
-    "not_written",
-    "no_message",
-    "undecodable",
-    "wrong_size",
-    "no_transform",
-    "no_points_in_view",
-    "no_finite_points_in_view",
-    "time_stood_still",
-    "time_went_back",
-    "lost_to_damage",
-    "lost_to_damage_before",
-    "lost_to_damage_after",
-    "lost_to_damage_somewhere",
-    "not_rectified",
-    "pixels_not_square",
-    "no_image",
-    "image_unusable",
-    "no_segmentation",
-    "no_segmentation_lower_image",
-    "no_segmentation_not_filtered",
-    "no_segmentation_sparse_depth",
-    "no_depth",
-    "no_depth_no_segmentation",
-    "no_depth_no_distances",
-    "no_depth_plane_assumed",
-    "no_depth_pitch_estimated",
-    "no_detections",
-    "no_left_image",
-    "no_right_image",
-    "no_left_no_right_image",
-    "no_right_calibration",
-    "no_surface",
-    "no_drivable_surface",
-    "plane_held",
-    "plane_assumed",
-    "plane_estimated",
-    "depth_misses_road",
-    "heights_unknown",
-    "too_few_road_points",
-    "no_plane",
-    "plane_without_points",
-    "plane_tilted",
-    "lost",
-    "camera_changed",
-    "too_few_inliers",
-    "impossible_motion",
-    "scale_carried",
-    "scale_unknown",
-    "no_baseline",
-    "wrong_baseline",
-    "camera_below_road",
-    "pair_of_two_sizes",
-    "pair_of_wrong_size",
-    "boundary_lost",
-    "no_line_near",
-    "edges_disagree",
-    "car_on_boundary",
-    "boundary_uncertain",
-    "boundary_unconfirmed",
-    "lane_width",
-    "boundaries_cross",
-    "lens_without_rotation",
-    "lens_without_camera_matrix",
-    "lens_rotation_invalid",
-    "lens_model_unknown",
-    "lens_coefficient_count",
-    "lens_coefficient_size",
-    "other",
-]
-TEMPLATES: Final[dict[ReasonCode, str]] = {
+TEMPLATES: Final[dict[str, str]] = {
     "switched_off": "switched off",
     "not_run": "not run",
     "not_in_log": "not in the log",
@@ -168,8 +95,8 @@ TEMPLATES: Final[dict[ReasonCode, str]] = {
     "most {limit:g} in size",
     "other": "{text}",
 }
-"""The sentence of each code behind ``source: ``. ``{cause}`` is another reason's sentence."""
-MISSING_ROLES: Final[dict[ReasonCode, tuple[str, ...]]] = {
+"""All codes, each with its sentence behind ``source: ``. ``{cause}`` is another reason's sentence."""
+MISSING_ROLES: Final[dict[str, tuple[str, ...]]] = {
     "no_image": ("image",),
     "no_segmentation": ("segmentation",),
     "no_segmentation_lower_image": ("segmentation",),
@@ -187,7 +114,7 @@ MISSING_ROLES: Final[dict[ReasonCode, tuple[str, ...]]] = {
 }
 """The inputs that a code says are missing."""
 _CAUSE: Final = "cause"
-_CAUSE_SOURCE: Final[dict[ReasonCode, str]] = {"no_surface": "surface", "no_drivable_surface": "drivable"}
+_CAUSE_SOURCE: Final[dict[str, str]] = {"no_surface": "surface", "no_drivable_surface": "drivable"}
 """Whose reason a cause is; of other codes it is one of the same source."""
 _DETAIL: Final = "detail"
 """What a library or a file says: it may differ in numbers that nobody knows the meaning of."""
@@ -213,7 +140,7 @@ class Reason:
     """
 
     source: str
-    code: ReasonCode
+    code: str
     values: tuple[Value, ...] = ()
     cause: "Reason | None" = None
 
@@ -248,7 +175,7 @@ def parse_reason(text: str) -> Reason:
 
 
 @cache
-def fields_of(code: ReasonCode) -> tuple[str, ...]:
+def fields_of(code: str) -> tuple[str, ...]:
     """Names of a template's fields, in order."""
     return tuple(name for _, name, _, _ in Formatter().parse(TEMPLATES[code]) if name)
 
@@ -263,7 +190,7 @@ def _parsed(source: str, text: str) -> Reason:
 
 
 @cache
-def _patterns() -> tuple[tuple[ReasonCode, re.Pattern[str]], ...]:
+def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
     """The regular expression of each template; that of ``other`` fits every text."""
     return tuple((code, re.compile(_pattern(template), re.DOTALL)) for code, template in TEMPLATES.items())
 
@@ -279,12 +206,12 @@ def _pattern(template: str) -> str:
 
 
 @cache
-def _formats(code: ReasonCode) -> dict[str, tuple[str, str]]:
+def _formats(code: str) -> dict[str, tuple[str, str]]:
     """Format and conversion of each of a template's fields."""
     return {name: (spec or "", how or "") for _, name, spec, how in Formatter().parse(TEMPLATES[code]) if name}
 
 
-def _value(code: ReasonCode, name: str, text: str) -> Value:
+def _value(code: str, name: str, text: str) -> Value:
     """A field's value, as exactly as its text has it."""
     spec, conversion = _formats(code)[name]
     if spec == "d":

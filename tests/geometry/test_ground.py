@@ -105,27 +105,3 @@ def test_heights_above_the_road():
         expected = 2.0 - ground.height_at(surface, x.astype(float), y.astype(float))
         expected[0, 0] = np.nan
         np.testing.assert_allclose(ground.height_above(surface, x, y, z), expected, atol=3e-3)
-
-
-@pytest.mark.skipif(not ground.COMPILED, reason="not compiled")
-@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.booleans())
-def test_the_compiled_kernel_gives_the_same_bits(seed, rows, columns, has_gaps):
-    rng = np.random.default_rng(seed)
-    z = rng.normal(0.0, 0.3, (columns, rows)).astype(np.float32).T
-    if has_gaps:
-        z[rng.random(z.shape) < 0.1] = np.nan
-    grid = HeightGrid(rng.uniform(0, 5), rng.uniform(-6, 0), rng.uniform(0.5, 3), z)
-    centre = np.array([rng.uniform(-1, 1), 0.0, rng.uniform(-0.5, 2.0)])
-    directions = rng.normal((1.0, 0.0, -0.2), (0.2, 0.5, 0.2), (50, 3))
-    directions[rng.random(50) < 0.1] = np.nan
-    found, expected = (f(grid, centre, directions) for f in (ground._first_meeting, ground._first_meeting_of_all))
-    np.testing.assert_array_equal(found.view(np.int64)[~np.isnan(found)], expected.view(np.int64)[~np.isnan(expected)])
-    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
-
-
-@pytest.mark.skipif(not ground.COMPILED, reason="not compiled")
-@pytest.mark.parametrize(("rays", "depths"), [((4, 3), 5), ((4, 2), 4)])
-def test_the_compiled_kernel_refuses_what_does_not_belong_together(rays, depths):
-    grid = HeightGrid(0.0, -6.0, 1.0, np.zeros((3, 3), np.float32))
-    with pytest.raises(ValueError, match="rays"):
-        ground.first_meetings(grid, np.zeros(3), np.zeros(rays), np.ones(2), np.ones(2), 1, np.empty(depths))

@@ -2,97 +2,46 @@
 
 ``NAME_compiled.pyx`` becomes an extension module that every Python from 3.11 on loads (stable ABI). ``NAME_plain.py``
 has the same functions in numpy and OpenCV, with the same bits. This module is the only selector: its functions are the
-compiled ones, or all plain ones where an extension is missing. Two kernels have their counterpart at their caller,
-which asks ``COMPILED``: OpenCV decodes every PNG, and ``geometry.ground`` follows rays to a height field in numpy.
+compiled ones, or all plain ones where an extension is missing. The readers of PNG have no plain form: ``formats.png``
+asks ``COMPILED``, and OpenCV decodes every PNG.
 
 So a kernel does elementwise or integer work, or sums in a stated order, and is compiled without fast-math and without
 contraction. It releases the interpreter's lock. Tests compare both ways.
 """
 
-from typing import TYPE_CHECKING
+from importlib import import_module
+
+from roadperc_stream.chain.kernels.class_pixels_plain import count_of_class, mark, mark_together
+from roadperc_stream.chain.kernels.lanes_plain import follow, rows_beside
+from roadperc_stream.chain.kernels.objects_plain import (
+    divided,
+    left_of,
+    mean_direction,
+    object_points,
+    region_distances,
+)
+from roadperc_stream.chain.kernels.occupancy_plain import count_points, mark_visible
+from roadperc_stream.chain.kernels.odometry_plain import align_patches, linearise
+from roadperc_stream.chain.kernels.stereo_plain import disparity_errors, doubled, refined_disparities, seen_by_both
+from roadperc_stream.chain.kernels.surface_plain import (
+    count_near,
+    mark_near,
+    marked,
+    median_places,
+    moments_near,
+    normal_equations,
+)
 
 try:
-    from roadperc_stream.chain.kernels.height_field_compiled import first_meetings
+    _COMPILED = [
+        import_module(f"{__name__}.{name}_compiled")
+        for name in ("class_pixels", "lanes", "objects", "occupancy", "odometry", "stereo", "surface")
+    ]
     from roadperc_stream.chain.kernels.png_compiled import reverse_filters, reverse_to_grey
-
-    if not TYPE_CHECKING:  # the plain functions have the annotations
-        from roadperc_stream.chain.kernels.class_pixels_compiled import count_of_class, mark, mark_together
-        from roadperc_stream.chain.kernels.lanes_compiled import follow, rows_beside
-        from roadperc_stream.chain.kernels.objects_compiled import (
-            divided,
-            left_of,
-            mean_direction,
-            object_points,
-            region_distances,
-        )
-        from roadperc_stream.chain.kernels.occupancy_compiled import count_points, mark_visible
-        from roadperc_stream.chain.kernels.odometry_compiled import align_patches, linearise
-        from roadperc_stream.chain.kernels.stereo_compiled import (
-            disparity_errors,
-            doubled,
-            refined_disparities,
-            seen_by_both,
-        )
-        from roadperc_stream.chain.kernels.surface_compiled import (
-            count_near,
-            mark_near,
-            marked,
-            median_places,
-            moments_near,
-            normal_equations,
-        )
-    COMPILED = True
 except ImportError:
-    from roadperc_stream.chain.kernels.class_pixels_plain import count_of_class, mark, mark_together
-    from roadperc_stream.chain.kernels.lanes_plain import follow, rows_beside
-    from roadperc_stream.chain.kernels.objects_plain import (
-        divided,
-        left_of,
-        mean_direction,
-        object_points,
-        region_distances,
-    )
-    from roadperc_stream.chain.kernels.occupancy_plain import count_points, mark_visible
-    from roadperc_stream.chain.kernels.odometry_plain import align_patches, linearise
-    from roadperc_stream.chain.kernels.stereo_plain import disparity_errors, doubled, refined_disparities, seen_by_both
-    from roadperc_stream.chain.kernels.surface_plain import (
-        count_near,
-        mark_near,
-        marked,
-        median_places,
-        moments_near,
-        normal_equations,
-    )
-
     COMPILED = False
-
-__all__ = [
-    "COMPILED",
-    "align_patches",
-    "count_near",
-    "count_of_class",
-    "count_points",
-    "disparity_errors",
-    "divided",
-    "doubled",
-    "first_meetings",
-    "follow",
-    "left_of",
-    "linearise",
-    "mark",
-    "mark_near",
-    "mark_together",
-    "mark_visible",
-    "marked",
-    "mean_direction",
-    "median_places",
-    "moments_near",
-    "normal_equations",
-    "object_points",
-    "refined_disparities",
-    "region_distances",
-    "reverse_filters",
-    "reverse_to_grey",
-    "rows_beside",
-    "seen_by_both",
-]
+else:
+    COMPILED = True
+    for _module in _COMPILED:  # each function takes the place of the plain one, whose annotations stay
+        _kernels = {name: kernel for name, kernel in vars(_module).items() if name in globals() and name[0] != "_"}
+        globals().update(_kernels)

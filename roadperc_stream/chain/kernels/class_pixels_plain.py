@@ -1,4 +1,4 @@
-"""What ``class_pixels_compiled`` does, in numpy and OpenCV."""
+"""What ``class_pixels_compiled`` does, in numpy and OpenCV; the compiled form alone checks the sizes."""
 
 import cv2
 import numpy as np
@@ -13,11 +13,7 @@ def mark(tags: Image, of_class: Image) -> Image:
     Args:
         tags: (H, W).
         of_class: (256,) 1 at the tags of the class, else 0.
-
-    Raises:
-        ValueError: not so many.
     """
-    _require_every_tag(of_class)
     return np.asarray(cv2.LUT(np.ascontiguousarray(tags), of_class), np.uint8)
 
 
@@ -29,26 +25,11 @@ def mark_together(tags: Image, of_class: Image, least: int, marked: Image) -> No
         of_class: (256,) 1 at the tags of the class, else 0.
         least: pixels of the 3x3 around each that are of the class; mirrored at the border, as OpenCV's default has it.
         marked: (h, w), written.
-
-    Raises:
-        ValueError: other sizes, or no pixels.
     """
-    if tags.shape != marked.shape or not tags.size or len(of_class) != np.iinfo(np.uint8).max + 1:
-        raise ValueError(f"{tags.shape} tags of {len(of_class)} into {marked.shape}: expected one size")
     found = mark(tags, of_class)
     marked[...] = found & (cv2.boxFilter(found, -1, (3, 3), normalize=False) >= least)
 
 
 def count_of_class(tags: Image, of_class: Image) -> int:
-    """How many of (h, w) tags are of a class: not 0 in (256,).
-
-    Raises:
-        ValueError: ``of_class`` is of another length.
-    """
-    _require_every_tag(of_class)
+    """How many of (h, w) tags are of a class: not 0 in (256,)."""
     return int(np.count_nonzero(of_class[tags]))
-
-
-def _require_every_tag(of_class: Image) -> None:
-    if len(of_class) != np.iinfo(np.uint8).max + 1:
-        raise ValueError(f"a class of {len(of_class)} tags: expected 256")

@@ -1,4 +1,4 @@
-"""What ``objects_compiled`` does, in numpy and OpenCV."""
+"""What ``objects_compiled`` does, in numpy and OpenCV; the compiled form alone checks the sizes."""
 
 import cv2
 import numpy as np
@@ -26,12 +26,7 @@ def divided(log_depth: Float32, of_class: Image, jumps: Float32) -> Divided:
         each is called by each jump, 0 where no region that is new by that jump has it; of the K regions, those of a
         smaller jump before the others: the jump's index (K,), first column and row and those behind the last (4, K),
         and how many pixels each has (K,).
-
-    Raises:
-        ValueError: of other sizes, no pixels or no jumps.
     """
-    if log_depth.shape != of_class.shape or not of_class.size or not len(jumps):
-        raise ValueError(f"{of_class.shape} pixels, {log_depth.shape} depths, {len(jumps)} jumps")
     beside, below = (of_class[:, 1:] & of_class[:, :-1]) > 0, (of_class[1:] & of_class[:-1]) > 0
     across, down = np.abs(log_depth[:, 1:] - log_depth[:, :-1]), np.abs(log_depth[1:] - log_depth[:-1])
     labels = _connected(of_class, beside & (across < jumps[0]), below & (down < jumps[0]))
@@ -140,12 +135,7 @@ def region_distances(
 
     Returns:
         (N,) distances, and (M,) the noise of those that are finite; row by row.
-
-    Raises:
-        ValueError: other sizes.
     """
-    if not labels.shape == distances_m.shape == noise.shape:
-        raise ValueError(f"{labels.shape} pixels, {distances_m.shape} distances and {noise.shape} noise")
     mask = of_region[labels]
     finite = mask & (distances_m < np.inf)
     sums = _sums(np.where(finite, distances_m, 0.0).astype(np.float64)).astype(np.float32)
@@ -182,14 +172,8 @@ def object_points(
 
     Returns:
         (N, 3) points in the camera's frame, and (N,) their distances, row by row.
-
-    Raises:
-        ValueError: other sizes.
     """
-    (height, width), (x0, y0, x1, y1, step) = depth_m.shape, box
-    fits = x0 >= 0 and x1 <= width and y0 >= 0 and y1 <= height and step > 0
-    if not fits or (of_class and (of_class[0].shape, of_class[1].shape) != ((height, width), (256,))):
-        raise ValueError(f"{height}x{width} depths, every {step}. of {box[:4]}, do not fit their tags or 256 of them")
+    x0, y0, x1, y1, step = box
     fx, fy, cx, cy = camera
     part = slice(y0, max(y1, y0), step), slice(x0, max(x1, x0), step)
     x, y = (np.arange(x0, x1, step) - cx) / fx, (np.arange(y0, y1, step) - cy) / fy
@@ -214,12 +198,7 @@ def left_of(points: Float, ego_T_camera: Float, circle: Numbers) -> Float:
         ego_T_camera: (4, 4).
         circle: how far it is to the left at x = 0 of the ego frame, cosine and sine of its heading there, and its
             curvature.
-
-    Raises:
-        ValueError: other sizes.
     """
-    if points.shape[1] != 3 or ego_T_camera.shape != (4, 4):
-        raise ValueError(f"{points.shape} points and {ego_T_camera.shape}: expected (N, 3) and (4, 4)")
     offset_m, cosine, sine, bend = circle
     along, across = (
         row[0] * points[:, 0] + row[1] * points[:, 1] + row[2] * points[:, 2] + row[3] for row in ego_T_camera[:2]
@@ -235,12 +214,7 @@ def mean_direction(points: Float, ranges_m: Float, most_m: float) -> tuple[float
     """Mean x and y at z = 1 of the (N, 3) points that are no farther, of (N,) distances; NaN of none.
 
     Summed from the first to the last.
-
-    Raises:
-        ValueError: other sizes.
     """
-    if points.shape != (len(ranges_m), 3):
-        raise ValueError(f"{points.shape} points of {len(ranges_m)} distances")
     nearest = points[ranges_m <= most_m]
     if not len(nearest):
         return np.nan, np.nan

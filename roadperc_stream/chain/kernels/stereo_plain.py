@@ -1,4 +1,4 @@
-"""What ``stereo_compiled`` does, in numpy and OpenCV."""
+"""What ``stereo_compiled`` does, in numpy and OpenCV; the compiled form alone checks the sizes."""
 
 from typing import Final, NamedTuple
 
@@ -30,18 +30,8 @@ def refined_disparities(
 
     Returns:
         (H, W) pixels, NaN unknown.
-
-    Raises:
-        ValueError: other sizes.
     """
     height, width = sixteenths.shape
-    if not sixteenths.shape == left.shape == right.shape:
-        raise ValueError(
-            f"{height}x{width} disparities of {left.shape[0]}x{left.shape[1]} and "
-            f"{right.shape[0]}x{right.shape[1]} pixels: expected one size"
-        )
-    if size < 1 or size % 2 == 0:
-        raise ValueError(f"squares of {size} pixels: expected an odd number")
     if not sixteenths.size:
         return np.empty((height, width), np.float32)
     known = sixteenths > 0
@@ -130,12 +120,7 @@ def disparity_errors(
     Returns:
         (N,) absolute errors of the disparity and (N,) relative ones of the depth where it is known, row by row, and the
         numbers of pixels that count and whose disparity is bad.
-
-    Raises:
-        ValueError: other sizes.
     """
-    if not estimated_m.shape == true_m.shape == seen.shape:
-        raise ValueError(f"{estimated_m.shape}, {true_m.shape}, {seen.shape}: expected one size")
     scale_px_m, max_depth_m, bad_px, bad_share = limits
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         estimated_px, true_px = (np.float32(scale_px_m) / depth_m for depth_m in (estimated_m, true_m))

@@ -1,4 +1,7 @@
-"""What ``surface_compiled`` does, in numpy."""
+"""What ``surface_compiled`` does, in numpy, and normal equations, which are fast enough in numpy alone.
+
+The compiled form alone checks the sizes.
+"""
 
 from typing import NamedTuple
 
@@ -31,21 +34,12 @@ def mark_near(depth_m: Float32, distances: PlaneDistances, within_m: float, amon
         within_m: the largest distance, either side.
         among: (H, W) 0 or 1, the pixels that count.
         near: (H, W), written: 0 or 1.
-
-    Raises:
-        ValueError: the arrays do not fit each other.
     """
-    for marks in (among, near):
-        _require_fitting(depth_m, distances, marks)
     np.bitwise_and(among, _near(depth_m, distances, within_m), out=near)
 
 
 def count_near(depth_m: Float32, distances: PlaneDistances, within_m: float, among: Marks) -> int:
-    """How many pixels ``mark_near`` marks.
-
-    Raises:
-        ValueError: the arrays do not fit each other.
-    """
+    """How many pixels ``mark_near`` marks."""
     near = np.empty_like(among)
     mark_near(depth_m, distances, within_m, among, near)
     return int(np.count_nonzero(near))
@@ -64,11 +58,7 @@ def moments_near(
         within_m: the largest distance, either side.
         among: (H, W) 0 or 1, the pixels that count.
         ray_x: (W,) x of the rays with z = 1.
-
-    Raises:
-        ValueError: the arrays do not fit each other.
     """
-    _require_fitting(depth_m, distances, among, ray_x)
     near = among.view(bool) & _near(depth_m, distances, within_m)
     rows, columns = np.nonzero(near)
     z = depth_m[near]
@@ -84,14 +74,8 @@ def marked(marks: NDArray[np.uint8], ranks: NDArray[np.int64]) -> NDArray[np.int
     Args:
         marks: (H, W) 0 or 1.
         ranks: (N,) which: 0 is the first mark.
-
-    Raises:
-        IndexError: there is no such mark.
     """
-    places = np.flatnonzero(marks)
-    if len(ranks) and not 0 <= ranks.min() <= ranks.max() < len(places):
-        raise IndexError(f"marks {ranks.min()} to {ranks.max()} of {len(places)}")
-    return places[ranks]
+    return np.flatnonzero(marks)[ranks]
 
 
 def _near(depth_m: Float32, distances: PlaneDistances, within_m: float) -> NDArray[np.bool_]:
@@ -101,16 +85,6 @@ def _near(depth_m: Float32, distances: PlaneDistances, within_m: float) -> NDArr
         distance_m += np.float32(offset_m)
         near: NDArray[np.bool_] = np.abs(distance_m) <= np.float32(within_m)
     return near
-
-
-def _require_fitting(
-    depth_m: Float32, distances: PlaneDistances, marks: NDArray[np.uint8], ray_x: Float32 | None = None
-) -> None:
-    column, row, _ = distances
-    height, width = depth_m.shape
-    columns = len(column) if ray_x is None or len(ray_x) == len(column) else -1
-    if (len(row), columns) != (height, width) or marks.shape != (height, width):
-        raise ValueError(f"{len(row)}x{columns} distances and {marks.shape} marks of {height}x{width} depths")
 
 
 def median_places(cell: NDArray[np.int32], values: NDArray[np.float32], cells: int) -> tuple[Places, Places]:
@@ -125,12 +99,7 @@ def median_places(cell: NDArray[np.int32], values: NDArray[np.float32], cells: i
 
     Returns:
         (M,) places among the values, in the order of the cells, and (M,) numbers of values.
-
-    Raises:
-        ValueError: not as many cells as values, or a cell that there is not.
     """
-    if len(cell) != len(values) or (len(cell) and not 0 <= cell.min() <= cell.max() < cells):
-        raise ValueError(f"{len(values)} values in {len(cell)} places of {cells} cells")
     order = np.lexsort((values, cell))
     counts = np.bincount(cell, minlength=cells)
     last = np.cumsum(counts) - 1
@@ -155,15 +124,8 @@ def normal_equations(
 
     Returns:
         (D, P) diagonals of the matrix in and below its middle, each element at its column, and the (P,) right side.
-
-    Raises:
-        ValueError: the arrays do not fit each other, or an equation has unknowns that there are not.
     """
-    equations, unknowns = values.shape
-    if not len(first) == len(weights) == len(targets) == equations:
-        raise ValueError(f"{equations} equations, {len(first)} places, {len(weights)} weights, {len(targets)} targets")
-    if equations and not 0 <= first.min() <= first.max() <= count - unknowns:
-        raise ValueError(f"unknowns {first.min()} to {first.max() + unknowns - 1} of {count}")
+    unknowns = values.shape[1]
     row, column = np.tril_indices(unknowns)
     products = weights[:, None] * (values[:, row] * values[:, column])
     lower = np.bincount(((row - column) * count + first[:, None] + column).ravel(), products.ravel(), unknowns * count)

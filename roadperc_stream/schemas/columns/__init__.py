@@ -7,17 +7,3 @@ roadperc.FrameMetrics has the same fields.
 
 from roadperc_stream.schemas.columns.column import COUNT, RATIO, UNITLESS, Column, columns_of, row_of
 from roadperc_stream.schemas.columns.frame import TIME_COLUMNS, FrameKey, FrameMetrics, InputColumns, ObjectMetrics
-
-__all__ = [
-    "COUNT",
-    "RATIO",
-    "TIME_COLUMNS",
-    "UNITLESS",
-    "Column",
-    "FrameKey",
-    "FrameMetrics",
-    "InputColumns",
-    "ObjectMetrics",
-    "columns_of",
-    "row_of",
-]

@@ -59,14 +59,10 @@ def area(occupancy, x_min, x_max, y_min, y_max):
     return occupancy.cells[rows, columns]
 
 
-def test_the_grid_covers_what_the_configuration_says():
+def test_an_empty_road_is_free_without_holes_and_nothing_else_is():
     occupancy = grid(*pictures())
     assert occupancy.cells.shape == (150, 200)
     assert (occupancy.x_min_m, occupancy.y_min_m, occupancy.resolution_m) == (0.0, -15.0, 0.2)
-
-
-def test_an_empty_road_is_free_without_holes_and_nothing_else_is():
-    occupancy = grid(*pictures())
     assert (area(occupancy, 8, 40, -5.8, 5.8) == FREE).all()
     assert (occupancy.cells != OCCUPIED).all()
     assert (area(occupancy, 0, 40, 10, 15) == UNKNOWN).all()

@@ -20,7 +20,7 @@ from roadperc_stream.geometry import (
     transform_plane,
 )
 from roadperc_stream.geometry.ground import ego_points, height_above, height_at, tilted_ground
-from roadperc_stream.model import Absent, Mask, Reason, ReasonCode, Surface, SurfaceSource
+from roadperc_stream.model import Absent, Mask, Reason, Surface, SurfaceSource
 from roadperc_stream.model.scene import DepthMap, Scene
 
 _UP_EGO = np.array([0.0, 0.0, 1.0])
@@ -197,12 +197,12 @@ def remember(
         return state, held, (Reason("surface", "plane_held", cause=cause),)
     if isinstance(road, Absent):
         return state, road, ()
-    code: ReasonCode = "plane_assumed"
     if pitch is not None:
-        code = "plane_estimated"
-        ground = tilted_ground(scene.ego_T_camera, pitch)
-        road = known_surface("estimated", *_depth_camera(scene), ground)
-    return state, road, () if failed is None else (Reason("surface", code, (scene.plane_source,), failed),)
+        road = known_surface("estimated", *_depth_camera(scene), tilted_ground(scene.ego_T_camera, pitch))
+    if failed is None:
+        return state, road, ()
+    code = "plane_assumed" if pitch is None else "plane_estimated"
+    return state, road, (Reason("surface", code, (scene.plane_source,), failed),)
 
 
 def _moved(state: SurfaceState, last_T_this: Float | None) -> SurfaceState:

@@ -112,9 +112,6 @@ def test_large_boxes_are_sampled_within_the_image():
 def test_boxes_without_pixels_have_no_regions(box):
     assert regions_of(box, NEAR)[0] == ()
     assert regions_of(box) == [()]
-
-
-def test_no_boxes_no_regions():
     assert regions_of() == []
 
 

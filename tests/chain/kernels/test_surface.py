@@ -1,14 +1,16 @@
-"""Pixels near a plane: known answers, and the compiled bits against numpy's."""
+"""Pixels near a plane, medians of cells, normal equations: known answers, and both ways to the same bits."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.kernels import surface_plain
+from roadperc_stream.chain.kernels import surface_plain as plain
 
 compiled = pytest.importorskip("roadperc_stream.chain.kernels.surface_compiled")
-BOTH = pytest.mark.parametrize("kernel", [surface_plain, compiled], ids=["plain", "compiled"])
+BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
+
+
 SIZES = st.integers(0, 2**32 - 1), st.integers(0, 12), st.integers(0, 40)
 
 
@@ -45,7 +47,7 @@ def test_compiled_marks_are_the_same(seed, height, width):
     depth, column, row, among, _ = image(seed, height, width)
     near = np.full((2, height, width), 9, np.uint8)
     counts = []
-    for k, kernel in enumerate((surface_plain, compiled)):
+    for k, kernel in enumerate((plain, compiled)):
         kernel.mark_near(depth, (column, row, 0.25), 0.7, among, near[k])
         counts.append(kernel.count_near(depth, (column, row, 0.25), 0.7, among))
     assert counts[0] == counts[1] == np.count_nonzero(near[0])
@@ -55,7 +57,7 @@ def test_compiled_marks_are_the_same(seed, height, width):
 @given(*SIZES)
 def test_compiled_moments_have_the_same_bits(seed, height, width):
     depth, column, row, marks, ray = image(seed, height, width)
-    expected, found = (k.moments_near(depth, (column, row, 0.25), 0.7, marks, ray) for k in (surface_plain, compiled))
+    expected, found = (k.moments_near(depth, (column, row, 0.25), 0.7, marks, ray) for k in (plain, compiled))
     assert expected.tobytes() == found.tobytes()
 
 
@@ -63,15 +65,14 @@ def test_compiled_moments_have_the_same_bits(seed, height, width):
 def test_marks_are_counted_row_by_row(seed, height, width, share):
     marks = (np.random.default_rng(seed).random((height, width)) < share).astype(np.uint8)
     ranks = np.random.default_rng(seed).permutation(np.count_nonzero(marks))
-    for kernel in (surface_plain, compiled):
+    for kernel in (plain, compiled):
         np.testing.assert_array_equal(kernel.marked(marks, ranks), np.flatnonzero(marks)[ranks])
 
 
-@BOTH
 @pytest.mark.parametrize("rank", [-1, 3])
-def test_a_mark_that_is_not_there_is_refused(kernel, rank):
+def test_a_mark_that_is_not_there_is_refused(rank):
     with pytest.raises(IndexError, match="of 3"):
-        kernel.marked(np.array([[0, 1, 1], [0, 0, 1]], np.uint8), np.array([0, rank]))
+        compiled.marked(np.array([[0, 1, 1], [0, 0, 1]], np.uint8), np.array([0, rank]))
 
 
 def test_marks_that_are_no_marks_are_looked_for_in_the_image_alone():
@@ -79,16 +80,75 @@ def test_marks_that_are_no_marks_are_looked_for_in_the_image_alone():
     assert set(compiled.marked(marks, np.arange(6 * 255)).tolist()) == set(range(6))
 
 
-@BOTH
-def test_what_does_not_fit_is_refused(kernel):
+def test_planes_refuse_what_does_not_fit():
     depth, column, row, marks, ray = image(0, 4, 5)
     for wrong in ((column[1:], row, marks, marks), (column, row, marks[:3], marks), (column, row, marks, marks[:3])):
         with pytest.raises(ValueError, match="of 4x5 depths"):
-            kernel.mark_near(depth, (*wrong[:2], 0.0), 1.0, *wrong[2:])
+            compiled.mark_near(depth, (*wrong[:2], 0.0), 1.0, *wrong[2:])
     for wrong in ((column[1:], row, marks), (column, row, marks[:3])):
         with pytest.raises(ValueError, match="of 4x5 depths"):
-            kernel.count_near(depth, (*wrong[:2], 0.0), 1.0, *wrong[2:])
+            compiled.count_near(depth, (*wrong[:2], 0.0), 1.0, *wrong[2:])
     with pytest.raises(ValueError, match="of 4x5 depths"):
-        kernel.moments_near(depth, (column, row[1:], 0.0), 1.0, marks, ray)
+        compiled.moments_near(depth, (column, row[1:], 0.0), 1.0, marks, ray)
     with pytest.raises(ValueError, match="of 4x5 depths"):
-        kernel.moments_near(depth, (column, row, 0.0), 1.0, marks, ray[1:])
+        compiled.moments_near(depth, (column, row, 0.0), 1.0, marks, ray[1:])
+
+
+def cells(*numbers):
+    return np.array(numbers, np.int32)
+
+
+def values(*numbers):
+    return np.array(numbers, np.float32)
+
+
+@BOTH
+def test_the_middle_one_and_the_lower_of_two(kernel):
+    places, counts = kernel.median_places(cells(3, 0, 3, 3, 0), values(5.0, 2.0, -1.0, 0.5, 1.0), 5)
+    np.testing.assert_array_equal(places, [4, 3])
+    np.testing.assert_array_equal(counts, [2, 3])
+
+
+@BOTH
+def test_of_equal_values_the_first_is_the_smaller(kernel):
+    places, _ = kernel.median_places(cells(0, 0, 0, 0), values(0.0, -0.0, 0.0, -0.0), 1)
+    np.testing.assert_array_equal(places, [1])
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 200), st.integers(1, 12), st.integers(1, 100))
+def test_compiled_places_are_the_same(seed, number, count, levels):
+    rng = np.random.default_rng(seed)
+    cell = rng.integers(0, count, number).astype(np.int32)
+    heights = (rng.integers(-levels, levels, number) / 7).astype(np.float32)
+    heights[rng.random(number) < 0.05] = np.inf
+    expected, found = (kernel.median_places(cell, heights, count) for kernel in (plain, compiled))
+    for one, other in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert expected[1].sum() == number
+
+
+def test_medians_refuse_what_does_not_fit():
+    for wrong in (cells(0, 1), cells(0, 1, 2), cells(-1, 0, 1)):
+        with pytest.raises(ValueError, match="3 values in"):
+            compiled.median_places(wrong, values(1, 2, 3), 2)
+
+
+COUNT = 9
+
+
+def equations(seed, number, unknowns):
+    rng = np.random.default_rng(seed)
+    first = rng.integers(0, COUNT - unknowns + 1, number)
+    return first, rng.normal(size=(number, unknowns)), rng.uniform(size=number), rng.normal(size=number)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 30), st.integers(1, 8))
+def test_the_band_is_that_of_the_full_matrix(seed, number, unknowns):
+    first, values, weights, targets = equations(seed, number, unknowns)
+    A = np.zeros((number, COUNT))
+    np.put_along_axis(A, first[:, None] + np.arange(unknowns), values, axis=1)
+    N = A.T @ (weights[:, None] * A)
+    lower, right = plain.normal_equations(first, values, weights, targets, COUNT)
+    for beside in range(unknowns):
+        np.testing.assert_allclose(lower[beside, : COUNT - beside], np.diag(N, -beside), atol=1e-12)
+    np.testing.assert_allclose(right, A.T @ (weights * targets), atol=1e-12)

@@ -1,15 +1,20 @@
-"""Points in the cells of a grid: known answers, and the compiled counts against numpy's."""
+"""Points counted in cells, and the cells in sight: known answers, and both ways to the same bits."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.kernels import occupancy_plain
-from roadperc_stream.chain.kernels.occupancy_plain import Cells, KnownPixels, Rays
+from roadperc_stream.chain.kernels import occupancy_plain as plain
+from roadperc_stream.chain.kernels.occupancy_plain import Cells, KnownPixels, Middles, Rays
+from roadperc_stream.chain.kernels.odometry_plain import Projection
+from roadperc_stream.geometry import inverse, level_mounting
 
 compiled = pytest.importorskip("roadperc_stream.chain.kernels.occupancy_compiled")
-BOTH = pytest.mark.parametrize("kernel", [occupancy_plain, compiled], ids=["plain", "compiled"])
+BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
+
+
 CELLS = Cells(0.0, -2.0, 0.5, 0.25, 2.0)
 SHAPE = 8, 6
 LEVEL = np.zeros(3, np.float32)
@@ -74,13 +79,13 @@ def test_compiled_counts_are_the_same(seed, height, width, is_plane):
     tags = rng.choice(np.array([0, 1, 7], np.uint8), (2 * height, 2 * width))[::2, ::2]
     road = rng.uniform(-1, 1, 3).astype(np.float32), None if is_plane else heights
     expected, found = (
-        counted(kernel, depth, Rays(column, parts, start), *road, marks, tags) for kernel in (occupancy_plain, compiled)
+        counted(kernel, depth, Rays(column, parts, start), *road, marks, tags) for kernel in (plain, compiled)
     )
     np.testing.assert_array_equal(found, expected)
 
 
 @BOTH
-def test_what_does_not_fit_is_refused(kernel):
+def test_counts_refuse_what_does_not_fit(kernel):
     depth, rays = one_row((0.0, 1.0, 2.0), (0.0, 1.0, 2.0))
     marks = np.zeros((1, 3), np.uint8)
     for others in ((marks, marks[:, :2]), (marks[:, :2], marks)):
@@ -93,3 +98,75 @@ def test_what_does_not_fit_is_refused(kernel):
     counts = np.zeros((2, 2), np.int64), np.zeros((2, 3), np.int64)
     with pytest.raises(ValueError, match="counts of"):
         kernel.count_points(CELLS, KnownPixels(depth, None, marks, marks, OBSTACLE_TAGS), rays, LEVEL, *counts)
+
+
+PROJECTION = Projection(10.0, 10.0, 7.5, 2.0)
+SIZE = 12, 16
+CAMERA_T_EGO = inverse(level_mounting(1.0))
+X, Y = np.array([-1.0, 2.0, 4.0]), np.array([0.0, 1.0])
+"""Seen at row 7 and 4.5, rounded to 4, and columns 7.5, rounded to 8, and 2.5 or 5: the first lies behind."""
+FLAT = np.zeros((2, 3))
+
+
+def seen(kernel, drivable, depth=None, tolerance=0.1, slack_m=0.2, z=FLAT):
+    return kernel.mark_visible(PROJECTION, CAMERA_T_EGO, Middles(X, Y, z), drivable, depth, (tolerance, slack_m))
+
+
+@BOTH
+def test_cells_are_visible_where_their_pixels_are_drivable(kernel):
+    drivable = np.zeros(SIZE, np.uint8)
+    drivable[6:9, 7:10] = 1
+    np.testing.assert_array_equal(seen(kernel, drivable), [[0, 1, 0], [0, 0, 0]])
+    np.testing.assert_array_equal(seen(kernel, np.ones(SIZE, np.uint8)), [[0, 1, 1], [0, 1, 1]])
+
+
+@BOTH
+def test_the_road_is_hidden_by_what_is_nearer_and_where_nothing_is_known(kernel):
+    depth = np.full(SIZE, 2.0, np.float32)
+    depth[4] = np.nan
+    np.testing.assert_array_equal(seen(kernel, np.ones(SIZE, np.uint8), depth), [[0, 1, 0], [0, 1, 0]])
+    depth[7] = 1.59  # 2 m less a tenth and 0.2 m
+    np.testing.assert_array_equal(seen(kernel, np.ones(SIZE, np.uint8), depth), np.zeros((2, 3)))
+
+
+@BOTH
+def test_single_pixels_do_not_count(kernel):
+    hole, dot = np.ones(SIZE, np.uint8), np.zeros(SIZE, np.uint8)
+    hole[7, 8], dot[7, 8] = 0, 1
+    assert seen(kernel, hole)[0, 1]
+    assert not seen(kernel, dot)[0, 1]
+
+
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.sampled_from([(1, 1), (1, 9), (9, 1), SIZE]))
+def test_compiled_marks_are_the_same(seed, has_depth, size):
+    rng = np.random.default_rng(seed)
+    drivable, depth = rng.integers(0, 2, size).astype(np.uint8), rng.uniform(1, 5, size).astype(np.float32)
+    depth[rng.random(size) < 0.2] = np.nan
+    z = rng.normal(0.0, 1.0, FLAT.shape)
+    z[rng.random(z.shape) < 0.1] = np.nan
+    found = [seen(k, drivable, depth if has_depth else None, z=z) for k in (plain, compiled)]
+    np.testing.assert_array_equal(*found)
+
+
+@BOTH
+@given(st.integers(0, 2**32 - 1))
+def test_most_of_nine_pixels_are_their_median(kernel, seed):
+    drivable = np.random.default_rng(seed).integers(0, 2, SIZE).astype(np.uint8)
+    x, y = 10.0 / np.arange(1.0, 10.0), (7.5 - np.arange(16.0)) / 10
+    visible, expected = np.empty((16, 9), np.uint8), cv2.medianBlur(drivable, 3)
+    for column in range(9):  # row 3 + column of the image: each cell in its own column of it
+        at = x[column : column + 1]
+        middles = Middles(at, y * at, np.zeros((16, 1)))
+        visible[:, column : column + 1] = kernel.mark_visible(
+            PROJECTION, CAMERA_T_EGO, middles, drivable, None, (0.0, 0.0)
+        )
+    np.testing.assert_array_equal(visible, expected[3:12].T)
+
+
+@BOTH
+def test_sights_refuse_what_does_not_fit(kernel):
+    drivable, depth = np.ones(SIZE, np.uint8), np.ones(SIZE, np.float32)
+    with pytest.raises(ValueError, match="cells"):
+        seen(kernel, drivable, depth[1:])
+    with pytest.raises(ValueError, match="cells"):
+        seen(kernel, drivable, depth, z=np.zeros((3, 2)))
