@@ -73,13 +73,7 @@ def test_every_stage_gives_something(whole):
 
 
 @pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
-def test_replaying_twice_is_equal(drive, request):
-    frames = request.getfixturevalue(drive)
-    assert same(run(frames)[1], run(frames)[1])
-
-
-@pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
-def test_results_do_not_depend_on_later_frames(drive, request):
+def test_replaying_again_is_equal_and_does_not_depend_on_later_frames(drive, request):
     frames = request.getfixturevalue(drive)
     assert same(run(frames[:3])[1], run(frames)[1][:3])
 
