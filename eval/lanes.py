@@ -10,9 +10,8 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.geometry import Float
-from roadperc_stream.metrics import lane_scores
-from roadperc_stream.metrics.lane_scores import Counts, TuSimpleScore
 from roadperc_stream.metrics.lanes import CULANE_THRESHOLDS as THRESHOLDS
+from roadperc_stream.metrics.lanes import Counts, TuSimpleScore, counts_above, line_overlaps, tusimple
 from roadperc_stream.output.terminal import console_for, print_parts
 from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.files import real_path
@@ -95,12 +94,10 @@ def score_frame(found: LaneFrame, truth: LaneFrame, size: tuple[int, int]) -> Fr
         size: columns and rows of the image.
     """
     columns, rows = size
-    threshold_px = lane_scores.tusimple_px(columns)
-    width_px = lane_scores.culane_width_px(columns)
-    overlaps = lane_scores.line_overlaps(_polylines(found), _polylines(truth), (rows, columns), width_px)
+    overlaps = line_overlaps(_polylines(found), _polylines(truth), (rows, columns))
     return FrameScore(
-        lane_scores.tusimple(found.lanes, truth.lanes, truth.rows, threshold_px),
-        tuple(lane_scores.counts_above(overlaps, threshold) for threshold in THRESHOLDS),
+        tusimple(found.lanes, truth.lanes, truth.rows, columns),
+        tuple(counts_above(overlaps, threshold) for threshold in THRESHOLDS),
         bool(found.lanes),
     )
 

@@ -10,7 +10,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, inverse
 from roadperc_stream.geometry.registration import depth_of_points
-from roadperc_stream.model import CameraImage, Frame, Ids, Image, Reason, StereoDepth
+from roadperc_stream.model import CameraImage, Frame, Ids, Image, Reason
 from roadperc_stream.model.scene import DepthMap
 
 T = TypeVar("T")
@@ -26,12 +26,8 @@ def needs_grey(cfg: ReplayConfig, frame: Frame) -> bool:
     """Whether a stage in use needs the front camera's pixels, without regard to the state."""
     searches = cfg.objects.enabled and cfg.objects.template_search and bool(frame.detections)
     shown = cfg.objects.enabled and bool(cfg.objects.template_png)
-    return cfg.odometry.enabled or searches or shown or (matches(cfg, frame) and left_is_front(frame))
-
-
-def matches(cfg: ReplayConfig, frame: Frame) -> bool:
-    """Whether there is a pair to match."""
-    return cfg.stereo.enabled and frame.right is not None
+    matches = cfg.stereo.enabled and frame.right is not None
+    return cfg.odometry.enabled or searches or shown or (matches and left_is_front(frame))
 
 
 def left_is_front(frame: Frame) -> bool:
@@ -64,11 +60,6 @@ def sensor_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
     return DepthMap(depth_m, frame.depth_camera, frame.ego_T_depth_camera, frame.depth.limit_m, "depth")
 
 
-def stereo_depth(frame: Frame, stereo: StereoDepth) -> DepthMap:
-    """The depth of the stereo pair."""
-    return DepthMap(stereo.depth_m, frame.left_camera, frame.ego_T_left, np.inf, "stereo")
-
-
 def lidar_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
     """The lidar's points as a sparse depth image of the front camera."""
     if frame.points is None:
@@ -81,15 +72,13 @@ def lidar_depth(frame: Frame, problems: list[Reason]) -> DepthMap | None:
         return None
     depth_m = depth_of_points(frame.camera, inverse(frame.ego_T_camera) @ frame.ego_T_lidar, points_m)
     if not np.isfinite(depth_m).any():
-        problems.append(_none_in_view(len(points_m), frame.points.left_out))
+        finite, infinite = len(points_m), frame.points.left_out
+        none_in_view = Reason("lidar", "no_points_in_view", (finite,))
+        if infinite:
+            none_in_view = Reason("lidar", "no_finite_points_in_view", (finite + infinite, infinite))
+        problems.append(none_in_view)
         return None
     return DepthMap(depth_m, frame.camera, frame.ego_T_camera, np.inf, "lidar")
-
-
-def _none_in_view(finite: int, infinite: int) -> Reason:
-    if infinite:
-        return Reason("lidar", "no_finite_points_in_view", (finite + infinite, infinite))
-    return Reason("lidar", "no_points_in_view", (finite,))
 
 
 def _pixels(

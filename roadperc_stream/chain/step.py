@@ -1,6 +1,6 @@
 """The perception chain of one frame: ``observe`` its pixels, ``localise`` the car, ``perceive`` what is on the road."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Final, TypeVar
@@ -8,11 +8,19 @@ from typing import Final, TypeVar
 import numpy as np
 
 from roadperc_stream.chain import pixels
-from roadperc_stream.chain.stages import lanes, objects, occupancy, odometry, stereo, surface
-from roadperc_stream.chain.stages.lanes import LanesState
-from roadperc_stream.chain.stages.objects import ObjectsState
-from roadperc_stream.chain.stages.odometry import OdometryState
-from roadperc_stream.chain.stages.surface import SurfaceState
+from roadperc_stream.chain.stages import occupancy, stereo
+from roadperc_stream.chain.stages.lanes import ego_lane
+from roadperc_stream.chain.stages.lanes.tracking import LanesState
+from roadperc_stream.chain.stages.objects import tracker
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState
+from roadperc_stream.chain.stages.odometry import ego_motion
+from roadperc_stream.chain.stages.odometry.keyframes import OdometryState, counted_from_here
+from roadperc_stream.chain.stages.surface.road import (
+    SurfaceState,
+    drivable_mask,
+    find_surface,
+    remember,
+)
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Float, inverse, transform_plane
 from roadperc_stream.model import (
@@ -92,16 +100,19 @@ def observe(cfg: ReplayConfig, frame: Frame, timer: Timer = untimed, threads: in
         threads: OpenCV may match with two of them: it gives the same bits in half the time.
     """
     stages, undecodable, problems = _EnabledStages(cfg, timer), list[Reason](), list[Reason]()
+    tags = sensor = instances = grey = depth = None
     with timer("decode"):
-        tags = pixels.tags_of(frame, undecodable) if pixels.needs_scene(cfg) else None
-        sensor = pixels.sensor_depth(frame, undecodable) if pixels.needs_scene(cfg) else None
-        instances = pixels.instances_of(frame, undecodable) if cfg.objects.enabled else None
-        grey = (
-            pixels.grey_of("image", frame.image, frame.camera, undecodable) if pixels.needs_grey(cfg, frame) else None
-        )
+        if pixels.needs_scene(cfg):
+            tags = pixels.tags_of(frame, undecodable)
+            sensor = pixels.sensor_depth(frame, undecodable)
+        if cfg.objects.enabled:
+            instances = pixels.instances_of(frame, undecodable)
+        if pixels.needs_grey(cfg, frame):
+            grey = pixels.grey_of("image", frame.image, frame.camera, undecodable)
     matched = stages.run("stereo", lambda: _stereo(cfg, frame, grey, problems, threads), _off("stereo"))
     with timer("decode"):
-        depth = _best_depth(frame, sensor, matched, problems) if pixels.needs_scene(cfg) else None
+        if pixels.needs_scene(cfg):
+            depth = _best_depth(frame, sensor, matched, problems)
     return Scene(
         frame.stamp_ns,
         frame.camera,
@@ -126,10 +137,10 @@ def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = 
     stages, no_road = _EnabledStages(cfg, timer), _off("surface")
     last, _ = _in_order(state, scene.stamp_ns)
     rng = np.random.default_rng((cfg.seed, scene.stamp_ns % 2**63))
-    seen, failed = stages.run("surface", lambda: surface.find_surface(cfg.surface, scene, rng), (no_road, None))
+    seen, failed = stages.run("surface", lambda: find_surface(cfg.surface, scene, rng), (no_road, None))
     moved, motion = stages.run(
         "odometry",
-        lambda: odometry.step(
+        lambda: ego_motion.step(
             cfg.odometry, last.odometry, scene, _metric_road(scene, _in_front_camera(scene, seen)), rng
         ),
         (last.odometry, _off("odometry")),
@@ -137,14 +148,13 @@ def localise(cfg: ReplayConfig, state: ChainState, scene: Scene, timer: Timer = 
     last_T_this = _metric_step(motion, last.stamp_ns)
     kept, road, held = stages.run(
         "surface",
-        lambda: surface.remember(cfg.surface, last.surface, scene, seen, failed, last_T_this),
+        lambda: remember(cfg.surface, last.surface, scene, seen, failed, last_T_this, _shown_pitch(moved)),
         (last.surface, no_road, ()),
     )
-    road = _with_pitch(scene, road, moved)
     front_road = _in_front_camera(scene, road)
-    drivable = stages.run("surface", lambda: surface.drivable_mask(cfg.surface, scene, front_road), _off("drivable"))
+    drivable = stages.run("surface", lambda: drivable_mask(cfg.surface, scene, front_road), _off("drivable"))
     state = replace(last, stamp_ns=scene.stamp_ns, surface=kept, odometry=moved)
-    localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, _as_estimated(held, road))
+    localised = LocalisedFrame(scene, state, motion, road, front_road, drivable, held)
     return _with_origin_here(localised) if scene.is_origin and last.stamp_ns is not None else localised
 
 
@@ -156,15 +166,15 @@ def perceive(
     last, out_of_order = _in_order(state, localised.scene.stamp_ns)
     scene = _with_grey_for_tracks(cfg, last, localised.scene, timer)
     motion, last_T_this = _since(localised.motion, last.stamp_ns), _metric_step(localised.motion, last.stamp_ns)
-    lanes_state, ego_lane = stages.run(
+    lanes_state, found_lanes = stages.run(
         "lanes",
-        lambda: lanes.step(cfg.lanes, last.lanes, scene, road, drivable, motion),
+        lambda: ego_lane.step(cfg.lanes, last.lanes, scene, road, drivable, motion),
         (last.lanes, _off("lanes")),
     )
-    known_lane = None if isinstance(ego_lane, Absent) else ego_lane
+    known_lane = None if isinstance(found_lanes, Absent) else found_lanes
     objects_state, tracked = stages.run(
         "objects",
-        lambda: objects.step(cfg.objects, last.objects, scene, known_lane, last_T_this),
+        lambda: tracker.step(cfg.objects, last.objects, scene, known_lane, last_T_this),
         (last.objects, _off("objects")),
     )
     grid = stages.run("occupancy", lambda: occupancy.build(cfg.occupancy, scene, road, drivable), _off("occupancy"))
@@ -176,7 +186,7 @@ def perceive(
         surface=localised.road,
         front_surface=road,
         drivable=drivable,
-        lanes=ego_lane,
+        lanes=found_lanes,
         objects=tracked,
         stereo=scene.stereo,
         odometry=localised.motion,
@@ -217,7 +227,7 @@ def _in_order(state: ChainState, stamp_ns: int) -> tuple[ChainState, list[Reason
 
 def _with_origin_here(localised: LocalisedFrame) -> LocalisedFrame:
     """The frame with odom at its ego frame: its pose is exactly the identity."""
-    moved = odometry.counted_from_here(localised.state.odometry)
+    moved = counted_from_here(localised.state.odometry)
     motion = localised.motion
     motion = motion if isinstance(motion, Absent) else replace(motion, odom_T_ego=moved.odom_T_ego)
     return replace(localised, state=replace(localised.state, odometry=moved), motion=motion)
@@ -230,7 +240,7 @@ def _best_depth(
     if sensor is not None:
         return sensor
     if isinstance(matched, StereoDepth):
-        return pixels.stereo_depth(frame, matched)
+        return DepthMap(matched.depth_m, frame.left_camera, frame.ego_T_left, np.inf, "stereo")
     return pixels.lidar_depth(frame, problems)
 
 
@@ -249,18 +259,9 @@ def _metric_road(scene: Scene, front_road: Surface | Absent) -> Surface | None:
     return front_road
 
 
-def _with_pitch(scene: Scene, road: Surface | Absent, state: OdometryState) -> Surface | Absent:
-    """A road that is assumed, with the pitch that the drive has shown."""
-    if isinstance(road, Absent) or road.source != "assumed" or state.pitch is None or not state.pitch.measured:
-        return road
-    return surface.estimated_surface(scene, state.pitch.offset)
-
-
-def _as_estimated(held: tuple[Reason, ...], road: Surface | Absent) -> tuple[Reason, ...]:
-    """The reasons for the road's plane, which name an estimated plane as such."""
-    if isinstance(road, Absent) or road.source != "estimated":
-        return held
-    return tuple(replace(reason, code="plane_estimated") for reason in held)
+def _shown_pitch(state: OdometryState) -> float | None:
+    """By how much the camera looks further down than its mounting says, radians, if the drive has shown it."""
+    return state.pitch.offset if state.pitch is not None and state.pitch.measured else None
 
 
 def _since(motion: Odometry | Absent, since_ns: int | None) -> Odometry | None:
@@ -302,33 +303,24 @@ def _stereo(
         return stereo.match(cfg.stereo, frame.left_camera, frame.right_camera, frame.ego_T_left, left_grey, right_grey)
 
 
-def _odd_camera(scene: Scene) -> list[Reason]:
+def _odd_camera(scene: Scene) -> Iterator[Reason]:
     """What is wrong with the calibration of the front camera."""
-    odd = []
     if scene.camera.lens is not None:
-        odd.append(Reason("image", "not_rectified"))
+        yield Reason("image", "not_rectified")
     if not scene.camera.square_pixels:
-        odd.append(Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy)))
-    return odd
+        yield Reason("image", "pixels_not_square", (scene.camera.fx, scene.camera.fy))
 
 
-def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Absent) -> list[Reason]:
+def _missing_inputs(scene: Scene, road: Surface | Absent, tracked: Objects | Absent) -> Iterator[Reason]:
     """What a stage that gave something had to do without."""
-    missing = list[Reason]()
-    if scene.depth is None:
-        missing += _instead_of_depth(scene, road)
-    elif scene.tags is None:
-        missing.append(Reason("surface", "no_segmentation_lower_image"))
-    if isinstance(tracked, Objects) and tracked.objects:
-        missing += [Reason("objects", "no_segmentation_not_filtered")] if scene.tags is None else []
-        missing += [Reason("objects", "no_depth_no_distances")] if scene.depth is None else []
-    return missing
-
-
-def _instead_of_depth(scene: Scene, road: Surface | Absent) -> list[Reason]:
-    """What gives the road's plane without depth; of one that is held its own reason says so."""
     source = None if isinstance(road, Absent) else road.source
-    if source == "held":
-        return []
-    code = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
-    return [Reason("surface", code, (scene.plane_source,))]
+    if scene.depth is None and source != "held":  # of a plane that is held its own reason says so
+        code = "no_depth_pitch_estimated" if source == "estimated" else "no_depth_plane_assumed"
+        yield Reason("surface", code, (scene.plane_source,))
+    if scene.depth is not None and scene.tags is None:
+        yield Reason("surface", "no_segmentation_lower_image")
+    if isinstance(tracked, Objects) and tracked.objects:
+        if scene.tags is None:
+            yield Reason("objects", "no_segmentation_not_filtered")
+        if scene.depth is None:
+            yield Reason("objects", "no_depth_no_distances")

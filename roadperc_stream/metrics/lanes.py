@@ -1,13 +1,14 @@
 """The ego lane's two boundaries, and how far they are off: on the road, and as the public benchmarks score lanes."""
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
+import cv2
 import numpy as np
 
 from roadperc_stream.geometry import Camera, Float, inverse, project, transform
-from roadperc_stream.metrics import lane_scores
-from roadperc_stream.model import SIDES, Absent, Boundary, Lanes
+from roadperc_stream.geometry.assignment import largest_total
+from roadperc_stream.model import SIDES, Absent, Boundary, Lanes, Mask
 from roadperc_stream.schemas.columns.errors import LaneErrorColumns, LaneScoreColumns, TrueLaneColumns
 from roadperc_stream.schemas.columns.estimates import LaneColumns
 
@@ -16,6 +17,41 @@ ROW_STEP_PX: Final = 10
 """TuSimple's rows are the multiples of this."""
 CULANE_THRESHOLDS: Final = (0.5, 0.3)
 """Intersection over union from which a line is found."""
+TUSIMPLE_PX: Final = 20.0
+"""Columns by which a point may be off, of a lane that stands upright in a 1280 px wide image."""
+TUSIMPLE_MATCHED: Final = 0.85
+"""Accuracy from which a true lane is found."""
+_TUSIMPLE_SURPLUS: Final = 2
+"""More predicted lanes than true ones by more than this are no answer at all."""
+_TUSIMPLE_LANES: Final = 4
+"""Of more true lanes than this the worst one is forgiven."""
+_NOWHERE_PX: Final = -100.0
+"""Column of a point that is not there, as in TuSimple's script: near to none that is, and right where both are not."""
+CULANE_WIDTH_PX: Final = 30
+"""Width a lane is drawn with in a 1640 px wide image."""
+TUSIMPLE_COLUMNS: Final = 1280
+CULANE_COLUMNS: Final = 1640
+"""Widths of the benchmarks' images: their thresholds in px scale with the image, so that resolution does not matter."""
+_SUBPIXEL_BITS: Final = 4
+_DRAWABLE_PX: Final = 2.0**14
+"""To points farther than this outside the image, as of a line that passes beside the camera, OpenCV draws a line that
+is a few columns off; far more of them take seconds, or do not fit into its 32 bits."""
+
+
+class TuSimpleScore(NamedTuple):
+    """One frame's share of right points, of predicted lanes that are wrong, and of true lanes that are missed."""
+
+    accuracy: float
+    fp: float
+    fn: float
+
+
+class Counts(NamedTuple):
+    """Lines found rightly, found wrongly and missed."""
+
+    tp: int
+    fp: int
+    fn: int
 
 
 def lane_columns(lanes: Lanes | Absent) -> LaneColumns:
@@ -106,9 +142,14 @@ def lane_benchmarks(
     if not true_px:
         return LaneScoreColumns()
     found_px = [line for side in SIDES if len(line := in_view(lanes.side(side).line_px, camera))]
-    points = _tusimple(found_px, true_px, camera)
-    overlaps = _culane_overlaps(found_px, true_px, camera)
-    at_50, at_30 = (lane_scores.counts_above(overlaps, threshold) for threshold in CULANE_THRESHOLDS)
+    top = min(line[:, 1].min() for line in true_px)
+    rows = np.arange(np.ceil(top / ROW_STEP_PX) * ROW_STEP_PX, camera.height, ROW_STEP_PX)
+    points = None
+    if len(rows):
+        found, true = ([columns_at(line, rows, camera) for line in lines] for lines in (found_px, true_px))
+        points = tusimple(found, true, rows, camera.width)
+    overlaps = line_overlaps(found_px, true_px, camera.size)
+    at_50, at_30 = (counts_above(overlaps, threshold) for threshold in CULANE_THRESHOLDS)
     return LaneScoreColumns(
         lane_tusimple_accuracy=None if points is None else points.accuracy,
         lane_tusimple_fp=None if points is None else points.fp,
@@ -120,23 +161,6 @@ def lane_benchmarks(
         lane_culane_fp_30=at_30.fp,
         lane_culane_fn_30=at_30.fn,
     )
-
-
-def _tusimple(found_px: Sequence[Float], true_px: Sequence[Float], camera: Camera) -> lane_scores.TuSimpleScore | None:
-    top = min(line[:, 1].min() for line in true_px)
-    rows = np.arange(np.ceil(top / ROW_STEP_PX) * ROW_STEP_PX, camera.height, ROW_STEP_PX)
-    if not len(rows):
-        return None
-    return lane_scores.tusimple(
-        [columns_at(line, rows, camera) for line in found_px],
-        [columns_at(line, rows, camera) for line in true_px],
-        rows,
-        lane_scores.tusimple_px(camera.width),
-    )
-
-
-def _culane_overlaps(found_px: Sequence[Float], true_px: Sequence[Float], camera: Camera) -> Float:
-    return lane_scores.line_overlaps(found_px, true_px, camera.size, lane_scores.culane_width_px(camera.width))
 
 
 def columns_at(line_px: Float, rows: Float, camera: Camera) -> Float:
@@ -159,3 +183,108 @@ def in_view(line_px: Float, camera: Camera) -> Float:
     seen = line_px[np.append(True, line_px[1:, 1] < highest[:-1])] if len(line_px) else line_px
     inside = ((seen >= 0) & (seen <= (camera.width - 1, camera.height - 1))).all(axis=1)
     return seen if np.count_nonzero(inside) > 1 else seen[:0]
+
+
+def tusimple(
+    predicted: Sequence[Float], truth: Sequence[Float], rows: Float, columns: int = TUSIMPLE_COLUMNS
+) -> TuSimpleScore:
+    """Accuracy, false positives and false negatives of a frame, by the TuSimple lane detection challenge (2017).
+
+    A point is right where its column is less than 20 px / cos(angle of the true lane) off, or where neither
+    lane has one; a true lane's accuracy is that of the predicted lane with most right points, and it is found at
+    ``TUSIMPLE_MATCHED``. As in the benchmark's script, the worst of more than four true lanes is forgiven, and a frame
+    with more than two lanes too many scores (0, 0, 1).
+
+    Args:
+        predicted: a lane each: (N,) column in px at each row, NaN where the lane has no point.
+        truth: the same, true.
+        rows: (N,) rows in px, the same for all lanes.
+        columns: width of the image, with which the 20 px of the benchmark's images grow.
+    """
+    threshold_px = TUSIMPLE_PX * columns / TUSIMPLE_COLUMNS
+    if len(predicted) > len(truth) + _TUSIMPLE_SURPLUS:
+        return TuSimpleScore(0.0, 0.0, 1.0)
+    best = [_best_accuracy(predicted, lane, threshold_px / np.cos(lane_angle(lane, rows))) for lane in truth]
+    found = sum(accuracy >= TUSIMPLE_MATCHED for accuracy in best)
+    forgiven = len(truth) > _TUSIMPLE_LANES
+    missed = len(truth) - found
+    scored = max(min(len(truth), _TUSIMPLE_LANES), 1)
+    return TuSimpleScore(
+        (sum(best) - (min(best) if forgiven else 0.0)) / scored,
+        (len(predicted) - found) / len(predicted) if predicted else 0.0,
+        (missed - (1 if forgiven and missed else 0)) / scored,
+    )
+
+
+def lane_angle(lane: Float, rows: Float) -> float:
+    """Angle of the straight line fitted to a lane, from the upright, radians; 0 with fewer than two points."""
+    known = np.isfinite(lane)
+    if np.count_nonzero(known) < 2:
+        return 0.0
+    x, y = lane[known], rows[known] - rows[known].mean()
+    return float(np.arctan2(y @ (x - x.mean()), y @ y))
+
+
+def _best_accuracy(predicted: Sequence[Float], lane: Float, threshold_px: float) -> float:
+    true_px = np.nan_to_num(lane, nan=_NOWHERE_PX)
+    right = (np.abs(np.nan_to_num(other, nan=_NOWHERE_PX) - true_px) < threshold_px for other in predicted)
+    return max((float(found.mean()) for found in right), default=0.0)
+
+
+def line_overlaps(predicted: Sequence[Float], truth: Sequence[Float], shape: tuple[int, int]) -> Float:
+    """(predicted, truth) intersections over union of drawn lines, by which CULane pairs them.
+
+    They are 30 px wide in the benchmark's images, 1640 px wide, and grow with the image.
+
+    Args:
+        predicted: a line each: (N, 2) x, y in px from end to end, joined by straight pieces.
+        truth: the same, true.
+        shape: rows and columns of the image.
+    """
+    width_px = CULANE_WIDTH_PX * shape[1] / CULANE_COLUMNS
+    places = [np.flatnonzero(_drawn(line, shape, width_px)) for line in predicted]  # a line fills few of the pixels
+    overlaps = np.zeros((len(predicted), len(truth)))
+    for k, true in enumerate(_drawn(line, shape, width_px).reshape(-1) for line in truth):
+        true_area = int(np.count_nonzero(true))
+        for i, place in enumerate(places):
+            shared = int(np.count_nonzero(true[place]))
+            overlaps[i, k] = shared / max(len(place) + true_area - shared, 1)
+    return overlaps
+
+
+def counts_above(overlaps: Float, threshold: float) -> Counts:
+    """Lines found rightly, wrongly and missed, as CULane counts them (Pan et al., Spatial As Deep, AAAI 2018).
+
+    Predicted and true lines are paired one to one so that their intersections over union have the largest sum, and a
+    pair above the threshold is a true positive. Precision, recall and F1 of a run are computed from the counts summed
+    over its frames.
+
+    Args:
+        overlaps: (predicted, truth) intersections over union, as ``line_overlaps`` gives them.
+        threshold: 0.5 in the benchmark, 0.3 in its looser variant.
+    """
+    tp = sum(float(overlaps[pair]) > threshold for pair in largest_total(overlaps).items())
+    return Counts(tp, overlaps.shape[0] - tp, overlaps.shape[1] - tp)
+
+
+def _drawn(line: Float, shape: tuple[int, int], width_px: float) -> Mask:
+    image = np.zeros(shape, np.uint8)
+    for piece in _drawable(np.asarray(line, float), max(shape) + _DRAWABLE_PX):
+        points = np.rint(piece * 2**_SUBPIXEL_BITS).astype(np.int32)
+        cv2.polylines(image, [points], False, 1, max(round(width_px), 1), cv2.LINE_8, _SUBPIXEL_BITS)
+    return image.view(np.bool_)
+
+
+def _drawable(line: Float, most_px: float) -> Sequence[Float]:
+    """Polylines within ``most_px`` of the origin: an (N, 2) line, or of one that goes farther its clipped segments."""
+    if (np.abs(line) <= most_px).all():
+        return [line]
+    starts, steps = line[:-1], np.diff(line, axis=0)
+    borders = np.array([-most_px, most_px]).reshape(2, 1, 1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # along a border's direction: never, or NaN on the border
+        crossings = np.sort((borders - starts) / steps, axis=0)
+    first = np.maximum(crossings[0].max(axis=1), 0)
+    last = np.minimum(crossings[1].min(axis=1), 1)
+    inside = first < last
+    shares = np.stack([first, last], axis=1)[inside, :, None]
+    return list(starts[inside, None] + shares * steps[inside, None])

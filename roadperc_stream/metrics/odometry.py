@@ -14,14 +14,17 @@ def odometry_columns(odometry: Odometry | Absent) -> OdometryColumns:
     if isinstance(odometry, Absent):
         return OdometryColumns()
     x, y, z, qx, qy, qz, qw = _position_and_quaternion(odometry.odom_T_ego)
-    step = odometry.step
+    step, covariance = odometry.step, odometry.covariance
+    metric_step = None if odometry.up_to_scale else step
+    turn_std = None if step is None else _std_along(rotation_vector(step[:3, :3]), covariance, 3)
     return OdometryColumns(
         odometry_status=odometry.status,
         odometry_inliers=odometry.inliers,
-        step_m=None if step is None or odometry.up_to_scale else _length_m(step),
-        step_std_m=None if step is None or odometry.up_to_scale else _step_std_m(step, odometry.covariance),
+        step_m=None if metric_step is None else _length_m(metric_step),
+        # The covariance is in the axes of the frame that the step leads to.
+        step_std_m=None if metric_step is None else _std_along(inverse(metric_step)[:3, 3], covariance, 0),
         turn_deg=None if step is None else rotation_angle_deg(step),
-        turn_std_deg=None if step is None else _turn_std_deg(step, odometry.covariance),
+        turn_std_deg=None if turn_std is None else float(np.degrees(turn_std)),
         odom_x_m=x,
         odom_y_m=y,
         odom_z_m=z,
@@ -61,19 +64,11 @@ def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: Earli
     )
 
 
-def _step_std_m(step: Float, covariance: tuple[float, ...]) -> float | None:
-    """Standard deviation of a (4, 4) step's length; its covariance is in the axes of the frame it leads to."""
-    return _std_along(inverse(step)[:3, 3], covariance, 0)
-
-
-def _turn_std_deg(step: Float, covariance: tuple[float, ...]) -> float | None:
-    """Standard deviation of the angle of a (4, 4) step's rotation, degrees."""
-    std = _std_along(rotation_vector(step[:3, :3]), covariance, 3)
-    return None if std is None else float(np.degrees(std))
-
-
 def _std_along(direction: Float, covariance: tuple[float, ...], first: int) -> float | None:
-    """That along a direction, of three of the six numbers from the ``first`` on; None where one is not known."""
+    """Standard deviation along a (3,) direction, of three of the six numbers from the ``first`` on.
+
+    None where the covariance is not known, or the direction has no length.
+    """
     length = float(np.linalg.norm(direction))
     if not covariance or length == 0:
         return None

@@ -3,7 +3,7 @@
 KITTI's end-point error and D1, and the relative error.
 """
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from roadperc_stream.chain.kernels import disparity_errors, seen_by_both
 from roadperc_stream.chain.kernels.stereo_plain import DisparityLimits
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Float32
-from roadperc_stream.model import Absent, Mask, Sample, StereoDepth
+from roadperc_stream.model import Absent, Sample, StereoDepth
 from roadperc_stream.schemas.columns.errors import StereoErrorColumns
 from roadperc_stream.schemas.columns.estimates import StereoColumns
 
@@ -20,17 +20,9 @@ STEREO_MAX_DEPTH_M: Final = 60.0
 D1_PX: Final = 3.0
 D1_SHARE: Final = 0.05
 OCCLUSION_PX: Final = 1.0
+"""A pixel drawn into the right image is hidden where something of so much larger disparity is drawn over it."""
 _SAMPLED: Final = 64
 """Every so many numbers are a sample."""
-
-
-class StereoErrors(NamedTuple):
-    """How far disparities and depths are off over the pixels both cameras see, and on what share of these known."""
-
-    epe_px: float | None
-    d1_ratio: float | None
-    abs_rel: float | None
-    coverage: float | None
 
 
 def stereo_columns(stereo: StereoDepth | Absent) -> StereoColumns:
@@ -55,51 +47,35 @@ def stereo_errors_of(stereo: StereoDepth | Absent, sample: Sample) -> StereoErro
     baseline_m = frame.right_camera.baseline_m
     if not baseline_m or depth.frame_id != frame.camera.frame_id or true_m.shape != stereo.depth_m.shape:
         return StereoErrorColumns()
-    errors = stereo_errors(stereo.depth_m, true_m, frame.camera, baseline_m)
-    return StereoErrorColumns(
-        stereo_epe_px=errors.epe_px,
-        stereo_d1_ratio=errors.d1_ratio,
-        stereo_abs_rel=errors.abs_rel,
-        stereo_coverage=errors.coverage,
-    )
+    return stereo_errors(stereo.depth_m, true_m, frame.camera, baseline_m)
 
 
-def stereo_errors(
-    estimated_m: Float32, true_m: Float32, camera: Camera, baseline_m: float, max_depth_m: float = STEREO_MAX_DEPTH_M
-) -> StereoErrors:
+def stereo_errors(estimated_m: Float32, true_m: Float32, camera: Camera, baseline_m: float) -> StereoErrorColumns:
     """End-point error and D1 of a stereo depth, by the definitions of the KITTI 2015 benchmark (non-occluded pixels).
 
     The end-point error is the mean absolute error of the disparity f b / Z; D1 is the share of disparities more than
     3 px and more than 5 % off; the absolute relative error is the mean of |Z - Z*| / Z*. All are over known pixels:
-    the coverage belongs beside them.
+    the coverage belongs beside them. Pixels truly farther than ``STEREO_MAX_DEPTH_M`` do not count.
 
     Args:
         estimated_m: (H, W) metres along z of the left camera, NaN unknown.
         true_m: the same, true.
         camera: the left camera.
         baseline_m: distance of the right camera along the rows.
-        max_depth_m: pixels truly farther do not count.
 
     Returns:
         None for what no pixel tells.
-
-    Raises:
-        ValueError: the two shapes differ.
     """
-    if estimated_m.shape != true_m.shape:
-        raise ValueError(f"estimated depth is {estimated_m.shape}, true depth is {true_m.shape}")
     scale_px_m = float(np.float32(camera.fx * baseline_m))
     with np.errstate(divide="ignore"):
         true_px = np.float32(scale_px_m) / true_m
-    error_px, relative, counted, bad = disparity_errors(
-        estimated_m, true_m, both_see(true_px), DisparityLimits(scale_px_m, max_depth_m, D1_PX, D1_SHARE)
-    )
-    if not counted:
-        return StereoErrors(None, None, None, None)
+    limits = DisparityLimits(scale_px_m, STEREO_MAX_DEPTH_M, D1_PX, D1_SHARE)
+    seen = seen_by_both(true_px, OCCLUSION_PX)
+    error_px, relative, counted, bad = disparity_errors(estimated_m, true_m, seen, limits)
     if not len(error_px):
-        return StereoErrors(None, None, None, 0.0)
+        return StereoErrorColumns(stereo_coverage=0.0 if counted else None)
     mean_px, mean_relative = (float(values.mean(dtype=float)) for values in (error_px, relative))
-    return StereoErrors(mean_px, bad / len(error_px), mean_relative, len(error_px) / counted)
+    return StereoErrorColumns(mean_px, bad / len(error_px), mean_relative, len(error_px) / counted)
 
 
 def low_quantile(values: Float32, share: float) -> float:
@@ -115,12 +91,3 @@ def low_quantile(values: Float32, share: float) -> float:
     below, above = ordered[rank], ordered[min(rank + 1, len(ordered) - 1)]
     step = above - below
     return float(below + step * between if between < 0.5 else above - step * (1 - between))
-
-
-def both_see(disparity_px: Float32) -> Mask:
-    """(H, W) pixels of the left image that the right camera sees too, by their true disparities.
-
-    Each pixel is drawn into the right image, into the two columns it falls between; it is hidden where something with
-    a disparity more than ``OCCLUSION_PX`` larger is drawn over it. Unknown disparities (NaN) are not seen.
-    """
-    return seen_by_both(disparity_px, OCCLUSION_PX)

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from roadperc_stream.chain.stages.surface import drivable_mask
+from roadperc_stream.chain.stages.surface.road import drivable_mask
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import angle_between
 from roadperc_stream.geometry.ground import height_at
-from roadperc_stream.model import Absent, FrameResult, Mask, Sample, Surface, Truth
+from roadperc_stream.model import Absent, FrameResult, Mask, Sample, Surface
 from roadperc_stream.model.scene import DepthMap, Scene
 from roadperc_stream.schemas.columns.errors import SurfaceErrorColumns
 from roadperc_stream.schemas.columns.estimates import SurfaceColumns
@@ -36,7 +36,8 @@ def surface_columns(result: FrameResult) -> SurfaceColumns:
 def surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> SurfaceErrorColumns:
     """How far plane, heights and drivable pixels are off, where the log carries their truth."""
     surface, truth = result.surface, sample.truth
-    drivable_iou = _drivable_iou(cfg, result, sample)
+    seen, true_mask = result.drivable, _true_drivable(cfg, sample)
+    drivable_iou = None if isinstance(seen, Absent) or true_mask is None else intersection_over_union(seen, true_mask)
     if truth.surface is None or isinstance(surface, Absent):
         return SurfaceErrorColumns(drivable_iou=drivable_iou)
     return SurfaceErrorColumns(
@@ -45,13 +46,6 @@ def surface_errors(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> Su
         surface_height_error_m=surface_height_error_m(surface, truth.surface),
         drivable_iou=drivable_iou,
     )
-
-
-def _drivable_iou(cfg: ReplayConfig, result: FrameResult, sample: Sample) -> float | None:
-    true_mask = _true_drivable(cfg, sample.truth, sample)
-    if true_mask is None or isinstance(result.drivable, Absent):
-        return None
-    return intersection_over_union(result.drivable, true_mask)
 
 
 def surface_height_error_m(surface: Surface, truth: Surface) -> float | None:
@@ -71,20 +65,20 @@ def surface_height_error_m(surface: Surface, truth: Surface) -> float | None:
     return float(np.median(error)) if error.size else None
 
 
-def _true_drivable(cfg: ReplayConfig, truth: Truth, sample: Sample) -> Mask | None:
+def _true_drivable(cfg: ReplayConfig, sample: Sample) -> Mask | None:
     """Drivable pixels by the clean tags, depth and plane; None where the log does not carry them.
 
     The tags are never those the chain saw. Where only these are noisy there is no clean depth beside the log's own,
     which is then true as it stands.
     """
-    depth = truth.depth or sample.frame.depth
+    frame, truth = sample.frame, sample.truth
+    depth = truth.depth or frame.depth
     if truth.segmentation is None or depth is None or truth.surface is None:
         return None
     try:
         tags, depth_m = truth.segmentation.tags, depth.depth_m
     except DecodeError:
         return None
-    frame = sample.frame
     if tags.shape != frame.camera.size or depth_m.shape != frame.camera.size:
         return None
     true_depth = DepthMap(depth_m, frame.camera, frame.ego_T_camera, depth.limit_m, "depth")

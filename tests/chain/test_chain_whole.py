@@ -1,7 +1,7 @@
-"""The chain's four properties with every stage at work, on the sample's frames."""
+"""The chain's four properties with every stage at work, on the sample's frames; its states, and depth that fails."""
 
 import pickle
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,9 @@ from roadperc_stream.chain.step import ChainState, localise, observe, perceive, 
 from roadperc_stream.config import load_config
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input import ReplaySource, open_input
-from roadperc_stream.model import Absent, PointCloud, Reason
+from roadperc_stream.metrics.lanes import lane_errors
+from roadperc_stream.model import Absent, DepthImage, PointCloud, Reason
+from roadperc_stream.resume.encoding import decode, encode
 from roadperc_stream.system.threads import one_thread
 from roadperc_stream.system.time import TimeRange
 from tests.chain.test_chain import same
@@ -71,13 +73,7 @@ def test_every_stage_gives_something(whole):
 
 
 @pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
-def test_replaying_twice_is_equal(drive, request):
-    frames = request.getfixturevalue(drive)
-    assert same(run(frames)[1], run(frames)[1])
-
-
-@pytest.mark.parametrize("drive", ["frames", "lidar_frames"])
-def test_results_do_not_depend_on_later_frames(drive, request):
+def test_replaying_again_is_equal_and_does_not_depend_on_later_frames(drive, request):
     frames = request.getfixturevalue(drive)
     assert same(run(frames[:3])[1], run(frames)[1][:3])
 
@@ -129,6 +125,11 @@ def test_any_input_may_be_missing(frames, whole, missing):
     if missing == "depth":
         assert last.surface.source == "stereo"
         assert last.odometry.status == "tracked"
+    if missing == "segmentation":
+        assert last.surface.source == "lower_image"
+        assert last.lanes == Absent(Reason("lanes", "no_segmentation"))
+    if missing == "detections":
+        assert last.objects == Absent(Reason("objects", "no_detections"))
 
 
 def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):
@@ -183,3 +184,62 @@ def test_one_camera_a_lidar_and_tags_are_enough_for_everything(lidar_frames, who
     assert not last.odometry.up_to_scale
     assert last.odometry.odom_T_ego[0, 3] == pytest.approx(with_sensor.odometry.odom_T_ego[0, 3], rel=0.1)
     assert {-1, 0, 100} == set(last.occupancy.cells.ravel().tolist())
+
+
+def faults(value, where):
+    """Names of everything below a value that could be changed, or that its bytes would not give back as it was."""
+    if isinstance(value, tuple):
+        return [name for k, item in enumerate(value) for name in faults(item, f"{where}[{k}]")]
+    if isinstance(value, np.ndarray):
+        return [where] if value.flags.writeable or not value.flags.c_contiguous else []
+    if is_dataclass(value) and value.__dataclass_params__.frozen:
+        return [name for f in fields(value) for name in faults(getattr(value, f.name), f"{where}.{f.name}")]
+    return [] if type(value) in {type(None), bool, int, float, str} else [f"{where}: {type(value).__name__}"]
+
+
+@pytest.mark.parametrize("settings", [(), ("odometry.features=sift",)])
+def test_a_state_holds_plain_values_that_cannot_be_changed(settings):
+    """After frames in which every stage had something to keep."""
+    cfg, state = load_config(None, settings), ChainState()
+    for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=3)), cfg).samples():
+        state, _ = step(cfg, state, sample.frame)
+        assert faults(state, "state") == []
+    assert state.lanes.left.track.measured_ns == state.lanes.right.track.measured_ns == state.stamp_ns
+    assert state.objects.tracks
+    assert state.odometry.keyframe is not None
+
+
+FAILS_FROM = 2
+
+
+def failing(*settings):
+    """Results and lane errors of a drive whose depth has errors of 30 % from its third frame on."""
+    cfg, state, found = load_config(None, ("objects.enabled=false", "stereo.method=off", *settings)), ChainState(), []
+    for sample in open_input(ReplaySource(SAMPLE, time_range=TimeRange(frames=FRAMES + 1)), cfg).samples():
+        frame = sample.frame
+        if sample.index >= FAILS_FROM:
+            depth_m = frame.depth.depth_m
+            noise = np.random.default_rng(sample.index).normal(1, 0.3, depth_m.shape).astype(np.float32)
+            noisy = (depth_m * noise, np.inf)
+            frame = replace(frame, depth=DepthImage(frame.depth.frame_id, lambda noisy=noisy: noisy))
+        state, result = step(cfg, decode(encode(state), ChainState), frame)
+        found.append((result, lane_errors(result.lanes, sample.truth.lanes)))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("settings", "source", "code"),
+    [((), "held", "plane_held"), (("odometry.enabled=false",), "assumed", "plane_assumed")],
+)
+def test_lanes_go_on_where_depth_fails(settings, source, code):
+    found = failing(*settings)
+    assert [result.surface.source for result, _ in found] == ["depth"] * FAILS_FROM + [source] * (
+        FRAMES + 1 - FAILS_FROM
+    )
+    for result, errors in found[FAILS_FROM:]:
+        assert {result.lanes.side(side).status for side in ("left", "right")} == {"measured"}
+        assert max(abs(errors.lane_left_error_m), abs(errors.lane_right_error_m)) < 0.3
+        reasons = {(reason.source, reason.code) for reason in result.reasons()}
+        assert ("surface", code) in reasons
+        assert ("occupancy", "heights_unknown") in reasons
+        assert isinstance(result.occupancy, Absent)

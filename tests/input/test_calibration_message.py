@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 
-from roadperc_stream.chain.stages.stereo.pair import lens_fault
+from roadperc_stream.chain.stages.stereo import lens_fault
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import Camera, Lens
 from roadperc_stream.geometry.rotations import rotation_from_rpy

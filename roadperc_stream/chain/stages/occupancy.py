@@ -19,7 +19,7 @@ from roadperc_stream.chain.kernels import count_points, mark_visible
 from roadperc_stream.chain.kernels.occupancy_plain import Cells, KnownPixels, Middles
 from roadperc_stream.chain.kernels.odometry_plain import Projection
 from roadperc_stream.config import OccupancyConfig, scaled
-from roadperc_stream.geometry import Camera, Float, Float32, inverse
+from roadperc_stream.geometry import Float32, inverse
 from roadperc_stream.geometry.ground import ego_points, ego_rays, height_above, height_at, part
 from roadperc_stream.model import Absent, Image, Mask, Occupancy, Reason, Surface
 from roadperc_stream.model.scene import Scene
@@ -67,7 +67,9 @@ def _points_in_cells(
     cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask, depth_m: Float32
 ) -> tuple[Counts, Counts]:
     """(rows, columns) numbers of drivable points and of points that are obstacles in each cell."""
-    step = _pixel_step(cfg, scene.camera) if scene.dense_depth_m is not None else 1
+    step = 1
+    if scene.dense_depth_m is not None:
+        step = max(round(scaled(cfg.pixel_step, scene.camera.height)), 1)
     camera, depth_m, marks = part(scene.camera, step, step), depth_m[::step, ::step], drivable[::step, ::step]
     tags, obstacle_tags = _obstacles(cfg, scene, step)
     cells = Cells(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cfg.min_height_m, cfg.max_height_m)
@@ -82,10 +84,6 @@ def _points_in_cells(
         pixels = KnownPixels(depth_m[rows], heights, marks[rows].view(np.uint8), tags[rows], obstacle_tags)
         count_points(cells, pixels, rays, abd, free, occupied)
     return free, occupied
-
-
-def _pixel_step(cfg: OccupancyConfig, camera: Camera) -> int:
-    return max(round(scaled(cfg.pixel_step, camera.height)), 1)
 
 
 def _shape(cfg: OccupancyConfig) -> tuple[int, int]:
@@ -108,7 +106,9 @@ def _obstacles(cfg: OccupancyConfig, scene: Scene, step: int) -> tuple[Image, Im
 def _visible_drivable(cfg: OccupancyConfig, scene: Scene, surface: Surface, drivable: Mask) -> Mask:
     """(rows, columns) cells whose middle is visible as drivable road, at its own distance where the depth is dense."""
     camera = scene.camera
-    x, y = _middles(cfg)
+    rows, columns = _shape(cfg)
+    x = cfg.x_min_m + cfg.resolution_m * (np.arange(columns, dtype=float) + 0.5)
+    y = cfg.resolution_m * (np.arange(rows, dtype=float) + 0.5) - cfg.half_width_m
     visible = mark_visible(
         Projection(camera.fx, camera.fy, camera.cx, camera.cy),
         inverse(scene.ego_T_camera),
@@ -118,10 +118,3 @@ def _visible_drivable(cfg: OccupancyConfig, scene: Scene, surface: Surface, driv
         (cfg.depth_tolerance, cfg.resolution_m),
     )
     return visible.view(bool)
-
-
-def _middles(cfg: OccupancyConfig) -> tuple[Float, Float]:
-    """Ego x of the columns' middles and y of the rows'."""
-    rows, columns = _shape(cfg)
-    x, y = (cfg.resolution_m * (np.arange(count, dtype=float) + 0.5) for count in (columns, rows))
-    return cfg.x_min_m + x, y - cfg.half_width_m

@@ -59,14 +59,10 @@ def area(occupancy, x_min, x_max, y_min, y_max):
     return occupancy.cells[rows, columns]
 
 
-def test_the_grid_covers_what_the_configuration_says():
+def test_an_empty_road_is_free_without_holes_and_nothing_else_is():
     occupancy = grid(*pictures())
     assert occupancy.cells.shape == (150, 200)
     assert (occupancy.x_min_m, occupancy.y_min_m, occupancy.resolution_m) == (0.0, -15.0, 0.2)
-
-
-def test_an_empty_road_is_free_without_holes_and_nothing_else_is():
-    occupancy = grid(*pictures())
     assert (area(occupancy, 8, 40, -5.8, 5.8) == FREE).all()
     assert (occupancy.cells != OCCUPIED).all()
     assert (area(occupancy, 0, 40, 10, 15) == UNKNOWN).all()
@@ -149,29 +145,6 @@ def test_a_board_is_where_it_stands(x, y):
     assert len(rows)
     assert np.abs(0.2 * (columns + 0.5) - x).max() < 0.2
     assert np.abs(-15 + 0.2 * (rows + 0.5) - y).max() < 0.7
-
-
-@pytest.mark.parametrize(
-    ("change", "board"),
-    [
-        ({"min_height_m": 1.0}, (12.0, -1.0, 1.0, 0.8)),
-        ({"max_height_m": 0.5}, (12.0, -1.0, 1.0, 3.0)),
-        ({"min_points": 200}, CAR),
-        ({"pixel_step": 16}, CAR),
-        ({"obstacle_classes": ()}, (12.0, -1.0, 1.0, 0.2)),
-        ({"depth_tolerance": 0.0, "min_points": 200, "resolution_m": 0.05}, CAR),
-        ({"x_max_m": 20.0}, CAR),
-        ({"x_min_m": 5.0}, CAR),
-        ({"half_width_m": 5.0}, CAR),
-        ({"resolution_m": 0.5}, CAR),
-    ],
-)
-def test_every_key_has_an_effect(change, board):
-    tag = OTHER if "min_height_m" in change else VEHICLE
-    scenery = pictures(block=board, tag=tag, bottom_m=1.0 if "max_height_m" in change else 0.0)
-    changed = grid(*scenery, cfg=OccupancyConfig(**change)).cells
-    usual = grid(*scenery).cells
-    assert changed.shape != usual.shape or (changed != usual).any()
 
 
 def test_the_depth_tolerance_decides_where_road_and_depth_disagree():

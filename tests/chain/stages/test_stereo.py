@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import astuple, replace
 from statistics import fmean
 from time import process_time
 
@@ -14,8 +14,7 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages import stereo
 from roadperc_stream.chain.stages.objects.template import correlate
-from roadperc_stream.chain.stages.stereo import matching
-from roadperc_stream.chain.stages.stereo.pair import disparities_needed
+from roadperc_stream.chain.stages.stereo import disparities_needed
 from roadperc_stream.cli import render
 from roadperc_stream.config import StereoConfig, load_config
 from roadperc_stream.geometry.rotations import rotation_from_rpy
@@ -71,11 +70,6 @@ def test_cameras_need_not_be_equally_bright():
     assert np.nanmedian(np.abs(100.0 / inner - 10.25)) < 0.1
 
 
-def test_depth_is_focal_length_times_baseline_over_disparity():
-    depth = matched(FULL, view(texture(), 0.0), view(texture(), 10.0))
-    assert depth[60, 120] == pytest.approx(200.0 * 0.5 / 10.0, rel=0.002)
-
-
 @BOTH
 def test_what_the_right_camera_does_not_see_is_unknown(cfg):
     """A near square hides as many columns beside it as its disparity is larger than the ground's."""
@@ -90,23 +84,10 @@ def test_what_the_right_camera_does_not_see_is_unknown(cfg):
     assert np.isnan(disparity[:, :8]).mean() > 0.9
 
 
-def test_a_disparity_leads_into_the_right_image():
-    disparity = 100.0 / matched(FULL, view(texture(), 0.0), view(texture(), 20.0))
-    columns = np.arange(WIDTH)
-    assert not (disparity > columns).any()
-    assert np.isfinite(disparity[10:-10, 22:]).mean() > 0.97
-
-
 @BOTH
 def test_nothing_to_tell_one_place_from_another(cfg):
     grey = np.full((HEIGHT, WIDTH), 90, np.uint8)
     assert np.isnan(matched(cfg, grey, grey)).all()
-
-
-def test_noise_is_mostly_unknown():
-    rng = np.random.default_rng(3)
-    left, right = rng.integers(0, 256, (2, HEIGHT, WIDTH), dtype=np.uint8)
-    assert np.isfinite(matched(FULL, left, right)).mean() < 0.15
 
 
 def test_uniqueness_and_speckles_have_an_effect():
@@ -124,21 +105,6 @@ def test_uniqueness_and_speckles_have_an_effect():
     }
     assert known["all"] > max(known["unique"], known["both ways"], known["patches"])
     assert known["patches"] > known["strict patches"]
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [{"block_px": 9}, {"p1": 2000, "p2": 2001}, {"p2": 5000}, {"disparities": 16}, {"refine_px": 0}, {"refine_px": 11}],
-)
-def test_matching_settings_have_an_effect(changes):
-    rng = np.random.default_rng(4)
-    noise = rng.normal(0, 25, (2, HEIGHT, WIDTH))
-    left, right = (
-        np.clip(view(texture(), d) + n, 0, 255).astype(np.uint8) for d, n in zip((0, 20), noise, strict=True)
-    )
-    plain = matched(FULL, left, right)
-    changed = matched(StereoConfig(method="full", **changes), left, right)
-    assert not np.array_equal(plain, changed, equal_nan=True)
 
 
 def test_a_disparity_too_small_is_unknown():
@@ -299,7 +265,7 @@ def test_the_disparities_tried_are_those_of_the_rectified_camera(monkeypatch):
         tried.append(count)
         return np.ones(grey.shape, np.float32)
 
-    monkeypatch.setattr(stereo.pair, "disparity", count_only)
+    monkeypatch.setattr(stereo, "disparity", count_only)
     up = rotation_from_rpy(0.35, 0.0, 0.0)
     left = replace(LEFT, lens=g.Lens(200, 200, 119.5, 59.5, tuple(up.ravel())))
     for camera, ego_T_left in ((LEFT, MOUNTING), (left, MOUNTING @ g.rigid(up, np.zeros(3)))):
@@ -351,7 +317,7 @@ def test_the_courses_nearest_depth_by_its_public_settings(course):
         public[name] for name in ("numDisparities", "blockSize", "P1", "P2")
     )
     left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in pair)
-    disparity = matching.disparity(cfg, cfg.disparities, left, right).astype(float)
+    disparity = stereo.disparity(cfg, cfg.disparities, left, right).astype(float)
     disparity[np.isnan(disparity)] = public["replace_disparity_0_and_minus1_by"]
     depth = 640.0 * 0.5 / disparity
     x0, y0, x1, y1 = calibration["obstacle_template_px"]
@@ -397,7 +363,7 @@ def figures(cfg, camera, baseline_m, mounting, frames):
         found = stereo.match(cfg, camera, replace(camera, baseline_m=baseline_m), mounting, left, right)
         seconds += process_time() - started
         errors.append(stereo_errors(found.depth_m, true_m, camera, baseline_m))
-    epe_px, d1_ratio, _, coverage = (fmean(values) for values in zip(*errors, strict=True))
+    epe_px, d1_ratio, _, coverage = (fmean(values) for values in zip(*map(astuple, errors), strict=True))
     print(
         f"\n{cfg.method}: EPE {epe_px:.3f} px, D1 {d1_ratio:.2%}, coverage {coverage:.1%}, "
         f"{1000 * seconds / len(frames):.0f} ms a frame, {len(frames)} frames of {camera.width}x{camera.height}"
@@ -424,8 +390,8 @@ def test_rendered_stereo_at_full_size(tmp_path, scene):
 
 def test_halving_an_odd_image_counts_its_last_row_and_column_twice():
     image = np.array([[0, 4, 10], [8, 12, 20], [30, 50, 90]], np.uint8)
-    np.testing.assert_array_equal(matching._halved(image), [[6, 15], [40, 90]])
-    np.testing.assert_array_equal(matching._halved(image[:2, :2]), [[6]])
+    np.testing.assert_array_equal(stereo._halved(image), [[6, 15], [40, 90]])
+    np.testing.assert_array_equal(stereo._halved(image[:2, :2]), [[6]])
     row = np.array([[0, 2, 4, 6, 9]], np.uint8)
-    np.testing.assert_array_equal(matching._halved(row), [[1, 5, 9]])
-    np.testing.assert_array_equal(matching._halved(row.T), [[1], [5], [9]])
+    np.testing.assert_array_equal(stereo._halved(row), [[1, 5, 9]])
+    np.testing.assert_array_equal(stereo._halved(row.T), [[1], [5], [9]])

@@ -83,10 +83,6 @@ class Edges:
         x, y = np.ascontiguousarray(points[ahead].T)
         return cls(x, y, rows[ahead].astype(np.int64))
 
-    def within(self, aside_m: Float) -> Points:
-        """As points that lie beside a curve up to (N,) distances from it."""
-        return Points(self.x, self.y, aside_m, self.rows, aside_m, aside_m)
-
 
 @dataclass(frozen=True)
 class _Noise:
@@ -151,10 +147,6 @@ class Curve:
     def is_clear(self) -> bool:
         """Whether its edges lie as close to it as those of clean tags."""
         return self.noise_px <= _LOW_PX
-
-    def y(self, x: Float) -> Float:
-        """Lateral position in metres at distances ahead."""
-        return lateral(self.state, x)
 
 
 def other_side(side: Side) -> Side:
@@ -252,22 +244,22 @@ def _covariance(fit: Quadratic, noise: _Noise) -> Float:
 
 def _explained(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
     """Share of the rows with edges near a curve in which one lies on it."""
-    inward = -outward(side)
-    (on_it,) = _rows_near(curve, edges.within(_ON_CURVE_STD * std_m), inward, (0.0,))
-    (around,) = _rows_near(curve, edges.within(np.full_like(std_m, _SEARCH_M)), inward, (0.0,))
+    (on_it,) = _rows_near(curve, edges, _ON_CURVE_STD * std_m, side, (0.0,))
+    (around,) = _rows_near(curve, edges, np.full_like(std_m, _SEARCH_M), side, (0.0,))
     return on_it / max(around, 1)
 
 
 def _contrast(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
     """How many times as many rows have an edge on the curve as have one farther inside, where the road is."""
-    on_it, *inside = _rows_near(curve, edges.within(std_m), -outward(side), (0.0, *_INSIDE_M))
+    on_it, *inside = _rows_near(curve, edges, std_m, side, (0.0, *_INSIDE_M))
     return on_it / (float(np.mean(inside)) + _CHANCE_ROWS)
 
 
-def _rows_near(curve: Curve, edges: Points, inward: float, asides_m: tuple[float, ...]) -> tuple[int, ...]:
-    """How many rows have an edge beside each of the lines so far inside the curve, as far as that reaches."""
+def _rows_near(curve: Curve, edges: Edges, within_m: Float, side: Side, asides_m: tuple[float, ...]) -> tuple[int, ...]:
+    """How many rows have an edge near each of the lines so far inside the curve, as far as that reaches."""
+    points = Points(edges.x, edges.y, within_m, edges.rows, within_m, within_m)
     offset, heading, curvature = curve.state.tolist()
-    return rows_beside(edges, (offset, heading, curvature), inward, curve.reach_m, asides_m)
+    return rows_beside(points, (offset, heading, curvature), -outward(side), curve.reach_m, asides_m)
 
 
 def _best_aside(x: Float, y: Float, line: Float, inward: float, noise: _Noise) -> float:

@@ -7,15 +7,8 @@ import numpy as np
 
 from roadperc_stream.chain.stages.lanes import following, lines, tracking
 from roadperc_stream.chain.stages.lanes.curves import lateral, other_side, outward
-from roadperc_stream.chain.stages.lanes.following import (
-    JUDGED_AT_M,
-    MAX_STD_M,
-    MIN_WIDTH_M,
-    followed,
-    least_known_m,
-    predicted,
-)
-from roadperc_stream.chain.stages.lanes.observe import Observation, ObservedBoundary, RoadProjection, observe
+from roadperc_stream.chain.stages.lanes.following import JUDGED_AT_M, MAX_STD_M, MIN_WIDTH_M, followed, least_known_m
+from roadperc_stream.chain.stages.lanes.observe import Observation, RoadProjection, observe
 from roadperc_stream.chain.stages.lanes.tracking import LanesState, TrackedBoundary
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Float
@@ -41,19 +34,22 @@ _ELSEWHERE = frozenset(("camera_changed", "too_few_inliers", "impossible_motion"
 
 def boundary_of(
     side: Side,
-    found: TrackedBoundary | Reason,
+    tracked: TrackedBoundary | None,
+    reason: Reason | None,
     observation: Observation | None,
     projection: RoadProjection | None,
 ) -> Boundary:
     """One side's boundary, or that it is lost and why."""
-    observed = observation.boundaries.get(side) if observation else None
-    raw_px = _raw_line(observed, observation)
-    raw_offset_m = float(observed.curve.state[0]) if observed and observed.curve else None
-    if isinstance(found, Reason):
-        return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m, reason=found)
-    track = found.track
+    raw_px = raw_offset_m = None
+    if observation is not None and side in observation.near:
+        raw_px = lines.drawn(observation.near[side][0], float(observation.projection.camera.height), observation.far)
+        curve = observation.curves[side]
+        raw_offset_m = None if curve is None else float(curve.state[0])
+    if tracked is None or reason is not None:
+        return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m, reason=reason)
+    track = tracked.track
     offset, heading, curvature = (float(value) for value in track.state)
-    ahead, pixels = _drawn_curve(track.state, found.reach_m, projection)
+    ahead, pixels = _drawn_curve(track.state, tracked.reach_m, projection)
     return Boundary(
         side,
         "measured" if track.measured_ns == track.stamp_ns else "held",
@@ -64,17 +60,11 @@ def boundary_of(
         curvature,
         raw_offset_m,
         tuple(track.state_covariance.ravel().tolist()),
-        found.inside.majority,
-        found.outside.majority,
+        tracked.inside.majority,
+        tracked.outside.majority,
         ahead,
         pixels,
     )
-
-
-def _raw_line(observed: ObservedBoundary | None, observation: Observation | None) -> Line | None:
-    if observed is None or observation is None:
-        return None
-    return lines.drawn(observed.group, float(observation.projection.camera.height), observation.far)
 
 
 def _drawn_curve(state: Float, reach_m: float, projection: RoadProjection | None) -> tuple[Float, Float]:
@@ -221,8 +211,14 @@ def _followed(
 ) -> LanesState:
     """Both boundaries at this frame's time."""
     moved = _tracked(motion) if cfg.use_odometry else None
-    before = {side: predicted(cfg, state.side(side), moved, stamp_ns) for side in SIDES}
-    left, right = (followed(cfg, side, before[side], before[other_side(side)], observation, stamp_ns) for side in SIDES)
+    before = {
+        side: replace(known, track=tracking.predict(cfg, known.track, stamp_ns, moved))
+        for side in SIDES
+        if (known := state.side(side)) is not None
+    }
+    left, right = (
+        followed(cfg, side, before.get(side), before.get(other_side(side)), observation, stamp_ns) for side in SIDES
+    )
     return replace(state, left=left, right=right)
 
 
@@ -236,13 +232,10 @@ def _boundaries(
     observation = None if isinstance(found, Absent) else found
     boundaries = []
     for side in SIDES:
-        tracked = state.side(side)
-        reason = reasons.get(side)
+        tracked, reason = state.side(side), reasons.get(side)
         if reason is None and tracked is None:
             reason = Reason("lanes", "boundary_lost", (side,), _why_unseen(side, found))
-        given = reason if reason is not None else tracked
-        assert given is not None
-        boundaries.append(boundary_of(side, given, observation, projection))
+        boundaries.append(boundary_of(side, tracked, reason, observation, projection))
     return tuple(boundaries)
 
 
@@ -250,7 +243,7 @@ def _why_unseen(side: Side, found: Observation | Absent) -> Reason:
     """Why a frame shows no boundary on a side."""
     if isinstance(found, Absent):
         return found.reason
-    return Reason("lanes", "edges_disagree" if side in found.boundaries else "no_line_near")
+    return Reason("lanes", "edges_disagree" if side in found.near else "no_line_near")
 
 
 def _observed(

@@ -5,7 +5,7 @@ between the two.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from roadperc_stream.chain.stages.lanes.curves import Curve, other_side, outward
 from roadperc_stream.chain.stages.lanes.observe import Observation
 from roadperc_stream.chain.stages.lanes.tracking import LanesState, TrackedBoundary
 from roadperc_stream.config import LanesConfig
-from roadperc_stream.model import SIDES, LaneChange, Odometry, Side
+from roadperc_stream.model import SIDES, LaneChange, Side
 
 JUDGED_AT_M = 10.0
 """How far ahead a boundary must be known, as well as at the car."""
@@ -32,24 +32,6 @@ _CROSSED_STD = 2.0
 _DOUBLE_M = 0.6
 """No marking is wider, a double one neither."""
 _LINE_STEP = np.array([1.0, 0.0, 0.0])
-
-
-@dataclass(frozen=True)
-class _FarEdge:
-    """The other edge of a boundary's marking: by how much it lies farther out, and its curve where it is seen."""
-
-    boundary: TrackedBoundary
-    width_m: float
-    curve: Curve | None
-
-
-def predicted(
-    cfg: LanesConfig, before: TrackedBoundary | None, moved: Odometry | None, stamp_ns: int
-) -> TrackedBoundary | None:
-    """A boundary at this frame's time, before the frame is looked at."""
-    if before is None:
-        return None
-    return replace(before, track=tracking.predict(cfg, before.track, stamp_ns, moved))
 
 
 def followed(
@@ -70,9 +52,9 @@ def followed(
         observation: what the frame shows; None without tags.
         stamp_ns: the frame's.
     """
-    observed = observation.boundaries.get(side) if observation else None
-    curve = observed.curve if observed else None
-    if curve is not None and observation is not None and other is not None and _is_other(curve, other):
+    curve = observation.curves.get(side) if observation else None
+    # While the other side's boundary is crossed the car has it on both sides.
+    if observation and curve and other and abs(float(curve.state[0]) - other.offset_m) < _SAME_M:
         curve = observation.curve_beyond(cfg, side, outward(side) * other.offset_m + MIN_WIDTH_M)
     if before is not None:
         for candidate in _candidates(cfg, side, before, observation, curve):
@@ -83,13 +65,8 @@ def followed(
             return before
     if observation is None or curve is None or not curve.is_sure:
         return None
-    return begun(cfg, side, curve, observation, stamp_ns)
-
-
-def begun(cfg: LanesConfig, side: Side, curve: Curve, observation: Observation, stamp_ns: int) -> TrackedBoundary:
-    """A new boundary from what the frame shows."""
-    track = tracking.start(curve.state, curve.covariance, stamp_ns)
-    return measured(cfg, TrackedBoundary(track, curve.reach_m), side, curve, observation)
+    begun = TrackedBoundary(tracking.start(curve.state, curve.covariance, stamp_ns), curve.reach_m)
+    return measured(cfg, begun, side, curve, observation)
 
 
 def measured(
@@ -117,11 +94,6 @@ def least_known_m(tracked: TrackedBoundary) -> float:
     return max(0.0, JUDGED_AT_M, key=lambda x_m: tracking.std_at(tracked.track, x_m))
 
 
-def _is_other(curve: Curve, other: TrackedBoundary) -> bool:
-    """Whether a line is the other side's boundary: while it is crossed the car has it on both sides."""
-    return abs(float(curve.state[0]) - other.offset_m) < _SAME_M
-
-
 def _candidates(
     cfg: LanesConfig, side: Side, before: TrackedBoundary, observation: Observation | None, curve: Curve | None
 ) -> Iterator[Curve]:
@@ -142,14 +114,25 @@ def _candidates(
 
 
 def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | None, stamp_ns: int) -> LanesState:
-    """The state with the next lane's boundaries, where the car has crossed one of this lane's."""
+    """The state with the next lane's boundaries, where the car has crossed one of this lane's.
+
+    They are the crossed one, from its other side, and the next one out if it is seen.
+    """
     for side in SIDES:
         crossed = state.side(side)
         if crossed is None or outward(side) * crossed.offset_m > 0:
             continue
-        far = _far_edge(cfg, side, crossed, observation)
-        if outward(side) * crossed.offset_m + far.width_m / 2 < -_CROSSED_STD * tracking.std_at(crossed.track, 0.0):
-            return _in_next_lane(cfg, state, side, far, observation, stamp_ns)
+        width_m, far_edge = _far_edge(cfg, side, crossed, observation)
+        if not outward(side) * crossed.offset_m + width_m / 2 < -_CROSSED_STD * tracking.std_at(crossed.track, 0.0):
+            continue
+        track = tracking.shifted(crossed.track, outward(side) * width_m, _MARKING_STD_M)
+        if far_edge is not None:
+            updated = tracking.update(cfg, track, far_edge.state, far_edge.covariance)
+            track = updated or tracking.start(far_edge.state, far_edge.covariance, stamp_ns)
+        inner = judged(TrackedBoundary(track, crossed.reach_m, crossed.outside, crossed.inside))
+        outer = followed(cfg, side, None, inner, observation, stamp_ns)
+        changed = replace(state, lane_change=side, lane_changes=state.lane_changes + 1)
+        return changed.with_side(side, outer).with_side(other_side(side), inner)
     return state
 
 
@@ -161,47 +144,21 @@ def change_of(cfg: LanesConfig, before: LaneChange, state: LanesState) -> LaneCh
         before: that of the last frame.
         state: the boundaries of this one.
     """
-    over = [side for side in SIDES if _is_over(cfg, side, state.side(side))]
+    known = {side: boundary for side in SIDES if (boundary := state.side(side)) is not None}
+    over = {side: b for side, b in known.items() if outward(side) * b.offset_m < cfg.car_width_m / 2}
     if before != "none":
         return before if over else "none"
-    return next((side for side in over if _comes_nearer(side, state.side(side))), "none")
+    return next((side for side, b in over.items() if outward(side) * b.track.rate_mps < 0), "none")
 
 
-def _is_over(cfg: LanesConfig, side: Side, boundary: TrackedBoundary | None) -> bool:
-    return boundary is not None and outward(side) * boundary.offset_m < cfg.car_width_m / 2
-
-
-def _comes_nearer(side: Side, boundary: TrackedBoundary | None) -> bool:
-    return boundary is not None and outward(side) * boundary.track.rate_mps < 0
-
-
-def _in_next_lane(
-    cfg: LanesConfig,
-    state: LanesState,
-    side: Side,
-    far: _FarEdge,
-    observation: Observation | None,
-    stamp_ns: int,
-) -> LanesState:
-    """The state in the lane beyond a boundary: that one, from its other side, and the next one out if it is seen."""
-    crossed = far.boundary
-    track = tracking.shifted(crossed.track, outward(side) * far.width_m, _MARKING_STD_M)
-    inner = TrackedBoundary(track, crossed.reach_m, crossed.outside, crossed.inside)
-    if far.curve is not None and observation is not None:
-        updated = tracking.update(cfg, track, far.curve.state, far.curve.covariance)
-        inner = replace(inner, track=updated or tracking.start(far.curve.state, far.curve.covariance, stamp_ns))
-    inner = judged(inner)
-    outer = followed(cfg, side, None, inner, observation, stamp_ns)
-    changed = replace(state, lane_change=side, lane_changes=state.lane_changes + 1)
-    return changed.with_side(side, outer).with_side(other_side(side), inner)
-
-
-def _far_edge(cfg: LanesConfig, side: Side, crossed: TrackedBoundary, observation: Observation | None) -> _FarEdge:
-    if observation is None:
-        return _FarEdge(crossed, _MARKING_M, None)
-    line = crossed.track.state + outward(side) * _MARKING_M * _LINE_STEP
-    curve = observation.curve_along(cfg, other_side(side), line)
-    if curve is None:
-        return _FarEdge(crossed, _MARKING_M, None)
-    width_m = outward(side) * (float(curve.state[0]) - crossed.offset_m)
-    return _FarEdge(crossed, width_m, curve) if 0.0 < width_m < _DOUBLE_M else _FarEdge(crossed, _MARKING_M, None)
+def _far_edge(
+    cfg: LanesConfig, side: Side, crossed: TrackedBoundary, observation: Observation | None
+) -> tuple[float, Curve | None]:
+    """How much farther out the other edge of a boundary's marking lies, metres, and its curve where it is seen."""
+    if observation is not None:
+        line = crossed.track.state + outward(side) * _MARKING_M * _LINE_STEP
+        curve = observation.curve_along(cfg, other_side(side), line)
+        width_m = 0.0 if curve is None else outward(side) * (float(curve.state[0]) - crossed.offset_m)
+        if 0.0 < width_m < _DOUBLE_M:
+            return width_m, curve
+    return _MARKING_M, None

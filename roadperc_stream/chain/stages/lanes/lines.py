@@ -16,6 +16,8 @@ from roadperc_stream.model import Image, Line, Mask
 
 _ON_ROAD = 0.5
 _ROAD_MARGIN_PX = 2.0
+_ROAD_COLUMNS = 0.01
+"""Share of the columns that are road in a row from which the row shows the road."""
 _MIN_VERTICAL = 1e-6
 _HOUGH_THETA_DEG = 1.0
 """Resolution of the angle in the Hough transform: 2 px over the length of the shortest line, 100 px."""
@@ -95,9 +97,11 @@ def propose(cfg: LanesConfig, edges: Image) -> Float:
 def on_road(proposals: Float, drivable: Mask) -> Float:
     """The (M, 4) proposals that are steep enough and lie on the (H, W) drivable surface for over half of their length.
 
-    The surface is widened by a pixel or two, for a curb's edge lies just outside it.
+    A vertical line is steep, one within a single row is not. The surface is widened by a pixel or two, for the edge of
+    a curb lies just outside it.
     """
-    steep = proposals[_steep(proposals)]
+    dx, dy = np.abs(proposals[:, 2:] - proposals[:, :2]).T
+    steep = proposals[(dy > 0) & (dy >= _MIN_SLOPE * dx)]
     margin_px = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
     kept: Float = steep[line_shares(steep, drivable, margin_px) > _ON_ROAD]
     return kept
@@ -133,7 +137,8 @@ def merge(proposals: Float, rows: int) -> tuple[LineGroup, ...]:
     reach = scaled(_MERGE_INTERCEPT_PX, rows)
     groups: list[list[tuple[float, float, float, float]]] = []
     for x1, y1, x2, y2 in proposals.tolist():
-        slope = (y2 - y1) / _nonzero(x2 - x1)
+        dx = x2 - x1 if abs(x2 - x1) > _MIN_VERTICAL else _MIN_VERTICAL
+        slope = (y2 - y1) / dx
         intercept = y1 - slope * x1
         line = (slope, intercept, min(y1, y2), max(y1, y2))
         for group in groups:
@@ -150,12 +155,12 @@ def drawn(group: LineGroup, bottom: float, far: float) -> Line:
     return group.x(bottom), bottom, group.x(far), far
 
 
-def road_far_end(drivable: Mask, columns_share: float = 0.01) -> int | None:
+def road_far_end(drivable: Mask) -> int | None:
     """Topmost row in which at least a hundredth of the columns is road; None without any road.
 
     One row less exact than the first pixel, but a speck of noise in the sky does not move it.
     """
-    rows = np.flatnonzero(_row_sums(drivable.view(np.uint8)) >= max(columns_share * drivable.shape[1], 1))
+    rows = np.flatnonzero(_row_sums(drivable.view(np.uint8)) >= max(_ROAD_COLUMNS * drivable.shape[1], 1))
     return int(rows[0]) if len(rows) else None
 
 
@@ -167,14 +172,3 @@ def _row_sums(image: Image) -> NDArray[np.int32]:
 def _mean(lines: list[tuple[float, float, float, float]]) -> LineGroup:
     slope, intercept = np.mean([line[:2] for line in lines], axis=0)
     return LineGroup(float(slope), float(intercept), min(line[2] for line in lines), max(line[3] for line in lines))
-
-
-def _nonzero(dx: float) -> float:
-    return dx if abs(dx) > _MIN_VERTICAL else _MIN_VERTICAL
-
-
-def _steep(lines: Float) -> Mask:
-    """Where |slope| reaches the minimum; a vertical line is steep, one within a single row is not."""
-    dx, dy = np.abs(lines[:, 2] - lines[:, 0]), np.abs(lines[:, 3] - lines[:, 1])
-    steep: Mask = (dy > 0) & (dy >= _MIN_SLOPE * dx)
-    return steep

@@ -64,14 +64,6 @@ class RoadProjection:
 
 
 @dataclass(frozen=True)
-class ObservedBoundary:
-    """One boundary: its merged Hough line, and its curve on the road where one fits."""
-
-    group: LineGroup
-    curve: Curve | None
-
-
-@dataclass(frozen=True)
 class Observation:
     """Everything one frame shows of the lane; ``far`` is the row of the road's far end.
 
@@ -86,9 +78,10 @@ class Observation:
     proposals: Float = field(default_factory=lambda: np.empty((0, 4)))
     groups: tuple[LineGroup, ...] = ()
     edges: dict[Side, Edges] = field(default_factory=dict)
-    boundaries: dict[Side, ObservedBoundary] = field(default_factory=dict)
     near: dict[Side, tuple[LineGroup, ...]] = field(default_factory=dict)
     """The lines on either side with support near the car, the closest one first."""
+    curves: dict[Side, Curve | None] = field(default_factory=dict)
+    """The curve on the road of the closest line on either side, None where none fits."""
 
     def curve_beyond(self, cfg: LanesConfig, side: Side, least_m: float) -> Curve | None:
         """The curve of the closest line that lies so far out at the ego origin."""
@@ -164,13 +157,13 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     proposals = lines.propose(cfg, edge_pixels)
     groups = lines.merge(lines.on_road(proposals, drivable), projection.camera.height)
     edges = {}
-    if cfg.model == "curve":
-        edges = {side: _edges(projection, separators[far:], drivable, side, far) for side in SIDES}
+    for side in SIDES if cfg.model == "curve" else ():
+        pixels = facing_edges(separators[far:], drivable, side, far)
+        edges[side] = Edges.of(projection.ground(pixels)[:, :2], pixels[:, 1])
     found = Observation(projection, tags, table, float(far), edge_pixels > 0, proposals, groups, edges)
     near = _near_lines(projection, groups)
     curves = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
-    boundaries = {side: ObservedBoundary(near[side][0], curves[side]) for side in near}
-    return replace(found, boundaries=boundaries, near=near)
+    return replace(found, near=near, curves=curves)
 
 
 def _ends_of_runs(marked: Image, towards: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -187,11 +180,6 @@ def _ends_of_runs(marked: Image, towards: int) -> tuple[NDArray[np.intp], NDArra
     return rows[order], columns[order]
 
 
-def _edges(projection: RoadProjection, separators: Image, drivable: Mask, side: Side, top: int) -> Edges:
-    pixels = facing_edges(separators, drivable, side, top)
-    return Edges.of(projection.ground(pixels)[:, :2], pixels[:, 1])
-
-
 def _near_lines(projection: RoadProjection, groups: tuple[LineGroup, ...]) -> dict[Side, tuple[LineGroup, ...]]:
     """The lines on each side of the car's path at the image's bottom, among those with near support, closest first.
 
@@ -204,12 +192,11 @@ def _near_lines(projection: RoadProjection, groups: tuple[LineGroup, ...]) -> di
     near = [group for group, x in zip(groups, nearest_m.tolist(), strict=True) if x <= NEAR_M]  # NaN is not near
     left = [group for group in near if group.x(bottom) < path and group.slope < 0]
     right = [group for group in near if group.x(bottom) >= path and group.slope > 0]
-    found: dict[Side, tuple[LineGroup, ...]] = {}
-    if left:
-        found["left"] = tuple(sorted(left, key=lambda group: -group.x(bottom)))
-    if right:
-        found["right"] = tuple(sorted(right, key=lambda group: group.x(bottom)))
-    return found
+    closest_first: dict[Side, tuple[LineGroup, ...]] = {
+        "left": tuple(sorted(left, key=lambda group: -group.x(bottom))),
+        "right": tuple(sorted(right, key=lambda group: group.x(bottom))),
+    }
+    return {side: groups for side, groups in closest_first.items() if groups}
 
 
 def _curve(cfg: LanesConfig, observation: Observation, side: Side, group: LineGroup) -> Curve | None:

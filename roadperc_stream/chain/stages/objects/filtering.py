@@ -9,7 +9,6 @@ class's tags. Its distance is a low quantile of the distances of those pixels.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from math import inf, log
 from types import MappingProxyType
@@ -20,10 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.kernels import count_of_class, mark
-from roadperc_stream.chain.stages.objects import distance
-from roadperc_stream.chain.stages.objects.distance import UNKNOWN, Measured, own_distances
 from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas
-from roadperc_stream.chain.stages.objects.regions import Region, find_regions
+from roadperc_stream.chain.stages.objects.regions import (
+    UNKNOWN,
+    Measured,
+    Region,
+    find_regions,
+    nearest,
+    of_box,
+    of_region,
+    own_distances,
+)
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Absent, Detection, Image, Object, Objects, Reason
@@ -38,6 +44,7 @@ _ROWS = 64
 """Candidates that are compared with all others at once: a detector may give thousands."""
 NOWHERE: Final[Mapping[int, float | None]] = MappingProxyType({})
 """No object is expected."""
+_NO_REGION: Final = (0.0, UNKNOWN)
 FITS_ALIKE = 0.1
 """Difference of fits that says little."""
 AS_EXPECTED = 0.1
@@ -51,21 +58,15 @@ _MIN_FIT_SEEN = 0.2
 """The same where an object has been seen for ``carry_after_s``; there ``min_class_ratio`` is enough, too."""
 
 
-@dataclass(frozen=True)
-class MeasuredRegion:
-    """A region that is a detection's object, and its distance."""
-
-    region: Region
-    measured: Measured
-
-
 def choose(
     labels: Sequence[str],
     candidates: Sequence[Sequence[Region]],
     measure: Callable[[Region], Measured],
     expected_m: Mapping[int, float | None] = NOWHERE,
-) -> list[MeasuredRegion | None]:
-    """One candidate of each detection, those that fit best before the others; None where others have them all.
+) -> list[tuple[float, Measured]]:
+    """Fit and distance of one candidate of each detection, those that fit best before the others.
+
+    A fit of 0 and no distance where others have all candidates.
 
     Args:
         labels: of the detections.
@@ -76,17 +77,17 @@ def choose(
     fits = _fits(candidates, measure := cache(measure), expected_m)
     unordered = [region for of_one in candidates for region in of_one]
     flat = [unordered[k] for k in sorted(range(len(fits)), key=lambda k: (-fits[k], k))]
-    chosen: list[MeasuredRegion | None] = [None] * len(labels)
-    claims: list[list[Measured]] = [[] for _ in flat]
+    chosen: dict[int, tuple[float, Measured]] = {}
+    claims: list[list[float | None]] = [[] for _ in flat]
     for row, (region, together) in enumerate(zip(flat, _same_places(labels, flat), strict=True)):
-        if chosen[region.owner] is not None:
+        if region.owner in chosen:
             continue
         measured = measure(region)
-        if not any(_same_distance(measured, claim) for claim in claims[row]):
-            chosen[region.owner] = MeasuredRegion(region, measured)
+        if not any(_apart(measured.distance_m, claim) < SAME_DISTANCE for claim in claims[row]):
+            chosen[region.owner] = region.fit, measured
             for other in np.flatnonzero(together).tolist():
-                claims[other].append(measured)
-    return chosen
+                claims[other].append(measured.distance_m)
+    return [chosen.get(owner, _NO_REGION) for owner in range(len(labels))]
 
 
 def _fits(
@@ -116,11 +117,6 @@ def _same_places(labels: Sequence[str], flat: Sequence[Region]) -> Iterator[NDAr
         rows = slice(first, first + _ROWS)
         smaller = np.minimum(sizes[rows, None], sizes)
         yield from (shared_areas(boxes[:, rows], boxes) > SAME_PLACE * smaller) & (kind[rows, None] == kind)
-
-
-def _same_distance(one: Measured, other: Measured) -> bool:
-    """Whether the nearest points are as far; what is not known is nowhere."""
-    return _apart(one.distance_m, other.distance_m) < SAME_DISTANCE
 
 
 def _apart(one_m: float | None, other_m: float | None) -> float:
@@ -171,14 +167,14 @@ def _candidates(
     detections: tuple[Detection, ...],
     lookups: list[Image | None],
     expected_m: Mapping[int, float | None],
-) -> list[MeasuredRegion | None]:
-    """The region that is each detection's object; None where there is none."""
+) -> list[tuple[float, Measured]]:
+    """Fit and distance of the region that is each detection's object."""
     if not divides(scene) or "region" not in (cfg.distance_pixels, cfg.filter):
-        return [None] * len(detections)
+        return [_NO_REGION] * len(detections)
     boxes = [detection.box_px for detection in detections]
     found = find_regions(scene.camera, cut_out(scene, lookups, boxes), boxes)
     labels = [detection.label for detection in detections]
-    return choose(labels, found, lambda region: distance.of_region(cfg, region), expected_m)
+    return choose(labels, found, lambda region: of_region(cfg, region), expected_m)
 
 
 def _filtered(
@@ -186,25 +182,26 @@ def _filtered(
     scene: Scene,
     detection: Detection,
     lookup: Image | None,
-    candidate: MeasuredRegion | None,
+    candidate: tuple[float, Measured],
     expected: bool,
 ) -> Object:
     x0, y0, x1, y1 = box = detection.box_px.rounded(scene.camera.width, scene.camera.height)
     if x0 >= x1 or y0 >= y1:
         return Object(detection, kept=lookup is None)  # nothing of it is in the image
-    ratio = None
+    ratio = of_class = None
+    fit, measured = candidate if cfg.distance_pixels == "region" else (candidate[0], UNKNOWN)
     if scene.tags is not None and lookup is not None:
-        ratio = count_of_class(scene.tags[y0:y1, x0:x1], lookup) / ((y1 - y0) * (x1 - x0))
-    fit = 0.0 if candidate is None else candidate.region.fit
-    measured = UNKNOWN if candidate is None or cfg.distance_pixels != "region" else candidate.measured
-    of_class = _of_class(scene, lookup, box) if fit <= _MIN_FIT or measured == UNKNOWN else None
+        tags = scene.tags[y0:y1, x0:x1]
+        ratio = count_of_class(tags, lookup) / tags.size
+        if fit <= _MIN_FIT or measured == UNKNOWN:
+            of_class = mark(tags, lookup)
     beyond = fit <= _MIN_FIT and divides(scene) and _mostly_beyond(scene, box, of_class)
     kept = ratio is None or _is_kept(cfg, scene, ratio, fit, expected=expected, beyond=beyond)
     if beyond and cfg.distance_pixels == "region":
         measured = Measured(beyond_range=True)
     if scene.depth_m is not None and measured == UNKNOWN:
-        distances = distance.of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
-        measured = distance.nearest(cfg, _counted(cfg, scene, distances, of_class))
+        distances = of_box(scene.camera, scene.depth_m, box, scene.depth_limit_m)
+        measured = nearest(cfg, _counted(cfg, scene, distances, of_class))
     return Object(
         detection,
         kept,
@@ -222,14 +219,6 @@ def _counted(cfg: ObjectsConfig, scene: Scene, distances_m: Float32, of_class: I
     if cfg.distance_pixels == "class" or scene.dense_depth_m is not None:
         return distances_m[of_class > 0]
     return own_distances(np.where(of_class > 0, distances_m, np.float32(np.nan)))
-
-
-def _of_class(scene: Scene, lookup: Image | None, box: tuple[int, int, int, int]) -> Image | None:
-    """(h, w) 1 at the class in a box, else 0; None where it is not known."""
-    if scene.tags is None or lookup is None:
-        return None
-    x0, y0, x1, y1 = box
-    return mark(scene.tags[y0:y1, x0:x1], lookup)
 
 
 def _mostly_beyond(scene: Scene, box: tuple[int, int, int, int], of_class: Image | None) -> bool:

@@ -34,37 +34,9 @@ BEYOND = 0.1
 """Share by which what is beyond the depth's range is taken for farther than its limit: it is another object than one
 just before the limit."""
 Indices = NDArray[np.int64]
+Pixels = tuple[slice, slice]
+"""Rows and columns of an image."""
 T = TypeVar("T", bound=np.generic)
-
-
-@dataclass(frozen=True)
-class Cutout:
-    """In and around the part of a box in the image: columns ``x0`` to ``x1`` and rows ``y0`` to ``y1``, half-open."""
-
-    x0: int
-    y0: int
-    x1: int
-    y1: int
-
-    @property
-    def x_step(self) -> int:
-        """Pixels of the image from one to the next of a row."""
-        return max(-(-(self.x1 - self.x0) // LONGEST_SIDE), 1)
-
-    @property
-    def y_step(self) -> int:
-        """Pixels of the image from one to the next of a column."""
-        return max(-(-(self.y1 - self.y0) // LONGEST_SIDE), 1)
-
-    @property
-    def pixels(self) -> tuple[slice, slice]:
-        """Where they are in the image."""
-        return slice(self.y0, self.y1, self.y_step), slice(self.x0, self.x1, self.x_step)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return -(-(self.y1 - self.y0) // self.y_step), -(-(self.x1 - self.x0) // self.x_step)
 
 
 @dataclass(frozen=True)
@@ -136,7 +108,7 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
         boxes: in the frame's image; nothing is cut out of one outside it.
     """
     cutouts = [_around(scene.camera, box) for box in boxes]
-    shapes = [cutout.shape for cutout in cutouts]
+    shapes = [tuple(len(range(part.start, part.stop, part.step)) for part in cutout) for cutout in cutouts]
     tops = np.cumsum([0, *(height + 1 for height, _ in shapes)])
     size = int(tops[-1]), max((width for _, width in shapes), default=0)
     of_class = np.zeros(size, np.uint8)
@@ -144,8 +116,8 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
     for cutout, place, lookup in zip(cutouts, places, lookups, strict=True):
         if of_class[place].size:
             _mark(scene, lookup, cutout, of_class[place])
-    first_px = np.array([(c.x0, c.y0) for c in cutouts], np.int64).reshape(-1, 2)
-    steps = np.array([(c.x_step, c.y_step) for c in cutouts], np.int64).reshape(-1, 2)
+    first_px = np.array([(columns.start, rows.start) for rows, columns in cutouts], np.int64).reshape(-1, 2)
+    steps = np.array([(columns.step, rows.step) for rows, columns in cutouts], np.int64).reshape(-1, 2)
     ids = None if scene.instances is None else _placed(scene.instances, cutouts, places, np.zeros(size, np.uint16))
     if scene.dense_depth_m is None or not of_class.size:
         return Mosaic(first_px, steps, tops, of_class, None, None, None, ids)
@@ -160,15 +132,23 @@ def cut_out(scene: Scene, lookups: Sequence[Image | None], boxes: Sequence[Box])
     return Mosaic(first_px, steps, tops, of_class, log_depth, distances, noise, ids)
 
 
-def _around(camera: Camera, box: Box) -> Cutout:
+def _around(camera: Camera, box: Box) -> Pixels:
+    """Rows and columns in and around the part of a box in the image; none for a box outside it."""
     x0, y0, x1, y1 = box.rounded(camera.width, camera.height)
     if x0 >= x1 or y0 >= y1:
-        return Cutout(0, 0, 0, 0)
+        return slice(0, 0, 1), slice(0, 0, 1)
     x_margin, y_margin = (max(MARGIN * side, LEAST_MARGIN_PX) for side in (x1 - x0, y1 - y0))
-    return Cutout(*Box(x0 - x_margin, y0 - y_margin, x1 + x_margin, y1 + y_margin).rounded(camera.width, camera.height))
+    around = Box(x0 - x_margin, y0 - y_margin, x1 + x_margin, y1 + y_margin)
+    x0, y0, x1, y1 = around.rounded(camera.width, camera.height)
+    return _sampled(y0, y1), _sampled(x0, x1)
 
 
-def _mark(scene: Scene, lookup: Image | None, cutout: Cutout, marked: Image) -> None:
+def _sampled(first: int, end: int) -> slice:
+    """At most ``LONGEST_SIDE`` rows or columns, evenly spaced."""
+    return slice(first, end, max(-(-(end - first) // LONGEST_SIDE), 1))
+
+
+def _mark(scene: Scene, lookup: Image | None, cutout: Pixels, marked: Image) -> None:
     """1 at pixels of the class, but for single ones and pairs, which join what is apart: a line of three is left.
 
     What is of any class only instance masks can divide: cars stand on roads.
@@ -176,14 +156,12 @@ def _mark(scene: Scene, lookup: Image | None, cutout: Cutout, marked: Image) -> 
     if lookup is None or scene.tags is None:
         marked[...] = scene.instances is not None
     else:
-        mark_together(scene.tags[cutout.pixels], lookup, LEAST_TOGETHER, marked)
+        mark_together(scene.tags[cutout], lookup, LEAST_TOGETHER, marked)
 
 
-def _placed(
-    picture: NDArray[T], cutouts: Sequence[Cutout], places: Sequence[tuple[slice, slice]], into: NDArray[T]
-) -> NDArray[T]:
+def _placed(picture: NDArray[T], cutouts: Sequence[Pixels], places: Sequence[Pixels], into: NDArray[T]) -> NDArray[T]:
     for cutout, place in zip(cutouts, places, strict=True):
-        into[place] = picture[cutout.pixels]
+        into[place] = picture[cutout]
     return into
 
 

@@ -1,18 +1,22 @@
-"""The path that the car is going to take, by its lane or else its circle, and where objects are beside it.
+"""The path that the car is going to take, by its lane or else its circle, where objects are beside it, and the impact.
 
 A collision is foreseen with what is in the path alone: forward collision warning knows an obstacle vehicle on the
-subject vehicle's trajectory, not one beside it (ISO 15623; GB/T 33577-2017, which has its terms).
+subject vehicle's trajectory, not one beside it (ISO 15623; GB/T 33577-2017, which has its terms). The time to collision
+is the distance over the relative speed; a vehicle cuts in that is beside the path and moves towards it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import atan2, ceil, cos, exp, fsum, hypot, sin, sqrt
 
 from roadperc_stream.chain.kernels import left_of, mean_direction, object_points
-from roadperc_stream.chain.stages.objects.distance import ranked
+from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
+from roadperc_stream.chain.stages.objects.regions import ranked
+from roadperc_stream.chain.stages.objects.tracking import Extent, ObjectTrack
+from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.model import SIDES, Boundary, Detection, Lanes, Object, PathSource
 from roadperc_stream.model.scene import Scene
-from roadperc_stream.model.tag_tables import label_lookup
+from roadperc_stream.model.tag_tables import classes_of_label, label_lookup
 
 _TURNING_FROM_M = 1e-3
 """A shorter step says nothing of the direction in which the car drives."""
@@ -40,6 +44,13 @@ _NEAREST = 0.05
 """Share of the pixels that are the nearest ones."""
 _STD_SHARE = 0.005
 """Of the distance, beside the least standard deviation of an edge: what a wobbling border and the path are off."""
+_VAGUE_M = 1.0
+"""Standard deviation of an edge beyond which nobody can say whether it is in the path."""
+_VAGUE_MPS = 0.8
+"""Standard deviation of an edge's speed beyond which nobody can say whether it stays there."""
+_CROSSING_MPS = 2.0
+"""Speed across the path at which no lane is changed."""
+_SURE_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
@@ -89,19 +100,6 @@ class DrivenArc:
     def curvature_per_m(self) -> float | None:
         """Yaw rate over speed; None where the car has hardly moved."""
         return self.turned / self.driven_m if self.driven_m >= _STRAIGHT_M else None
-
-
-@dataclass(frozen=True)
-class Extent:
-    """The edges of an object, metres to the left of the path's middle, and their standard deviation.
-
-    ``nearest_ray`` is the direction of its nearest pixels, z = 1 in the camera's frame.
-    """
-
-    right_m: float
-    left_m: float
-    std_m: float
-    nearest_ray: tuple[float, float, float]
 
 
 def path_of(lanes: Lanes | None, arc: DrivenArc) -> EgoPath:
@@ -166,3 +164,83 @@ def _points(scene: Scene, depth_m: Float32, detection: Detection, distance_m: fl
     behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, _OBJECT_LENGTH_M
     pinhole = camera.fx, camera.fy, camera.cx, camera.cy
     return object_points(depth_m, pinhole, (x0, y0, x1, y1, step), of_class, distance_m, behind_m)
+
+
+def judged(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
+    """An object with its track's id, its place beside the path, its closing speed and its time to impact."""
+    return _timed(cfg, _placed(cfg, path, replace(item, track_id=track.id), track), track)
+
+
+def _placed(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
+    """With how far its middle is beside the path, whether any of it is in the path, and whether it cuts in."""
+    right, left = track.right_m, track.left_m
+    if right is None or left is None or sqrt(max(right.value_var, left.value_var)) > _VAGUE_M:
+        return item
+    half_m = cfg.car_width_m / 2 + cfg.path_margin_m
+    in_path = right.value < half_m and left.value > -half_m
+    nearer = right if right.value + left.value > 0 else left.mirrored()
+    cut_in = None if path.lane_half_m is None else not in_path and _cuts_in(cfg, nearer, path.lane_half_m)
+    return replace(item, lateral_m=(right.value + left.value) / 2, in_path=in_path, cut_in=cut_in)
+
+
+def _cuts_in(cfg: ObjectsConfig, edge: RateFilter, lane_half_m: float) -> bool:
+    """Whether the edge that faces the path, metres beside its middle, is over the lane's line and surely moves in."""
+    inward = -edge.rate
+    return edge.value < lane_half_m and inward > max(cfg.cut_in_mps, _SURE_SIGMAS * sqrt(edge.rate_var))
+
+
+def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
+    """With closing speed and time to impact by the track's distances.
+
+    The speed is that of the distance to the camera, positive when coming nearer. A speed that is not known well is
+    not given. A time to impact is given only for what is in the path and surely comes nearer, and not while the
+    distances contradict the filtered one: either may be another object's.
+    """
+    distance = track.distance_m
+    if distance is None or sqrt(distance.rate_var) > cfg.max_speed_std_mps:
+        return item
+    closing, std = -distance.rate, sqrt(distance.rate_var)
+    own = sqrt(track.jitter.rate_var_scale) if track.jitter else 1.0
+    item = replace(item, closing_speed_mps=closing, closing_speed_std_mps=own * std)
+    contradicted = track.rival_m is not None or distance.value <= 0
+    nears = closing >= cfg.min_closing_mps and closing >= cfg.min_closing_sigmas * std
+    if not item.in_path or contradicted or not nears:
+        return item
+    impact_s = distance.value / closing
+    if not _may_be_hit(cfg, item.detection.label, track, impact_s):
+        return item
+    return replace(item, time_to_impact_s=impact_s, time_to_impact_std_s=own * _time_to_impact_std_s(distance))
+
+
+def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: float) -> bool:
+    """Whether an object in the path may still be there when the car comes; of a vehicle its motion must be known.
+
+    An oncoming car in a bend is for a moment where the lane seems to go on, but crosses that at metres a second;
+    who changes lanes is slower. A pedestrian who crosses is not past before he is: he may stop.
+    """
+    if classes_of_label(label) == ("pedestrian",):
+        return True
+    right, left = track.right_m, track.left_m
+    if right is None or left is None or sqrt(max(right.rate_var, left.rate_var)) > _VAGUE_MPS:
+        return False
+    half_m = cfg.car_width_m / 2 + cfg.path_margin_m
+    inner = (right, left.mirrored())
+    return not any(edge.rate > _CROSSING_MPS and _least(edge, after_s) > half_m for edge in inner)
+
+
+def _least(edge: RateFilter, after_s: float) -> float:
+    """Where an edge will be, less its standard deviation."""
+    variance = edge.value_var + 2 * after_s * edge.cross_var + after_s**2 * edge.rate_var
+    return edge.value + edge.rate * after_s - sqrt(variance)
+
+
+def _time_to_impact_std_s(distance: RateFilter) -> float:
+    """First-order propagation through distance / closing speed, their covariance included."""
+    by_distance = -1 / distance.rate
+    by_rate = distance.value / distance.rate**2
+    variance = (
+        by_distance**2 * distance.value_var
+        + 2 * by_distance * by_rate * distance.cross_var
+        + by_rate**2 * distance.rate_var
+    )
+    return sqrt(max(variance, 0.0))

@@ -17,8 +17,7 @@ from math import exp, sqrt
 
 import numpy as np
 
-from roadperc_stream.geometry import Float, inverse, transform
-from roadperc_stream.model.scene import Scene
+from roadperc_stream.geometry import Float, transform
 from roadperc_stream.system.time import NS_PER_S
 
 _MEMORY_S = 1.0
@@ -162,11 +161,6 @@ class EgoRate:
 def start(measured: float, std: float, rate_std: float) -> RateFilter:
     """From one measurement and what rates there may be."""
     return RateFilter(measured, 0.0, std**2, 0.0, rate_std**2)
-
-
-def motion_of_camera(scene: Scene, last_T_this: Float | None) -> Float | None:
-    """(4, 4) the transform of the camera's coordinates at the last frame to those now; None where it is not known."""
-    return None if last_T_this is None else inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
 
 
 def change_of_distance_m(now_T_last: Float, ray: Ray, distance_m: float) -> float:

@@ -16,7 +16,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.stages.objects.distance import Measured, nearest, of_box, within_range
+from roadperc_stream.chain.stages.objects.regions import Measured, nearest, of_box, within_range
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.model import Box, Correlation, Detection, Image, Mask, Object, read_only

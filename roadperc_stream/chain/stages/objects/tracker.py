@@ -1,24 +1,35 @@
-"""One frame of the objects: filter the detections, associate them with tracks, and search for tracks without one."""
+"""One frame of the objects: filter the detections, associate them with tracks, and search for tracks without one.
+
+The pairs of detection and track are those of largest total similarity (the assignment problem). Similar are boxes that
+overlap; where the distances contradict each other the overlap counts for less. So an object whose distance jumps to
+something in front keeps its id, and of two that pass each other each keeps its own.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import sqrt
 
+import numpy as np
+from numpy.typing import NDArray
+
 from roadperc_stream.chain.stages.objects import tracking
-from roadperc_stream.chain.stages.objects.association import assign, expected, similarities
 from roadperc_stream.chain.stages.objects.filtering import filter_detections
-from roadperc_stream.chain.stages.objects.impact import judged
-from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, path_of
-from roadperc_stream.chain.stages.objects.rate_filter import motion_of_camera
+from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
+from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, judged, path_of
 from roadperc_stream.chain.stages.objects.template import Template, cut, find_obstacle
-from roadperc_stream.chain.stages.objects.tracking import ObjectTrack
+from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.geometry import Camera, Float
-from roadperc_stream.model import Absent, Box, Correlation, Lanes, Object, Objects
+from roadperc_stream.geometry import Camera, Float, inverse
+from roadperc_stream.geometry.assignment import largest_total
+from roadperc_stream.model import Absent, Box, Correlation, Detection, Lanes, Object, Objects
 from roadperc_stream.model.scene import Scene
 
 MOST_TRACKS = 256
 """Objects that are remembered; beyond, those longest without a detection are forgotten."""
+EXPECTED_OVERLAP = 0.4
+"""Intersection over union with the predicted box from which a detection is where its object is expected."""
+DISTANCE_PENALTY = 0.3
+"""Share of the overlap that does not count where the distances contradict each other."""
 _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0
 """Most that is searched to each side of the predicted centre, in box sides."""
@@ -84,7 +95,7 @@ def step(
     """
     arc = state.arc.after(last_T_this)
     path = path_of(ego_lane, arc)
-    now_T_last = motion_of_camera(scene, last_T_this)
+    now_T_last = None if last_T_this is None else inverse(last_T_this @ scene.ego_T_camera) @ scene.ego_T_camera
     known = [tracking.predict(cfg, track, scene.stamp_ns, now_T_last) for track in state.tracks]
     known = [track for track in known if not tracking.expired(cfg, track)]
     known = known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
@@ -111,16 +122,74 @@ def step(
 
 
 def _expected(cfg: ObjectsConfig, scene: Scene, known: Sequence[ObjectTrack]) -> dict[int, float | None]:
-    """Detections where an object was seen for some time, by position, and how far it is."""
-    detections = scene.detections or ()
-    confirmed = [track for track in known if tracking.confirmed(cfg, track)]
-    return expected(confirmed, [d.label for d in detections], [_within(scene.camera, d.box_px) for d in detections])
+    """Detections that lie where an object of their kind is predicted, by position, and how far that object is.
+
+    Only objects seen for some time count. Of several it is the one whose box is overlapped most; None where its
+    distance is not known.
+    """
+    tracks = [track for track in known if tracking.confirmed(cfg, track)]
+    detections = scene.detections
+    if not tracks or not detections:
+        return {}
+    ours, theirs = kinds([track.detection.label for track in tracks], [d.label for d in detections])
+    with np.errstate(all="ignore"):
+        boxes = corners(_within(scene.camera, d.box_px) for d in detections)
+        overlap = overlaps(corners(track.box_px for track in tracks), boxes)
+    overlap = np.where((overlap >= EXPECTED_OVERLAP) & (ours[:, None] == theirs), overlap, 0.0)
+    best = overlap.argmax(axis=0)
+    distances = [None if track.distance_m is None else track.distance_m.value for track in tracks]
+    return {k: distances[best[k]] for k in np.flatnonzero(overlap.max(axis=0)).tolist()}
+
+
+def assign(
+    cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object], boxes: Sequence[Box]
+) -> dict[int, int]:
+    """The position in ``items`` of each track's detection, by the track's position; both appear at most once.
+
+    Args:
+        cfg: gates.
+        tracks: predicted to the time of the detections.
+        items: filtered detections.
+        boxes: their boxes within the image.
+
+    Equal similarities are decided by the order of tracks and items.
+    """
+    return largest_total(similarities(cfg, tracks, items, boxes))
+
+
+def similarities(
+    cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object], boxes: Sequence[Box]
+) -> Float:
+    """(tracks, items) 0 to 1: how well each detection fits each predicted track; 0 where it cannot be the same object.
+
+    It is the overlap, which counts for less as the distances contradict each other, to the whole at the filter's gate.
+    All pairs at once: a detector may give thousands of boxes, and each is compared with every track.
+    """
+    ours, theirs = kinds([track.detection.label for track in tracks], [item.detection.label for item in items])
+    with np.errstate(all="ignore"):  # boxes may be beyond all numbers: what is no number is no similarity
+        overlap = overlaps(corners(track.box_px for track in tracks), corners(boxes))
+        scores = overlap * (1.0 - DISTANCE_PENALTY * _contradictions(cfg, tracks, items))
+        fits = (ours[:, None] == theirs) & (scores >= cfg.min_overlap)
+    return np.where(fits, scores, 0.0)
+
+
+def _contradictions(cfg: ObjectsConfig, tracks: Sequence[ObjectTrack], items: Sequence[Object]) -> Float:
+    """(tracks, items) 0 where the distances agree or one is unknown, 1 from the gate on."""
+    motions = [track.distance_m for track in tracks]
+    expected = np.array([np.nan if m is None else m.value for m in motions])[:, None]
+    variances = np.array([np.nan if m is None else m.value_var for m in motions])[:, None]
+    measured = np.array([np.nan if item.distance_m is None else item.distance_m for item in items])
+    # As RateFilter.surprise has it; float_power rounds as Python's ** does, squaring by a product does not always.
+    noise = np.float_power(np.array([distance_std_m(cfg, item) for item in items]), 2.0)
+    surprise = np.float_power(measured - expected, 2.0) / (variances + noise)
+    unknown: NDArray[np.bool_] = np.isnan(expected) | np.isnan(measured)
+    return np.where(unknown, 0.0, np.minimum(surprise / cfg.gate, 1.0))
 
 
 def _kept(camera: Camera, objects: Sequence[Object]) -> _Kept:
     """The kept objects, those of the highest score first, so that the order of the detections decides nothing."""
     found = [(item, _within(camera, item.detection.box_px), k) for k, item in enumerate(objects) if item.kept]
-    found.sort(key=lambda entry: (-entry[0].detection.score, *_corners(entry[0].detection.box_px), *_words(entry[0])))
+    found.sort(key=lambda entry: _order(entry[0].detection))
     return _Kept(tuple(item for item, _, _ in found), tuple(b for _, b, _ in found), tuple(k for _, _, k in found))
 
 
@@ -135,17 +204,9 @@ def _within(camera: Camera, box: Box) -> Box:
     )
 
 
-def _cut(camera: Camera, box: Box) -> bool:
-    """Whether one side of the image cuts off part of what is in a box within the image."""
-    return (box.x_min < _BORDER_PX) != (box.x_max > camera.width - _BORDER_PX)
-
-
-def _corners(box: Box) -> tuple[float, float, float, float]:
-    return box.x_min, box.y_min, box.x_max, box.y_max
-
-
-def _words(item: Object) -> tuple[str, str]:
-    return item.detection.label, item.detection.id
+def _order(detection: Detection) -> tuple[float | str, ...]:
+    box = detection.box_px
+    return -detection.score, box.x_min, box.y_min, box.x_max, box.y_max, detection.label, detection.id
 
 
 def _detected(
@@ -161,7 +222,9 @@ def _detected(
     tracks: dict[int, ObjectTrack] = {}
     for k, (item, box, position) in enumerate(zip(kept.items, kept.boxes, kept.positions, strict=True)):
         if k in track_of:
-            track = tracking.detected(cfg, known[track_of[k]], item, box, cut=_cut(scene.camera, box))
+            # The box goes on beyond one side of the image.
+            cut = (box.x_min < _BORDER_PX) != (box.x_max > scene.camera.width - _BORDER_PX)
+            track = tracking.detected(cfg, known[track_of[k]], item, box, cut=cut)
         else:
             track = tracking.start(cfg, next_number, item, box, scene.stamp_ns)
             next_number += 1
@@ -197,9 +260,8 @@ def _searched(cfg: ObjectsConfig, scene: Scene, path: EgoPath, track: ObjectTrac
     if isinstance(filtered, Absent) or not filtered.objects[0].kept:
         return lost
     item = replace(filtered.objects[0], status="tracked")
-    after = tracking.carried(cfg, track, item)
-    detected = similarities(cfg, [after], kept.items, kept.boxes).any()
-    if detected:
+    after = tracking.observed(cfg, track, item, item.detection.box_px)
+    if similarities(cfg, [after], kept.items, kept.boxes).any():
         return lost
     return _Searched(tracking.placed(after, extent(scene, path, item), after.template), item, correlation)
 

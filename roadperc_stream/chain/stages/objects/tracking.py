@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from math import hypot
 
 from roadperc_stream.chain.stages.objects import rate_filter
-from roadperc_stream.chain.stages.objects.path import Extent
 from roadperc_stream.chain.stages.objects.rate_filter import EgoRate, Jitter, RateFilter, Ray, change_of_distance_m
 from roadperc_stream.chain.stages.objects.template import Template
 from roadperc_stream.config import ObjectsConfig
@@ -33,6 +32,19 @@ _UNKNOWN_STD_SHARE = 0.05
 """Of a distance whose deviation is not known: an object that partly lies beyond the depth's range."""
 _ZOOM = (0.5, 2.0)
 """Most that a box shrinks or grows in one prediction."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """The edges of an object, metres to the left of the path's middle, and their standard deviation.
+
+    ``nearest_ray`` is the direction of its nearest pixels, z = 1 in the camera's frame.
+    """
+
+    right_m: float
+    left_m: float
+    std_m: float
+    nearest_ray: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -89,8 +101,7 @@ def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: 
         stamp_ns,
         stamp_ns,
     )
-    distances = _distances(cfg, track, item, cut=False)
-    return replace(track, distance_m=distances.filtered, jitter=distances.jitter)
+    return _with_distance(cfg, track, item, cut=False)
 
 
 def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: Float | None = None) -> ObjectTrack:
@@ -149,12 +160,21 @@ def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
 def detected(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool = False) -> ObjectTrack:
     """The predicted track after the detection that belongs to it; ``cut`` where the image's side cuts the object."""
     track = replace(track, detection=item.detection, detected_ns=track.stamp_ns)
-    return _updated(cfg, track, item, box_px, cut=cut)
+    return observed(cfg, track, item, box_px, cut=cut)
 
 
-def carried(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> ObjectTrack:
-    """The predicted track after its template was found in the image, which does not count as a detection."""
-    return _updated(cfg, track, item, item.detection.box_px, cut=False)
+def observed(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool = False) -> ObjectTrack:
+    """The predicted track after its object was seen; found by its template alone it does not count as a detection."""
+    (x, y), (width, height) = _centre(box_px), _sides(box_px)
+    track = _with_distance(cfg, track, item, cut=cut)
+    return replace(
+        track,
+        box_px=box_px,
+        x_px=track.x_px.update(x, _centre_std(width)),
+        y_px=track.y_px.update(y, _centre_std(height)),
+        observed_ns=track.stamp_ns,
+        run_ns=track.stamp_ns if track.missed else track.run_ns,
+    )
 
 
 def placed(track: ObjectTrack, extent: Extent | None, template: Template | None) -> ObjectTrack:
@@ -187,64 +207,37 @@ def distance_std_m(cfg: ObjectsConfig, item: Object) -> float:
     return max(_UNKNOWN_STD_SHARE * (item.distance_m or 0.0), cfg.min_distance_std_m)
 
 
-def _updated(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool) -> ObjectTrack:
-    (x, y), (width, height) = _centre(box_px), _sides(box_px)
-    distances = _distances(cfg, track, item, cut=cut)
-    return replace(
-        track,
-        box_px=box_px,
-        x_px=track.x_px.update(x, _centre_std(width)),
-        y_px=track.y_px.update(y, _centre_std(height)),
-        observed_ns=track.stamp_ns,
-        run_ns=track.stamp_ns if track.missed else track.run_ns,
-        distance_m=distances.filtered,
-        rival_m=distances.rival,
-        rival_ns=distances.rival_ns,
-        jitter=distances.jitter,
-    )
-
-
-@dataclass(frozen=True)
-class _Distances:
-    """What a track knows of its distances."""
-
-    filtered: RateFilter | None
-    rival: RateFilter | None
-    rival_ns: int
-    jitter: Jitter | None
-
-
-def _distances(cfg: ObjectsConfig, track: ObjectTrack, item: Object, *, cut: bool) -> _Distances:
-    """After what was observed."""
+def _with_distance(cfg: ObjectsConfig, track: ObjectTrack, item: Object, *, cut: bool) -> ObjectTrack:
+    """The track after its object's distance, if that is known."""
     if item.distance_m is None:
-        return _Distances(track.distance_m, track.rival_m, track.rival_ns, track.jitter)
+        return track
     std_m = distance_std_m(cfg, item)
-    if cut and track.distance_m is not None:
-        # What is nearest of it in the image is another point of it in each frame: that says nothing of its speed.
-        dt_s = (track.stamp_ns - track.observed_ns) / NS_PER_S
-        change_mps = _turning_mps2(track.distance_m, track.nearest_ray) * dt_s
-        return _Distances(track.distance_m.at(item.distance_m, std_m, change_mps), None, track.rival_ns, track.jitter)
-    return _measured(cfg, track, item.distance_m, std_m)
+    if not cut or track.distance_m is None:
+        return _measured(cfg, track, item.distance_m, std_m)
+    # What is nearest of it in the image is another point of it in each frame: that says nothing of its speed.
+    dt_s = (track.stamp_ns - track.observed_ns) / NS_PER_S
+    change_mps = _turning_mps2(track.distance_m, track.nearest_ray) * dt_s
+    return replace(track, distance_m=track.distance_m.at(item.distance_m, std_m, change_mps), rival_m=None)
 
 
-def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: float) -> _Distances:
+def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: float) -> ObjectTrack:
     """After a distance: it belongs to the filter or to its rival, whichever it fits, or to a new rival."""
-    filtered, rival, rival_ns = track.distance_m, track.rival_m, track.rival_ns
+    filtered, rival = track.distance_m, track.rival_m
     new = Jitter.of_first(track.stamp_ns, distance_m, std_m)
     if filtered is None:
-        return _Distances(_first_distance(distance_m, std_m), rival, rival_ns, new)
+        return replace(track, distance_m=_first_distance(distance_m, std_m), jitter=new)
     ours = filtered.surprise(distance_m, std_m)
     theirs = rival.surprise(distance_m, std_m) if rival else cfg.gate
     if ours <= min(theirs, cfg.gate):
         jitter = track.jitter.after(track.stamp_ns, filtered, distance_m, std_m) if track.jitter else new
         distance = filtered.update(distance_m, jitter.std_m(filtered, distance_m, std_m))
-        return _Distances(distance, None, rival_ns, jitter)
+        return replace(track, distance_m=distance, rival_m=None, jitter=jitter)
     if rival is None or theirs > cfg.gate:
-        return _Distances(filtered, _first_distance(distance_m, std_m), track.stamp_ns, track.jitter)
+        return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)
     rival = rival.update(distance_m, std_m)
-    if (track.stamp_ns - rival_ns) / NS_PER_S < cfg.restart_s:
-        return _Distances(filtered, rival, rival_ns, track.jitter)
-    return _Distances(rival, None, rival_ns, new)
+    if (track.stamp_ns - track.rival_ns) / NS_PER_S < cfg.restart_s:
+        return replace(track, rival_m=rival)
+    return replace(track, distance_m=rival, rival_m=None, jitter=new)
 
 
 def _turning_mps2(distance_m: RateFilter, nearest_ray: Ray | None) -> float:

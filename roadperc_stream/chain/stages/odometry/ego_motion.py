@@ -1,14 +1,22 @@
-"""One frame of visual odometry: match the keyframe's features, estimate the motion, keep or change the keyframe."""
+"""One frame of visual odometry: match the keyframe's features, estimate the motion, keep or change the keyframe.
+
+The motion against the keyframe comes from depth where the keyframe has it, else from the image alone. With depth only a
+shift is searched: the stretch follows from the motion and the local planes. Features that matching lost are found again
+where the motion predicts them, as in SVO (Forster, Pizzoli and Scaramuzza 2014).
+"""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import cv2
 import numpy as np
 
+from roadperc_stream.chain.kernels import align_patches
+from roadperc_stream.chain.kernels.odometry_plain import REACH_PX
 from roadperc_stream.chain.stages.odometry import camera_pitch
 from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, CameraPitch, pitch_by_lines
+from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame, tracking_frame
 from roadperc_stream.chain.stages.odometry.keyframes import (
     Keyframe,
@@ -17,10 +25,16 @@ from roadperc_stream.chain.stages.odometry.keyframes import (
     carry,
     is_due,
     make_keyframe,
+    stretch,
 )
-from roadperc_stream.chain.stages.odometry.localisation import Estimate, localised, predicted_px
-from roadperc_stream.chain.stages.odometry.motion import in_ego_axes, moved, step_covariance
-from roadperc_stream.chain.stages.odometry.road_scale import Scale
+from roadperc_stream.chain.stages.odometry.motion import (
+    Motion,
+    in_ego_axes,
+    motion_from_points,
+    moved,
+    step_covariance,
+)
+from roadperc_stream.chain.stages.odometry.road_scale import Expected, Scale, scaled_by_road
 from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Float, Float32, inverse, project, transform
 from roadperc_stream.geometry.rotations import rotation_vector
@@ -36,6 +50,59 @@ _ASTRAY_PX = 20.0
 """Distance, at 960 rows, from the pixel that steady motion predicts beyond which something else was found."""
 MIN_INLIER_RATIO: Final = 0.25
 """Share of the points in sight that must agree on a steady motion, twice that on an unforeseen one."""
+_ITERATIONS = 4
+_FARTHEST_PX = 1.5
+"""Shift beyond which the alignment has found something else."""
+_LEAST_CORRELATION = 0.7
+_FIRST_LENGTH = 1.0
+"""Length of the first step where its scale is not known."""
+_ACCELERATION: Final = 2.0
+"""Metres per second squared: standard deviation of how the speed changes from frame to frame."""
+
+
+@dataclass(frozen=True)
+class FollowedFrame:
+    """A frame, and what its motion is measured against: the keyframe, and pose and pitch at the last frame."""
+
+    cfg: OdometryConfig
+    frame: TrackingFrame
+    keyframe: Keyframe
+    last: LastFrame
+    odom_T_last: Float
+    pitch: CameraPitch
+
+    @property
+    def seconds(self) -> float:
+        """Since the last frame."""
+        return (self.frame.stamp_ns - self.last.stamp_ns) / NS_PER_S
+
+    def pose(self, motion: Motion) -> Float:
+        """odom_T_ego after a motion from the keyframe."""
+        return self.keyframe.odom_T_camera @ inverse(motion.this_T_key) @ inverse(self.frame.ego_T_camera)
+
+    def velocity(self, odom_T_ego: Float) -> Float:
+        """(6,) metres and radians per second since the last frame."""
+        last_T_this = inverse(self.odom_T_last) @ odom_T_ego
+        return np.concatenate((last_T_this[:3, 3], rotation_vector(last_T_this[:3, :3]))) / self.seconds
+
+    def turned_pitch(self, odom_T_ego: Float) -> CameraPitch:
+        """The pitch as it has turned with the camera since the last frame."""
+        return camera_pitch.predicted(self.cfg, self.pitch, inverse(self.odom_T_last) @ odom_T_ego, self.seconds)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The (N, 2) pixels of the keyframe's features in a frame, and the motion and pose estimated from them.
+
+    ``scale`` is None where the length comes from the features' own points, and ``noise_variance`` then 0.
+    """
+
+    px: Float32
+    motion: Motion
+    odom_T_ego: Float
+    pitch: CameraPitch
+    scale: Scale | None = None
+    noise_variance: float = 0.0
 
 
 def step(
@@ -65,21 +132,20 @@ def step(
     if scene.grey is None:
         why = Reason("odometry", "image_unusable" if scene.image_unusable else "no_image")
         missed = scene.image_unusable or state.keyframe is not None
-        return state, _lost(state.odom_T_ego, why) if missed else Absent(why)
+        return state, Odometry("lost", state.odom_T_ego, reason=why) if missed else Absent(why)
     cv2.setRNGSeed(int(rng.integers(2**31)))
     frame = tracking_frame(cfg, scene, scene.grey, road)
-    state = replace(state, pitch=_with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, frame))
+    pitch = _with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, frame)
     if state.keyframe is None or state.last is None:
-        return _begun(cfg, state, frame), Odometry("first", state.odom_T_ego)
-    estimate = _estimated(cfg, state, state.keyframe, state.last, frame)
-    if isinstance(estimate, Absent):
-        unsure = replace(state, pitch=_pitch_after_loss(cfg, state, state.keyframe, state.last, frame))
-        return _begun(cfg, unsure, frame), _lost(state.odom_T_ego, estimate.reason)
-    return _continued(cfg, state.odom_T_ego, state.keyframe, state.last, frame, estimate)
-
-
-def _lost(odom_T_ego: Float, reason: Reason) -> Odometry:
-    return Odometry("lost", odom_T_ego, reason=reason)
+        return _begun(cfg, state.odom_T_ego, pitch, frame), Odometry("first", state.odom_T_ego)
+    this = FollowedFrame(cfg, frame, state.keyframe, state.last, state.odom_T_ego, pitch)
+    estimate = _estimated(this)
+    if not isinstance(estimate, Absent):
+        return _continued(this, estimate)
+    same_camera = frame.camera == state.keyframe.camera
+    pitch = camera_pitch.after_loss(cfg, pitch, this.seconds) if same_camera else camera_pitch.begun(cfg)
+    lost = Odometry("lost", state.odom_T_ego, reason=estimate.reason)
+    return _begun(cfg, state.odom_T_ego, pitch, frame), lost
 
 
 def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
@@ -94,37 +160,21 @@ def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
     return replace(camera_pitch.updated(pitch, lines), measured=pitch.measured)
 
 
-def _pitch_after_loss(
-    cfg: OdometryConfig, state: OdometryState, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
-) -> CameraPitch:
-    """The pitch after frames between which nothing was found again; of another camera the mounting's."""
-    if state.pitch is None or frame.camera != keyframe.camera:
-        return camera_pitch.begun(cfg)
-    return camera_pitch.after_loss(cfg, state.pitch, (frame.stamp_ns - last.stamp_ns) / NS_PER_S)
-
-
-def _begun(cfg: OdometryConfig, state: OdometryState, frame: TrackingFrame) -> OdometryState:
+def _begun(cfg: OdometryConfig, odom_T_ego: Float, pitch: CameraPitch, frame: TrackingFrame) -> OdometryState:
     """A frame as keyframe, at the last pose known."""
-    keyframe = make_keyframe(cfg, frame, state.odom_T_ego @ frame.ego_T_camera)
+    keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera)
     px = keyframe.landmarks.features.px
-    return replace(state, keyframe=keyframe, last=LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6))))
+    return OdometryState(odom_T_ego, keyframe, LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6))), pitch)
 
 
-def _continued(
-    cfg: OdometryConfig,
-    odom_T_last: Float,
-    keyframe: Keyframe,
-    last: LastFrame,
-    frame: TrackingFrame,
-    estimate: Estimate,
-) -> tuple[OdometryState, Odometry]:
+def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, Odometry]:
     """The state and pose after a frame whose motion is known."""
-    motion = estimate.motion
+    cfg, frame, keyframe, last, motion = this.cfg, this.frame, this.keyframe, this.last, estimate.motion
     metric = keyframe.landmarks.metric and motion.scaled
-    seconds = (frame.stamp_ns - last.stamp_ns) / NS_PER_S
-    last_T_this = inverse(odom_T_last) @ estimate.odom_T_ego
+    last_T_this = inverse(this.odom_T_last) @ estimate.odom_T_ego
     influence = in_ego_axes(frame.ego_T_camera, motion.influence)
     key_px = keyframe.landmarks.features.px
+    length_variance = motion.length_variance
     out = Odometry(
         "tracked",
         estimate.odom_T_ego,
@@ -132,12 +182,7 @@ def _continued(
         int(np.sum(motion.inliers)),
         not metric,
         step_covariance(
-            key_px,
-            frame.camera.width,
-            influence,
-            last.influence,
-            last_T_this,
-            motion.length_variance + last.length_variance,
+            key_px, frame.camera.width, influence, last.influence, last_T_this, length_variance + last.length_variance
         ),
         last.stamp_ns,
         _SCALE_REASONS.get(estimate.scale),
@@ -145,7 +190,7 @@ def _continued(
     )
     if not motion.scaled and estimate.scale is None:
         keyframe = replace(keyframe, landmarks=replace(keyframe.landmarks, points_m=motion.points_m, metric=metric))
-    found_px, length_variance = np.where(np.isfinite(estimate.px), estimate.px, last.found_px), motion.length_variance
+    found_px = np.where(np.isfinite(estimate.px), estimate.px, last.found_px)
     if estimate.scale is not None:
         length_variance = estimate.noise_variance
     if is_due(cfg, keyframe, frame, estimate.px, motion.inliers):
@@ -155,11 +200,11 @@ def _continued(
         influence, length_variance = np.zeros((len(found_px), 6)), 0.0
     now = LastFrame(
         frame.stamp_ns,
-        _velocity(last_T_this, seconds),
+        this.velocity(estimate.odom_T_ego),
         found_px,
         influence,
         length_variance,
-        estimate.noise_variance / seconds**2 if metric and estimate.scale is not None else None,
+        estimate.noise_variance / this.seconds**2 if metric and estimate.scale is not None else None,
     )
     return OdometryState(estimate.odom_T_ego, keyframe, now, estimate.pitch), out
 
@@ -171,58 +216,47 @@ def _matches(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> Ma
     return Matches(key_px, frame.whole(estimate.px[found]), estimate.motion.inliers[found])
 
 
-def _estimated(
-    cfg: OdometryConfig, state: OdometryState, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
-) -> Estimate | Absent:
+def _estimated(this: FollowedFrame) -> Estimate | Absent:
     """The first plausible motion, or why there is none."""
+    cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
     if frame.camera != keyframe.camera:
         return Absent(Reason("odometry", "camera_changed"))
-    odom_T_last, rejected = state.odom_T_ego, Reason("odometry", "too_few_inliers")
-    for guess_px, near_px, ratio in _guesses(odom_T_last, keyframe, last, frame):
+    rejected = Reason("odometry", "too_few_inliers")
+    for guess_px, near_px, ratio in guesses(this):
         px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.landmarks.features, guess_px, frame.grey)
         astray = np.linalg.norm(px - near_px, axis=1) > scaled(_ASTRAY_PX, frame.grey.shape[0])
         px[astray | frame.on_movable(px)] = np.nan
-        estimate = localised(cfg, state, keyframe, last, frame, px)
+        estimate = _localised(this, px)
         if estimate is None:
             continue
         if np.sum(estimate.motion.inliers) < max(ratio * _findable(keyframe, frame, estimate), cfg.min_inliers):
             continue
-        if _possible(cfg, keyframe, last, frame, estimate, inverse(odom_T_last) @ estimate.odom_T_ego):
+        if _possible(this, estimate):
             return estimate
         rejected = Reason("odometry", "impossible_motion")
     return Absent(rejected)
 
 
-def _guesses(
-    odom_T_last: Float, keyframe: Keyframe, last: LastFrame, frame: TrackingFrame
-) -> Iterator[tuple[Float32, Float32, float]]:
+def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
     """(N, 2) pixels where features are searched, (N, 2) near which they must be found, and the share that must agree.
 
     First where they are if the car moved on as it did, and only near there: a road's texture repeats itself, and its
     next repetition is a consistent motion too. Then, if need be, around where they were found last; NaN: anywhere.
     """
+    frame, keyframe, last = this.frame, this.keyframe, this.last
     if last.velocity is not None:
-        seconds = (frame.stamp_ns - last.stamp_ns) / NS_PER_S
-        odom_T_camera = odom_T_last @ moved(last.velocity * seconds) @ frame.ego_T_camera
+        odom_T_camera = this.odom_T_last @ moved(last.velocity * this.seconds) @ frame.ego_T_camera
         camera_T_key = inverse(odom_T_camera) @ keyframe.odom_T_camera
         predicted = project(frame.camera, transform(camera_T_key, keyframe.landmarks.points_m)).astype(np.float32)
         yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, MIN_INLIER_RATIO
     yield last.found_px, np.full_like(last.found_px, np.nan), 2 * MIN_INLIER_RATIO
 
 
-def _possible(
-    cfg: OdometryConfig,
-    keyframe: Keyframe,
-    last: LastFrame,
-    frame: TrackingFrame,
-    estimate: Estimate,
-    last_T_this: Float,
-) -> bool:
+def _possible(this: FollowedFrame, estimate: Estimate) -> bool:
     """Whether a car can make the motion; without scale its speed is not known."""
-    velocity = _velocity(last_T_this, (frame.stamp_ns - last.stamp_ns) / NS_PER_S)
-    speed, turn_rate = np.linalg.norm(velocity.reshape(2, 3), axis=1)
-    fast = keyframe.landmarks.metric and estimate.motion.scaled and speed > cfg.max_speed_mps
-    return not fast and bool(turn_rate <= np.deg2rad(cfg.max_turn_rate_dps))
+    speed, turn_rate = np.linalg.norm(this.velocity(estimate.odom_T_ego).reshape(2, 3), axis=1)
+    fast = this.keyframe.landmarks.metric and estimate.motion.scaled and speed > this.cfg.max_speed_mps
+    return not fast and bool(turn_rate <= np.deg2rad(this.cfg.max_turn_rate_dps))
 
 
 def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> int:
@@ -232,7 +266,83 @@ def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> i
     return int(np.sum(np.isfinite(predicted_px(keyframe, frame, estimate.motion.this_T_key)[:, 0])))
 
 
-def _velocity(last_T_this: Float, seconds: float) -> Float:
-    """(6,) metres and radians per second."""
-    turned = rotation_vector(last_T_this[:3, :3])
-    return np.concatenate((last_T_this[:3, 3], turned)) / seconds
+def _localised(this: FollowedFrame, px: Float32) -> Estimate | None:
+    """The motion estimated from the features' pixels, and the pose that follows."""
+    camera, landmarks = this.frame.camera, this.keyframe.landmarks
+    if landmarks.source != "depth":
+        return _localised_without_depth(this, px)
+    motion = motion_from_points(camera, landmarks.points_m, px)
+    if motion is not None:
+        px = aligned(this.keyframe, this.frame, motion.this_T_key)
+        motion = motion_from_points(camera, landmarks.points_m, px, motion.this_T_key)
+    if motion is None:
+        return None
+    odom_T_ego = this.pose(motion)
+    return Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego))
+
+
+def _localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None:
+    """The same, the length by the road where that is known, else by points triangulated before."""
+    cfg, frame, last, landmarks = this.cfg, this.frame, this.last, this.keyframe.landmarks
+    features_px, on_road = landmarks.features.px, landmarks.source == "plane"
+    seconds = (frame.stamp_ns - this.keyframe.stamp_ns) / NS_PER_S
+    length = _FIRST_LENGTH if last.velocity is None else float(np.linalg.norm(last.velocity[:3])) * seconds
+    points_m = np.full_like(landmarks.points_m, np.nan) if on_road else landmarks.points_m
+    motion = motion_from_rays(frame.camera, features_px, px, points_m, length)
+    if motion is None:
+        return None
+    odom_T_ego = this.pose(motion)
+    pitch = this.turned_pitch(odom_T_ego)
+    if motion.this_T_key[:3, 3].any():
+        direction = camera_pitch.expansion(motion, frame.ego_T_camera, features_px, frame.camera.width)
+        pitch = camera_pitch.updated(pitch, direction)
+        if on_road:
+            longest_m = cfg.max_speed_mps * seconds
+            found = scaled_by_road(frame, this.keyframe.grey, motion, pitch, _expected(this), longest_m)
+            return Estimate(px, found.motion, this.pose(found.motion), found.pitch, found.scale, found.noise_variance)
+    return Estimate(px, motion, odom_T_ego, pitch)
+
+
+def _expected(this: FollowedFrame) -> Expected | None:
+    """The distance from the keyframe by the speed so far; None where the road has shown none."""
+    last, seconds = this.last, this.seconds
+    if last.velocity is None or last.speed_variance is None:
+        return None
+    driven_m = float(np.linalg.norm((this.odom_T_last @ this.frame.ego_T_camera - this.keyframe.odom_T_camera)[:3, 3]))
+    speed_mps = float(np.linalg.norm(last.velocity[:3]))
+    speed_variance = last.speed_variance + (_ACCELERATION * seconds) ** 2
+    return Expected(driven_m + speed_mps * seconds, last.length_variance + speed_variance * seconds**2)
+
+
+def aligned(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
+    """(N, 2) pixels of the keyframe's features in a frame, NaN where they do not look as predicted.
+
+    Args:
+        keyframe: with points and slopes.
+        frame: the frame.
+        this_T_key: the motion.
+    """
+    landmarks = keyframe.landmarks
+    predicted = predicted_px(keyframe, frame, this_T_key)
+    chosen = np.flatnonzero(np.isfinite(predicted[:, 0]) & np.isfinite(landmarks.slope[:, 0]))
+    found = np.full_like(predicted, np.nan)
+    if not len(chosen):
+        return found
+    key_px, start = landmarks.features.px[chosen], predicted[chosen]
+    stretched = stretch(
+        frame.camera, key_px.astype(float), landmarks.points_m[chosen, 2], landmarks.slope[chosen], this_T_key
+    )
+    px = start.astype(float)
+    correlation = align_patches(keyframe.grey, key_px.astype(float), stretched, frame.grey, px, _ITERATIONS)
+    good = (np.linalg.norm(px - start, axis=1) < _FARTHEST_PX) & (correlation > _LEAST_CORRELATION)
+    found[chosen[good]] = px[good]
+    return found
+
+
+def predicted_px(keyframe: Keyframe, frame: TrackingFrame, this_T_key: Float) -> Float32:
+    """(N, 2) pixels where a motion predicts the features, NaN outside the image or on movable objects."""
+    px = project(frame.camera, transform(this_T_key, keyframe.landmarks.points_m)).astype(np.float32)
+    inside = ((px >= REACH_PX) & (px <= np.array(frame.grey.shape[::-1]) - 1 - REACH_PX)).all(axis=1)
+    px[~inside] = np.nan
+    px[frame.on_movable(px)] = np.nan
+    return px

@@ -191,9 +191,8 @@ def _detect_corners(grey: Image, allowed: Image) -> tuple[Features, Float32]:
     side = window_side(grey.shape[0])
     highest = cv2.dilate(strength, np.ones((side, side), np.uint8))
     peaks = (strength == highest) & (strength > _CORNER_FLOOR) & allowed.view(bool)
-    rows, columns = np.divmod(
-        np.flatnonzero(peaks), grey.shape[1]
-    )  # np.nonzero of two axes takes several times as long
+    # np.nonzero of two axes takes several times as long.
+    rows, columns = np.divmod(np.flatnonzero(peaks), grey.shape[1])
     px = np.stack((columns, rows), axis=-1).astype(np.float32)
     return Features(px, np.empty((len(px), 0), np.uint8)), np.asarray(strength[rows, columns], np.float32)
 
@@ -282,10 +281,6 @@ def _nearest(cfg: OdometryConfig, features: Features, others: Features, norm: in
     return found
 
 
-def _brute_force(norm: int) -> cv2.DescriptorMatcher:
-    return cv2.BFMatcher(norm)
-
-
 def _flann(norm: int) -> cv2.DescriptorMatcher:
     """Randomised k-d trees, or locality-sensitive hashing for binary descriptors."""
     trees = {"algorithm": 1, "trees": 4}
@@ -295,7 +290,7 @@ def _flann(norm: int) -> cv2.DescriptorMatcher:
 
 
 MATCHERS: Final[dict[Literal["brute_force", "flann"], Callable[[int], cv2.DescriptorMatcher]]] = {
-    "brute_force": _brute_force,
+    "brute_force": cv2.BFMatcher,
     "flann": _flann,
 }
 

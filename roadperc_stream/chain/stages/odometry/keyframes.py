@@ -68,11 +68,6 @@ class Landmarks:
         read_only(self.points_m, np.float64, (len(self.features.px), 3), "points_m")
         read_only(self.slope, np.float64, (len(self.features.px), 2), "slope")
 
-    @property
-    def known(self) -> Mask:
-        """(N,) which features have a point."""
-        return np.isfinite(self.points_m[:, 2])
-
 
 @dataclass(frozen=True)
 class Keyframe:
@@ -179,17 +174,6 @@ def stretch(camera: Camera, px: Float, depth_m: Float, slope: Float, this_T_key:
     return np.stack((right - left, below - above), axis=-1)
 
 
-def find_landmarks(cfg: OdometryConfig, frame: TrackingFrame, carried: Landmarks | None) -> Landmarks:
-    """Features of a frame with their points by the best source there is.
-
-    Args:
-        cfg: how features are found.
-        frame: the frame.
-        carried: landmarks tracked into the frame; they stay where neither depth nor plane is there.
-    """
-    return _by_depth(cfg, frame) or _on_road(cfg, frame) or _carried_on(cfg, frame, carried)
-
-
 def _by_depth(cfg: OdometryConfig, frame: TrackingFrame) -> Landmarks | None:
     """Features where depth is known; None without depth, or where too few have one."""
     if frame.depth_m is None:
@@ -246,8 +230,16 @@ def _candidates(cfg: OdometryConfig, frame: TrackingFrame, allowed: Image) -> tu
 def make_keyframe(
     cfg: OdometryConfig, frame: TrackingFrame, odom_T_camera: Float, carried: Landmarks | None = None
 ) -> Keyframe:
-    """A frame at a pose as the keyframe of the next ones, with the landmarks tracked into it."""
-    return Keyframe(frame.camera, frame.grey, find_landmarks(cfg, frame, carried), odom_T_camera, frame.stamp_ns)
+    """A frame at a pose as the keyframe of the next ones, with its features' points by the best source there is.
+
+    Args:
+        cfg: how features are found.
+        frame: the frame.
+        odom_T_camera: its pose.
+        carried: landmarks tracked into the frame; they stay where neither depth nor plane is there.
+    """
+    landmarks = _by_depth(cfg, frame) or _on_road(cfg, frame) or _carried_on(cfg, frame, carried)
+    return Keyframe(frame.camera, frame.grey, landmarks, odom_T_camera, frame.stamp_ns)
 
 
 def is_due(cfg: OdometryConfig, keyframe: Keyframe, frame: TrackingFrame, px: Float32, inliers: Mask) -> bool:

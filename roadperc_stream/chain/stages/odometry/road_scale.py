@@ -1,17 +1,38 @@
-"""A motion without depth: the length that the tracked points leave open, by the road and by the speed so far."""
+"""A motion without depth: the length that the tracked points leave open, by the road and by the speed so far.
+
+Between two images a plane maps by the homography R - t n^T / h (Hartley and Zisserman, Multiple View Geometry, 2004,
+section 13.1). With the turn R and the direction of t from the tracked points and the height h from the mounting, what
+is left is the length of t and the pitch of n. Asphalt has too little texture for corners, but all of it together aligns
+well: the length of the best normalised correlation is searched, as Song and Chandraker ("Robust Scale Estimation in
+Real-Time Monocular SFM", CVPR 2014) do for their height, and one Gauss-Newton step says how length and pitch depend on
+each other there.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
+import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch, updated
 from roadperc_stream.chain.stages.odometry.features import TrackingFrame
 from roadperc_stream.chain.stages.odometry.motion import Motion
-from roadperc_stream.chain.stages.odometry.road_alignment import RoadMotion, road_motion, road_view
-from roadperc_stream.geometry import Float, Plane, inverse, rigid, transform_plane
+from roadperc_stream.config import scaled
+from roadperc_stream.geometry import (
+    Camera,
+    Float,
+    Float32,
+    Plane,
+    intersect_plane,
+    inverse,
+    project,
+    rays,
+    rigid,
+    transform,
+    transform_plane,
+)
 from roadperc_stream.geometry.ground import tilted_ground
-from roadperc_stream.model import Image
+from roadperc_stream.model import Image, Mask
 
 Scale = Literal["measured", "carried", "none"]
 _PLANE_STD: Final = np.deg2rad(1.0)
@@ -20,13 +41,29 @@ _ROAD_SHARE: Final = 0.01
 """Standard deviation of a length by the road, as a share, for the same reason."""
 _LENGTH_PER_PITCH: Final = 5.0
 """Share of a length per radian of pitch, where the road does not say."""
-_ACCELERATION: Final = 2.0
-"""Metres per second squared: standard deviation of how the speed changes from frame to frame."""
 _SIGMAS: Final = 3.0
 _SEARCHED: Final = 0.3
 """Share of the length that is expected, by which it is searched below and above."""
 _CARRIED_SHARE: Final = 0.2
 """Standard deviation, as a share of the length, up to which the speed so far gives the scale."""
+_AHEAD_M: Final = (2.0, 18.0)
+_HALF_WIDTH_M: Final = 2.2
+"""Where the road is, from the camera on."""
+_BLUR_PX: Final = 51.0
+"""Side, at 960 rows, of the mean that is taken away: shadows and vignetting do not move along."""
+_LEAST_PIXELS: Final = 1000
+_MOST_PIXELS: Final = 16384
+_ROAD_PART: Final = 2.0
+"""Of more than so many, with all below the horizon that is not road, every second, third, ... row and column count."""
+_LEAST_CORRELATION: Final = 0.5
+_GRAIN_PX: Final = 16.0
+"""Pixels that err together, as the deviations of lengths and pitches on recordings have it."""
+_TRIED_PX: Final = 0.7
+"""Shift of the road's picture from one length that is tried to the next."""
+_MOST_TRIED: Final = 200
+_SMALL_PX: Final = 0.25
+_SMALL_PITCH: Final = 0.002
+"""Radians by which the pitch is changed to see what that does."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +84,33 @@ class ScaledMotion:
     noise_variance: float
 
 
-def expected_length(
-    driven_m: float, driven_variance: float, speed_mps: float, speed_variance: float, seconds: float
-) -> Expected:
-    """The distance from the keyframe after some seconds.
+@dataclass(frozen=True)
+class RoadView:
+    """The road in the keyframe: the (M, 3) rays and (M,) grey levels of its pixels, and how many of these err alike.
 
-    Args:
-        driven_m: that of the last frame.
-        driven_variance: square metres.
-        speed_mps: then.
-        speed_variance: square metres per second squared.
-        seconds: since then.
+    ``camera`` has both images, ``plane`` is the road in the keyframe's camera.
     """
-    speed_variance += (_ACCELERATION * seconds) ** 2
-    return Expected(driven_m + speed_mps * seconds, driven_variance + speed_variance * seconds**2)
+
+    camera: Camera
+    plane: Plane
+    rays: Float
+    levels: Float32
+    alike: float
+
+
+@dataclass(frozen=True)
+class RoadMotion:
+    """A length in metres that fits the road's picture, its variance for a given pitch, and how it changes with it.
+
+    ``pitch`` is by how much more than believed the camera looks down as the picture has it, radians, with its variance;
+    the length is that of the pitch as believed, ``metres_per_pitch`` its change.
+    """
+
+    length_m: float
+    variance: float
+    metres_per_pitch: float
+    pitch: float
+    pitch_variance: float
 
 
 def scaled_by_road(
@@ -83,7 +133,10 @@ def scaled_by_road(
     """
     length = float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3] / length
-    tried_m = (0.0, longest_m) if expected is None else _around(expected, longest_m)
+    tried_m = 0.0, longest_m
+    if expected is not None:
+        reach_m = _SEARCHED * expected.length_m + _SIGMAS * float(np.sqrt(expected.variance))
+        tried_m = max(expected.length_m - reach_m, 0.0), min(expected.length_m + reach_m, longest_m)
     found = _on_road(frame, key_grey, (R, t), pitch, tried_m)
     if found is None:
         return _carried(motion, pitch, expected)
@@ -114,11 +167,6 @@ def _on_road(
 
 def _is_assumed(frame: TrackingFrame) -> bool:
     return frame.road is not None and frame.road.source == "assumed"
-
-
-def _around(expected: Expected, longest_m: float) -> tuple[float, float]:
-    reach_m = _SEARCHED * expected.length_m + _SIGMAS * float(np.sqrt(expected.variance))
-    return max(expected.length_m - reach_m, 0.0), min(expected.length_m + reach_m, longest_m)
 
 
 def _fused(found: RoadMotion, expected: Expected | None) -> tuple[float, float]:
@@ -154,3 +202,135 @@ def _with_length(motion: Motion, length_m: float, variance: float) -> Motion:
         scaled=True,
         length_variance=variance,
     )
+
+
+def high_pass(grey: Image) -> Float32:
+    """(H, W) an image without its slow changes of brightness."""
+    levels = grey.astype(np.float32)
+    side = round(scaled(_BLUR_PX, grey.shape[0])) | 1
+    return np.asarray(levels - cv2.blur(levels, (side, side)), np.float32)
+
+
+def road_view(camera: Camera, ego_T_camera: Float, plane: Plane, key_grey: Image) -> RoadView | None:
+    """The pixels of the keyframe that show the road ahead, if nothing stands there; None where they are too few."""
+    horizon = int(np.clip(np.floor(camera.cy - camera.fy * plane.normal[2] / plane.normal[1]), 0, camera.height - 1))
+    apart = int(np.ceil(np.sqrt((camera.height - horizon) * camera.width / _MOST_PIXELS / _ROAD_PART)))
+    rows, columns = np.mgrid[horizon : camera.height : apart, 0 : camera.width : apart].reshape(2, -1)
+    px = np.stack((columns, rows), axis=-1).astype(float)
+    ahead = transform(ego_T_camera, intersect_plane(camera, px, plane)) - ego_T_camera[:3, 3]
+    with np.errstate(invalid="ignore"):
+        near = (ahead[:, 0] > _AHEAD_M[0]) & (ahead[:, 0] < _AHEAD_M[1]) & (np.abs(ahead[:, 1]) < _HALF_WIDTH_M)
+    chosen = np.flatnonzero(near)[:_MOST_PIXELS]
+    if len(chosen) < _LEAST_PIXELS:
+        return None
+    levels = high_pass(key_grey)[rows[chosen], columns[chosen]]
+    return RoadView(camera, plane, rays(camera, px[chosen]), levels, max(_GRAIN_PX / apart**2, 1.0))
+
+
+def road_motion(
+    view: RoadView,
+    grey: Image,
+    movable: Image | None,
+    key_T_this_turn: tuple[Float, Float],
+    tried_m: tuple[float, float],
+) -> RoadMotion | None:
+    """The length of a motion by the road's picture.
+
+    Args:
+        view: the road in the keyframe's.
+        grey: (H, W) this image.
+        movable: (H, W) not 0 where this image shows what moves, or None.
+        key_T_this_turn: the (3, 3) rotation R and the (3,) unit direction t with X_this = R X_key + length t.
+        tried_m: shortest and longest length.
+
+    Returns:
+        The length, or None where the road has too little texture, or fits no length in between clearly.
+    """
+    picture = _Picture(view, high_pass(grey), movable, *key_T_this_turn)
+    shift_px = picture.shift_px_per_m
+    if not 0 < shift_px < np.inf:  # a wrong motion turns the road out of sight
+        return None
+    step_m = max(_TRIED_PX / shift_px, (tried_m[1] - tried_m[0]) / _MOST_TRIED)
+    lengths = np.arange(tried_m[0], tried_m[1] + step_m, step_m)
+    fits = np.array([picture.correlation(length) for length in lengths])
+    best = int(np.argmax(fits))
+    if not 0 < best < len(lengths) - 1 or fits[best] < _LEAST_CORRELATION:
+        return None
+    before, at, after = fits[best - 1 : best + 2]
+    bend = before - 2 * at + after
+    peak_m = float(lengths[best] + (step_m * 0.5 * (before - after) / bend if bend < 0 else 0.0))
+    return _at_peak(picture, peak_m, _SMALL_PX / shift_px)
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """The keyframe's road, and how it is found in this image at a length and a pitch."""
+
+    view: RoadView
+    levels: Float32
+    movable: Image | None
+    R: Float
+    t: Float
+
+    @property
+    def shift_px_per_m(self) -> float:
+        """Root mean square of the shift of the road's pixels with the length."""
+        apart = self._px(0.05, 0.0) - self._px(0.0, 0.0)
+        return float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) / 0.05
+
+    def correlation(self, length_m: float) -> float:
+        """-1 to 1, over the pixels in sight; -1 where they are too few."""
+        seen, visible = self.seen(length_m, 0.0)
+        if int(np.sum(visible)) < _LEAST_PIXELS:
+            return -1.0
+        return float(normalised(self.view.levels[visible]) @ normalised(seen[visible]))
+
+    def seen(self, length_m: float, pitch: float) -> tuple[Float32, Mask]:
+        """(M,) this image's levels where the road's pixels are, and which of them are in sight and not hidden."""
+        columns, rows = (np.ascontiguousarray(px, np.float32) for px in self._px(length_m, pitch).T)
+        height, width = self.levels.shape
+        visible: Mask = (columns >= 0) & (columns <= width - 1) & (rows >= 0) & (rows <= height - 1)
+        if self.movable is not None:
+            at = tuple(np.rint(px[visible]).astype(int) for px in (rows, columns))
+            visible[visible] = self.movable[at] == 0
+        seen = cv2.remap(self.levels, columns[:, None], rows[:, None], cv2.INTER_LINEAR)
+        return np.asarray(seen, np.float32)[:, 0], visible
+
+    def _px(self, length_m: float, pitch: float) -> Float:
+        """(M, 2) pixels in this image, by the plane's homography; ``pitch`` turns the plane about the camera."""
+        nx, ny, nz = self.view.plane.normal
+        turned = np.array([nx, ny - pitch * nz, nz + pitch * ny])
+        homography = self.R - np.outer(length_m * self.t, turned) / self.view.plane.offset_m
+        return project(self.view.camera, self.view.rays @ homography.T)
+
+
+def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion | None:
+    """The motion at the best length for the pitch as believed, and the pitch that would fit still better."""
+    at = picture.seen(length_m, 0.0)
+    moved = [picture.seen(length_m + s * small_m, 0.0) for s in (-1, 1)]
+    tilted = [picture.seen(length_m, s * _SMALL_PITCH) for s in (-1, 1)]
+    visible = np.all([mask for _, mask in (at, *moved, *tilted)], axis=0)
+    if int(np.sum(visible)) < _LEAST_PIXELS:
+        return None
+    residual = normalised(picture.view.levels[visible]) - normalised(at[0][visible])
+    J = np.stack(
+        [
+            (normalised(after[visible]) - normalised(before[visible])) / (2 * small)
+            for ((before, _), (after, _)), small in ((moved, small_m), (tilted, _SMALL_PITCH))
+        ],
+        axis=-1,
+    )
+    N = J.T @ J
+    per_pixel = float(residual @ residual) / len(residual) * picture.view.alike
+    determinant = float(np.linalg.det(N))
+    if N[0, 0] <= 0 or determinant <= 1e-9 * N[0, 0] * N[1, 1]:
+        return None
+    pitch = float(np.linalg.solve(N, J.T @ residual)[1])
+    pitch_variance = per_pixel * float(N[0, 0]) / determinant
+    return RoadMotion(length_m, per_pixel / float(N[0, 0]), -float(N[0, 1] / N[0, 0]), pitch, pitch_variance)
+
+
+def normalised(levels: Float32) -> Float:
+    """(M,) with zero mean and unit length; zeros where all are equal."""
+    centred = levels.astype(float) - float(levels.mean())
+    return centred / max(float(np.linalg.norm(centred)), 1e-9)

@@ -169,9 +169,11 @@ def road_plane(
     plane = _ransac(cfg, sample, up, rng)
     if plane is None:
         return Absent(Reason("surface", "no_plane", (count, _MIN_INLIERS)))
-    refitted = _refitted(cfg, plane, sample)  # the sample's is cheap, and leaves one pass over all points to do
-    if refitted is not None:
-        refitted = plane_near(camera, depth_m, refitted, cfg.inlier_m, usable)
+    # Refitting to the sample is cheap, and leaves one pass over all points to do.
+    close = np.abs(plane.distance(sample)) <= cfg.inlier_m
+    refitted = None
+    if np.count_nonzero(close) >= 3:
+        refitted = plane_near(camera, depth_m, fit_plane(sample, close), cfg.inlier_m, usable)
     if refitted is None:
         return Absent(Reason("surface", "plane_without_points"))
     plane = facing(refitted, _CAMERA_CENTRE)
@@ -182,12 +184,6 @@ def road_plane(
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
     return plane, count_of_pixels_near(camera, depth_m, plane, cfg.inlier_m, usable) / count
-
-
-def _refitted(cfg: SurfaceConfig, plane: Plane, points: Float) -> Plane | None:
-    """The plane through those of (N, 3) points that lie within ``inlier_m`` of one; None where these are too few."""
-    close = np.abs(plane.distance(points)) <= cfg.inlier_m
-    return None if np.count_nonzero(close) < 3 else fit_plane(points, close)
 
 
 def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:

@@ -54,7 +54,7 @@ def find_surface(cfg: SurfaceConfig, scene: Scene, rng: np.random.Generator) -> 
         none, but that a lidar that misses the road says no more of it than no lidar.
     """
     if scene.depth is None:
-        return assumed_surface(scene.camera, scene.ego_T_camera), None
+        return assumed_surface(*_depth_camera(scene)), None
     labels = scene.labels(cfg.classes)
     drivable = None
     if labels is not None:
@@ -64,7 +64,7 @@ def find_surface(cfg: SurfaceConfig, scene: Scene, rng: np.random.Generator) -> 
         return surface, None
     if scene.depth.dense and not scene.mounted:
         return surface, surface.reason
-    return assumed_surface(scene.depth.camera, scene.depth.ego_T_camera), surface.reason
+    return assumed_surface(*_depth_camera(scene)), surface.reason
 
 
 def fit_surface(
@@ -103,17 +103,10 @@ def assumed_surface(camera: Camera, ego_T_camera: Float) -> Surface:
     return known_surface("assumed", camera, ego_T_camera, Plane.of(_UP_EGO, 0.0))
 
 
-def estimated_surface(scene: Scene, pitch: float) -> Surface:
-    """The ground by the mounting, tilted, in the frame of the depth's camera where there is depth: ``estimated``.
-
-    Args:
-        scene: the frame.
-        pitch: by how much the front camera looks further down than its mounting says, radians.
-    """
-    camera, ego_T_camera = scene.camera, scene.ego_T_camera
-    if scene.depth is not None:
-        camera, ego_T_camera = scene.depth.camera, scene.depth.ego_T_camera
-    return known_surface("estimated", camera, ego_T_camera, tilted_ground(scene.ego_T_camera, pitch))
+def _depth_camera(scene: Scene) -> tuple[Camera, Float]:
+    """The camera of the depth and its mounting; those of the front camera without depth."""
+    place = scene if scene.depth is None else scene.depth
+    return place.camera, place.ego_T_camera
 
 
 def known_surface(source: SurfaceSource, camera: Camera, ego_T_camera: Float, ego_plane: Plane) -> Surface:
@@ -179,6 +172,7 @@ def remember(
     road: Surface | Absent,
     failed: Reason | None,
     last_T_this: Float | None,
+    pitch: float | None = None,
 ) -> tuple[SurfaceState, Surface | Absent, tuple[Reason, ...]]:
     """Keep the plane of a frame whose depth shows the road; where it does not, the one kept stands in.
 
@@ -189,6 +183,7 @@ def remember(
         road: the frame's own, or what the mounting promises.
         failed: why the frame's depth does not show the road; None: it does, or there is no depth.
         last_T_this: (4, 4) motion of the ego frame since the last frame, metres; None where it is not known.
+        pitch: by how much the front camera looks further down than its mounting says, radians; None: not known.
 
     Returns:
         The new state, the road, and what stands in for the depth, as a reason.
@@ -198,17 +193,16 @@ def remember(
     state = _moved(state, last_T_this)
     if state.ego_plane is not None and state.driven_m <= cfg.hold_m:
         cause = Reason("surface", "no_depth") if failed is None else failed
-        return state, _held(scene, state.ego_plane), (Reason("surface", "plane_held", cause=cause),)
-    if failed is None or isinstance(road, Absent):
+        held = known_surface("held", *_depth_camera(scene), state.ego_plane)
+        return state, held, (Reason("surface", "plane_held", cause=cause),)
+    if isinstance(road, Absent):
         return state, road, ()
-    return state, road, (Reason("surface", "plane_assumed", (scene.plane_source,), failed),)
-
-
-def _held(scene: Scene, ego_plane: Plane) -> Surface:
-    """A plane as the road in the frame of the depth's camera, without depth of the front camera."""
-    if scene.depth is None:
-        return known_surface("held", scene.camera, scene.ego_T_camera, ego_plane)
-    return known_surface("held", scene.depth.camera, scene.depth.ego_T_camera, ego_plane)
+    if pitch is not None:
+        road = known_surface("estimated", *_depth_camera(scene), tilted_ground(scene.ego_T_camera, pitch))
+    if failed is None:
+        return state, road, ()
+    code = "plane_assumed" if pitch is None else "plane_estimated"
+    return state, road, (Reason("surface", code, (scene.plane_source,), failed),)
 
 
 def _moved(state: SurfaceState, last_T_this: Float | None) -> SurfaceState:

@@ -12,18 +12,20 @@ road are solved as a band, in a time that grows with its length.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.kernels import median_places, normal_equations
-from roadperc_stream.chain.stages.surface.bsplines import DEGREE, band_of, basis, solved
 from roadperc_stream.chain.stages.surface.plane import NORMAL_MAD, first_row, median
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.geometry.ground import REACH_M, ego_points, part
 from roadperc_stream.model import HeightGrid, Mask, Surface
 
+DEGREE: Final = 3
+"""Of the B-splines along x."""
 _STEP_M = 1.0
 """Side of the fit's cells, and of the grid's."""
 _COLUMNS = 160
@@ -84,6 +86,8 @@ def road_cells(
 ) -> RoadCells:
     """The road's cells, ``spline_half_width_m`` to either side and ``max_depth_m`` ahead, at most 200 m.
 
+    Each is its point of median height. A mean of places and a median of heights do not belong together on a slope.
+
     Args:
         cfg: the extent.
         surface: the road's plane.
@@ -102,7 +106,11 @@ def road_cells(
     x, y, z = x[inside], y[inside], z[inside]
     cells = (x / step_m).astype(np.int32) * np.int32(_cells_across(cfg)) + ((y + half_m) / step_m).astype(np.int32)
     a, b, d = np.array(surface.abd, np.float32)
-    return _medians(cfg, np.stack((x, y, z - (d - a * x - b * y))), cells)
+    points = np.stack((x, y, z - (d - a * x - b * y)))
+    # One row of cells more: y at the left edge may be rounded up to it.
+    along = int(np.ceil(_length_m(cfg) / _STEP_M)) + 1
+    chosen, counts = median_places(cells, points[2], along * _cells_across(cfg))
+    return RoadCells(np.ascontiguousarray(points[:, chosen].T, np.float64), counts)
 
 
 def fit_height_grid(cfg: SurfaceConfig, surface: Surface, cells: RoadCells) -> HeightGrid | None:
@@ -125,17 +133,6 @@ def fit_height_grid(cfg: SurfaceConfig, surface: Surface, cells: RoadCells) -> H
 
 def _cells_across(cfg: SurfaceConfig) -> int:
     return int(np.ceil(2 * cfg.spline_half_width_m / _STEP_M))
-
-
-def _medians(cfg: SurfaceConfig, points: Float32, cells: NDArray[np.int32]) -> RoadCells:
-    """Each cell's point of median height, of (3, N) points.
-
-    A true point, not a mean of places and a median of heights: on a slope these do not belong together.
-    """
-    along = int(np.ceil(_length_m(cfg) / _STEP_M))
-    # One row of cells more: y at the left edge may be rounded up to it.
-    chosen, counts = median_places(cells, points[2], (along + 1) * _cells_across(cfg))
-    return RoadCells(np.ascontiguousarray(points[:, chosen].T, np.float64), counts)
 
 
 def _length_m(cfg: SurfaceConfig) -> float:
@@ -245,3 +242,55 @@ def _nodes(cfg: SurfaceConfig) -> tuple[Float, Float, _Design]:
     x, y = np.arange(0.0, _length_m(cfg) + _STEP_M / 2, _STEP_M), np.arange(-half, half + _STEP_M / 2, _STEP_M)
     columns, rows = (values.ravel() for values in np.meshgrid(x, y))
     return x, y, _design(cfg, columns, rows)
+
+
+def band_of(lower: Float) -> Float:
+    """(2 D - 1, P) band of a symmetric (P, P) matrix from the (D, P) diagonals in and below its middle.
+
+    Row r holds the elements of the diagonal r - D + 1 below the middle, each at its column.
+    """
+    diagonals, columns = lower.shape
+    band = np.zeros((2 * diagonals - 1, columns))
+    band[diagonals - 1 :] = lower
+    for beside in range(1, diagonals):
+        band[diagonals - 1 - beside, beside:] = lower[beside, :-beside]
+    return band
+
+
+def solved(band: Float, right: Float, otherwise: Float) -> Float:
+    """(P,) solution of equations given as a (2 D - 1, P) band, by LU decomposition; ``otherwise`` where there is none.
+
+    LAPACK itself: what scipy's ``solve_banded`` does before it calls the same function takes longer than all the rest.
+    """
+    from scipy.linalg.lapack import dgbsv
+
+    beside = len(band) // 2
+    workspace = np.zeros((len(band) + beside, band.shape[1]), order="F")
+    workspace[beside:] = band
+    _, _, solution, fault = dgbsv(beside, beside, workspace, right, overwrite_ab=True)
+    return otherwise if fault else np.asarray(solution, float)
+
+
+def basis(knot_m: float, splines: int, x: Float) -> tuple[NDArray[np.intp], Float]:
+    """The four B-splines that are not 0 at a place: the (N,) index of the first, and their (N, 4) values.
+
+    By the recurrence of de Boor and Cox from degree 0 on (de Boor 1978), as scipy's ``BSpline.design_matrix`` has it,
+    whose import takes half a second.
+
+    Args:
+        knot_m: distance of the knots.
+        splines: how many there are.
+        x: (N,) from 0 to the last knot but three.
+    """
+    knots = knot_m * np.arange(-DEGREE, splines + 1)
+    left = np.clip(np.searchsorted(knots, x, side="right") - 1, DEGREE, splines - 1)
+    values = [np.ones(len(x))]
+    for degree in range(1, DEGREE + 1):
+        raised = [np.zeros(len(x)) for _ in range(degree + 1)]
+        for k, value in enumerate(values, start=1):
+            before, after = knots[left + k - degree], knots[left + k]
+            share = value / (after - before)
+            raised[k - 1] += share * (after - x)
+            raised[k] = share * (x - before)
+        values = raised
+    return left - DEGREE, np.stack(values, axis=-1)

@@ -8,24 +8,25 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.stages.lanes import LanesState, step
+from roadperc_stream.chain.stages.lanes.ego_lane import step
+from roadperc_stream.chain.stages.lanes.tracking import LanesState
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.model import Absent, Reason
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
-from tests.analytic import LINE, ROAD, SIDEWALK, STEP_NS, VEHICLE, Road
+from tests.analytic import LINE, ROAD, SIDEWALK, STEP_NS, Road
 from tests.scenes import scene_of
 
 CFG = LanesConfig()
 ROAD_CLASSES = ("road", "road_line")
 
 
-def look(road, tags=None, state=None, index=0, cfg=CFG, moved=None):
+def look(road, tags=None, state=None, index=0, cfg=CFG, motion=None):
     tags = road.tags() if tags is None else tags
     surface = assumed_surface(road.camera, road.ego_T_camera)
     drivable = TABLE.lookup(ROAD_CLASSES)[tags].view(bool)
     scene = scene_of(road.camera, road.ego_T_camera, tags=tags, stamp_ns=1_000_000_000 + index * STEP_NS)
-    return step(cfg, state or LanesState(), scene, surface, drivable, None)
+    return step(cfg, state or LanesState(), scene, surface, drivable, motion)
 
 
 def y_at(boundary, x):
@@ -57,15 +58,6 @@ def test_classes_beside_the_boundaries():
     assert (lanes.side("right").inside, lanes.side("right").outside) == ("road", "sidewalk")
 
 
-def test_a_parked_car_beyond_the_line_is_named():
-    road = Road()
-    tags = road.tags()
-    y = road.ground()[1][..., 1]
-    tags[(y > 2.0) & (y < 4) & (tags == ROAD)] = VEHICLE
-    _, lanes = look(road, tags)
-    assert lanes.side("left").outside == "vehicle"
-
-
 def test_drawn_lines_lie_on_the_edges():
     road = Road(width=1280, height=960)
     _, lanes = look(road)
@@ -81,29 +73,19 @@ def test_drawn_lines_lie_on_the_edges():
     assert (left.line_px[:, 1] > 479).all()
 
 
-def test_a_boundary_without_measurements_is_held_then_lost_then_found_again():
-    road = Road()
-    state, _ = look(road)
-    blank = np.full_like(road.tags(), ROAD)
-    statuses = []
-    for index in range(1, 14):
-        state, lanes = look(road, blank, state, index)
-        statuses.append(lanes.side("left").status)
-    assert statuses == ["held"] * 10 + ["lost"] * 3
-    assert lanes.side("left").offset_m is None
-    _, lanes = look(road, None, state, 14)
-    assert lanes.side("left").status == "measured"
-
-
-def test_how_long_it_is_held_is_set():
-    road, cfg = Road(), CFG.model_copy(update={"hold_s": 0.1})
-    blank = np.full_like(road.tags(), ROAD)
+@pytest.mark.parametrize(("hold_s", "frames"), [(CFG.hold_s, 10), (0.1, 2)])
+def test_a_boundary_without_measurements_is_held_then_lost_then_found_again(hold_s, frames):
+    road, cfg = Road(), CFG.model_copy(update={"hold_s": hold_s})
     state, _ = look(road, cfg=cfg)
+    blank = np.full_like(road.tags(), ROAD)
     statuses = []
-    for index in range(1, 4):
+    for index in range(1, frames + 4):
         state, lanes = look(road, blank, state, index, cfg)
         statuses.append(lanes.side("left").status)
-    assert statuses == ["held", "held", "lost"]
+    assert statuses == ["held"] * frames + ["lost"] * 3
+    assert lanes.side("left").offset_m is None
+    _, lanes = look(road, None, state, frames + 4, cfg)
+    assert lanes.side("left").status == "measured"
 
 
 def test_a_frame_without_tags_holds_and_without_memory_says_why():

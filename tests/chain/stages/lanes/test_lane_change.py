@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.lanes import LanesState, step, tracking
+from roadperc_stream.chain.stages.lanes import tracking
 from roadperc_stream.chain.stages.lanes.following import handed_over
-from roadperc_stream.chain.stages.lanes.tracking import TrackedBoundary
-from roadperc_stream.chain.stages.surface.road import assumed_surface
+from roadperc_stream.chain.stages.lanes.tracking import LanesState, TrackedBoundary
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.model import Odometry, Reason
-from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
-from tests.analytic import LINE, OTHER, ROAD, STEP_NS, Road
-from tests.scenes import scene_of
+from tests.analytic import LINE, OTHER, ROAD, Road
+from tests.chain.stages.lanes.test_ego_lane import look
 
 CFG = LanesConfig()
 LANE_M, MARKING_M = 3.5, 0.15
@@ -35,13 +33,6 @@ def markings(car_m, dashed=False, double=False, size=(640, 480)):
     return road, tags
 
 
-def look(road, tags, state, index, motion=None):
-    surface = assumed_surface(road.camera, road.ego_T_camera)
-    drivable = TABLE.lookup(("road", "road_line"))[tags].view(bool)
-    scene = scene_of(road.camera, road.ego_T_camera, tags=tags, stamp_ns=1_000_000_000 + index * STEP_NS)
-    return step(CFG, state, scene, surface, drivable, motion)
-
-
 def moved(sideways_m, index):
     """Half a metre ahead and so far to the left, as odometry has it."""
     T = np.eye(4)
@@ -53,7 +44,7 @@ def moved(sideways_m, index):
 def drive(places_m, **kind):
     state, seen, before_m = LanesState(), [], places_m[0]
     for index, car_m in enumerate(places_m):
-        state, lanes = look(*markings(car_m, **kind), state, index, moved(car_m - before_m, index))
+        state, lanes = look(*markings(car_m, **kind), state, index, motion=moved(car_m - before_m, index))
         seen.append(lanes)
         before_m = car_m
     return seen
@@ -122,7 +113,7 @@ def test_nothing_is_given_of_the_line_that_the_car_stands_on():
 
 def test_a_lane_too_narrow_is_none_and_says_so():
     road = Road(left_m=0.7, right_m=-0.9)
-    _, lanes = look(road, road.tags(), LanesState(), 0)
+    _, lanes = look(road)
     (lost,) = (boundary for boundary in lanes.boundaries if boundary.status == "lost")
     assert lost.reason.code == "lane_width"
     assert lost.reason.values[1:] == (pytest.approx(1.6, abs=0.05), 2.0, 7.0)
@@ -134,7 +125,7 @@ def test_a_line_across_the_lane_is_no_boundary():
     x, y, _ = np.moveaxis(road.ground()[1], -1, 0)
     tags[tags == LINE] = ROAD
     tags[(np.abs(y - (2.0 - 0.6 * x)) < 0.1) & (y > -1.8) & (x > 0)] = LINE
-    _, lanes = look(road, tags, LanesState(), 0)
+    _, lanes = look(road, tags)
     left, right = lanes.boundaries
     assert (left.status, right.status) == ("lost", "measured")
     assert left.reason is not None
@@ -142,18 +133,18 @@ def test_a_line_across_the_lane_is_no_boundary():
 
 def test_another_scene_does_not_inherit_the_lanes():
     near, far = Road(left_m=1.2, right_m=-2.4), Road(left_m=1.6, right_m=-2.0)
-    state, _ = look(near, near.tags(), LanesState(), 0)
+    state, _ = look(near)
     lost = Odometry("lost", np.eye(4), reason=Reason("odometry", "too_few_inliers"))
-    _, lanes = look(far, far.tags(), state, 1, lost)
+    _, lanes = look(far, None, state, 1, motion=lost)
     assert [boundary.offset_m for boundary in lanes.boundaries] == [b.raw_offset_m for b in lanes.boundaries]
-    _, later = look(far, far.tags(), state, 100)
+    _, later = look(far, None, state, 100)
     assert [boundary.offset_m for boundary in later.boundaries] == [b.raw_offset_m for b in later.boundaries]
 
 
 def test_a_frame_without_an_image_inherits_them():
     road = Road()
-    state, _ = look(road, road.tags(), LanesState(), 0)
+    state, _ = look(road)
     lost = Odometry("lost", np.eye(4), reason=Reason("odometry", "no_image"))
-    after, lanes = look(road, np.full_like(road.tags(), ROAD), state, 1, lost)
+    after, lanes = look(road, np.full_like(road.tags(), ROAD), state, 1, motion=lost)
     assert [boundary.status for boundary in lanes.boundaries] == ["held", "held"]
     assert after.left is not None

@@ -1,15 +1,20 @@
-"""The boundary's Kalman filter."""
+"""The boundary's Kalman filter, and the majority of the classes beside it."""
+
+import pickle
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.lanes import tracking
+from roadperc_stream.chain.stages.lanes.tracking import ClassHistory, LanesState
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.model import Odometry
+from tests.analytic import ROAD, STEP_NS, VEHICLE, Road
+from tests.chain.stages.lanes.test_ego_lane import look
 
 CFG = LanesConfig()
 R = np.diag([0.03, 0.005, 0.001]) ** 2
-DT_NS = 50_000_000
 
 
 def run(measurements, cfg=CFG):
@@ -18,22 +23,18 @@ def run(measurements, cfg=CFG):
         if track is None:
             track = tracking.start(np.array(state), R, 0)
         else:
-            predicted = tracking.predict(cfg, track, k * DT_NS, None)
+            predicted = tracking.predict(cfg, track, k * STEP_NS, None)
             updated = None if state is None else tracking.update(cfg, predicted, np.array(state), R)
             track = updated or predicted
         states.append(track.state)
     return track, np.array(states)
 
 
-def test_first_frame_equals_its_measurement():
+def test_a_new_track_is_its_measurement_and_knows_nothing_of_its_rate():
     track = tracking.start(np.array([1.7, 0.01, 0.002]), R, 7)
     np.testing.assert_array_equal(track.state, [1.7, 0.01, 0.002])
     np.testing.assert_array_equal(track.state_covariance, R)
-
-
-def test_constant_measurements_stay():
-    _, states = run([(1.7, 0.0, 0.0)] * 50)
-    np.testing.assert_allclose(states, np.tile([1.7, 0, 0], (50, 1)), atol=1e-9)
+    np.testing.assert_array_equal(track.covariance[1], [0.0, 1.0, 0.0, 0.0])
 
 
 def test_jitter_shrinks_and_a_drift_is_tracked_without_lag():
@@ -44,27 +45,6 @@ def test_jitter_shrinks_and_a_drift_is_tracked_without_lag():
     jitter = np.std(np.diff(states[20:, 0], 2)) / np.std(np.diff(measured[20:], 2))
     assert jitter < 1 / 3
     assert abs(np.mean(states[50:, 0] - true[50:])) < 0.005
-
-
-def test_a_measurement_outside_the_gate_is_rejected():
-    track, _ = run([(1.7, 0.0, 0.0)] * 20)
-    predicted = tracking.predict(CFG, track, 20 * DT_NS, None)
-    assert tracking.update(CFG, predicted, np.array([3.2, 0.0, 0.0]), R) is None
-    assert tracking.update(CFG, predicted, np.array([1.72, 0.0, 0.0]), R) is not None
-
-
-def test_covariance_grows_without_measurements_and_stays_symmetric():
-    track, _ = run([(1.7, 0.0, 0.0)] * 20 + [None] * 5)
-    measured, _ = run([(1.7, 0.0, 0.0)] * 20)
-    assert track.covariance[0, 0] > measured.covariance[0, 0]
-    np.testing.assert_allclose(track.covariance, track.covariance.T, atol=1e-12)
-    assert np.linalg.eigvalsh(track.covariance).min() > 0
-
-
-@pytest.mark.parametrize(("missing", "expired"), [(10, False), (11, True)])
-def test_held_for_half_a_second(missing, expired):
-    track, _ = run([(1.7, 0.0, 0.0)] * 3 + [None] * missing)
-    assert tracking.expired(CFG, track) == expired
 
 
 def moved(dx, dy=0.0, turn=0.0, y_std_m=0.005, yaw_std=0.0015):
@@ -83,13 +63,13 @@ def last_T_this(dx, dy, turn):
 def test_a_step_ahead_in_a_bend_moves_the_boundary_against_the_car():
     """Driving 2 m straight on where the boundary bends left: it comes in by heading and curvature."""
     track = tracking.start(np.array([1.7, 0.02, 0.01]), R, 0)
-    after = tracking.predict(CFG, track, DT_NS, moved(2.0))
+    after = tracking.predict(CFG, track, STEP_NS, moved(2.0))
     np.testing.assert_allclose(after.state, [1.7 + 0.04 + 0.02, 0.04, 0.01], atol=1e-12)
 
 
 def test_a_step_aside_and_a_turn_are_subtracted():
     track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
-    after = tracking.predict(CFG, track, DT_NS, moved(0.5, 0.1, 0.03))
+    after = tracking.predict(CFG, track, STEP_NS, moved(0.5, 0.1, 0.03))
     # The turned y axis meets the boundary at a slant.
     np.testing.assert_allclose(after.state, [1.6 / np.cos(0.03), -np.tan(0.03), 0.0], rtol=1e-9, atol=1e-12)
     assert after.mean[1] == pytest.approx((1.6 / np.cos(0.03) - 1.7) / 0.05)
@@ -100,7 +80,7 @@ def test_a_line_beside_a_car_that_turns_stays_where_it_is():
     exact = {"y_std_m": 0.0, "yaw_std": 0.0}
     track = exactly_known((1.7, 0.0, 0.0))
     for k in range(1, 11):
-        track = tracking.predict(CFG, track, k * DT_NS, moved(0.5, 0.0, 0.02, **exact))
+        track = tracking.predict(CFG, track, k * STEP_NS, moved(0.5, 0.0, 0.02, **exact))
     headings = 0.02 * np.arange(10)
     across_m = 1.7 - 0.5 * np.sin(headings).sum()
     np.testing.assert_allclose(track.state, [across_m / np.cos(0.2), -np.tan(0.2), 0.0], rtol=1e-6, atol=1e-12)
@@ -115,40 +95,40 @@ def exactly_known(state, rate=0.0):
 def test_without_odometry_the_sideways_speed_walks_at_random():
     """2 m/s more or less within a second: after 0.5 s q^2 (t^3 / 3, t^2 / 2, t) of offset, both, and speed."""
     cfg = CFG.model_copy(update={"process_noise": 2.0})
-    covariance = tracking.predict(cfg, exactly_known((1.7, 0.0, 0.0)), 10 * DT_NS, None).covariance
+    covariance = tracking.predict(cfg, exactly_known((1.7, 0.0, 0.0)), 10 * STEP_NS, None).covariance
     np.testing.assert_allclose(covariance[:2, :2], [[4 * 0.125 / 3, 0.5], [0.5, 2.0]])
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)[2:] / 0.5), [0.02, 0.003])
     np.testing.assert_array_equal(covariance[2:, :2], 0.0)
 
 
 def test_it_does_not_matter_in_how_many_steps_a_time_passes():
-    once = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0), rate=0.3), 10 * DT_NS, None)
+    once = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0), rate=0.3), 10 * STEP_NS, None)
     often = exactly_known((1.7, 0.0, 0.0), rate=0.3)
     for k in range(1, 11):
-        often = tracking.predict(CFG, often, k * DT_NS, None)
+        often = tracking.predict(CFG, often, k * STEP_NS, None)
     np.testing.assert_allclose(often.mean, once.mean)
     np.testing.assert_allclose(often.covariance, once.covariance, atol=1e-15)
 
 
 def test_it_does_not_matter_in_how_many_steps_a_way_is_driven():
     exact = {"y_std_m": 0.0, "yaw_std": 0.0}
-    once = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.01)), 10 * DT_NS, moved(5.0, **exact))
+    once = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.01)), 10 * STEP_NS, moved(5.0, **exact))
     often = exactly_known((1.7, 0.0, 0.01))
     for k in range(1, 11):
-        often = tracking.predict(CFG, often, k * DT_NS, moved(0.5, **exact))
+        often = tracking.predict(CFG, often, k * STEP_NS, moved(0.5, **exact))
     np.testing.assert_allclose(often.state, once.state)
     np.testing.assert_allclose(often.state_covariance, once.state_covariance, atol=1e-15)
 
 
 def test_without_odometry_the_offset_goes_on_at_its_rate():
-    after = tracking.predict(CFG, exactly_known((1.7, 0.01, 0.002), rate=-0.4), 10 * DT_NS, None)
+    after = tracking.predict(CFG, exactly_known((1.7, 0.01, 0.002), rate=-0.4), 10 * STEP_NS, None)
     np.testing.assert_allclose(after.mean, [1.5, -0.4, 0.01, 0.002])
 
 
 @pytest.mark.parametrize("dx", [4.0, -4.0])
 def test_with_odometry_the_noise_is_its_own_and_that_of_the_road_driven(dx):
     """Per root metre curvature walks by 0.0008 / m, heading by 0.0008, offset by 0.002 m; and the step's y and yaw."""
-    covariance = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0)), DT_NS, moved(dx, y_std_m=0.02)).covariance
+    covariance = tracking.predict(CFG, exactly_known((1.7, 0.0, 0.0)), STEP_NS, moved(dx, y_std_m=0.02)).covariance
     of_road = 0.0008**2 * np.array([4.0**5 / 20, 4.0**3 / 3, 4.0])
     of_road += [0.0008**2 * 4.0**3 / 3 + 0.002**2 * 4.0, 0.0008**2 * 4.0, 0.0]
     np.testing.assert_allclose(np.diag(covariance)[[0, 2, 3]], of_road + np.array([0.02**2, 0.0015**2, 0.0]))
@@ -163,14 +143,10 @@ def test_with_odometry_what_was_uncertain_is_seen_from_further_on():
         uncertain[column, column] = 0.01**2
         track = tracking.BoundaryTrack(known.mean, uncertain, 0, 0)
         added = (
-            tracking.predict(CFG, track, DT_NS, moved(2.0)).state_covariance
-            - tracking.predict(CFG, known, DT_NS, moved(2.0)).state_covariance
+            tracking.predict(CFG, track, STEP_NS, moved(2.0)).state_covariance
+            - tracking.predict(CFG, known, STEP_NS, moved(2.0)).state_covariance
         )
         np.testing.assert_allclose(added, np.outer(seen, seen), atol=1e-12)
-
-
-def test_a_new_track_knows_nothing_of_its_rate():
-    np.testing.assert_array_equal(tracking.start(np.array([1.7, 0.0, 0.0]), R, 0).covariance[1], [0.0, 1.0, 0.0, 0.0])
 
 
 def test_an_update_weighs_both_by_their_variances():
@@ -192,6 +168,64 @@ def test_the_gate_is_a_squared_distance_in_standard_deviations(sigmas, taken):
 def test_following_the_bend_keeps_the_boundary_where_it_was():
     track = tracking.start(np.array([1.7, 0.0, 1 / 148.3]), R, 0)  # about the same centre as the car's path
     for k in range(1, 40):
-        track = tracking.predict(CFG, track, k * DT_NS, moved(0.5, 0.5**2 / 300, 0.5 / 150))
+        track = tracking.predict(CFG, track, k * STEP_NS, moved(0.5, 0.5**2 / 300, 0.5 / 150))
     np.testing.assert_allclose(track.state, [1.7, 0.0, 1 / 148.3], atol=2e-3)
     assert np.linalg.eigvalsh(track.covariance).min() > 0
+
+
+def after(*names, step_ns=STEP_NS, cfg=CFG):
+    history, majorities = ClassHistory(), []
+    for k, name in enumerate(names):
+        history = history.add(cfg, k * step_ns, name)
+        majorities.append(history.majority)
+    return history, majorities
+
+
+def test_a_change_that_lasts_wins_after_half_the_window_in_seconds():
+    for step_ns, frames in ((STEP_NS, 6), (STEP_NS // 2, 11)):
+        _, majorities = after(*["road"] * 40, *["sidewalk"] * 20, step_ns=step_ns)
+        assert majorities[40:].index("sidewalk") + 1 == frames
+
+
+def test_equal_counts_are_decided_by_the_latest():
+    assert after("road", "vehicle")[1] == ["road", "vehicle"]
+    assert after("vehicle", "road", "road", "vehicle")[1][-1] == "vehicle"
+
+
+def test_out_of_sight_adds_nothing_and_too_long_out_of_sight_is_nothing():
+    _, majorities = after("road", *[""] * 12)
+    assert majorities == ["road"] * 11 + [""] * 2
+
+
+def test_without_a_window_the_last_frame_alone_counts():
+    assert after("road", "road", "vehicle", cfg=CFG.model_copy(update={"hold_s": 0.0}))[1][-1] == "vehicle"
+
+
+def test_memory_is_bounded():
+    history, _ = after(*["road"] * 1000, step_ns=1000)
+    assert len(history.observations) <= 256
+
+
+def test_the_lanes_classes_do_not_flicker():
+    """For one frame in three something covers the ground beyond the left line: it stays road, until it lasts."""
+    road = Road()
+    tags = road.tags()
+    covered, y = tags.copy(), road.ground()[1][..., 1]
+    covered[(y > 2.0) & (y < 4) & (tags == ROAD)] = VEHICLE
+    state, outside = LanesState(), []
+    for k in range(24):
+        state, lanes = look(road, covered if k % 3 == 2 or k >= 12 else tags, state, k)
+        state = pickle.loads(pickle.dumps(state))
+        outside.append(lanes.side("left").outside)
+    assert set(outside[:12]) == {"road"}
+    assert outside[-1] == "vehicle"
+    assert sum(a != b for a, b in pairwise(outside)) == 1
+
+
+def test_a_held_boundary_keeps_what_was_voted():
+    road = Road()
+    state, _ = look(road)
+    blank = road.tags() * 0 + ROAD
+    for k in range(1, 11):
+        state, lanes = look(road, blank, state, k)
+        assert (lanes.side("right").status, lanes.side("right").outside) == ("held", "sidewalk")

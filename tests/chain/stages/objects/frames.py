@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roadperc_stream.chain.stages.objects import ObjectsState, step
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera
 from roadperc_stream.model import Objects

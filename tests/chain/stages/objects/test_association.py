@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 
-from roadperc_stream.chain.stages.objects import association, tracking
-from roadperc_stream.chain.stages.objects.association import DISTANCE_PENALTY, assign, similarities
+from roadperc_stream.chain.stages.objects import tracker, tracking
+from roadperc_stream.chain.stages.objects.tracker import DISTANCE_PENALTY, assign, similarities
 from roadperc_stream.model import Box, Object
 from roadperc_stream.model.tag_tables import classes_of_label
 from tests.analytic import box
@@ -67,35 +67,6 @@ def track_at(distance_m, number=1):
     return tracking.start(CFG, number, item_at(distance_m), Box(0, 0, 10, 10), 0)
 
 
-def similarity(cfg, track, item, box_px):
-    return float(similarities(cfg, [track], [item], [box_px])[0, 0])
-
-
-def test_contradicting_distances_count_against_a_pair():
-    here = Box(0, 0, 10, 10)
-    assert similarity(CFG, track_at(20.0), item_at(20.0), here) == 1.0
-    assert similarity(CFG, track_at(20.0), item_at(5.0), here) == 1.0 - DISTANCE_PENALTY
-    assert similarity(CFG, track_at(20.0), item_at(None), here) == 1.0
-    assert similarity(CFG, track_at(None), item_at(20.0), here) == 1.0
-    assert similarity(CFG, track_at(20.0), item_at(20.0, "Pedestrian"), here) == 0.0
-
-
-def test_the_gate_is_the_least_overlap():
-    quarter, fifth = Box(0, 0, 10, 2.5), Box(0, 0, 10, 1.9)
-    assert similarity(CFG, track_at(20.0), item_at(20.0), quarter) == 0.25
-    assert similarity(CFG, track_at(20.0), item_at(20.0), fifth) == 0.0
-    assert similarity(CFG, track_at(20.0), item_at(5.0), quarter) == 0.0
-
-
-def test_the_best_of_all_pairings_is_chosen_not_the_best_pair_first():
-    """The first detection fits both tracks, the second one only the track that the first fits better."""
-    tracks = [track_at(None), tracking.start(CFG, 2, item_at(None), Box(0, 6, 10, 16), 0)]
-    boxes = [Box(0, 2.5, 10, 12.5), Box(0, -6, 10, 4)]
-    assert assign(CFG, tracks, [item_at(None)] * 2, boxes) == {0: 1, 1: 0}
-    assert assign(CFG, tracks, [], []) == {}
-    assert assign(CFG, [], [item_at(None)], [boxes[0]]) == {}
-
-
 def plain_similarity(cfg, track, item, box_px):
     """What ``similarities`` gives for all pairs at once, one pair after the other in Python's own numbers."""
     kinds = [classes_of_label(thing.detection.label) or (thing.detection.label,) for thing in (track, item)]
@@ -112,7 +83,7 @@ def plain_similarity(cfg, track, item, box_px):
 @given(arrays(float, st.tuples(st.integers(1, 6), st.integers(1, 6)), elements=st.sampled_from([0.0, 0.3, 0.5, 0.9])))
 def test_pairs_are_those_of_the_assignment_problem(scores):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(association, "similarities", lambda *_: scores)
+        patch.setattr(tracker, "similarities", lambda *_: scores)
         pairs = assign(CFG, [None] * len(scores), [None] * scores.shape[1], [])
     rows, columns = linear_sum_assignment(scores, maximize=True)
     assert pairs == {r: c for r, c in zip(rows.tolist(), columns.tolist(), strict=True) if scores[r, c] > 0}

@@ -1,14 +1,15 @@
-"""Detections filtered by tags: ratios counted by hand, distances by the 3-4-5 triangle."""
+"""Detections filtered by tags: ratios counted by hand, distances by the 3-4-5 triangle, each with its own region."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects.filtering import NOWHERE, filter_detections
+from roadperc_stream.chain.stages.objects.filtering import NOWHERE, choose, filter_detections
+from roadperc_stream.chain.stages.objects.regions import Measured, Region
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera
-from roadperc_stream.model import Absent, Reason
+from roadperc_stream.model import Absent, Box, Reason
 from tests.analytic import VEHICLE, box
 from tests.scenes import scene_of
 
@@ -33,15 +34,19 @@ def filtered(detection, cfg=CFG, tags=None, depth=None, limit_m=65.535):
     return filter_detections(cfg, scene, (detection,)).objects[0]
 
 
-def test_half_a_box_of_vehicle():
-    item = filtered(box("Car", 10, 20, 50, 40))
-    assert item.class_ratio == 0.5
+@pytest.mark.parametrize(
+    ("x_min", "x_max", "ratio"), [(10, 50, 1 / 2), (10, 30, 1.0), (10, 31, 20 / 21), (-30, 30, 2 / 3)]
+)
+def test_the_ratio_is_the_share_of_the_class_in_the_half_open_box_within_the_image(x_min, x_max, ratio):
+    item = filtered(box("Car", x_min, 20, x_max, 40))
+    assert item.class_ratio == pytest.approx(ratio)
     assert item.kept
 
 
-def test_boxes_are_half_open():
-    assert filtered(box("Car", 10, 20, 30, 40)).class_ratio == 1.0
-    assert filtered(box("Car", 10, 20, 31, 40)).class_ratio == pytest.approx(20 / 21)
+@pytest.mark.parametrize(("depth_m", "beyond"), [(np.nan, False), (65.535, True)])
+def test_depth_that_is_unknown_or_beyond_the_range_is_no_distance(depth_m, beyond):
+    item = filtered(box("Car", 10, 20, 30, 40), depth=np.full(CAMERA.size, depth_m, np.float32))
+    assert (item.distance_m, item.beyond_range, item.kept) == (None, beyond, True)
 
 
 @pytest.mark.parametrize(("x_max", "kept"), [(76, True), (77, False)])
@@ -58,10 +63,6 @@ def test_exactly_the_minimum_is_not_enough():
 def test_box_outside_the_image_is_dropped_without_a_ratio():
     item = filtered(box("Car", 150, 20, 180, 40))
     assert (item.kept, item.class_ratio, item.distance_m) == (False, None, None)
-
-
-def test_box_is_clipped_to_the_image():
-    assert filtered(box("Car", -30, 20, 30, 40)).class_ratio == pytest.approx(20 / 30)
 
 
 def test_distance_is_along_the_ray():
@@ -89,16 +90,6 @@ def test_low_quantile_forgives_a_stray_pixel():
     assert filtered(box("Car", 10, 20, 30, 40), depth=depth).distance_m > 9
     minimum = ObjectsConfig(distance_quantile=0.0, distance_pixels="class")
     assert filtered(box("Car", 10, 20, 30, 40), minimum, depth=depth).distance_m < 1.3
-
-
-def test_unknown_depth_is_no_distance():
-    item = filtered(box("Car", 10, 20, 30, 40), depth=np.full(CAMERA.size, np.nan, np.float32))
-    assert (item.distance_m, item.beyond_range, item.kept) == (None, False, True)
-
-
-def test_beyond_the_range_is_reported():
-    item = filtered(box("Car", 10, 20, 30, 40), depth=np.full(CAMERA.size, 65.535, np.float32))
-    assert (item.distance_m, item.beyond_range) == (None, True)
 
 
 def test_unknown_label_is_kept_without_a_ratio():
@@ -222,3 +213,62 @@ def test_the_deviation_grows_with_the_depths_noise():
     noisy = (depth * (1 + 0.02 * rng.standard_normal(depth.shape))).astype(np.float32)
     (clear,), (uncertain,) = judged((30, 15, 70, 40)), judged((30, 15, 70, 40), depth_m=noisy)
     assert uncertain.distance_std_m > 1.5 * clear.distance_std_m
+
+
+PLACE = Box(10, 10, 30, 30)
+NOTHING = (0.0, None)
+
+
+def candidate(owner, fit, distance_m, box=PLACE):
+    distances = None if distance_m is None else np.full((1, 1), distance_m, np.float32)
+    return Region(owner, box, fit, np.ones((1, 1), np.int32), np.array([False, True]), distances, None)
+
+
+def measure(region):
+    return Measured(None if region.distances_m is None else round(float(region.distances_m[0, 0]), 4), 0.1)
+
+
+def chosen(labels, *candidates):
+    return [(fit, measured.distance_m) for fit, measured in choose(labels, candidates, measure)]
+
+
+def test_each_gets_what_fits_best():
+    ours, theirs = [candidate(0, 0.9, 10.0), candidate(0, 0.5, 20.0)], [candidate(1, 0.8, 20.0)]
+    assert chosen(["Car", "Car"], ours, theirs) == [(0.9, 10.0), (0.8, 20.0)]
+
+
+def test_what_another_has_is_not_given_again():
+    hidden = [candidate(1, 0.8, 10.1), candidate(1, 0.4, 25.0)]
+    assert chosen(["Car", "Car"], [candidate(0, 0.9, 10.0)], hidden) == [(0.9, 10.0), (0.4, 25.0)]
+    assert chosen(["Car", "Car"], [candidate(0, 0.9, 10.0)], hidden[:1]) == [(0.9, 10.0), NOTHING]
+
+
+def test_what_is_elsewhere_or_at_another_distance_or_another_kind_is_another():
+    first = [candidate(0, 0.9, 10.0)]
+    assert chosen(["Car", "Car"], first, [candidate(1, 0.8, 10.0, Box(40, 10, 60, 30))])[1] != NOTHING
+    assert chosen(["Car", "Car"], first, [candidate(1, 0.8, 11.0)])[1] != NOTHING
+    assert chosen(["Car", "Pedestrian"], first, [candidate(1, 0.8, 10.0)])[1] != NOTHING
+    assert chosen(["Car", "Truck"], first, [candidate(1, 0.8, 10.0)])[1] == NOTHING
+
+
+def test_without_distances_nothing_is_the_same():
+    assert chosen(["Car", "Car"], [candidate(0, 0.9, None)], [candidate(1, 0.8, None)]) == [(0.9, None), (0.8, None)]
+
+
+def test_nothing_to_choose_from():
+    assert chosen([]) == []
+    assert chosen(["Car"], []) == [NOTHING]
+
+
+def test_what_is_not_looked_at_is_not_measured():
+    """Distances are what costs the most."""
+    measured = []
+    choose(["Car"], [[candidate(0, 0.9, 10.0), candidate(0, 0.5, 20.0)]], lambda r: measured.append(r) or measure(r))
+    assert [region.fit for region in measured] == [0.9]
+
+
+@pytest.mark.parametrize(("expected_m", "chosen_m"), [(None, 16.5), (12.5, 12.6), (16.0, 16.5), (30.0, 16.5)])
+def test_of_regions_that_fit_alike_the_one_where_the_object_is_expected_is_chosen(expected_m, chosen_m):
+    regions = [candidate(0, 0.65, 16.5), candidate(0, 0.63, 12.6), candidate(0, 0.4, 30.0)]
+    ((_, measured),) = choose(["Car"], [regions], measure, {0: expected_m})
+    assert measured.distance_m == chosen_m

@@ -1,14 +1,19 @@
-"""The car's path: places beside circles known by construction, and what it is taken from."""
+"""The car's path, what is in it, what cuts in, and the time to impact: circles and backs of cars by construction."""
+
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
 from roadperc_stream.chain.kernels import left_of
 from roadperc_stream.chain.stages.objects.path import PATH_MEMORY_M, DrivenArc, EgoPath, path_of
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.geometry import rigid
+from roadperc_stream.geometry import Camera, level_mounting, rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
-from roadperc_stream.model import Boundary, Lanes
+from roadperc_stream.model import Boundary, Box, Detection, Lanes
+from tests.analytic import PEDESTRIAN, STEP_NS, VEHICLE
+from tests.scenes import scene_of
 
 CFG = ObjectsConfig()
 RIGHT_BEND = DrivenArc(-0.1, 10.0)
@@ -80,3 +85,179 @@ def test_a_car_that_stands_still_keeps_its_curvature():
     arc = DrivenArc().after(step_of(1.0, 0.05))
     assert arc.after(step_of(0.0, 0.001)) == arc.after(None) == arc
     assert DrivenArc().after(step_of(0.05, 0.0)).curvature_per_m is None
+
+
+CAMERA = Camera("camera", 640, 480, 320.0, 320.0, 319.5, 239.5)
+MOUNTING = level_mounting(1.4)
+LANE = lanes(1.75, -1.75)
+STEP_S = STEP_NS / 1e9
+FAR_M = 90.0
+TAGS = {"Car": VEHICLE, "Pedestrian": PEDESTRIAN}
+
+
+@dataclass
+class Road:
+    """Cars, by their backs (ahead, to the left, metres), each 1.8 m wide and 1.5 m high."""
+
+    cfg: ObjectsConfig = CFG
+    lane: object = LANE
+    state: ObjectsState = field(default_factory=ObjectsState)
+    stamp_ns: int = 0
+    depth_noise: float = 0.0
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    label: str = "Car"
+
+    def frame(self, *backs, ego_step_m=None):
+        depth, tags = np.full(CAMERA.size, FAR_M, np.float32), np.zeros(CAMERA.size, np.uint8)
+        boxes = [self.draw(depth, tags, TAGS[self.label], *back) for back in backs]
+        depth *= 1 + self.depth_noise * self.rng.standard_normal(depth.shape, np.float32)
+        self.stamp_ns += STEP_NS
+        scene = scene_of(
+            CAMERA,
+            MOUNTING,
+            depth_m=depth,
+            tags=tags,
+            stamp_ns=self.stamp_ns,
+            detections=tuple(Detection(self.label, box, 0.9) for box in boxes),
+        )
+        last_T_this = None if ego_step_m is None else rigid(np.eye(3), np.array([ego_step_m, 0.0, 0.0]))
+        self.state, out = step(self.cfg, self.state, scene, self.lane, last_T_this)
+        return out
+
+    @staticmethod
+    def draw(depth, tags, tag, ahead_m, left_m):
+        x0, x1 = (CAMERA.cx - CAMERA.fx * y / ahead_m + 0.5 for y in (left_m + 0.9, left_m - 0.9))
+        y0, y1 = (CAMERA.cy - CAMERA.fy * z / ahead_m + 0.5 for z in (0.2, -1.3))
+        box = Box(*(float(round(v)) for v in (x0, y0, x1, y1)))
+        c0, r0, c1, r1 = box.rounded(CAMERA.width, CAMERA.height)
+        depth[r0:r1, c0:c1], tags[r0:r1, c0:c1] = ahead_m, tag
+        return box
+
+
+def nearing(left_m, *, lane=LANE, cfg=CFG):
+    """Objects of the last of 20 frames: a car comes nearer by 8 m/s from 25 m on."""
+    road = Road(cfg, lane)
+    for k in range(20):
+        out = road.frame((25.0 - 8.0 * STEP_S * k, left_m))
+    return out
+
+
+def test_before_the_car_and_beside_it():
+    ahead, beside = nearing(0.3), nearing(3.2)
+    (item,) = ahead.objects
+    distance_m = 25.0 - 8.0 * STEP_S * 19
+    assert (item.in_path, item.cut_in) == (True, False)
+    assert item.lateral_m == pytest.approx(0.3, abs=0.1)
+    assert item.time_to_impact_s == pytest.approx(distance_m / 8.0, rel=0.05)
+    assert ahead.most_urgent == item
+    (item,) = beside.objects
+    assert (item.in_path, item.cut_in, item.time_to_impact_s) == (False, False, None)
+    assert item.lateral_m == pytest.approx(3.2, abs=0.15)
+    assert item.closing_speed_mps == pytest.approx(8.0, abs=0.5)
+    assert beside.most_urgent is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "in_path"), [({}, True), ({"path_margin_m": 0.0}, False), ({"car_width_m": 1.0}, False)]
+)
+def test_the_path_is_as_wide_as_the_car_and_a_margin(changed, in_path):
+    (item,) = nearing(-2.0, cfg=ObjectsConfig(**changed)).objects
+    assert item.in_path == in_path
+
+
+@pytest.mark.parametrize(
+    ("label", "across_mps", "threatens"), [("Car", 1.0, True), ("Car", 5.0, False), ("Pedestrian", 5.0, True)]
+)
+def test_a_vehicle_that_crosses_the_path_faster_than_lanes_are_changed_is_beside_it_before_the_car_comes(
+    label, across_mps, threatens
+):
+    """As an oncoming car in a bend does, where the lane seems to go straight on; who walks may stop."""
+    road = Road(label=label)
+    for k in range(20):
+        (item,) = road.frame((38.0 - 16.0 * STEP_S * k, -0.5 + across_mps * STEP_S * (k - 19))).objects
+    assert item.in_path
+    assert (item.time_to_impact_s is not None) == threatens
+
+
+def test_a_car_that_moves_in_over_the_line_cuts_in_until_it_is_in_the_path():
+    road, seen = Road(), []
+    for k in range(45):
+        (item,) = road.frame((20.0 - 2.0 * STEP_S * k, -3.6 + 1.2 * STEP_S * k)).objects
+        seen.append((item.in_path, item.cut_in, item.time_to_impact_s is None))
+    beside, cutting, inside = seen.index((False, True, True)), seen.count((False, True, True)), (True, False, False)
+    edges_m = [-3.6 + 1.2 * STEP_S * k + 0.9 for k in range(45)]
+    assert edges_m[beside] == pytest.approx(-1.75, abs=0.2)
+    assert seen[beside : beside + cutting] == [(False, True, True)] * cutting
+    assert edges_m[beside + cutting] == pytest.approx(-1.2, abs=0.15)
+    assert set(seen[beside + cutting :]) == {inside}
+
+
+@pytest.mark.parametrize(("cut_in_mps", "cuts_in"), [(0.3, True), (2.0, False)])
+def test_how_fast_a_car_must_move_in(cut_in_mps, cuts_in):
+    road = Road(ObjectsConfig(cut_in_mps=cut_in_mps))
+    for k in range(20):
+        (item,) = road.frame((12.0, -3.4 + 1.2 * STEP_S * k)).objects
+    assert (item.in_path, item.cut_in) == (False, cuts_in)
+
+
+def test_along_the_line_is_no_cut_in_and_without_a_lane_nobody_knows():
+    (item,) = nearing(-2.4).objects
+    assert (item.in_path, item.cut_in) == (False, False)
+    out = nearing(-2.4, lane=None)
+    assert out.path_source == "straight"
+    assert (out.objects[0].in_path, out.objects[0].cut_in) == (False, None)
+
+
+def test_the_next_lane_has_other_places():
+    """A car in the lane to the left is beside the path until the ego car has come over the line."""
+    road = Road()
+    for _ in range(10):
+        (item,) = road.frame((20.0, 2.6)).objects
+    assert (item.in_path, item.lateral_m) == (False, pytest.approx(2.6, abs=0.1))
+    road.lane = lanes(3.4, -0.1, changes=3)
+    (item,) = road.frame((20.0, 2.6)).objects
+    assert (item.in_path, item.lateral_m) == (True, pytest.approx(0.95, abs=0.1))
+
+
+def test_a_car_that_brakes_knows_its_closing_speed_at_once():
+    """The ego car brakes with 8 m/s2 behind one that stands: without odometry the filter must learn it."""
+    errors = {}
+    for known in (True, False):
+        road, ahead_m, speed = Road(), 15.0, 10.0
+        for _ in range(24):
+            way_m = speed * STEP_S
+            (item,) = road.frame((ahead_m, 0.0), ego_step_m=way_m if known else None).objects
+            ahead_m, speed = ahead_m - (speed - 4.0 * STEP_S) * STEP_S, speed - 8.0 * STEP_S
+        errors[known] = abs(item.closing_speed_mps - (speed + 8.0 * STEP_S))
+    assert errors[True] < 0.3
+    assert errors[True] < errors[False]
+
+
+@pytest.mark.parametrize("depth_noise", [0.01, 0.02])
+def test_a_lead_car_that_brakes_at_the_limit(depth_noise):
+    """With 6 m/s2: the errors are as large as they are said to be, and no larger than 0.5 s."""
+    errors, deviations = [], []
+    for seed in range(4):
+        road = Road(depth_noise=depth_noise, rng=np.random.default_rng(seed))
+        ahead_m, closing = 12.0, 0.0
+        for k in range(40):
+            (item,) = road.frame((ahead_m, 0.0), ego_step_m=0.5).objects
+            if 0.5 < ahead_m / max(closing, 1e-9) < 3.0:
+                errors.append(np.inf if item.time_to_impact_s is None else item.time_to_impact_s - ahead_m / closing)
+                deviations.append(errors[-1] / (item.time_to_impact_std_s or 1.0))
+            braking = 6.0 if k >= 12 else 0.0
+            ahead_m -= closing * STEP_S + braking * STEP_S**2 / 2
+            closing += braking * STEP_S
+    assert len(errors) > 40
+    assert np.median(np.abs(errors)) < 0.2
+    assert np.quantile(np.abs(errors), 0.95) < 0.5
+    assert np.mean(np.abs(deviations) < 2) > 0.9
+
+
+def test_a_car_cut_by_the_images_side_keeps_its_speed():
+    """What is nearest of it in the image is ever another point: its distance stays, yet it is passed at 10 m/s."""
+    road = Road()
+    for k in range(40):
+        (item,) = road.frame((max(20.0 - 0.5 * k, 4.5), 4.2), ego_step_m=0.5).objects
+    assert item.detection.box_px.x_min < 0
+    assert item.closing_speed_mps == pytest.approx(10 * np.cos(np.arctan2(3.8, 4.5)), abs=1.0)

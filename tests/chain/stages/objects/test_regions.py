@@ -1,10 +1,11 @@
-"""Pixels of one class divided where the depth jumps: cars before and behind each other, drawn by hand."""
+"""Pixels of one class divided where the depth jumps: cars before and behind each other, drawn by hand; lidar points."""
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
-from roadperc_stream.chain.stages.objects.mosaic import LONGEST_SIDE, cut_out
-from roadperc_stream.chain.stages.objects.regions import MISSING_WEIGHT, find_regions
+from roadperc_stream.chain.stages.objects.mosaic import LONGEST_SIDE, Mosaic, cut_out
+from roadperc_stream.chain.stages.objects.regions import JUMPS, MISSING_WEIGHT, divide, find_regions, own_distances
 from roadperc_stream.geometry import Camera
 from roadperc_stream.model import Box
 from roadperc_stream.model.tag_tables import label_lookup
@@ -111,9 +112,6 @@ def test_large_boxes_are_sampled_within_the_image():
 def test_boxes_without_pixels_have_no_regions(box):
     assert regions_of(box, NEAR)[0] == ()
     assert regions_of(box) == [()]
-
-
-def test_no_boxes_no_regions():
     assert regions_of() == []
 
 
@@ -121,3 +119,80 @@ def test_unknown_depth_divides_nothing_and_measures_nothing():
     tags, depth = rows_of_cars()
     (region,) = regions_of(NEAR, tags=tags, depth=np.full_like(depth, np.nan))[0][:1]
     assert np.isnan(distances_m(region)).all()
+
+
+def mosaic_of(of_class, log_depth):
+    ends = np.array([0, len(of_class)])
+    steps = np.ones((1, 2), int)
+    return Mosaic(steps - 1, steps, ends, of_class, log_depth, None, None, None)
+
+
+def connected(of_class, log_depth, jump):
+    """The sets of pixels, by a flood fill over a grid of pixels and of what is between them."""
+    height, width = of_class.shape
+    grid = np.zeros((2 * height - 1, 2 * width - 1), bool)
+    grid[::2, ::2] = of_class
+    grid[::2, 1::2] = of_class[:, 1:] & of_class[:, :-1] & (np.abs(np.diff(log_depth, axis=1)) < jump)
+    grid[1::2, ::2] = of_class[1:] & of_class[:-1] & (np.abs(np.diff(log_depth, axis=0)) < jump)
+    labels, count = label(grid)
+    return {frozenset(map(tuple, np.argwhere(labels[::2, ::2] == k + 1).tolist())) for k in range(count)}
+
+
+def pixels_of(division):
+    for k in range(len(division.pixels)):
+        of_region, (rows, columns) = division.of_region(k)
+        mask = of_region[division.labels[rows, columns]]
+        assert mask.any(axis=0)[[0, -1]].all()
+        assert mask.any(axis=1)[[0, -1]].all()
+        assert mask.sum() == division.pixels[k]
+        yield frozenset(map(tuple, (np.argwhere(mask) + np.array((rows.start, columns.start))).tolist()))
+
+
+def test_each_region_of_each_jump_once():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        of_class = (rng.random((24, 17)) < 0.7).astype(np.uint8)
+        log_depth = rng.choice(np.arange(0.0, 0.2, 0.013), of_class.shape).astype(np.float32)
+        division = divide(mosaic_of(of_class, log_depth))
+        found = list(pixels_of(division))
+        expected = [connected(of_class, log_depth, jump) for jump in JUMPS]
+        assert len(set(found)) == len(found)
+        assert set(found) == set.union(*expected)
+        assert {r for r, way in zip(found, division.ways, strict=True) if way == 0} == expected[0]
+
+
+def test_no_pixels_of_the_class():
+    division = divide(mosaic_of(np.zeros((5, 4), np.uint8), np.zeros((5, 4), np.float32)))
+    assert (division.bounds.shape, division.pixels.shape) == ((4, 0), (0,))
+
+
+WHOLE = (12.6, range(3, 28, 6), range(2, 58, 2))
+CORNER = (8.0, range(15, 28, 6), range(0, 12, 2))
+
+
+def box_of(*groups):
+    """(30, 60) distances, NaN but for points of (distance, rows, columns), each 1 % deeper at its far end."""
+    distances = np.full((30, 60), np.nan, np.float32)
+    for distance_m, rows, columns in groups:
+        u, v = np.meshgrid(columns, rows)
+        distances[v, u] = distance_m * np.linspace(1.0, 1.01, u.size).reshape(u.shape)
+    return distances
+
+
+def test_a_nearer_car_in_a_corner_of_the_box_is_another_one():
+    assert own_distances(box_of(WHOLE, CORNER)).min() == pytest.approx(12.6)
+
+
+def test_a_single_object_has_all_points_and_what_is_in_steps_is_one():
+    assert len(own_distances(box_of(WHOLE))) == np.isfinite(box_of(WHOLE)).sum()
+    long = [(10.0 * 1.05**k, range(3, 28, 6), range(6 * k, 6 * k + 6, 2)) for k in range(10)]
+    assert own_distances(box_of(*long)).min() == pytest.approx(10.0)
+
+
+def test_two_points_are_no_object_unless_there_are_no_others():
+    few = (5.0, (2, 29), (0, 59))
+    assert own_distances(box_of((5.0, (2,), (0, 59)), CORNER)).min() == pytest.approx(8.0)
+    assert len(own_distances(box_of((5.0, (2,), (0, 59))))) == 2
+    assert own_distances(box_of(few, CORNER)).min() == pytest.approx(5.0)
+    assert own_distances(np.full((4, 5), np.nan, np.float32)).shape == (0,)
+    assert own_distances(np.full((0, 5), np.nan, np.float32)).shape == (0,)

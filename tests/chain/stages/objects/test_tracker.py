@@ -1,12 +1,12 @@
 """Objects over time: motions known by construction, ids that stay, templates moved by known pixels."""
 
-import pickle
 from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects import ObjectsState, step, tracker
+from roadperc_stream.chain.stages.objects import tracker
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.model import Absent, Box, Reason
 from tests.analytic import STEP_NS, box
@@ -31,19 +31,16 @@ def drive(speed_mps, *, frames=20, steps_ns=(STEP_NS,), noise_m=0.0, start_m=20.
     return follower.only, distance
 
 
-@pytest.mark.parametrize("noise_m", [0.0, 0.02])
-def test_approaching_at_5_metres_per_second(noise_m):
-    item, distance = drive(5.0, noise_m=noise_m)
+@pytest.mark.parametrize(
+    ("noise_m", "steps_ns"),
+    [(0.0, (STEP_NS,)), (0.02, (STEP_NS,)), (0.0, (20_000_000, 110_000_000, 50_000_000))],
+    ids=["exact", "noise", "irregular stamps"],
+)
+def test_approaching_at_5_metres_per_second(noise_m, steps_ns):
+    item, distance = drive(5.0, noise_m=noise_m, steps_ns=steps_ns)
     assert item.closing_speed_mps == pytest.approx(5.0, abs=0.3)
     assert item.time_to_impact_s == pytest.approx(distance / 5.0, rel=0.05)
-    assert item.status == "measured"
-    assert item.track_id == "1"
-
-
-def test_irregular_stamps_make_no_difference():
-    item, distance = drive(5.0, steps_ns=(20_000_000, 110_000_000, 50_000_000))
-    assert item.closing_speed_mps == pytest.approx(5.0, abs=0.3)
-    assert item.time_to_impact_s == pytest.approx(distance / 5.0, rel=0.05)
+    assert (item.status, item.track_id) == ("measured", "1")
 
 
 @pytest.mark.parametrize("speed", [-5.0, 0.0, 0.3])
@@ -111,19 +108,6 @@ def test_a_jump_to_something_in_front_is_rejected():
     assert follower.only.track_id == "1"
 
 
-def test_a_jump_that_lasts_is_believed():
-    follower = Follower()
-    for _ in range(20):
-        follower.frame(CAR, depth_m=20.0)
-    speeds = []
-    for k in range(8):
-        follower.frame(CAR, depth_m=10.0 - 0.1 * k)
-        speeds.append(follower.only.closing_speed_mps)
-    np.testing.assert_allclose(speeds[:4], 0.0, atol=0.1)
-    assert speeds[-1] == pytest.approx(2.0, abs=0.3)
-    assert follower.only.track_id == "1"
-
-
 @pytest.mark.parametrize(("restart_s", "frames"), [(0.05, 1), (0.2, 4), (0.4, 8)])
 def test_a_jump_is_believed_when_it_has_lasted_for_restart_s(restart_s, frames):
     """Frames of 50 ms after the jump's first one until the filtered distance jumps, too."""
@@ -185,16 +169,14 @@ def test_crossing_boxes_keep_their_names():
     assert set(names[0]) == {"1", "2"}
 
 
-def test_a_pedestrian_does_not_take_a_cars_name_but_a_van_does():
+@pytest.mark.parametrize(
+    ("labels", "names"),
+    [(("Car", "Pedestrian", "Car", "Van"), ["1", "2", "1", "1"]), (("Unicorn", "Dragon", "Unicorn"), ["1", "2", "1"])],
+    ids=["kinds", "labels no table knows"],
+)
+def test_only_labels_of_one_kind_share_a_name(labels, names):
     follower = Follower()
-    names = [follower.frame(replace(CAR, label=label))[0].track_id for label in ("Car", "Pedestrian", "Car", "Van")]
-    assert names == ["1", "2", "1", "1"]
-
-
-def test_labels_no_table_knows_are_tracked_by_their_own_name():
-    follower = Follower()
-    names = [follower.frame(replace(CAR, label=label))[0].track_id for label in ("Unicorn", "Dragon", "Unicorn")]
-    assert names == ["1", "2", "1"]
+    assert [follower.frame(replace(CAR, label=label))[0].track_id for label in labels] == names
 
 
 def test_dropped_detections_stay_as_they_are_and_are_not_tracked():
@@ -327,46 +309,12 @@ def test_the_search_can_be_switched_off():
     assert follower.frame(grey=image) == ()
 
 
-def test_resumes_equal_from_a_pickled_state():
-    image = texture()
-
-    def run(interrupted):
-        follower, outputs = Follower(), []
-        for k in range(12):
-            car, depth = shifted(CAR, 2 * k), 20.0 - 0.2 * k
-            detections = () if k in (5, 6, 9) else (car,)
-            outputs.append(follower.frame(*detections, grey=moved(image, 2 * k, 0), depth_m=depth))
-            if interrupted:
-                follower.state = pickle.loads(pickle.dumps(follower.state))
-        return outputs
-
-    assert run(True) == run(False)
-
-
 def test_memory_is_bounded(monkeypatch):
     monkeypatch.setattr(tracker, "MOST_TRACKS", 5)
     follower = Follower(ObjectsConfig(hold_s=1e4))
     for k in range(30):
         follower.frame(box("Car", 10 * k, 10, 10 * k + 8, 20))
     assert [track.number for track in follower.state.tracks] == [26, 27, 28, 29, 30]
-
-
-@pytest.mark.parametrize(
-    ("setting", "value"),
-    [
-        ("max_speed_std_mps", 0.01),
-        ("min_closing_mps", 6.0),
-        ("min_closing_sigmas", 50.0),
-        ("min_distance_std_m", 1.0),
-        ("process_noise", 0.1),
-    ],
-)
-def test_settings_of_the_motion_have_an_effect(setting, value):
-    usual, changed = Follower(), Follower(CFG.model_copy(update={setting: value}))
-    for k in range(10):
-        for follower in (usual, changed):
-            follower.frame(CAR, depth_m=20.0 - 0.25 * k)
-    assert usual.only != changed.only
 
 
 def test_an_object_that_partly_lies_beyond_the_depths_range_is_tracked():

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages import odometry
-from roadperc_stream.chain.stages.odometry import OdometryState
+from roadperc_stream.chain.stages.odometry import ego_motion
+from roadperc_stream.chain.stages.odometry.keyframes import OdometryState
 from roadperc_stream.config import OdometryConfig
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from tests.analytic import VEHICLE
@@ -84,7 +84,7 @@ def run(shots, cfg=CFG, state=None, first=0, depth=True, movable=None, road=None
             tags=tags,
             stamp_ns=1_000_000_000 + k * STEP_NS,
         )
-        state, out = odometry.step(cfg, state, scene, road, np.random.default_rng((0, k)))
+        state, out = ego_motion.step(cfg, state, scene, road, np.random.default_rng((0, k)))
         states.append(state)
         results.append(out)
     return states, results

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages import odometry
-from roadperc_stream.chain.stages.odometry import OdometryState
+from roadperc_stream.chain.stages.odometry import ego_motion
+from roadperc_stream.chain.stages.odometry.keyframes import OdometryState
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.cli import render
 from roadperc_stream.config import OdometryConfig
@@ -52,7 +52,7 @@ def track(frames, camera, ego_T_camera, cfg=CFG, depth=True, tags=True, road=Non
             table=TABLE,
             stamp_ns=round(1e9 * (1 + k / rate_hz)),
         )
-        state, out = odometry.step(cfg, state, scene, road, np.random.default_rng((0, k)))
+        state, out = ego_motion.step(cfg, state, scene, road, np.random.default_rng((0, k)))
         results.append(out)
     return results
 
@@ -91,30 +91,18 @@ def test_carla_rgbd_there_and_back(rgbd):
     assert miss_m < 0.20
 
 
-def test_course_odometry_turns_little_and_goes_ahead(data_dir):
+@pytest.mark.parametrize("scaled", [True, False])
+def test_course_odometry_turns_little_and_goes_ahead(data_dir, scaled):
     """The camera sits ahead of the rear axle, about which the car turns: there the steps point straight ahead."""
     folder = data_dir / "course_odometry"
     camera, frames = calibrated(folder)[0], list(pictures(folder))
     axle_T_camera = rigid(EGO_R_OPTICAL, np.array([2.0, 0.0, 1.5]))
-    results = track(frames, camera, axle_T_camera, road=assumed_surface(camera, axle_T_camera))
-    for out in results[1:]:
+    road = assumed_surface(camera, axle_T_camera) if scaled else None
+    for out in track(frames, camera, axle_T_camera, road=road)[1:]:
         ahead, left, up = out.step[:3, 3]
+        assert (out.status, out.up_to_scale) == ("tracked", not scaled)
         assert angle_deg(out.step[:3, :3]) < 3
-        assert np.rad2deg(np.arctan2(np.hypot(left, up), ahead)) < 10
-
-
-@pytest.fixture(scope="module")
-def course_steps(data_dir):
-    """The steps of the course's frames with nothing but the images known."""
-    folder = data_dir / "course_odometry"
-    camera, frames = calibrated(folder)[0], list(pictures(folder))
-    results = track(frames, camera, level_mounting(1.5))
-    assert all(out.status == "tracked" and out.up_to_scale for out in results[1:])
-    return [out.step for out in results[1:]]
-
-
-def test_course_odometry_without_any_scale_turns_little(course_steps):
-    assert max(angle_deg(step[:3, :3]) for step in course_steps) < 3
+        assert not scaled or np.rad2deg(np.arctan2(np.hypot(left, up), ahead)) < 10
 
 
 def rendered(folder, *options):

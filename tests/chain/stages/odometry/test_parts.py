@@ -9,16 +9,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream import geometry as g
+from roadperc_stream.chain.stages.odometry.ego_motion import aligned
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, MAX_POINTS, spread, tracking_frame
 from roadperc_stream.chain.stages.odometry.keyframes import (
-    find_landmarks,
     local_planes_from_depth,
     make_keyframe,
     slope_of_plane,
     stretch,
 )
-from roadperc_stream.chain.stages.odometry.localisation import aligned
 from roadperc_stream.chain.stages.odometry.motion import motion_from_points, moved, scatter, step_covariance
 from roadperc_stream.config import OdometryConfig
 from roadperc_stream.geometry.rotations import rotation_from_rpy
@@ -220,13 +219,6 @@ def test_a_shifted_image_is_matched_to_sub_pixels(features):
     assert np.median(np.abs(px - g.project(CAMERA, about_lens))[far]) < 1.5
 
 
-def test_halving_keeps_rays():
-    shot = photograph(pose(0))
-    frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA), shot.grey, None)
-    assert (frame.shrink, frame.grey.shape) == (2, (240, 320))
-    np.testing.assert_allclose(g.rays(frame.camera, np.array([10.0, 20.0])), g.rays(CAMERA, np.array([20.5, 40.5])))
-
-
 @pytest.mark.parametrize(
     ("rows", "columns", "shrink"),
     [(480, 640, 2), (960, 1280, 4), (478, 640, 1), (481, 640, 1), (480, 641, 1), (482, 642, 2), (240, 640, 1)],
@@ -266,7 +258,7 @@ def test_nothing_moves_where_nobody_says_what_does():
 def test_landmarks_lie_where_the_depth_says():
     shot = photograph(pose(0))
     frame = tracking_frame(CFG, scene_of(CAMERA, EGO_T_CAMERA, depth_m=shot.depth_m), shot.grey, None)
-    landmarks = find_landmarks(CFG, frame, None)
+    landmarks = make_keyframe(CFG, frame, EGO_T_CAMERA).landmarks
     assert (landmarks.source, landmarks.metric) == ("depth", True)
     heights = g.transform(EGO_T_CAMERA, landmarks.points_m)
     on_plane = [np.abs(heights[:, 2]), np.abs(heights[:, 1] - 7), np.abs(heights[:, 1] + 6), np.abs(heights[:, 0] - 45)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.surface import SurfaceState, find_surface, remember
+from roadperc_stream.chain.stages.surface.road import SurfaceState, find_surface, remember
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.model import Absent, Reason
 from roadperc_stream.model.scene import DepthMap

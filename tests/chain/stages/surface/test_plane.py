@@ -1,7 +1,8 @@
-"""The road's plane: known planes, outliers, and what cannot be a road."""
+"""The road's plane: known planes, outliers, what cannot be a road, and the evidence that the road leaves it."""
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream import geometry as g
+from roadperc_stream.chain.stages.surface.plane import leaves_plane, median
 from roadperc_stream.chain.stages.surface.road import assumed_surface, drivable_mask, fit_surface
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.model import Absent, Reason
 from roadperc_stream.model.scene import DepthMap
-from tests.analytic import ROAD, Road
+from tests.analytic import LINE, ROAD, Road
+from tests.hills import Hill
 from tests.scenes import scene_of
 
 CFG = SurfaceConfig()
@@ -112,8 +115,9 @@ def test_a_wall_is_no_road():
         (np.zeros((480, 640), bool), np.full((480, 640), 5.0, np.float32), 0),
         (np.ones((480, 640), bool), np.full((480, 640), np.nan, np.float32), 0),
         (np.eye(480, 640, dtype=bool) & (np.arange(480) == 400)[:, None], np.full((480, 640), 5.0, np.float32), 1),
+        (np.ones((480, 640), bool), np.full((480, 640), CFG.max_depth_m, np.float32), 0),
     ],
-    ids=["no road", "all depth unknown", "one point"],
+    ids=["no road", "all depth unknown", "one point", "too far"],
 )
 def test_degenerate_input_is_a_stated_absence(mask, depth, count):
     assert fit(Road(), depth, mask) == Absent(Reason("surface", "too_few_road_points", (count,)))
@@ -123,12 +127,6 @@ def test_three_collinear_points_are_a_stated_absence():
     mask = np.zeros((480, 640), bool)
     mask[400, [100, 200, 300]] = True
     assert isinstance(fit(Road(), np.full((480, 640), 5.0, np.float32), mask), Absent)
-
-
-def test_same_seed_same_plane():
-    road = Road()
-    noisy = road.depth_m() * np.random.default_rng(3).normal(1, 0.02, (480, 640)).astype(np.float32)
-    assert fit(road, noisy, None, seed=5) == fit(road, noisy, None, seed=5)
 
 
 def test_drivable_pixels_are_near_the_plane_and_of_a_class():
@@ -173,15 +171,6 @@ def test_a_wall_is_no_setting():
         SurfaceConfig(max_tilt_deg=90.0)
 
 
-@pytest.mark.parametrize("limit_m", [60.0, 1.0])
-def test_too_few_points_are_counted(limit_m):
-    road, depth = Road(), np.full((480, 640), np.nan, np.float32)
-    depth[400:402, 320] = 3.0
-    found = fit(road, depth, None, SurfaceConfig(max_depth_m=limit_m))
-    count = 2 if limit_m > 3 else 0
-    assert found == Absent(Reason("surface", "too_few_road_points", (count,)))
-
-
 @pytest.mark.parametrize("scale", [1e-30, 1e-33, 1e-42])
 def test_points_all_in_one_place_are_no_plane(scale):
     """As of a pair without a baseline: any plane fits, and one that stands upright has no height anywhere."""
@@ -189,3 +178,71 @@ def test_points_all_in_one_place_are_no_plane(scale):
     found = fit(road, (road.depth_m() * scale).astype(np.float32), None)
     assert isinstance(found, Absent)
     assert "tilted by 90 degrees" in found.reason.text
+
+
+FLAT = Hill(width=320, height=240, grade=0.0)
+
+
+def flat(at):
+    return np.zeros(len(at))
+
+
+def cells(height=flat, std=0.0, seed=0, ahead_m=0.0):
+    """A cell for each square metre, 50 m ahead and 6 m to either side, its height with normal errors."""
+    at = np.stack(np.meshgrid(ahead_m + np.arange(0.5, 50), np.arange(-5.5, 6)), axis=-1).reshape(-1, 2)
+    return np.column_stack((at, height(at) + np.random.default_rng(seed).normal(0, std, len(at))))
+
+
+@pytest.mark.parametrize("std", [0.0, 0.01, 0.1])
+def test_a_plane_stays_one_at_any_noise(std):
+    assert sum(leaves_plane(cells(std=std, seed=seed)) for seed in range(20)) <= 2
+
+
+@pytest.mark.parametrize(
+    "height",
+    [
+        lambda at: 0.001 * (at[:, 0] - 20) ** 2 - 0.1,
+        lambda at: 0.004 * at[:, 0] - 0.06,
+        lambda at: 0.02 * np.sign(at[:, 1]),
+    ],
+    ids=["crest", "tilted plane", "crown"],
+)
+@pytest.mark.parametrize("std", [0.0, 0.01])
+def test_what_leaves_its_plane_is_told(height, std):
+    assert leaves_plane(cells(height, std))
+
+
+def test_what_noise_hides_is_none():
+    assert leaves_plane(cells(lambda at: 0.004 * np.sin(at[:, 0] / 8), 0.001))
+    assert not leaves_plane(cells(lambda at: 0.004 * np.sin(at[:, 0] / 8), 0.05))
+
+
+def test_one_bump_is_no_hill():
+    assert not leaves_plane(cells(lambda at: 0.2 * ((at[:, 0] > 20) & (at[:, 0] < 24)), 0.01))
+
+
+def test_a_few_cells_on_a_kerb_do_not_count():
+    assert not leaves_plane(cells(lambda at: 0.15 * (at[:, 1] > 3), 0.005))
+
+
+@pytest.mark.parametrize("points", [np.empty((0, 3)), cells()[:4], cells(lambda at: 0.1 * at[:, 0], ahead_m=60.0)])
+def test_without_cells_near_the_car_the_plane_stays(points):
+    assert not leaves_plane(points)
+
+
+@pytest.mark.parametrize(("grade", "model"), [(0.0, "plane"), (0.08, "spline"), (-0.05, "spline")])
+def test_auto_is_the_model_that_the_road_asks_for(grade, model):
+    hill = replace(FLAT, grade=grade)
+    depth_m = hill.depth_m() * np.random.default_rng(1).normal(1, 0.01, hill.depth_m().shape).astype(np.float32)
+    road = np.isin(hill.tags(), (ROAD, LINE))
+    auto, chosen = (fit(hill, depth_m, road, SurfaceConfig(model=name)) for name in ("auto", model))
+    assert auto.model == model
+    assert auto.plane == chosen.plane
+    assert (auto.height_grid is None) == (model == "plane")
+    if auto.height_grid is not None:
+        assert np.array_equal(auto.height_grid.z_m, chosen.height_grid.z_m)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=20))
+def test_the_median_is_numpys(values):
+    assert median(np.array(values)) == np.median(values)

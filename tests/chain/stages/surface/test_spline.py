@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages import lanes
-from roadperc_stream.chain.stages.lanes import LanesState
+from roadperc_stream.chain.stages.lanes import ego_lane
+from roadperc_stream.chain.stages.lanes.tracking import LanesState
 from roadperc_stream.chain.stages.surface import spline
-from roadperc_stream.chain.stages.surface.road import assumed_surface, drivable_mask, fit_surface
+from roadperc_stream.chain.stages.surface.road import drivable_mask, fit_surface
+from roadperc_stream.chain.stages.surface.spline import DEGREE, band_of, basis, solved
 from roadperc_stream.config import LanesConfig, SurfaceConfig
 from roadperc_stream.geometry.ground import height_at
 from roadperc_stream.geometry.rotations import rotation_from_rpy
@@ -148,26 +150,12 @@ def test_a_camera_that_looks_back_leaves_the_plane():
     assert surface.model == "plane"
 
 
-def test_without_depth_the_plane_stays():
-    assert assumed_surface(HILL.camera, HILL.ego_T_camera).model == "plane"
-
-
 def test_without_segmentation_the_lower_image_shows_a_field_too():
     surface = fit_surface(CFG, depth_of(HILL, HILL.depth_m()), None, np.random.default_rng(0))
     assert (surface.source, surface.model) == ("lower_image", "plane")
     high = replace(HILL, pitch=-0.2)
     surface = fit_surface(CFG, depth_of(high, high.depth_m()), None, np.random.default_rng(0))
     assert (surface.source, surface.model) == ("lower_image", "spline")
-
-
-@pytest.mark.parametrize(
-    "change", [{"spline_knot_m": 12.0}, {"spline_curvature_per_m": 1e-4}, {"spline_half_width_m": 3.0}]
-)
-def test_every_key_has_an_effect(change):
-    depth_m = noisy(HILL.depth_m())
-    changed = fit(HILL, depth_m, cfg=CFG.model_copy(update=change)).height_grid
-    usual = fit(HILL, depth_m).height_grid
-    assert changed.z_m.shape != usual.z_m.shape or np.abs(changed.z_m - usual.z_m).max() > 1e-3
 
 
 def test_a_range_beyond_all_roads_takes_neither_time_nor_memory():
@@ -238,7 +226,7 @@ def test_lanes_over_a_hill_are_as_straight_as_they_are():
     found = {}
     for model in (surface, replace(surface, model="plane", height_grid=None)):
         scene = scene_of(hill.camera, hill.ego_T_camera, tags=hill.tags())
-        left = lanes.step(LanesConfig(), LanesState(), scene, model, road, None)[1].side("left")
+        left = ego_lane.step(LanesConfig(), LanesState(), scene, model, road, None)[1].side("left")
         x = left.offset_m + 30 * left.heading + 450 * left.curvature_per_m
         found[model.model] = abs(x - 1.8)
         if model is surface:
@@ -246,3 +234,32 @@ def test_lanes_over_a_hill_are_as_straight_as_they_are():
             np.testing.assert_allclose(points[:, 2], hill.z(points[:, 0], points[:, 1]), atol=0.02)
     assert found["spline"] < 0.1
     assert found["spline"] < found["plane"] / 3
+
+
+@pytest.mark.parametrize(("knot_m", "splines"), [(5.0, 15), (1.0, 4), (0.3, 60)])
+def test_the_values_are_scipys(knot_m, splines):
+    length = knot_m * (splines - DEGREE)
+    x = np.concatenate((np.random.default_rng(0).uniform(0, length, 200), knot_m * np.arange(splines - DEGREE + 1)))
+    x = np.minimum(x, knot_m * np.arange(splines + 1)[-1 - DEGREE])
+    knots = knot_m * np.arange(-DEGREE, splines + 1)
+    expected = BSpline.design_matrix(x, knots, DEGREE).toarray()
+    first, values = basis(knot_m, splines, x)
+    found = np.zeros_like(expected)
+    np.put_along_axis(found, first[:, None] + np.arange(DEGREE + 1), values, axis=1)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(values.sum(axis=1), 1.0, atol=1e-12)
+
+
+@given(st.integers(1, 6), st.integers(0, 2**32 - 1))
+def test_a_band_is_solved_as_its_matrix(diagonals, seed):
+    rng, size = np.random.default_rng(seed), 12
+    lower = rng.normal(size=(diagonals, size))
+    lower[0] += 3 * diagonals
+    full = sum(np.diag(lower[k, : size - k], -k) for k in range(diagonals))
+    full = full + np.tril(full, -1).T
+    right = rng.normal(size=size)
+    np.testing.assert_allclose(solved(band_of(lower), right, np.zeros(size)), np.linalg.solve(full, right), atol=1e-9)
+
+
+def test_equations_without_a_solution_leave_what_there_was():
+    np.testing.assert_array_equal(solved(np.zeros((3, 4)), np.ones(4), np.arange(4.0)), np.arange(4.0))

@@ -1,17 +1,67 @@
-"""An obstacle searched for by its picture."""
+"""A template is found where it was cut out, and nowhere else; an obstacle is searched for by its picture."""
 
 import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.objects import ObjectsState, step
-from roadperc_stream.chain.stages.objects.template import LABEL, find_obstacle, picture, png_of
+from roadperc_stream.chain.stages.objects.template import LABEL, correlate, find_obstacle, picture, png_of
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.model import Absent, Box
 from tests.chain.stages.objects.frames import CAMERA, texture
 from tests.scenes import scene_of
 
-PLACE = Box(40.0, 60.0, 90.0, 95.0)
+IMAGE = np.random.default_rng(0).integers(0, 256, (80, 120), dtype=np.uint8)
+TEMPLATE = IMAGE[30:42, 50:70]
+WHOLE, PLACE = Box(0, 0, 120, 80), Box(50, 30, 70, 42)
+
+
+@pytest.mark.parametrize("around", [WHOLE, PLACE, Box(45.2, 25, 80, 50), Box(-50, -50, 500, 500)])
+def test_the_template_is_found_where_it_was_cut_out(around):
+    box, score = correlate(IMAGE, TEMPLATE, around).match(0.9)
+    assert (box, score) == (PLACE, pytest.approx(1.0))
+    assert correlate(IMAGE, TEMPLATE, Box(51, 30, 90, 60)).match(0.9) is None
+
+
+def test_the_least_score_decides():
+    other = np.random.default_rng(1).integers(0, 256, TEMPLATE.shape, dtype=np.uint8)
+    _, score = correlate(IMAGE, other, WHOLE).match(-1.0)
+    assert -1 < score < 0.6
+    assert correlate(IMAGE, other, WHOLE).match(0.6) is None
+
+
+@pytest.mark.parametrize("around", [Box(50, 30, 69, 42), Box(50, 30, 70, 41), Box(200, 30, 300, 60), Box(9, 9, 9, 9)])
+def test_a_window_too_small(around):
+    assert correlate(IMAGE, TEMPLATE, around) is None
+
+
+@pytest.mark.parametrize("template", [np.full((9, 9), 7, np.uint8), np.empty((0, 5), np.uint8), np.uint8([[3]])])
+def test_a_template_without_texture(template):
+    assert correlate(IMAGE, template, WHOLE) is None
+
+
+def test_a_flat_image_matches_nothing():
+    flat = np.full((80, 120), 200, np.uint8)
+    assert correlate(flat, TEMPLATE, WHOLE).match(-1.0) is None
+    flat[30:42, 50:70] = TEMPLATE
+    assert correlate(flat, TEMPLATE, WHOLE).match(0.9)[0] == Box(50, 30, 70, 42)
+
+
+def test_the_score_at_the_peak_is_that_of_the_definition():
+    rng = np.random.default_rng(3)
+    image = rng.integers(0, 256, (90, 120), np.uint8)
+    template = (image[40:60, 30:70] * 0.5 + rng.integers(0, 90, (20, 40))).astype(np.uint8)
+    found = correlate(image, template, Box(0, 0, 120, 90))
+    expected = np.corrcoef(image[40:60, 30:70].ravel(), template.ravel())[0, 1]
+    box_px, score = found.peak
+    assert (box_px.x_min, box_px.y_min) == (30, 40)
+    assert score == np.float32(expected)
+
+
+def test_brightness_and_contrast_do_not_count():
+    image = np.random.default_rng(4).integers(0, 120, (300, 400), np.uint8)
+    _, score = correlate(image, 2 * image[100:180, 200:290] + 7, Box(0, 0, 400, 300)).peak
+    assert score == 1.0
 
 
 def cfg_of(grey, **settings):
@@ -75,6 +125,6 @@ def test_it_stands_among_the_objects_without_any_detections():
     image = texture()
     scene = scene_of(CAMERA, grey=image)
     _, out = step(cfg_of(image[60:95, 40:90]), ObjectsState(), scene)
-    assert [item.detection.box_px for item in out.objects] == [PLACE]
+    assert [item.detection.box_px for item in out.objects] == [Box(40.0, 60.0, 90.0, 95.0)]
     assert len(out.searches) == 1
     assert isinstance(step(ObjectsConfig(), ObjectsState(), scene)[1], Absent)

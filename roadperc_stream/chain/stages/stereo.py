@@ -1,0 +1,300 @@
+"""Depth from a stereo pair, Z = f b / d: rectified where it must be, matched, and turned back to the mounted camera.
+
+Method: semi-global matching (Hirschmueller, Stereo Processing by Semiglobal Matching and Mutual Information, PAMI
+2008), with the costs of Birchfield and Tomasi, as OpenCV's StereoSGBM has it. Its three-direction form is used
+throughout: on the rendered drives it is as accurate as eight directions in a third of the time. Its disparities lean
+towards whole pixels, which moves the distance of far things by 5 % at half resolution: one step of Lucas and Kanade (An
+Iterative Image Registration Technique, 1981) along the rows takes most of that away.
+"""
+
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+
+from roadperc_stream.chain.kernels import doubled, refined_disparities
+from roadperc_stream.config import StereoConfig
+from roadperc_stream.geometry import (
+    Camera,
+    Float,
+    Float32,
+    Lens,
+    Plane,
+    inverse,
+    pinhole_fault,
+    project,
+    rays,
+    rigid,
+    transform_plane,
+)
+from roadperc_stream.model import Absent, Image, Mask, Reason, StereoDepth
+
+_MULTIPLE: Final = 16
+"""OpenCV tries a multiple of so many disparities."""
+_SUBPIXELS: Final = 16
+"""OpenCV gives disparities in sixteenths of a pixel."""
+_STEP_PX: Final = 1.0
+"""Disparities of neighbours farther apart than this, in pixels of the image, belong to two objects."""
+_MODELS: Final = ("", "plumb_bob", "rational_polynomial")
+"""Distortion models whose coefficients are those of OpenCV's pinhole."""
+_NOT_TURNED: Final = 1e-6
+"""Largest entry of R R^T - 1 of a rotation."""
+_COEFFICIENTS: Final = (4, 5, 8, 12, 14)
+"""Numbers of distortion coefficients that OpenCV's pinhole may have."""
+_LARGEST_COEFFICIENT: Final = 1e4
+"""A rational lens may have coefficients of hundreds, none has this."""
+_BASELINES_M: Final = (1e-3, 1e3)
+"""Shortest and longest distance of a pair's cameras: what lies beyond is a mistake, and its depth no depth."""
+_NEARER: Final = 1.1
+"""What lies nearer than the road: bumps, and the nose of a braking car going down."""
+
+
+def match(
+    cfg: StereoConfig,
+    left: Camera,
+    right: Camera,
+    ego_T_left: Float,
+    left_image: Image | None,
+    right_image: Image | None,
+) -> StereoDepth | Absent:
+    """Depth of a stereo pair in the left camera's image: with its rectified intrinsics, but turned as it is mounted.
+
+    Args:
+        cfg: method, not ``off``, and thresholds.
+        left: camera of ``left_image``.
+        right: camera of ``right_image``, its ``baseline_m`` to the right of the left one along the rectified rows.
+        ego_T_left: mounting of the left camera: how near the nearest road pixel is decides which disparities are tried.
+        left_image: (H, W) grey; None where it could not be decoded.
+        right_image: the same of the right camera.
+
+    Returns:
+        (H, W) float32 metres along z, NaN where the pair does not show it: hidden from the right camera, outside its
+        image, ambiguous, or so far away that the disparity is mostly error. Or why there is none.
+    """
+    if left_image is None:
+        return Absent(Reason("stereo", "no_left_no_right_image" if right_image is None else "no_left_image"))
+    if right_image is None:
+        return Absent(Reason("stereo", "no_right_image"))
+    baseline_m = right.baseline_m
+    if baseline_m is None:
+        return Absent(Reason("stereo", "no_baseline", _BASELINES_M))
+    fault = _fault(left, right, baseline_m, left_image, right_image)
+    if fault is not None:
+        return Absent(fault)
+    ego_T_rectified = ego_T_left @ rigid(rectification(left).T, np.zeros(3))
+    count = disparities_needed(left, baseline_m, ego_T_rectified) if cfg.disparities == "auto" else cfg.disparities
+    if count is None:
+        return Absent(Reason("stereo", "camera_below_road"))
+    disparity_px = _rectified_disparity(cfg, count, left, right, left_image, right_image)
+    return StereoDepth(left.frame_id, depth_of(cfg, left, baseline_m, turned_back(left, disparity_px)))
+
+
+def _fault(left: Camera, right: Camera, baseline_m: float, left_image: Image, right_image: Image) -> Reason | None:
+    """Why the two images are no pair that can be matched."""
+    if not _BASELINES_M[0] <= baseline_m <= _BASELINES_M[1]:
+        return Reason("stereo", "wrong_baseline", (baseline_m, *_BASELINES_M))
+    if left.size != right.size:
+        return Reason("stereo", "pair_of_two_sizes", (left.width, left.height, right.width, right.height))
+    for side, camera, image in (("left", left, left_image), ("right", right, right_image)):
+        if image.shape != camera.size:
+            return Reason("stereo", "pair_of_wrong_size", (side, *image.shape[::-1], camera.width, camera.height))
+        fault = lens_fault(side, camera)
+        if fault is not None:
+            return fault
+    return None
+
+
+def lens_fault(side: str, camera: Camera) -> Reason | None:
+    """Why the images of a pair's camera cannot be rectified; None where they can or need not be."""
+    lens = camera.lens
+    if lens is None:
+        return Reason("stereo", "lens_without_rotation", (side,)) if any(camera.distortion) else None
+    pinhole = pinhole_fault(camera.width, camera.height, lens.fx, lens.fy, lens.cx, lens.cy)
+    if pinhole is not None:
+        return Reason("stereo", "lens_without_camera_matrix", (side, pinhole))
+    if not _is_rotation(rectification(camera)):
+        return Reason("stereo", "lens_rotation_invalid", (side, str(list(lens.R))))
+    if lens.model not in _MODELS:
+        return Reason("stereo", "lens_model_unknown", (side, lens.model, ", ".join(filter(None, _MODELS))))
+    return _distortion_fault(side, camera.distortion)
+
+
+def _is_rotation(R: Float) -> bool:
+    """Whether a (3, 3) matrix turns and does not mirror; one that is not finite does neither."""
+    if not np.isfinite(R).all():
+        return False
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= _NOT_TURNED and np.linalg.det(R) > 0)
+
+
+def _distortion_fault(side: str, coefficients: tuple[float, ...]) -> Reason | None:
+    """Why no image can be rectified by such coefficients; none at all are no distortion."""
+    if coefficients and len(coefficients) not in _COEFFICIENTS:
+        known = ", ".join(str(count) for count in _COEFFICIENTS)
+        return Reason("stereo", "lens_coefficient_count", (side, len(coefficients), known))
+    wild = [d for d in coefficients if not abs(d) <= _LARGEST_COEFFICIENT]
+    if wild:
+        return Reason("stereo", "lens_coefficient_size", (side, wild[0], _LARGEST_COEFFICIENT))
+    return None
+
+
+def rectification(camera: Camera) -> Float:
+    """(3, 3) rotation from the camera as it is mounted to the rectified one."""
+    return np.array(camera.lens.R if camera.lens else Lens.R).reshape(3, 3)
+
+
+def disparities_needed(left: Camera, baseline_m: float, ego_T_rectified: Float) -> int | None:
+    """Disparities from 0 that reach the nearest road pixel: a multiple of 16, no more than the image is wide.
+
+    On a plane disparity is linear in the pixel, d = -f b (n . ray) / height, so that the largest is in a corner.
+
+    Returns:
+        Pixels; None where the road the mounting promises is not below the camera.
+    """
+    road = transform_plane(inverse(ego_T_rectified), Plane.of(np.array([0.0, 0.0, 1.0]), 0.0))
+    if road.offset_m <= 0:
+        return None
+    right, bottom = left.width - 1.0, left.height - 1.0
+    corners = rays(left, np.array([[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]]))
+    disparity_px = left.fx * baseline_m * float(np.max(-corners @ road.n)) / road.offset_m
+    return rounded_up(min(_NEARER * disparity_px, left.width))
+
+
+def rounded_up(count: float) -> int:
+    """The least number of disparities OpenCV can try that is no less."""
+    return max(int(np.ceil(count / _MULTIPLE)), 1) * _MULTIPLE
+
+
+def _rectified_disparity(
+    cfg: StereoConfig, count: int, left: Camera, right: Camera, left_grey: Image, right_grey: Image
+) -> Float32:
+    """(H, W) disparities visible to both cameras; images not rectified, or to other intrinsics, are resampled."""
+    left_valid = right_valid = None
+    if left.lens is not None or right.lens is not None or not right.same_view(left):
+        left_grey, left_valid = resampled(left, left, left_grey)
+        right_grey, right_valid = resampled(right, left, right_grey)
+    disparity_px = disparity(cfg, count, left_grey, right_grey)
+    if left_valid is not None:
+        disparity_px[~left_valid] = np.nan
+    disparity_px[_hidden_from_right(disparity_px, right_valid)] = np.nan
+    return disparity_px
+
+
+def resampled(camera: Camera, target: Camera, image: Image) -> tuple[Image, Mask]:
+    """The image resampled to the rectified target camera, and which of its pixels lie in the image."""
+    columns, rows, valid = _maps(camera, target)
+    return np.asarray(cv2.remap(image, columns, rows, cv2.INTER_LINEAR), np.uint8), valid
+
+
+@lru_cache(maxsize=4)
+def _maps(camera: Camera, target: Camera) -> tuple[Float32, Float32, Mask]:
+    """Where in the camera's image each of the target's pixels lies: (H, W) columns and rows, and whether inside."""
+    lens = camera.lens or Lens(camera.fx, camera.fy, camera.cx, camera.cy)
+    size = (target.width, target.height)
+    distortion, R = np.array(camera.distortion), rectification(camera)
+    columns, rows = cv2.initUndistortRectifyMap(lens.K, distortion, R, target.K, size, cv2.CV_32FC1)
+    valid = (columns >= 0) & (columns <= camera.width - 1) & (rows >= 0) & (rows <= camera.height - 1)
+    return np.asarray(columns, np.float32), np.asarray(rows, np.float32), valid
+
+
+def _hidden_from_right(disparity_px: Float32, right_valid: Mask | None) -> Mask:
+    """(H, W) pixels whose partner is unknown, outside the right image, or one of its pixels that are not valid."""
+    columns = np.arange(disparity_px.shape[1], dtype=np.float32)
+    with np.errstate(invalid="ignore"):
+        inside = disparity_px <= columns
+    if right_valid is not None:
+        partner = np.rint(np.where(inside, columns - disparity_px, 0)).astype(np.intp)
+        inside &= np.take_along_axis(right_valid, partner, axis=1)
+    return ~inside
+
+
+def disparity(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:
+    """Disparities of a rectified pair, left column minus right column.
+
+    Args:
+        cfg: its method is not ``off``.
+        count: disparities tried, from 0, pixels of the image; a multiple of 16.
+        left: (H, W) grey.
+        right: (H, W) grey.
+
+    Returns:
+        (H, W) float32 pixels, NaN unknown; with ``full`` and without refinement they are multiples of 1/16.
+    """
+    if cfg.method == "full":
+        return _found(cfg, count, left, right)
+    height, width = left.shape
+    left, right = _halved(left), _halved(right)
+    return doubled(_found(cfg, rounded_up(count / 2), left, right), _STEP_PX)[:height, :width]
+
+
+def _found(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:
+    """(H, W) disparities in pixels of these images, refined with ``refine_px``; NaN unknown.
+
+    OpenCV marks the unknown with -1; 0 is what it finds where no disparity fits better than another.
+
+    OpenCV gives no disparity in the first ``count`` columns, where not all of them can be tried. Both images get that
+    many columns more: with 192 of 1280 columns that is a quarter more time, and a seventh more of the image.
+    """
+    wide = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
+    sixteenths = np.asarray(matcher_of(cfg, count).compute(*wide), np.int16)[:, count:]
+    if cfg.refine_px:
+        return refined_disparities(sixteenths, left, right, cfg.refine_px)
+    return np.where(sixteenths > 0, sixteenths * np.float32(1 / _SUBPIXELS), np.float32(np.nan))
+
+
+def matcher_of(cfg: StereoConfig, count: int) -> cv2.StereoSGBM:
+    """OpenCV's matcher by the settings, for a number of disparities that it can try."""
+    return cv2.StereoSGBM.create(
+        minDisparity=0,
+        numDisparities=count,
+        blockSize=cfg.block_px,
+        P1=cfg.p1,
+        P2=cfg.p2,
+        disp12MaxDiff=cfg.left_right_px,
+        uniquenessRatio=cfg.uniqueness_percent,
+        speckleWindowSize=cfg.speckle_px,
+        speckleRange=cfg.speckle_step_px,
+        mode=cv2.StereoSGBM_MODE_SGBM_3WAY,
+    )
+
+
+def _halved(image: Image) -> Image:
+    """Means of two by two pixels; an odd last row or column counts twice."""
+    height, width = image.shape
+    even = cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(even, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def turned_back(left: Camera, disparity_px: Float32) -> Float32:
+    """The disparities f b / z of the left camera's own pixels (H, W), of those of the rectified camera's.
+
+    Both stand in one place, so nothing hides anything: each pixel's ray samples the rectified pixel it goes through. At
+    the border of two objects it takes the nearest pixel: between them is a point in mid-air.
+    """
+    if np.array_equal(rectification(left), np.eye(3)):
+        return disparity_px
+    columns, rows, z = _turned_rays(left)
+    nearest, smooth = (
+        np.asarray(cv2.remap(disparity_px, columns, rows, how, borderValue=np.nan), np.float32)
+        for how in (cv2.INTER_NEAREST, cv2.INTER_LINEAR)
+    )
+    with np.errstate(invalid="ignore"):
+        of_one = np.abs(smooth - nearest) < np.float32(_STEP_PX)
+    return np.where(of_one, smooth, nearest) * z
+
+
+@lru_cache(maxsize=4)
+def _turned_rays(left: Camera) -> tuple[Float32, Float32, Float32]:
+    """Where each pixel of the left camera lies in the rectified one: (H, W) columns, rows, and z of its ray there."""
+    rows, columns = np.indices(left.size, dtype=float)
+    turned = rays(left, np.stack((columns, rows), axis=-1)) @ rectification(left).T
+    pixels = project(left, turned).astype(np.float32)
+    return pixels[..., 0], pixels[..., 1], turned[..., 2].astype(np.float32)
+
+
+def depth_of(cfg: StereoConfig, left: Camera, baseline_m: float, disparity_px: Float32) -> Float32:
+    """(H, W) metres along z of (H, W) disparities in pixels; NaN below ``min_disparity_px`` and where unknown."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        depth_m = np.divide(np.float32(left.fx * baseline_m), disparity_px)
+        np.copyto(depth_m, np.float32(np.nan), where=~(disparity_px >= np.float32(cfg.min_disparity_px)))
+    return depth_m
