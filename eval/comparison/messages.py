@@ -2,7 +2,8 @@
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +27,7 @@ from .agreement import Agreement, Difference, Value, distance
 
 _MESSAGE: Final = "message"
 """Stands for the whole message where only one log has it."""
-Fields = dict[str, Value]
+Fields = Mapping[str, Value]
 """Values by their place in a message, such as ``boundaries[0].offset_m``."""
 Group = dict[tuple[str, int], Message]
 """Messages of one log time by topic and order on it."""
@@ -43,7 +44,8 @@ def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules)
     found: dict[str, Agreement] = defaultdict(Agreement)
     for ours, theirs in _aligned(_frames(reference), _frames(candidate)):
         for name, agreement in _frame_agreements(ours, theirs, (reference, candidate), rules).items():
-            found[name] = found[name].and_then(agreement.of_run(run))
+            first = agreement.first and replace(agreement.first, run=run)
+            found[name] = found[name].and_then(replace(agreement, first=first))
     return dict(found)
 
 
@@ -91,7 +93,7 @@ def _message_agreements(
     if len(present) == 2:
         ours, theirs = (_fields(message, path) for message, path in zip(present, paths, strict=True))
     else:
-        ours, theirs = (_presence(message) for message in pair)
+        ours, theirs = ({_MESSAGE: None if message is None else "present"} for message in pair)
     for place in dict.fromkeys((*ours, *theirs)):
         name = f"{topic}.{without_indices(place)}"
         if not rules.ignores(name):
@@ -113,10 +115,6 @@ def _within_frame(one: Agreement, other: Agreement) -> Agreement:
     both = one.and_then(other)
     differing = min(both.differing, 1)
     return Agreement(min(both.within, 1 - differing), differing, both.largest, both.first)
-
-
-def _presence(message: Message | None) -> Fields:
-    return {_MESSAGE: None if message is None else "present"}
 
 
 def _fields(message: Message, path: Path) -> Fields:

@@ -243,8 +243,8 @@ def test_pictures_of_a_looped_log_are_of_the_frame_itself(tmp_path):
             writer.write(Message(metrics, time_ns, time_ns, item.frame, encode_metrics("camera", item)))
     (run,) = find_runs([str(write(table, rows, log=str(log)))])
     found = gallery([summarise_run(run, 2)], [run])
-    assert found.notes == ()
-    assert [picture.frame for picture in found.pictures] == [0, 1]
+    assert found.notes == []
+    assert [picture.frame.frame for picture in found.pictures] == [0, 1]
     decoded = [np.frombuffer(base64.b64decode(p.image.partition(",")[2]), np.uint8) for p in found.pictures]
     shades = [int(np.median(cv2.imdecode(data, cv2.IMREAD_COLOR))) for data in decoded]
     assert shades == [pytest.approx(40, abs=3), pytest.approx(200, abs=3)]
