@@ -164,12 +164,7 @@ def moments(values: Float) -> Moments:
     return Moments(len(values), total, std, float(values[0]), most)
 
 
-def statistics(column: Distribution) -> Statistics:
-    """Those of all values of a column, at least one."""
-    return _with_quantiles(moments(column.values), column)
-
-
-def statistics_of_all(parts: Sequence[Moments], column: Distribution) -> Statistics:
+def statistics(parts: Sequence[Moments], column: Distribution) -> Statistics:
     """Those of several tables: exact but for the quantiles, which are as exact as the distribution over all tables.
 
     The deviation is that within the tables and that between their means (Chan, Golub and LeVeque 1979).
@@ -177,15 +172,14 @@ def statistics_of_all(parts: Sequence[Moments], column: Distribution) -> Statist
     count = sum(part.values for part in parts)
     total = math.fsum(part.total for part in parts)
     squares = math.fsum(part.values * (part.std**2 + (part.total / part.values - total / count) ** 2) for part in parts)
-    least, most = min(part.least for part in parts), max(part.abs_most for part in parts)
-    return _with_quantiles(Moments(count, total, math.sqrt(squares / count), least, most), column)
-
-
-def _with_quantiles(known: Moments, column: Distribution) -> Statistics:
     p5, median, p95, p99 = quantiles(column, (0.05, 0.5, 0.95, 0.99))
     abs_median, abs_p95 = quantiles(absolute(column), (0.5, 0.95))
     return Statistics(
-        **vars(known),
+        values=count,
+        total=total,
+        std=math.sqrt(squares / count),
+        least=min(part.least for part in parts),
+        abs_most=max(part.abs_most for part in parts),
         p5=p5,
         median=median,
         p95=p95,
@@ -218,7 +212,7 @@ class ColumnPools:
     def statistics(self, columns: Iterable[str]) -> dict[str, Statistics]:
         """Those over all tables, of the columns that have values."""
         return {
-            name: statistics_of_all(self._moments[name], self._sketches[name].distribution())
+            name: statistics(self._moments[name], self._sketches[name].distribution())
             for name in columns
             if name in self._sketches
         }

@@ -18,7 +18,6 @@ from .place import DATE, RUN_COLUMNS
 
 LOG: Final = ("log_id", "config")
 """What tells one run of a dataset from all others."""
-_ALIASES: Final = {"log": "log_id"}
 _OF_THE_FILE: Final = (*LOG, DATE)
 UNKNOWN_GROUP: Final = "none"
 Key = tuple[str | None, ...]
@@ -43,8 +42,7 @@ class Grouping:
     @property
     def asked(self) -> tuple[str, ...]:
         """The columns as ``--by`` calls them."""
-        back = {column: name for name, column in _ALIASES.items()}
-        return tuple(back.get(name, name) for name in self.columns)
+        return tuple("log" if name == "log_id" else name for name in self.columns)
 
     @property
     def of_whole_logs(self) -> bool:
@@ -62,7 +60,7 @@ def grouping(by: Sequence[str], table_columns: Collection[str]) -> Grouping:
     Raises:
         TableError: there is no such column.
     """
-    names = tuple(dict.fromkeys(_ALIASES.get(name, name) for name in by))
+    names = tuple(dict.fromkeys("log_id" if name == "log" else name for name in by))
     of_rows = tuple(name for name in names if name not in _OF_THE_FILE and name in table_columns)
     of_runs = tuple(name for name in names if name not in (*_OF_THE_FILE, *of_rows) and name in RUN_COLUMNS)
     for name in names:

@@ -129,7 +129,7 @@ def test_one_pass_in_batches_gives_what_table_after_table_gives(tmp_path, monkey
     for path in (tmp_path / "dataset").glob("metrics/*/*-11111111.parquet"):
         path.rename(folder / f"{path.stem}.metrics.parquet")
     (group,) = grouped(find_runs([str(folder)]))
-    alone = summarise_group(group, 1).together
+    _, alone = summarise_group(group, 1)
     (of_config,) = (summary for summary in found if summary.name == "11111111")
     for name in (
         "frames",
