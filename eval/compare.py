@@ -18,8 +18,8 @@ from .comparison.display import print_comparison
 from .comparison.pairing import Pairing, RunPair, logged_runs, pair_runs
 from .dataset.pairs import in_a_folder, runs_of_configs
 from .dataset.place import Dataset
-from .names import listed
 from .options import Rules
+from .quantities import listed
 from .runs import Run
 
 Copy = tuple[Path, Path]

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from .names import listed
+from .quantities import listed
 from .runs import Run, find_runs
 
 _PARTS_NAMED: Final = 12
@@ -34,8 +34,18 @@ def find_drives(arguments: Sequence[str]) -> Drives:
     chains = _chains(runs, after)
     notes = [
         *(_one_drive(chain) for chain in chains if len(chain) > 1),
-        *(_without_part(run) for run in runs if found.get(run.name) == [] and run.first_frame),
-        *(_undecided(name, parts) for name, parts in found.items() if len(parts) > 1),
+        *(
+            f"{run.name}: goes on from a part that is not among these tables (log {run.continues}): "
+            f"evaluated by itself, from frame {run.first_frame} on"
+            for run in runs
+            if found.get(run.name) == [] and run.first_frame
+        ),
+        *(
+            f"{name}: goes on from a part of which there are {len(parts)} results "
+            f"({listed([run.name for run in parts])}): evaluated by itself"
+            for name, parts in found.items()
+            if len(parts) > 1
+        ),
         *(f"{name}: {why}: evaluated by itself" for name, why in apart.items()),
     ]
     return Drives(tuple(map(_joined, chains)), tuple(notes))
@@ -92,15 +102,3 @@ def _one_drive(chain: Sequence[Run]) -> str:
         for part in chain
     ]
     return f"{_joined(chain).name}: one drive in {len(chain)} parts: {listed(names, _PARTS_NAMED)}"
-
-
-def _without_part(run: Run) -> str:
-    return (
-        f"{run.name}: goes on from a part that is not among these tables (log {run.continues}): "
-        f"evaluated by itself, from frame {run.first_frame} on"
-    )
-
-
-def _undecided(name: str, before: Sequence[Run]) -> str:
-    alike = listed([run.name for run in before])
-    return f"{name}: goes on from a part of which there are {len(before)} results ({alike}): evaluated by itself"

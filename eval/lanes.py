@@ -27,8 +27,8 @@ from .lane_files import (
     open_lanes,
     read_frames,
 )
-from .names import listed, percent
 from .options import LanePairing
+from .quantities import listed, percent
 from .scores import Score
 
 NAMED: Final = 10

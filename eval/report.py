@@ -14,8 +14,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .drives import find_drives
-from .names import legend, listed, name_columns, percent, short_names
-from .quantities import COVERED, SKEW
+from .quantities import COVERED, SKEW, legend, listed, name_columns, percent, short_names
 from .runs import Run
 from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
 from .summary import Summary, summarise_group, summarise_run

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import polars as pl
 import pyarrow as pa
@@ -34,6 +34,11 @@ _LARGEST: Final[Mapping[pl.DataType, float]] = {pl.Int64(): 2.0**63 - 1024, pl.F
 _TEXTS: Final = (pl.String, pl.Categorical, pl.Enum)
 REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
 """What makes a metrics table. Others may be absent, as in tables of older versions: they count as null."""
+_FACTS: Final = (
+    *("config_digest", "version", "config", "source", "log"),
+    *(LOG_ID_KEY, DIGEST_ALGORITHM_KEY, CONTINUES_KEY),
+)
+"""Facts of a table's footer that are attributes of its run, under the same names."""
 _MOST_DIGITS: Final = 16
 """Of a frame's number."""
 
@@ -46,17 +51,17 @@ def collect(frame: pl.LazyFrame, source: str) -> pl.DataFrame:
     Raises:
         TableError: the data of ``source`` cannot be read.
     """
-    with _reading(source):
+    with reading(source):
         return frame.collect(engine="in-memory")
 
 
 @contextmanager
-def _reading(source: str) -> Iterator[None]:
+def reading(source: str) -> Iterator[None]:
+    """Turn what goes wrong while polars reads a table into a ``TableError`` that names it."""
     try:
         yield
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        cause = (str(error).splitlines() or [type(error).__name__])[0]
-        raise TableError(f"{source}: its data cannot be read: {cause}") from error
+        raise TableError(f"{source}: its data cannot be read: {first_line(error)}") from error
 
 
 def _require_columns_as_written(path: Path) -> None:
@@ -70,7 +75,7 @@ def _require_columns_as_written(path: Path) -> None:
             data cannot be read.
     """
     rows = pl.scan_parquet(path, glob=False)
-    with _reading(str(path)):
+    with reading(str(path)):
         found = rows.collect_schema()
     for name, expected in _written().items():
         if name in found and not _fits(name, expected, found[name]):
@@ -135,8 +140,8 @@ class Run:
     path: Path
     frames: int
     columns: frozenset[str]
-    config_digest: str
-    version: str
+    config_digest: str = ""
+    version: str = ""
     config: str = ""
     source: str = ""
     log: str = ""
@@ -214,22 +219,10 @@ def open_run(path: Path, name: str) -> Run:
     _require_columns(path, columns)
     _require_columns_as_written(path)
     facts = facts_in(footer.metadata)
-    return Run(
-        name,
-        path,
-        footer.num_rows,
-        frozenset(columns),
-        config_digest=facts.get("config_digest", ""),
-        version=facts.get("version", ""),
-        config=facts.get("config", ""),
-        source=facts.get("source", ""),
-        log=facts.get("log", ""),
-        log_id=facts.get(LOG_ID_KEY, ""),
-        digest_algorithm=facts.get(DIGEST_ALGORITHM_KEY, FIRST_DIGEST_ALGORITHM),
-        continues=facts.get(CONTINUES_KEY, ""),
-        first_frame=_whole_number(facts.get(FIRST_FRAME_KEY, "")),
-        rows=footer.num_rows,
-    )
+    rows = footer.num_rows
+    said: dict[str, Any] = {key: facts[key] for key in _FACTS if key in facts}
+    first_frame = _whole_number(facts.get(FIRST_FRAME_KEY, ""))
+    return Run(name, path, rows, frozenset(columns), **said, first_frame=first_frame, rows=rows)
 
 
 def _whole_number(text: str) -> int:

@@ -161,7 +161,7 @@ def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
     A frame that could not be better is none of the worst, even where no other is worse.
     """
     value = pl.col(quantity.column)
-    badness = value.abs() if quantity.worse == "high" else -value
+    badness = quantity.judged if quantity.worse == "high" else -quantity.judged
     flawed = badness > (-1 if quantity.worse == "low" and quantity.unit == RATIO else 0)
     row = pl.struct("frame", SEGMENT, "since_start_s", "stamp_ns", value=value).filter(flawed)
     order = [badness.filter(flawed), pl.col(SEGMENT).filter(flawed), pl.col("stamp_ns").filter(flawed)]

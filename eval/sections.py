@@ -12,8 +12,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .comparison.bootstrap import LEVEL
 from .consistency import JUDGED, Consistency
-from .names import percent, rounded
-from .quantities import CATEGORIES, SEEN, SIDES, STAGE_TIMES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
+from .quantities import CATEGORIES, SEEN, SIDES, STAGE_TIMES, STORED, SUSPECT, TOTAL, TRUTH, Quantity, percent, rounded
 from .statistics import Statistics
 from .summary import Summary, WorstFrame
 

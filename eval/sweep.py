@@ -15,7 +15,7 @@ from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.folders import not_a_log
 from roadperc_stream.system.text import print_line
 
-from .names import percent, rounded
+from .quantities import percent, rounded
 from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
 from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names, tables
 from .sweeping.sweep_log import Job, sweep_logs

@@ -11,8 +11,8 @@ from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import number
 
 from .drives import find_drives
-from .names import legend, listed, name_columns, percent, short_names
 from .options import Alignment
+from .quantities import legend, listed, name_columns, percent, short_names
 from .trajectories.errors import Delta, ErrorStatistics
 from .trajectories.evaluation import Evaluation, Segments, evaluate
 from .trajectories.poses import RunPoses, export, read_poses

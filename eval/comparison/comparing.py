@@ -43,10 +43,7 @@ class Metric:
 
 
 def _of_quantity(quantity: Quantity, *, timed: bool = False) -> Metric:
-    """The absolute value of an error; the value itself of what is better high."""
-    column = pl.col(quantity.column)
-    high = quantity.worse == "low"
-    return Metric(quantity.column, column if high else column.abs(), high, timed=timed)
+    return Metric(quantity.column, quantity.judged, quantity.worse == "low", timed=timed)
 
 
 def _share(name: str, holds: pl.Expr) -> Metric:

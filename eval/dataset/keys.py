@@ -12,8 +12,8 @@ from roadperc_stream.batch.storage.addresses import natural
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 
-from ..names import listed
 from ..options import number_or_text
+from ..quantities import listed
 from .place import DATE, RUN_COLUMNS
 
 LOG: Final = ("log_id", "config")

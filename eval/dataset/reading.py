@@ -11,7 +11,7 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 
-from ..quantities import COVERED, SUSPECT, TRUTH, Quantity
+from ..quantities import COVERED, SUSPECT, TRUTH
 from ..runs import REQUIRED_COLUMNS, first_line
 from ..scan import NUMBER_COLUMNS, SEGMENT, derived_columns, difference, finite, stored_columns
 from .keys import LOG, Grouping, as_key, key_name
@@ -123,14 +123,8 @@ def ledger(batch: pl.DataFrame) -> pl.DataFrame:
         pl.max("stamp_ns").alias("last ns"),
         pl.max(GAP_NS),
         *(pl.col(name).count().cast(pl.Int64).alias(valued(name)) for name in counted),
-        *(_badness(quantity).sum().alias(summed(quantity.column)) for quantity in RANKED),
+        *(quantity.judged.sum().alias(summed(quantity.column)) for quantity in RANKED),
     )
-
-
-def _badness(quantity: Quantity) -> pl.Expr:
-    """What a log's mean is of: absolute values, of what is better high the values."""
-    column = pl.col(quantity.column)
-    return column if quantity.worse == "low" else column.abs()
 
 
 def logs_of(ledgers: Sequence[pl.DataFrame]) -> pl.DataFrame:

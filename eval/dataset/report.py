@@ -16,8 +16,7 @@ from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
 from ..configurations import rows_that_differ
-from ..names import legend, listed, percent, rounded, short_names
-from ..quantities import Quantity
+from ..quantities import Quantity, legend, listed, percent, rounded, short_names
 from ..report import inputs, precision, print_tables
 from ..sections import LISTED, sections
 from ..summary import Summary

@@ -16,7 +16,7 @@ from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
 
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
-from ..names import listed, percent
+from ..quantities import listed, percent
 from ..report import in_segments
 from ..runs import Run
 from ..sections import sections

@@ -19,8 +19,7 @@ from roadperc_stream.schemas.columns import UNITLESS
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.view.result_frames import read_frame, read_frames
 
-from ..names import rounded
-from ..quantities import Quantity
+from ..quantities import Quantity, rounded
 from ..runs import Run
 from ..sections import ranked_by
 from ..summary import Summary, WorstFrame

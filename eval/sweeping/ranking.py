@@ -13,11 +13,11 @@ from typing import Final
 
 import polars as pl
 
-from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import Scalar
 from roadperc_stream.schemas.columns import RATIO, TIME_COLUMNS
 
 from ..quantities import SIDES, TOTAL, TRUTH, Quantity
+from ..runs import reading
 from .settings import Combination
 
 COVERAGE_SLACK: Final = 0.01
@@ -109,10 +109,8 @@ def scores(tables: Sequence[Path], made: Sequence[Combination], metric: SweepMet
         .group_by(keys)
         .agg(metric.score.alias("score"), (pl.col("value").count() / pl.len()).alias("coverage"))
     )
-    try:
+    with reading(str(tables[0].parent.parent)):
         rows = {row[:-2]: SettingScore(*row[-2:]) for row in query.collect().iter_rows()}
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise TableError(f"{tables[0].parent.parent}: its tables cannot be read: {error}") from error
     return [rows[tuple(item.settings.values())] for item in made]
 
 

@@ -9,7 +9,6 @@ from roadperc_stream.cli.compare import main as compare_main
 from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main as trajectory_main
 from roadperc_stream.eval.drives import find_drives
-from roadperc_stream.eval.html.page import page
 from roadperc_stream.eval.runs import collect
 from roadperc_stream.eval.scan import rows_of
 from roadperc_stream.eval.summary import summarise_run
@@ -155,19 +154,6 @@ def test_only_parts_whose_frames_are_given_again_elsewhere_have_nothing_to_repor
     assert "out_0.metrics.parquet: all its 4 frames are given again by out_1\n" in capsys.readouterr().out
     assert trajectory_main([*first, later]) == 0
     assert "out_0.metrics.parquet: all its 4 frames are given again by out_1\n" in capsys.readouterr().out
-
-
-def test_the_page_names_the_input_of_each_part(tmp_path):
-    text = page(find_drives(parts(tmp_path)).runs)
-    assert f"{LOGS[0]}, {LOGS[1]}, {LOGS[2]}" in text
-    assert "out.mcap, out.mcap, out.mcap" in text
-
-
-def test_a_folder_of_parts_is_compared_with_the_whole(tmp_path, whole, capsys):
-    folder = tmp_path / "parts"
-    parts(folder)
-    assert compare_main([whole, str(folder), "--other-log", "--exact", "--ignore", "log_id"]) == 0
-    assert "20 frames compared" in capsys.readouterr().out
 
 
 def test_a_reference_of_parts_is_made_and_updated(tmp_path, capsys):

@@ -67,24 +67,6 @@ def test_numbers_fit_json_and_gaps_stay_gaps():
     assert line("x", np.arange(3.0), np.array([np.nan, 1.0, 2.0]), "#000000")["mode"] == "lines"
 
 
-def test_lane_chart_has_raw_smoothed_and_truth_where_there():
-    offsets = {"lane_left_offset_m": [1, 2], "lane_left_raw_offset_m": [1, np.nan], "lane_left_true_offset_m": [1, 1]}
-    (chart,) = over_time([series(**offsets)])
-    assert [trace["name"] for trace in chart.traces] == ["raw", "smoothed", "truth"]
-    assert chart.traces[0]["y"] == [1.0, None]
-    offsets.pop("lane_left_true_offset_m")
-    (chart,) = over_time([series(**offsets)])
-    assert [trace["name"] for trace in chart.traces] == ["raw", "smoothed"]
-
-
-def test_runs_share_charts_in_their_own_colours_with_one_key_each():
-    runs = [series(name, nearest_object_m=[1, 2], stereo_nearest_m=[3, 4]) for name in ("a", "b")]
-    (chart,) = over_time(runs)
-    assert [trace["name"] for trace in chart.traces if trace["showlegend"]] == ["a", "b"]
-    assert len({trace["line"]["color"] for trace in chart.traces}) == 2
-    assert "dashed" in chart.note
-
-
 def test_stacked_stages_sum_to_the_total():
     run = series(surface_ms=[2, 3], lanes_ms=[1, np.nan], total_ms=[10, 12])
     (chart,) = stage_times([run], [])

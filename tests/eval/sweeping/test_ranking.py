@@ -68,14 +68,6 @@ def test_jitter_does_not_cross_from_log_to_log(tmp_path):
     assert scores(files, GATES, JITTER) == [SettingScore(0.0, 0.5), SettingScore(0.5, 0.5), SettingScore(0.0, 0.5)]
 
 
-def test_measured_is_the_share_of_frames_with_a_raw_offset(tmp_path):
-    rows = [
-        [{"lane_left_raw_offset_m": offset} for offset in offsets]
-        for offsets in ((1.0, None), (1.0, 1.0), (None, None))
-    ]
-    assert [score.value for score in scores(dataset(tmp_path, rows), GATES, MEASURED)] == [0.5, 1.0, 0.0]
-
-
 def test_tables_that_cannot_be_read_are_named(tmp_path):
     files = dataset(tmp_path, [errors(0.1)] * 3)
     files[0].write_bytes(b"no table")
@@ -168,14 +160,6 @@ def test_the_table_shows_the_best_the_reference_and_what_has_lower_coverage():
     assert without_effect(found) == "no difference: drivable IoU"
     assert cells(effects(found, GATES, "lanes.gate"))[0] == ["lane left at 10 m, m", "  frames %"]
     assert cells(effects(found, GATES, "lanes.gate"))[2] == ["0.100", "50.0"]
-
-
-def test_the_table_names_only_what_the_best_changes():
-    some = made("lanes.gate=1,2", "objects.gate=3,4")
-    found = [(ERROR, [SettingScore(0.2, 1.0), SettingScore(0.2, 1.0), SettingScore(0.1, 1.0), SettingScore(0.2, 1.0)])]
-    assert cells(best_settings(found, some, some[0]))[-1] == ["lanes.gate=2"]
-    assert cells(best_settings(found, some, some[1]))[-1] == ["lanes.gate=2 objects.gate=3"]
-    assert cells(best_settings(found, some, some[2]))[-1] == ["reference"]
 
 
 def test_the_reference_is_what_is_configured_else_the_first():

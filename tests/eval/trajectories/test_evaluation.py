@@ -22,14 +22,6 @@ def run_of(estimated, true, **facts):
     return dataclasses.replace(found, **facts)
 
 
-def test_a_perfect_run_has_no_errors():
-    found = evaluate(run_of(helix(60), helix(60)), None, FRAME)
-    assert max(found.absolute_m.most, found.relative_m.most, found.relative_deg.most) < 1e-12
-    assert [s.count for s in found.stretches] == [52, 45, 24, 0]
-    assert found.together.count == 121
-    assert max(found.together.translation_percent, found.together.rotation_deg_per_100m) < 1e-10
-
-
 def test_long_ways_are_judged_by_kittis_own_lengths():
     """250 m in steps of 1 m: of 100 m 15 stretches fit, of 200 m 5, a stretch at every tenth frame."""
     found = evaluate(run_of(scaled(straight(251, 1.0), 1.01), straight(251, 1.0)), None, FRAME)
