@@ -170,12 +170,8 @@ def _write_and_score(
 def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) -> list[str | TextTable]:
     """TuSimple's figures as means over frames and CULane's counts as sums, as either benchmark does; of at least one.
 
-    The ``run_time`` above which TuSimple's script refuses a frame (200 ms) is not applied to a replay.
-
-    Args:
-        name: of the run.
-        scores: of all true frames, those that the run lacks or is silent on included.
-        missing: names of the true frames that the run lacks.
+    ``scores`` are of all true frames, also of the ``missing`` ones, which the run lacks. The ``run_time`` above which
+    TuSimple's script refuses a frame (200 ms) is not applied to a replay.
     """
     answered = sum(score.answered for score in scores)
     share = percent(answered / len(scores))

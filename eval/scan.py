@@ -77,11 +77,7 @@ def finite(names: Iterable[str]) -> list[pl.Expr]:
 
 
 def segment(columns: Container[str]) -> pl.Expr:
-    """The segment of each row; tables of older versions do not have the column: they are one segment, 0.
-
-    Args:
-        columns: the table's.
-    """
+    """The segment of each row; tables of older versions do not have the column: they are one segment, 0."""
     if SEGMENT not in columns:
         return pl.lit(0, pl.Int64).alias(SEGMENT)
     return pl.col(SEGMENT).cast(pl.Int64).fill_null(0)

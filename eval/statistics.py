@@ -195,24 +195,21 @@ class ColumnPools:
 
     def __init__(self, points: int) -> None:
         self.points = points
-        self._moments: dict[str, list[Moments]] = {}
-        self._sketches: dict[str, Sketch] = {}
+        self._columns: dict[str, tuple[list[Moments], Sketch]] = {}
 
     def add(self, column: str, known: Moments, part: Distribution) -> None:
         """Take in a table's values of a column."""
-        self._moments.setdefault(column, []).append(known)
-        self._sketches.setdefault(column, Sketch(self.points)).add(part)
+        found, sketch = self._columns.setdefault(column, ([], Sketch(self.points)))
+        found.append(known)
+        sketch.add(part)
 
     def limit(self, points: int) -> None:
         """Keep fewer points of each distribution."""
         self.points = min(points, self.points)
-        for sketch in self._sketches.values():
+        for _, sketch in self._columns.values():
             sketch.limit(self.points)
 
     def statistics(self, columns: Iterable[str]) -> dict[str, Statistics]:
         """Those over all tables, of the columns that have values."""
-        return {
-            name: statistics(self._moments[name], self._sketches[name].distribution())
-            for name in columns
-            if name in self._sketches
-        }
+        present = {name: self._columns[name] for name in columns if name in self._columns}
+        return {name: statistics(found, sketch.distribution()) for name, (found, sketch) in present.items()}

@@ -122,14 +122,8 @@ def print_trajectories(
 ) -> None:
     """Print the errors of runs' paths, and export them.
 
-    A run that has none is named, and is an error where nothing else came of the command.
-
-    Args:
-        arguments: tables, logs, folders or globs.
-        alignment: how paths are aligned; None for ``evaluate``'s choice.
-        delta: the relative error's pairs.
-        tum: a folder for TUM files, if any.
-        kitti: a folder for KITTI files, if any.
+    A run that has none is named, and is an error where nothing else came of the command. ``alignment`` and ``delta``
+    are those of ``evaluate``; ``tum`` and ``kitti`` are folders for files, if any.
 
     Raises:
         TableError: there is no such run, or none with a path.

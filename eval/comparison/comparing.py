@@ -239,10 +239,7 @@ class Comparison:
 def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules) -> Comparison:
     """Compare all pairs, one pair of files after another.
 
-    Args:
-        pairing: which runs belong together.
-        logs: the two logs whose results are compared as well as their tables, if logs were named.
-        rules: what is ignored, tolerated and allowed.
+    If two ``logs`` were named, their results are compared as well as their tables.
 
     Raises:
         RoadpercError: a file cannot be read, a pair shares no stamp, or a rule names nothing there is.

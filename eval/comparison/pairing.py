@@ -78,10 +78,7 @@ def logged_runs(argument: str) -> tuple[Run, ...]:
 def pair_runs(reference: Sequence[Run], candidate: Sequence[Run], other_log: bool) -> Pairing:
     """Pair by log where each side has one run of it, else by name; two single runs are a pair in any case.
 
-    Args:
-        reference: runs to compare with, as ``logged_runs`` gives them.
-        candidate: runs to compare, likewise.
-        other_log: whether a pair may be of two different logs.
+    The runs are as ``logged_runs`` gives them; ``other_log`` allows pairs of two different logs.
 
     Raises:
         TableError: nothing pairs, or a pair is of two logs, as far as their names say, and ``other_log`` does not
@@ -107,10 +104,7 @@ def pair_runs(reference: Sequence[Run], candidate: Sequence[Run], other_log: boo
 def numbered(frame: pl.LazyFrame, run: Run, by_segment: bool) -> pl.LazyFrame:
     """The rows of a run with what tells frames of equal stamps apart: their segment, and their number within it.
 
-    Args:
-        frame: rows of the run.
-        run: the run.
-        by_segment: whether frames pair by its segments, counted from 1; else stamps alone decide.
+    Segments count from 1; without ``by_segment`` all are 0, so that stamps alone decide.
     """
     segments = segment(run.columns).rank("dense").cast(pl.Int64) if by_segment else pl.lit(0, pl.Int64)
     within = frame.with_columns(segments.alias(_WITHIN))

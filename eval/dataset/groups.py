@@ -154,11 +154,7 @@ def _read(
 ) -> tuple[pl.DataFrame, dict[Key, Pool] | None]:
     """The logs of metrics tables, and the groups by their keys; None where there are more than ``MOST_GROUPS``.
 
-    Args:
-        rows: of the tables.
-        files: these, for errors.
-        by: how frames are grouped.
-        run_keys: ``LOG`` and the keys from the list of runs, a row for each log and configuration.
+    ``run_keys`` are ``LOG`` and the keys from the list of runs, a row for each log and configuration.
     """
     ledgers: list[pl.DataFrame] = []
     pools: dict[Key, Pool] | None = {}
@@ -181,13 +177,7 @@ def _read(
 
 
 def summaries_of(found: GroupedFrames, log_names: Mapping[str, str], configs: Sequence[str]) -> list[Summary]:
-    """A summary of each group that was summed up, in the order of their keys.
-
-    Args:
-        found: what the tables hold.
-        log_names: what each log is called.
-        configs: in the order in which they were first finished.
-    """
+    """A summary of each group that was summed up, in the order of their keys; ``configs`` are those of ``in_order_of_runs``."""
     columns, extents = found.by.columns, _extents(found)
     return [
         replace(found.pools[key].summary(group_name(key, columns, log_names)), **extents.get(key, {}))

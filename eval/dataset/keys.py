@@ -53,9 +53,7 @@ class Grouping:
 def grouping(by: Sequence[str], table_columns: Collection[str]) -> Grouping:
     """What ``--by`` asks for.
 
-    Args:
-        by: names of columns, ``log`` for that of the log's digest.
-        table_columns: those of the metrics tables.
+    The name ``log`` stands for the column of the log's digest.
 
     Raises:
         TableError: there is no such column.
@@ -88,9 +86,7 @@ def key_name(name: str) -> str:
 def log_names(log_ids: Iterable[str], runs: pl.DataFrame) -> dict[str, str]:
     """What each log is called: its file's name, with digits of its digest where that is another's too.
 
-    Args:
-        log_ids: of the dataset's tables.
-        runs: the list of runs; logs that it does not know are called by their digest.
+    Logs that the list of runs does not know are called by their digest.
     """
     known = runs.filter(pl.col("log_id").is_not_null())
     paths = dict(known.select("log_id", "path").iter_rows())
@@ -109,11 +105,7 @@ def group_name(key: Key, columns: Sequence[str], logs: Mapping[str, str]) -> str
 def in_order(keys: Iterable[Key], columns: Sequence[str], configs: Sequence[str], logs: Mapping[str, str]) -> list[Key]:
     """Keys of groups: numbers by size, texts by the alphabet, the older configuration first, what is unknown last.
 
-    Args:
-        keys: of the groups.
-        columns: what the keys are values of.
-        configs: in the order in which they were first finished.
-        logs: what each log is called.
+    Keys are values of ``columns``; ``configs`` are in the order of ``in_order_of_runs``, ``logs`` the logs' names.
     """
     return sorted(keys, key=lambda key: [_place(*item, configs, logs) for item in zip(columns, key, strict=True)])
 

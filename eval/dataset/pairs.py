@@ -16,8 +16,8 @@ from roadperc_stream.system.files import TABLE_SUFFIX
 
 from ..runs import Run, open_run
 from .keys import LOG, in_order_of_runs, log_names, settings_by_config, two_configs
-from .place import FILE, RUNS, Dataset, metrics_files, read_runs, scan_tables, without_file
-from .reading import require_named, unreadable
+from .place import FILE, RUNS, Dataset, metrics_files, read_runs, without_file
+from .reading import metrics_tables, reading_files, require_named
 
 _AT_ONCE: Final = 16
 """Files are small: most of the time is waiting for the store."""
@@ -52,11 +52,7 @@ _ROWS = "rows"
 
 
 def runs_of_configs(dataset: Dataset, asked: Sequence[str]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """The runs of the reference and those of the candidate, one for each log.
-
-    Args:
-        dataset: in a local folder.
-        asked: which configurations, as ``two_configs`` takes them.
+    """The runs of the reference and those of the candidate, one for each log, of a dataset in a local folder.
 
     Raises:
         TableError: there are no two such configurations, or a table cannot be read.
@@ -74,15 +70,10 @@ def runs_of_configs(dataset: Dataset, asked: Sequence[str]) -> tuple[tuple[Run, 
 
 def _where(files: Sequence[str]) -> pl.DataFrame:
     """The file of each log and configuration, of several a row each, and how many rows it has in it."""
-    tables = scan_tables(files)
-    lacking = [name for name in LOG if name not in tables.collect_schema()]
-    if lacking:
-        raise TableError(f"{files[0]}: is not a metrics table of a dataset: it has no column {', '.join(lacking)}")
+    tables, _ = metrics_tables(files)
     counted = tables.select(*LOG, FILE).group_by(*LOG, FILE).agg(pl.len().alias(_ROWS)).sort(*LOG, FILE)
-    try:
+    with reading_files(files):
         found = counted.collect(engine="streaming")
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        raise TableError(unreadable(files, error)) from error
     require_named(found)
     return found
 

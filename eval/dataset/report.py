@@ -58,8 +58,7 @@ def _fared(runs: pl.DataFrame) -> Iterator[str]:
 def settings_that_differ(known: Mapping[str, Settings | None]) -> TextTable:
     """The settings, and the options, that are not the same in all configurations.
 
-    Args:
-        known: by the configuration those that are not the default; None where nothing says them.
+    ``known`` are by configuration those that are not the default; None where nothing says them.
     """
     keys = dict.fromkeys(key for settings in known.values() for key in settings or ())
     whole = {

@@ -124,10 +124,7 @@ def _ask(item: tuple[LogKey, list[pl.Expr]], files: Mapping[LogKey, list[str]]) 
 def chosen(logs: pl.DataFrame, keys: list[str], number: int) -> pl.DataFrame:
     """The worst groups of logs: by each quantity in turn the next worst mean, until there are so many.
 
-    Args:
-        logs: as ``logs_of`` gives them, with the columns of the keys.
-        keys: names of these.
-        number: of groups.
+    ``logs`` are as ``logs_of`` gives them, with the columns ``keys``.
     """
     totals = [name for quantity in RANKED for name in (valued(quantity.column), summed(quantity.column))]
     groups = logs.group_by(keys, maintain_order=True).agg(pl.sum(*totals))

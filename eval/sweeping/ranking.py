@@ -156,10 +156,7 @@ def effect(found: Sequence[SettingScore], made: Sequence[Combination], key: str)
 def without_influence(folder: Path, tables: Sequence[Path], made: Sequence[Combination]) -> Iterator[str]:
     """The settings whose values leave every column of every table the same, times excepted, whatever the others are.
 
-    Args:
-        folder: the dataset.
-        tables: of all combinations, each in its combination's folder or, where logs share a name, deeper.
-        made: the combinations.
+    ``tables`` are those of all combinations, each in its combination's folder or, where logs share a name, deeper.
     """
     results: dict[str, list[bytes]] = {}
     for path in tables:

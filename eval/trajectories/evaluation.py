@@ -59,10 +59,7 @@ class Evaluation:
 def evaluate(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Evaluation:
     """Align a run's poses to the true ones, and measure; all errors are of the aligned poses.
 
-    Args:
-        run: the poses.
-        alignment: None for ``se3``, and for ``sim3`` where the run is up to scale.
-        delta: the relative error's pairs.
+    ``alignment`` None is ``se3``, and ``sim3`` where the run is up to scale; ``delta`` is that of the relative error.
 
     Raises:
         TableError: there is no truth, too few frames have both poses, or they cannot be aligned.

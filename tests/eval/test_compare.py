@@ -220,14 +220,6 @@ def test_folders_pair_by_log(tmp_path, capsys):
     assert 0.009 < low < 0.0109 < high < 0.013
 
 
-def test_one_log_of_many_that_got_worse_is_scatter(tmp_path, capsys):
-    ours = folder(tmp_path / "a", [0.0] * 10)
-    theirs = folder(tmp_path / "b", [0.05, -0.02, 0.01, -0.01, 0.02, -0.02, 0.01, -0.01, 0.0, 0.0])
-    code, text, _ = compare(capsys, ours, theirs)
-    assert code == 0
-    assert re.search(r"unchanged\n +lane_left_error_m", text)
-
-
 def test_runs_that_only_one_folder_has(tmp_path, capsys):
     ours, theirs = folder(tmp_path / "a", [0.0] * 3), folder(tmp_path / "b", [0.0] * 4)
     code, text, _ = compare(capsys, ours, theirs)

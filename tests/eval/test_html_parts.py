@@ -53,13 +53,6 @@ def test_thinning_keeps_peaks_gaps_ends_and_order(length, buckets, seed):
         assert np.nanmin(values[kept]) == np.nanmin(values)
 
 
-def test_a_peak_of_one_frame_in_an_hour_stays():
-    values = np.zeros(72_000)
-    values[31_337] = 9.0
-    assert 31_337 in thinned(values)
-    assert len(thinned(values)) < 2000
-
-
 def test_numbers_fit_json_and_gaps_stay_gaps():
     assert numbers(np.array([1.23456789, np.nan, 1e-9])) == [1.23457, None, 1e-09]
     alone = line("x", np.arange(3.0), np.array([np.nan, 1.0, np.nan]), "#000000")

@@ -58,27 +58,6 @@ def test_accuracy_stands_beside_coverage(drive, capsys):
     assert line_of(text, "drivable IoU")[2:] == ["100.0", "0.970", "p5", "0.970", "0.970"]
 
 
-def test_worst_frames_with_their_times(drive, capsys):
-    _, text, _ = report(capsys, drive, "--worst", "2")
-    lines = text.splitlines()
-    at = next(k for k, line in enumerate(lines) if line.startswith("lane left at 10 m, m") and "15778" in line)
-    assert lines[at].split()[-4:] == ["0.300", "2", "0.100", "1577836800100000000"]
-    assert lines[at + 1].split() == ["-0.020", "1", "0.050", "1577836800050000000"]
-    assert lines[at + 2].startswith("object distance error (mean), m")
-
-
-def test_columns_without_values_are_one_line(drive, capsys):
-    _, text, _ = report(capsys, drive)
-    said = text[text.index("no values:") :].split("\n\n")[0].replace("\n", " ")
-    assert "stereo*" in said
-    assert "nearest_object_m" in said
-    assert "camera_height_m" not in said
-    assert "error" not in said
-    untrue = text[text.index("No frame has an estimate and a truth for:") :].split("\n\n")[0].replace("\n", " ")
-    assert "surface angle, deg; camera height, m;" in untrue
-    assert "drivable IoU" not in untrue
-
-
 def test_log_without_truth_says_so_and_shows_signs_of_trouble(tmp_path, capsys):
     _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", [row(0), row(1, lane_left_status="lost")]))
     assert "No frame has a truth" in text
@@ -133,18 +112,6 @@ def test_eight_runs_with_all_columns_have_a_line_each_in_80_columns(tmp_path, ca
     assert max(len(line) for line in text.splitlines() if "town_in_the_rain" not in line) <= 80
 
 
-def test_same_log_under_two_configurations(tmp_path, capsys):
-    write(tmp_path / "base" / "drive.metrics.parquet", [row(0, lane_left_error_m=0.1)], config="1" * 64)
-    write(tmp_path / "slow" / "drive.metrics.parquet", [row(0, lane_left_error_m=0.3)], config="2" * 64)
-    _, text, _ = report(capsys, tmp_path)
-    assert text.startswith("2 runs: 1 log, 2 configurations")
-    assert line_of(text, "base/drive")[1:3] == ["a" * 16, "1" * 8]
-    block = text[text.index("\nAccuracy") :].splitlines()
-    assert block[3].split() == ["lane", "left", "at", "10", "m,", "m"]
-    assert block[4].split() == ["base/drive", "100.0", "0.100", "0.100", "0.100", "0.100"]
-    assert block[5].split() == ["slow/drive", "100.0", "0.300", "0.300", "0.300", "0.300"]
-
-
 def test_runs_of_one_configuration_are_pooled_and_of_two_never(tmp_path, capsys):
     for name, error, config in (("a", 0.1, "1"), ("b", 0.3, "1"), ("c", 9.0, "2")):
         write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=error)], config=config * 64)
@@ -179,17 +146,6 @@ def test_runs_that_name_no_configuration_stand_alone(tmp_path, capsys):
     _, text, _ = report(capsys, tmp_path)
     assert [line.split()[1] for line in text[text.index("\nAccuracy") :].splitlines()[4:6]] == ["100.0", "100.0"]
     assert "Settings that differ: unknown, for neither the table nor a log next to it says" in text.replace("\n", " ")
-
-
-def test_the_settings_that_differ_head_the_report(tmp_path, capsys):
-    configured(tmp_path / "base.metrics.parquet", 0.1)
-    configured(tmp_path / "slow.metrics.parquet", 0.2, "lanes.hold_s=2", "surface.inlier_m=0.5")
-    _, text, _ = report(capsys, tmp_path)
-    assert [line.split() for line in text.splitlines()[2:6] if "─" not in line] == [
-        ["Settings", "that", "differ", "base", "slow"],
-        ["surface.inlier_m", "0.05", "0.5"],
-        ["lanes.hold_s", "0.5", "2.0"],
-    ]
 
 
 def test_many_configurations_have_a_row_each(tmp_path, capsys, monkeypatch):

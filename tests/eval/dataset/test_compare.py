@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 
 from roadperc_stream.cli.compare import main
-from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, log_id, small_dataset, write_runs
+from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, small_dataset, write_runs
 from tests.eval.tables import outcome
 
 compare = partial(outcome, main)
@@ -39,16 +39,6 @@ def test_compacted_tables_compare_alike(dataset, capsys):
     before = compare(capsys, dataset)
     compact(dataset, "2026-01-01")
     assert compare(capsys, dataset) == before
-
-
-def test_logs_of_one_side_alone_are_named(dataset, capsys):
-    add_table(dataset, frames(8, [0.1, 0.1]), A)
-    add_table(dataset, frames(9, [0.1, 0.1]), B)
-    code, text, error = compare(capsys, dataset, "--allow", "100%", "--allow", "lane_left_error_m=1")
-    assert code == 1
-    assert f"only in the reference: {log_id(8)} (log {log_id(8)})" in text
-    assert f"only in the candidate: {log_id(9)} (log {log_id(9)})" in text
-    assert f"worse than the reference: no run of {log_id(8)}" in error
 
 
 @pytest.mark.parametrize(
