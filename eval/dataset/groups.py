@@ -177,7 +177,7 @@ def _read(
 
 
 def summaries_of(found: GroupedFrames, log_names: Mapping[str, str], configs: Sequence[str]) -> list[Summary]:
-    """A summary of each group that was summed up, in the order of their keys; ``configs`` are those of ``in_order_of_runs``."""
+    """A summary of each group that was summed up, in the order of their keys (``in_order``)."""
     columns, extents = found.by.columns, _extents(found)
     return [
         replace(found.pools[key].summary(group_name(key, columns, log_names)), **extents.get(key, {}))
