@@ -1,7 +1,7 @@
 """What a report shows of a metrics table, stored or derived, and how it writes numbers and names."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -107,6 +107,8 @@ STORED: Final = tuple(q for q in (*SEEN, *TRUTH, *STAGE_TIMES, SKEW, *OFFSETS) i
 NUMBERS: Final = (*STORED, *DERIVED)
 SUSPECT: Final = (LOST, SEEN[0], TOTAL)
 """Signs of trouble that need no truth."""
+RANKED: Final = (*TRUTH, *SUSPECT)
+"""By these frames and logs may be the worst."""
 COVERED: Final = {
     "surface": "camera_height_m",
     "drivable": "drivable_ratio",
@@ -129,6 +131,11 @@ TRACED: Final = {side: (f"lane_{side}_offset_m", f"lane_{side}_true_offset_m") f
 _NUMBERS_COLUMNS: Final = 65
 """Characters that the widest row of numbers needs next to a run's name."""
 _CUT: Final = "…"
+
+
+def ranked(present: Container[str]) -> list[Quantity]:
+    """What frames and logs are the worst by: the errors among columns that are present, else signs of trouble."""
+    return [q for q in TRUTH if q.column in present] or [q for q in SUSPECT if q.column in present]
 
 
 def rounded(value: float, quantity: Quantity) -> str:

@@ -17,7 +17,7 @@ from roadperc_stream.model import ReasonKind
 
 from .configurations import Group
 from .consistency import Consistency, added, consistency_of_run
-from .quantities import NUMBERS, SUSPECT, TRACED, TRUTH, Quantity
+from .quantities import NUMBERS, RANKED, TRACED, Quantity
 from .runs import Run, collect
 from .scan import extent, scan, worst_frames
 from .scores import Score, Tallies, averaged, lag_frames, scores, tallied, tallied_together, tallies, traces
@@ -31,7 +31,6 @@ _AT_ONCE: Final = 2
 """Tables read at the same time; polars brings threads of its own."""
 _AHEAD: Final = 64
 """Tables read before the first is merged: what bounds the memory."""
-_RANKED: Final = (*TRUTH, *SUSPECT)
 
 
 @dataclass(frozen=True)
@@ -171,7 +170,7 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
         consistency=consistency_of_run(run),
         worst={
             q.column: tuple(WorstFrame(run.name, **row) for row in found[f"worst {q.column}"])
-            for q in _RANKED
+            for q in RANKED
             if q.column in present
         },
     )
@@ -195,7 +194,7 @@ def _together(summaries: Sequence[Summary], pooled: Mapping[str, Statistics], wo
             side: averaged((summary.frames, summary.correlations[side]) for summary in summaries) for side in TRACED
         },
         consistency=added(summary.consistency for summary in summaries),
-        worst={q.column: ranking for q in _RANKED if (ranking := _merged(summaries, q, worst))},
+        worst={q.column: ranking for q in RANKED if (ranking := _merged(summaries, q, worst))},
     )
 
 
@@ -205,7 +204,7 @@ def _facts(worst: int) -> list[pl.Expr]:
         *extent(),
         *tallies(),
         *traces(),
-        *(worst_frames(quantity, worst) for quantity in _RANKED),
+        *(worst_frames(quantity, worst) for quantity in RANKED),
     ]
 
 

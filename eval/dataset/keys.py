@@ -12,6 +12,7 @@ from roadperc_stream.batch.storage.addresses import natural
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 
+from ..configurations import Settings
 from ..options import number_or_text
 from ..quantities import listed
 from .place import DATE, RUN_COLUMNS
@@ -24,7 +25,6 @@ Key = tuple[str | None, ...]
 """The values of a group's columns."""
 _DIGITS: Final = 8
 """Of a log's digest that tell logs of one name apart."""
-Settings = Mapping[str, object]
 DEFAULT: str = "default"
 
 

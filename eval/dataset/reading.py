@@ -12,14 +12,12 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 
-from ..quantities import COVERED, SUSPECT, TRUTH
+from ..quantities import COVERED, RANKED
 from ..runs import REQUIRED_COLUMNS, first_line, reading
 from ..scan import NUMBER_COLUMNS, SEGMENT, derived_columns, difference, finite, stored_columns
 from .keys import LOG, Grouping, as_key, key_name
 from .place import DATE, FILE, date_of, scan_tables
 
-RANKED: Final = (*TRUTH, *SUSPECT)
-"""By the means of these logs are the worst."""
 FRAMES, SPAN_NS, SEGMENTS, GAP_NS, FILES = "frames", "span ns", "segments", "gap ns", "files"
 _ROWS: Final = 131_072
 """Rows of a batch: 130 MB."""

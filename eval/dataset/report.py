@@ -15,13 +15,13 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..configurations import rows_that_differ
+from ..configurations import Settings, rows_that_differ
 from ..quantities import Quantity, legend, listed, percent, rounded, short_names
 from ..report import inputs, precision, print_tables
 from ..sections import LISTED, sections
 from ..summary import Summary
 from .groups import GroupedFrames, group_frames, summaries_of
-from .keys import DEFAULT, LOG, Settings, in_order_of_runs, log_names, settings_by_config
+from .keys import DEFAULT, LOG, in_order_of_runs, log_names, settings_by_config
 from .place import DONE, Dataset, metrics_files, read_runs, without_file
 from .reading import FRAMES, SPAN_NS
 from .worst import LogKey, Row, key_of, worst_logs

@@ -10,12 +10,12 @@ import polars as pl
 
 from roadperc_stream.schemas.columns import RATIO
 
-from ..quantities import COVERED, SUSPECT, TRUTH, Quantity
+from ..quantities import COVERED, RANKED, Quantity, ranked
 from ..runs import collect
 from ..scan import scanned, worst_frames
 from .keys import LOG
 from .place import scan_tables
-from .reading import FILES, FRAMES, RANKED, summed, valued
+from .reading import FILES, FRAMES, summed, valued
 
 LogKey = tuple[str, str]
 """Log and configuration."""
@@ -64,9 +64,7 @@ def key_of(row: Row) -> LogKey:
 
 
 def _ranked_by(logs: pl.DataFrame) -> list[Quantity]:
-    """What logs are the worst by: the errors there are, else signs of trouble."""
-    having = {q.column for q in RANKED if logs[valued(q.column)].sum()}
-    return [q for q in TRUTH if q.column in having] or [q for q in SUSPECT if q.column in having]
+    return ranked({q.column for q in RANKED if logs[valued(q.column)].sum()})
 
 
 def _mean_badness(quantity: Quantity) -> pl.Expr:

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from roadperc_stream.cli.report import main
 from roadperc_stream.eval.consistency import (
-    Consistency,
     added,
     consistency,
     consistency_of_frames,
@@ -174,7 +173,3 @@ def test_any_number_in_a_table_is_borne(tmp_path, recwarn):
     assert list(found) == ["step"]
     assert found["step"].nees == pytest.approx(5e11)
     assert not recwarn.list
-
-
-def test_nothing_has_no_shares():
-    assert Consistency() + of(1.0) == of(1.0)

@@ -60,13 +60,6 @@ def test_numbers_fit_json_and_gaps_stay_gaps():
     assert line("x", np.arange(3.0), np.array([np.nan, 1.0, 2.0]), "#000000")["mode"] == "lines"
 
 
-def test_stacked_stages_sum_to_the_total():
-    run = series(surface_ms=[2, 3], lanes_ms=[1, np.nan], total_ms=[10, 12])
-    (chart,) = stage_times([run], [])
-    assert [trace["name"] for trace in chart.traces] == ["surface", "lanes", "rest"]
-    np.testing.assert_allclose(np.sum([trace["y"] for trace in chart.traces], axis=0), [10, 12])
-
-
 def test_histogram_counts_in_percent_and_stands_equal_values():
     (chart,) = histograms([series(stereo_epe_px=[0.5] * 10 + [np.nan])])
     assert max(chart.traces[0]["y"]) == 100

@@ -128,17 +128,6 @@ def test_runs_of_one_configuration_are_pooled_and_of_two_never(tmp_path, capsys)
     assert "3 frames" not in text
 
 
-def test_one_configuration_of_two_versions_is_not_pooled(tmp_path, capsys):
-    for name, version in (("a", "1.0"), ("b", "2.0")):
-        path = write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=0.1)])
-        facts = {"roadperc.config_digest": "c" * 64, "roadperc.version": version}
-        pl.read_parquet(path).write_parquet(path, metadata=facts)
-    _, text, _ = report(capsys, tmp_path)
-    assert "2 versions" in text
-    assert line_of(text, "b  ")[1:4] == ["a" * 16, "c" * 8, "2.0"]
-    assert [line.split()[0] for line in text[text.index("\nAccuracy") :].splitlines()[4:6]] == ["a", "b"]
-
-
 def test_runs_that_name_no_configuration_stand_alone(tmp_path, capsys):
     for name, error in (("a", 0.1), ("b", 0.3)):
         path = write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=error)])

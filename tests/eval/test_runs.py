@@ -94,12 +94,6 @@ def test_what_fits_stays_and_needs_no_legend():
     assert list(legend(names)) == []
 
 
-def test_the_ends_stay_and_the_legend_has_the_whole_name():
-    names = short_names(["base/the_long_name_of_a_drive"], 15)
-    assert list(names.values()) == ["base/th…a_drive"]
-    assert list(legend(names)) == ["base/th…a_drive: base/the_long_name_of_a_drive"]
-
-
 def test_names_that_differ_in_the_middle_are_numbered():
     names = short_names(["runs_of_today/a/town_drive", "runs_of_today/b/town_drive", "c"], 15)
     assert list(names.values()) == ["1 runs_o…_drive", "2 runs_o…_drive", "c"]
