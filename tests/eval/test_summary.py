@@ -26,17 +26,6 @@ def test_extent(tmp_path):
     assert found.log_ids == ("a" * 16,)
 
 
-def test_errors_count_by_absolute_value_and_keep_their_bias(tmp_path):
-    errors = [-0.3, -0.2, -0.1, 0.1, None]
-    found = summary_of(tmp_path, [row(k, lane_left_error_m=error) for k, error in enumerate(errors)])
-    left = found.statistics["lane_left_error_m"]
-    assert left.median == pytest.approx(-0.15)
-    assert left.abs_median == pytest.approx(0.15)
-    assert left.abs_p95 == pytest.approx(0.285)
-    assert left.abs_most == pytest.approx(0.3)
-    assert found.coverage("lane_left_error_m") == pytest.approx(0.8)
-
-
 def test_column_without_values_has_no_statistics(tmp_path):
     found = summary_of(tmp_path, [row(0), row(1)])
     assert "stereo_epe_px" not in found.statistics
@@ -120,16 +109,6 @@ def two_runs(tmp_path):
     write(tmp_path / "short.metrics.parquet", short)
     runs = find_runs([str(tmp_path)])
     return summarise_all(runs, 2)[1]
-
-
-def test_over_all_weighs_frames_not_logs(tmp_path):
-    """The median over ten frames is that of 0 .. 8 and 50 hundredths, not that of two medians."""
-    together = two_runs(tmp_path)
-    assert (together.frames, together.runs, together.incomplete) == (10, 2, 9)
-    assert together.statistics["lane_left_error_m"].abs_median == pytest.approx(0.045)
-    assert together.share("surface_source", "depth") == 0.1
-    assert together.log_ids == ("a" * 16, "b" * 16)
-    assert together.rate_hz == pytest.approx(20.0)
 
 
 def test_over_all_lists_each_run_as_it_is_alone(tmp_path):

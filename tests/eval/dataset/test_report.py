@@ -75,17 +75,8 @@ def test_one_pass_in_batches_gives_what_table_after_table_gives(tmp_path, monkey
     (group,) = grouped(find_runs([str(folder)]))
     _, alone = summarise_group(group, 1)
     (of_config,) = (summary for summary in found if summary.name == "11111111")
-    for name in (
-        "frames",
-        "runs",
-        "segments",
-        "longest_gap_s",
-        "incomplete",
-        "categories",
-        "missing",
-        "reasons",
-        "totals",
-    ):
+    exact = ("frames", "runs", "segments", "longest_gap_s", "incomplete", "categories", "missing", "reasons", "totals")
+    for name in exact:
         assert getattr(of_config, name) == getattr(alone, name), name
     assert of_config.span_s == pytest.approx(alone.span_s)
     assert of_config.statistics.keys() == alone.statistics.keys()
@@ -216,28 +207,40 @@ def test_a_grouping_that_cannot_be(dataset, monkeypatch, capsys, by, said):
     assert said in error
 
 
-def test_a_damaged_table_is_named(dataset, capsys):
-    *_, path = sorted(dataset.glob("metrics/*/*.parquet"))
+def damaged(folder):
+    *_, path = sorted(folder.glob("metrics/*/*.parquet"))
     path.write_bytes(path.read_bytes()[:-100])
-    code, _, error = report(capsys, dataset)
-    assert code == 1
-    assert str(path) in error
-    assert len(error.splitlines()) == 1
 
 
-def test_a_table_of_a_single_replay_is_none_of_a_dataset(dataset, capsys):
-    for path in dataset.glob("metrics/*/*.parquet"):
+def of_single_replays(folder):
+    for path in folder.glob("metrics/*/*.parquet"):
         pl.read_parquet(path, hive_partitioning=False).drop("config").write_parquet(path)
-    code, _, error = report(capsys, dataset)
-    assert code == 1
-    assert "it has no column config" in error
 
 
-def test_a_list_of_runs_that_is_none_is_named(dataset, capsys):
-    pl.DataFrame({"a": [1]}).write_parquet(dataset / "runs.parquet")
+def with_another_list(folder):
+    pl.DataFrame({"a": [1]}).write_parquet(folder / "runs.parquet")
+
+
+def with_logs_that_are_gone(folder):
+    none = pl.lit([], pl.List(pl.String))
+    rows = pl.read_parquet(folder / "runs.parquet")
+    rows.with_columns(names=none, fingerprints=none).write_parquet(folder / "runs.parquet")
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "said"),
+    [
+        (damaged, f"{log_id(2)}-{B}.parquet"),
+        (of_single_replays, "it has no column config"),
+        (with_another_list, "runs.parquet: is not a list of runs: it has no column path"),
+        (with_logs_that_are_gone, "error: no log is left to report"),
+    ],
+)
+def test_what_is_wrong_is_one_line(dataset, capsys, spoilt, said):
+    spoilt(dataset)
     code, _, error = report(capsys, dataset)
-    assert code == 1
-    assert "runs.parquet: is not a list of runs: it has no column path" in error
+    assert (code, error.count("\n")) == (1, 1)
+    assert said in error
 
 
 @pytest.mark.parametrize(
@@ -317,12 +320,3 @@ def test_an_output_that_was_switched_off_is_not_the_least_covered(tmp_path, caps
     lines = report(capsys, folder)[1].splitlines()
     start = lines.index("drivable")
     assert [line.split()[:2] for line in lines[start + 1 : start + 3]] == [["drive1", A], ["drive2", A]]
-
-
-def test_where_all_logs_are_gone_there_is_nothing_to_report(dataset, capsys):
-    none = pl.lit([], pl.List(pl.String))
-    rows = pl.read_parquet(dataset / "runs.parquet")
-    rows.with_columns(names=none, fingerprints=none).write_parquet(dataset / "runs.parquet")
-    code, _, said = report(capsys, dataset)
-    assert (code, said.count("\n")) == (1, 1)
-    assert said.startswith("error: no log is left to report")

@@ -79,11 +79,6 @@ def ranked(metric, *found, reference=0):
     return best(metric, [SettingScore(*score) for score in found], GATES, GATES[reference])
 
 
-def test_the_least_error_is_best_and_the_most_overlap():
-    assert ranked(ERROR, (0.3, 1.0), (0.1, 1.0), (0.2, 1.0)) == (1, None)
-    assert ranked(OVERLAP, (0.3, 1.0), (0.1, 1.0), (0.2, 1.0)) == (0, None)
-
-
 def test_of_equals_the_reference_is_best_else_the_first():
     assert ranked(ERROR, (0.1, 1.0), (0.1, 1.0), (0.1004, 1.0), reference=2) == (2, None)
     assert ranked(ERROR, (0.1, 1.0), (0.1, 1.0), (0.2, 1.0), reference=2) == (0, None)
