@@ -3,8 +3,7 @@
 import argparse
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from roadperc_stream.errors import RegressionError, TableError
@@ -16,19 +15,15 @@ from roadperc_stream.system.text import print_line
 from .comparison.agreement import same_but_for_times
 from .comparison.comparing import Comparison, compare_runs
 from .comparison.display import print_comparison
-from .comparison.pairing import LoggedRun, Pairing, RunPair, logged_runs, pair_runs
+from .comparison.pairing import Pairing, RunPair, logged_runs, pair_runs
 from .dataset.pairs import in_a_folder, runs_of_configs
 from .dataset.place import Dataset
-from .names import listed
 from .options import Rules
+from .quantities import listed
+from .runs import Run
 
-
-@dataclass(frozen=True)
-class Copy:
-    """A table to be copied from the candidate into the reference."""
-
-    source: Path
-    target: Path
+Copy = tuple[Path, Path]
+"""A table of the candidate, and where it goes in the reference."""
 
 
 def _require_updatable(reference: str) -> None:
@@ -50,51 +45,50 @@ def _is_new(reference: str) -> bool:
     return not path.exists() or (path.is_dir() and not any(path.rglob(f"*{METRICS_SUFFIX}")))
 
 
-def _first_copies(reference: str, candidate: Iterable[LoggedRun]) -> tuple[Copy, ...]:
+def _first_copies(reference: str, candidate: Sequence[Run]) -> list[Copy]:
     """Copies that make a reference of a candidate.
 
     Raises:
         TableError: several tables are to become one file.
     """
-    runs, path = list(candidate), Path(reference)
+    path = Path(reference)
     if path.suffix != TABLE_SUFFIX:
-        return tuple(copy for item in runs for copy in _into_folder(path, item))
-    tables = sum(len(item.run.tables) for item in runs)
+        return [copy for run in candidate for copy in _into_folder(path, run)]
+    tables = sum(len(run.tables) for run in candidate)
     if tables > 1:
         raise TableError(f"{reference}: is to hold {tables} tables, expected the name of a folder")
-    return (Copy(runs[0].run.path, path),)
+    return [(candidate[0].path, path)]
 
 
-def _update_copies(reference: str, pairing: Pairing) -> tuple[Copy, ...]:
+def _update_copies(reference: str, pairing: Pairing) -> list[Copy]:
     """Copies that bring a reference up to date: tables whose results differ, and those it has none of.
 
     Raises:
         TableError: a drive of one is in more parts than the other's.
     """
     differing = (pair for pair in pairing.pairs if not same_but_for_times(pair))
-    changed = tuple(copy for pair in differing for copy in _replacements(pair))
+    changed = [copy for pair in differing for copy in _replacements(pair)]
     path = Path(reference)
-    if not path.is_dir():
-        return changed
-    return (*changed, *(copy for item in pairing.added for copy in _into_folder(path, item)))
+    added = pairing.added if path.is_dir() else ()
+    return [*changed, *(copy for run in added for copy in _into_folder(path, run))]
 
 
 def _replacements(pair: RunPair) -> Iterator[Copy]:
-    ours, theirs = pair.reference.run.tables, pair.candidate.run.tables
+    ours, theirs = pair.reference.tables, pair.candidate.tables
     if len(ours) != len(theirs):
         raise TableError(
-            f"{pair.candidate.run.source_name}: a drive of {len(theirs)} tables cannot replace one of {len(ours)}; "
+            f"{pair.candidate.source_name}: a drive of {len(theirs)} tables cannot replace one of {len(ours)}; "
             "expected the same parts, or a new reference"
         )
-    return (Copy(new.path, old.path) for old, new in zip(ours, theirs, strict=True))
+    return ((new.path, old.path) for old, new in zip(ours, theirs, strict=True))
 
 
-def _into_folder(folder: Path, item: LoggedRun) -> Iterator[Copy]:
+def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:
     """The tables under their names below the candidate's folder; those of a drive's parts next to the first."""
-    first, *others = item.run.tables
-    target = folder / f"{item.relative}{METRICS_SUFFIX}"
-    yield Copy(first.path, target)
-    yield from (Copy(part.path, target.with_name(f"{part.name.replace('/', '-')}{METRICS_SUFFIX}")) for part in others)
+    first, *others = run.tables
+    target = folder / f"{run.name}{METRICS_SUFFIX}"
+    yield first.path, target
+    yield from ((part.path, target.with_name(f"{part.name.replace('/', '-')}{METRICS_SUFFIX}")) for part in others)
 
 
 def compare(arguments: argparse.Namespace) -> None:
@@ -134,13 +128,13 @@ def _compared(pairing: Pairing, logs: tuple[Path, Path] | None, arguments: argpa
     return found
 
 
-def _update(copies: tuple[Copy, ...]) -> None:
+def _update(copies: Sequence[Copy]) -> None:
     """Copy each table, which appears under its name only when complete, and say so."""
-    for copy in copies:
-        with completing(copy.target) as temporary:
-            shutil.copyfile(copy.source, temporary)
-    for copy in copies:
-        print_line(f"reference: {copy.target} is now {copy.source}")
+    for source, target in copies:
+        with completing(target) as temporary:
+            shutil.copyfile(source, temporary)
+    for source, target in copies:
+        print_line(f"reference: {target} is now {source}")
     if not copies:
         print("reference: nothing to replace, its results are the same")
 

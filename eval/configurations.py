@@ -43,7 +43,7 @@ def grouped(runs: Sequence[Run]) -> list[Group]:
     groups: dict[Hashable, list[Run]] = {}
     for run in runs:
         groups.setdefault(_made_by(run), []).append(run)
-    shared = [configuration for configuration, _ in map(_configuration_and_version, groups.values())]
+    shared = [short_digest(some[0].config_digest) for some in groups.values()]
     return [Group(_name(some, shared), tuple(some)) for some in groups.values()]
 
 
@@ -74,20 +74,15 @@ def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
     return {key: values for key, values in rows.items() if len(set(values)) > 1}
 
 
-@dataclass(frozen=True)
-class Change:
-    """Which settings differ between two runs, each with both values; None where a run's are unknown."""
-
-    differing: Mapping[str, tuple[str, ...]] | None
-
-
-def change(reference: Run, candidate: Run) -> Change | None:
-    """What differs between the configurations of two runs; None where they have the same one."""
+def change(reference: Run, candidate: Run) -> tuple[str, ...]:
+    """What to say of two runs' configurations: a heading and a line for each setting; empty where they have one."""
     if reference.config_digest and reference.config_digest == candidate.config_digest:
-        return None
-    settings = settings_of(reference), settings_of(candidate)
-    known = [found for found in settings if found is not None]
-    return Change(differing(known) if len(known) == len(settings) else None)
+        return ()
+    ours, theirs = settings_of(reference), settings_of(candidate)
+    if ours is None or theirs is None:
+        return (f"{UNKNOWN}, for neither a table nor a log next to it says its configuration",)
+    rows = differing([ours, theirs])
+    return ("" if rows else "none", *(f"{key} {' → '.join(values)}" for key, values in rows.items()))
 
 
 def settings_table(runs: Mapping[str, Run]) -> TextTable:
@@ -97,10 +92,6 @@ def settings_table(runs: Mapping[str, Run]) -> TextTable:
     found = {name: settings_of(run) for name, run in runs.items()}
     rows = rows_that_differ(found)
     return TextTable("Settings that differ", ("",), rows, tuple(_notes(found, rows)), tuple(runs))
-
-
-def _row(key: str, values: Mapping[str, str], found: Mapping[str, Settings | None]) -> TextRow:
-    return TextRow(key, tuple((values.get(name, UNKNOWN),) for name in found))
 
 
 def rows_that_differ(found: Mapping[str, Settings | None]) -> tuple[TextRow, ...]:
@@ -144,11 +135,8 @@ def _made_by(run: Run) -> Hashable:
 
 
 def _name(runs: Sequence[Run], configurations: Sequence[str]) -> str:
-    configuration, version = _configuration_and_version(runs)
     if len(runs) == 1:
         return runs[0].name
-    return configuration if configurations.count(configuration) == 1 else f"{configuration} {version}"
-
-
-def _configuration_and_version(runs: Sequence[Run]) -> tuple[str, str]:
-    return short_digest(runs[0].config_digest), runs[0].version or UNKNOWN
+    configuration = short_digest(runs[0].config_digest)
+    unique = configurations.count(configuration) == 1
+    return configuration if unique else f"{configuration} {runs[0].version or UNKNOWN}"

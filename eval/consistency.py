@@ -112,9 +112,13 @@ class Consistency:
         return mean / factor, mean * factor
 
 
-def consistency(normalised: Float, blocks: NDArray[np.int64], errors: int) -> Consistency:
-    """The sums over (N,) normalised errors with the block (N,) that each is of, from 0; ``errors`` is at least N."""
-    sizes = np.abs(normalised)
+def consistency(normalised: Float, errors: int, blocks: NDArray[np.int64]) -> Consistency:
+    """The sums over (N,) normalised errors, those that are finite, of as many ``errors`` at least.
+
+    ``blocks`` (N,) says of which block each is, from 0.
+    """
+    known = np.isfinite(normalised)
+    sizes, blocks = np.abs(normalised[known]), blocks[known]
     squares = np.bincount(blocks, sizes**2)
     numbers = np.bincount(blocks)
     within = {f"within_{sigmas}": int(np.count_nonzero(sizes <= sigmas)) for sigmas in (1, 2, 3)}
@@ -132,8 +136,9 @@ def consistency(normalised: Float, blocks: NDArray[np.int64], errors: int) -> Co
 
 def consistency_of_frames(normalised: Float, errors: int) -> Consistency:
     """The same of errors in the order of the frames: a block is as long as the squares' correlation asks for."""
-    length = block_length(normalised**2) if len(normalised) else 1
-    return consistency(normalised, np.arange(len(normalised)) // length, errors)
+    known = normalised[np.isfinite(normalised)]
+    length = block_length(known**2) if len(known) else 1
+    return consistency(known, errors, np.arange(len(known)) // length)
 
 
 def consistency_of_run(run: Run) -> dict[str, Consistency]:
@@ -143,12 +148,13 @@ def consistency_of_run(run: Run) -> dict[str, Consistency]:
         TableError: the data of a table cannot be read.
     """
     frames = collect(rows_of(run).select(_columns(FRAME_QUANTITIES)), run.source_name)
-    parts = [{judged.name: _of_frames(errors_of(frames, judged)) for judged in FRAME_QUANTITIES}]
+    parts = [{judged.name: consistency_of_frames(*errors_of(frames, judged)) for judged in FRAME_QUANTITIES}]
     for table in run.tables:
         path = table.beside(OBJECTS_SUFFIX)
         if table.path.name.endswith(METRICS_SUFFIX) and path.is_file():
-            seen = kept_objects(path, table.end_frame)
-            parts.append({judged.name: _of_objects(errors_of(seen, judged), seen) for judged in OBJECT_QUANTITIES})
+            seen = _kept_objects(path, table.end_frame)
+            objects = object_numbers(seen)
+            parts.append({judged.name: consistency(*errors_of(seen, judged), objects) for judged in OBJECT_QUANTITIES})
     return {name: sums for name, sums in added(parts).items() if sums.errors}
 
 
@@ -161,26 +167,17 @@ def added(parts: Iterable[Mapping[str, Consistency]]) -> dict[str, Consistency]:
     return total
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Errors of the (N,) rows whose truth is known, ``normalised`` by their deviation: NaN where there is none."""
-
-    rows: NDArray[np.int64]
-    error: Float
-    normalised: Float
-
-
-def errors_of(table: pl.DataFrame, judged: Judged) -> Errors:
-    """Estimate minus truth in the rows of a table that has both; no rows where it lacks either column."""
+def errors_of(table: pl.DataFrame, judged: Judged) -> tuple[Float, int]:
+    """(N,) estimate minus truth in units of its deviation, NaN where either is unknown; how many errors are known."""
     estimate, truth, std = (_values(table, name) for name in (judged.estimate, judged.truth, judged.std))
     with np.errstate(over="ignore", invalid="ignore"):  # tables may hold any number
         error = estimate - truth
         normalised = error / np.where(std > 0, std, np.nan)
-    rows = np.flatnonzero(np.isfinite(error))
-    return Errors(rows, error[rows], np.clip(normalised[rows], -_FARTHEST, _FARTHEST))
+    known = np.isfinite(error)
+    return np.where(known, np.clip(normalised, -_FARTHEST, _FARTHEST), np.nan), int(np.count_nonzero(known))
 
 
-def kept_objects(path: Path, end_frame: int | None = None) -> pl.DataFrame:
+def _kept_objects(path: Path, end_frame: int | None) -> pl.DataFrame:
     """The rows of kept detections in a table of them, with what they are judged by, those columns that it has.
 
     Frames from ``end_frame`` on do not count.
@@ -204,16 +201,6 @@ def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:
     untracked = np.isnan(ranks)
     alone = table.height + np.cumsum(untracked)
     return np.where(untracked, alone, np.nan_to_num(ranks) - 1).astype(np.int64)
-
-
-def _of_frames(found: Errors) -> Consistency:
-    known = found.normalised[np.isfinite(found.normalised)]
-    return consistency_of_frames(known, len(found.error))
-
-
-def _of_objects(found: Errors, objects: pl.DataFrame) -> Consistency:
-    known = np.isfinite(found.normalised)
-    return consistency(found.normalised[known], object_numbers(objects)[found.rows[known]], len(found.error))
 
 
 def _columns(judged: Sequence[Judged]) -> pl.Expr:

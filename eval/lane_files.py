@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError, RoadpercError
@@ -57,19 +57,22 @@ class LaneFrame:
     place: str = ""
 
 
+_Pixel = Annotated[int | FiniteFloat, Field(ge=-FARTHEST_PX, le=FARTHEST_PX)]
+
+
 class _Line(BaseModel):
     """One line of a file, its keys in the order of the benchmark's own description."""
 
     model_config = ConfigDict(strict=True)
 
     raw_file: str
-    lanes: list[list[int | FiniteFloat]]
-    h_samples: list[int | FiniteFloat]
+    lanes: list[list[_Pixel]]
+    h_samples: list[_Pixel] = Field(min_length=1)
     run_time: FiniteFloat = 0.0
 
 
 def to_line(frame: LaneFrame) -> str:
-    """One frame as a line of JSON, columns rounded to hundredths of a pixel, which is exact for ``rounded`` ones."""
+    """One frame as a line of JSON, columns rounded to hundredths of a pixel."""
     lanes = [_numbers(np.nan_to_num(lane, nan=NOWHERE)) for lane in frame.lanes]
     run_time = round(frame.run_time_ms, _DECIMALS)
     line = _Line(raw_file=frame.raw_file, lanes=lanes, h_samples=_numbers(frame.rows), run_time=run_time)
@@ -79,12 +82,6 @@ def to_line(frame: LaneFrame) -> str:
 def _numbers(values: Float) -> list[int | float]:
     """Whole numbers without a point, as rows and absent points have none in the benchmark's files."""
     return [int(value) if value.is_integer() else round(value, _DECIMALS) for value in values.tolist()]
-
-
-def rounded(lane: Float) -> Float:
-    """A lane's columns as a file holds them: what is scored is what is written."""
-    columns: Float = np.round(lane, _DECIMALS)
-    return columns
 
 
 def read_frames(path: Path) -> list[LaneFrame]:
@@ -105,25 +102,16 @@ def _frame(text: bytes, place: str) -> LaneFrame:
     try:
         line = _Line.model_validate_json(text)
     except ValidationError as error:
-        raise LaneFileError(f"{place}: is not a line of TuSimple's format: {_first(error)}") from error
+        found = error.errors(include_url=False)[0]
+        why = ": ".join(filter(None, (".".join(map(str, found["loc"])), found["msg"])))
+        raise LaneFileError(f"{place}: is not a line of TuSimple's format: {why}") from error
     rows = len(line.h_samples)
-    if not rows:
-        raise LaneFileError(f"{place}: h_samples is empty; expected the rows at which lanes have columns")
     for k, lane in enumerate(line.lanes):
         if len(lane) != rows:
             raise LaneFileError(f"{place}: lanes[{k}] has {len(lane)} columns; expected {rows}, one for each h_sample")
-    for name, values in (("h_samples", line.h_samples), *((f"lanes[{k}]", lane) for k, lane in enumerate(line.lanes))):
-        if any(not -FARTHEST_PX <= value <= FARTHEST_PX for value in values):
-            raise LaneFileError(f"{place}: {name}: expected pixels from {-FARTHEST_PX:g} to {FARTHEST_PX:g}")
     columns = (np.array(lane, float) for lane in line.lanes)
     lanes = tuple(np.where(lane < 0, np.nan, lane) for lane in columns)
     return LaneFrame(line.raw_file, np.array(line.h_samples, float), lanes, line.run_time, place)
-
-
-def _first(error: ValidationError) -> str:
-    found = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in found["loc"])
-    return f"{key}: {found['msg']}" if key else found["msg"]
 
 
 @contextmanager
@@ -220,7 +208,8 @@ def lane_frame(frame: RunFrame, camera: Camera, size: tuple[int, int], raw_file:
     shown = replace(camera, width=size[0], height=size[1])
     factors = np.divide(size, (camera.width, camera.height))
     lines = (in_view((line + 0.5) * factors - 0.5, shown) for line in frame.lines_px)
-    lanes = (rounded(columns_at(line, rows, shown)) for line in lines if len(line))
+    # rounded as a file holds them: what is scored is what is written
+    lanes = (np.round(columns_at(line, rows, shown), _DECIMALS) for line in lines if len(line))
     return LaneFrame(raw_file, rows, tuple(lane for lane in lanes if np.isfinite(lane).any()), frame.run_time_ms)
 
 

@@ -3,9 +3,8 @@
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -27,22 +26,20 @@ from .lane_files import (
     open_lanes,
     read_frames,
 )
-from .names import listed, percent
 from .options import LanePairing
+from .quantities import listed, percent
 from .scores import Score
 
 NAMED: Final = 10
 """Missing frames that are named; of more only the number."""
 
 
-@dataclass(frozen=True)
-class FrameScore:
-    """The accuracy of one frame's lanes: TuSimple's figures, and CULane's counts at each of ``THRESHOLDS``."""
+class FrameScore(NamedTuple):
+    """TuSimple's figures of one frame, CULane's counts at each of ``THRESHOLDS``, and whether the run saw any lane."""
 
     tusimple: TuSimpleScore
     counts: tuple[Counts, ...]
     answered: bool
-    """Whether the run saw any lane in it."""
 
 
 def by_key(truth: Sequence[LaneFrame], pairing: LanePairing) -> dict[int, LaneFrame]:
@@ -108,37 +105,29 @@ def _polylines(frame: LaneFrame) -> list[Float]:
     return [lane for lane in lanes if len(lane) > 1]
 
 
-@dataclass(frozen=True)
-class LaneOptions:
-    """The files, and how their frames and pixels belong to the run's."""
-
-    target: Path | None
-    truth: Path | None
-    pairing: LanePairing
-    size: tuple[int, int] | None
-    """Columns and rows; None for the camera's."""
-
-
-def print_lanes(path: Path, options: LaneOptions) -> None:
+def print_lanes(
+    path: Path, target: Path | None, true_lanes: Path | None, pairing: LanePairing, size: tuple[int, int] | None
+) -> None:
     """Export a run's lanes, and score them.
 
     Args:
         path: the log with results.
-        options: what to write, and what to score it against.
+        target: the file to write, if any.
+        true_lanes: the file to score them against, if any.
+        pairing: how true frames find theirs.
+        size: columns and rows of the image in whose pixels the files are; None for the camera's.
 
     Raises:
         LaneFileError: a file is not TuSimple's, or would be replaced by what it is compared with.
         RoadpercError: the log cannot be read.
     """
-    if options.target and options.truth and real_path(options.target) == real_path(options.truth):
-        raise LaneFileError(f"{options.target}: is the truth itself; expected another file to write")
-    truth = by_key(read_frames(options.truth), options.pairing) if options.truth else {}
+    if target and true_lanes and real_path(target) == real_path(true_lanes):
+        raise LaneFileError(f"{target}: is the truth itself; expected another file to write")
+    truth = by_key(read_frames(true_lanes), pairing) if true_lanes else {}
     source = open_lanes(path)
-    size = options.size or (source.camera.width, source.camera.height)
-    with lane_writer(options.target) if options.target else nullcontext() as write:
-        parts = (
-            _write_and_score(source, truth, options.pairing, size, write) if truth else [_export(source, size, write)]
-        )
+    size = size or (source.camera.width, source.camera.height)
+    with lane_writer(target) if target else nullcontext() as write:
+        parts = _write_and_score(source, truth, pairing, size, write) if truth else [_export(source, size, write)]
     print_parts(console_for(sys.stdout), *parts)
 
 
@@ -178,12 +167,8 @@ def _write_and_score(
 def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) -> list[str | TextTable]:
     """TuSimple's figures as means over frames and CULane's counts as sums, as either benchmark does; of at least one.
 
-    The ``run_time`` above which TuSimple's script refuses a frame (200 ms) is not applied to a replay.
-
-    Args:
-        name: of the run.
-        scores: of all true frames, those that the run lacks or is silent on included.
-        missing: names of the true frames that the run lacks.
+    ``scores`` are of all true frames, also of the ``missing`` ones, which the run lacks. The ``run_time`` above which
+    TuSimple's script refuses a frame (200 ms) is not applied to a replay.
     """
     answered = sum(score.answered for score in scores)
     share = percent(answered / len(scores))

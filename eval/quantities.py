@@ -1,7 +1,12 @@
-"""What a report shows of a metrics table: the numbers of the table of columns, and what is derived from them."""
+"""What a report shows of a metrics table, stored or derived, and how it writes numbers and names."""
 
+from collections import Counter
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
+
+import polars as pl
+from rich.console import Console
 
 from roadperc_stream.schemas.columns import COUNT, TIME_COLUMNS, UNITLESS, InputColumns, columns_of, errors, estimates
 
@@ -25,6 +30,11 @@ class Quantity:
     def label(self) -> str:
         """Name with unit, where there is one."""
         return self.name if self.unit in UNITLESS else f"{self.name}, {self.unit}"
+
+    @property
+    def judged(self) -> pl.Expr:
+        """What frames are judged by: the absolute value of an error, the value itself of what is better high."""
+        return pl.col(self.column) if self.worse == "low" else pl.col(self.column).abs()
 
 
 def _quantities(*groups: type) -> tuple[Quantity, ...]:
@@ -97,6 +107,8 @@ STORED: Final = tuple(q for q in (*SEEN, *TRUTH, *STAGE_TIMES, SKEW, *OFFSETS) i
 NUMBERS: Final = (*STORED, *DERIVED)
 SUSPECT: Final = (LOST, SEEN[0], TOTAL)
 """Signs of trouble that need no truth."""
+RANKED: Final = (*TRUTH, *SUSPECT)
+"""By these frames and logs may be the worst."""
 COVERED: Final = {
     "surface": "camera_height_m",
     "drivable": "drivable_ratio",
@@ -116,3 +128,62 @@ COUNTS: Final = tuple(column for columns in COUNTED.values() for column in colum
 """Columns whose sums over a run are the counts of its scores."""
 TRACED: Final = {side: (f"lane_{side}_offset_m", f"lane_{side}_true_offset_m") for side in SIDES}
 """What is smoothed and might lag, and the truth it follows."""
+_NUMBERS_COLUMNS: Final = 65
+"""Characters that the widest row of numbers needs next to a run's name."""
+_CUT: Final = "…"
+
+
+def ranked(present: Container[str]) -> list[Quantity]:
+    """What frames and logs are the worst by: the errors among columns that are present, else signs of trouble."""
+    return [q for q in TRUTH if q.column in present] or [q for q in SUSPECT if q.column in present]
+
+
+def rounded(value: float, quantity: Quantity) -> str:
+    """A value with the quantity's digits and never a negative zero."""
+    return f"{value:z.{quantity.decimals}f}"
+
+
+def name_columns(console: Console) -> int:
+    """Characters a run's name may have."""
+    return console.width - _NUMBERS_COLUMNS
+
+
+def short_names(names: Sequence[str], columns: int) -> dict[str, str]:
+    """What each name is called where only so many characters fit: itself, or its two ends.
+
+    Where two would be called the same, a number in front tells them apart.
+    """
+    cut = {name: _cut(name, columns) for name in names}
+    shared = Counter(cut.values())
+    return {
+        name: short if shared[short] == 1 else _numbered(name, number, columns)
+        for number, (name, short) in enumerate(cut.items(), 1)
+    }
+
+
+def legend(names: Mapping[str, str]) -> Iterator[str]:
+    """A line on each name that had to be cut."""
+    yield from (f"{short}: {name}" for name, short in names.items() if short != name)
+
+
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """Names in a line: the first of many, and how many more there are."""
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _cut(name: str, columns: int) -> str:
+    if len(name) <= columns:
+        return name
+    front = (columns - len(_CUT)) // 2
+    return f"{name[:front]}{_CUT}{name[len(name) - (columns - len(_CUT) - front) :]}"
+
+
+def _numbered(name: str, number: int, columns: int) -> str:
+    prefix = f"{number} "
+    return f"{prefix}{_cut(name, columns - len(prefix))}"
+
+
+def percent(share: float) -> str:
+    """A share from 0 to 1 in percent."""
+    return f"{100 * share:.1f}"

@@ -14,8 +14,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .drives import find_drives
-from .names import legend, listed, name_columns, percent, short_names
-from .quantities import COVERED, SKEW
+from .quantities import COVERED, SKEW, legend, listed, name_columns, percent, short_names
 from .runs import Run
 from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
 from .summary import Summary, summarise_group, summarise_run
@@ -63,16 +62,16 @@ def _print_several(console: Console, found: Sequence[Run], worst: int) -> None:
     grouped_runs = grouped([replace(run, name=names[run.name]) for run in found])
     settings = settings_table({group.name: group.example for group in grouped_runs})
     groups = [summarise_group(group, worst) for group in grouped_runs]
-    runs = [summary for group in groups for summary in group.runs]
+    together = [summary for _, summary in groups]
+    runs = [summary for summaries, _ in groups for summary in summaries]
     rows = least_covered(runs)
     print_lines(console, contents(runs))
     print_tables(console, settings, runs_table(rows, tuple(legend(names))))
-    for group in groups[:LISTED]:
-        name = [f"{group.together.name}:"] if len(groups) > 1 else []
-        print_lines(console, "", *name, extent(group.together), inputs(group.together))
-        if group.together.rank_error:
-            print_lines(console, precision(group.together))
-    together = [group.together for group in groups]
+    for summary in together[:LISTED]:
+        name = [f"{summary.name}:"] if len(groups) > 1 else []
+        print_lines(console, "", *name, extent(summary), inputs(summary))
+        if summary.rank_error:
+            print_lines(console, precision(summary))
     print_tables(console, *sections(together), worst_frames(together), coverage_by_run(rows))
     if len(runs) > len(groups):
         print_tables(console, *tables_by_run(runs))

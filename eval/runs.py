@@ -1,15 +1,16 @@
 """Which metrics tables a command line means: files, folders, globs, logs with results; and what their columns hold."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pyarrow.types as kinds
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import arrow_schema, facts_in, sidecar_path
@@ -28,10 +29,16 @@ _COMPLETE: Final = ("log_id", "stamp_ns", "total_ms")
 """Columns with a value in every row."""
 _WHOLE: Final = ("frame", "stamp_ns")
 """Columns that rows are found by."""
-_LARGEST: Final[Mapping[str, float]] = {"int64": 2.0**63 - 1024, "double": 1e100}
-"""By the type a column has; squares of the largest number, and sums of these, are numbers still."""
+_LARGEST: Final[Mapping[pl.DataType, float]] = {pl.Int64(): 2.0**63 - 1024, pl.Float64(): 1e100}
+"""By the type a replay writes; squares of the largest number, and sums of these, are numbers still."""
+_TEXTS: Final = (pl.String, pl.Categorical, pl.Enum)
 REQUIRED_COLUMNS: Final = ("log_id", "frame", "stamp_ns", "missing", "reasons", "total_ms")
 """What makes a metrics table. Others may be absent, as in tables of older versions: they count as null."""
+_FACTS: Final = (
+    *("config_digest", "version", "config", "source", "log"),
+    *(LOG_ID_KEY, DIGEST_ALGORITHM_KEY, CONTINUES_KEY),
+)
+"""Facts of a table's footer that are attributes of its run, under the same names."""
 _MOST_DIGITS: Final = 16
 """Of a frame's number."""
 
@@ -44,14 +51,20 @@ def collect(frame: pl.LazyFrame, source: str) -> pl.DataFrame:
     Raises:
         TableError: the data of ``source`` cannot be read.
     """
-    try:
+    with reading(source):
         return frame.collect(engine="in-memory")
+
+
+@contextmanager
+def reading(source: str) -> Iterator[None]:
+    """Turn what goes wrong while polars reads a table into a ``TableError`` that names it."""
+    try:
+        yield
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        cause = (str(error).splitlines() or [type(error).__name__])[0]
-        raise TableError(f"{source}: its data cannot be read: {cause}") from error
+        raise TableError(f"{source}: its data cannot be read: {first_line(error)}") from error
 
 
-def require_columns_as_written(path: Path, found: pa.Schema) -> None:
+def _require_columns_as_written(path: Path) -> None:
     """Check the columns that a replay writes: their types, their largest numbers, and that rows have their values.
 
     The numbers are those of the rows. The footer has the least and the largest too, but of a damaged footer pyarrow
@@ -61,23 +74,16 @@ def require_columns_as_written(path: Path, found: pa.Schema) -> None:
         TableError: a column is of another type, lacks values, or holds a number that nobody can compute with; or the
             data cannot be read.
     """
-    present = [expected for expected in arrow_schema(FrameMetrics, TIME_COLUMNS) if expected.name in found.names]
-    for expected in present:
-        if found.names.count(expected.name) > 1:
-            raise TableError(f"{path}: several columns are called {expected.name}")
-        kind = found.field(expected.name).type
-        if not _fits(expected, kind):
-            raise TableError(f"{path}: column {expected.name} is of type {kind}, expected {expected.type}")
-    largest = {field.name: _LARGEST[str(field.type)] for field in present if str(field.type) in _LARGEST}
-    numbers = {name: limit for name, limit in largest.items() if not kinds.is_null(found.field(name).type)}
-    _require_values(path, numbers)
-
-
-def _require_values(path: Path, largest: Mapping[str, float]) -> None:
-    """Check that no row lacks what each has, and that the finite numbers of columns are within their limits."""
-    finite = {name: pl.col(name).filter(pl.col(name).is_finite()) for name in largest}
+    rows = pl.scan_parquet(path, glob=False)
+    with reading(str(path)):
+        found = rows.collect_schema()
+    for name, expected in _written().items():
+        if name in found and not _fits(name, expected, found[name]):
+            raise TableError(f"{path}: column {name} is of type {found[name]}, expected {expected}")
+    largest = {name: _LARGEST[kind] for name, kind in _written().items() if name in found and kind in _LARGEST}
+    finite = {name: pl.col(name).filter(pl.col(name).is_finite()) for name in largest if found[name] != pl.Null}
     values = collect(
-        pl.scan_parquet(path, glob=False).select(
+        rows.select(
             *(pl.col(name).null_count().alias(f"{name} without") for name in _COMPLETE),
             *(column.min().alias(f"{name} least") for name, column in finite.items()),
             *(column.max().alias(f"{name} most") for name, column in finite.items()),
@@ -87,31 +93,29 @@ def _require_values(path: Path, largest: Mapping[str, float]) -> None:
     for name in _COMPLETE:
         if values[f"{name} without"]:
             raise TableError(f"{path}: is not a metrics table: its column {name} has rows without a value")
-    for name, limit in largest.items():
+    for name in finite:
         for value in (values[f"{name} least"], values[f"{name} most"]):
-            if value is not None and abs(value) > limit:
-                raise TableError(f"{path}: column {name} holds {value:g}, expected {limit:g} at most")
+            if value is not None and abs(value) > largest[name]:
+                raise TableError(f"{path}: column {name} holds {value:g}, expected {largest[name]:g} at most")
 
 
-def _fits(expected: pa.Field, kind: pa.DataType) -> bool:
-    """Whether values of a kind can stand for those expected; a column without values may have none."""
-    if kinds.is_null(kind):
-        return bool(expected.nullable)
-    if kinds.is_list(expected.type):
-        listed = kinds.is_list(kind) or kinds.is_large_list(kind)
-        return listed and (kinds.is_null(kind.value_type) or _is_text(kind.value_type))
-    number: Callable[[Any], bool] = kinds.is_integer if expected.name in _WHOLE else _is_number
-    checks: dict[str, Callable[[Any], bool]] = {"string": _is_text, "bool": kinds.is_boolean}
-    return checks.get(str(expected.type), number)(kind)
+@cache
+def _written() -> pl.Schema:
+    """The columns that a replay writes."""
+    return pl.DataFrame(arrow_schema(FrameMetrics, TIME_COLUMNS).empty_table()).schema
 
 
-def _is_text(kind: pa.DataType) -> bool:
-    plain = kind.value_type if kinds.is_dictionary(kind) else kind
-    return any(check(plain) for check in (kinds.is_string, kinds.is_large_string, kinds.is_string_view))
-
-
-def _is_number(kind: pa.DataType) -> bool:
-    return bool(kinds.is_integer(kind) or kinds.is_floating(kind))
+def _fits(name: str, expected: pl.DataType, kind: pl.DataType) -> bool:
+    """Whether values of a kind can stand for those expected; a column without any value may have none."""
+    if kind == pl.Null:
+        return name not in REQUIRED_COLUMNS
+    if isinstance(expected, pl.List):
+        return isinstance(kind, pl.List) and kind.inner in (*_TEXTS, pl.Null)
+    if expected == pl.String:
+        return kind in _TEXTS
+    if expected == pl.Boolean:
+        return kind == pl.Boolean
+    return kind.is_integer() or (kind.is_float() and name not in _WHOLE)
 
 
 @dataclass(frozen=True)
@@ -136,8 +140,8 @@ class Run:
     path: Path
     frames: int
     columns: frozenset[str]
-    config_digest: str
-    version: str
+    config_digest: str = ""
+    version: str = ""
     config: str = ""
     source: str = ""
     log: str = ""
@@ -188,19 +192,13 @@ def find_runs(arguments: Sequence[str]) -> tuple[Run, ...]:
 
 def _before_next_part(run: Run, runs: Iterable[Run]) -> Run:
     """The run without the frames that the part behind it gives again; no later one gives earlier ones."""
-    behind = [
-        other
-        for other in runs
-        if run.log_id and other.continues == run.log_id and other.config_digest == run.config_digest
-    ]
-    return cut_before(run, min(behind, key=lambda other: other.first_frame)) if behind else run
-
-
-def cut_before(run: Run, behind: Run) -> Run:
-    """A part of a drive without the frames that one behind it gives again."""
-    end = behind.first_frame
-    frames = min(max(end - run.first_frame, 0), run.frames)
-    return replace(run, frames=frames, end_frame=end, next_part=behind.name)
+    same = (run.log_id, run.config_digest)
+    parts = [other for other in runs if run.log_id and (other.continues, other.config_digest) == same]
+    if not parts:
+        return run
+    behind = min(parts, key=lambda other: other.first_frame)
+    frames = min(max(behind.first_frame - run.first_frame, 0), run.frames)
+    return replace(run, frames=frames, end_frame=behind.first_frame, next_part=behind.name)
 
 
 def open_run(path: Path, name: str) -> Run:
@@ -211,32 +209,20 @@ def open_run(path: Path, name: str) -> Run:
     """
     try:
         footer = pq.read_metadata(path)
-        found = footer.schema.to_arrow_schema()
+        columns = footer.schema.to_arrow_schema().names
     except UnicodeDecodeError as error:
         raise TableError(f"{path}: has a column whose name is no text ({error.reason})") from error
     except pa.ArrowException as error:
         raise TableError(f"{path}: is not a Parquet file, or was cut short ({first_line(error)})") from error
     except OSError as error:
         raise TableError(f"{path}: {error.strerror or first_line(error)}") from error
-    _require_columns(path, found.names)
-    require_columns_as_written(path, found)
+    _require_columns(path, columns)
+    _require_columns_as_written(path)
     facts = facts_in(footer.metadata)
-    return Run(
-        name,
-        path,
-        footer.num_rows,
-        frozenset(found.names),
-        config_digest=facts.get("config_digest", ""),
-        version=facts.get("version", ""),
-        config=facts.get("config", ""),
-        source=facts.get("source", ""),
-        log=facts.get("log", ""),
-        log_id=facts.get(LOG_ID_KEY, ""),
-        digest_algorithm=facts.get(DIGEST_ALGORITHM_KEY, FIRST_DIGEST_ALGORITHM),
-        continues=facts.get(CONTINUES_KEY, ""),
-        first_frame=_whole_number(facts.get(FIRST_FRAME_KEY, "")),
-        rows=footer.num_rows,
-    )
+    rows = footer.num_rows
+    said: dict[str, Any] = {key: facts[key] for key in _FACTS if key in facts}
+    first_frame = _whole_number(facts.get(FIRST_FRAME_KEY, ""))
+    return Run(name, path, rows, frozenset(columns), **said, first_frame=first_frame, rows=rows)
 
 
 def _whole_number(text: str) -> int:
@@ -264,7 +250,11 @@ def _tables(argument: str) -> list[Path]:
     if path.is_dir():
         return _in_folder(path)
     if path.suffix == ".mcap":
-        return [_of_log(path)]
+        table = sidecar_path(path, "metrics")
+        if not table.exists():
+            missing = f"no {table.name} next to it; roadperc-replay writes one next to its OUT.mcap"
+            raise TableError(f"{path}: {missing if path.exists() else 'no such file'}")
+        return [table]
     if path.exists():
         return [path]
     if any(sign in argument for sign in "*?["):
@@ -279,14 +269,6 @@ def _in_folder(folder: Path) -> list[Path]:
             raise TableError(f"{folder}: tables of a dataset of roadperc-batch; name its folder, {folder.parent}")
         raise TableError(f"{folder}: no *{METRICS_SUFFIX} in this folder or below; roadperc-replay writes them")
     return paths
-
-
-def _of_log(log: Path) -> Path:
-    table = sidecar_path(log, "metrics")
-    if not table.exists():
-        missing = f"no {table.name} next to it; roadperc-replay writes one next to its OUT.mcap"
-        raise TableError(f"{log}: {missing if log.exists() else 'no such file'}")
-    return table
 
 
 def _in_glob(pattern: str) -> list[Path]:

@@ -77,11 +77,7 @@ def finite(names: Iterable[str]) -> list[pl.Expr]:
 
 
 def segment(columns: Container[str]) -> pl.Expr:
-    """The segment of each row; tables of older versions do not have the column: they are one segment, 0.
-
-    Args:
-        columns: the table's.
-    """
+    """The segment of each row; tables of older versions do not have the column: they are one segment, 0."""
     if SEGMENT not in columns:
         return pl.lit(0, pl.Int64).alias(SEGMENT)
     return pl.col(SEGMENT).cast(pl.Int64).fill_null(0)
@@ -161,7 +157,7 @@ def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
     A frame that could not be better is none of the worst, even where no other is worse.
     """
     value = pl.col(quantity.column)
-    badness = value.abs() if quantity.worse == "high" else -value
+    badness = quantity.judged if quantity.worse == "high" else -quantity.judged
     flawed = badness > (-1 if quantity.worse == "low" and quantity.unit == RATIO else 0)
     row = pl.struct("frame", SEGMENT, "since_start_s", "stamp_ns", value=value).filter(flawed)
     order = [badness.filter(flawed), pl.col(SEGMENT).filter(flawed), pl.col("stamp_ns").filter(flawed)]

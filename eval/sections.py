@@ -7,13 +7,13 @@ from itertools import islice
 from typing import Final
 
 from roadperc_stream.model import ReasonKind
-from roadperc_stream.output.reason_counts import merged, ranked
+from roadperc_stream.output.reason_counts import merged
+from roadperc_stream.output.reason_counts import ranked as ranked_reasons
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
 from .comparison.bootstrap import LEVEL
 from .consistency import JUDGED, Consistency
-from .names import percent, rounded
-from .quantities import CATEGORIES, SEEN, SIDES, STAGE_TIMES, STORED, SUSPECT, TOTAL, TRUTH, Quantity
+from .quantities import CATEGORIES, SEEN, SIDES, STAGE_TIMES, STORED, TOTAL, TRUTH, Quantity, percent, ranked, rounded
 from .statistics import Statistics
 from .summary import Summary, WorstFrame
 
@@ -85,7 +85,7 @@ def lane_boundaries(summaries: Summaries) -> TextTable:
 
 def missing_outputs(summaries: Summaries) -> TextTable:
     """Why something is absent, as the chain put it, and in how many frames; of the rarest only how many there are."""
-    found = ranked(merged(summary.reasons for summary in summaries))
+    found = ranked_reasons(merged(summary.reasons for summary in summaries))
     rows = [_reason(summaries, kind, str(reason)) for kind, reason in islice(found.items(), REASONS_SHOWN)]
     rest = len(found) - REASONS_SHOWN
     others = [row(f"{rest} other reason{'s' * (rest > 1)}")] if rest > 0 else []
@@ -147,9 +147,8 @@ def worst_frames(summaries: Summaries) -> TextTable:
 
 
 def ranked_by(summaries: Summaries) -> list[Quantity]:
-    """What frames are the worst by: the errors there are, else signs of trouble."""
-    present = {column for summary in summaries for column, frames in summary.worst.items() if frames}
-    return [q for q in TRUTH if q.column in present] or [q for q in SUSPECT if q.column in present]
+    """What frames of these are the worst by."""
+    return ranked({column for summary in summaries for column, frames in summary.worst.items() if frames})
 
 
 def no_values(summaries: Summaries) -> str:

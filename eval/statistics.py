@@ -164,12 +164,7 @@ def moments(values: Float) -> Moments:
     return Moments(len(values), total, std, float(values[0]), most)
 
 
-def statistics(column: Distribution) -> Statistics:
-    """Those of all values of a column, at least one."""
-    return _with_quantiles(moments(column.values), column)
-
-
-def statistics_of_all(parts: Sequence[Moments], column: Distribution) -> Statistics:
+def statistics(parts: Sequence[Moments], column: Distribution) -> Statistics:
     """Those of several tables: exact but for the quantiles, which are as exact as the distribution over all tables.
 
     The deviation is that within the tables and that between their means (Chan, Golub and LeVeque 1979).
@@ -177,15 +172,14 @@ def statistics_of_all(parts: Sequence[Moments], column: Distribution) -> Statist
     count = sum(part.values for part in parts)
     total = math.fsum(part.total for part in parts)
     squares = math.fsum(part.values * (part.std**2 + (part.total / part.values - total / count) ** 2) for part in parts)
-    least, most = min(part.least for part in parts), max(part.abs_most for part in parts)
-    return _with_quantiles(Moments(count, total, math.sqrt(squares / count), least, most), column)
-
-
-def _with_quantiles(known: Moments, column: Distribution) -> Statistics:
     p5, median, p95, p99 = quantiles(column, (0.05, 0.5, 0.95, 0.99))
     abs_median, abs_p95 = quantiles(absolute(column), (0.5, 0.95))
     return Statistics(
-        **vars(known),
+        values=count,
+        total=total,
+        std=math.sqrt(squares / count),
+        least=min(part.least for part in parts),
+        abs_most=max(part.abs_most for part in parts),
         p5=p5,
         median=median,
         p95=p95,
@@ -201,24 +195,21 @@ class ColumnPools:
 
     def __init__(self, points: int) -> None:
         self.points = points
-        self._moments: dict[str, list[Moments]] = {}
-        self._sketches: dict[str, Sketch] = {}
+        self._columns: dict[str, tuple[list[Moments], Sketch]] = {}
 
     def add(self, column: str, known: Moments, part: Distribution) -> None:
         """Take in a table's values of a column."""
-        self._moments.setdefault(column, []).append(known)
-        self._sketches.setdefault(column, Sketch(self.points)).add(part)
+        found, sketch = self._columns.setdefault(column, ([], Sketch(self.points)))
+        found.append(known)
+        sketch.add(part)
 
     def limit(self, points: int) -> None:
         """Keep fewer points of each distribution."""
         self.points = min(points, self.points)
-        for sketch in self._sketches.values():
+        for _, sketch in self._columns.values():
             sketch.limit(self.points)
 
     def statistics(self, columns: Iterable[str]) -> dict[str, Statistics]:
         """Those over all tables, of the columns that have values."""
-        return {
-            name: statistics_of_all(self._moments[name], self._sketches[name].distribution())
-            for name in columns
-            if name in self._sketches
-        }
+        present = {name: self._columns[name] for name in columns if name in self._columns}
+        return {name: statistics(found, sketch.distribution()) for name, (found, sketch) in present.items()}

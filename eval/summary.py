@@ -17,11 +17,11 @@ from roadperc_stream.model import ReasonKind
 
 from .configurations import Group
 from .consistency import Consistency, added, consistency_of_run
-from .quantities import NUMBERS, SUSPECT, TRACED, TRUTH, Quantity
+from .quantities import NUMBERS, RANKED, TRACED, Quantity
 from .runs import Run, collect
 from .scan import extent, scan, worst_frames
 from .scores import Score, Tallies, averaged, lag_frames, scores, tallied, tallied_together, tallies, traces
-from .statistics import ColumnPools, Distribution, Statistics, exactly, statistics, thinned
+from .statistics import ColumnPools, Distribution, Statistics, exactly, moments, statistics, thinned
 
 EXACT_FRAMES: Final = 2**18
 """Rows up to which quantiles over all tables are exact: 8 bytes each and column, 160 MB in all."""
@@ -31,7 +31,6 @@ _AT_ONCE: Final = 2
 """Tables read at the same time; polars brings threads of its own."""
 _AHEAD: Final = 64
 """Tables read before the first is merged: what bounds the memory."""
-_RANKED: Final = (*TRUTH, *SUSPECT)
 
 
 @dataclass(frozen=True)
@@ -106,26 +105,17 @@ class Summary(Tallies):
         return lag_frames(self.correlations[side])
 
 
-@dataclass(frozen=True)
-class GroupSummary:
-    """Summaries of runs of one configuration and version, each and ``together``."""
-
-    runs: tuple[Summary, ...]
-    together: Summary
-
-
-def summarise_group(group: Group, worst: int) -> GroupSummary:
-    """Summaries of the runs of a group, of at least one row each; the one over all has the group's name.
+def summarise_group(group: Group, worst: int) -> tuple[list[Summary], Summary]:
+    """Summaries of the runs of a group, of at least one row each, and the one over all under the group's name.
 
     Raises:
         TableError: the data of a table cannot be read.
     """
     if len(group.runs) == 1:
         together = summarise_run(group.runs[0], worst)
-        summaries = [together]
-    else:
-        summaries, together = summarise_all(group.runs, worst)
-    return GroupSummary(tuple(summaries), replace(together, name=group.name))
+        return [together], replace(together, name=group.name)
+    summaries, together = summarise_all(group.runs, worst)
+    return summaries, replace(together, name=group.name)
 
 
 def summarise_run(run: Run, worst: int) -> Summary:
@@ -163,7 +153,7 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
     found = frames.select(_facts(worst)).row(0, named=True)
     columns = {q.column: frames[q.column].drop_nulls() for q in NUMBERS}
     distributions = {name: exactly(np.sort(values.to_numpy())) for name, values in columns.items() if len(values)}
-    present = {name: statistics(distribution) for name, distribution in distributions.items()}
+    present = {name: statistics([moments(whole.values)], whole) for name, whole in distributions.items()}
     summary = Summary(
         **vars(tallied(found)),
         name=run.name,
@@ -180,14 +170,14 @@ def _read(run: Run, worst: int, points: int) -> tuple[Summary, dict[str, Distrib
         consistency=consistency_of_run(run),
         worst={
             q.column: tuple(WorstFrame(run.name, **row) for row in found[f"worst {q.column}"])
-            for q in _RANKED
+            for q in RANKED
             if q.column in present
         },
     )
     return summary, {name: thinned(distribution, points) for name, distribution in distributions.items()}
 
 
-def _together(summaries: Sequence[Summary], statistics_: Mapping[str, Statistics], worst: int) -> Summary:
+def _together(summaries: Sequence[Summary], pooled: Mapping[str, Statistics], worst: int) -> Summary:
     return Summary(
         **vars(tallied_together(summaries)),
         name=f"all {len(summaries)} logs",
@@ -199,12 +189,12 @@ def _together(summaries: Sequence[Summary], statistics_: Mapping[str, Statistics
         segments=sum(summary.segments for summary in summaries),
         span_s=sum(summary.span_s for summary in summaries),
         longest_gap_s=max(summary.longest_gap_s for summary in summaries),
-        statistics=statistics_,
+        statistics=pooled,
         correlations={
             side: averaged((summary.frames, summary.correlations[side]) for summary in summaries) for side in TRACED
         },
         consistency=added(summary.consistency for summary in summaries),
-        worst={q.column: ranking for q in _RANKED if (ranking := _merged(summaries, q, worst))},
+        worst={q.column: ranking for q in RANKED if (ranking := _merged(summaries, q, worst))},
     )
 
 
@@ -214,7 +204,7 @@ def _facts(worst: int) -> list[pl.Expr]:
         *extent(),
         *tallies(),
         *traces(),
-        *(worst_frames(quantity, worst) for quantity in _RANKED),
+        *(worst_frames(quantity, worst) for quantity in RANKED),
     ]
 
 

@@ -15,7 +15,7 @@ from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.folders import not_a_log
 from roadperc_stream.system.text import print_line
 
-from .names import percent, rounded
+from .quantities import percent, rounded
 from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
 from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names, tables
 from .sweeping.sweep_log import Job, sweep_logs
@@ -29,12 +29,6 @@ Scored = tuple[SweepMetric, Sequence[SettingScore]]
 """A metric, and the score of every combination."""
 
 
-def values_taken(made: Sequence[Combination]) -> Iterator[str]:
-    """A line on each varied setting with its values."""
-    for key in made[0].settings:
-        yield f"  {key} {', '.join(dict.fromkeys(shown(item.settings[key]) for item in made))}"
-
-
 def best_settings(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> TextTable:
     """A row per metric on which settings differ: score and coverage of the best and the reference, what it changes."""
     headers = ("best", "frames %", "reference", "frames %", "setting")
@@ -44,11 +38,8 @@ def best_settings(found: Sequence[Scored], made: Sequence[Combination], referenc
 
 def _best_rows(scored: Scored, made: Sequence[Combination], reference: Combination) -> Iterator[TextRow]:
     metric, scores = scored
-    ranked = best(metric, scores, made, reference)
-    places = (
-        () if ranked is None else ((metric.quantity.label, ranked.winner), ("  lower coverage", ranked.less_covered))
-    )
-    for label, at in places:
+    places = best(metric, scores, made, reference) or ()
+    for label, at in zip((metric.quantity.label, "  lower coverage"), places, strict=False):
         if at is not None:
             pair = scores[at], scores[reference.number]
             cells = (text for score in pair for text in (_cell(metric, score), percent(score.coverage)))
@@ -130,7 +121,9 @@ def _print(folder: Path, made: Sequence[Combination], reference: Combination) ->
     console, files = console_for(sys.stdout), tables(folder)
     found = [(metric, scores(files, made, metric)) for metric in METRICS]
     heading = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
-    print_lines(console, heading, *values_taken(made), unbroken=True)
+    values = {key: dict.fromkeys(shown(item.settings[key]) for item in made) for key in reference.settings}
+    taken = (f"  {key} {', '.join(texts)}" for key, texts in values.items())
+    print_lines(console, heading, *taken, unbroken=True)
     for table in (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings)):
         print_table(console, table)
     idle = (f"{key} changed nothing" for key in without_influence(folder, files, made))

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -12,11 +11,11 @@ from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import number
 
 from .drives import find_drives
-from .names import legend, listed, name_columns, percent, short_names
-from .options import Alignment, DeltaUnit
+from .options import Alignment
+from .quantities import legend, listed, name_columns, percent, short_names
 from .trajectories.errors import Delta, ErrorStatistics
 from .trajectories.evaluation import Evaluation, Segments, evaluate
-from .trajectories.poses import RunPoses, export_kitti, export_tum, read_poses
+from .trajectories.poses import RunPoses, export, read_poses
 
 _ALIGNED: Final[Mapping[Alignment, str]] = {
     "se3": "aligned by SE(3)",
@@ -118,25 +117,13 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:z.4f}"
 
 
-@dataclass(frozen=True)
-class TrajectoryOptions:
-    """How paths are compared, and the folders their files go to."""
-
-    alignment: Alignment | None
-    delta: float
-    delta_unit: DeltaUnit
-    tum: Path | None
-    kitti: Path | None
-
-
-def print_trajectories(arguments: Sequence[str], options: TrajectoryOptions) -> None:
+def print_trajectories(
+    arguments: Sequence[str], alignment: Alignment | None, delta: Delta, tum: Path | None, kitti: Path | None
+) -> None:
     """Print the errors of runs' paths, and export them.
 
-    A run that has none is named, and is an error where nothing else came of the command.
-
-    Args:
-        arguments: tables, logs, folders or globs.
-        options: how.
+    A run that has none is named, and is an error where nothing else came of the command. ``alignment`` and ``delta``
+    are those of ``evaluate``; ``tum`` and ``kitti`` are folders for files, if any.
 
     Raises:
         TableError: there is no such run, or none with a path.
@@ -148,11 +135,12 @@ def print_trajectories(arguments: Sequence[str], options: TrajectoryOptions) -> 
     for item in found.runs:
         try:
             poses = read_poses(item)
-            for export, folder in ((export_tum, options.tum), (export_kitti, options.kitti)):
-                if folder:
-                    export(folder, poses)
-                    exported = True
-            evaluated.append(evaluate(poses, options.alignment, Delta(options.delta, options.delta_unit)))
+            if tum:
+                export(tum, poses, "tum")
+            if kitti:
+                export(kitti, poses, "kitti")
+            exported = bool(tum or kitti)
+            evaluated.append(evaluate(poses, alignment, delta))
         except TableError as error:
             refused.append(error)
     if not evaluated and not exported:

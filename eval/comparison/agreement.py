@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 from typing import Final, Literal
 
@@ -13,9 +13,9 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.record import LOG_ID_KEY
 
 from ..options import Rules
-from ..runs import collect
+from ..runs import Run, collect
 from ..scan import rows_of
-from .pairing import KEY, STAMP, LoggedRun, RunPair, numbered
+from .pairing import KEY, STAMP, RunPair, numbered
 
 Value = float | int | str | bool | None
 State = Literal["identical", "within tolerance", "differs"]
@@ -64,10 +64,6 @@ class Agreement:
             return "differs"
         return "within tolerance" if self.within else "identical"
 
-    def of_run(self, run: str) -> "Agreement":
-        """The same, with the run its first difference is in."""
-        return replace(self, first=self.first and replace(self.first, run=run))
-
     def and_then(self, later: "Agreement") -> "Agreement":
         """This and what was found in later frames, together."""
         return Agreement(
@@ -112,40 +108,33 @@ class Overlap:
     only_candidate: int
 
 
-def overlap(pair: RunPair) -> Overlap:
-    """The frames of both tables, paired by their stamps.
+def compare_tables(pair: RunPair, rules: Rules) -> tuple[Overlap, dict[str, Agreement]]:
+    """The frames of both tables, paired by their stamps, and how each column agrees over those that both have.
+
+    The times, which no two runs share, are left out, and ``log_id`` where two algorithms made it.
 
     Raises:
-        TableError: they share none, or a table's data cannot be read.
+        TableError: they share no frame, or a table's data cannot be read.
     """
-    ours, theirs = (_whole(item, pair.by_segment).select(KEY) for item in (pair.reference, pair.candidate))
-    common = ours.join(theirs, on=KEY).height
+    ours, theirs = (_whole(run, pair.by_segment) for run in (pair.reference, pair.candidate))
+    listed = [name for name in ours.columns if name not in KEY]
+    renamed = theirs.rename({name: name + _CANDIDATE for name in theirs.columns if name not in KEY})
+    joined = ours.join(renamed, on=KEY).sort(KEY)
+    common = joined.height
     if not common:
         found, expected = (f"{side[STAMP].item(0)} to {side[STAMP].item(-1)}" for side in (theirs, ours))
         raise TableError(
-            f"{pair.candidate.run.path}: shares no stamp with {pair.reference.run.path}: "
-            f"{found}, expected some of {expected}"
+            f"{pair.candidate.path}: shares no stamp with {pair.reference.path}: {found}, expected some of {expected}"
         )
-    return Overlap(common, ours.height - common, theirs.height - common)
-
-
-def table_agreements(pair: RunPair, rules: Rules) -> dict[str, Agreement]:
-    """How each column agrees over the frames both tables have.
-
-    The times, which no two runs share, are left out, and ``log_id`` where two algorithms made it.
-    """
-    ours, theirs = (_whole(item, pair.by_segment) for item in (pair.reference, pair.candidate))
-    theirs = theirs.rename({name: name + _CANDIDATE for name in theirs.columns if name not in KEY})
-    joined = ours.join(theirs, on=KEY).sort(KEY)
     left_out = NOT_COMPARED if pair.by_one_digest else (*NOT_COMPARED, LOG_ID_KEY)
-    listed = pl.scan_parquet(pair.reference.run.path, glob=False).collect_schema().names()
     columns = [*listed, *sorted(pair.columns.difference(listed))]
     compared = [name for name in columns if name not in left_out and not rules.ignores(name)]
-    return {name: _column(joined, name, pair.name, rules.tolerance(name)) for name in compared}
+    agreements = {name: _column(joined, name, pair.name, rules.tolerance(name)) for name in compared}
+    return Overlap(common, ours.height - common, theirs.height - common), agreements
 
 
-def _whole(item: LoggedRun, by_segment: bool) -> pl.DataFrame:
-    return collect(numbered(rows_of(item.run), item, by_segment), item.run.source_name)
+def _whole(run: Run, by_segment: bool) -> pl.DataFrame:
+    return collect(numbered(rows_of(run), run, by_segment), run.source_name)
 
 
 def _column(joined: pl.DataFrame, name: str, run: str, tolerance: float) -> Agreement:
@@ -195,6 +184,6 @@ def _distances(ours: pl.Series, theirs: pl.Series) -> pl.Series:
 def same_but_for_times(pair: RunPair) -> bool:
     """Whether two tables hold the same frames with the same results, however long they took."""
     ours, theirs = (
-        _whole(item, by_segment=False).drop(TIME_COLUMNS, strict=False) for item in (pair.reference, pair.candidate)
+        _whole(run, by_segment=False).drop(TIME_COLUMNS, strict=False) for run in (pair.reference, pair.candidate)
     )
     return ours.equals(theirs)

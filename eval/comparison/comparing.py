@@ -11,15 +11,15 @@ import polars as pl
 from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import FrameMetrics, columns_of
 
-from ..configurations import Change, change
+from ..configurations import change
 from ..options import Rules
 from ..quantities import JITTERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
-from ..runs import collect
+from ..runs import Run, collect
 from ..scan import scan
-from .agreement import NOT_COMPARED, Agreement, Overlap, overlap, table_agreements, together
+from .agreement import NOT_COMPARED, Agreement, Overlap, compare_tables, together
 from .bootstrap import Interval, mean_interval
 from .messages import message_agreements
-from .pairing import KEY, LoggedRun, Pairing, RunPair, numbered
+from .pairing import KEY, Pairing, RunPair, numbered
 
 Mark = Literal["worse", "unchanged", "better"]
 _CANDIDATE: Final = " of the candidate"
@@ -43,10 +43,7 @@ class Metric:
 
 
 def _of_quantity(quantity: Quantity, *, timed: bool = False) -> Metric:
-    """The absolute value of an error; the value itself of what is better high."""
-    column = pl.col(quantity.column)
-    high = quantity.worse == "low"
-    return Metric(quantity.column, column if high else column.abs(), high, timed=timed)
+    return Metric(quantity.column, quantity.judged, quantity.worse == "low", timed=timed)
 
 
 def _share(name: str, holds: pl.Expr) -> Metric:
@@ -129,7 +126,7 @@ def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules
     """
     paired = {metric.name: Paired() for metric in METRICS}
     for pair in pairs:
-        ours, theirs = (_measured(item, pair.by_segment) for item in (pair.reference, pair.candidate))
+        ours, theirs = (_measured(run, pair.by_segment) for run in (pair.reference, pair.candidate))
         joined = ours.join(theirs, on=KEY, suffix=_CANDIDATE).sort(KEY)
         for name, values in paired.items():
             known = joined.select(name, name + _CANDIDATE).drop_nulls()
@@ -142,10 +139,9 @@ def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules
     return tuple(judge(metric, values, rules) for metric, values in judged if _judgeable(metric, values, rules))
 
 
-def _measured(item: LoggedRun, by_segment: bool) -> pl.DataFrame:
+def _measured(run: Run, by_segment: bool) -> pl.DataFrame:
     values = [metric.value.cast(pl.Float64).alias(metric.name) for metric in METRICS]
-    rows = numbered(scan(item.run), item, by_segment)
-    return collect(rows.select(*KEY, *values), item.run.source_name)
+    return collect(numbered(scan(run), run, by_segment).select(*KEY, *values), run.source_name)
 
 
 def _judgeable(metric: Metric, values: Paired, rules: Rules) -> bool:
@@ -195,13 +191,13 @@ class Comparison:
     """What two sets of runs share and where they part.
 
     ``columns`` and ``messages`` say how fields of the tables and of the logs' results agree, the latter only where logs
-    were named; ``overlaps`` and ``changes``, what differs between the two configurations, are those of
+    were named; ``overlaps`` and ``changes``, the lines on what differs between the two configurations, are those of
     ``pairing.pairs``.
     """
 
     pairing: Pairing
     overlaps: tuple[Overlap, ...]
-    changes: tuple[Change | None, ...]
+    changes: tuple[tuple[str, ...], ...]
     columns: Mapping[str, Agreement]
     messages: Mapping[str, Agreement]
     verdicts: tuple[Verdict, ...]
@@ -225,7 +221,7 @@ class Comparison:
         """Names of what became worse than allowed: metrics, and runs that the candidate lacks."""
         return [
             *(verdict.metric.name for verdict in self.named("worse")),
-            *(f"no run of {item.relative}" for item in self.pairing.missing),
+            *(f"no run of {run.name}" for run in self.pairing.missing),
         ]
 
     @property
@@ -236,17 +232,14 @@ class Comparison:
         return [
             *(name for name, agreement in self.fields.items() if agreement.state == "differs"),
             *(["frames of one run alone"] if apart else []),
-            *(f"the run {item.relative} of one side alone" for item in alone),
+            *(f"the run {run.name} of one side alone" for run in alone),
         ]
 
 
 def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules) -> Comparison:
     """Compare all pairs, one pair of files after another.
 
-    Args:
-        pairing: which runs belong together.
-        logs: the two logs whose results are compared as well as their tables, if logs were named.
-        rules: what is ignored, tolerated and allowed.
+    If two ``logs`` were named, their results are compared as well as their tables.
 
     Raises:
         RoadpercError: a file cannot be read, a pair shares no stamp, or a rule names nothing there is.
@@ -254,12 +247,12 @@ def compare_runs(pairing: Pairing, logs: tuple[Path, Path] | None, rules: Rules)
     if logs is None:  # the fields of messages are known where they differ, no sooner
         columns = set[str]().union(*(pair.columns for pair in pairing.pairs)).difference(NOT_COMPARED)
         rules.require_use({*columns, *(metric.name for metric in METRICS), FRAMES.name})
-    overlaps = tuple(overlap(pair) for pair in pairing.pairs)
+    overlaps, agreements = zip(*(compare_tables(pair, rules) for pair in pairing.pairs), strict=True)
     return Comparison(
         pairing,
         overlaps,
-        tuple(change(pair.reference.run, pair.candidate.run) for pair in pairing.pairs),
-        together(table_agreements(pair, rules) for pair in pairing.pairs),
+        tuple(change(pair.reference, pair.candidate) for pair in pairing.pairs),
+        together(agreements),
         message_agreements(*logs, pairing.pairs[0].name, rules) if logs else {},
         verdicts(pairing.pairs, overlaps, rules),
     )

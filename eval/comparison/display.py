@@ -11,11 +11,11 @@ from rich.console import Console
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
-from ..configurations import UNKNOWN, Change, short_digest
+from ..configurations import UNKNOWN, short_digest
+from ..runs import Run
 from .agreement import Agreement, Agreements, Value
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparing import Comparison, Mark, Verdict
-from .pairing import LoggedRun
 
 TEXT_SHOWN = 48
 """Characters of a text value that are shown."""
@@ -38,7 +38,7 @@ def _heading(found: Comparison) -> Iterator[str]:
         yield _identity("reference", pairs[0].reference)
         yield _identity("candidate", pairs[0].candidate)
     for pair in (pair for pair in pairs if not pair.by_one_digest):
-        ours, theirs = pair.reference.run.digest_algorithm, pair.candidate.run.digest_algorithm
+        ours, theirs = pair.reference.digest_algorithm, pair.candidate.digest_algorithm
         said = "which cannot say whether they are the same"
         yield f"{pair.name}: one log is named by {ours}, the other by {theirs}, {said}"
     yield from _settings(found)
@@ -47,36 +47,25 @@ def _heading(found: Comparison) -> Iterator[str]:
         if part.only_reference or part.only_candidate:
             only = f"{part.only_reference} frames only in the reference, {part.only_candidate} only in the candidate"
             yield f"{pair.name}: {only}"
-    yield from (f"only in the reference: {item.relative} (log {item.log_id})" for item in found.pairing.missing)
-    yield from (f"only in the candidate: {item.relative} (log {item.log_id})" for item in found.pairing.added)
+    yield from (f"only in the reference: {run.name} (log {run.log_id})" for run in found.pairing.missing)
+    yield from (f"only in the candidate: {run.name} (log {run.log_id})" for run in found.pairing.added)
 
 
 def _settings(found: Comparison) -> Iterator[str]:
     """The settings that differ, with both values; of several pairs together for those that differ in the same ones."""
     names: dict[tuple[str, ...], list[str]] = {}
     for pair, changed in zip(found.pairing.pairs, found.changes, strict=True):
-        if changed is not None:
-            names.setdefault(tuple(_changed(changed)), []).append(pair.name)
+        if changed:
+            names.setdefault(changed, []).append(pair.name)
     for (heading, *lines), runs in names.items():
         among = "" if len(runs) == len(found.pairing.pairs) else f" in {', '.join(runs)}"
         yield f"settings that differ{among}: {heading}".rstrip()
         yield from (f"  {line}" for line in lines)
 
 
-def _changed(changed: Change) -> Iterator[str]:
-    """What stands behind the heading, and the lines below it."""
-    if changed.differing is None:
-        yield f"{UNKNOWN}, for neither a table nor a log next to it says its configuration"
-    elif not changed.differing:
-        yield "none"
-    else:
-        yield ""
-        yield from (f"{key} {' → '.join(values)}" for key, values in changed.differing.items())
-
-
-def _identity(side: str, item: LoggedRun) -> str:
-    config, version = short_digest(item.run.config_digest), item.run.version or UNKNOWN
-    return f"{side} {item.run.source_name}: log {item.log_id}, configuration {config}, version {version}"
+def _identity(side: str, run: Run) -> str:
+    config, version = short_digest(run.config_digest), run.version or UNKNOWN
+    return f"{side} {run.source_name}: log {run.log_id}, configuration {config}, version {version}"
 
 
 def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:

@@ -2,7 +2,8 @@
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +27,7 @@ from .agreement import Agreement, Difference, Value, distance
 
 _MESSAGE: Final = "message"
 """Stands for the whole message where only one log has it."""
-Fields = dict[str, Value]
+Fields = Mapping[str, Value]
 """Values by their place in a message, such as ``boundaries[0].offset_m``."""
 Group = dict[tuple[str, int], Message]
 """Messages of one log time by topic and order on it."""
@@ -42,8 +43,8 @@ def message_agreements(reference: Path, candidate: Path, run: str, rules: Rules)
     """
     found: dict[str, Agreement] = defaultdict(Agreement)
     for ours, theirs in _aligned(_frames(reference), _frames(candidate)):
-        for name, agreement in _frame_agreements(ours, theirs, (reference, candidate), rules).items():
-            found[name] = found[name].and_then(agreement.of_run(run))
+        for name, agreement in _frame_agreements(ours, theirs, (reference, candidate), run, rules).items():
+            found[name] = found[name].and_then(agreement)
     return dict(found)
 
 
@@ -73,50 +74,42 @@ def _aligned(ours: Iterator[tuple[int, Group]], theirs: Iterator[tuple[int, Grou
         right = next(theirs, None) if behind_right else right
 
 
-def _frame_agreements(ours: Group, theirs: Group, paths: tuple[Path, Path], rules: Rules) -> dict[str, Agreement]:
-    """One frame's part: of a field with several values the largest distance, and the first that differs."""
+def _frame_agreements(
+    ours: Group, theirs: Group, paths: tuple[Path, Path], run: str, rules: Rules
+) -> dict[str, Agreement]:
+    """One frame's part: a field with several values counts once, with the largest distance and the first difference."""
     found: dict[str, Agreement] = {}
-    for key in dict.fromkeys((*ours, *theirs)):
-        for name, agreement in _message_agreements(key[0], (ours.get(key), theirs.get(key)), paths, rules):
-            found[name] = _within_frame(found.get(name, Agreement()), agreement)
+    for topic, nth in dict.fromkeys((*ours, *theirs)):
+        pair = ours.get((topic, nth)), theirs.get((topic, nth))
+        for place, values in _values_apart(pair, paths):
+            name = f"{topic}.{without_indices(place)}"
+            if not rules.ignores(name):
+                at = next(message for message in pair if message)
+                first = Difference(run, at.sequence, at.log_time_ns, f"{topic}.{place}", *values)
+                both = found.get(name, Agreement()).and_then(_agreement(first, rules.tolerance(name)))
+                differing = min(both.differing, 1)
+                found[name] = replace(both, within=min(both.within, 1 - differing), differing=differing)
     return found
 
 
-def _message_agreements(
-    topic: str, pair: tuple[Message | None, Message | None], paths: tuple[Path, Path], rules: Rules
-) -> Iterator[tuple[str, Agreement]]:
-    present = [message for message in pair if message is not None]
-    if len(present) == 2 and present[0].data == present[1].data:
-        return
-    if len(present) == 2:
-        ours, theirs = (_fields(message, path) for message, path in zip(present, paths, strict=True))
-    else:
-        ours, theirs = (_presence(message) for message in pair)
-    for place in dict.fromkeys((*ours, *theirs)):
-        name = f"{topic}.{without_indices(place)}"
-        if not rules.ignores(name):
-            values = ours.get(place), theirs.get(place)
-            yield name, _agreement(present[0], f"{topic}.{place}", values, rules.tolerance(name))
+def _values_apart(
+    pair: tuple[Message | None, Message | None], paths: tuple[Path, Path]
+) -> Iterator[tuple[str, tuple[Value, Value]]]:
+    """Both values of each field of two messages that are not the same bytes; of a single one that it is there."""
+    ours, theirs = pair
+    if ours is None or theirs is None:
+        yield _MESSAGE, ("present" if ours else None, "present" if theirs else None)
+    elif ours.data != theirs.data:
+        fields = [_fields(message, path) for message, path in zip((ours, theirs), paths, strict=True)]
+        for place in dict.fromkeys((*fields[0], *fields[1])):
+            yield place, (fields[0].get(place), fields[1].get(place))
 
 
-def _agreement(message: Message, place: str, values: tuple[Value, Value], tolerance: float) -> Agreement:
-    apart = distance(*values)
+def _agreement(found: Difference, tolerance: float) -> Agreement:
+    apart = distance(found.reference, found.candidate)
     if apart <= tolerance:
         return Agreement(within=int(apart > 0), largest=apart)
-    finite = apart if np.isfinite(apart) else 0.0
-    first = Difference("", message.sequence, message.log_time_ns, place, *values)
-    return Agreement(differing=1, largest=finite, first=first)
-
-
-def _within_frame(one: Agreement, other: Agreement) -> Agreement:
-    """Two values of one field in the same frame: it counts once."""
-    both = one.and_then(other)
-    differing = min(both.differing, 1)
-    return Agreement(min(both.within, 1 - differing), differing, both.largest, both.first)
-
-
-def _presence(message: Message | None) -> Fields:
-    return {_MESSAGE: None if message is None else "present"}
+    return Agreement(differing=1, largest=apart if np.isfinite(apart) else 0.0, first=found)
 
 
 def _fields(message: Message, path: Path) -> Fields:

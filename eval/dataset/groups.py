@@ -69,47 +69,26 @@ def _part(column: pl.Series, points: int) -> tuple[Moments, Distribution] | None
     return (moments(values), thinned(exactly(values), points)) if len(values) else None
 
 
-class _Groups:
-    """The groups of frames so far; none any more once they are too many."""
+def _add_batch(pools: dict[Key, Pool], batch: pl.DataFrame, by: Grouping, threads: Executor) -> bool:
+    """Take in a batch, with the columns of the keys; False where groups of whole logs are too many.
 
-    def __init__(self, by: Grouping) -> None:
-        self._by = by
-        self._keys = [key_name(name) for name in by.columns]
-        self._frames = 0
-        self.pools: dict[Key, Pool] | None = {}
-
-    def add(self, batch: pl.DataFrame, threads: Executor) -> None:
-        """Take in a batch, with the columns of the keys.
-
-        Raises:
-            TableError: a column of the tables has so many values that they are no groups.
-        """
-        if self.pools is None:
-            return
-        self._frames += batch.height
-        parts = self._partitions(batch)
-        if len({*self.pools, *parts}) > MOST_GROUPS:
-            if not self._by.of_whole_logs:
-                raise TableError(
-                    f"--by {','.join(self._by.columns)}: has more than {MOST_GROUPS} different values in the frames; "
-                    "expected a column with few, such as lane_left_status"
-                )
-            self.pools = None
-            return
-        for key, frames in parts.items():
-            self.pools.setdefault(key, Pool(EXACT_FRAMES)).add(frames, threads)
-        if self._frames > EXACT_FRAMES:
-            points = max(_FEWEST_POINTS, min(POINTS, POINTS * 8 // len(self.pools)))
-            for pool in self.pools.values():
-                pool.columns.limit(points)
-
-    def _partitions(self, batch: pl.DataFrame) -> dict[Key, pl.DataFrame]:
-        if not self._keys:
-            return {(): batch}
-        first = batch.select(self._keys).unique()
-        if first.height == 1:
-            return {first.row(0): batch}
-        return batch.select(*self._keys, *_POOLED).partition_by(self._keys, as_dict=True, maintain_order=True)
+    Raises:
+        TableError: a column of the tables has so many values that they are no groups.
+    """
+    keys = [key_name(name) for name in by.columns]
+    groups: dict[Key, pl.DataFrame] = {batch.select(keys).row(0) if keys else (): batch}
+    if keys and batch.select(keys).unique().height > 1:
+        groups = batch.select(*keys, *_POOLED).partition_by(keys, as_dict=True, maintain_order=True)
+    if len({*pools, *groups}) > MOST_GROUPS:
+        if by.of_whole_logs:
+            return False
+        raise TableError(
+            f"--by {','.join(by.columns)}: has more than {MOST_GROUPS} different values in the frames; "
+            "expected a column with few, such as lane_left_status"
+        )
+    for key, frames in groups.items():
+        pools.setdefault(key, Pool(EXACT_FRAMES)).add(frames, threads)
+    return True
 
 
 @dataclass(frozen=True)
@@ -175,35 +154,30 @@ def _read(
 ) -> tuple[pl.DataFrame, dict[Key, Pool] | None]:
     """The logs of metrics tables, and the groups by their keys; None where there are more than ``MOST_GROUPS``.
 
-    Args:
-        rows: of the tables.
-        files: these, for errors.
-        by: how frames are grouped.
-        run_keys: ``LOG`` and the keys from the list of runs, a row for each log and configuration.
+    ``run_keys`` are ``LOG`` and the keys from the list of runs, a row for each log and configuration.
     """
     ledgers: list[pl.DataFrame] = []
-    groups = _Groups(by)
+    pools: dict[Key, Pool] | None = {}
+    read = 0
     with ThreadPoolExecutor(_AT_ONCE) as threads:
         for batch in batches(rows, files):
             ledgers.append(ledger(batch))
-            if by.of_runs:
-                keys = batch.select(LOG).join(run_keys, on=LOG, how="left", maintain_order="left").drop(LOG)
-                groups.add(batch.hstack(keys), threads)
-            else:
-                groups.add(batch, threads)
+            if pools is None:
+                continue
+            keys = batch.select(LOG).join(run_keys, on=LOG, how="left", maintain_order="left").drop(LOG)
+            read += batch.height
+            if not _add_batch(pools, batch.hstack(keys) if by.of_runs else batch, by, threads):
+                pools = None
+            elif read > EXACT_FRAMES:
+                for pool in pools.values():
+                    pool.columns.limit(max(_FEWEST_POINTS, min(POINTS, POINTS * 8 // len(pools))))
     if not ledgers:
         raise TableError("no log is left to report: the files of all are of other logs now, of which none gave a table")
-    return logs_of(ledgers), groups.pools
+    return logs_of(ledgers), pools
 
 
 def summaries_of(found: GroupedFrames, log_names: Mapping[str, str], configs: Sequence[str]) -> list[Summary]:
-    """A summary of each group that was summed up, in the order of their keys.
-
-    Args:
-        found: what the tables hold.
-        log_names: what each log is called.
-        configs: in the order in which they were first finished.
-    """
+    """A summary of each group that was summed up, in the order of their keys (``in_order``)."""
     columns, extents = found.by.columns, _extents(found)
     return [
         replace(found.pools[key].summary(group_name(key, columns, log_names)), **extents.get(key, {}))

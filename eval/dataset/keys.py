@@ -12,20 +12,19 @@ from roadperc_stream.batch.storage.addresses import natural
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 
-from ..names import listed
+from ..configurations import Settings
 from ..options import number_or_text
+from ..quantities import listed
 from .place import DATE, RUN_COLUMNS
 
 LOG: Final = ("log_id", "config")
 """What tells one run of a dataset from all others."""
-_ALIASES: Final = {"log": "log_id"}
 _OF_THE_FILE: Final = (*LOG, DATE)
 UNKNOWN_GROUP: Final = "none"
 Key = tuple[str | None, ...]
 """The values of a group's columns."""
 _DIGITS: Final = 8
 """Of a log's digest that tell logs of one name apart."""
-Settings = Mapping[str, object]
 DEFAULT: str = "default"
 
 
@@ -43,8 +42,7 @@ class Grouping:
     @property
     def asked(self) -> tuple[str, ...]:
         """The columns as ``--by`` calls them."""
-        back = {column: name for name, column in _ALIASES.items()}
-        return tuple(back.get(name, name) for name in self.columns)
+        return tuple("log" if name == "log_id" else name for name in self.columns)
 
     @property
     def of_whole_logs(self) -> bool:
@@ -55,14 +53,12 @@ class Grouping:
 def grouping(by: Sequence[str], table_columns: Collection[str]) -> Grouping:
     """What ``--by`` asks for.
 
-    Args:
-        by: names of columns, ``log`` for that of the log's digest.
-        table_columns: those of the metrics tables.
+    The name ``log`` stands for the column of the log's digest.
 
     Raises:
         TableError: there is no such column.
     """
-    names = tuple(dict.fromkeys(_ALIASES.get(name, name) for name in by))
+    names = tuple(dict.fromkeys("log_id" if name == "log" else name for name in by))
     of_rows = tuple(name for name in names if name not in _OF_THE_FILE and name in table_columns)
     of_runs = tuple(name for name in names if name not in (*_OF_THE_FILE, *of_rows) and name in RUN_COLUMNS)
     for name in names:
@@ -90,9 +86,7 @@ def key_name(name: str) -> str:
 def log_names(log_ids: Iterable[str], runs: pl.DataFrame) -> dict[str, str]:
     """What each log is called: its file's name, with digits of its digest where that is another's too.
 
-    Args:
-        log_ids: of the dataset's tables.
-        runs: the list of runs; logs that it does not know are called by their digest.
+    Logs that the list of runs does not know are called by their digest.
     """
     known = runs.filter(pl.col("log_id").is_not_null())
     paths = dict(known.select("log_id", "path").iter_rows())
@@ -111,11 +105,7 @@ def group_name(key: Key, columns: Sequence[str], logs: Mapping[str, str]) -> str
 def in_order(keys: Iterable[Key], columns: Sequence[str], configs: Sequence[str], logs: Mapping[str, str]) -> list[Key]:
     """Keys of groups: numbers by size, texts by the alphabet, the older configuration first, what is unknown last.
 
-    Args:
-        keys: of the groups.
-        columns: what the keys are values of.
-        configs: in the order in which they were first finished.
-        logs: what each log is called.
+    Keys are values of ``columns``; ``configs`` are in the order of ``in_order_of_runs``, ``logs`` the logs' names.
     """
     return sorted(keys, key=lambda key: [_place(*item, configs, logs) for item in zip(columns, key, strict=True)])
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
 import polars as pl
 
@@ -14,11 +14,10 @@ from roadperc_stream.batch.storage.folder import Folder, fetch
 from roadperc_stream.errors import TableError
 from roadperc_stream.system.files import TABLE_SUFFIX
 
-from ..comparison.pairing import LoggedRun, logged
 from ..runs import Run, open_run
 from .keys import LOG, in_order_of_runs, log_names, settings_by_config, two_configs
-from .place import FILE, RUNS, Dataset, metrics_files, read_runs, scan_tables, without_file
-from .reading import require_named, unreadable
+from .place import FILE, RUNS, Dataset, metrics_files, read_runs, without_file
+from .reading import metrics_tables, reading_files, require_named
 
 _AT_ONCE: Final = 16
 """Files are small: most of the time is waiting for the store."""
@@ -52,12 +51,8 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
 _ROWS = "rows"
 
 
-def runs_of_configs(dataset: Dataset, asked: Sequence[str]) -> tuple[tuple[LoggedRun, ...], tuple[LoggedRun, ...]]:
-    """The runs of the reference and those of the candidate, one for each log.
-
-    Args:
-        dataset: in a local folder.
-        asked: which configurations, as ``two_configs`` takes them.
+def runs_of_configs(dataset: Dataset, asked: Sequence[str]) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+    """The runs of the reference and those of the candidate, one for each log, of a dataset in a local folder.
 
     Raises:
         TableError: there are no two such configurations, or a table cannot be read.
@@ -75,32 +70,25 @@ def runs_of_configs(dataset: Dataset, asked: Sequence[str]) -> tuple[tuple[Logge
 
 def _where(files: Sequence[str]) -> pl.DataFrame:
     """The file of each log and configuration, of several a row each, and how many rows it has in it."""
-    tables = scan_tables(files)
-    lacking = [name for name in LOG if name not in tables.collect_schema()]
-    if lacking:
-        raise TableError(f"{files[0]}: is not a metrics table of a dataset: it has no column {', '.join(lacking)}")
+    tables, _ = metrics_tables(files)
     counted = tables.select(*LOG, FILE).group_by(*LOG, FILE).agg(pl.len().alias(_ROWS)).sort(*LOG, FILE)
-    try:
+    with reading_files(files):
         found = counted.collect(engine="streaming")
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        raise TableError(unreadable(files, error)) from error
     require_named(found)
     return found
 
 
-def _runs(found: pl.DataFrame, config: str, names: Mapping[str, str]) -> Iterator[LoggedRun]:
+def _runs(found: pl.DataFrame, config: str, names: Mapping[str, str]) -> Iterator[Run]:
     of_config = found.filter(pl.col("config") == config)
     for (log_id,), rows in of_config.group_by("log_id", maintain_order=True):
         parts = tuple(_run(row, names[str(log_id)]) for row in rows.iter_rows(named=True))
-        whole = (
-            parts[0] if len(parts) == 1 else replace(parts[0], frames=sum(part.frames for part in parts), parts=parts)
-        )
-        yield logged(whole, str(log_id), names[str(log_id)])
+        frames = sum(part.frames for part in parts)
+        yield replace(parts[0], frames=frames, parts=parts if len(parts) > 1 else ())
 
 
-def _run(row: Mapping[str, object], name: str) -> Run:
+def _run(row: Mapping[str, Any], name: str) -> Run:
     """The rows of a log in one file."""
-    run = open_run(Path(str(row[FILE])), name)
-    count = int(str(row[_ROWS]))
-    within = None if count == run.rows else (str(row["log_id"]), str(row["config"]))
-    return replace(run, frames=count, rows=count, within=within)
+    log_id, config, count = row["log_id"], row["config"], row[_ROWS]
+    run = open_run(Path(row[FILE]), name)
+    within = None if count == run.rows else (log_id, config)
+    return replace(run, log_id=log_id, frames=count, rows=count, within=within)

@@ -5,20 +5,19 @@ Polars' streaming engine reads the columns in use and no others; a batch is the 
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Final
 
 import polars as pl
 
 from roadperc_stream.errors import TableError
 
-from ..quantities import COVERED, SUSPECT, TRUTH, Quantity
-from ..runs import REQUIRED_COLUMNS, first_line
+from ..quantities import COVERED, RANKED
+from ..runs import REQUIRED_COLUMNS, first_line, reading
 from ..scan import NUMBER_COLUMNS, SEGMENT, derived_columns, difference, finite, stored_columns
 from .keys import LOG, Grouping, as_key, key_name
 from .place import DATE, FILE, date_of, scan_tables
 
-RANKED: Final = (*TRUTH, *SUSPECT)
-"""By the means of these logs are the worst."""
 FRAMES, SPAN_NS, SEGMENTS, GAP_NS, FILES = "frames", "span ns", "segments", "gap ns", "files"
 _ROWS: Final = 131_072
 """Rows of a batch: 130 MB."""
@@ -39,6 +38,20 @@ def summed(column: str) -> str:
     return f"summed {column}"
 
 
+def metrics_tables(files: Sequence[str]) -> tuple[pl.LazyFrame, pl.Schema]:
+    """All rows of a dataset's metrics tables, as ``scan_tables`` gives them, and their columns.
+
+    Raises:
+        TableError: a table cannot be read, or lacks columns.
+    """
+    tables = scan_tables(files)
+    schema = tables.collect_schema()
+    lacking = [name for name in (*LOG, *REQUIRED_COLUMNS[1:]) if name not in schema]
+    if lacking:
+        raise TableError(f"{files[0]}: is not a metrics table of a dataset: it has no column {', '.join(lacking)}")
+    return tables, schema
+
+
 def rows_of_tables(files: Sequence[str], by: Grouping) -> pl.LazyFrame:
     """The columns a report needs of metrics tables, with ``FILE`` and the keys that are theirs.
 
@@ -49,17 +62,25 @@ def rows_of_tables(files: Sequence[str], by: Grouping) -> pl.LazyFrame:
     Raises:
         TableError: a table cannot be read, or lacks columns.
     """
-    tables = scan_tables(files)
-    schema = tables.collect_schema()
-    lacking = [name for name in (*LOG, *REQUIRED_COLUMNS[1:]) if name not in schema]
-    if lacking:
-        raise TableError(f"{files[0]}: is not a metrics table of a dataset: it has no column {', '.join(lacking)}")
+    tables, schema = metrics_tables(files)
     keys = [
         date_of(pl.col(FILE)).alias(key_name(name)) if name == DATE else as_key(name, schema[name])
         for name in by.columns
         if name not in by.of_runs
     ]
     return tables.select(pl.col("config").cast(pl.String), pl.col(FILE), *keys, *stored_columns(frozenset(schema)))
+
+
+@contextmanager
+def reading_files(files: Sequence[str]) -> Iterator[None]:
+    """Turn what goes wrong while polars reads tables into a ``TableError``: polars does not always name the file."""
+    try:
+        yield
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+        for file in files:
+            with reading(file):
+                pl.read_parquet(file, columns=["stamp_ns", "total_ms"], glob=False, hive_partitioning=False)
+        raise TableError(f"{files[0]} and others: their data cannot be read: {first_line(error)}") from error
 
 
 def batches(rows: pl.LazyFrame, files: Sequence[str]) -> Iterator[pl.DataFrame]:
@@ -69,7 +90,7 @@ def batches(rows: pl.LazyFrame, files: Sequence[str]) -> Iterator[pl.DataFrame]:
         TableError: a table cannot be read, or is another program's.
     """
     before: pl.DataFrame | None = None
-    try:
+    with reading_files(files):
         for found in rows.collect_batches(chunk_size=_ROWS, maintain_order=True, engine="streaming"):
             if not found.height:
                 continue
@@ -79,8 +100,6 @@ def batches(rows: pl.LazyFrame, files: Sequence[str]) -> Iterator[pl.DataFrame]:
             whole = whole.with_columns(finite(name for name, total in sums.items() if not math.isfinite(total)))
             before = whole.tail(_SECOND)
             yield _derived(whole).slice(whole.height - found.height)
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
-        raise TableError(unreadable(files, error)) from error
 
 
 def require_named(rows: pl.DataFrame) -> None:
@@ -123,14 +142,8 @@ def ledger(batch: pl.DataFrame) -> pl.DataFrame:
         pl.max("stamp_ns").alias("last ns"),
         pl.max(GAP_NS),
         *(pl.col(name).count().cast(pl.Int64).alias(valued(name)) for name in counted),
-        *(_badness(quantity).sum().alias(summed(quantity.column)) for quantity in RANKED),
+        *(quantity.judged.sum().alias(summed(quantity.column)) for quantity in RANKED),
     )
-
-
-def _badness(quantity: Quantity) -> pl.Expr:
-    """What a log's mean is of: absolute values, of what is better high the values."""
-    column = pl.col(quantity.column)
-    return column if quantity.worse == "low" else column.abs()
 
 
 def logs_of(ledgers: Sequence[pl.DataFrame]) -> pl.DataFrame:
@@ -167,13 +180,3 @@ def logs_of(ledgers: Sequence[pl.DataFrame]) -> pl.DataFrame:
         where = " and ".join(files[:2])
         raise TableError(f"log {log_id}, configuration {config}: has frames that stand twice, in {where}")
     return logs
-
-
-def unreadable(files: Sequence[str], error: BaseException) -> str:
-    """What cannot be read: polars does not always name the file."""
-    for file in files:
-        try:
-            pl.read_parquet(file, columns=["stamp_ns", "total_ms"], glob=False, hive_partitioning=False)
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as found:
-            return f"{file}: its data cannot be read: {first_line(found)}"
-    return f"{files[0]} and others: their data cannot be read: {first_line(error)}"

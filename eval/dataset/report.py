@@ -2,7 +2,7 @@
 
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -15,16 +15,16 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..configurations import rows_that_differ
-from ..names import legend, listed, percent, rounded, short_names
+from ..configurations import Settings, rows_that_differ
+from ..quantities import Quantity, legend, listed, percent, rounded, short_names
 from ..report import inputs, precision, print_tables
 from ..sections import LISTED, sections
 from ..summary import Summary
 from .groups import GroupedFrames, group_frames, summaries_of
-from .keys import DEFAULT, LOG, Settings, in_order_of_runs, log_names, settings_by_config
+from .keys import DEFAULT, LOG, in_order_of_runs, log_names, settings_by_config
 from .place import DONE, Dataset, metrics_files, read_runs, without_file
 from .reading import FRAMES, SPAN_NS
-from .worst import LogKey, WorstLogs, worst_logs
+from .worst import LogKey, Row, key_of, worst_logs
 
 FAILED_LISTED: Final = 20
 _LABEL_COLUMNS: Final = 24
@@ -58,8 +58,7 @@ def _fared(runs: pl.DataFrame) -> Iterator[str]:
 def settings_that_differ(known: Mapping[str, Settings | None]) -> TextTable:
     """The settings, and the options, that are not the same in all configurations.
 
-    Args:
-        known: by the configuration those that are not the default; None where nothing says them.
+    ``known`` are by configuration those that are not the default; None where nothing says them.
     """
     keys = dict.fromkeys(key for settings in known.values() for key in settings or ())
     whole = {
@@ -93,15 +92,15 @@ def _group(summary: Summary, whole: bool) -> TextRow:
     return row(summary.name, str(len(summary.log_ids)), str(summary.frames), *extent, complete)
 
 
-def worst_logs_table(worst: WorstLogs, names: Mapping[LogKey, str]) -> TextTable:
+def worst_logs_table(worst: Mapping[Quantity, Sequence[Row]], names: Mapping[LogKey, str]) -> TextTable:
     """The worst logs by each quantity, and the frames to look at in each."""
     rows: list[TextRow] = []
-    for quantity, logs in worst.by_quantity.items():
+    for quantity, logs in worst.items():
         rows.append(_folded(quantity.label))
         for item in logs:
-            values = rounded(item.mean, quantity), rounded(item.frames[0].value, quantity)
-            frames = ", ".join(f"{at.frame}({at.since_start_s:.2f}s)" for at in item.frames)
-            rows.append(row(f"  {names[item.log]}", *values, percent(item.share), frames))
+            values = (rounded(value, quantity) for value in (item["mean"], item["at"][0]["value"]))
+            frames = ", ".join(f"{at['frame']}({at['since_start_s']:.2f}s)" for at in item["at"])
+            rows.append(row(f"  {names[key_of(item)]}", *values, percent(item["share"]), frames))
     notes = (
         "each log under the configuration where it is worst; the mean is of the absolute error",
         "frames to look at, the worst first: numbers, in brackets seconds from the log's first frame",
@@ -117,15 +116,15 @@ def _folded(label: str) -> TextRow:
     return TextRow(name, below=f"{bracket.strip()}{more}") if long else row(label)
 
 
-def least_covered_table(worst: WorstLogs, names: Mapping[LogKey, str]) -> TextTable:
+def least_covered_table(worst: Mapping[str, Sequence[Row]], names: Mapping[LogKey, str]) -> TextTable:
     """The logs in which the fewest frames have an output, and the longest stretch without it in each."""
     rows: list[TextRow] = []
-    for what, logs in worst.by_coverage.items():
+    for what, logs in worst.items():
         rows.append(row(what))
         for item in logs:
-            first, last = item.first, item.last
-            stretch = f"{first.frame}-{last.frame} ({first.since_start_s:.2f}-{last.since_start_s:.2f} s)"
-            rows.append(row(f"  {names[item.log]}", percent(item.share), stretch))
+            first, last = item["at"]["first"], item["at"]["last"]
+            stretch = f"{first['frame']}-{last['frame']} ({first['since_start_s']:.2f}-{last['since_start_s']:.2f} s)"
+            rows.append(row(f"  {names[key_of(item)]}", percent(item["share"]), stretch))
     notes = (
         "without: the longest stretch of frames, in brackets seconds from the log's first frame",
         "outputs that a configuration gives in no frame are left out",
@@ -136,20 +135,12 @@ def least_covered_table(worst: WorstLogs, names: Mapping[LogKey, str]) -> TextTa
     )
 
 
-def where_the_logs_are(worst: WorstLogs, names: Mapping[str, str], runs: pl.DataFrame) -> Iterator[str]:
-    """A line on each log that is named above: its path.
-
-    Args:
-        worst: the logs.
-        names: what each is called.
-        runs: the list of runs.
-    """
+def where_the_logs_are(log_ids: Iterable[str], names: Mapping[str, str], runs: pl.DataFrame) -> Iterator[str]:
+    """A line on each log by its name: its path, from the list of runs."""
     paths = dict(runs.filter(pl.col("log_id").is_not_null()).select("log_id", "path").iter_rows())
-    log_ids = {log_id for log_id, _ in worst.logs}
-    if log_ids:
-        yield "Logs named above"
-    for log_id in sorted(log_ids, key=lambda log_id: names[log_id]):
-        yield f"  {names[log_id]}: {paths.get(log_id, 'path unknown')} (log {log_id})"
+    ordered = sorted(set(log_ids), key=lambda log_id: names[log_id])
+    yield from ["Logs named above"] if ordered else []
+    yield from (f"  {names[log_id]}: {paths.get(log_id, 'path unknown')} (log {log_id})" for log_id in ordered)
 
 
 def not_listed(runs: pl.DataFrame, logs: pl.DataFrame) -> Iterator[str]:
@@ -236,10 +227,11 @@ def _short(names: Sequence[str], columns: Sequence[str], width: int) -> dict[str
 def _print_worst(
     console: Console, logs: pl.DataFrame, runs: pl.DataFrame, names: Mapping[str, str], number: int
 ) -> None:
-    worst = worst_logs(logs, number)
+    by_quantity, by_coverage = worst_logs(logs, number)
+    named = [key_of(item) for ranking in (by_quantity, by_coverage) for rows in ranking.values() for item in rows]
     several = logs["config"].n_unique() > 1
-    whole = {key: f"{names[key[0]]} {key[1]}" if several else names[key[0]] for key in worst.logs}
+    whole = {key: f"{names[key[0]]} {key[1]}" if several else names[key[0]] for key in dict.fromkeys(named)}
     shown = short_names(list(whole.values()), console.width - _WORST_COLUMNS)
     called = {key: shown[name] for key, name in whole.items()}
-    print_tables(console, worst_logs_table(worst, called), least_covered_table(worst, called))
-    print_lines(console, "", *where_the_logs_are(worst, names, runs), unbroken=True)
+    print_tables(console, worst_logs_table(by_quantity, called), least_covered_table(by_coverage, called))
+    print_lines(console, "", *where_the_logs_are((log_id for log_id, _ in named), names, runs), unbroken=True)

@@ -16,7 +16,7 @@ from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
 
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
-from ..names import listed, percent
+from ..quantities import listed, percent
 from ..report import in_segments
 from ..runs import Run
 from ..sections import sections
@@ -78,7 +78,7 @@ def page(runs: Sequence[Run]) -> str:
     groups = grouped(drawn)
     frames = max(WORST // len(groups), 1)
     found = [summarise_group(group, frames) for group in groups]
-    by_name = {summary.name: summary for group in found for summary in group.runs}
+    by_name = {summary.name: summary for of_group, _ in found for summary in of_group}
     summaries = [by_name[run.name] for run in drawn]
     series = [load_series(run, _COLUMNS) for run in drawn]
     from_above = trajectory(series)
@@ -94,7 +94,7 @@ def page(runs: Sequence[Run]) -> str:
         tables=list(sections(summaries)),
         by_header=by_header,
         charts=charts,
-        gallery=gallery([group.together for group in found], drawn),
+        gallery=gallery([together for _, together in found], drawn),
     )
 
 

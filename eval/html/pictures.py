@@ -19,8 +19,7 @@ from roadperc_stream.schemas.columns import UNITLESS
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.view.result_frames import read_frame, read_frames
 
-from ..names import rounded
-from ..quantities import Quantity
+from ..quantities import Quantity, rounded
 from ..runs import Run
 from ..sections import ranked_by
 from ..summary import Summary, WorstFrame
@@ -31,50 +30,30 @@ WIDTH_PX: Final = 400
 JPEG_QUALITY: Final = 75
 Key = tuple[str, int]
 """A run's name and a frame's number."""
-Ranked = tuple[Quantity, str, tuple[WorstFrame, ...]]
-"""A metric, the name of a group of runs, and its worst frames."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """A frame's place among the worst of a metric."""
-
-    metric: str
-    value: str
-    rank: int
+Ranking = tuple[str, str, list[tuple[str, WorstFrame, str]]]
+"""A metric, whose worst frames they are where there are several configurations, and anchor, frame and value of each."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One of the worst frames: ``image`` is a data URI, empty where there is none, and ``places`` why it is here."""
+    """One of the worst frames: ``image`` is a data URI, empty where there is none.
 
-    anchor: str
-    run: str
-    frame: int
-    since_start_s: float
-    places: tuple[Place, ...]
-    image: str
-
-
-@dataclass(frozen=True)
-class Ranking:
-    """The worst frames of a metric: (anchor, run, frame, value), the worst first.
-
-    ``group`` names whose they are, where there are several configurations.
+    ``places`` say why it is here: metric, value and rank.
     """
 
-    metric: str
-    group: str
-    frames: tuple[tuple[str, str, int, str], ...]
+    anchor: str
+    frame: WorstFrame
+    image: str
+    places: list[tuple[str, str, int]]
 
 
 @dataclass(frozen=True)
 class Gallery:
     """The rankings, each frame's picture once, in the order of runs and frames, and why pictures are missing."""
 
-    rankings: tuple[Ranking, ...]
-    pictures: tuple[Picture, ...]
-    notes: tuple[str, ...]
+    rankings: list[Ranking]
+    pictures: list[Picture]
+    notes: list[str]
 
 
 def gallery(groups: Sequence[Summary], runs: Sequence[Run]) -> Gallery:
@@ -85,31 +64,26 @@ def gallery(groups: Sequence[Summary], runs: Sequence[Run]) -> Gallery:
         runs: those of all groups, in the order in which their frames are shown.
     """
     ranked = [
-        (quantity, group.name, frames)
+        (quantity, group.name if len(groups) > 1 else "", group.worst.get(quantity.column, ()))
         for quantity in ranked_by(groups)
         for group in groups
-        if (frames := group.worst.get(quantity.column, ()))
     ]
-    worst = {(f.run, f.frame): f for _, _, frames in ranked for f in frames}
+    worst = {(frame.run, frame.frame): frame for _, _, frames in ranked for frame in frames}
     at = {run.name: number for number, run in enumerate(runs)}
-    order = sorted(worst.values(), key=lambda f: (at[f.run], f.frame))
-    anchors = {(f.run, f.frame): f"frame-{k}" for k, f in enumerate(order, 1)}
-    places = _places(ranked)
-    images, notes = _images(order, runs)
-    pictures = tuple(
-        Picture(anchors[key], f.run, f.frame, f.since_start_s, tuple(places[key]), images.get(key, ""))
-        for f in order
-        for key in [(f.run, f.frame)]
-    )
-    rankings = tuple(
-        Ranking(
-            q.label,
-            group if len(groups) > 1 else "",
-            tuple((anchors[f.run, f.frame], f.run, f.frame, shown(f.value, q)) for f in frames),
-        )
-        for q, group, frames in ranked
-    )
-    return Gallery(rankings, pictures, tuple(notes))
+    order = sorted(worst, key=lambda key: (at[key[0]], key[1]))
+    anchors = {key: f"frame-{number}" for number, key in enumerate(order, 1)}
+    images, notes = _images([worst[key] for key in order], runs)
+    pictures = {key: Picture(anchors[key], worst[key], images.get(key, ""), []) for key in order}
+    rankings: list[Ranking] = []
+    for quantity, group, frames in ranked:
+        values = [shown(frame.value, quantity) for frame in frames]
+        keys = [(frame.run, frame.frame) for frame in frames]
+        for rank, (key, value) in enumerate(zip(keys, values, strict=True), 1):
+            pictures[key].places.append((quantity.label, value, rank))
+        if frames:
+            named = list(zip(map(anchors.__getitem__, keys), frames, values, strict=True))
+            rankings.append((quantity.label, group, named))
+    return Gallery(rankings, list(pictures.values()), notes)
 
 
 def shown(value: float, quantity: Quantity) -> str:
@@ -122,15 +96,6 @@ def data_uri(image_bgr: Image) -> str:
     """A picture as a page carries it in itself: a JPEG."""
     _, encoded = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
-
-
-def _places(ranked: Sequence[Ranked]) -> dict[Key, list[Place]]:
-    places: dict[Key, list[Place]] = {}
-    for quantity, _, frames in ranked:
-        for rank, frame in enumerate(frames, 1):
-            place = Place(quantity.label, shown(frame.value, quantity), rank)
-            places.setdefault((frame.run, frame.frame), []).append(place)
-    return places
 
 
 def _images(frames: Sequence[WorstFrame], runs: Sequence[Run]) -> tuple[dict[Key, str], list[str]]:

@@ -13,11 +13,11 @@ from typing import Final
 
 import polars as pl
 
-from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import Scalar
 from roadperc_stream.schemas.columns import RATIO, TIME_COLUMNS
 
 from ..quantities import SIDES, TOTAL, TRUTH, Quantity
+from ..runs import reading
 from .settings import Combination
 
 COVERAGE_SLACK: Final = 0.01
@@ -57,14 +57,6 @@ class SettingScore:
 
     value: float | None
     coverage: float
-
-
-@dataclass(frozen=True)
-class Best:
-    """Places of the best setting, and of one that is better still but lower coverage, if any."""
-
-    winner: int
-    less_covered: int | None
 
 
 def _finite(column: str) -> pl.Expr:
@@ -117,37 +109,31 @@ def scores(tables: Sequence[Path], made: Sequence[Combination], metric: SweepMet
         .group_by(keys)
         .agg(metric.score.alias("score"), (pl.col("value").count() / pl.len()).alias("coverage"))
     )
-    try:
-        rows = query.collect().rows_by_key(keys, unique=True, named=True)
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise TableError(f"{tables[0].parent.parent}: its tables cannot be read: {error}") from error
-    found = [rows[_key(item.settings)] for item in made]
-    return [SettingScore(row["score"], row["coverage"]) for row in found]
+    with reading(str(tables[0].parent.parent)):
+        rows = {row[:-2]: SettingScore(*row[-2:]) for row in query.collect().iter_rows()}
+    return [rows[tuple(item.settings.values())] for item in made]
 
 
 def best(
     metric: SweepMetric, found: Sequence[SettingScore], made: Sequence[Combination], reference: Combination
-) -> Best | None:
-    """The best of the settings that see most; of equals the nearest to the reference, else the first.
+) -> tuple[int, int | None] | None:
+    """The place of the best of the settings that see most; of equals the nearest to the reference, else the first.
 
-    Also the best of those that see less, where it would have won. None where no setting has a value.
+    Also that of the best of those that see less, where it would have won. None where no setting has a value.
     """
+
+    def least_bad(values: Mapping[int, float]) -> int:
+        least = min(values.values(), key=metric.badness)
+        equals = [at for at, value in values.items() if metric.alike([value, least])]
+        return min(equals, key=lambda at: (changed(made[at], reference), at))
+
     values = {at: score.value for at, score in enumerate(found) if score.value is not None}
     if not values:
         return None
     most = max(found[at].coverage for at in values)
-    covered = {at: value for at, value in values.items() if found[at].coverage >= most - COVERAGE_SLACK}
-    winner, first = _least_bad(metric, covered, made, reference), _least_bad(metric, values, made, reference)
-    return Best(winner, None if metric.alike([values[first], values[winner]]) else first)
-
-
-def _least_bad(
-    metric: SweepMetric, values: Mapping[int, float], made: Sequence[Combination], reference: Combination
-) -> int:
-    """The place of the best value; of those that are as good the nearest to the reference, else the first."""
-    least = min(values.values(), key=metric.badness)
-    equals = [at for at, value in values.items() if metric.alike([value, least])]
-    return min(equals, key=lambda at: (changed(made[at], reference), at))
+    winner = least_bad({at: value for at, value in values.items() if found[at].coverage >= most - COVERAGE_SLACK})
+    first = least_bad(values)
+    return winner, None if metric.alike([values[first], values[winner]]) else first
 
 
 def changed(item: Combination, reference: Combination) -> int:
@@ -157,31 +143,20 @@ def changed(item: Combination, reference: Combination) -> int:
 
 def effect(found: Sequence[SettingScore], made: Sequence[Combination], key: str) -> dict[Scalar, SettingScore]:
     """What each value of a setting does: the mean score and coverage of the combinations that have it."""
-    values = dict.fromkeys(item.settings[key] for item in made)
-    return {
-        value: _mean([score for score, item in zip(found, made, strict=True) if item.settings[key] == value])
-        for value in values
-    }
-
-
-def _mean(found: Sequence[SettingScore]) -> SettingScore:
-    known = [score.value for score in found if score.value is not None]
-    return SettingScore(fmean(known) if known else None, fmean(score.coverage for score in found))
-
-
-def _key(settings: Mapping[str, Scalar]) -> Scalar | tuple[Scalar, ...]:
-    """As polars keys rows: by the bare value, where there is one column."""
-    values = tuple(settings.values())
-    return values if len(values) > 1 else values[0]
+    having: dict[Scalar, list[SettingScore]] = {}
+    for score, item in zip(found, made, strict=True):
+        having.setdefault(item.settings[key], []).append(score)
+    means = {}
+    for value, scored in having.items():
+        known = [score.value for score in scored if score.value is not None]
+        means[value] = SettingScore(fmean(known) if known else None, fmean(score.coverage for score in scored))
+    return means
 
 
 def without_influence(folder: Path, tables: Sequence[Path], made: Sequence[Combination]) -> Iterator[str]:
     """The settings whose values leave every column of every table the same, times excepted, whatever the others are.
 
-    Args:
-        folder: the dataset.
-        tables: of all combinations, each in its combination's folder or, where logs share a name, deeper.
-        made: the combinations.
+    ``tables`` are those of all combinations, each in its combination's folder or, where logs share a name, deeper.
     """
     results: dict[str, list[bytes]] = {}
     for path in tables:

@@ -56,43 +56,33 @@ class Evaluation:
     left_out: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Aligned:
-    """(N, 4, 4) poses of a segment of the log, the estimated ones aligned to the true ones."""
-
-    estimated: Float
-    true: Float
-    scale: float
-
-
 def evaluate(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Evaluation:
     """Align a run's poses to the true ones, and measure; all errors are of the aligned poses.
 
-    Args:
-        run: the poses.
-        alignment: None for ``se3``, and for ``sim3`` where the run is up to scale.
-        delta: the relative error's pairs.
+    ``alignment`` None is ``se3``, and ``sim3`` where the run is up to scale; ``delta`` is that of the relative error.
 
     Raises:
         TableError: there is no truth, too few frames have both poses, or they cannot be aligned.
     """
-    _require_truth(run)
+    if run.true is None:
+        raise TableError(
+            f"{run.source}: no figures without truth: none of its {run.frames} frames has a true pose "
+            "(true_x_m to true_qw); poses can still be exported"
+        )
     chosen = alignment or ("sim3" if run.up_to_scale else "se3")
-    aligned, left_out = _aligned(run, chosen)
-    relative = [relative_errors(part.estimated, part.true, *pairs(part.estimated, delta)) for part in aligned]
+    paths, scales, left_out = _aligned(run, chosen)
+    relative = [relative_errors(*path, *pairs(path[0], delta)) for path in paths]
     relative_m, relative_deg = (np.concatenate(part) for part in zip(*relative, strict=True))
-    driven_m = [float(path_m(part.true)[-1]) for part in aligned]
+    driven_m = [float(path_m(true)[-1]) for _, true in paths]
     lengths_m, every = (KITTI_LENGTHS_M, KITTI_EVERY) if max(driven_m) > KITTI_LENGTHS_M[0] else (SHORT_LENGTHS_M, 1)
-    stretches = [
-        [segment_errors(part.estimated, part.true, length_m, every) for part in aligned] for length_m in lengths_m
-    ]
+    stretches = [[segment_errors(*path, length_m, every) for path in paths] for length_m in lengths_m]
     return Evaluation(
         run,
         chosen,
-        tuple(part.scale for part in aligned),
+        scales,
         sum(driven_m),
         delta,
-        ErrorStatistics.of(np.concatenate([absolute_errors_m(part.estimated, part.true) for part in aligned])),
+        ErrorStatistics.of(np.concatenate([absolute_errors_m(*path) for path in paths])),
         ErrorStatistics.of(relative_m) if len(relative_m) else None,
         ErrorStatistics.of(relative_deg) if len(relative_deg) else None,
         every,
@@ -102,45 +92,30 @@ def evaluate(run: RunPoses, alignment: Alignment | None, delta: Delta) -> Evalua
     )
 
 
-def _require_truth(run: RunPoses) -> None:
-    """Check that a segment of the log has enough true poses to judge by."""
-    if run.true is None:
-        raise TableError(
-            f"{run.source}: no figures without truth: none of its {run.frames} frames has a true pose "
-            "(true_x_m to true_qw); poses can still be exported"
-        )
-    most = max((len(part.stamps_ns) for part in run.of_segments.values()), default=0)
-    if most < _FEWEST:
-        where = " in a segment" if len(run.of_segments) > 1 else ""
-        raise TableError(
-            f"{run.source}: no figures: expected {_FEWEST} or more frames{where} with an estimated and a true pose, "
-            f"found {most} of {run.frames}"
-        )
+def _aligned(run: RunPoses, how: Alignment) -> tuple[list[tuple[Float, Float]], tuple[float, ...], tuple[str, ...]]:
+    """Of each segment of the log that can be aligned (N, 4, 4) poses, aligned and true, and the scale between them.
 
-
-def _aligned(run: RunPoses, how: Alignment) -> tuple[list[_Aligned], tuple[str, ...]]:
-    """The segments of the log that can be aligned, and why the others cannot.
+    Also why the others cannot be aligned.
 
     Raises:
         TableError: none can be.
     """
-    aligned, refused = [], []
+    paths, scales, refused = [], [], {}
     for number, part in run.of_segments.items():
         try:
-            aligned.append(_align_segment(part, how))
+            if part.true is None or len(part.true) < _FEWEST:
+                found = f"found {len(part.stamps_ns)}"
+                raise TableError(f"expected {_FEWEST} or more frames with an estimated and a true pose, {found}")  # noqa: TRY301
+            true_S_estimated = align(part.estimated, part.true, how)
         except TableError as error:
-            refused.append((number, error))
-    if not aligned:
-        raise TableError(f"{run.source}: {refused[0][1]}") from refused[0][1]
-    return aligned, tuple(f"no figures of segment {number}: {error}" for number, error in refused)
-
-
-def _align_segment(part: RunPoses, how: Alignment) -> _Aligned:
-    frames = len(part.stamps_ns)
-    if part.true is None or frames < _FEWEST:
-        raise TableError(f"expected {_FEWEST} or more frames with an estimated and a true pose, found {frames}")
-    true_S_estimated = align(part.estimated, part.true, how)
-    return _Aligned(true_S_estimated.poses(part.estimated), part.true, true_S_estimated.scale)
+            refused[number] = str(error)
+        else:
+            paths.append((true_S_estimated.poses(part.estimated), part.true))
+            scales.append(true_S_estimated.scale)
+    if not paths:
+        why = next(iter(refused.values()), f"no frame of {run.frames} has an estimated and a true pose")
+        raise TableError(f"{run.source}: {why}")
+    return paths, tuple(scales), tuple(f"no figures of segment {number}: {why}" for number, why in refused.items())
 
 
 def _segments(length_m: float | None, errors: Iterable[tuple[Float, Float]]) -> Segments:

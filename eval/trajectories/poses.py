@@ -1,10 +1,10 @@
 """The poses of a run, estimated and true: from its metrics table, and as files that other trajectory tools read."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import polars as pl
@@ -130,37 +130,22 @@ def _known(rows: Float) -> NDArray[np.bool_]:
     return known
 
 
-def export_tum(folder: Path, run: RunPoses) -> None:
-    """Write NAME.est.tum and, where there is truth, NAME.true.tum, each pose in its own world.
+def export(folder: Path, run: RunPoses, suffix: Literal["tum", "kitti"]) -> None:
+    """Write NAME.est.SUFFIX and, where there is truth, NAME.true.SUFFIX: ``tum_lines`` or ``kitti_lines``.
 
-    Of a run in several segments each has its files: NAME.segment-0.est.tum and so on.
-
-    Raises:
-        TargetError: a file cannot be written.
-    """
-    _export(folder, run, "tum", tum_lines)
-
-
-def export_kitti(folder: Path, run: RunPoses) -> None:
-    """Write NAME.est.kitti and, where there is truth, NAME.true.kitti, each pose against its file's first.
-
-    Of a run in several segments each has its files as those of ``export_tum``.
+    Of a run in several segments each has its files: NAME.segment-0.est.tum and so on. A run that only its folder
+    distinguishes from others gets that folder, too.
 
     Raises:
         TargetError: a file cannot be written.
     """
-    _export(folder, run, "kitti", lambda _stamps_ns, poses: kitti_lines(poses))
-
-
-def _export(folder: Path, run: RunPoses, suffix: str, lines: Callable[[NDArray[np.int64], Float], list[str]]) -> None:
-    """Write the poses of each segment; a run that only its folder distinguishes from others gets that folder, too."""
     for number, part in run.of_segments.items():
         name = f"{run.name.lstrip('/')}.segment-{number}" if len(run.of_segments) > 1 else run.name.lstrip("/")
         for kind, poses in (("est", part.estimated), ("true", part.true)):
             if poses is not None:
+                lines = tum_lines(part.stamps_ns, poses) if suffix == "tum" else kitti_lines(poses)
                 with completing(folder / f"{name}.{kind}.{suffix}") as temporary:
-                    text = "".join(f"{line}\n" for line in lines(part.stamps_ns, poses))
-                    temporary.write_text(text, encoding="ascii")
+                    temporary.write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
 
 
 def tum_lines(stamps_ns: NDArray[np.int64], poses: Float) -> list[str]:

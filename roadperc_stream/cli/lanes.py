@@ -37,9 +37,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     if not (arguments.tusimple or arguments.truth):
         parser.error("expected --tusimple FILE, --truth FILE, or both")
-    lanes = part("eval.lanes")
-    options = lanes.LaneOptions(arguments.tusimple, arguments.truth, arguments.pair, arguments.size)
-    return run(lambda: lanes.print_lanes(arguments.log, options))
+    lanes, options = part("eval.lanes"), (arguments.tusimple, arguments.truth, arguments.pair, arguments.size)
+    return run(lambda: lanes.print_lanes(arguments.log, *options))
 
 
 def _parser() -> argparse.ArgumentParser:

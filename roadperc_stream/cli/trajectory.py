@@ -39,10 +39,9 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.delta_unit == "frames" and arguments.delta != int(arguments.delta):
         parser.error(f"argument --delta: {arguments.delta:g}: expected whole frames, or --delta-unit metres")
     judging = part("eval.trajectory")
-    options = judging.TrajectoryOptions(
-        arguments.align, arguments.delta, arguments.delta_unit, arguments.export_tum, arguments.export_kitti
-    )
-    return run(lambda: judging.print_trajectories(arguments.runs, options))
+    delta = judging.Delta(arguments.delta, arguments.delta_unit)
+    folders = arguments.export_tum, arguments.export_kitti
+    return run(lambda: judging.print_trajectories(arguments.runs, arguments.align, delta, *folders))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from roadperc_stream.cli.report import main
 from roadperc_stream.eval.consistency import (
-    Consistency,
     added,
     consistency,
     consistency_of_frames,
@@ -17,11 +16,9 @@ from roadperc_stream.eval.consistency import (
 )
 from tests.eval.tables import row, run_of, write
 
-ALONE = np.arange
-
 
 def of(*normalised):
-    return consistency(np.array(normalised), ALONE(len(normalised)), len(normalised))
+    return consistency(np.array(normalised), len(normalised), np.arange(len(normalised)))
 
 
 def frames(path, errors_m, stds_m):
@@ -69,8 +66,8 @@ def test_the_interval_of_blocks_of_one_is_that_of_the_mean():
 def test_rows_of_one_object_do_not_narrow_the_interval():
     """One car seen for 40 frames is one car."""
     values = np.random.default_rng(2).normal(size=12)
-    once = consistency(values, np.arange(12), 12)
-    often = consistency(np.repeat(values, 40), np.repeat(np.arange(12), 40), 480)
+    once = consistency(values, 12, np.arange(12))
+    often = consistency(np.repeat(values, 40), 480, np.repeat(np.arange(12), 40))
     assert often.nees_interval == pytest.approx(once.nees_interval)
     assert often.nees == pytest.approx(once.nees)
 
@@ -100,7 +97,7 @@ def test_few_blocks_have_no_interval():
 def test_tables_add_up(parts):
     """The sums of several tables are those of one that holds all."""
     numbers = np.concatenate([100 * k + np.arange(len(part)) for k, part in enumerate(parts)])
-    whole = consistency(np.concatenate(parts), numbers, len(numbers))
+    whole = consistency(np.concatenate(parts), len(numbers), numbers)
     total = added({"step": of(*part)} for part in parts)["step"]
     assert total.nees == pytest.approx(whole.nees)
     assert [total.within(k) for k in (1, 2, 3)] == [whole.within(k) for k in (1, 2, 3)]
@@ -176,7 +173,3 @@ def test_any_number_in_a_table_is_borne(tmp_path, recwarn):
     assert list(found) == ["step"]
     assert found["step"].nees == pytest.approx(5e11)
     assert not recwarn.list
-
-
-def test_nothing_has_no_shares():
-    assert Consistency() + of(1.0) == of(1.0)

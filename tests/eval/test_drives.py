@@ -9,7 +9,6 @@ from roadperc_stream.cli.compare import main as compare_main
 from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main as trajectory_main
 from roadperc_stream.eval.drives import find_drives
-from roadperc_stream.eval.html.page import page
 from roadperc_stream.eval.runs import collect
 from roadperc_stream.eval.scan import rows_of
 from roadperc_stream.eval.summary import summarise_run
@@ -98,20 +97,7 @@ def test_a_part_all_of_whose_frames_are_given_again_is_named_so(tmp_path, capsys
         )
 
 
-def test_a_part_in_the_middle_that_is_missing_is_stated_and_nothing_counts_twice(tmp_path):
-    """out_2 gives again what out_0 gave from frame 5 on, though out_1 lay between them."""
-    first, _, last = parts(tmp_path, ((0, 8), (2, 10), (5, 20)))
-    found = find_drives([first, last])
-    (run,) = found.runs
-    assert (run.frames, numbers_of(run)) == (FRAMES, list(range(FRAMES)))
-    assert found.notes == (
-        "out_0+1: one drive in 2 parts: out_0, out_2",
-        f"out_2: goes on from a part that is not among these tables (log {LOGS[1]}); "
-        "frames that out_0 has too, from 5 on, count once",
-    )
-
-
-def test_parts_that_share_no_frame_stay_apart_and_that_is_stated(tmp_path):
+def test_a_part_whose_predecessor_is_missing_stays_by_itself_and_that_is_stated(tmp_path):
     first, _, last = parts(tmp_path)
     found = find_drives([first, last])
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 8), ("out_2", 10)]
@@ -119,12 +105,6 @@ def test_parts_that_share_no_frame_stay_apart_and_that_is_stated(tmp_path):
         f"out_2: goes on from a part that is not among these tables (log {LOGS[1]}): "
         "evaluated by itself, from frame 10 on",
     )
-
-
-def test_the_whole_is_no_earlier_part_of_its_own_end(tmp_path, whole):
-    """Both end with the same frame: a part that ends within a later one ends before it does."""
-    found = find_drives([whole, parts(tmp_path)[2]])
-    assert [run.frames for run in found.runs] == [FRAMES, 10]
 
 
 def test_results_of_two_folders_are_two_drives(tmp_path):
@@ -174,19 +154,6 @@ def test_only_parts_whose_frames_are_given_again_elsewhere_have_nothing_to_repor
     assert "out_0.metrics.parquet: all its 4 frames are given again by out_1\n" in capsys.readouterr().out
     assert trajectory_main([*first, later]) == 0
     assert "out_0.metrics.parquet: all its 4 frames are given again by out_1\n" in capsys.readouterr().out
-
-
-def test_the_page_names_the_input_of_each_part(tmp_path):
-    text = page(find_drives(parts(tmp_path)).runs)
-    assert f"{LOGS[0]}, {LOGS[1]}, {LOGS[2]}" in text
-    assert "out.mcap, out.mcap, out.mcap" in text
-
-
-def test_a_folder_of_parts_is_compared_with_the_whole(tmp_path, whole, capsys):
-    folder = tmp_path / "parts"
-    parts(folder)
-    assert compare_main([whole, str(folder), "--other-log", "--exact", "--ignore", "log_id"]) == 0
-    assert "20 frames compared" in capsys.readouterr().out
 
 
 def test_a_reference_of_parts_is_made_and_updated(tmp_path, capsys):

@@ -142,15 +142,6 @@ def test_what_is_written_is_its_own_truth(drive, tmp_path, capsys):
     assert again.read_bytes() == own.read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("moved_px", "scores"), [(15, ["1.0000", "0.0000", "0.0000"]), (25, ["0.0000", "1.0000", "1.0000"])]
-)
-def test_upright_lanes_are_right_within_20_px(drive, tmp_path, capsys, moved_px, scores):
-    lines = [truth_line(stamp, LEFT_PX + moved_px, RIGHT_PX + moved_px) for stamp in STAMPS_NS]
-    _, text, _ = lanes(capsys, drive, "--truth", truth_file(tmp_path, *lines))
-    assert cells(text, "lane points") == ["100.0", *scores]
-
-
 @pytest.mark.parametrize(("moved_px", "accuracy"), [(24.9, 1.0), (25.1, 0.0)])
 def test_a_slanted_lane_may_be_off_by_20_px_over_the_cosine(moved_px, accuracy):
     lane = 0.75 * ROWS  # tangent 3/4, cosine 4/5
@@ -220,11 +211,11 @@ BAD = {
     "[1]": "Input should be an object",
     '{"raw_file": "a/1", "h_samples": [1]}': "lanes: Field required",
     truth_line(1, lanes=[[1.0, 2.0]]): "lanes[0] has 2 columns; expected 56, one for each h_sample",
-    truth_line(1, lanes=[], h_samples=[]): "h_samples is empty",
+    truth_line(1, lanes=[], h_samples=[]): "h_samples: List should have at least 1 item",
     truth_line(1, lanes=[["x"]]): "lanes.0.0",
     truth_line(1, lanes=[[float("nan")]]): "lanes.0.0",
-    truth_line(1, lanes=[[10**400] * len(ROWS)]): "lanes[0]: expected pixels from -1e+09 to 1e+09",
-    truth_line(1, lanes=[], h_samples=[1e300]): "h_samples: expected pixels",
+    truth_line(1, lanes=[[10**400] * len(ROWS)]): "lanes.0.0: Input should be less than or equal to 1000000000",
+    truth_line(1, lanes=[], h_samples=[1e300]): "h_samples.0: Input should be less than or equal to 1000000000",
     truth_line(1, raw_file=3): "raw_file: Input should be a valid string",
     truth_line(1, raw_file="clips/20_a.jpg"): "unknown raw_file 'clips/20_a.jpg'; expected a frame's stamp in ns",
     truth_line(STAMPS_NS[0]): "again, after",

@@ -1,4 +1,4 @@
-"""The report and the page of a table with known numbers stay as they were recorded.
+"""What the commands say of tables with known numbers, and the page of one, stay as they were recorded.
 
 After a change that is meant, ``pytest tests/eval/test_recorded.py --force-regen`` records anew.
 """
@@ -8,10 +8,14 @@ import re
 import numpy as np
 import pytest
 
+from roadperc_stream.cli.compare import main as compare_main
 from roadperc_stream.cli.report import main
+from roadperc_stream.cli.trajectory import main as trajectory_main
 from tests import summaries
+from tests.eval.dataset.datasets import small_dataset
 from tests.eval.tables import row, write
 from tests.eval.test_html_page import Page
+from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, write_run
 
 FRAMES = 120
 
@@ -31,6 +35,14 @@ def drive(path, seed):
             "lane_left_raw_offset_m": offsets_m[1],
             "lane_left_true_offset_m": 1.7 + 0.1 * np.sin(k / 20),
             "lane_left_error_m": offsets_m[2] - 1.7,
+            "lane_right_status": "measured",
+            "lane_right_boundary_class": "road" if k % 3 else "sidewalk",
+            "lane_right_offset_m": -np.sin((k - 2) / 5),
+            "lane_right_true_offset_m": -np.sin(k / 5),
+            "drivable_iou": 0.9 + random.normal(0, 0.02),
+            "filter_tp": 3,
+            "filter_fp": k % 2,
+            "filter_fn": 1,
             "nearest_object_m": 5.0 + k / 10 if k % 11 else None,
             "object_distance_error_m": abs(random.normal(0, 0.5)),
             "detections": 5,
@@ -69,3 +81,32 @@ def test_the_page_is_the_recorded_one(number, runs, tmp_path, ndarrays_regressio
     words = np.array([line.strip() for line in page.text.splitlines() if line.strip()])
     found = {"words": {"": (words, summaries.EXACT)}, "charts": summaries.of_document(page.specs)}
     summaries.check(ndarrays_regression, found)
+
+
+@pytest.fixture
+def tables(runs, tmp_path, monkeypatch):
+    """Two drives, paths with and without scale and truth, and a dataset, in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    small_dataset(tmp_path / "dataset")
+    (tmp_path / "paths").mkdir()
+    write_run(tmp_path / "paths" / "long.metrics.parquet", rigid(1) @ noisy(helix(400), 1), helix(400))
+    write_run(tmp_path / "paths" / "mono.metrics.parquet", scaled(helix(60), 0.5), helix(60), step_m=[None] * 60)
+    write_run(tmp_path / "paths" / "blind.metrics.parquet", helix(60))
+
+
+SAID = {
+    "dataset": (main, ["dataset", "--worst", "2"]),
+    "dataset by status": (main, ["dataset", "--by", "lane_left_status,config"]),
+    "two configurations of a dataset": (compare_main, ["dataset"]),
+    "two runs": (compare_main, ["one.metrics.parquet", "other.metrics.parquet", "--allow", "total_ms=1%"]),
+    "a long path": (trajectory_main, ["paths/long.metrics.parquet"]),
+    "a short path without scale": (trajectory_main, ["paths/mono.metrics.parquet", "--align", "se3"]),
+    "paths": (trajectory_main, ["paths", "--delta", "2.5", "--delta-unit", "metres"]),
+}
+
+
+@pytest.mark.parametrize("case", SAID)
+def test_what_is_said_is_the_recorded_text(case, tables, capsys, file_regression):
+    command, arguments = SAID[case]
+    command(arguments)
+    file_regression.check("".join(capsys.readouterr()))

@@ -1,6 +1,5 @@
 """The command: what it prints, how wide, and how it ends."""
 
-import math
 import re
 from functools import partial
 from pathlib import Path
@@ -59,34 +58,6 @@ def test_accuracy_stands_beside_coverage(drive, capsys):
     assert line_of(text, "drivable IoU")[2:] == ["100.0", "0.970", "p5", "0.970", "0.970"]
 
 
-def test_times_and_share_of_the_total(drive, capsys):
-    _, text, _ = report(capsys, drive)
-    assert line_of(text, "surface  ") == ["surface", "2.00", "2.00", "2.00", "50.0"]
-    assert line_of(text, "rest")[1:] == ["1.00", "1.00", "1.00", "25.0"]
-    assert "250.0 frames/s a core, 12.5 times real time" in text
-
-
-def test_worst_frames_with_their_times(drive, capsys):
-    _, text, _ = report(capsys, drive, "--worst", "2")
-    lines = text.splitlines()
-    at = next(k for k, line in enumerate(lines) if line.startswith("lane left at 10 m, m") and "15778" in line)
-    assert lines[at].split()[-4:] == ["0.300", "2", "0.100", "1577836800100000000"]
-    assert lines[at + 1].split() == ["-0.020", "1", "0.050", "1577836800050000000"]
-    assert lines[at + 2].startswith("object distance error (mean), m")
-
-
-def test_columns_without_values_are_one_line(drive, capsys):
-    _, text, _ = report(capsys, drive)
-    said = text[text.index("no values:") :].split("\n\n")[0].replace("\n", " ")
-    assert "stereo*" in said
-    assert "nearest_object_m" in said
-    assert "camera_height_m" not in said
-    assert "error" not in said
-    untrue = text[text.index("No frame has an estimate and a truth for:") :].split("\n\n")[0].replace("\n", " ")
-    assert "surface angle, deg; camera height, m;" in untrue
-    assert "drivable IoU" not in untrue
-
-
 def test_log_without_truth_says_so_and_shows_signs_of_trouble(tmp_path, capsys):
     _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", [row(0), row(1, lane_left_status="lost")]))
     assert "No frame has a truth" in text
@@ -141,23 +112,6 @@ def test_eight_runs_with_all_columns_have_a_line_each_in_80_columns(tmp_path, ca
     assert max(len(line) for line in text.splitlines() if "town_in_the_rain" not in line) <= 80
 
 
-def test_one_log_is_a_page(drive, capsys):
-    _, text, _ = report(capsys, drive)
-    assert 30 <= len(text.splitlines()) <= 60
-
-
-def test_same_log_under_two_configurations(tmp_path, capsys):
-    write(tmp_path / "base" / "drive.metrics.parquet", [row(0, lane_left_error_m=0.1)], config="1" * 64)
-    write(tmp_path / "slow" / "drive.metrics.parquet", [row(0, lane_left_error_m=0.3)], config="2" * 64)
-    _, text, _ = report(capsys, tmp_path)
-    assert text.startswith("2 runs: 1 log, 2 configurations")
-    assert line_of(text, "base/drive")[1:3] == ["a" * 16, "1" * 8]
-    block = text[text.index("\nAccuracy") :].splitlines()
-    assert block[3].split() == ["lane", "left", "at", "10", "m,", "m"]
-    assert block[4].split() == ["base/drive", "100.0", "0.100", "0.100", "0.100", "0.100"]
-    assert block[5].split() == ["slow/drive", "100.0", "0.300", "0.300", "0.300", "0.300"]
-
-
 def test_runs_of_one_configuration_are_pooled_and_of_two_never(tmp_path, capsys):
     for name, error, config in (("a", 0.1, "1"), ("b", 0.3, "1"), ("c", 9.0, "2")):
         write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=error)], config=config * 64)
@@ -174,17 +128,6 @@ def test_runs_of_one_configuration_are_pooled_and_of_two_never(tmp_path, capsys)
     assert "3 frames" not in text
 
 
-def test_one_configuration_of_two_versions_is_not_pooled(tmp_path, capsys):
-    for name, version in (("a", "1.0"), ("b", "2.0")):
-        path = write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=0.1)])
-        facts = {"roadperc.config_digest": "c" * 64, "roadperc.version": version}
-        pl.read_parquet(path).write_parquet(path, metadata=facts)
-    _, text, _ = report(capsys, tmp_path)
-    assert "2 versions" in text
-    assert line_of(text, "b  ")[1:4] == ["a" * 16, "c" * 8, "2.0"]
-    assert [line.split()[0] for line in text[text.index("\nAccuracy") :].splitlines()[4:6]] == ["a", "b"]
-
-
 def test_runs_that_name_no_configuration_stand_alone(tmp_path, capsys):
     for name, error in (("a", 0.1), ("b", 0.3)):
         path = write(tmp_path / f"{name}.metrics.parquet", [row(0, lane_left_error_m=error)])
@@ -192,17 +135,6 @@ def test_runs_that_name_no_configuration_stand_alone(tmp_path, capsys):
     _, text, _ = report(capsys, tmp_path)
     assert [line.split()[1] for line in text[text.index("\nAccuracy") :].splitlines()[4:6]] == ["100.0", "100.0"]
     assert "Settings that differ: unknown, for neither the table nor a log next to it says" in text.replace("\n", " ")
-
-
-def test_the_settings_that_differ_head_the_report(tmp_path, capsys):
-    configured(tmp_path / "base.metrics.parquet", 0.1)
-    configured(tmp_path / "slow.metrics.parquet", 0.2, "lanes.hold_s=2", "surface.inlier_m=0.5")
-    _, text, _ = report(capsys, tmp_path)
-    assert [line.split() for line in text.splitlines()[2:6] if "─" not in line] == [
-        ["Settings", "that", "differ", "base", "slow"],
-        ["surface.inlier_m", "0.05", "0.5"],
-        ["lanes.hold_s", "0.5", "2.0"],
-    ]
 
 
 def test_many_configurations_have_a_row_each(tmp_path, capsys, monkeypatch):
@@ -252,31 +184,6 @@ def test_quantiles_that_are_not_exact_are_said_to_be(tmp_path, capsys, monkeypat
     )
 
 
-def test_counts_become_precision_recall_and_f1(tmp_path, capsys):
-    counts = {"lane_culane_tp_50": 3, "lane_culane_fp_50": 1, "lane_culane_fn_50": 0}
-    _, text, _ = report(
-        capsys, write(tmp_path / "drive.metrics.parquet", [row(k, **TRUTHFUL, **counts) for k in range(2)])
-    )
-    assert line_of(text, "lanes at IoU 0.5")[4:] == ["0.750", "1.000", "0.857", "6", "2", "0"]
-    assert "detections kept  " not in text[text.index("Detection counts") :]
-
-
-def test_lag_stands_beside_the_jitter(tmp_path, capsys):
-    rows = [
-        row(
-            k,
-            lane_left_status="measured",
-            lane_left_offset_m=math.sin((k - 2) / 5),
-            lane_left_true_offset_m=math.sin(k / 5),
-        )
-        for k in range(60)
-    ]
-    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
-    assert line_of(text, "left")[-1] == "2"
-    assert line_of(text, "right")[-1] == "\N{EN DASH}"
-    assert "lag: frames the smoothed offset lies behind the true one, \N{EN DASH} where not known" in text
-
-
 def test_reasons_are_counted_and_names_are_taken_as_they_are(tmp_path, capsys):
     rows = [row(k, reasons=("lanes: [bold]no[/bold] segmentation",)) for k in range(3)] + [row(3)]
     _, text, _ = report(capsys, write(tmp_path / "[red]drive.metrics.parquet", rows))
@@ -304,10 +211,6 @@ def test_reasons_that_differ_in_numbers_are_one_and_inputs_come_before_stages(tm
     ]
 
 
-def test_no_reasons_no_table(drive, capsys):
-    assert "Missing outputs" not in report(capsys, drive)[1]
-
-
 def test_reasons_of_some_runs_are_told_log_by_log(tmp_path, capsys):
     """What all runs say alike is said once; of the others, which run says it how often."""
     both = "objects: no detections"
@@ -330,12 +233,6 @@ def test_an_image_that_cannot_be_used_is_not_said_to_be_there(tmp_path, capsys):
     assert "no input missing" not in text
     assert "no message missing in any frame" in text
     assert line_of(text, "image: 520x360")[-2:] == ["2", "100.0"]
-
-
-def test_missing_inputs_are_told_per_role(tmp_path, capsys):
-    rows = [row(0, missing=("depth",)), row(1, missing=("depth", "left")), row(2), row(3)]
-    _, text, _ = report(capsys, write(tmp_path / "drive.metrics.parquet", rows))
-    assert "something missing in 50.0 % of the frames: depth 50.0 %, left 25.0 %" in text
 
 
 def test_empty_table_is_told_in_words(tmp_path, capsys, drive):

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval.names import legend, short_names
+from roadperc_stream.eval.quantities import legend, short_names
 from roadperc_stream.eval.runs import find_runs
 from tests.eval.tables import row, write
 
@@ -92,12 +92,6 @@ def test_what_fits_stays_and_needs_no_legend():
     names = short_names(["base/drive", "slow/drive"], 15)
     assert names == {"base/drive": "base/drive", "slow/drive": "slow/drive"}
     assert list(legend(names)) == []
-
-
-def test_the_ends_stay_and_the_legend_has_the_whole_name():
-    names = short_names(["base/the_long_name_of_a_drive"], 15)
-    assert list(names.values()) == ["base/th…a_drive"]
-    assert list(legend(names)) == ["base/th…a_drive: base/the_long_name_of_a_drive"]
 
 
 def test_names_that_differ_in_the_middle_are_numbered():

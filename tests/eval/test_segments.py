@@ -9,7 +9,7 @@ import pytest
 from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval.comparison.agreement import overlap, table_agreements
+from roadperc_stream.eval.comparison.agreement import compare_tables
 from roadperc_stream.eval.comparison.pairing import logged_runs, pair_runs
 from roadperc_stream.eval.html.charts import paths, trajectory
 from roadperc_stream.eval.html.figures import load_series
@@ -153,7 +153,7 @@ def test_a_segment_too_short_to_judge_is_left_out_and_named(tmp_path, one_pass, 
 
 def test_segments_all_too_short_are_an_error(tmp_path, one_pass):
     short = tuple(side[:2] for side in one_pass)
-    with pytest.raises(TableError, match=r"expected 3 or more frames in a segment .* found 2 of 6"):
+    with pytest.raises(TableError, match="expected 3 or more frames with an estimated and a true pose, found 2"):
         evaluated(looped_run(tmp_path / "loop.metrics.parquet", [short] * 3))
 
 
@@ -202,8 +202,9 @@ def test_frames_of_equal_stamps_pair_within_their_segment(tmp_path):
     rows = [replace(item, lane_left_offset_m=float(item.frame)) for item in [*drive(5), *again(drive(5))]]
     found = pair(tmp_path, rows, [*rows[:2], *rows[3:]])
     assert found.by_segment
-    assert (overlap(found).common, overlap(found).only_reference, overlap(found).only_candidate) == (9, 1, 0)
-    assert {agreement.state for agreement in table_agreements(found, Rules((), (), ())).values()} == {"identical"}
+    frames, columns = compare_tables(found, Rules())
+    assert (frames.common, frames.only_reference, frames.only_candidate) == (9, 1, 0)
+    assert {agreement.state for agreement in columns.values()} == {"identical"}
 
 
 def test_where_segments_are_not_as_many_stamps_alone_decide(tmp_path):
@@ -211,4 +212,4 @@ def test_where_segments_are_not_as_many_stamps_alone_decide(tmp_path):
     rows = [*drive(4), *again(drive(4))]
     found = pair(tmp_path, [replace(item, segment=0) for item in rows], rows)
     assert not found.by_segment
-    assert overlap(found).common == 8
+    assert compare_tables(found, Rules())[0].common == 8

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.eval.scores import averaged, correlations, lag_frames, scores
-from roadperc_stream.eval.statistics import FAN_IN, Sketch, absolute, exactly, merged, quantiles, thinned
+from roadperc_stream.eval.statistics import FAN_IN, Sketch, absolute, exactly, quantiles, thinned
 
 SUMS = {"filter_tp": 6, "filter_fp": 2, "filter_fn": 4}
 
@@ -126,19 +126,6 @@ def test_thinned_keeps_the_middle_of_equal_parts():
     part = thinned(sorted_part(range(12)), 3)
     assert part.values.tolist() == [1, 5, 9]
     assert (part.weights.tolist(), part.error_frames) == ([4, 4, 4], 2)
-
-
-def test_few_values_are_not_thinned():
-    whole = sorted_part([1, 2, 3])
-    assert thinned(whole, 3) is whole
-    assert whole.rank_error == 0
-
-
-def test_merged_keeps_the_weights_with_their_values():
-    both = merged([thinned(sorted_part(range(12)), 3), sorted_part([4.0])])
-    assert both.values.tolist() == [1, 4, 5, 9]
-    assert both.weights.tolist() == [4, 1, 4, 4]
-    assert both.rank_error == pytest.approx((2 + 2) / 13)
 
 
 def test_absolute_values_err_from_both_sides():

@@ -26,43 +26,6 @@ def test_extent(tmp_path):
     assert found.log_ids == ("a" * 16,)
 
 
-def test_single_frame_has_no_rate(tmp_path):
-    found = summary_of(tmp_path, [row(0)])
-    assert (found.span_s, found.longest_gap_s, found.rate_hz) == (0.0, 0.0, None)
-
-
-def test_missing_roles_and_reasons_are_counted_per_frame(tmp_path):
-    rows = [
-        row(0, missing=("depth", "detections"), reasons=("lanes: no segmentation",)),
-        row(1, missing=("depth",), reasons=("lanes: no segmentation", "objects: no detections")),
-        row(2),
-    ]
-    found = summary_of(tmp_path, rows)
-    assert (found.incomplete, found.missing) == (2, {"depth": 2, "detections": 1})
-    counted = {reason.text: reason.frames for reason in found.reasons.values()}
-    assert counted == {"lanes: no segmentation": 2, "objects: no detections": 1}
-
-
-def test_quantiles_over_the_frames_that_have_a_value(tmp_path):
-    """0 to 100 in a hundred and one frames: each quantile is its own percentage; nine frames have none."""
-    rows = [row(index, camera_height_m=float(index)) for index in range(101)] + [row(101 + k) for k in range(9)]
-    found = summary_of(tmp_path, rows)
-    height = found.statistics["camera_height_m"]
-    assert (height.p5, height.median, height.p95, height.p99) == pytest.approx((5, 50, 95, 99))
-    assert found.coverage("camera_height_m") == pytest.approx(101 / 110)
-
-
-def test_errors_count_by_absolute_value_and_keep_their_bias(tmp_path):
-    errors = [-0.3, -0.2, -0.1, 0.1, None]
-    found = summary_of(tmp_path, [row(k, lane_left_error_m=error) for k, error in enumerate(errors)])
-    left = found.statistics["lane_left_error_m"]
-    assert left.median == pytest.approx(-0.15)
-    assert left.abs_median == pytest.approx(0.15)
-    assert left.abs_p95 == pytest.approx(0.285)
-    assert left.abs_most == pytest.approx(0.3)
-    assert found.coverage("lane_left_error_m") == pytest.approx(0.8)
-
-
 def test_column_without_values_has_no_statistics(tmp_path):
     found = summary_of(tmp_path, [row(0), row(1)])
     assert "stereo_epe_px" not in found.statistics
@@ -106,12 +69,6 @@ def test_a_change_of_lane_is_no_jitter(tmp_path):
     assert (found.values, found.std) == (2, pytest.approx(0.0, abs=1e-12))
 
 
-def test_shares_of_states(tmp_path):
-    states = ["measured", "measured", "held", "lost", None]
-    found = summary_of(tmp_path, [row(k, lane_right_status=state) for k, state in enumerate(states)])
-    assert [found.share("lane_right_status", state) for state in ("measured", "held", "lost")] == [0.4, 0.2, 0.2]
-
-
 def test_worst_frames_by_absolute_value_the_earliest_of_equals_first(tmp_path):
     errors = [0.1, -0.9, None, 0.5, -0.5]
     found = summary_of(tmp_path, [row(k, lane_left_error_m=error) for k, error in enumerate(errors)])
@@ -121,21 +78,11 @@ def test_worst_frames_by_absolute_value_the_earliest_of_equals_first(tmp_path):
     assert worst[1].stamp_ns == START_NS + 3 * STEP_NS
 
 
-def test_worst_overlap_is_the_lowest(tmp_path):
-    found = summary_of(tmp_path, [row(k, drivable_iou=iou) for k, iou in enumerate([0.9, 0.2, 0.5])], worst=2)
-    assert [frame.value for frame in found.worst["drivable_iou"]] == [0.2, 0.5]
-
-
 def test_worst_frames_without_a_lane(tmp_path):
     states = [("measured", "measured"), ("lost", "held"), ("lost", "lost"), (None, None)]
     rows = [row(k, lane_left_status=left, lane_right_status=right) for k, (left, right) in enumerate(states)]
     worst = summary_of(tmp_path, rows).worst["lanes_lost"]
     assert [(frame.frame, frame.value) for frame in worst] == [(2, 2.0), (1, 1.0)]
-
-
-def test_time_outside_the_stages(tmp_path):
-    found = summary_of(tmp_path, [row(0)], [{"surface_ms": 3.0, "lanes_ms": 2.0, "total_ms": 9.0}])
-    assert found.statistics["rest_ms"].median == pytest.approx(4.0)
 
 
 def test_table_of_an_older_version_lacks_columns(tmp_path):
@@ -162,21 +109,6 @@ def two_runs(tmp_path):
     write(tmp_path / "short.metrics.parquet", short)
     runs = find_runs([str(tmp_path)])
     return summarise_all(runs, 2)[1]
-
-
-def test_over_all_weighs_frames_not_logs(tmp_path):
-    """The median over ten frames is that of 0 .. 8 and 50 hundredths, not that of two medians."""
-    together = two_runs(tmp_path)
-    assert (together.frames, together.runs, together.incomplete) == (10, 2, 9)
-    assert together.statistics["lane_left_error_m"].abs_median == pytest.approx(0.045)
-    assert together.share("surface_source", "depth") == 0.1
-    assert together.log_ids == ("a" * 16, "b" * 16)
-    assert together.rate_hz == pytest.approx(20.0)
-
-
-def test_over_all_worst_frames_name_their_run(tmp_path):
-    worst = two_runs(tmp_path).worst["lane_left_error_m"]
-    assert [(frame.run, frame.value) for frame in worst] == [("short", -0.5), ("long", 0.08)]
 
 
 def test_over_all_lists_each_run_as_it_is_alone(tmp_path):
@@ -239,30 +171,6 @@ def test_over_many_frames_quantiles_keep_the_rank_error_they_state(tmp_path, mon
         assert getattr(found, name) == getattr(exact.statistics["lane_left_error_m"], name)
     assert together.statistics.keys() == exact.statistics.keys() <= {quantity.column for quantity in NUMBERS}
     assert together.worst == exact.worst
-
-
-def test_counts_are_summed_over_frames_and_runs(tmp_path):
-    write(tmp_path / "a.metrics.parquet", [row(0, filter_tp=3, filter_fp=0, filter_fn=1), row(1)])
-    write(tmp_path / "b.metrics.parquet", [row(k, filter_tp=2, filter_fp=0, filter_fn=0) for k in range(3)])
-    (first, _), together = summarise_all(find_runs([str(tmp_path)]), 1)
-    assert [(score.tp, score.fp, score.fn) for score in first.scores] == [(3, 0, 1)]
-    assert [(score.tp, score.fp, score.fn) for score in together.scores] == [(9, 0, 1)]
-
-
-def weaving(frames, lag):
-    truth = np.sin(np.arange(-lag, frames - lag) / 5)
-    return [row(k, lane_left_offset_m=truth[k], lane_left_true_offset_m=math.sin(k / 5)) for k in range(frames)]
-
-
-def test_lag_over_all_is_that_of_the_runs_that_tell_it(tmp_path):
-    write(tmp_path / "a.metrics.parquet", weaving(100, 2))
-    write(
-        tmp_path / "b.metrics.parquet",
-        [row(k, lane_left_offset_m=k % 2, lane_left_true_offset_m=1.5) for k in range(500)],
-    )
-    write(tmp_path / "c.metrics.parquet", [row(0)])
-    summaries, together = summarise_all(find_runs([str(tmp_path)]), 1)
-    assert [summary.lag_frames("left") for summary in (*summaries, together)] == [2, None, None, 2]
 
 
 def test_a_frame_that_could_not_be_better_is_none_of_the_worst(tmp_path):

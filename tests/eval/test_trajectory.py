@@ -14,8 +14,8 @@ from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.trajectories.errors import Delta
 from roadperc_stream.eval.trajectories.evaluation import evaluate
 from roadperc_stream.eval.trajectories.poses import read_poses
-from tests.eval.tables import outcome, row, write
-from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, write_run
+from tests.eval.tables import outcome
+from tests.eval.trajectories.paths import helix, noisy, rigid, write_run
 
 trajectory = partial(outcome, main)
 
@@ -38,77 +38,11 @@ def shifted(tmp_path):
     return write_run(path, estimated, TRUE, odometry_status=status, true_x_m=true_x_m)
 
 
-def test_figures_stand_beside_coverage(shifted, capsys):
-    code, text, _ = trajectory(capsys, shifted, "--align", "none")
-    assert code == 0
-    assert line_of(text, "drive: ").startswith("drive: 60 frames, ")
-    assert line_of(text, "96.7 %") == "96.7 % have both poses: estimated 59, true 59, lost 1"
-    assert "not aligned" in text
-    assert line_of(text, "ATE, m").split()[2:] == ["58", *["5.0000"] * 3, "0.0000", *["5.0000"] * 2, "1450.0000"]
-    assert line_of(text, "RPE, m").split()[-8:] == ["57", *["0.0000"] * 7]
-
-
 def test_alignment_takes_the_shift_away(shifted, capsys):
     for how in ([], ["--align", "se3"], ["--align", "origin"]):
         code, text, _ = trajectory(capsys, shifted, *how)
         assert code == 0
         assert line_of(text, "ATE, m").split()[2:] == ["58", *["0.0000"] * 7]
-
-
-def test_lengths_say_which_were_used_and_how_often(shifted, tmp_path, capsys):
-    _, text, _ = trajectory(capsys, shifted)
-    assert "no 100 m driven: shorter lengths than KITTI's; a segment begins at every frame" in text
-    rows = {
-        line.split(" m ")[0]: line.split()[2:] for line in text.splitlines() if line[:1].isdigit() and " m " in line
-    }
-    assert list(rows) == ["5", "10", "25", "50"]
-    assert rows["50"] == ["0"]
-    assert [int(cells[0]) > 0 for cells in rows.values()] == [True, True, True, False]
-    long = write_run(tmp_path / "long.metrics.parquet", helix(400), helix(400))
-    _, text, _ = trajectory(capsys, long)
-    assert "a segment begins at every 10th frame, as in KITTI's benchmark" in text
-    assert line_of(text, "100 m").split()[2:] == ["26", "0.0000", "0.0000"]
-    assert line_of(text, "all").split()[1:] == ["38", "0.0000", "0.0000"]
-
-
-def test_delta_over_metres(shifted, capsys):
-    _, text, _ = trajectory(capsys, shifted, "--delta", "2.5", "--delta-unit", "metres")
-    assert "RPE over 2.5 m" in text
-    assert line_of(text, "RPE, deg").split()[-8:-7] != ["0"]
-    _, text, _ = trajectory(capsys, shifted, "--delta", "2500", "--delta-unit", "metres")
-    assert "RPE over 2500 m" in text
-    assert line_of(text, "RPE, deg").split()[-1] == "0"
-
-
-def test_a_run_without_scale_says_so(tmp_path, capsys):
-    path = write_run(tmp_path / "mono.metrics.parquet", scaled(TRUE, 0.5), TRUE, step_m=[None] * 60)
-    _, text, _ = trajectory(capsys, path)
-    assert "aligned by Sim(3), the estimate scaled by 2" in text
-    assert "up to scale (59 of 59 steps have no scale): only figures aligned by Sim(3) mean" in text
-    assert line_of(text, "ATE, m").split()[2:] == ["60", *["0.0000"] * 7]
-    _, text, _ = trajectory(capsys, path, "--align", "se3")
-    assert "and these are not: --align sim3" in text
-    partly = write_run(tmp_path / "partly.metrics.parquet", TRUE, TRUE, step_m=[None] * 11 + [0.7] * 49)
-    _, text, _ = trajectory(capsys, partly)
-    assert "10 of 59 steps have no scale of their own" in text
-    assert "aligned by SE(3)" in text
-
-
-def test_several_runs_have_a_row_each(tmp_path, capsys):
-    write_run(tmp_path / "good.metrics.parquet", TRUE, TRUE)
-    write_run(tmp_path / "mono.metrics.parquet", scaled(TRUE, 0.5), TRUE, step_m=[None] * 60)
-    write_run(tmp_path / "blind.metrics.parquet", TRUE)
-    write(tmp_path / "still.metrics.parquet", [row(0)])
-    code, text, err = trajectory(capsys, tmp_path)
-    assert (code, err) == (0, "")
-    assert f"{tmp_path}/blind.metrics.parquet: no figures without truth: none of its 60 frames has a true" in text
-    assert f"{tmp_path}/still.metrics.parquet: no frame has an estimated pose" in text
-    assert "\nmono: up to scale" in text
-    rows = [line.split() for line in text.splitlines() if line.startswith(("good", "mono  "))]
-    assert rows[0][:6] == ["good", "60", "100.0", "0", "41.3", "1"]
-    assert rows[1][:6] == ["mono", "60", "100.0", "0", "41.3", "2"]
-    assert rows[2] == ["good", "se3", *["0.0000"] * 5, "121"]
-    assert rows[3] == ["mono", "sim3", *["0.0000"] * 5, "121"]
 
 
 def test_exports_of_runs_with_and_without_truth(tmp_path, shifted, capsys):

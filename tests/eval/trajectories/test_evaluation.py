@@ -9,7 +9,7 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.eval.trajectories.errors import Delta
 from roadperc_stream.eval.trajectories.evaluation import evaluate
 from roadperc_stream.eval.trajectories.poses import RunPoses
-from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, straight
+from tests.eval.trajectories.paths import helix, scaled, straight
 
 FRAME = Delta(1, "frames")
 
@@ -20,14 +20,6 @@ def run_of(estimated, true, **facts):
     poses = (stamps_ns, estimated, true, segments)
     found = RunPoses("drive", "drive.metrics.parquet", frames, 0, frames, frames, frames - 1, 0, *poses)
     return dataclasses.replace(found, **facts)
-
-
-def test_a_perfect_run_has_no_errors():
-    found = evaluate(run_of(helix(60), helix(60)), None, FRAME)
-    assert max(found.absolute_m.most, found.relative_m.most, found.relative_deg.most) < 1e-12
-    assert [s.count for s in found.stretches] == [52, 45, 24, 0]
-    assert found.together.count == 121
-    assert max(found.together.translation_percent, found.together.rotation_deg_per_100m) < 1e-10
 
 
 def test_long_ways_are_judged_by_kittis_own_lengths():
@@ -57,13 +49,6 @@ def test_a_run_without_scale_is_aligned_by_sim3_unless_told():
     assert evaluate(metric, None, FRAME).alignment == "se3"
 
 
-def test_the_alignment_is_the_one_asked_for():
-    moved = run_of(rigid(1) @ noisy(helix(60), 1), helix(60))
-    rmse = {how: evaluate(moved, how, FRAME).absolute_m.rmse for how in ("sim3", "se3", "origin", "none")}
-    assert list(rmse.values()) == sorted(rmse.values())
-    assert rmse["none"] > 2 * rmse["origin"] > 2 * rmse["se3"]
-
-
 def test_a_delta_longer_than_the_way_has_no_pairs():
     found = evaluate(run_of(helix(10), helix(10)), None, Delta(50.0, "metres"))
     assert (found.relative_m, found.relative_deg) == (None, None)
@@ -77,7 +62,7 @@ def test_a_delta_longer_than_the_way_has_no_pairs():
             run_of(helix(9), None),
             "drive.metrics.parquet: no figures without truth: none of its 9 frames has a true pose",
         ),
-        (run_of(helix(2), helix(2), frames=9), "no figures: expected 3 or more frames .* found 2 of 9"),
+        (run_of(helix(2), helix(2), frames=9), "expected 3 or more frames with an estimated and a true pose, found 2"),
         (run_of(straight(9, 0), helix(9), without_scale=8), r"drive.metrics.parquet: no Sim\(3\) alignment"),
     ],
 )
