@@ -47,7 +47,7 @@ def damaged(whole):
     stamp = logs.START_NS + 5 * STEP_NS
     salvage = log.Salvage(whole)
     salvage.run()
-    entries = salvage._index.chunk_indexes
+    entries = salvage.index.chunk_indexes
     entry = next(e for e in entries if e.message_start_time <= stamp <= e.message_end_time)
     content = whole.read_bytes()
     path = whole.with_name("damaged.mcap")
@@ -132,7 +132,7 @@ def test_seconds_count_from_the_first_message_that_was_written(tmp_path):
 
 def test_a_calibration_that_was_lost_is_named_in_the_log_that_lost_it(whole):
     path = whole.with_name("headless.mcap")
-    in_first_chunk = log.summarise(whole).source.chunks[0].start + 100
+    in_first_chunk = log.summarise(whole).source.chunks[0].chunk_start_offset + 100
     path.write_bytes(flipped(whole.read_bytes(), 8 * in_first_chunk))
     with pytest.raises(ChannelError, match=rf"^{path}: .*no calibration"):
         run(path, "out", recover=True)

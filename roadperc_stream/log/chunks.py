@@ -1,71 +1,100 @@
 """What a chunk holds: its records as far as they can be read, and why not all of them can.
 
-Decompression is streamed, so that of a chunk that is cut, or damaged in the middle, everything before is read, and
-never more than the chunk says that it holds. Layout: https://mcap.dev/spec.
+A chunk that is cut or damaged is decompressed piece by piece: what comes before the fault is read, and never more than
+the chunk declares. Layout: https://mcap.dev/spec.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from io import BytesIO
-from typing import Final
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from io import BufferedReader, BytesIO
+from typing import Any, Final
 
 import lz4.frame
+import zstandard
 from deflate import crc32
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.log.layout import TOO_SHORT, ChunkHead, Item, records_in
+from roadperc_stream.log.layout import RECORD, TOO_SHORT, ChunkHead, Record, records_in
+from roadperc_stream.log.limits import LimitError, beyond
 
 INSIDE: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _PIECE_BYTES: Final = 1024 * 1024
-_LZ4_PIECE_BYTES: Final = 16 * 1024
-"""What is given at once: behind each frame the rest of it is copied."""
+_FRAME_HEAD_BYTES: Final = 32
+"""More than the header of a frame of zstd (18) or lz4 (19) takes."""
+_LZ4_RATIO: Final = 255
+"""Bytes that one byte of lz4 stands for at most."""
+_STREAMS: Final[dict[str, Callable[[ChunkHead], Any]]] = {
+    "": lambda head: BytesIO(head.stored),
+    "zstd": lambda head: BufferedReader(ZstdDecompressor().stream_reader(head.stored, read_across_frames=True)),
+    "lz4": lambda head: lz4.frame.LZ4FrameFile(BytesIO(head.stored)),
+}
+"""Streams over all that a chunk's data decompress to, by its compression."""
+_AT_ONCE: Final[dict[str, Callable[[ChunkHead], bytes | memoryview]]] = {
+    "": lambda head: head.stored,
+    "zstd": lambda head: ZstdDecompressor().decompress(head.stored, max_output_size=head.size_bytes),
+    "lz4": lambda head: lz4.frame.decompress(head.stored),
+}
+"""The data of a chunk in one frame; of several, zstd gives the first alone."""
 
 
 @dataclass(frozen=True)
 class Contents:
     """A chunk's records up to the first fault, which is empty where there is none."""
 
-    items: tuple[Item, ...]
+    records: tuple[Record, ...]
     fault: str = ""
 
 
-@dataclass
-class Workspace:
-    """Memory that chunks are decompressed to, one after the other: new memory costs more than decompressing."""
-
-    memory: bytearray = field(default_factory=lambda: bytearray(_PIECE_BYTES))
-
-    def free(self, used: int) -> memoryview:
-        """What lies behind the bytes that are used; more memory where that is nothing."""
-        if used == len(self.memory):
-            self.memory = self.memory + bytes(used)
-        return memoryview(self.memory)[used:]
-
-
-def contents_of(head: ChunkHead, workspace: Workspace, limits: LimitsConfig = DEFAULT_LIMITS) -> Contents:
-    """A chunk's records, which hold until the workspace is used again.
+def contents_of(head: ChunkHead, limits: LimitsConfig = DEFAULT_LIMITS) -> Contents:
+    """A chunk's records.
 
     Where the bytes make no sense, or end, those before are given: they were read as they were written. Where they do
-    but their CRC is wrong, nobody knows which of them is, and none is given.
+    but their CRC is wrong, nothing says which of them is, and no record is given.
     """
-    data, broken = _DECOMPRESSED[head.compression](head, workspace)
-    found = split(data, limits.chunk_messages)
+    data, broken = _decompressed(head)
+    found = _split(data, limits.chunk_messages)
     if head.stored_bytes > len(head.stored):
-        return Contents(found.items, TOO_SHORT)
+        return Contents(found.records, TOO_SHORT)
     if broken or found.fault:
-        return Contents(found.items, broken or found.fault)
+        return Contents(found.records, broken or found.fault)
     if head.crc and (crc := crc32(data)) != head.crc:
-        return Contents((), wrong_crc(crc, head.crc))
+        return Contents((), _wrong_crc(crc, head.crc))
     if len(data) != head.size_bytes:
-        return Contents(found.items, f"holds {len(data)} bytes, expected {head.size_bytes}")
+        return Contents(found.records, f"holds {len(data)} bytes, expected {head.size_bytes}")
     return found
+
+
+def streamed(head: ChunkHead) -> Iterator[Record]:
+    """The records of a chunk that was checked before, one in memory at a time.
+
+    Raises:
+        ValueError: it ends early, or its CRC is wrong, which shows behind the last record.
+    """
+    stream, at, crc = _STREAMS[head.compression](head), 0, 0
+
+    def taken(length: int) -> bytes:
+        nonlocal at, crc
+        data: bytes = stream.read(min(length, head.size_bytes - at))
+        if len(data) < length:
+            raise ValueError(TOO_SHORT)
+        at, crc = at + length, crc32(data, crc)
+        return data
+
+    while at < head.size_bytes:
+        start = at
+        opcode, length = RECORD.unpack(taken(RECORD.size))
+        yield Record(start, opcode, taken(length))
+    if head.crc and crc != head.crc:
+        raise ValueError(_wrong_crc(crc, head.crc))
 
 
 @dataclass(frozen=True)
 class Unpacked:
-    """A chunk's decompressed data, in memory of its own."""
+    """A chunk's decompressed data."""
 
     data: memoryview
     is_plain: bool
@@ -73,103 +102,112 @@ class Unpacked:
 
 
 def unpacked(head: ChunkHead, *, check_crc: bool) -> Unpacked:
-    """A chunk's data, decompressed at once where that can be; of a chunk that was held against the limits before.
+    """A chunk's data, decompressed at once where that can be; ``check_chunk`` comes first.
 
     Raises:
         ValueError: the bytes make no sense, or the CRC is to be checked, and is wrong.
     """
-    at_once = _at_once(head)
-    data, fault = (at_once, "") if at_once is not None else _DECOMPRESSED[head.compression](head, Workspace())
+    data, fault, is_plain = memoryview(b""), "", False
+    with suppress(ZstdError, RuntimeError):
+        data = memoryview(_AT_ONCE[head.compression](head))
+        is_plain = len(data) == head.size_bytes
+    if not is_plain:
+        data, fault = _decompressed(head)
     if fault:
         raise ValueError(fault)
     if check_crc and head.crc and (crc := crc32(data)) != head.crc:
-        raise ValueError(wrong_crc(crc, head.crc))
-    return Unpacked(data, at_once is not None)
+        raise ValueError(_wrong_crc(crc, head.crc))
+    return Unpacked(data, is_plain)
 
 
-def _at_once(head: ChunkHead) -> memoryview | None:
-    """A chunk's data where they are a single frame of the size that it says."""
-    try:
-        data = memoryview(_UNPACKED[head.compression](head))
-    except (ZstdError, RuntimeError):
-        return None
-    return data if len(data) == head.size_bytes else None
+def check_chunk(head: ChunkHead, limits: LimitsConfig) -> None:
+    """Compare what a chunk declares with the limits; lz4 that does not say its size is measured piece by piece.
 
-
-def wrong_crc(found: int, expected: int) -> str:
-    """What is said of a chunk whose CRC is not that of its data."""
-    return f"crc is {found:#010x}, expected {expected:#010x}"
-
-
-def split(data: memoryview, most: int) -> Contents:
-    """The records that stand in the decompressed data of a chunk, so many at most, and why they end early."""
-    items: list[Item] = []
-    try:
-        for item in records_in(data):
-            if len(items) == most:
-                return Contents(tuple(items), too_many(most))
-            if item.opcode not in INSIDE:
-                kind = f"a record of type {item.opcode:#04x} at its byte {item.offset}"
-                return Contents(tuple(items), f"{kind}, expected schema, channel or message")
-            items.append(item)
-    except ValueError as error:
-        return Contents(tuple(items), str(error))
-    return Contents(tuple(items))
+    Raises:
+        LimitError: it has more bytes, decompressed, than the limit.
+        McapError: it has more than it declares.
+    """
+    _require_within(head.size_bytes, limits)
+    content = _content_bytes(head)
+    _require_within(content, limits)
+    if content > head.size_bytes:
+        raise McapError(f"a chunk of {content} bytes or more that declares {head.size_bytes}")
 
 
 def too_many(most: int) -> str:
-    """What is said of a chunk with more messages than may be."""
+    """What is wrong with a chunk of more messages than the limit."""
     return f"more messages in a chunk than limits.chunk_messages, which is {most}"
 
 
-_Data = tuple[memoryview, str]
-"""What was decompressed, and why that is not all; empty where it is."""
+def _require_within(size_bytes: int, limits: LimitsConfig) -> None:
+    if size_bytes > limits.chunk_bytes:
+        raise LimitError(beyond("a chunk", size_bytes, "chunk_mb", limits.chunk_bytes))
 
 
-def _stored(head: ChunkHead, _: Workspace) -> _Data:
-    return head.stored, ""
+def _content_bytes(head: ChunkHead) -> int:
+    """What a chunk's data decompress to, as far as it may be more than is declared."""
+    if head.compression == "zstd":
+        # Without a size in it, the library decompresses no more than the chunk declares.
+        found = int(zstandard.get_frame_parameters(head.stored[:_FRAME_HEAD_BYTES]).content_size)
+        return head.size_bytes if found == zstandard.CONTENTSIZE_UNKNOWN else found
+    if head.compression == "lz4" and head.stored_bytes * _LZ4_RATIO > head.size_bytes:
+        return int(lz4.frame.get_frame_info(head.stored)["content_size"]) or _measured(head)
+    return head.size_bytes
 
 
-def _zstd(head: ChunkHead, workspace: Workspace) -> _Data:
-    used, fault = 0, ""
-    with ZstdDecompressor().stream_reader(head.stored, read_across_frames=True) as reader:
-        try:
-            while used <= head.size_bytes and (number := reader.readinto(workspace.free(used))):
-                used += number
-        except ZstdError as error:
-            fault = str(error)
-    return _as_promised(memoryview(workspace.memory)[:used], head, fault)
-
-
-def _lz4(head: ChunkHead, _: Workspace) -> _Data:
-    decompressor, stored, data, fault = lz4.frame.LZ4FrameDecompressor(), BytesIO(head.stored), bytearray(), ""
-    is_open, given = True, b""
-    try:
-        while len(data) <= head.size_bytes:
-            given = given or (stored.read(_LZ4_PIECE_BYTES) if decompressor.needs_input else b"")
-            if not given and decompressor.needs_input:
-                fault = TOO_SHORT if is_open else ""
+def _measured(head: ChunkHead) -> int:
+    """What a chunk's data decompress to, up to a little more than is declared."""
+    length = 0
+    with suppress(EOFError):  # cut off: reading it says so
+        for piece in _pieces(head):
+            length += len(piece)
+            if length > head.size_bytes:
                 break
-            data += decompressor.decompress(given, max_length=_PIECE_BYTES)
-            is_open, given = not decompressor.eof, b""
-            if decompressor.eof:  # another frame may follow
-                given = decompressor.unused_data or b""
-                decompressor.reset()
-    except RuntimeError as error:
+    return length
+
+
+def _pieces(head: ChunkHead) -> Iterator[bytes]:
+    """A chunk's data, decompressed piece by piece."""
+    stream = _STREAMS[head.compression](head)
+    while piece := stream.read1(_PIECE_BYTES):
+        yield piece
+
+
+def _decompressed(head: ChunkHead) -> tuple[memoryview, str]:
+    """A chunk's data, no more than it declares, and why that is not all of them; empty where it is."""
+    if not head.compression:
+        return head.stored, ""
+    data, fault = bytearray(), ""
+    try:
+        for piece in _pieces(head):
+            data += piece
+            if len(data) > head.size_bytes:
+                return memoryview(data)[: head.size_bytes], f"holds more than the {head.size_bytes} bytes it promises"
+    except EOFError:
+        fault = TOO_SHORT
+    except (ZstdError, RuntimeError) as error:
+        fault = " ".join(str(error).split())
+    return memoryview(data), fault
+
+
+def _wrong_crc(found: int, expected: int) -> str:
+    return f"crc is {found:#010x}, expected {expected:#010x}"
+
+
+def _split(data: memoryview, most: int) -> Contents:
+    """The records that stand in the decompressed data of a chunk, so many at most, and why they end early."""
+    found: list[Record] = []
+    fault = ""
+    try:
+        for record in records_in(data):
+            if len(found) == most:
+                fault = too_many(most)
+            elif record.opcode not in INSIDE:
+                kind = f"a record of type {record.opcode:#04x} at its byte {record.start}"
+                fault = f"{kind}, expected schema, channel or message"
+            if fault:
+                break
+            found.append(record)
+    except ValueError as error:
         fault = str(error)
-    return _as_promised(memoryview(data), head, fault)
-
-
-def _as_promised(data: memoryview, head: ChunkHead, fault: str) -> _Data:
-    """No more than the chunk says that it holds."""
-    if len(data) > head.size_bytes:
-        return data[: head.size_bytes], f"holds more than the {head.size_bytes} bytes it promises"
-    return data, " ".join(fault.split())
-
-
-_DECOMPRESSED: Final[dict[str, Callable[[ChunkHead, Workspace], _Data]]] = {"": _stored, "zstd": _zstd, "lz4": _lz4}
-_UNPACKED: Final[dict[str, Callable[[ChunkHead], bytes | memoryview]]] = {
-    "": lambda head: head.stored,
-    "zstd": lambda head: ZstdDecompressor().decompress(head.stored, max_output_size=head.size_bytes),
-    "lz4": lambda head: lz4.frame.decompress(head.stored),
-}
+    return Contents(tuple(found), fault)

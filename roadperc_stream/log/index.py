@@ -3,7 +3,7 @@
 import heapq
 import os
 import struct
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import IO, Final
 
@@ -16,8 +16,7 @@ from mcap.records import ChunkIndex
 from mcap.records import Schema as McapSchema
 from mcap.summary import Summary
 
-from roadperc_stream.log.framing import Record
-from roadperc_stream.log.layout import CRC_BYTES, MAGIC, UNREADABLE, ChunkHead
+from roadperc_stream.log.layout import CRC_BYTES, MAGIC, UNREADABLE
 from roadperc_stream.log.records import Attachment, Channel, Metadata
 
 MOST_HELD_BYTES: Final = 32 * 1024 * 1024
@@ -54,6 +53,23 @@ def most_at_once(spans: Iterable[tuple[int, int, int]]) -> int:
     return most
 
 
+def held_bytes(chunks: Iterable[ChunkIndex]) -> int:
+    """The most that reading chunks in the order of log time holds in memory."""
+    return most_at_once((chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size) for chunk in chunks)
+
+
+def may_hold(chunk: ChunkIndex, wanted: Collection[int], start_ns: int | None, end_ns: int | None) -> bool:
+    """Whether a message of these channels and times can be in a chunk; one without message indexes may hold any."""
+    in_time = chunk.message_end_time >= (start_ns or 0) and (end_ns is None or chunk.message_start_time < end_ns)
+    channels = chunk.message_index_offsets.keys()
+    return in_time and (not channels or not channels.isdisjoint(wanted))
+
+
+def is_within(log_time_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
+    """Whether a log time lies in a range; None is no limit."""
+    return (start_ns is None or log_time_ns >= start_ns) and (end_ns is None or log_time_ns < end_ns)
+
+
 def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
     """A channel with its schema, free of the library."""
     return Channel(
@@ -65,20 +81,6 @@ def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
         tuple(sorted(channel.metadata.items())),
         channel.id,
     )
-
-
-def span_ns_of(entry: ChunkIndex | None, head: ChunkHead | None) -> tuple[int, int] | None:
-    """First and last log time of a chunk, by the index, else by itself."""
-    if entry is not None:
-        return entry.message_start_time, entry.message_end_time
-    return (head.first_ns, head.last_ns) if head is not None and head.first_ns <= head.last_ns else None
-
-
-def end_of(record: Record, entry: ChunkIndex | None, head: ChunkHead | None) -> int:
-    """The byte behind a chunk, by the index, else by the one of its lengths that makes sense."""
-    if entry is not None:
-        return entry.chunk_start_offset + entry.chunk_length
-    return record.start + head.record_bytes if record.fault and head is not None else record.end
 
 
 def places_of(index: Summary, data_end: int | None) -> tuple[int, ...]:

@@ -16,7 +16,17 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from zstandard import ZstdCompressor
 
-from roadperc_stream.log.layout import CRC_BYTES, ENTRY, LENGTH, MAGIC, RECORD, MessageIndex, chunk_of, message_indexes
+from roadperc_stream.log.layout import (
+    CRC_BYTES,
+    ENTRY,
+    LENGTH,
+    MAGIC,
+    RECORD,
+    MessageIndex,
+    chunk_of,
+    entry_of,
+    message_indexes,
+)
 from roadperc_stream.log.records import Message
 
 _MESSAGE: Final = struct.Struct("<BQHIQQ")
@@ -149,35 +159,21 @@ class McapFile:
         start, length = self._add(item)
         self._metadata.append(records.MetadataIndex(offset=start, length=length, name=item.name))
 
-    def add_chunk(self, chunk: ChunkRecords) -> tuple[int, int]:
-        """Write a chunk with its message indexes.
-
-        Returns:
-            The byte its record starts at, and the one behind that.
-        """
+    def add_chunk(self, chunk: ChunkRecords) -> records.ChunkIndex:
+        """Write a chunk with its message indexes; gives its entry in the index."""
         head, start = chunk_of(chunk.record), self._stream.tell()
-        end = start + len(chunk.record)
-        offsets = dict[int, int]()
+        entry = entry_of(head, start, len(chunk.record))
+        entry.message_index_length = len(chunk.indexes)
         for index in chunk.message_indexes:
-            offsets[index.channel_id] = end + index.offset
+            entry.message_index_offsets[index.channel_id] = start + len(chunk.record) + index.offset
             self._counts[index.channel_id] += len(index.entries)
         self._write(chunk.record)
         self._write(chunk.indexes)
-        records.ChunkIndex(
-            chunk_length=len(chunk.record),
-            chunk_start_offset=start,
-            compression=head.compression,
-            compressed_size=head.stored_bytes,
-            message_end_time=head.last_ns,
-            message_index_length=len(chunk.indexes),
-            message_index_offsets=offsets,
-            message_start_time=head.first_ns,
-            uncompressed_size=head.size_bytes,
-        ).write(self._chunk_index)
+        entry.write(self._chunk_index)
         self._chunks += 1
         self._first_ns = head.first_ns if self._first_ns is None else min(head.first_ns, self._first_ns)
         self._last_ns = max(head.last_ns, self._last_ns)
-        return start, end
+        return entry
 
     def finish(self) -> None:
         """Write index and footer."""

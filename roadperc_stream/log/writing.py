@@ -101,11 +101,10 @@ class LogWriter:
 
     def _add_chunk(self, chunk: ChunkRecords) -> None:
         with self._errors():
-            start, end = self._file.add_chunk(chunk)
+            entry = self._file.add_chunk(chunk)
             if self._growing is not None:
                 self._stream.flush()
-                ids = [index.channel_id for index in chunk.message_indexes]
-                self._growing.add_chunk(start, end, chunk.span_ns, ids)
+                self._growing.add_chunk(entry)
 
     def while_written(self) -> GrowingLog:
         """The log for a reader in another thread, from now to the end; before the first message.

@@ -5,7 +5,6 @@ import tracemalloc
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.exceptions import McapError
 from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
@@ -14,7 +13,6 @@ from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
-from roadperc_stream.log.reading import FileOrder, IndexedOrSorted
 from roadperc_stream.log.sorting import SortedMessages
 from roadperc_stream.system.time import TimeRange
 from tests.arranged import ARRANGEMENTS, arranged, by_topic, shuffled
@@ -28,7 +26,7 @@ LATEST_NS = 2**64 - 1
 @pytest.fixture
 def nothing_held(monkeypatch):
     """Logs whose chunks overlap at all are sorted on disk."""
-    monkeypatch.setattr("roadperc_stream.log.reading.MOST_HELD_BYTES", 1_000_000)
+    monkeypatch.setattr("roadperc_stream.log.indexed.MOST_HELD_BYTES", 1_000_000)
     monkeypatch.setattr("roadperc_stream.log.parts.MOST_HELD_BYTES", 1_000_000)
 
 
@@ -39,9 +37,7 @@ def plain(messages):
 def was_sorted(summary):
     """Whether messages of a log that have been read were sorted on disk, rather than read by the index."""
     source = summary.source
-    if isinstance(source, IndexedFile):
-        return False
-    return (source.in_order if isinstance(source, IndexedOrSorted) else source)._store is not None
+    return (source.in_order if isinstance(source, IndexedFile) else source)._store is not None
 
 
 def written(path, times, **options):
@@ -178,7 +174,7 @@ def read_and_peak(path):
 def test_memory_is_that_of_the_indexed_log(tmp_path, monkeypatch):
     """50 MB of messages: any arrangement that held them would be far beyond."""
     data = bytes(250_000)
-    monkeypatch.setattr("roadperc_stream.log.reading.MOST_HELD_BYTES", 2_000_000)
+    monkeypatch.setattr("roadperc_stream.log.indexed.MOST_HELD_BYTES", 2_000_000)
 
     def big(name, order, **options):
         with (tmp_path / name).open("wb") as stream:
@@ -201,11 +197,6 @@ def test_memory_is_that_of_the_indexed_log(tmp_path, monkeypatch):
         read, peak = read_and_peak(path)
         assert read == len(data) * 200
         assert peak < 1.5 * tidy + 4_000_000, name  # the bytes of a chunk or two, of any log
-
-
-def test_a_message_of_a_channel_that_nothing_describes_is_damage():
-    with pytest.raises(McapError, match="no channel record found with id 1"):
-        next(FileOrder()._messages_of(5, b"\1\0" + bytes(30)))
 
 
 def test_equal_log_times_stay_as_they_came():

@@ -1,6 +1,7 @@
 """Whole chunks of the input stand in the output as they are; what cannot is written anew."""
 
 import zlib
+from dataclasses import replace
 
 import pytest
 import zstandard
@@ -15,9 +16,9 @@ from roadperc_stream import log
 from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
+from roadperc_stream.log.audit import in_file_order
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.mcap_file import ChunkRecords, McapFile, OpenChunk
-from roadperc_stream.log.reading import in_file_order
 
 A, B = Channel("/a", "x", "S", "y", b"s", source_id=1), Channel("/b", "x", source_id=2)
 RESULT = Channel("/result", "x", "S", "y", b"s", metadata=(("producer", "roadperc"),))
@@ -170,9 +171,9 @@ def test_a_chunk_whose_own_crc_is_wrong_is_written_anew(tmp_path):
     assert isinstance(file, IndexedFile)
     first = file.chunks[0]
     data = bytearray(source.read_bytes())
-    data[first.start + 33] ^= 1
+    data[first.chunk_start_offset + 33] ^= 1
     source.write_bytes(data)
-    unchecked = IndexedFile(file.path, False, file.limits, file.channels, file.chunks, file._descriptions)
+    unchecked = replace(file, check_chunks=False)
     pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
     assert whole(pieces)[:2] == [False, False]
     assert whole(pieces)[-1] is True
@@ -186,9 +187,9 @@ def test_a_chunk_whose_message_indexes_are_wrong_is_written_anew(tmp_path, byte)
     assert isinstance(file, IndexedFile)
     last = file.chunks[-1]
     data = bytearray(source.read_bytes())
-    data[last.start + last.length + byte] ^= 3
+    data[last.chunk_start_offset + last.chunk_length + byte] ^= 3
     source.write_bytes(data)
-    unchecked = IndexedFile(file.path, False, file.limits, file.channels, file.chunks, file._descriptions)
+    unchecked = replace(file, check_chunks=False)
     pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
     assert whole(pieces) == [True] * (len(file.chunks) - 1) + [False] * 2
 

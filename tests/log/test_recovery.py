@@ -8,7 +8,7 @@ from mcap.writer import CompressionType, IndexType
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Metadata, Recovery
-from roadperc_stream.log.chunks import Workspace, contents_of
+from roadperc_stream.log.chunks import contents_of
 from roadperc_stream.log.framing import Framing
 from roadperc_stream.log.layout import chunk_head
 from tests.log import flips
@@ -47,8 +47,8 @@ def ends(path):
             elif record.opcode == 6:
                 head = chunk_head(record.body)
                 start = record.end - head.stored_bytes
-                for item in contents_of(head, Workspace()).items:
-                    end = record.end if head.compression else start + item.offset + 9 + len(item.body)
+                for item in contents_of(head).records:
+                    end = record.end if head.compression else start + item.start + 9 + len(item.body)
                     if item.opcode == 5:
                         found.append((int.from_bytes(item.body[6:14], "little"), end))
     return found
