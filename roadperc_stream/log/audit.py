@@ -10,7 +10,7 @@ from mcap.opcode import Opcode
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.chunks import INSIDE, streamed
-from roadperc_stream.log.damage import DamagedLogError, damaged, nothing_saved, require_whole, unopened
+from roadperc_stream.log.damage import DamagedLogError, damaged, nothing_saved, unopened
 from roadperc_stream.log.framing import Framing
 from roadperc_stream.log.index import Described
 from roadperc_stream.log.layout import UNREADABLE, chunk_head, message_head, parse
@@ -18,27 +18,6 @@ from roadperc_stream.log.limits import GuardedFile, LimitError
 from roadperc_stream.log.records import Message
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.system.time import ns_to_seconds
-
-
-def require_undamaged(path: Path, limits: LimitsConfig, *, check_chunks: bool = False) -> Salvage:
-    """Check all CRCs, and that index, message indexes and statistics say what stands in the file.
-
-    Args:
-        path: the log.
-        limits: of its records and chunks.
-        check_chunks: as ``audited``.
-
-    Returns:
-        The finished account: unless it is ``sealed``, the CRCs inside chunks are left to who reads them.
-
-    Raises:
-        DamagedLogError: they do not; it says what can be saved.
-        LogError: the file cannot be read, is no MCAP log, or nothing of it can be saved.
-    """
-    found = audited(path, limits, check_chunks=check_chunks)
-    if not found.whole:
-        raise damage_in(found)
-    return found
 
 
 def damage_in(found: Salvage) -> LogError:
@@ -123,7 +102,6 @@ def opened(path: Path, limits: LimitsConfig) -> Iterator[GuardedFile]:
     """
     try:
         with GuardedFile(path, limits) as stream:
-            require_whole(path, stream)
             yield stream
     except OSError as error:
         raise unopened(path, error) from error

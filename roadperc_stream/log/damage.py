@@ -1,6 +1,5 @@
 """Where a log is damaged or no MCAP log at all, and the errors that say so."""
 
-import os
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -25,20 +24,6 @@ def says_more(path: Path) -> str:
 def unopened(path: Path, error: OSError) -> LogError:
     """The error of a log that the system does not open; of a folder, what to do with it."""
     return LogError(not_a_log(path) if path.is_dir() else f"{path}: {error.strerror or error}")
-
-
-def require_whole(path: Path, stream: IO[bytes]) -> None:
-    """Tell an empty, a foreign and a cut file apart: the library's own words do not.
-
-    Raises:
-        LogError: it is one of these.
-    """
-    require_log(path, stream)
-    size = stream.seek(0, os.SEEK_END)
-    stream.seek(max(size - len(MAGIC), 0))
-    if stream.read(len(MAGIC)) != MAGIC or size < 2 * len(MAGIC):
-        raise damaged(path, f"cut off: the MCAP footer is missing after {size} bytes")
-    stream.seek(0)
 
 
 def require_log(path: Path, stream: IO[bytes]) -> None:

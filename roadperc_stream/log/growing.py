@@ -125,22 +125,17 @@ class GrowingLog:
 
     def _load(self, chunk: ChunkIndex) -> Iterator[Message]:
         try:
-            yield from self._messages(self._bytes(chunk))
+            with self._lock, self.path.open("rb") as stream:
+                stream.seek(chunk.chunk_start_offset)
+                data = stream.read(chunk.chunk_length)
+            for item in records_in(unpacked(chunk_of(data), check_crc=True).data):
+                if item.opcode == Opcode.MESSAGE:
+                    head = message_head(item.body)
+                    yield head.of(self._channels[head.channel_id], item.body)
         except OSError as error:
             raise LogError(f"{self.path}: {error.strerror or error}") from error
         except UNREADABLE as error:
             raise LogError(f"{self.path}: damaged MCAP: {error}") from error
-
-    def _bytes(self, chunk: ChunkIndex) -> bytes:
-        with self._lock, self.path.open("rb") as stream:
-            stream.seek(chunk.chunk_start_offset)
-            return stream.read(chunk.chunk_length)
-
-    def _messages(self, data: bytes) -> Iterator[Message]:
-        for item in records_in(unpacked(chunk_of(data), check_crc=True).data):
-            if item.opcode == Opcode.MESSAGE:
-                head = message_head(item.body)
-                yield head.of(self._channels[head.channel_id], item.body)
 
 
 class _Waiting:

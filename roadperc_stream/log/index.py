@@ -10,7 +10,7 @@ from typing import IO, Final
 from deflate import crc32
 from mcap import records
 from mcap.opcode import Opcode
-from mcap.reader import McapReader, make_reader
+from mcap.reader import make_reader
 from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex
 from mcap.records import Schema as McapSchema
@@ -24,17 +24,6 @@ MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 _FOOTER: Final = struct.Struct("<BQQQI")
 _DATA_END: Final = struct.Struct("<BQI")
 _BLOCK_BYTES: Final = 1024 * 1024
-
-
-def usable_index(reader: McapReader) -> Summary | None:
-    """The log's index, where it names every chunk, channel and schema its messages use."""
-    index = reader.get_summary()
-    if index is None or index.statistics is None or not index.chunk_indexes:
-        return None
-    used = [index.channels.get(i) for i in index.statistics.channel_message_counts]
-    known = all(channel is not None and channel.schema_id in {0, *index.schemas} for channel in used)
-    whole = index.statistics.chunk_count == len(index.chunk_indexes)
-    return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
 
 
 def most_at_once(spans: Iterable[tuple[int, int, int]]) -> int:
@@ -92,12 +81,18 @@ def places_of(index: Summary, data_end: int | None) -> tuple[int, ...]:
 
 
 def index_of(stream: IO[bytes]) -> Summary | None:
-    """The index, where there is one that can be used; None where the file's end is missing or makes no sense."""
+    """The index, where it can be read and names every chunk, channel and schema that the messages use."""
     stream.seek(0)
     try:
-        return usable_index(make_reader(stream))
+        index = make_reader(stream).get_summary()
     except (OSError, *UNREADABLE):  # a seek before the start is an OSError; one of the disk comes again in reading
         return None
+    if index is None or index.statistics is None or not index.chunk_indexes:
+        return None
+    used = [index.channels.get(i) for i in index.statistics.channel_message_counts]
+    known = all(channel is not None and channel.schema_id in {0, *index.schemas} for channel in used)
+    whole = index.statistics.chunk_count == len(index.chunk_indexes)
+    return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
 
 
 def data_end_of(stream: IO[bytes]) -> int | None:

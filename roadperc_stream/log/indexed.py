@@ -133,7 +133,7 @@ class IndexedFile:
         contents = self._seen[_start(chunk)]
         if contents.is_tidy and contents.described <= self._known_by(kept):
             found = ChunkRecords(_record(stream, chunk), _indexes(stream, chunk))
-            yield found if found.crc else found.with_crc(contents.crc)
+            yield found if found.head.crc else found.with_crc(contents.crc)
         else:
             yield from self._in_order(stream, [chunk], kept, None, None)
 

@@ -18,7 +18,7 @@ from roadperc_stream.log.damage import damaged
 from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.records import RECOVERY_RECORD, Attachment, Channel, LogSummary, Message, Metadata
-from roadperc_stream.log.recovery import Recovery
+from roadperc_stream.log.repair import Recovery
 from roadperc_stream.log.repeats import Numbered, SharedTimes, Span, marked, shared_times
 from roadperc_stream.log.sorting import SortedMessages
 
@@ -48,7 +48,7 @@ class MergedParts:
         waiting.reverse()
         heap: list[tuple[int, int, Message, Iterator[Message]]] = []  # by log time, then by place in the log
         while waiting or heap:
-            if waiting and (not heap or self._first_ns(waiting[-1]) < heap[0][0]):
+            if waiting and (not heap or (self.parts[waiting[-1]][0].first_ns or 0) < heap[0][0]):
                 number = waiting.pop()
                 rest = opened(number)
             else:
@@ -56,9 +56,6 @@ class MergedParts:
                 yield number, message
             if (following := next(rest, None)) is not None:
                 heapq.heappush(heap, (following.log_time_ns, number, following, rest))
-
-    def _first_ns(self, number: int) -> int:
-        return self.parts[number][0].first_ns or 0
 
 
 class SortedParts:
@@ -228,14 +225,10 @@ def _translations(summaries: Sequence[LogSummary]) -> list[Translation]:
 def _ids_agree(summaries: Sequence[LogSummary], translations: Iterable[Translation]) -> bool:
     """Whether an id means the same channel in all files, or the same schema, and each channel has one id."""
     channels = {(number, common.source_id) for known in translations for number, common in known.items()}
-    schemas = {(s.schema_ids[c.source_id], *_schema(c)) for s in summaries for c in s.channels if s.schema_ids}
+    schemas = {(s.schema_ids[c.source_id], *c.schema) for s in summaries for c in s.channels if s.schema_ids}
     own = {(number, schema_id) for summary in summaries for number, schema_id in summary.schema_ids.items()}
     one_channel = len({number for number, _ in channels}) == len({common for _, common in channels}) == len(channels)
     return one_channel and all(len({pair[0] for pair in pairs}) == len(pairs) for pairs in (schemas, own))
-
-
-def _schema(channel: Channel) -> tuple[str, str, bytes]:
-    return channel.schema_name, channel.schema_encoding, channel.schema_data
 
 
 def _counts(

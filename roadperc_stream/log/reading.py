@@ -12,7 +12,7 @@ from pathlib import Path
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.audit import in_file_order, require_undamaged, salvaged
+from roadperc_stream.log.audit import audited, damage_in, in_file_order, salvaged
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.limits import LimitError, require_attachments
 from roadperc_stream.log.mcap_file import Piece
@@ -109,7 +109,9 @@ def _summary_of(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> LogS
     Raises:
         LogError: as ``summarise``.
     """
-    found = require_undamaged(path, limits, check_chunks=check_chunks)
+    found = audited(path, limits, check_chunks=check_chunks)
+    if not found.whole:
+        raise damage_in(found)
     index = found.index if found.all_in_chunks else None
     if index is None and not found.inside:  # its channels may stand in chunks
         found = salvaged(path, limits)

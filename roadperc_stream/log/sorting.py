@@ -10,14 +10,12 @@ import heapq
 import sqlite3
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import contextmanager
 from tempfile import gettempdir
 from threading import Lock
 from typing import Final, TypeVar
 
-from roadperc_stream.errors import TargetError
 from roadperc_stream.log.records import Channel, Message
-from roadperc_stream.log.stored import Spool, refusal, storing
+from roadperc_stream.log.stored import Spool, storing
 
 T = TypeVar("T")
 _SIGN: Final = 2**63
@@ -62,19 +60,6 @@ def in_order_within(
         yield heapq.heappop(waiting)[2]
 
 
-@contextmanager
-def _sorting(what: str) -> Iterator[None]:
-    """What the database refuses, in writing or in reading, as an error that names the folder of its files.
-
-    Raises:
-        TargetError: it refuses something, as where the disk is full or fails.
-    """
-    try:
-        yield
-    except sqlite3.Error as error:
-        raise TargetError(refusal(what, "sorted", str(error))) from error
-
-
 class SortedMessages:
     """Messages that are put in the order of their log time when they are first read; those of equal time as they came.
 
@@ -105,7 +90,7 @@ class _Store:
         self._channels: dict[int, Channel] = {}
         self._keys = sqlite3.connect("", isolation_level=None, check_same_thread=False)
         weakref.finalize(self, self._keys.close)
-        with _sorting(what):
+        with storing(what, "sorted"):
             folder = gettempdir().replace("'", "''")
             for statement in (_PLACE.format(folder=folder), *_SETUP, "BEGIN"):
                 self._keys.execute(statement)
@@ -134,7 +119,7 @@ class _Store:
         last = _LATEST_NS if end_ns is None else min(end_ns - 1, _LATEST_NS)
         if first > last:
             return
-        with _sorting(self._what), storing(self._what):
+        with storing(self._what, "sorted"):
             rows = self._keys.execute(_FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN))
             for log_time, publish_time, sequence, channel_id, start, length in rows:
                 channel, data = self._channels[channel_id], self._spool.read(start, length)
