@@ -13,7 +13,7 @@ from typing import IO, Final
 from deflate import crc32
 from mcap.opcode import Opcode
 
-from roadperc_stream.log.damage import Damage, with_more
+from roadperc_stream.log.damage import Damage
 from roadperc_stream.log.layout import CRC_BYTES, MAGIC, MESSAGE, NAMES, RECORD, Record, chunk_head
 
 BREAK: Final = 0
@@ -123,7 +123,7 @@ class RecordSearch:
         if fields_at + length > self._size_bytes or length < _LEAST_BYTES[opcode]:
             return False
         if opcode == Opcode.CHUNK:
-            return _is_chunk(self._bytes(fields_at, min(length, _FIELDS_BYTES)), length)
+            return is_chunk(self._bytes(fields_at, min(length, _FIELDS_BYTES)), length)
         if opcode == Opcode.MESSAGE and not self._is_message(self._bytes(fields_at, MESSAGE.size)):
             return False
         return self._leads_on(fields_at + length)
@@ -137,7 +137,8 @@ class RecordSearch:
         return opcode in NAMES and end + RECORD.size + length <= self._size_bytes
 
 
-def _is_chunk(fields: bytes, length: int) -> bool:
+def is_chunk(fields: bytes | memoryview, length: int) -> bool:
+    """Whether a record of this length that begins with these fields is a chunk by its form."""
     try:
         head = chunk_head(fields)
     except ValueError:
@@ -289,7 +290,8 @@ class Framing:
         if len(self.damages) < _MOST_LISTED:
             self.damages.append(damage)
         else:
-            self.damages[-1] = with_more(self.damages[-1], damage)
+            number = self.damages[-1].number + 1
+            self.damages[-1] = replace(self.damages[-1], first_ns=None, last_ns=None, of_messages=True, number=number)
 
 
 def _crc_in(record: Record) -> int:

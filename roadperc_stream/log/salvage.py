@@ -18,13 +18,14 @@ from mcap.opcode import Opcode
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.chunks import check_chunk, contents_of, too_many
+from roadperc_stream.log.chunks import contents_of, require_chunk, too_many
 from roadperc_stream.log.damage import Damage, require_log, unopened
-from roadperc_stream.log.framing import BREAK, Framing
-from roadperc_stream.log.index import Described, data_end_of, index_of, places_of, summary_fits
+from roadperc_stream.log.framing import BREAK, Framing, is_chunk
+from roadperc_stream.log.index import Described, index_of, places_of
 from roadperc_stream.log.inventory import Gap, Inventory, Losses, Positions, expected_messages, lost_in_chunk
 from roadperc_stream.log.layout import (
     ENTRY,
+    MESSAGE,
     PARSED,
     TOO_SHORT,
     UNREADABLE,
@@ -83,13 +84,11 @@ class Salvage:
                 self.size_bytes = stream.size_bytes
                 require_log(self.path, stream)
                 self.index = index_of(stream)
-                """What the file says at its end; None where that names not all of it."""
-                resume_at = () if self.index is None else places_of(self.index, data_end_of(stream))
-                self._index_fits = summary_fits(stream)
+                """What the file says at its end, where that can be believed and names all of it."""
         except OSError as error:
             raise unopened(self.path, error) from error
-        entries = self.index.chunk_indexes if self.index and self._index_fits else []
-        self._entries = {entry.chunk_start_offset: entry for entry in entries}
+        self._entries = {entry.chunk_start_offset: entry for entry in self.index.chunk_indexes} if self.index else {}
+        resume_at = places_of(self.index) if self.index else ()
         if self.index is not None:
             self.described.add_index(self.index)
         self._inventory, self._losses = Inventory(), Losses()
@@ -149,8 +148,8 @@ class Salvage:
 
     @property
     def _statistics(self) -> records.Statistics | None:
-        """What the index says in numbers; None where there is none whose CRC fits."""
-        return self.index.statistics if self.index and self._index_fits else None
+        """What the index says in numbers."""
+        return self.index.statistics if self.index else None
 
     def messages(self) -> Iterator[Message]:
         """Every message that can be read, in the order of the file."""
@@ -212,7 +211,7 @@ class Salvage:
         try:
             head = chunk_head(record.body)
             if not record.fault:
-                check_chunk(head, self.limits)
+                require_chunk(head, self.limits)
         except UNREADABLE as error:
             self._lose(record, None, Positions(), record.fault or f"{record.name}: {_in_words(error)}")
             return
@@ -222,9 +221,9 @@ class Salvage:
         if not self.inside and not record.fault:
             self._inventory.add_chunk(record, head, None)
             return
-        contents, positions = contents_of(head, self.limits), Positions()
-        faults = [record.fault, contents.fault and f"{record.name}: {contents.fault}"]
-        for item in contents.records:
+        (found, broken), positions = contents_of(head, self.limits), Positions()
+        faults = [record.fault, broken and f"{record.name}: {broken}"]
+        for item in found:
             try:
                 if item.opcode != Opcode.MESSAGE:
                     self._note(item.opcode, bytes(item.body))
@@ -239,8 +238,8 @@ class Salvage:
                 span = f"{head.first_ns} to {head.last_ns} ns"
                 faults.append(f"{record.name}: message at {message.log_time_ns} ns, its chunk says {span}")
         if fault := next(filter(None, faults), ""):
-            messages = sum(item.opcode == Opcode.MESSAGE for item in contents.records)
-            all_read = not contents.fault and messages == sum(map(len, positions.values()))
+            messages = sum(item.opcode == Opcode.MESSAGE for item in found)
+            all_read = not broken and messages == sum(map(len, positions.values()))
             self._lose(record, head, positions, fault, all_read=all_read)
         else:
             self._inventory.add_chunk(record, head, positions)
@@ -301,13 +300,8 @@ class Salvage:
         opcode = record.opcode & ~_PRIVATE_BIT
         if opcode == Opcode.MESSAGE and self._framing.is_message(bytes(record.body)):
             raise ValueError("is a message by its form")
-        if opcode == Opcode.CHUNK:
-            try:
-                head = chunk_head(record.body)
-            except ValueError:
-                return
-            if head.record_bytes == record.end - record.start:
-                raise ValueError("is a chunk by its form")
+        if opcode == Opcode.CHUNK and is_chunk(record.body, len(record.body)):
+            raise ValueError("is a chunk by its form")
 
     def _note(self, opcode: int, body: bytes, start: int | None = None) -> None:
         """Keep what a record other than a message says; ``start`` is its first byte, None inside a chunk."""
@@ -337,12 +331,9 @@ class Salvage:
 
 def _is_message(described: Described, inventory: Inventory, body: bytes) -> bool:
     """Whether these are the first bytes of a message of this log, by its channel and its log time."""
-    if int.from_bytes(body[:2], "little") not in described.channels:  # cheap: there may be millions
-        return False
-    try:
-        head = message_head(body)
-    except ValueError:
-        return False
+    if len(body) < MESSAGE.size or int.from_bytes(body[:2], "little") not in described.channels:
+        return False  # cheap: there may be millions
+    head = message_head(body)
     near_ns = inventory.last_ns or head.log_time_ns
     return abs(head.log_time_ns - near_ns) < _FAR_NS
 
