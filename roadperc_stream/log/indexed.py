@@ -1,6 +1,6 @@
 """A log that is read by its index, chunk by chunk, in the order of log time.
 
-The library's reader copies every byte three times and reads the index again for each pass. Layout:
+The library's reader copies every byte three times and reads the index anew for each pass. Layout:
 https://mcap.dev/spec.
 """
 
@@ -16,18 +16,22 @@ from typing import IO, Final
 from deflate import crc32
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex
+from mcap.records import Channel as McapChannel
+from mcap.records import ChunkIndex, McapRecord
 from mcap.summary import Summary
 
 from roadperc_stream.config import LimitsConfig
 from roadperc_stream.log.audit import in_file_order, opened
-from roadperc_stream.log.chunks import unpacked
+from roadperc_stream.log.chunks import Unpacked, unpacked
 from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold
 from roadperc_stream.log.layout import (
+    UNREADABLE,
+    ChunkHead,
     MessageIndex,
     chunk_of,
     message_head,
     message_indexes,
+    parse,
     records_in,
 )
 from roadperc_stream.log.mcap_file import ChunkRecords, Piece
@@ -35,10 +39,22 @@ from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.sorting import SortedMessages
 
 _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
-"""Of the data of a chunk that is copied as it is: a reader of the copy holds it beside the results of its time."""
+"""Of the data of a chunk that is copied as it is: who reads the copy holds it beside the results of its time."""
 _NEVER_NS: Final = 2**64
 IndexEntry = tuple[int, int, int]
 """Channel and log time of a message, and its place in the chunk's data."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkContents:
+    """What only a look into a chunk shows."""
+
+    crc: int
+    """Of its data."""
+    is_tidy: bool
+    """Whether it and its message indexes are as they say, and its messages stand in the order of log time."""
+    described: frozenset[tuple[int, int]]
+    """Opcode and id of the channels and schemas that are described in it, as the index describes them."""
 
 
 @dataclass(frozen=True)
@@ -58,20 +74,26 @@ class IndexedFile:
     """In the order of the file."""
     in_order: SortedMessages
     """All of it, where the index would take too much memory."""
-    _tidy: dict[int, bool] = field(default_factory=dict, compare=False, repr=False)
-    """Of chunks that have been read, by their first byte: whether a copy can have them as they are.
-
-    Then it and its message indexes are as they say, and it holds nothing but messages in the order of log time: readers
-    need not agree on the ids of channels and schemas that a chunk describes.
-    """
+    _descriptions: Mapping[tuple[int, int], McapRecord]
+    """The index's channels and schemas, by opcode and id."""
+    _seen: dict[int, ChunkContents] = field(default_factory=dict, compare=False, repr=False)
+    """Of chunks that have been read, by their first byte."""
 
     @classmethod
     def of(cls, path: Path, index: Summary, limits: LimitsConfig, *, check_chunks: bool) -> "IndexedFile":
         """A log with its index."""
         known = {number: channel_of(c, index.schemas.get(c.schema_id)) for number, c in sorted(index.channels.items())}
         chunks = tuple(sorted(index.chunk_indexes, key=_start))
+        descriptions: dict[tuple[int, int], McapRecord] = {(Opcode.SCHEMA, i): s for i, s in index.schemas.items()}
+        descriptions |= {(Opcode.CHANNEL, i): channel for i, channel in index.channels.items()}
         in_order = SortedMessages(str(path), partial(in_file_order, path, limits))
-        return cls(path, check_chunks, limits, known, chunks, in_order)
+        return cls(path, check_chunks, limits, known, chunks, in_order, descriptions)
+
+    @property
+    def schema_ids(self) -> dict[int, int]:
+        """Of the channels' schemas, by ``Channel.source_id``; 0 of those without."""
+        found = self._descriptions.values()
+        return {item.id: item.schema_id for item in found if isinstance(item, McapChannel)}
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """As ``reading.read``."""
@@ -84,7 +106,7 @@ class IndexedFile:
             yield from self._in_order(stream, chunks, wanted, start_ns, end_ns)
 
     def pieces(self, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> Iterator[Piece]:
-        """The messages of some channels; whole chunks where these hold nothing else and are tidy.
+        """The messages of some channels, whole chunks where they hold nothing else and nobody need look inside.
 
         Args:
             kept: ids of the channels.
@@ -105,13 +127,21 @@ class IndexedFile:
                     yield from self._in_order(stream, group, kept, start_ns, end_ns)
 
     def _as_is(self, stream: IO[bytes], chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
-        """A chunk as it is in the file, or its messages where it is not tidy."""
-        if _start(chunk) not in self._tidy:
+        """A chunk as it stands in the file, or its messages where it is not tidy."""
+        if _start(chunk) not in self._seen:
             deque(self._bodies(stream, chunk), maxlen=0)
-        if self._tidy[_start(chunk)]:
-            yield ChunkRecords(_record(stream, chunk), _indexes(stream, chunk))
+        contents = self._seen[_start(chunk)]
+        if contents.is_tidy and contents.described <= self._known_by(kept):
+            found = ChunkRecords(_record(stream, chunk), _indexes(stream, chunk))
+            yield found if found.head.crc else found.with_crc(contents.crc)
         else:
             yield from self._in_order(stream, [chunk], kept, None, None)
+
+    def _known_by(self, kept: frozenset[int]) -> frozenset[tuple[int, int]]:
+        """What may be described where only these channels, with their schemas, are known."""
+        ids = self.schema_ids
+        schemas = {(int(Opcode.SCHEMA), ids[i]) for i in kept}
+        return frozenset(schemas | {(int(Opcode.CHANNEL), i) for i in kept})
 
     def held_bytes(self) -> int:
         """The most that reading all of it by the index holds in memory."""
@@ -146,23 +176,40 @@ class IndexedFile:
                 yield head.of(self.channels[head.channel_id], body)
 
     def _bodies(self, stream: IO[bytes], chunk: ChunkIndex) -> Iterator[bytes | memoryview]:
-        """The message records of a chunk; other records are skipped."""
+        """The message records of a chunk; what else stands in it is skipped."""
         head = chunk_of(_record(stream, chunk))
         found = unpacked(head, check_crc=self.check_chunks)
-        entries, is_all_messages = list[IndexEntry](), True
+        others, entries = list[tuple[int, bytes | memoryview]](), list[IndexEntry]()
         for item in records_in(found.data):
             if item.opcode == Opcode.MESSAGE:
                 message = message_head(item.body)
                 entries.append((message.channel_id, message.log_time_ns, item.start))
                 yield item.body
             else:
-                is_all_messages = False
-        if _start(chunk) not in self._tidy:
+                others.append((item.opcode, item.body))
+        if _start(chunk) not in self._seen:
             is_indexed = _in_order_and_indexed(entries, message_indexes(_indexes(stream, chunk)))
             times = [time_ns for _, time_ns, _ in entries]
             span_ns = (min(times), max(times)) if times else None
-            is_as_said = span_ns == (head.first_ns, head.last_ns) and head.crc == crc32(found.data)
-            self._tidy[_start(chunk)] = is_all_messages and is_indexed and is_as_said and found.is_plain
+            is_tidy = is_indexed and span_ns == (head.first_ns, head.last_ns)
+            self._seen[_start(chunk)] = self._contents(head, found, others, is_tidy=is_tidy)
+
+    def _contents(
+        self, head: ChunkHead, found: Unpacked, others: Sequence[tuple[int, bytes | memoryview]], *, is_tidy: bool
+    ) -> ChunkContents:
+        """What there is to know of a chunk, from its data, the records besides messages, and whether those are tidy."""
+        crc, described = crc32(found.data), [(opcode, int.from_bytes(body[:2], "little")) for opcode, body in others]
+        is_known = all(self._describes(key, body) for key, (_, body) in zip(described, others, strict=True))
+        is_as_said = found.is_plain and head.crc in {0, crc}
+        return ChunkContents(crc, is_tidy and is_known and is_as_said, frozenset(described))
+
+    def _describes(self, key: tuple[int, int], body: bytes | memoryview) -> bool:
+        """Whether a record of a chunk is a channel or a schema of the index."""
+        known = self._descriptions.get(key)
+        try:
+            return known is not None and parse(key[0], bytes(body), spare_allowed=True) == known
+        except UNREADABLE:
+            return False
 
 
 def _lies_in(chunk: ChunkIndex, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> bool:

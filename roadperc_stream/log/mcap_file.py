@@ -33,6 +33,8 @@ from roadperc_stream.log.layout import (
 )
 from roadperc_stream.log.records import Message
 
+_CRC_AT: Final = RECORD.size + CHUNK.size - 2 * CRC_BYTES
+"""In the record of a chunk."""
 _COMPRESSION: Final = b"zstd"
 _LEVEL: Final = 1
 """Takes a third of the time of zstandard's default, for 4 % more bytes."""
@@ -54,6 +56,12 @@ class ChunkRecords:
     def message_indexes(self) -> list[MessageIndex]:
         """Those behind it, one by one."""
         return message_indexes(self.indexes)
+
+    def with_crc(self, crc: int) -> "ChunkRecords":
+        """With another CRC of its data; all else stays."""
+        record = bytearray(self.record)
+        record[_CRC_AT : _CRC_AT + CRC_BYTES] = crc.to_bytes(CRC_BYTES, "little")
+        return ChunkRecords(bytes(record), self.indexes)
 
 
 Piece = Message | ChunkRecords

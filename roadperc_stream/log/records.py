@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -95,6 +95,8 @@ class LogSummary:
     """The files of a log of several, in the order of their times; empty of one."""
     repeats: int = 0
     """Of a file of several: how many of its messages a file before it holds as well; they count once."""
+    schema_ids: Mapping[int, int] = field(default_factory=dict)
+    """Id of the schema in the file, per ``Channel.source_id``; empty where nobody need know."""
 
 
 class MessageDigest:

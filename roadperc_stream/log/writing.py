@@ -1,7 +1,7 @@
 """Logs out: a file appears under its name only when complete. Messages of other logs are copied as writing goes on."""
 
 import os
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from itertools import chain
@@ -36,8 +36,8 @@ class LogWriter:
     messages: int = 0
     """Messages written so far."""
     _channel_ids: dict[Channel, int] = field(default_factory=dict)
-    _schema_ids: dict[tuple[str, str, bytes], int] = field(default_factory=dict)
-    """By name, encoding and data."""
+    _schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
+    """Name, encoding and data, by their ids."""
     _growing: GrowingLog | None = None
 
     def __post_init__(self) -> None:
@@ -108,12 +108,12 @@ class LogWriter:
         self._growing = GrowingLog(self._temporary, {number: c for c, number in self._channel_ids.items()})
         return self._growing
 
-    def register(self, channel: Channel, *, wanted: int | None = None) -> int:
+    def register(self, channel: Channel, *, ids: tuple[int, int] | None = None) -> int:
         """Make a channel known, also where it never gets a message.
 
         Args:
             channel: with its schema.
-            wanted: its id, where that is free.
+            ids: of the channel and of its schema (0 of none) where they are wanted, and free.
 
         Returns:
             Its id.
@@ -121,7 +121,8 @@ class LogWriter:
         known = self._channel_ids.get(channel)
         if known is not None:
             return known
-        schema_id = self._schema_id(channel.schema)
+        wanted, wanted_schema = ids or (None, 0)
+        schema_id = self._schema_id(channel, wanted_schema)
         channel_id = self._free_id(self._channel_ids.values(), wanted)
         with self._errors():
             self._file.add_channel(
@@ -132,17 +133,21 @@ class LogWriter:
             self._growing.add_channel(channel_id, channel)
         return channel_id
 
-    def _schema_id(self, schema: tuple[str, str, bytes]) -> int:
-        """The id of a schema, which is made known; 0 of none."""
-        if not any(schema):
+    def _schema_id(self, channel: Channel, wanted: int) -> int:
+        """The id of a channel's schema, which is made known: the wanted one, else any; 0 of none."""
+        schema = channel.schema
+        if not wanted and not any(schema):
             return 0
-        if schema not in self._schema_ids:
-            schema_id = self._free_id(self._schema_ids.values(), None)
-            with self._errors():
-                name, encoding, data = schema
-                self._file.add_schema(records.Schema(schema_id, data, encoding, name))
-            self._schema_ids[schema] = schema_id
-        return self._schema_ids[schema]
+        if self._schemas.get(wanted) == schema:
+            return wanted
+        if not wanted and (known := next((i for i, s in self._schemas.items() if s == schema), None)) is not None:
+            return known
+        schema_id = self._free_id(self._schemas, wanted or None)
+        with self._errors():
+            name, encoding, data = schema
+            self._file.add_schema(records.Schema(schema_id, data, encoding, name))
+        self._schemas[schema_id] = schema
+        return schema_id
 
     def _free_id(self, used: Collection[int], wanted: int | None) -> int:
         """The wanted id where it is free, else the one behind all others, or the first one that is free."""
@@ -233,20 +238,27 @@ class StoredLogWriter(LogWriter):
 class MessageCopy:
     """Copies messages to a log that others write to as well: each stands there before what is written of its time.
 
-    Copied messages get chunks of their own, so that a copy of this log can take these chunks as they are.
+    What is copied stands in chunks of its own, so that these are whole ones for who copies that log.
     """
 
-    def __init__(self, writer: LogWriter, channels: Iterable[Channel], copied: Iterator[Piece]) -> None:
+    def __init__(
+        self,
+        writer: LogWriter,
+        channels: Iterable[Channel],
+        copied: Iterator[Piece],
+        schema_ids: Mapping[int, int] | None = None,
+    ) -> None:
         """Register the channels, also those that never get a message.
 
         Args:
             writer: of the log to copy to, where no channel is registered yet: they keep their ids.
             channels: of the messages, and others to be there.
             copied: messages, and chunks, in the order of log time.
+            schema_ids: of the channels' schemas, as ``LogSummary`` has them, which are kept as well.
         """
         self._writer, self._copied = writer, copied
         for channel in channels:
-            writer.register(channel, wanted=channel.source_id)
+            writer.register(channel, ids=(channel.source_id, (schema_ids or {}).get(channel.source_id, 0)))
         self._next = next(copied, None)
 
     def through(self, log_time_ns: int | None) -> None:

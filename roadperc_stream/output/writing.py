@@ -177,7 +177,7 @@ class Outputs:
         copied: tuple[Iterable[Channel], Iterator[Piece]] = (
             ((), iter(())) if self._target.results_only else (log_in.channels, log_in.pieces())
         )
-        self._copy = MessageCopy(self._log, *copied)
+        self._copy = MessageCopy(self._log, *copied, log_in.summary.schema_ids)
         topics = result_schemas(self._pictures.requests)
         self._channels = {topic: _result_channel(topic, name) for topic, name in topics.items()}
         for channel in self._channels.values():

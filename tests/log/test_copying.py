@@ -1,5 +1,6 @@
 """Whole chunks of the input stand in the output as they are; what cannot is written anew."""
 
+import zlib
 from dataclasses import replace
 
 import pytest
@@ -40,7 +41,7 @@ def copied(source, target, topics=("/a", "/b"), start_ns=None, end_ns=None, resu
             yield piece
 
     with LogWriter(target) as writer:
-        copy = MessageCopy(writer, channels, noted())
+        copy = MessageCopy(writer, channels, noted(), summary.schema_ids)
         writer.register(RESULT)
         for time in results:
             copy.through(time)
@@ -59,7 +60,6 @@ def inputs(path):
 
 
 def whole(pieces):
-    """Which pieces are whole chunks: not those of the first chunk, in which the library describes the channels."""
     return [isinstance(piece, ChunkRecords) for piece in pieces]
 
 
@@ -70,9 +70,10 @@ IN_ORDER = [(("/a", "/b")[k % 2], 10 * (k // 2)) for k in range(12)]
 def test_chunks_are_copied_byte_for_byte(tmp_path, compression):
     source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO, compression=compression)
     pieces = copied(source, tmp_path / "b.mcap", results=[0, 10, 20])
-    assert whole(pieces) == [False] * 2 + [True] * (len(index_of(source).chunk_indexes) - 1)
+    assert all(whole(pieces))
+    assert len(pieces) == len(index_of(source).chunk_indexes) > 2
     data = (tmp_path / "b.mcap").read_bytes()
-    assert all(piece.record + piece.indexes in data for piece in pieces[2:])
+    assert all(piece.record + piece.indexes in data for piece in pieces)
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source)))
     assert log.audited(tmp_path / "b.mcap", check_chunks=True).whole
 
@@ -89,11 +90,12 @@ def test_the_library_reads_what_was_copied_with_crcs_checked(tmp_path):
     assert len(in_file) == len(found) == 15
 
 
-def test_channels_keep_their_ids(tmp_path):
+def test_channels_and_schemas_keep_their_ids(tmp_path):
     source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
     copied(source, tmp_path / "b.mcap", topics=["/b"], results=[0])
     summary = log.summarise(tmp_path / "b.mcap")
-    assert {c.topic: c.source_id for c in summary.channels} == {"/b": 2, "/result": 3}
+    channels = {c.topic: (c.source_id, summary.schema_ids[c.source_id]) for c in summary.channels}
+    assert channels == {"/b": (2, 0), "/result": (3, 1)}
 
 
 def test_a_chunk_without_crc_gets_one(tmp_path):
@@ -101,7 +103,10 @@ def test_a_chunk_without_crc_gets_one(tmp_path):
         tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO, enable_crcs=False, compression=CompressionType.NONE
     )
     pieces = copied(source, tmp_path / "b.mcap")
-    assert not any(whole(pieces))
+    assert all(whole(pieces))
+    for piece in pieces:
+        start = len(piece.record) - int.from_bytes(piece.record[25:33], "little")
+        assert piece.head.crc == zlib.crc32(piece.record[start:])
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source)))
     assert log.audited(tmp_path / "b.mcap", check_chunks=True).absent == ()
 
@@ -113,11 +118,11 @@ UP = [("/a", 10 * k) for k in range(6)]
     ("items", "options", "expected"),
     [
         (UP, {"start_ns": 5}, [False, True, True]),
-        (UP, {"end_ns": 45}, [False, False, True, False]),
+        (UP, {"end_ns": 25}, [True, False]),
         (IN_ORDER[:6], {"topics": ["/a"]}, [False] * 3),
         ([("/a", 0), ("/a", 3), ("/a", 2), ("/a", 9), ("/a", 10), ("/a", 20)], {}, [False] * 4 + [True]),
-        ([("/a", 0), ("/a", 0), ("/a", 9), ("/a", 5), ("/a", 20), ("/a", 21)], {}, [False] * 4 + [True]),
-        ([("/a", 0), ("/a", 5), ("/a", 5), ("/a", 5), ("/a", 5), ("/a", 9)], {}, [False, False, True, True]),
+        ([("/a", 0), ("/a", 0), ("/a", 9), ("/a", 5), ("/a", 20), ("/a", 21)], {}, [True, False, False, True]),
+        ([("/a", 0), ("/a", 5), ("/a", 5), ("/a", 5), ("/a", 5), ("/a", 9)], {}, [True] * 3),
     ],
     ids=["start", "end", "a topic of two", "overlapping", "out of order inside", "touching"],
 )
@@ -127,6 +132,15 @@ def test_chunks_that_cannot_stand_as_they_are_are_written_anew(tmp_path, items, 
     read = {"topics": options.get("topics"), "start_ns": options.get("start_ns"), "end_ns": options.get("end_ns")}
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source), **read))
     assert whole(pieces) == expected
+
+
+def test_a_chunk_that_describes_what_is_left_out_is_written_anew(tmp_path):
+    """Its channel's id may be another one's in the copy."""
+    source = by_library(tmp_path / "a.mcap", [("/b", time) for time in range(6)], chunk_size=TWO)
+    pieces = copied(source, tmp_path / "b.mcap", topics=["/b"])
+    assert whole(pieces)[0] is False
+    assert whole(pieces)[-1] is True
+    assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source)))
 
 
 def test_a_chunk_that_is_large_is_written_anew(tmp_path, monkeypatch):
@@ -141,13 +155,14 @@ def test_a_chunk_whose_own_crc_is_wrong_is_written_anew(tmp_path):
     summary = log.summarise(source)
     file = summary.source
     assert isinstance(file, IndexedFile)
-    second = file.chunks[1]
+    first = file.chunks[0]
     data = bytearray(source.read_bytes())
-    data[second.chunk_start_offset + 33] ^= 1
+    data[first.chunk_start_offset + 33] ^= 1
     source.write_bytes(data)
     unchecked = replace(file, check_chunks=False)
     pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
-    assert whole(pieces) == [False] * 4 + [True] * (len(file.chunks) - 2)
+    assert whole(pieces)[:2] == [False, False]
+    assert whole(pieces)[-1] is True
 
 
 @pytest.mark.parametrize("byte", [9, 17, 25], ids=["channel", "log time", "place"])
@@ -162,7 +177,7 @@ def test_a_chunk_whose_message_indexes_are_wrong_is_written_anew(tmp_path, byte)
     source.write_bytes(data)
     unchecked = replace(file, check_chunks=False)
     pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
-    assert whole(pieces) == [False] * 2 + [True] * (len(file.chunks) - 2) + [False] * 2
+    assert whole(pieces) == [True] * (len(file.chunks) - 1) + [False] * 2
 
 
 def test_messages_that_no_index_names_are_no_results_of_the_copy(tmp_path):
@@ -191,7 +206,9 @@ def test_a_chunk_of_several_frames_of_zstandard_is_read_to_its_end(tmp_path, mon
     assert [m[:2] for m in plain(log.read(summary))] == IN_ORDER
     assert [m[:2] for m in plain(in_file_order(source, DEFAULT_LIMITS))] == IN_ORDER
     with LogWriter(tmp_path / "b.mcap") as writer:
-        copy = MessageCopy(writer, summary.channels, log.pieces(summary, summary.channels, None, None))
+        copy = MessageCopy(
+            writer, summary.channels, log.pieces(summary, summary.channels, None, None), summary.schema_ids
+        )
         growing = writer.while_written()
         copy.rest()
         assert [m[:2] for m in plain(growing.read())] == IN_ORDER
@@ -240,15 +257,16 @@ LATER = [(topic, time + 60) for topic, time in IN_ORDER]
     [
         (LATER, {}, True),
         ([(topic, time - 40) for topic, time in LATER], {}, False),
+        ([("/b", 65)], {"schemas": (("T", "y", b""), ("S", "y", b"s"))}, False),
         ([("/a", 65)], {"schemas": (("T", "y", b""),)}, False),
     ],
-    ids=["later", "meeting", "the schema is another"],
+    ids=["later", "meeting", "the schema's id is another", "the schema is another"],
 )
 def test_of_files_chunks_are_copied_whose_ids_agree_and_whose_times_do_not_meet(tmp_path, second, options, expected):
     files = [by_library(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
     files.append(by_library(tmp_path / "2.mcap", second, chunk_size=TWO, **options))
     pieces = copied(files, tmp_path / "b.mcap", results=[0, 20, 60])
-    assert (True in whole(pieces)) == expected
+    assert set(whole(pieces)) == {expected}
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(files)))
     assert log.audited(tmp_path / "b.mcap", check_chunks=True).whole
     with (tmp_path / "b.mcap").open("rb") as stream:
@@ -261,7 +279,7 @@ def test_of_files_without_an_index_messages_are_copied(tmp_path):
     files.append(by_library(tmp_path / "2.mcap", LATER, index_types=IndexType.NONE, use_statistics=False))
     pieces = copied(files, tmp_path / "b.mcap")
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(files)))
-    assert whole(pieces) == [False] * 2 + [True] * 5 + [False] * 12
+    assert whole(pieces) == [True] * 6 + [False] * 12
 
 
 def test_a_growing_copy_gives_messages_in_the_order_of_log_time(tmp_path):
@@ -269,7 +287,9 @@ def test_a_growing_copy_gives_messages_in_the_order_of_log_time(tmp_path):
     source = by_library(tmp_path / "a.mcap", [("/a", 10 * k) for k in range(6)], chunk_size=2**20)
     summary = log.summarise(source)
     with LogWriter(tmp_path / "b.mcap") as writer:
-        copy = MessageCopy(writer, summary.channels, log.pieces(summary, summary.channels, None, None))
+        copy = MessageCopy(
+            writer, summary.channels, log.pieces(summary, summary.channels, None, None), summary.schema_ids
+        )
         writer.register(RESULT)
         growing = writer.while_written()
         followed, seen = growing.follow(0), []
@@ -291,5 +311,5 @@ def test_a_growing_copy_gives_messages_in_the_order_of_log_time(tmp_path):
 def test_the_ids_of_new_channels_are_free_ones(tmp_path):
     last = Channel("/last", "x", source_id=65535)
     with LogWriter(tmp_path / "a.mcap") as writer:
-        assert [writer.register(c, wanted=c.source_id) for c in (last, A)] == [65535, 1]
+        assert [writer.register(c, ids=(c.source_id, 0)) for c in (last, A)] == [65535, 1]
         assert [writer.register(c) for c in (B, RESULT, A)] == [2, 3, 1]
