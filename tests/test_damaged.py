@@ -64,12 +64,6 @@ def run(source, name, cfg=CFG, **options):
     return target, replay(source, target, cfg, **options)
 
 
-def test_without_the_option_damage_is_an_error_and_nothing_is_left(damaged):
-    with pytest.raises(LogError, match=r"damaged at byte \d+: chunk: .* messages can be saved, .*--recover"):
-        run(damaged, "out")
-    assert sorted(p.name for p in damaged.parent.iterdir()) == ["damaged.mcap", "in.mcap"]
-
-
 def test_all_frames_outside_the_damage_are_those_of_the_whole_log(whole, damaged):
     before, (target, summary) = rows(run(whole, "whole")[0]), run(damaged, "out", recover=True)
     after = rows(target)

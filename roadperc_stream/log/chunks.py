@@ -15,9 +15,7 @@ from deflate import crc32
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError
 
-from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.log.layout import RECORD, TOO_SHORT, ChunkHead, Record, records_in
-from roadperc_stream.log.limits import LimitError, beyond
 
 INSIDE: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _PIECE_BYTES: Final = 1024 * 1024
@@ -29,14 +27,14 @@ _STREAMS: Final[dict[str, Callable[[ChunkHead], Any]]] = {
 """Streams over all that a chunk's data decompress to, by its compression."""
 
 
-def contents_of(head: ChunkHead, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[list[Record], str]:
-    """A chunk's records up to the first fault, which is empty where there is none.
+def contents_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
+    """A chunk's records up to the first fault, at most ``most`` of them, and the fault; empty without one.
 
-    Where the bytes make no sense, or end, those before are given: they were read as they were written. Where they do
-    but their CRC is wrong, nothing says which of them is, and no record is given.
+    Records before bytes that make no sense, or before the end, are given. If only the CRC is wrong, no record is given:
+    any of them may be wrong.
     """
     data, broken = _decompressed(head)
-    found, fault = _split(data, limits.chunk_messages)
+    found, fault = _split(data, most)
     if head.stored_bytes > len(head.stored):
         return found, TOO_SHORT
     if broken or fault:
@@ -84,7 +82,7 @@ class Unpacked:
 
 
 def unpacked(head: ChunkHead, *, check_crc: bool) -> Unpacked:
-    """A chunk's data, decompressed at once where that can be; ``require_chunk`` comes first.
+    """A chunk's data, decompressed at once where that can be; ``limits.require_chunk`` comes first.
 
     Raises:
         ValueError: the bytes make no sense, or the CRC is to be checked, and is wrong.
@@ -96,16 +94,6 @@ def unpacked(head: ChunkHead, *, check_crc: bool) -> Unpacked:
     if check_crc and head.crc and (crc := crc32(data)) != head.crc:
         raise ValueError(_wrong_crc(crc, head.crc))
     return Unpacked(data, at_once is not None)
-
-
-def require_chunk(head: ChunkHead, limits: LimitsConfig) -> None:
-    """Refuse a chunk that declares more bytes, decompressed, than the limit.
-
-    Raises:
-        LimitError: it does.
-    """
-    if head.size_bytes > limits.chunk_bytes:
-        raise LimitError(beyond("a chunk", head.size_bytes, "chunk_mb", limits.chunk_bytes))
 
 
 def too_many(most: int) -> str:
@@ -154,7 +142,7 @@ def _wrong_crc(found: int, expected: int) -> str:
 
 
 def _split(data: memoryview, most: int) -> tuple[list[Record], str]:
-    """The records that stand in the decompressed data of a chunk, so many at most, and why they end early."""
+    """The records in the decompressed data of a chunk, at most ``most`` of them, and why they end early."""
     found: list[Record] = []
     try:
         for record in records_in(data):

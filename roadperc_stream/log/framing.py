@@ -83,7 +83,7 @@ class RecordSearch:
             chunked: look for no messages, channels and schemas outside chunks: those inside one look the same.
 
         Returns:
-            None where there is none.
+            None without one.
         """
         pattern = _BESIDE_CHUNKS if chunked else _ANYWHERE
         return next((start for start in self._likely(at, pattern) if self._fits(start)), None)
@@ -194,7 +194,7 @@ class Framing:
         """The file's records outside chunks, up to its end or to where nothing follows that makes sense.
 
         A chunk that the file's end cuts off, or whose length makes no sense, comes with what there is of it. Where
-        reading breaks off in the data section, a record ``BREAK`` says so.
+        reading breaks off in the data section, a record ``BREAK`` follows.
         """
         self._data_crc = crc32(stream.read(len(MAGIC)))
         search = RecordSearch(stream, self.size_bytes, self.is_message)

@@ -52,7 +52,7 @@ class GrowingLog:
             self._reached_ns = max(message.log_time_ns, self._reached_ns or 0)
 
     def add_chunk(self, chunk: ChunkIndex) -> None:
-        """A chunk stands in the file now: the open one, or one that comes from elsewhere."""
+        """Take note of a chunk that is now in the file: the open one, or a copied one."""
         with self._lock:
             self._chunks.append(chunk)
             self._open.clear()
@@ -116,7 +116,7 @@ class GrowingLog:
                 continue
             waiting.add(filter(is_wanted, tail))
             taken += len(tail)
-            if waiting.holds(reached_ns):  # meanwhile there may be more
+            if waiting.holds(reached_ns):  # there may be more by then
                 yield from waiting.through(reached_ns)
             elif complete:
                 return

@@ -94,7 +94,7 @@ def index_of(stream: IO[bytes]) -> Summary | None:
 
 
 def _summary_fits(stream: IO[bytes]) -> bool:
-    """Whether the bytes of a summary are those that were written, as far as a CRC says so."""
+    """Whether the CRC of the summary fits; true without a CRC."""
     footer_start = stream.seek(-len(MAGIC) - _FOOTER.size, os.SEEK_END)
     _, _, summary_start, _, expected = _FOOTER.unpack(stream.read(_FOOTER.size))
     stream.seek(summary_start)

@@ -1,6 +1,6 @@
 """A log that is read by its index, chunk by chunk, in the order of log time.
 
-The library's reader copies every byte three times and reads the index anew for each pass. Layout:
+The library's reader copies every byte three times and reads the index again for each pass. Layout:
 https://mcap.dev/spec.
 """
 
@@ -39,7 +39,7 @@ from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.sorting import SortedMessages
 
 _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
-"""Of the data of a chunk that is copied as it is: who reads the copy holds it beside the results of its time."""
+"""Of the data of a chunk that is copied as it is: a reader of the copy holds it beside the results of its time."""
 _NEVER_NS: Final = 2**64
 IndexEntry = tuple[int, int, int]
 """Channel and log time of a message, and its place in the chunk's data."""
@@ -106,7 +106,7 @@ class IndexedFile:
             yield from self._in_order(stream, chunks, wanted, start_ns, end_ns)
 
     def pieces(self, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> Iterator[Piece]:
-        """The messages of some channels, whole chunks where they hold nothing else and nobody need look inside.
+        """The messages of some channels; whole chunks where these hold nothing else and are tidy.
 
         Args:
             kept: ids of the channels.
@@ -127,7 +127,7 @@ class IndexedFile:
                     yield from self._in_order(stream, group, kept, start_ns, end_ns)
 
     def _as_is(self, stream: IO[bytes], chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
-        """A chunk as it stands in the file, or its messages where it is not tidy."""
+        """A chunk as it is in the file, or its messages where it is not tidy."""
         if _start(chunk) not in self._seen:
             deque(self._bodies(stream, chunk), maxlen=0)
         contents = self._seen[_start(chunk)]
@@ -176,7 +176,7 @@ class IndexedFile:
                 yield head.of(self.channels[head.channel_id], body)
 
     def _bodies(self, stream: IO[bytes], chunk: ChunkIndex) -> Iterator[bytes | memoryview]:
-        """The message records of a chunk; what else stands in it is skipped."""
+        """The message records of a chunk; other records are skipped."""
         head = chunk_of(_record(stream, chunk))
         found = unpacked(head, check_crc=self.check_chunks)
         others, entries = list[tuple[int, bytes | memoryview]](), list[IndexEntry]()

@@ -1,4 +1,4 @@
-"""What stands in a file against what its index and statistics say, and which messages a damaged log lost.
+"""Compares a file with its index and statistics, and finds which messages a damaged log lost.
 
 Messages that fell out leave no other trace. Message indexes, spans of chunks, or what comes next tell what was lost.
 """
@@ -46,7 +46,7 @@ class Inventory:
     _open: records.ChunkIndex | None = None
     """The chunk whose message indexes come next."""
     _positions: Positions | None = None
-    """Its messages; None where nobody looked inside."""
+    """Its messages; None if the chunk was not opened."""
     _lost: bool = False
     _with_index: bool | None = None
 
@@ -91,7 +91,7 @@ class Inventory:
         Args:
             record: of the file.
             head: its fields.
-            positions: of its messages; None where nobody looked inside.
+            positions: of its messages; None if the chunk was not opened.
         """
         self._open, self._positions = entry_of(head, record.start, record.end - record.start), positions
         self.chunks[record.start] = self._open
@@ -206,9 +206,9 @@ def _span_ns(chunk: records.ChunkIndex) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Gap:
-    """Log times between which messages were lost, both included; None where nothing says so.
+    """Log times between which messages were lost, both included; None if unknown.
 
-    ``messages`` are those lost by channel, empty where nothing says so.
+    ``messages`` are those lost by channel, empty if unknown.
     """
 
     first_ns: int | None

@@ -12,6 +12,7 @@ from typing import Final
 from mcap.exceptions import McapError
 
 from roadperc_stream.config import LimitsConfig
+from roadperc_stream.log.layout import ChunkHead
 from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
 
 _STRING: Final = re.compile(r'"(?:[^"\\]|\\.)*"', re.DOTALL)
@@ -49,8 +50,18 @@ class GuardedFile(io.BufferedReader):
             if size > left:
                 raise McapError(f"a record of {size} bytes, {left} are left")
             if size > self._most_bytes:
-                raise LimitError(beyond("a record", size, "record_mb", self._most_bytes))
+                raise LimitError(_beyond("a record", size, "record_mb", self._most_bytes))
         return super().read(size)
+
+
+def require_chunk(head: ChunkHead, limits: LimitsConfig) -> None:
+    """Refuse a chunk that declares more bytes, decompressed, than the limit.
+
+    Raises:
+        LimitError: it does.
+    """
+    if head.size_bytes > limits.chunk_bytes:
+        raise LimitError(_beyond("a chunk", head.size_bytes, "chunk_mb", limits.chunk_bytes))
 
 
 def require_attachments(size_bytes: int, limits: LimitsConfig) -> None:
@@ -64,7 +75,7 @@ def require_attachments(size_bytes: int, limits: LimitsConfig) -> None:
         LimitError: they are too many.
     """
     if size_bytes > limits.attachments_bytes:
-        raise LimitError(beyond("attachments and metadata", size_bytes, "attachments_mb", limits.attachments_bytes))
+        raise LimitError(_beyond("attachments and metadata", size_bytes, "attachments_mb", limits.attachments_bytes))
 
 
 def require_gaps(metadata: Metadata, limits: LimitsConfig) -> None:
@@ -80,7 +91,6 @@ def require_gaps(metadata: Metadata, limits: LimitsConfig) -> None:
         raise LimitError(f"metadata {RECOVERY_RECORD} of {found} gaps: expected limits.gaps {limits.gaps} at most")
 
 
-def beyond(what: str, size_bytes: int, setting: str, most_bytes: int) -> str:
-    """The message of a size that is larger than its setting."""
+def _beyond(what: str, size_bytes: int, setting: str, most_bytes: int) -> str:
     mebibytes = size_bytes / 1024**2
     return f"{what} of {mebibytes:.0f} MiB: expected limits.{setting} {most_bytes // 1024**2} at most"

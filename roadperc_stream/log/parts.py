@@ -10,20 +10,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Final
 
 from roadperc_stream.config import LimitsConfig
 from roadperc_stream.log.audit import in_file_order
 from roadperc_stream.log.damage import damaged
-from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
-from roadperc_stream.log.indexed import IndexedFile
+from roadperc_stream.log.index import MOST_HELD_BYTES
 from roadperc_stream.log.records import RECOVERY_RECORD, Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.repair import Recovery
 from roadperc_stream.log.repeats import Numbered, SharedTimes, Span, marked, shared_times
 from roadperc_stream.log.sorting import SortedMessages
 
-_LEAST_HELD_BYTES: Final = 1024 * 1024
-"""Counted of each open file, so that few are open at a time."""
 Translation = Mapping[int, Channel]
 """The channels of the log by the ``source_id`` that they have in a file."""
 Part = tuple[LogSummary, Translation]
@@ -132,8 +128,14 @@ def _translated(path: Path, messages: Iterable[Message], translation: Translatio
         yield replace(message, channel=channel)
 
 
-def united(files: Sequence[LogSummary], limits: LimitsConfig) -> LogSummary:
-    """Files as one log: in the order of their times, equal channels of several files as one."""
+def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig) -> LogSummary:
+    """Files as one log: in the order of their times, equal channels of several files as one.
+
+    Args:
+        files: of the log.
+        held_bytes: the most in memory at a time where they are merged.
+        limits: of their records and chunks.
+    """
     ordered = sorted(files, key=lambda file: _span_ns(file) or (0, 0))
     attachments = dict[tuple[str, str, bytes], Attachment]()
     for attachment in chain.from_iterable(file.attachments for file in ordered):
@@ -148,7 +150,7 @@ def united(files: Sequence[LogSummary], limits: LimitsConfig) -> LogSummary:
     name = Path(f"{ordered[0].path} and {len(files) - 1} more")
     shared = shared_times(file for file, _ in holding)
     is_in_turn = has_own_ids and not shared.spans and all(a[1] <= b[0] for a, b in pairwise(spans))
-    is_little = _held_bytes(file for file, _ in holding) <= MOST_HELD_BYTES
+    is_little = held_bytes <= MOST_HELD_BYTES
     parts = MergedParts(holding) if is_little else SortedParts(str(name), holding, limits)
     source = UnitedParts(parts, shared, [file for file, _ in holding] if is_in_turn else [])
     repeats = source.repeats()
@@ -248,16 +250,6 @@ def _span_ns(file: LogSummary) -> Span | None:
     if file.first_ns is None or file.last_ns is None or not any(file.counts.values()):
         return None
     return file.first_ns, file.last_ns
-
-
-def _held_bytes(files: Iterable[LogSummary]) -> float:
-    """The most in memory at a time where files with messages are merged; no end to it where one has no index."""
-    spans = []
-    for file in files:
-        if not isinstance(file.source, IndexedFile):
-            return float("inf")
-        spans.append((file.first_ns or 0, file.last_ns or 0, max(file.source.held_bytes(), _LEAST_HELD_BYTES)))
-    return most_at_once(spans)
 
 
 def _in_file_order(parts: Iterable[Part], limits: LimitsConfig) -> Iterator[Message]:

@@ -4,21 +4,26 @@ A log that its index does not give in order is put in order on disk: the library
 log may be a single one.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Final
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.audit import audited, damage_in, in_file_order, salvaged
+from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.limits import LimitError, require_attachments
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.parts import UnitedParts, united
 from roadperc_stream.log.records import Channel, LogSummary, Message
 from roadperc_stream.log.sorting import SortedMessages
+
+_LEAST_HELD_BYTES: Final = 1024 * 1024
+"""Counted of each open file, so that few are open at a time."""
 
 
 def summarise(
@@ -52,7 +57,19 @@ def summarise(
             require_attachments(held_bytes, limits)
         except LimitError as error:
             raise LogError(f"{path}: {error}") from error
-    return united(files, limits) if len(files) > 1 else files[0]
+    return united(files, _held_bytes(files), limits) if len(files) > 1 else files[0]
+
+
+def _held_bytes(files: Iterable[LogSummary]) -> float:
+    """The most in memory at a time where files are merged; no end to it where one with messages has no index."""
+    spans = []
+    for file in files:
+        if not any(file.counts.values()):
+            continue
+        if not isinstance(file.source, IndexedFile):
+            return float("inf")
+        spans.append((file.first_ns or 0, file.last_ns or 0, max(file.source.held_bytes(), _LEAST_HELD_BYTES)))
+    return most_at_once(spans)
 
 
 def read(

@@ -30,7 +30,7 @@ _GAPS: Final = list[tuple[int | None, int | None, dict[str, int]]]
 
 @dataclass(frozen=True)
 class LostSpan:
-    """Log times between which messages were lost, both included, None where nothing says so, and how many by topic."""
+    """Log times between which messages were lost, both included, None if unknown, and how many by topic."""
 
     first_ns: int | None
     last_ns: int | None

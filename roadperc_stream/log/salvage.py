@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.chunks import contents_of, require_chunk, too_many
+from roadperc_stream.log.chunks import contents_of, too_many
 from roadperc_stream.log.damage import Damage, require_log, unopened
 from roadperc_stream.log.framing import BREAK, Framing, is_chunk
 from roadperc_stream.log.index import Described, index_of, places_of
@@ -36,7 +36,7 @@ from roadperc_stream.log.layout import (
     message_head,
     parse,
 )
-from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachments, require_gaps
+from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachments, require_chunk, require_gaps
 from roadperc_stream.log.records import Message
 
 _PRIVATE_BIT: Final = 0x80
@@ -76,7 +76,7 @@ class Salvage:
     last_good_ns: int | None = None
     """Log time of the last message before the first damage."""
     all_in_chunks: bool = True
-    """Whether every message that was read stands in a chunk: no index names the others."""
+    """Whether every message that was read is in a chunk: no index names the others."""
 
     def __post_init__(self) -> None:
         try:
@@ -102,7 +102,7 @@ class Salvage:
         """By ``Channel.source_id``, also those without messages."""
         self._chunks_without_crc = self._open_at = self._held_bytes = 0
         self._covered = True
-        """Whether every message that was read stands in a chunk with a CRC of its own."""
+        """Whether every message that was read is in a chunk with a CRC."""
         self._stream: IO[bytes] | None = None
 
     @property
@@ -112,7 +112,7 @@ class Salvage:
 
     @property
     def conclusive(self) -> bool:
-        """Whether the messages of all chunks were counted, and are covered by CRCs, where nobody looked inside."""
+        """Whether the messages of all chunks that were not opened were counted and are covered by CRCs."""
         is_covered = (self._covered or self._framing.sealed) and self._framing.summary_sealed
         return self.inside or (self._inventory.conclusive and is_covered)
 
@@ -143,7 +143,7 @@ class Salvage:
 
     @property
     def written(self) -> dict[int, int] | None:
-        """Messages that were written, by ``Channel.source_id``; None where no index says so."""
+        """Messages that were written, by ``Channel.source_id``; None without an index."""
         return None if self._statistics is None else dict(self._statistics.channel_message_counts)
 
     @property
@@ -221,7 +221,7 @@ class Salvage:
         if not self.inside and not record.fault:
             self._inventory.add_chunk(record, head, None)
             return
-        (found, broken), positions = contents_of(head, self.limits), Positions()
+        (found, broken), positions = contents_of(head, self.limits.chunk_messages), Positions()
         faults = [record.fault, broken and f"{record.name}: {broken}"]
         for item in found:
             try:

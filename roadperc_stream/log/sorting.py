@@ -1,9 +1,7 @@
 """Messages in the order of log time where neither file nor index has them so: with bounded memory.
 
 What arrives nearly in order is held for a while. All else is sorted on disk: the messages' bytes are stored as they
-come. What they are sorted by, with the places of their bytes, stands in a temporary database of SQLite, whose memory is
-bounded too.
-
+come. Their keys, with the places of their bytes, are in a temporary database of SQLite, whose memory is bounded too.
 """
 
 import heapq

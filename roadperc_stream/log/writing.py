@@ -238,7 +238,7 @@ class StoredLogWriter(LogWriter):
 class MessageCopy:
     """Copies messages to a log that others write to as well: each stands there before what is written of its time.
 
-    What is copied stands in chunks of its own, so that these are whole ones for who copies that log.
+    Copied messages get chunks of their own, so that a copy of this log can take these chunks as they are.
     """
 
     def __init__(

@@ -47,7 +47,7 @@ def ends(path):
             elif record.opcode == 6:
                 head = chunk_head(record.body)
                 start = record.end - head.stored_bytes
-                for item in contents_of(head)[0]:
+                for item in contents_of(head, 10_000)[0]:
                     end = record.end if head.compression else start + item.start + 9 + len(item.body)
                     if item.opcode == 5:
                         found.append((int.from_bytes(item.body[6:14], "little"), end))
