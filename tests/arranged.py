@@ -6,6 +6,7 @@ from itertools import pairwise
 from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
+from roadperc_stream.log import LogWriter
 
 ARRANGEMENTS = {
     "small chunks": {"chunk_size": 50_000, "compression": CompressionType.LZ4},
@@ -62,10 +63,31 @@ def parts(source, folder, cuts, **options):
     return [arranged(source, folder / f"part_{k}.mcap", messages[a:b], **options) for k, (a, b) in enumerate(pairs)]
 
 
-def dealt(source, folder, number, seed):
-    """The messages in files whose times overlap: each in any of them."""
-    chosen, messages = random.Random(seed), list(log.read(log.summarise(source)))
-    piles = [[] for _ in range(number)]
-    for message in messages:
-        chosen.choice(piles).append(message)
-    return [arranged(source, folder / f"pile_{k}.mcap", pile) for k, pile in enumerate(piles)]
+def by_library(path, items, schemas=(("S", "y", b"s"),), **options):
+    """A log of the library's writer, of (topic, log time) each; the last schema is that of ``/a``."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start()
+        schema = [writer.register_schema(*values) for values in schemas][-1]
+        ids = {"/a": writer.register_channel("/a", "x", schema), "/b": writer.register_channel("/b", "x", 0)}
+        for number, (topic, time) in enumerate(items):
+            writer.add_message(ids[topic], time, str(number).encode().ljust(200, b"."), abs(time - 1), number)
+        writer.finish()
+    return path
+
+
+def by_us(path, messages, *, attachments=(), metadata=(), profile=""):
+    """A log of this project's writer."""
+    with LogWriter(path, profile=profile) as writer:
+        for message in messages:
+            writer.write(message)
+        for attachment in attachments:
+            writer.attach(attachment)
+        for record in metadata:
+            writer.describe(record)
+    return path
+
+
+def plain(messages):
+    """Messages without what describes their channels."""
+    return [(m.channel.topic, m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]

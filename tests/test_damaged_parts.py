@@ -9,7 +9,6 @@ from roadperc_stream.api import replay
 from roadperc_stream.cli.info import main as info_main
 from roadperc_stream.config import load_config
 from roadperc_stream.log import Channel, LogWriter, Message, Recovery
-from roadperc_stream.log.index import data_end_of
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
 from tests.analytic import STEP_NS, Road
@@ -25,8 +24,10 @@ SENSORS = {"depth", "segmentation", "detections"}
 def beginning(path, share):
     """A log up to a share of its chunks' bytes."""
     with path.open("rb") as stream:
-        start = min(chunk.chunk_start_offset for chunk in make_reader(stream).get_summary().chunk_indexes)
-        return path.read_bytes()[: start + int(share * (data_end_of(stream) - start))]
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    start, last = chunks[0].chunk_start_offset, chunks[-1]
+    end = last.chunk_start_offset + last.chunk_length + last.message_index_length
+    return path.read_bytes()[: start + int(share * (end - start))]
 
 
 def said(path):

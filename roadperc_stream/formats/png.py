@@ -45,7 +45,7 @@ _CHANNELS: Final = {GREY: 1, COLOURS: 3, PALETTE: 1, COLOURS_ALPHA: 4}
 
 @dataclass(frozen=True)
 class _Lines:
-    """A PNG's inflated lines, and how it codes its pixels."""
+    """A PNG's inflated lines, and how it codes its pixels: 8 or 16 bits a number."""
 
     width: int
     bits: int
@@ -55,12 +55,17 @@ class _Lines:
 
     @property
     def pixel_bytes(self) -> int:
-        """What filters look back by; at least one byte."""
-        return max(self.bits * _CHANNELS[self.colour_type] // 8, 1)
+        """What filters look back by."""
+        return self.bits * _CHANNELS[self.colour_type] // 8
 
     def rows(self) -> NDArray[np.uint8] | None:
         """(H, L) bytes, reversed in place; None where a filter is unknown."""
         return self.filtered[:, 1:] if reverse_filters(self.filtered, self.pixel_bytes) else None
+
+    def one_byte_pixels(self) -> Image | None:
+        """(H, W), a byte each, in memory of their own; None where a filter is unknown."""
+        rows = self.rows()
+        return None if rows is None else np.ascontiguousarray(rows)
 
 
 def grey(data: bytes) -> Image | None:
@@ -69,7 +74,7 @@ def grey(data: bytes) -> Image | None:
     if lines is None:
         return None
     if lines.colour_type == GREY:
-        return _one_byte_pixels(lines)
+        return lines.one_byte_pixels()
     pixels = np.empty((len(lines.filtered), lines.width), np.uint8)
     return pixels if reverse_to_grey(lines.filtered, lines.pixel_bytes, pixels) else None
 
@@ -94,26 +99,9 @@ def grey16(data: bytes) -> NDArray[np.uint16] | None:
 
 
 def indices(data: bytes) -> Image | None:
-    """(H, W) uint8 indices of a palette PNG, or the values of a grey one with 8 bits."""
-    lines = _lines_of(data, {(GREY, 8), (PALETTE, 1), (PALETTE, 2), (PALETTE, 4), (PALETTE, 8)})
-    if lines is None:
-        return None
-    return _one_byte_pixels(lines) if lines.bits == 8 else _unpacked(lines)
-
-
-def _one_byte_pixels(lines: _Lines) -> Image | None:
-    rows = lines.rows()
-    return None if rows is None else np.ascontiguousarray(rows)
-
-
-def _unpacked(lines: _Lines) -> Image | None:
-    """(H, W) of bytes that hold several pixels each, the first in the highest bits."""
-    rows = lines.rows()
-    if rows is None:
-        return None
-    shifts = np.arange(8 - lines.bits, -1, -lines.bits, dtype=np.uint8)
-    pixels = (rows[..., np.newaxis] >> shifts) & np.uint8((1 << lines.bits) - 1)
-    return np.ascontiguousarray(pixels.reshape(len(rows), -1)[:, : lines.width])
+    """(H, W) uint8 indices of a palette PNG, or the values of a grey one, with 8 bits."""
+    lines = _lines_of(data, {(GREY, 8), (PALETTE, 8)})
+    return None if lines is None else lines.one_byte_pixels()
 
 
 def _lines_of(data: bytes, kinds: set[tuple[int, int]]) -> _Lines | None:
@@ -126,7 +114,7 @@ def _lines_of(data: bytes, kinds: set[tuple[int, int]]) -> _Lines | None:
         return None
     if not (0 < width <= _LONGEST_SIDE and 0 < height <= _LONGEST_SIDE):
         return None
-    row_bytes = (width * bits * _CHANNELS[colour_type] + 7) // 8
+    row_bytes = width * bits * _CHANNELS[colour_type] // 8
     parts = [content for name, content in chunks if name == b"IDAT"]
     filtered = _inflated(parts[0] if len(parts) == 1 else b"".join(parts), height * (1 + row_bytes))
     if filtered is None:

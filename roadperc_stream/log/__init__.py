@@ -19,8 +19,7 @@ from roadperc_stream.log.records import (
     MessageDigest,
     Metadata,
 )
-from roadperc_stream.log.recovery import LostSpan, Recovery
-from roadperc_stream.log.repair import RepairedLog, repaired_copy, write_repaired
+from roadperc_stream.log.repair import LostSpan, Recovery, RepairedLog, repaired_copy, write_repaired
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.log.sorting import in_order_within
 from roadperc_stream.log.stored import received

@@ -3,36 +3,21 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.damage import DamagedLogError, damaged, nothing_saved, require_whole, unopened
-from roadperc_stream.log.layout import UNREADABLE
+from roadperc_stream.log.chunks import INSIDE, streamed
+from roadperc_stream.log.damage import DamagedLogError, damaged, nothing_saved, unopened
+from roadperc_stream.log.framing import Framing
+from roadperc_stream.log.index import Described
+from roadperc_stream.log.layout import UNREADABLE, chunk_head, message_head, parse
 from roadperc_stream.log.limits import GuardedFile, LimitError
+from roadperc_stream.log.records import Message
 from roadperc_stream.log.salvage import Salvage
 from roadperc_stream.system.time import ns_to_seconds
-
-
-def require_undamaged(path: Path, limits: LimitsConfig, *, check_chunks: bool = False) -> Salvage:
-    """Check all CRCs, and that index, message indexes and statistics say what stands in the file.
-
-    Args:
-        path: the log.
-        limits: of its records and chunks.
-        check_chunks: as ``audited``.
-
-    Returns:
-        The finished account: unless it is ``sealed``, the CRCs inside chunks are left to who reads them.
-
-    Raises:
-        DamagedLogError: they do not; it says what can be saved.
-        LogError: the file cannot be read, is no MCAP log, or nothing of it can be saved.
-    """
-    found = audited(path, limits, check_chunks=check_chunks)
-    if not found.whole:
-        raise damage_in(found)
-    return found
 
 
 def damage_in(found: Salvage) -> LogError:
@@ -57,7 +42,7 @@ def audited(path: Path, limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: 
         LogError: the file cannot be read, or is no MCAP log.
     """
     quick = Salvage(path, inside=False, limits=limits)
-    quick.run(to_first_damage=True)
+    quick.run()
     is_checked = quick.sealed or not check_chunks
     return quick if quick.whole and quick.conclusive and is_checked else salvaged(path, limits)
 
@@ -84,8 +69,32 @@ def _can_be_saved(found: Salvage) -> str:
     return f"{saved}{of_all} messages can be saved{before}: roadperc-replay and roadperc-view do with --recover"
 
 
+def in_file_order(path: Path, limits: LimitsConfig) -> Iterator[Message]:
+    """Messages as they stand in a file that was checked before, one of a chunk in memory at a time.
+
+    Every chunk's CRC is checked.
+
+    Raises:
+        LogError: as ``opened``.
+    """
+    described = Described()
+    with opened(path, limits) as stream:
+        framing = Framing(stream.size_bytes)
+        for record in framing.records(stream):
+            for item in streamed(chunk_head(record.body)) if record.opcode == Opcode.CHUNK else (record,):
+                if item.opcode == Opcode.MESSAGE:
+                    head = message_head(item.body)
+                    if head.channel_id not in described.channels:
+                        raise McapError(f"no channel record found with id {head.channel_id}")
+                    yield head.of(described.channels[head.channel_id], item.body)
+                elif item.opcode in INSIDE:
+                    described.add(parse(item.opcode, bytes(item.body), spare_allowed=True), in_data=True)
+        if framing.damages:
+            raise McapError(framing.damages[0].words)
+
+
 @contextmanager
-def opened(path: Path, limits: LimitsConfig) -> Iterator[IO[bytes]]:
+def opened(path: Path, limits: LimitsConfig) -> Iterator[GuardedFile]:
     """Open a log.
 
     Raises:
@@ -93,7 +102,6 @@ def opened(path: Path, limits: LimitsConfig) -> Iterator[IO[bytes]]:
     """
     try:
         with GuardedFile(path, limits) as stream:
-            require_whole(path, stream)
             yield stream
     except OSError as error:
         raise unopened(path, error) from error

@@ -1,71 +1,80 @@
 """What a chunk holds: its records as far as they can be read, and why not all of them can.
 
-Decompression is streamed, so that of a chunk that is cut, or damaged in the middle, everything before is read, and
-never more than the chunk says that it holds. Layout: https://mcap.dev/spec.
+A chunk that is cut or damaged is decompressed piece by piece: what comes before the fault is read, and never more than
+the chunk declares. Layout: https://mcap.dev/spec.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from io import BytesIO
-from typing import Final
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from io import BufferedReader, BytesIO
+from typing import Any, Final
 
 import lz4.frame
+import zstandard
 from deflate import crc32
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError
 
-from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
-from roadperc_stream.log.layout import TOO_SHORT, ChunkHead, Item, records_in
+from roadperc_stream.log.layout import RECORD, TOO_SHORT, ChunkHead, Record, records_in
 
 INSIDE: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _PIECE_BYTES: Final = 1024 * 1024
-_LZ4_PIECE_BYTES: Final = 16 * 1024
-"""What is given at once: behind each frame the rest of it is copied."""
+_STREAMS: Final[dict[str, Callable[[ChunkHead], Any]]] = {
+    "": lambda head: BytesIO(head.stored),
+    "zstd": lambda head: BufferedReader(ZstdDecompressor().stream_reader(head.stored, read_across_frames=True)),
+    "lz4": lambda head: lz4.frame.LZ4FrameFile(BytesIO(head.stored)),
+}
+"""Streams over all that a chunk's data decompress to, by its compression."""
 
 
-@dataclass(frozen=True)
-class Contents:
-    """A chunk's records up to the first fault, which is empty where there is none."""
+def contents_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
+    """A chunk's records up to the first fault, at most ``most`` of them, and the fault; empty without one.
 
-    items: tuple[Item, ...]
-    fault: str = ""
-
-
-@dataclass
-class Workspace:
-    """Memory that chunks are decompressed to, one after the other: new memory costs more than decompressing."""
-
-    memory: bytearray = field(default_factory=lambda: bytearray(_PIECE_BYTES))
-
-    def free(self, used: int) -> memoryview:
-        """What lies behind the bytes that are used; more memory where that is nothing."""
-        if used == len(self.memory):
-            self.memory = self.memory + bytes(used)
-        return memoryview(self.memory)[used:]
-
-
-def contents_of(head: ChunkHead, workspace: Workspace, limits: LimitsConfig = DEFAULT_LIMITS) -> Contents:
-    """A chunk's records, which hold until the workspace is used again.
-
-    Where the bytes make no sense, or end, those before are given: they were read as they were written. Where they do
-    but their CRC is wrong, nobody knows which of them is, and none is given.
+    Records before bytes that make no sense, or before the end, are given. If only the CRC is wrong, no record is given:
+    any of them may be wrong.
     """
-    data, broken = _DECOMPRESSED[head.compression](head, workspace)
-    found = split(data, limits.chunk_messages)
+    data, broken = _decompressed(head)
+    found, fault = _split(data, most)
     if head.stored_bytes > len(head.stored):
-        return Contents(found.items, TOO_SHORT)
-    if broken or found.fault:
-        return Contents(found.items, broken or found.fault)
+        return found, TOO_SHORT
+    if broken or fault:
+        return found, broken or fault
     if head.crc and (crc := crc32(data)) != head.crc:
-        return Contents((), wrong_crc(crc, head.crc))
+        return [], _wrong_crc(crc, head.crc)
     if len(data) != head.size_bytes:
-        return Contents(found.items, f"holds {len(data)} bytes, expected {head.size_bytes}")
-    return found
+        return found, f"holds {len(data)} bytes, expected {head.size_bytes}"
+    return found, ""
+
+
+def streamed(head: ChunkHead) -> Iterator[Record]:
+    """The records of a chunk that was checked before, one in memory at a time.
+
+    Raises:
+        ValueError: it ends early, or its CRC is wrong, which shows behind the last record.
+    """
+    stream, at, crc = _STREAMS[head.compression](head), 0, 0
+
+    def taken(length: int) -> bytes:
+        nonlocal at, crc
+        data: bytes = stream.read(min(length, head.size_bytes - at))
+        if len(data) < length:
+            raise ValueError(TOO_SHORT)
+        at, crc = at + length, crc32(data, crc)
+        return data
+
+    while at < head.size_bytes:
+        start = at
+        opcode, length = RECORD.unpack(taken(RECORD.size))
+        yield Record(start, opcode, taken(length))
+    if stream.read(1):
+        raise ValueError(_too_long(head))
+    if head.crc and crc != head.crc:
+        raise ValueError(_wrong_crc(crc, head.crc))
 
 
 @dataclass(frozen=True)
 class Unpacked:
-    """A chunk's decompressed data, in memory of its own."""
+    """A chunk's decompressed data."""
 
     data: memoryview
     is_plain: bool
@@ -73,103 +82,76 @@ class Unpacked:
 
 
 def unpacked(head: ChunkHead, *, check_crc: bool) -> Unpacked:
-    """A chunk's data, decompressed at once where that can be; of a chunk that was held against the limits before.
+    """A chunk's data, decompressed at once where that can be; ``limits.require_chunk`` comes first.
 
     Raises:
         ValueError: the bytes make no sense, or the CRC is to be checked, and is wrong.
     """
     at_once = _at_once(head)
-    data, fault = (at_once, "") if at_once is not None else _DECOMPRESSED[head.compression](head, Workspace())
+    data, fault = _decompressed(head) if at_once is None else (at_once, "")
     if fault:
         raise ValueError(fault)
     if check_crc and head.crc and (crc := crc32(data)) != head.crc:
-        raise ValueError(wrong_crc(crc, head.crc))
+        raise ValueError(_wrong_crc(crc, head.crc))
     return Unpacked(data, at_once is not None)
 
 
-def _at_once(head: ChunkHead) -> memoryview | None:
-    """A chunk's data where they are a single frame of the size that it says."""
-    try:
-        data = memoryview(_UNPACKED[head.compression](head))
-    except (ZstdError, RuntimeError):
-        return None
-    return data if len(data) == head.size_bytes else None
-
-
-def wrong_crc(found: int, expected: int) -> str:
-    """What is said of a chunk whose CRC is not that of its data."""
-    return f"crc is {found:#010x}, expected {expected:#010x}"
-
-
-def split(data: memoryview, most: int) -> Contents:
-    """The records that stand in the decompressed data of a chunk, so many at most, and why they end early."""
-    items: list[Item] = []
-    try:
-        for item in records_in(data):
-            if len(items) == most:
-                return Contents(tuple(items), too_many(most))
-            if item.opcode not in INSIDE:
-                kind = f"a record of type {item.opcode:#04x} at its byte {item.offset}"
-                return Contents(tuple(items), f"{kind}, expected schema, channel or message")
-            items.append(item)
-    except ValueError as error:
-        return Contents(tuple(items), str(error))
-    return Contents(tuple(items))
-
-
 def too_many(most: int) -> str:
-    """What is said of a chunk with more messages than may be."""
+    """What is wrong with a chunk of more messages than the limit."""
     return f"more messages in a chunk than limits.chunk_messages, which is {most}"
 
 
-_Data = tuple[memoryview, str]
-"""What was decompressed, and why that is not all; empty where it is."""
-
-
-def _stored(head: ChunkHead, _: Workspace) -> _Data:
-    return head.stored, ""
-
-
-def _zstd(head: ChunkHead, workspace: Workspace) -> _Data:
-    used, fault = 0, ""
-    with ZstdDecompressor().stream_reader(head.stored, read_across_frames=True) as reader:
-        try:
-            while used <= head.size_bytes and (number := reader.readinto(workspace.free(used))):
-                used += number
-        except ZstdError as error:
-            fault = str(error)
-    return _as_promised(memoryview(workspace.memory)[:used], head, fault)
-
-
-def _lz4(head: ChunkHead, _: Workspace) -> _Data:
-    decompressor, stored, data, fault = lz4.frame.LZ4FrameDecompressor(), BytesIO(head.stored), bytearray(), ""
-    is_open, given = True, b""
+def _at_once(head: ChunkHead) -> memoryview | None:
+    """The data of a chunk in a single frame of the size that the chunk declares; None of any other."""
+    data: bytes | memoryview = head.stored
     try:
-        while len(data) <= head.size_bytes:
-            given = given or (stored.read(_LZ4_PIECE_BYTES) if decompressor.needs_input else b"")
-            if not given and decompressor.needs_input:
-                fault = TOO_SHORT if is_open else ""
-                break
-            data += decompressor.decompress(given, max_length=_PIECE_BYTES)
-            is_open, given = not decompressor.eof, b""
-            if decompressor.eof:  # another frame may follow
-                given = decompressor.unused_data or b""
-                decompressor.reset()
-    except RuntimeError as error:
-        fault = str(error)
-    return _as_promised(memoryview(data), head, fault)
+        if head.compression == "zstd":
+            if zstandard.frame_content_size(head.stored) not in {-1, head.size_bytes}:
+                return None  # the library would allocate that size; -1 is an unknown one
+            data = ZstdDecompressor().decompress(head.stored, max_output_size=head.size_bytes)
+        elif head.compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(head.stored, max_length=head.size_bytes + 1)
+    except (ZstdError, RuntimeError):
+        return None
+    return memoryview(data) if len(data) == head.size_bytes else None
 
 
-def _as_promised(data: memoryview, head: ChunkHead, fault: str) -> _Data:
-    """No more than the chunk says that it holds."""
-    if len(data) > head.size_bytes:
-        return data[: head.size_bytes], f"holds more than the {head.size_bytes} bytes it promises"
-    return data, " ".join(fault.split())
+def _decompressed(head: ChunkHead) -> tuple[memoryview, str]:
+    """A chunk's data, no more than it declares, and why that is not all of them; empty where it is."""
+    if not head.compression:
+        return head.stored, ""
+    stream, data, fault = _STREAMS[head.compression](head), bytearray(), ""
+    try:
+        while piece := stream.read1(_PIECE_BYTES):
+            data += piece
+            if len(data) > head.size_bytes:
+                return memoryview(data)[: head.size_bytes], _too_long(head)
+    except EOFError:
+        fault = TOO_SHORT
+    except (ZstdError, RuntimeError) as error:
+        fault = " ".join(str(error).split())
+    return memoryview(data), fault
 
 
-_DECOMPRESSED: Final[dict[str, Callable[[ChunkHead, Workspace], _Data]]] = {"": _stored, "zstd": _zstd, "lz4": _lz4}
-_UNPACKED: Final[dict[str, Callable[[ChunkHead], bytes | memoryview]]] = {
-    "": lambda head: head.stored,
-    "zstd": lambda head: ZstdDecompressor().decompress(head.stored, max_output_size=head.size_bytes),
-    "lz4": lambda head: lz4.frame.decompress(head.stored),
-}
+def _too_long(head: ChunkHead) -> str:
+    return f"holds more than the {head.size_bytes} bytes it promises"
+
+
+def _wrong_crc(found: int, expected: int) -> str:
+    return f"crc is {found:#010x}, expected {expected:#010x}"
+
+
+def _split(data: memoryview, most: int) -> tuple[list[Record], str]:
+    """The records in the decompressed data of a chunk, at most ``most`` of them, and why they end early."""
+    found: list[Record] = []
+    try:
+        for record in records_in(data):
+            if len(found) == most:
+                return found, too_many(most)
+            if record.opcode not in INSIDE:
+                kind = f"a record of type {record.opcode:#04x} at its byte {record.start}"
+                return found, f"{kind}, expected schema, channel or message"
+            found.append(record)
+    except ValueError as error:
+        return found, str(error)
+    return found, ""

@@ -1,6 +1,5 @@
 """Where a log is damaged or no MCAP log at all, and the errors that say so."""
 
-import os
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -25,20 +24,6 @@ def says_more(path: Path) -> str:
 def unopened(path: Path, error: OSError) -> LogError:
     """The error of a log that the system does not open; of a folder, what to do with it."""
     return LogError(not_a_log(path) if path.is_dir() else f"{path}: {error.strerror or error}")
-
-
-def require_whole(path: Path, stream: IO[bytes]) -> None:
-    """Tell an empty, a foreign and a cut file apart: the library's own words do not.
-
-    Raises:
-        LogError: it is one of these.
-    """
-    require_log(path, stream)
-    size = stream.seek(0, os.SEEK_END)
-    stream.seek(max(size - len(MAGIC), 0))
-    if stream.read(len(MAGIC)) != MAGIC or size < 2 * len(MAGIC):
-        raise damaged(path, f"cut off: the MCAP footer is missing after {size} bytes")
-    stream.seek(0)
 
 
 def require_log(path: Path, stream: IO[bytes]) -> None:
@@ -81,21 +66,13 @@ class Damage:
     last_ns: int | None = None
     of_messages: bool = True
     number: int = 1
-    """Damages that it stands for: the last one that is listed of very many stands for all from there on."""
+    """Damages that it stands for: of very many, the last one that is listed stands for all from there on."""
 
     def concerns(self, start_ns: int | None, end_ns: int | None) -> bool:
         """Whether messages from ``start_ns`` up to ``end_ns`` may be among those, None without a limit."""
         ends_before = self.last_ns is not None and start_ns is not None and self.last_ns < start_ns
         starts_behind = self.first_ns is not None and end_ns is not None and self.first_ns >= end_ns
         return self.of_messages and not (ends_before or starts_behind)
-
-
-def with_more(damage: Damage, other: Damage) -> Damage:
-    """A damage that stands for another one behind it as well."""
-    first_ns = None if None in (damage.first_ns, other.first_ns) else min(damage.first_ns or 0, other.first_ns or 0)
-    last_ns = None if None in (damage.last_ns, other.last_ns) else max(damage.last_ns or 0, other.last_ns or 0)
-    of_messages = damage.of_messages or other.of_messages
-    return Damage(damage.byte, damage.words, first_ns, last_ns, of_messages, damage.number + other.number)
 
 
 def number_of(damages: Iterable[Damage]) -> int:

@@ -13,9 +13,11 @@ from typing import IO, Final
 from deflate import crc32
 from mcap.opcode import Opcode
 
-from roadperc_stream.log.damage import Damage, with_more
-from roadperc_stream.log.layout import CRC_BYTES, MAGIC, MESSAGE, RECORD, chunk_head
+from roadperc_stream.log.damage import Damage
+from roadperc_stream.log.layout import CRC_BYTES, MAGIC, MESSAGE, NAMES, RECORD, Record, chunk_head
 
+BREAK: Final = 0
+"""Opcode of the record that says where reading broke off in the data section; the specification has none of this."""
 _BLOCK_BYTES: Final = 1024 * 1024
 _OVERLAP_BYTES: Final = 128
 """More than what is looked at from where a record may start: its head and the fields of a chunk."""
@@ -24,7 +26,6 @@ _CHUNK_BEGINS: Final = rb"(?=\x06.{5}\x00{3}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\
 _BESIDE_CHUNKS: Final = re.compile(_CHUNK_BEGINS + rb"|(?=[\x09\x0c\x0f].{5}\x00{3})", re.DOTALL)
 """What a chunk, or a record between chunks, begins with; lengths are below 2^40 bytes."""
 _ANYWHERE: Final = re.compile(_CHUNK_BEGINS + rb"|(?=[\x03\x04\x05\x09\x0c\x0f].{5}\x00{3})", re.DOTALL)
-_OPCODES: Final = frozenset(map(int, Opcode))
 _LEAST_BYTES: Final = {
     int(Opcode.SCHEMA): 14,
     int(Opcode.CHANNEL): 16,
@@ -37,25 +38,10 @@ _LEAST_BYTES: Final = {
 """What the fields of a record take that has nothing in those of any length."""
 IsMessage = Callable[[bytes], bool]
 """Whether the first bytes of a message record are those of a message of this log."""
-_NAMES: Final = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
 _FIRST_PRIVATE: Final = 0x80
 """Opcodes from here on are an application's own."""
-_OF_DATA: Final[frozenset[int]] = frozenset(
+_OF_INDEX: Final = frozenset(
     (
-        Opcode.SCHEMA,
-        Opcode.CHANNEL,
-        Opcode.MESSAGE,
-        Opcode.CHUNK,
-        Opcode.MESSAGE_INDEX,
-        Opcode.ATTACHMENT,
-        Opcode.METADATA,
-        Opcode.DATA_END,
-    )
-)
-_OF_SUMMARY: Final[frozenset[int]] = frozenset(
-    (
-        Opcode.SCHEMA,
-        Opcode.CHANNEL,
         Opcode.STATISTICS,
         Opcode.CHUNK_INDEX,
         Opcode.ATTACHMENT_INDEX,
@@ -64,6 +50,8 @@ _OF_SUMMARY: Final[frozenset[int]] = frozenset(
         Opcode.FOOTER,
     )
 )
+_OF_SUMMARY: Final[frozenset[int]] = _OF_INDEX | {Opcode.SCHEMA, Opcode.CHANNEL}
+_OF_DATA: Final[frozenset[int]] = frozenset(Opcode) - _OF_INDEX - {Opcode.HEADER}
 _MOST_LISTED: Final = 1000
 """Damages that are listed one by one."""
 _MOST_CUT_BYTES: Final = 256 * 1024 * 1024
@@ -95,7 +83,7 @@ class RecordSearch:
             chunked: look for no messages, channels and schemas outside chunks: those inside one look the same.
 
         Returns:
-            None where there is none.
+            None without one.
         """
         pattern = _BESIDE_CHUNKS if chunked else _ANYWHERE
         return next((start for start in self._likely(at, pattern) if self._fits(start)), None)
@@ -135,7 +123,7 @@ class RecordSearch:
         if fields_at + length > self._size_bytes or length < _LEAST_BYTES[opcode]:
             return False
         if opcode == Opcode.CHUNK:
-            return _is_chunk(self._bytes(fields_at, min(length, _FIELDS_BYTES)), length)
+            return is_chunk(self._bytes(fields_at, min(length, _FIELDS_BYTES)), length)
         if opcode == Opcode.MESSAGE and not self._is_message(self._bytes(fields_at, MESSAGE.size)):
             return False
         return self._leads_on(fields_at + length)
@@ -146,41 +134,16 @@ class RecordSearch:
         if len(head) < RECORD.size:
             return not head
         opcode, length = RECORD.unpack(head)
-        return opcode in _OPCODES and end + RECORD.size + length <= self._size_bytes
+        return opcode in NAMES and end + RECORD.size + length <= self._size_bytes
 
 
-def _is_chunk(fields: bytes, length: int) -> bool:
+def is_chunk(fields: bytes | memoryview, length: int) -> bool:
+    """Whether a record of this length that begins with these fields is a chunk by its form."""
     try:
         head = chunk_head(fields)
     except ValueError:
         return False
     return head.first_ns <= head.last_ns and head.record_bytes == RECORD.size + length
-
-
-@dataclass(frozen=True)
-class Record:
-    """A record outside any chunk, and the byte it starts at."""
-
-    start: int
-    opcode: int
-    body: bytes
-    fault: str = ""
-    """Why it is not all of it; empty where it is."""
-
-    @property
-    def name(self) -> str:
-        """The kind of record, as the specification calls it."""
-        return _NAMES.get(self.opcode, f"{self.opcode:#04x}")
-
-    @property
-    def end(self) -> int:
-        """The byte behind it."""
-        return self.start + RECORD.size + len(self.body)
-
-    def crc(self, before: int, *, without_last: int = 0) -> int:
-        """The CRC of what came before and of this record, but for its last bytes."""
-        head = RECORD.pack(self.opcode, len(self.body))
-        return crc32(memoryview(self.body)[: len(self.body) - without_last], crc32(head, before))
 
 
 @dataclass
@@ -203,14 +166,10 @@ class Framing:
     """Whether there is a CRC over the whole data section."""
     summary_sealed: bool = False
     """Whether there is one over the summary."""
-    chunked: bool = False
-    """Whether a chunk was seen: then messages stand in chunks."""
-    breaks: list[int] = field(default_factory=list)
-    """Where reading broke off in the data section: messages may be lost there."""
     summary_start: int | None = None
     """The first byte behind the data section; None before it was found."""
-    to_first_damage: bool = False
-    """Whether to read no further than to know that the file is damaged."""
+    _chunked: bool = False
+    """Whether a chunk was seen: then messages stand in chunks."""
     _data_crc: int | None = None
     _data_crc_damage: Damage | None = None
     _summary_crc: int | None = None
@@ -234,18 +193,16 @@ class Framing:
     def records(self, stream: IO[bytes]) -> Iterator[Record]:
         """The file's records outside chunks, up to its end or to where nothing follows that makes sense.
 
-        A record that the file's end cuts off, or whose length makes no sense, comes with what there is of it.
+        A chunk that the file's end cuts off, or whose length makes no sense, comes with what there is of it. Where
+        reading breaks off in the data section, a record ``BREAK`` follows.
         """
         self._data_crc = crc32(stream.read(len(MAGIC)))
         search = RecordSearch(stream, self.size_bytes, self.is_message)
         at: int | None = len(MAGIC)
-        while at is not None and not (self.to_first_damage and self.damages):
+        while at is not None:
             head = stream.read(RECORD.size)
-            fault = self._fault(at, head)
-            if fault:
+            if fault := self._fault(at, head):
                 yield from self._broken(stream, at, head, fault)
-                if self.to_first_damage:
-                    return
                 at = self._resume(stream, at, search)
                 continue
             opcode, length = RECORD.unpack(head)
@@ -263,7 +220,7 @@ class Framing:
             return f"cut off: the file ends after {self.size_bytes} bytes, before its footer"
         opcode, length = RECORD.unpack(head)
         left = self.size_bytes - at - RECORD.size
-        if opcode not in _NAMES and opcode < _FIRST_PRIVATE:
+        if opcode not in NAMES and opcode < _FIRST_PRIVATE:
             return f"no record starts here: its type would be {opcode:#04x}"
         if length > left:
             return f"cut off or damaged: a record of {length} bytes starts here, {left} bytes are left"
@@ -279,25 +236,25 @@ class Framing:
 
     def _broken(self, stream: IO[bytes], at: int, head: bytes, fault: str) -> Iterator[Record]:
         """Note a fault; a chunk that does not end in the file is given as far as it goes."""
-        opcode, length = RECORD.unpack(head) if len(head) == RECORD.size else (None, 0)
+        opcode, length = RECORD.unpack(head) if len(head) == RECORD.size else (BREAK, 0)
         left = self.size_bytes - at - RECORD.size
         if opcode == Opcode.CHUNK and length > left and self.summary_start is None:
-            self.chunked = True
+            self._chunked = True
             yield Record(at, opcode, stream.read(min(left, _MOST_CUT_BYTES)), fault)
         else:
             self.damaged(at, fault)
+        if self.summary_start is None:
+            yield Record(at, BREAK, b"", fault)
 
     def _resume(self, stream: IO[bytes], at: int, search: RecordSearch) -> int | None:
         """Go to the next record that the index names, or else to the next one whose fields fit; None without any."""
         self._data_crc = self._summary_crc = None
-        if self.summary_start is None:
-            self.breaks.append(at)
         following = bisect.bisect_right(self.resume_at, at)
         if following < len(self.resume_at):
             return stream.seek(self.resume_at[following])
         if self.resume_at or self.summary_start is not None:
             return None
-        found = search.next_record(at + 1, chunked=self.chunked)
+        found = search.next_record(at + 1, chunked=self._chunked)
         return None if found is None else stream.seek(found)
 
     def _close(self, at: int, rest: bytes) -> None:
@@ -307,7 +264,7 @@ class Framing:
 
     def _check(self, record: Record) -> None:
         """Go on with the CRC of the section a record stands in, and compare it where the section ends."""
-        self.chunked |= record.opcode == Opcode.CHUNK
+        self._chunked |= record.opcode == Opcode.CHUNK
         if record.opcode == Opcode.DATA_END:
             self.summary_start = record.end
             self.sealed = bool(_crc_in(record))
@@ -333,7 +290,8 @@ class Framing:
         if len(self.damages) < _MOST_LISTED:
             self.damages.append(damage)
         else:
-            self.damages[-1] = with_more(self.damages[-1], damage)
+            number = self.damages[-1].number + 1
+            self.damages[-1] = replace(self.damages[-1], first_ns=None, last_ns=None, of_messages=True, number=number)
 
 
 def _crc_in(record: Record) -> int:

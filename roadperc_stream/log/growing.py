@@ -8,27 +8,13 @@ from pathlib import Path
 from threading import Lock
 
 from mcap.opcode import Opcode
+from mcap.records import ChunkIndex
 
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.chunks import unpacked
+from roadperc_stream.log.index import is_within, may_hold
 from roadperc_stream.log.layout import UNREADABLE, chunk_of, message_head, records_in
 from roadperc_stream.log.records import Channel, Message
-
-
-@dataclass(frozen=True)
-class WrittenChunk:
-    """Where a finished chunk stands in the file, and what it holds."""
-
-    start_byte: int
-    end_byte: int
-    first_ns: int
-    last_ns: int
-    topics: frozenset[str]
-
-    def may_hold(self, topics: Collection[str] | None, start_ns: int, end_ns: int | None) -> bool:
-        """Whether a message of these topics and times can be in it."""
-        in_time = self.last_ns >= start_ns and (end_ns is None or self.first_ns < end_ns)
-        return in_time and (topics is None or not self.topics.isdisjoint(topics))
 
 
 @dataclass
@@ -44,7 +30,7 @@ class GrowingLog:
     """Where the bytes stand now: the temporary name, then the final one."""
     _channels: dict[int, Channel]
     """Those registered so far, by their ids."""
-    _chunks: list[WrittenChunk] = field(default_factory=list)
+    _chunks: list[ChunkIndex] = field(default_factory=list)
     _open: list[Message] = field(default_factory=list)
     _reached_ns: int | None = None
     _complete: bool = False
@@ -65,11 +51,10 @@ class GrowingLog:
             self._open.append(message)
             self._reached_ns = max(message.log_time_ns, self._reached_ns or 0)
 
-    def add_chunk(self, start_byte: int, end_byte: int, span_ns: tuple[int, int], channel_ids: Iterable[int]) -> None:
-        """A chunk stands in the file now, between these bytes: the open one, or one that comes from elsewhere."""
+    def add_chunk(self, chunk: ChunkIndex) -> None:
+        """Take note of a chunk that is now in the file: the open one, or a copied one."""
         with self._lock:
-            topics = frozenset(self._channels[i].topic for i in channel_ids)
-            self._chunks.append(WrittenChunk(start_byte, end_byte, *span_ns, topics))
+            self._chunks.append(chunk)
             self._open.clear()
 
     def reach(self, log_time_ns: int) -> None:
@@ -82,7 +67,7 @@ class GrowingLog:
         with self._lock:
             temporary.replace(final)
             self.path, self._complete = final, True
-            self._reached_ns = max((chunk.last_ns for chunk in self._chunks), default=None)
+            self._reached_ns = max((chunk.message_end_time for chunk in self._chunks), default=None)
 
     def progress(self) -> tuple[int | None, bool]:
         """Log time reached, None before the first message; and whether the log is complete."""
@@ -97,15 +82,10 @@ class GrowingLog:
         Raises:
             LogError: the file cannot be read.
         """
-        with self._lock:
-            chunks, tail, reached_ns = tuple(self._chunks), tuple(self._open), self._reached_ns or 0
-        waiting = _Waiting()
-        for chunk in chunks:
-            if chunk.may_hold(topics, start_ns, end_ns):
-                yield from waiting.through(min(chunk.first_ns, reached_ns))
-                waiting.add(m for m in self._load(chunk) if _wanted(m, topics, start_ns, end_ns))
-        waiting.add(m for m in tail if _wanted(m, topics, start_ns, end_ns))
-        yield from waiting.through(reached_ns)
+        for message in self._found(topics, start_ns, end_ns):
+            if message is None:
+                return
+            yield message
 
     def follow(self, start_ns: int) -> Iterator[Message | None]:
         """All messages from a log time on; None where there is no more yet. It ends with the complete log.
@@ -113,45 +93,49 @@ class GrowingLog:
         Raises:
             LogError: the file cannot be read.
         """
+        return self._found(None, start_ns, None)
+
+    def _found(self, topics: Collection[str] | None, start_ns: int, end_ns: int | None) -> Iterator[Message | None]:
         waiting, chunk_index, taken = _Waiting(), 0, 0
+
+        def is_wanted(message: Message) -> bool:
+            in_time = is_within(message.log_time_ns, start_ns, end_ns)
+            return in_time and (topics is None or message.channel.topic in topics)
+
         while True:
             with self._lock:
                 chunk = self._chunks[chunk_index] if chunk_index < len(self._chunks) else None
                 tail = () if chunk else tuple(self._open[taken:])
                 complete, reached_ns = self._complete, self._reached_ns or 0
+                wanted = {i for i, channel in self._channels.items() if topics is None or channel.topic in topics}
             if chunk is not None:
-                yield from waiting.through(min(chunk.first_ns, reached_ns))
-                messages = self._load(chunk) if chunk.may_hold(None, start_ns, None) else iter(())
-                waiting.add(m for m in islice(messages, taken, None) if m.log_time_ns >= start_ns)
+                if may_hold(chunk, wanted, start_ns, end_ns):
+                    yield from waiting.through(min(chunk.message_start_time, reached_ns))
+                    waiting.add(filter(is_wanted, islice(self._load(chunk), taken, None)))
                 chunk_index, taken = chunk_index + 1, 0
                 continue
-            waiting.add(m for m in tail if m.log_time_ns >= start_ns)
+            waiting.add(filter(is_wanted, tail))
             taken += len(tail)
-            if waiting.holds(reached_ns):  # meanwhile there may be more
+            if waiting.holds(reached_ns):  # there may be more by then
                 yield from waiting.through(reached_ns)
             elif complete:
                 return
             else:
                 yield None
 
-    def _load(self, chunk: WrittenChunk) -> Iterator[Message]:
+    def _load(self, chunk: ChunkIndex) -> Iterator[Message]:
         try:
-            yield from self._messages(self._bytes(chunk))
+            with self._lock, self.path.open("rb") as stream:
+                stream.seek(chunk.chunk_start_offset)
+                data = stream.read(chunk.chunk_length)
+            for item in records_in(unpacked(chunk_of(data), check_crc=True).data):
+                if item.opcode == Opcode.MESSAGE:
+                    head = message_head(item.body)
+                    yield head.of(self._channels[head.channel_id], item.body)
         except OSError as error:
             raise LogError(f"{self.path}: {error.strerror or error}") from error
         except UNREADABLE as error:
             raise LogError(f"{self.path}: damaged MCAP: {error}") from error
-
-    def _bytes(self, chunk: WrittenChunk) -> bytes:
-        with self._lock, self.path.open("rb") as stream:
-            stream.seek(chunk.start_byte)
-            return stream.read(chunk.end_byte - chunk.start_byte)
-
-    def _messages(self, data: bytes) -> Iterator[Message]:
-        for item in records_in(unpacked(chunk_of(data), check_crc=True).data):
-            if item.opcode == Opcode.MESSAGE:
-                head = message_head(item.body)
-                yield head.of(self._channels[head.channel_id], item.body)
 
 
 class _Waiting:
@@ -174,8 +158,3 @@ class _Waiting:
         """Give those up to a log time, in its order."""
         while self.holds(log_time_ns):
             yield heapq.heappop(self._heap)[2]
-
-
-def _wanted(message: Message, topics: Collection[str] | None, start_ns: int, end_ns: int | None) -> bool:
-    in_time = message.log_time_ns >= start_ns and (end_ns is None or message.log_time_ns < end_ns)
-    return in_time and (topics is None or message.channel.topic in topics)

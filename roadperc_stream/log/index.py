@@ -3,39 +3,25 @@
 import heapq
 import os
 import struct
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
-from typing import IO, Final
+from typing import IO, Final, TypeVar
 
 from deflate import crc32
 from mcap import records
-from mcap.opcode import Opcode
-from mcap.reader import McapReader, make_reader
+from mcap.reader import make_reader
 from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex
 from mcap.records import Schema as McapSchema
 from mcap.summary import Summary
 
-from roadperc_stream.log.framing import Record
-from roadperc_stream.log.layout import CRC_BYTES, MAGIC, UNREADABLE, ChunkHead
+from roadperc_stream.log.layout import CRC_BYTES, MAGIC, UNREADABLE
 from roadperc_stream.log.records import Attachment, Channel, Metadata
 
 MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 """Messages held to put a log in order by its index; where it would take more it is sorted on disk."""
+T = TypeVar("T")
 _FOOTER: Final = struct.Struct("<BQQQI")
-_DATA_END: Final = struct.Struct("<BQI")
-_BLOCK_BYTES: Final = 1024 * 1024
-
-
-def usable_index(reader: McapReader) -> Summary | None:
-    """The log's index, where it names every chunk, channel and schema its messages use."""
-    index = reader.get_summary()
-    if index is None or index.statistics is None or not index.chunk_indexes:
-        return None
-    used = [index.channels.get(i) for i in index.statistics.channel_message_counts]
-    known = all(channel is not None and channel.schema_id in {0, *index.schemas} for channel in used)
-    whole = index.statistics.chunk_count == len(index.chunk_indexes)
-    return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
 
 
 def most_at_once(spans: Iterable[tuple[int, int, int]]) -> int:
@@ -54,6 +40,23 @@ def most_at_once(spans: Iterable[tuple[int, int, int]]) -> int:
     return most
 
 
+def held_bytes(chunks: Iterable[ChunkIndex]) -> int:
+    """The most that reading chunks in the order of log time holds in memory."""
+    return most_at_once((chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size) for chunk in chunks)
+
+
+def may_hold(chunk: ChunkIndex, wanted: Collection[int], start_ns: int | None, end_ns: int | None) -> bool:
+    """Whether a message of these channels and times can be in a chunk; one without message indexes may hold any."""
+    in_time = chunk.message_end_time >= (start_ns or 0) and (end_ns is None or chunk.message_start_time < end_ns)
+    channels = chunk.message_index_offsets.keys()
+    return in_time and (not channels or not channels.isdisjoint(wanted))
+
+
+def is_within(log_time_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
+    """Whether a log time lies in a range; None is no limit."""
+    return (start_ns is None or log_time_ns >= start_ns) and (end_ns is None or log_time_ns < end_ns)
+
+
 def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
     """A channel with its schema, free of the library."""
     return Channel(
@@ -67,65 +70,36 @@ def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
     )
 
 
-def span_ns_of(entry: ChunkIndex | None, head: ChunkHead | None) -> tuple[int, int] | None:
-    """First and last log time of a chunk, by the index, else by itself."""
-    if entry is not None:
-        return entry.message_start_time, entry.message_end_time
-    return (head.first_ns, head.last_ns) if head is not None and head.first_ns <= head.last_ns else None
-
-
-def end_of(record: Record, entry: ChunkIndex | None, head: ChunkHead | None) -> int:
-    """The byte behind a chunk, by the index, else by the one of its lengths that makes sense."""
-    if entry is not None:
-        return entry.chunk_start_offset + entry.chunk_length
-    return record.start + head.record_bytes if record.fault and head is not None else record.end
-
-
-def places_of(index: Summary, data_end: int | None) -> tuple[int, ...]:
-    """Where reading can go on behind a break, by the index: chunks, what lies beside them, the data section's end."""
+def places_of(index: Summary) -> tuple[int, ...]:
+    """Where reading can go on behind a break, by the index: chunks and what stands beside them."""
     places = {chunk.chunk_start_offset for chunk in index.chunk_indexes}
     places |= {attachment.offset for attachment in index.attachment_indexes}
     places |= {metadata.offset for metadata in index.metadata_indexes}
-    return tuple(sorted(places if data_end is None else {*places, data_end}))
+    return tuple(sorted(places))
 
 
 def index_of(stream: IO[bytes]) -> Summary | None:
-    """The index, where there is one that can be used; None where the file's end is missing or makes no sense."""
+    """The index, where its CRC fits and it names every chunk, channel and schema that the messages use."""
     stream.seek(0)
     try:
-        return usable_index(make_reader(stream))
+        index = make_reader(stream).get_summary()
+        if index is None or index.statistics is None or not index.chunk_indexes or not _summary_fits(stream):
+            return None
     except (OSError, *UNREADABLE):  # a seek before the start is an OSError; one of the disk comes again in reading
         return None
+    used = [index.channels.get(i) for i in index.statistics.channel_message_counts]
+    known = all(channel is not None and channel.schema_id in {0, *index.schemas} for channel in used)
+    whole = index.statistics.chunk_count == len(index.chunk_indexes)
+    return index if known and whole and index.statistics.channel_count <= len(index.channels) else None
 
 
-def data_end_of(stream: IO[bytes]) -> int | None:
-    """The byte where the data section's last record starts, by the footer; None where no such record does."""
-    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
-    opcode, _, summary_start, _, _ = _unpack(stream, _FOOTER, footer_start)
-    data_end = (summary_start or footer_start) - _DATA_END.size
-    is_data_end = opcode == Opcode.FOOTER and _unpack(stream, _DATA_END, data_end)[0] == Opcode.DATA_END
-    return data_end if is_data_end else None
-
-
-def summary_fits(stream: IO[bytes]) -> bool:
-    """Whether the summary's bytes are those that were written, as far as a CRC says so."""
-    footer_start = stream.seek(0, os.SEEK_END) - len(MAGIC) - _FOOTER.size
-    opcode, _, summary_start, _, expected = _unpack(stream, _FOOTER, footer_start)
-    if opcode != Opcode.FOOTER or not expected or not summary_start:
-        return True
-    if summary_start >= footer_start:
-        return False
-    crc, left = 0, footer_start + _FOOTER.size - CRC_BYTES - stream.seek(summary_start)
-    while left > 0 and (block := stream.read(min(left, _BLOCK_BYTES))):
-        crc, left = crc32(block, crc), left - len(block)
-    return crc == expected
-
-
-def _unpack(stream: IO[bytes], record: struct.Struct, start: int) -> tuple[int, ...]:
-    """The fields of a record; zeros where the file has none there."""
-    stream.seek(max(start, 0))
-    content = stream.read(record.size) if start >= 0 else b""
-    return record.unpack(content.ljust(record.size, b"\0"))
+def _summary_fits(stream: IO[bytes]) -> bool:
+    """Whether the CRC of the summary fits; true without a CRC."""
+    footer_start = stream.seek(-len(MAGIC) - _FOOTER.size, os.SEEK_END)
+    _, _, summary_start, _, expected = _FOOTER.unpack(stream.read(_FOOTER.size))
+    stream.seek(summary_start)
+    summary = stream.read(footer_start + _FOOTER.size - CRC_BYTES - summary_start)
+    return not expected or crc32(summary) == expected
 
 
 @dataclass
@@ -140,16 +114,15 @@ class Described:
     attachments: list[Attachment] = field(default_factory=list)
     metadata: list[Metadata] = field(default_factory=list)
     _schemas: dict[int, records.Schema] = field(default_factory=dict)
-    _unsettled: set[int] = field(default_factory=set)
-    """Channels that only the index has described yet; so of schemas."""
-    _unsettled_schemas: set[int] = field(default_factory=set)
+    _unsettled: set[tuple[str, int]] = field(default_factory=set)
+    """Schemas and channels that only the index has described yet."""
 
     def add_index(self, index: Summary) -> None:
         """Know what the index describes, for messages whose own description is lost."""
         self._schemas |= index.schemas
         for channel in index.channels.values():
             self.channels[channel.id] = channel_of(channel, self._schemas.get(channel.schema_id))
-        self._unsettled_schemas, self._unsettled = set(self._schemas), set(self.channels)
+        self._unsettled = {("schema", i) for i in self._schemas} | {("channel", i) for i in self.channels}
 
     def add(self, item: records.McapRecord, *, in_data: bool) -> None:
         """Take note of a record; of any other kind there is nothing to note.
@@ -161,28 +134,22 @@ class Described:
             case records.Header():
                 self.profile, self.library = item.profile, item.library
             case records.Schema():
-                self._add_schema(item, in_data=in_data)
+                self._keep(self._schemas, item.id, item, "schema", in_data=in_data)
             case records.Channel():
-                self._add_channel(item, in_data=in_data)
+                if item.schema_id and item.schema_id not in self._schemas:
+                    raise ValueError(f"channel {item.id} has schema {item.schema_id}, which nothing describes")
+                channel = channel_of(item, self._schemas.get(item.schema_id))
+                self._keep(self.channels, item.id, channel, "channel", in_data=in_data)
             case records.Attachment():
                 attachment = Attachment(item.name, item.media_type, item.data, item.log_time, item.create_time)
                 self.attachments.append(attachment)
             case records.Metadata():
                 self.metadata.append(Metadata(item.name, tuple(sorted(item.metadata.items()))))
 
-    def _add_schema(self, schema: records.Schema, *, in_data: bool) -> None:
-        if in_data and schema.id in self._unsettled_schemas:
-            self._unsettled_schemas.discard(schema.id)
-            self._schemas[schema.id] = schema
-        if self._schemas.setdefault(schema.id, schema) != schema:
-            raise ValueError(f"schema {schema.id} is described twice, differently")
-
-    def _add_channel(self, channel: records.Channel, *, in_data: bool) -> None:
-        if channel.schema_id and channel.schema_id not in self._schemas:
-            raise ValueError(f"channel {channel.id} has schema {channel.schema_id}, which nothing describes")
-        found = channel_of(channel, self._schemas.get(channel.schema_id))
-        if in_data and channel.id in self._unsettled:
-            self._unsettled.discard(channel.id)
-            self.channels[channel.id] = found
-        if self.channels.setdefault(channel.id, found) != found:
-            raise ValueError(f"channel {channel.id} is described twice, differently")
+    def _keep(self, known: dict[int, T], number: int, item: T, kind: str, *, in_data: bool) -> None:
+        """Know a schema or a channel; the data's own takes the place of the index's."""
+        if in_data and (kind, number) in self._unsettled:
+            self._unsettled.discard((kind, number))
+            known[number] = item
+        if known.setdefault(number, item) != item:
+            raise ValueError(f"{kind} {number} is described twice, differently")

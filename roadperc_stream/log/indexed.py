@@ -1,6 +1,6 @@
 """A log that is read by its index, chunk by chunk, in the order of log time.
 
-The library's reader copies every byte three times and reads the index anew for each pass. Layout:
+The library's reader copies every byte three times and reads the index again for each pass. Layout:
 https://mcap.dev/spec.
 """
 
@@ -8,6 +8,7 @@ import heapq
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import accumulate, chain, groupby, pairwise
 from pathlib import Path
 from typing import IO, Final
@@ -20,9 +21,9 @@ from mcap.records import ChunkIndex, McapRecord
 from mcap.summary import Summary
 
 from roadperc_stream.config import LimitsConfig
-from roadperc_stream.log.audit import opened
+from roadperc_stream.log.audit import in_file_order, opened
 from roadperc_stream.log.chunks import Unpacked, unpacked
-from roadperc_stream.log.index import channel_of, most_at_once
+from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold
 from roadperc_stream.log.layout import (
     UNREADABLE,
     ChunkHead,
@@ -35,38 +36,13 @@ from roadperc_stream.log.layout import (
 )
 from roadperc_stream.log.mcap_file import ChunkRecords, Piece
 from roadperc_stream.log.records import Channel, Message
+from roadperc_stream.log.sorting import SortedMessages
 
 _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
-"""Of the data of a chunk that is copied as it is: who reads the copy holds it beside the results of its time."""
+"""Of the data of a chunk that is copied as it is: a reader of the copy holds it beside the results of its time."""
 _NEVER_NS: Final = 2**64
 IndexEntry = tuple[int, int, int]
 """Channel and log time of a message, and its place in the chunk's data."""
-
-
-@dataclass(frozen=True, slots=True)
-class IndexedChunk:
-    """Where a chunk stands, and what it holds, as the index says."""
-
-    start: int
-    length: int
-    """Of its record."""
-    index_length: int
-    """Of its message indexes, which follow it."""
-    first_ns: int
-    last_ns: int
-    size_bytes: int
-    channels: frozenset[int]
-    """Those with messages in it; empty where it has no message indexes."""
-
-    def lies_in(self, channels: frozenset[int], start_ns: int | None, end_ns: int | None) -> bool:
-        """Whether all its messages are of these channels and times, and it is none too large to be held as it is."""
-        in_time = (start_ns is None or self.first_ns >= start_ns) and (end_ns is None or self.last_ns < end_ns)
-        return in_time and bool(self.channels) and self.channels <= channels and self.size_bytes <= _MOST_WHOLE_BYTES
-
-    def may_hold(self, wanted: Collection[int], start_ns: int, end_ns: int | None) -> bool:
-        """Whether a message of these channels and times can be in it."""
-        in_time = self.last_ns >= start_ns and (end_ns is None or self.first_ns < end_ns)
-        return in_time and (not self.channels or not self.channels.isdisjoint(wanted))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +59,10 @@ class ChunkContents:
 
 @dataclass(frozen=True)
 class IndexedFile:
-    """A log that is read by its index. What was said of its chunks and bytes was checked before."""
+    """A log that is read by its index where that takes little memory, and is put in order on disk for the rest.
+
+    What was said of its chunks and bytes was checked before.
+    """
 
     path: Path
     check_chunks: bool
@@ -91,8 +70,10 @@ class IndexedFile:
     limits: LimitsConfig
     channels: Mapping[int, Channel]
     """By ``Channel.source_id``."""
-    chunks: tuple[IndexedChunk, ...]
+    chunks: tuple[ChunkIndex, ...]
     """In the order of the file."""
+    in_order: SortedMessages
+    """All of it, where the index would take too much memory."""
     _descriptions: Mapping[tuple[int, int], McapRecord]
     """The index's channels and schemas, by opcode and id."""
     _seen: dict[int, ChunkContents] = field(default_factory=dict, compare=False, repr=False)
@@ -102,12 +83,11 @@ class IndexedFile:
     def of(cls, path: Path, index: Summary, limits: LimitsConfig, *, check_chunks: bool) -> "IndexedFile":
         """A log with its index."""
         known = {number: channel_of(c, index.schemas.get(c.schema_id)) for number, c in sorted(index.channels.items())}
-        groups: dict[frozenset[int], frozenset[int]] = {}
-        ordered = sorted(index.chunk_indexes, key=lambda entry: entry.chunk_start_offset)
-        chunks = tuple(_indexed(entry, groups) for entry in ordered)
+        chunks = tuple(sorted(index.chunk_indexes, key=_start))
         descriptions: dict[tuple[int, int], McapRecord] = {(Opcode.SCHEMA, i): s for i, s in index.schemas.items()}
         descriptions |= {(Opcode.CHANNEL, i): channel for i, channel in index.channels.items()}
-        return cls(path, check_chunks, limits, known, chunks, descriptions)
+        in_order = SortedMessages(str(path), partial(in_file_order, path, limits))
+        return cls(path, check_chunks, limits, known, chunks, in_order, descriptions)
 
     @property
     def schema_ids(self) -> dict[int, int]:
@@ -117,38 +97,43 @@ class IndexedFile:
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """As ``reading.read``."""
-        wanted = self._wanted(topics)
+        wanted = frozenset(i for i, channel in self.channels.items() if topics is None or channel.topic in topics)
+        chunks = self._holding(wanted, start_ns, end_ns)
+        if held_bytes(chunks) > MOST_HELD_BYTES:
+            yield from self.in_order.messages(topics, start_ns, end_ns)
+            return
         with opened(self.path, self.limits) as stream:
-            yield from self._in_order(stream, self._holding(wanted, start_ns, end_ns), wanted, start_ns, end_ns)
+            yield from self._in_order(stream, chunks, wanted, start_ns, end_ns)
 
     def pieces(self, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> Iterator[Piece]:
-        """The messages of some channels, whole chunks where they hold nothing else and nobody need look inside.
+        """The messages of some channels; whole chunks where these hold nothing else and are tidy.
 
         Args:
             kept: ids of the channels.
             start_ns: first log time read.
             end_ns: first log time no longer read.
         """
-        chunks = list(self._holding(kept, start_ns, end_ns))
+        chunks = self._holding(kept, start_ns, end_ns)
+        if held_bytes(chunks) > MOST_HELD_BYTES:
+            messages = self.in_order.messages({self.channels[i].topic for i in kept}, start_ns, end_ns)
+            yield from (message for message in messages if message.channel.source_id in kept)
+            return
         with opened(self.path, self.limits) as stream:
-            whole = {chunk.start for chunk in apart(chunks) if chunk.lies_in(kept, start_ns, end_ns)}
-            for is_whole, group in groupby(chunks, key=lambda chunk: chunk.start in whole):
+            whole = {_start(chunk) for chunk in apart(chunks) if _lies_in(chunk, kept, start_ns, end_ns)}
+            for is_whole, group in groupby(chunks, key=lambda chunk: _start(chunk) in whole):
                 if is_whole:
                     yield from chain.from_iterable(self._as_is(stream, chunk, kept) for chunk in group)
                 else:
                     yield from self._in_order(stream, group, kept, start_ns, end_ns)
 
-    def _as_is(self, stream: IO[bytes], chunk: IndexedChunk, kept: frozenset[int]) -> Iterator[Piece]:
-        """A chunk as it stands in the file, or its messages where it is not tidy."""
-        if chunk.start not in self._seen:
+    def _as_is(self, stream: IO[bytes], chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
+        """A chunk as it is in the file, or its messages where it is not tidy."""
+        if _start(chunk) not in self._seen:
             deque(self._bodies(stream, chunk), maxlen=0)
-        contents = self._seen[chunk.start]
+        contents = self._seen[_start(chunk)]
         if contents.is_tidy and contents.described <= self._known_by(kept):
-            indexes_at = chunk.start + chunk.length
-            found = ChunkRecords(
-                _read(stream, chunk.start, chunk.length), _read(stream, indexes_at, chunk.index_length)
-            )
-            yield found if found.crc else found.with_crc(contents.crc)
+            found = ChunkRecords(_record(stream, chunk), _indexes(stream, chunk))
+            yield found if found.head.crc else found.with_crc(contents.crc)
         else:
             yield from self._in_order(stream, [chunk], kept, None, None)
 
@@ -158,64 +143,59 @@ class IndexedFile:
         schemas = {(int(Opcode.SCHEMA), ids[i]) for i in kept}
         return frozenset(schemas | {(int(Opcode.CHANNEL), i) for i in kept})
 
-    def held_bytes(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> int:
-        """The most that is held in memory when these are read: chunks that overlap in time."""
-        chunks = self._holding(self._wanted(topics), start_ns, end_ns)
-        return most_at_once((chunk.first_ns, chunk.last_ns, chunk.size_bytes) for chunk in chunks)
+    def held_bytes(self) -> int:
+        """The most that reading all of it by the index holds in memory."""
+        return held_bytes(self.chunks)
 
-    def _wanted(self, topics: Collection[str] | None) -> frozenset[int]:
-        return frozenset(i for i, channel in self.channels.items() if topics is None or channel.topic in topics)
-
-    def _holding(self, wanted: Collection[int], start_ns: int | None, end_ns: int | None) -> Iterator[IndexedChunk]:
-        return (chunk for chunk in self.chunks if chunk.may_hold(wanted, start_ns or 0, end_ns))
+    def _holding(self, wanted: Collection[int], start_ns: int | None, end_ns: int | None) -> list[ChunkIndex]:
+        return [chunk for chunk in self.chunks if may_hold(chunk, wanted, start_ns, end_ns)]
 
     def _in_order(
         self,
         stream: IO[bytes],
-        chunks: Iterable[IndexedChunk],
+        chunks: Iterable[ChunkIndex],
         wanted: Collection[int],
         start_ns: int | None,
         end_ns: int | None,
     ) -> Iterator[Message]:
         """The messages of chunks by log time, those of equal time in the order of the file."""
-        coming = sorted(chunks, key=lambda chunk: (chunk.first_ns, chunk.start), reverse=True)
-        waiting: list[tuple[int, int, int, memoryview]] = []
+        coming = sorted(chunks, key=_place, reverse=True)
+        waiting: list[tuple[int, int, int, bytes | memoryview]] = []
         while coming or waiting:
-            if coming and (not waiting or (coming[-1].first_ns, coming[-1].start) < waiting[0][:2]):
+            if coming and (not waiting or _place(coming[-1]) < waiting[0][:2]):
                 chunk = coming.pop()
                 for number, body in enumerate(self._bodies(stream, chunk)):
                     head = message_head(body)
                     if head.channel_id not in self.channels:
                         raise McapError(f"no channel record found with id {head.channel_id}")
-                    if head.channel_id in wanted and _is_within(head.log_time_ns, start_ns, end_ns):
-                        heapq.heappush(waiting, (head.log_time_ns, chunk.start, number, body))
+                    if head.channel_id in wanted and is_within(head.log_time_ns, start_ns, end_ns):
+                        heapq.heappush(waiting, (head.log_time_ns, _start(chunk), number, body))
             else:
                 body = heapq.heappop(waiting)[3]
                 head = message_head(body)
                 yield head.of(self.channels[head.channel_id], body)
 
-    def _bodies(self, stream: IO[bytes], chunk: IndexedChunk) -> Iterator[memoryview]:
-        """The message records of a chunk; what else stands in it is skipped."""
-        head = chunk_of(_read(stream, chunk.start, chunk.length))
+    def _bodies(self, stream: IO[bytes], chunk: ChunkIndex) -> Iterator[bytes | memoryview]:
+        """The message records of a chunk; other records are skipped."""
+        head = chunk_of(_record(stream, chunk))
         found = unpacked(head, check_crc=self.check_chunks)
-        others, entries = list[tuple[int, memoryview]](), list[IndexEntry]()
+        others, entries = list[tuple[int, bytes | memoryview]](), list[IndexEntry]()
         for item in records_in(found.data):
             if item.opcode == Opcode.MESSAGE:
                 message = message_head(item.body)
-                entries.append((message.channel_id, message.log_time_ns, item.offset))
+                entries.append((message.channel_id, message.log_time_ns, item.start))
                 yield item.body
             else:
                 others.append((item.opcode, item.body))
-        if chunk.start not in self._seen:
-            indexes = _read(stream, chunk.start + chunk.length, chunk.index_length)
-            is_indexed = _in_order_and_indexed(entries, message_indexes(indexes))
+        if _start(chunk) not in self._seen:
+            is_indexed = _in_order_and_indexed(entries, message_indexes(_indexes(stream, chunk)))
             times = [time_ns for _, time_ns, _ in entries]
             span_ns = (min(times), max(times)) if times else None
             is_tidy = is_indexed and span_ns == (head.first_ns, head.last_ns)
-            self._seen[chunk.start] = self._contents(head, found, others, is_tidy=is_tidy)
+            self._seen[_start(chunk)] = self._contents(head, found, others, is_tidy=is_tidy)
 
     def _contents(
-        self, head: ChunkHead, found: Unpacked, others: Sequence[tuple[int, memoryview]], *, is_tidy: bool
+        self, head: ChunkHead, found: Unpacked, others: Sequence[tuple[int, bytes | memoryview]], *, is_tidy: bool
     ) -> ChunkContents:
         """What there is to know of a chunk, from its data, the records besides messages, and whether those are tidy."""
         crc, described = crc32(found.data), [(opcode, int.from_bytes(body[:2], "little")) for opcode, body in others]
@@ -223,7 +203,7 @@ class IndexedFile:
         is_as_said = found.is_plain and head.crc in {0, crc}
         return ChunkContents(crc, is_tidy and is_known and is_as_said, frozenset(described))
 
-    def _describes(self, key: tuple[int, int], body: memoryview) -> bool:
+    def _describes(self, key: tuple[int, int], body: bytes | memoryview) -> bool:
         """Whether a record of a chunk is a channel or a schema of the index."""
         known = self._descriptions.get(key)
         try:
@@ -232,18 +212,35 @@ class IndexedFile:
             return False
 
 
-def apart(chunks: Sequence[IndexedChunk]) -> Iterator[IndexedChunk]:
+def _lies_in(chunk: ChunkIndex, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> bool:
+    """Whether all messages of a chunk are of these channels and times, and it is small enough to be held as it is."""
+    ends_ns = chunk.message_start_time, chunk.message_end_time
+    in_time = all(is_within(log_time_ns, start_ns, end_ns) for log_time_ns in ends_ns)
+    channels = chunk.message_index_offsets.keys()
+    return in_time and bool(channels) and channels <= kept and chunk.uncompressed_size <= _MOST_WHOLE_BYTES
+
+
+def apart(chunks: Sequence[ChunkIndex]) -> Iterator[ChunkIndex]:
     """The chunks before which all others in front end, and behind whose end all others behind begin.
 
     Args:
         chunks: in the order of the file.
     """
-    behind = accumulate((chunk.first_ns for chunk in reversed(chunks[1:])), min, initial=_NEVER_NS)
+    behind = accumulate((chunk.message_start_time for chunk in reversed(chunks[1:])), min, initial=_NEVER_NS)
     latest_ns = 0
     for chunk, next_ns in zip(chunks, reversed(list(behind)), strict=False):
-        if latest_ns <= chunk.first_ns and chunk.last_ns <= next_ns:
+        if latest_ns <= chunk.message_start_time and chunk.message_end_time <= next_ns:
             yield chunk
-        latest_ns = max(latest_ns, chunk.last_ns)
+        latest_ns = max(latest_ns, chunk.message_end_time)
+
+
+def _start(chunk: ChunkIndex) -> int:
+    return chunk.chunk_start_offset
+
+
+def _place(chunk: ChunkIndex) -> tuple[int, int]:
+    """In the order of reading."""
+    return chunk.message_start_time, chunk.chunk_start_offset
 
 
 def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: Sequence[MessageIndex]) -> bool:
@@ -252,6 +249,14 @@ def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: Sequence[Messa
     channels = [index.channel_id for index in indexes]
     said = sorted((index.channel_id, *entry) for index in indexes for entry in index.entries)
     return in_order and len(channels) == len(set(channels)) and sorted(entries) == said
+
+
+def _record(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
+    return _read(stream, chunk.chunk_start_offset, chunk.chunk_length)
+
+
+def _indexes(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
+    return _read(stream, chunk.chunk_start_offset + chunk.chunk_length, chunk.message_index_length)
 
 
 def _read(stream: IO[bytes], start: int, length: int) -> bytes:
@@ -265,21 +270,3 @@ def _read(stream: IO[bytes], start: int, length: int) -> bytes:
     if len(data) < length:
         raise McapError(f"{length} bytes expected at byte {start}, {len(data)} are left")
     return data
-
-
-def _indexed(entry: ChunkIndex, groups: dict[frozenset[int], frozenset[int]]) -> IndexedChunk:
-    """A chunk by its entry; of equal sets of channels, which most chunks have, one is kept in ``groups``."""
-    channels = frozenset(entry.message_index_offsets)
-    return IndexedChunk(
-        entry.chunk_start_offset,
-        entry.chunk_length,
-        entry.message_index_length,
-        entry.message_start_time,
-        entry.message_end_time,
-        entry.uncompressed_size,
-        groups.setdefault(channels, channels),
-    )
-
-
-def _is_within(log_time_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
-    return (start_ns is None or log_time_ns >= start_ns) and (end_ns is None or log_time_ns < end_ns)

@@ -1,4 +1,4 @@
-"""What stands in a file against what its index and statistics say, and which messages a damaged log lost.
+"""Compares a file with its index and statistics, and finds which messages a damaged log lost.
 
 Messages that fell out leave no other trace. Message indexes, spans of chunks, or what comes next tell what was lost.
 """
@@ -14,47 +14,11 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from roadperc_stream.log.damage import Damage
-from roadperc_stream.log.framing import Record
-from roadperc_stream.log.layout import RECORD, ChunkHead, message_index
+from roadperc_stream.log.layout import RECORD, ChunkHead, Record, entry_of, message_index
 
 Positions = dict[int, list[tuple[int, int]]]
 """Log time and offset in its chunk of each message, by channel."""
 _MOST_INDEX_BYTES: Final = 64 * 1024 * 1024
-
-
-@dataclass
-class ChunkPlace:
-    """A chunk of the file, and the message indexes behind it."""
-
-    start: int
-    length: int
-    first_ns: int
-    last_ns: int
-    compression: str
-    stored_bytes: int
-    size_bytes: int
-    positions: Positions | None = None
-    """None where nobody looked inside."""
-    index_offsets: dict[int, int] = field(default_factory=dict)
-    """Where the message index of each channel starts."""
-    index_bytes: int = 0
-
-    @classmethod
-    def of(cls, record: Record, head: ChunkHead, positions: Positions | None) -> "ChunkPlace":
-        """The place of a chunk that was read."""
-        length, stored = record.end - record.start, head.stored_bytes
-        times, sizes = (head.first_ns, head.last_ns), (stored, head.size_bytes)
-        return cls(record.start, length, *times, head.compression, *sizes, positions)
-
-    def agrees(self, entry: records.ChunkIndex) -> bool:
-        """Whether an entry of the index describes this chunk."""
-        return (
-            (entry.chunk_start_offset, entry.chunk_length) == (self.start, self.length)
-            and (entry.message_start_time, entry.message_end_time) == (self.first_ns, self.last_ns)
-            and (entry.compressed_size, entry.uncompressed_size) == (self.stored_bytes, self.size_bytes)
-            and (entry.compression, entry.message_index_length) == (self.compression, self.index_bytes)
-            and entry.message_index_offsets == self.index_offsets
-        )
 
 
 @dataclass
@@ -68,8 +32,8 @@ class Inventory:
     behind_ns: int = -1
     """By how much messages stand in the file behind ones of a later log time, at most; -1 where not even equal times
     follow one another."""
-    chunks: dict[int, ChunkPlace] = field(default_factory=dict)
-    """By their first byte."""
+    chunks: dict[int, records.ChunkIndex] = field(default_factory=dict)
+    """What the index should say of them, by their first byte."""
     entries: list[tuple[int, records.ChunkIndex]] = field(default_factory=list)
     """The index's entries of chunks, with the byte each starts at."""
     attachments: list[int] = field(default_factory=list)
@@ -79,7 +43,10 @@ class Inventory:
     statistics: tuple[int, records.Statistics] | None = None
     conclusive: bool = True
     _footer: tuple[int, records.Footer] | None = None
-    _open: ChunkPlace | None = None
+    _open: records.ChunkIndex | None = None
+    """The chunk whose message indexes come next."""
+    _positions: Positions | None = None
+    """Its messages; None if the chunk was not opened."""
     _lost: bool = False
     _with_index: bool | None = None
 
@@ -116,11 +83,18 @@ class Inventory:
     @property
     def span_ns(self) -> tuple[int | None, int | None]:
         """First and last log time of the chunk whose message indexes are being read; None outside."""
-        return (None, None) if self._open is None else (self._open.first_ns, self._open.last_ns)
+        return (None, None) if self._open is None else _span_ns(self._open)
 
-    def add_chunk(self, chunk: ChunkPlace) -> None:
-        """Take note of a chunk that was read whole; its message indexes come next."""
-        self.chunks[chunk.start] = self._open = chunk
+    def add_chunk(self, record: Record, head: ChunkHead, positions: Positions | None) -> None:
+        """Take note of a chunk that was read whole, whose message indexes come next.
+
+        Args:
+            record: of the file.
+            head: its fields.
+            positions: of its messages; None if the chunk was not opened.
+        """
+        self._open, self._positions = entry_of(head, record.start, record.end - record.start), positions
+        self.chunks[record.start] = self._open
 
     def add_message_index(self, record: Record) -> None:
         """Compare a message index with its chunk; those of a chunk that was not read whole say nothing.
@@ -135,15 +109,16 @@ class Inventory:
             if not self._lost:
                 raise ValueError("no chunk stands before it")
             return
-        chunk.index_offsets[channel_id] = record.start
-        chunk.index_bytes += record.end - record.start
-        if chunk.positions is not None:
-            if sorted(found) != sorted(chunk.positions.get(channel_id, ())):
+        chunk.message_index_offsets[channel_id] = record.start
+        chunk.message_index_length += record.end - record.start
+        if self._positions is not None:
+            if sorted(found) != sorted(self._positions.get(channel_id, ())):
                 raise ValueError(f"names other messages of channel {channel_id} than the chunk before it holds")
             return
         for time_ns, _ in found:
             self.add_message(channel_id, time_ns)
-        if not all(chunk.first_ns <= time_ns <= chunk.last_ns for time_ns, _ in found):
+        first_ns, last_ns = _span_ns(chunk)
+        if not all(first_ns <= time_ns <= last_ns for time_ns, _ in found):
             raise ValueError("has log times outside the span of the chunk before it")
 
     def lose_chunk(self) -> None:
@@ -152,20 +127,18 @@ class Inventory:
 
     def close_chunk(self) -> Damage | None:
         """All message indexes of the last chunk were read: says whether one is missing."""
-        chunk, self._open, self._lost = self._open, None, False
+        chunk, positions, self._open, self._positions, self._lost = self._open, self._positions, None, None, False
         if chunk is None:
             return None
-        missing = set(chunk.positions or ()) - set(chunk.index_offsets)
-        indexed = bool(chunk.index_offsets)
-        self.conclusive &= indexed or chunk.positions is not None
-        holds_messages = indexed or bool(chunk.positions)
-        partly = indexed and bool(missing)
+        missing = set(positions or ()) - set(chunk.message_index_offsets)
+        indexed = bool(chunk.message_index_offsets)
+        self.conclusive &= indexed or positions is not None
+        holds_messages = indexed or bool(positions)
         if holds_messages and self._with_index is None:
             self._with_index = indexed
-        chunk.positions = None
-        if partly or (holds_messages and indexed != self._with_index):
+        if (indexed and missing) or (holds_messages and indexed != self._with_index):
             words = "messages of the chunk here are missing in the message indexes behind it"
-            return Damage(chunk.start, words, chunk.first_ns, chunk.last_ns)
+            return Damage(chunk.chunk_start_offset, words, *_span_ns(chunk))
         return None
 
     def discrepancies(self, summary_start: int | None) -> Iterator[Damage]:
@@ -192,17 +165,18 @@ class Inventory:
         """An index that names no chunk at all is not used."""
         named = Counter(entry.chunk_start_offset for _, entry in self.entries)
         for byte, entry in self.entries:
-            chunk = self.chunks.get(entry.chunk_start_offset)
+            start = entry.chunk_start_offset
+            chunk = self.chunks.get(start)
             if chunk is None:
-                yield Damage(byte, f"the index names a chunk at byte {entry.chunk_start_offset}, where none starts")
-            elif not chunk.agrees(entry):
-                words = f"the index says something else of the chunk at byte {chunk.start} than stands there"
-                yield Damage(byte, words, chunk.first_ns, chunk.last_ns)
-            elif named[chunk.start] > 1:
-                yield Damage(byte, f"the index names the chunk at byte {chunk.start} more than once")
-        for chunk in self.chunks.values():
-            if self.entries and not named[chunk.start]:
-                yield Damage(chunk.start, "the index does not name the chunk here", chunk.first_ns, chunk.last_ns)
+                yield Damage(byte, f"the index names a chunk at byte {start}, where none starts")
+            elif chunk != entry:
+                words = f"the index says something else of the chunk at byte {start} than stands there"
+                yield Damage(byte, words, *_span_ns(chunk))
+            elif named[start] > 1:
+                yield Damage(byte, f"the index names the chunk at byte {start} more than once")
+        for start, chunk in self.chunks.items():
+            if self.entries and not named[start]:
+                yield Damage(start, "the index does not name the chunk here", *_span_ns(chunk))
 
     def _statistics_discrepancies(self, byte: int, said: records.Statistics) -> Iterator[Damage]:
         found = self.counts.total()
@@ -226,11 +200,15 @@ class Inventory:
                 yield Damage(byte, f"{number} {what} found, the statistics count {counted}")
 
 
+def _span_ns(chunk: records.ChunkIndex) -> tuple[int, int]:
+    return chunk.message_start_time, chunk.message_end_time
+
+
 @dataclass(frozen=True)
 class Gap:
-    """Log times between which messages were lost, both included; None where nothing says so.
+    """Log times between which messages were lost, both included; None if unknown.
 
-    ``messages`` are those lost by channel, empty where nothing says so.
+    ``messages`` are those lost by channel, empty if unknown.
     """
 
     first_ns: int | None
@@ -290,7 +268,8 @@ class Losses:
     """Messages of channels that nothing describes, by channel."""
     _undescribed_ns: tuple[int, int] | None = None
     """Their first and last log time."""
-    _is_open: bool = False
+    is_open: bool = False
+    """Whether the end of the last gap is not known yet."""
 
     @property
     def all(self) -> tuple[Gap, ...]:
@@ -305,9 +284,9 @@ class Losses:
 
     def add(self, gap: Gap, *, is_open: bool) -> None:
         """Take note of a gap; an open one ends where the next message is."""
-        first_ns = self.gaps.pop().first_ns if self._is_open else gap.first_ns  # open: no message came since
+        first_ns = self.gaps.pop().first_ns if self.is_open else gap.first_ns  # open: no message came since
         self.gaps.append(Gap(first_ns, None if is_open else gap.last_ns, gap.messages))
-        self._is_open = is_open
+        self.is_open = is_open
 
     def settle(self, last_ns: int) -> bool:
         """A message was read, which what an open gap lost is no later than.
@@ -315,7 +294,7 @@ class Losses:
         Returns:
             Whether there was one.
         """
-        was_open, self._is_open = self._is_open, False
+        was_open, self.is_open = self.is_open, False
         if was_open:
             first_ns = self.gaps[-1].first_ns
             self.gaps[-1] = replace(self.gaps[-1], last_ns=max(last_ns, 0 if first_ns is None else first_ns))

@@ -8,8 +8,9 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+from deflate import crc32
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
@@ -42,6 +43,7 @@ UNREADABLE: Final = (
     ZstdError,
 )
 """What the library and its decompressors throw at bytes that make no sense."""
+NAMES: Final = {int(opcode): opcode.name.lower().replace("_", " ") for opcode in Opcode}
 PARSED: Final[dict[int, Any]] = {
     Opcode.HEADER: records.Header,
     Opcode.SCHEMA: records.Schema,
@@ -57,13 +59,29 @@ PARSED: Final[dict[int, Any]] = {
 """The library's reader of each kind of record that describes messages or the log."""
 
 
-@dataclass(frozen=True)
-class Item:
-    """A record among others: ``offset`` counts from the first one's first byte."""
+class Record(NamedTuple):
+    """A record of a file or of a chunk's data, and the byte of it that the record starts at."""
 
-    offset: int
+    start: int
     opcode: int
-    body: memoryview
+    body: bytes | memoryview
+    fault: str = ""
+    """Why it is not whole; empty where it is."""
+
+    @property
+    def name(self) -> str:
+        """The kind of record, as the specification calls it."""
+        return NAMES.get(self.opcode, f"{self.opcode:#04x}")
+
+    @property
+    def end(self) -> int:
+        """The byte behind it."""
+        return self.start + RECORD.size + len(self.body)
+
+    def crc(self, before: int, *, without_last: int = 0) -> int:
+        """The CRC of what comes before and of this record without its last bytes."""
+        head = RECORD.pack(self.opcode, len(self.body))
+        return crc32(memoryview(self.body)[: len(self.body) - without_last], crc32(head, before))
 
 
 @dataclass(frozen=True)
@@ -99,6 +117,21 @@ class ChunkHead:
         return RECORD.size + CHUNK.size + len(self.compression) + LENGTH.size + self.stored_bytes
 
 
+def entry_of(head: ChunkHead, start: int, length: int) -> records.ChunkIndex:
+    """What the index says of a chunk that stands at these bytes, without its message indexes."""
+    return records.ChunkIndex(
+        chunk_length=length,
+        chunk_start_offset=start,
+        compression=head.compression,
+        compressed_size=head.stored_bytes,
+        message_end_time=head.last_ns,
+        message_index_length=0,
+        message_index_offsets={},
+        message_start_time=head.first_ns,
+        uncompressed_size=head.size_bytes,
+    )
+
+
 @dataclass(frozen=True)
 class MessageIndex:
     """One message index behind a chunk; ``offset`` counts from the first one's first byte."""
@@ -109,7 +142,7 @@ class MessageIndex:
     """Log time and offset in the chunk of each message."""
 
 
-def records_in(data: bytes | memoryview) -> Iterator[Item]:
+def records_in(data: bytes | memoryview) -> Iterator[Record]:
     """The records of some bytes, one after the other.
 
     Raises:
@@ -123,7 +156,7 @@ def records_in(data: bytes | memoryview) -> Iterator[Item]:
         opcode, length = RECORD.unpack_from(view, at)
         if length > len(view) - start:
             raise ValueError(f"a record of {length} bytes at its byte {at}, {len(view) - start} are left")
-        yield Item(at, opcode, view[start : start + length])
+        yield Record(at, opcode, view[start : start + length])
         at = start + length
 
 
@@ -182,7 +215,7 @@ def message_indexes(data: bytes) -> list[MessageIndex]:
     Raises:
         ValueError: these are no message indexes.
     """
-    return [message_index(item.body, item.offset) for item in records_in(data)]
+    return [message_index(item.body, item.start) for item in records_in(data)]
 
 
 def parse(opcode: int, body: bytes, *, spare_allowed: bool) -> Any:

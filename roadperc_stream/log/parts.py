@@ -5,52 +5,33 @@ A message that several files hold counts once.
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Final
 
+from roadperc_stream.config import LimitsConfig
+from roadperc_stream.log.audit import in_file_order
 from roadperc_stream.log.damage import damaged
-from roadperc_stream.log.index import MOST_HELD_BYTES, most_at_once
+from roadperc_stream.log.index import MOST_HELD_BYTES
 from roadperc_stream.log.records import RECOVERY_RECORD, Attachment, Channel, LogSummary, Message, Metadata
-from roadperc_stream.log.recovery import Recovery
-from roadperc_stream.log.repeats import Numbered, SharedTimes, marked, shared_times
+from roadperc_stream.log.repair import Recovery
+from roadperc_stream.log.repeats import Numbered, SharedTimes, Span, marked, shared_times
 from roadperc_stream.log.sorting import SortedMessages
 
-_LEAST_HELD_BYTES: Final = 1024 * 1024
-"""Counted of each open file, so that few are open at a time."""
 Translation = Mapping[int, Channel]
 """The channels of the log by the ``source_id`` that they have in a file."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """One file: what it holds, and what it takes to read it.
-
-    ``held_bytes`` of messages are in memory where it is read in the order of log time; None where it has no index.
-    """
-
-    summary: LogSummary
-    held_bytes: int | None
-    in_file_order: Callable[[Path], Iterator[Message]]
-
-    @property
-    def span_ns(self) -> tuple[int, int] | None:
-        """First and last log time; None without messages."""
-        summary = self.summary
-        if summary.first_ns is None or summary.last_ns is None or not any(summary.counts.values()):
-            return None
-        return summary.first_ns, summary.last_ns
+Part = tuple[LogSummary, Translation]
+"""A file with messages, and its channels."""
 
 
 @dataclass(frozen=True)
 class MergedParts:
     """The messages of files that begin one after the other."""
 
-    parts: Sequence[tuple[LogSummary, Translation]]
-    """Those with messages, by their first log time."""
+    parts: Sequence[Part]
+    """By their first log time."""
 
     def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
         """As ``reading.read``; of equal log times those of the part that begins first come first."""
@@ -63,7 +44,7 @@ class MergedParts:
         waiting.reverse()
         heap: list[tuple[int, int, Message, Iterator[Message]]] = []  # by log time, then by place in the log
         while waiting or heap:
-            if waiting and (not heap or self._first_ns(waiting[-1]) < heap[0][0]):
+            if waiting and (not heap or (self.parts[waiting[-1]][0].first_ns or 0) < heap[0][0]):
                 number = waiting.pop()
                 rest = opened(number)
             else:
@@ -72,24 +53,21 @@ class MergedParts:
             if (following := next(rest, None)) is not None:
                 heapq.heappush(heap, (following.log_time_ns, number, following, rest))
 
-    def _first_ns(self, number: int) -> int:
-        return self.parts[number][0].first_ns or 0
-
 
 class SortedParts:
     """The messages of files that are read one after the other and sorted on disk.
 
     Args:
         name: of the log, for errors.
-        parts: with messages, by their first log time.
+        parts: by their first log time.
+        limits: of their records and chunks.
     """
 
-    def __init__(self, name: str, parts: Sequence[tuple[Part, Translation]]) -> None:
-        origins = [(number, channel) for number, (_, known) in enumerate(parts) for channel in known.values()]
-        self._origins = dict(enumerate(origins))
-        ids = iter(self._origins)
-        marked_parts = [(part, {i: replace(known[i], source_id=next(ids)) for i in known}) for part, known in parts]
-        self._sorted = SortedMessages(name, partial(_in_file_order, marked_parts))
+    def __init__(self, name: str, parts: Sequence[Part], limits: LimitsConfig) -> None:
+        self._origins = [(number, channel) for number, (_, known) in enumerate(parts) for channel in known.values()]
+        ids = iter(range(len(self._origins)))
+        marked_parts = [(file, {i: replace(known[i], source_id=next(ids)) for i in known}) for file, known in parts]
+        self._sorted = SortedMessages(name, partial(_in_file_order, marked_parts, limits))
 
     def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
         """As ``MergedParts.numbered``.
@@ -150,42 +128,47 @@ def _translated(path: Path, messages: Iterable[Message], translation: Translatio
         yield replace(message, channel=channel)
 
 
-def united(parts: Sequence[Part]) -> LogSummary:
-    """Files as one log: in the order of their times, equal channels of several files as one."""
-    ordered = sorted(parts, key=lambda part: part.span_ns or (0, 0))
+def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig) -> LogSummary:
+    """Files as one log: in the order of their times, equal channels of several files as one.
+
+    Args:
+        files: of the log.
+        held_bytes: the most in memory at a time where they are merged.
+        limits: of their records and chunks.
+    """
+    ordered = sorted(files, key=lambda file: _span_ns(file) or (0, 0))
     attachments = dict[tuple[str, str, bytes], Attachment]()
-    for attachment in chain.from_iterable(part.summary.attachments for part in ordered):
+    for attachment in chain.from_iterable(file.attachments for file in ordered):
         attachments.setdefault((attachment.name, attachment.media_type, attachment.data), attachment)
-    summaries = [part.summary for part in ordered]
-    metadata = dict.fromkeys(chain.from_iterable(_with_ends(summary, summaries) for summary in summaries))
-    ordered = [replace(part, summary=replace(part.summary, attachments=(), metadata=())) for part in ordered]
-    summaries = [part.summary for part in ordered]
-    translations = _translations(summaries)
-    if has_own_ids := _ids_agree(summaries, translations):
+    metadata = dict.fromkeys(chain.from_iterable(_with_ends(file, ordered) for file in ordered))
+    ordered = [replace(file, attachments=(), metadata=()) for file in ordered]
+    translations = _translations(ordered)
+    if has_own_ids := _ids_agree(ordered, translations):
         translations = [{i: replace(known[i], source_id=i) for i in known} for known in translations]
-    holding = [(p, t) for p, t in zip(ordered, translations, strict=True) if p.span_ns is not None]
-    spans = [part.span_ns for part, _ in holding if part.span_ns is not None]
-    name = Path(f"{summaries[0].path} and {len(parts) - 1} more")
-    shared = shared_times(part.summary for part, _ in holding)
+    holding = [(file, known) for file, known in zip(ordered, translations, strict=True) if _span_ns(file)]
+    spans = [span for file, _ in holding if (span := _span_ns(file))]
+    name = Path(f"{ordered[0].path} and {len(files) - 1} more")
+    shared = shared_times(file for file, _ in holding)
     is_in_turn = has_own_ids and not shared.spans and all(a[1] <= b[0] for a, b in pairwise(spans))
-    in_turn = [part.summary for part, _ in holding] if is_in_turn else []
-    source = UnitedParts(_read_as_one(str(name), holding), shared, in_turn)
+    is_little = held_bytes <= MOST_HELD_BYTES
+    parts = MergedParts(holding) if is_little else SortedParts(str(name), holding, limits)
+    source = UnitedParts(parts, shared, [file for file, _ in holding] if is_in_turn else [])
     repeats = source.repeats()
     repeats_of = Counter[Path]()
     for (number, _), count in repeats.items():
-        repeats_of[holding[number][0].summary.path] += count
+        repeats_of[holding[number][0].path] += count
     return LogSummary(
         path=name,
         source=source,
-        profile=next((summary.profile for summary in summaries if summary.profile), ""),
-        channels=tuple(dict.fromkeys(channel for translation in translations for channel in translation.values())),
-        counts=_counts(summaries, translations, repeats),
+        profile=next((file.profile for file in ordered if file.profile), ""),
+        channels=tuple(dict.fromkeys(channel for known in translations for channel in known.values())),
+        counts=_counts(ordered, translations, repeats),
         attachments=tuple(attachments.values()),
         metadata=tuple(metadata),
         first_ns=min((first for first, _ in spans), default=None),
         last_ns=max((last for _, last in spans), default=None),
-        parts=tuple(replace(summary, repeats=repeats_of[summary.path]) for summary in summaries),
-        schema_ids=dict(chain.from_iterable(summary.schema_ids.items() for summary in summaries if is_in_turn)),
+        parts=tuple(replace(file, repeats=repeats_of[file.path]) for file in ordered),
+        schema_ids=dict(chain.from_iterable(file.schema_ids.items() for file in ordered if is_in_turn)),
     )
 
 
@@ -225,13 +208,6 @@ def _with_ends(summary: LogSummary, files: Iterable[LogSummary]) -> Iterator[Met
         yield recovery.ending(gone_on_ns(summary, files)).to_record()
 
 
-def _read_as_one(name: str, holding: Sequence[tuple[Part, Translation]]) -> MergedParts | SortedParts:
-    """The parts with messages, merged where that takes little memory."""
-    if _held_bytes([part for part, _ in holding]) <= MOST_HELD_BYTES:
-        return MergedParts([(part.summary, translation) for part, translation in holding])
-    return SortedParts(name, holding)
-
-
 def _translations(summaries: Sequence[LogSummary]) -> list[Translation]:
     """Each file's channels on those of the log: twins within a file stay apart, equal ones of several files do not."""
     known: dict[tuple[Channel, int], Channel] = {}
@@ -251,14 +227,10 @@ def _translations(summaries: Sequence[LogSummary]) -> list[Translation]:
 def _ids_agree(summaries: Sequence[LogSummary], translations: Iterable[Translation]) -> bool:
     """Whether an id means the same channel in all files, or the same schema, and each channel has one id."""
     channels = {(number, common.source_id) for known in translations for number, common in known.items()}
-    schemas = {(s.schema_ids[c.source_id], *_schema(c)) for s in summaries for c in s.channels if s.schema_ids}
+    schemas = {(s.schema_ids[c.source_id], *c.schema) for s in summaries for c in s.channels if s.schema_ids}
     own = {(number, schema_id) for summary in summaries for number, schema_id in summary.schema_ids.items()}
     one_channel = len({number for number, _ in channels}) == len({common for _, common in channels}) == len(channels)
     return one_channel and all(len({pair[0] for pair in pairs}) == len(pairs) for pairs in (schemas, own))
-
-
-def _schema(channel: Channel) -> tuple[str, str, bytes]:
-    return channel.schema_name, channel.schema_encoding, channel.schema_data
 
 
 def _counts(
@@ -273,17 +245,13 @@ def _counts(
     return dict(counts)
 
 
-def _held_bytes(parts: Iterable[Part]) -> float:
-    """The most in memory at a time where the parts are merged; no end to it where one of them has no index."""
-    spans = []
-    for part in parts:
-        if part.held_bytes is None or part.span_ns is None:
-            return float("inf")
-        spans.append((*part.span_ns, max(part.held_bytes, _LEAST_HELD_BYTES)))
-    return most_at_once(spans)
+def _span_ns(file: LogSummary) -> Span | None:
+    """First and last log time; None without messages."""
+    if file.first_ns is None or file.last_ns is None or not any(file.counts.values()):
+        return None
+    return file.first_ns, file.last_ns
 
 
-def _in_file_order(parts: Iterable[tuple[Part, Translation]]) -> Iterator[Message]:
-    for part, translation in parts:
-        path = part.summary.path
-        yield from _translated(path, part.in_file_order(path), translation)
+def _in_file_order(parts: Iterable[Part], limits: LimitsConfig) -> Iterator[Message]:
+    for file, translation in parts:
+        yield from _translated(file.path, in_file_order(file.path, limits), translation)

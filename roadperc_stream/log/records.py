@@ -28,6 +28,11 @@ class Channel:
     source_id: int = 0
     """Channel id in the file it was read from, so that twins stay apart."""
 
+    @property
+    def schema(self) -> tuple[str, str, bytes]:
+        """Name, encoding and data of its schema."""
+        return self.schema_name, self.schema_encoding, self.schema_data
+
     def label(self, key: str) -> str:
         """Value of a metadata key, empty where there is none."""
         return dict(self.metadata).get(key, "")

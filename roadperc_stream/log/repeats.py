@@ -82,32 +82,20 @@ def marked(messages: Iterable[Numbered], shared: SharedTimes) -> Iterator[tuple[
         messages: by log time, those of equal time file by file.
         shared: when messages can be equal.
     """
-    known = _OfOneTime()
+    now: tuple[int, int] | None = None  # log time and number of the file of the last message that can be equal
+    given, in_file = Counter[bytes](), Counter[bytes]()
     for number, message in messages:
-        yield number, message, shared.hold(message) and known.has(number, message)
-
-
-class _OfOneTime:
-    """The messages of the current log time, by their digests."""
-
-    def __init__(self) -> None:
-        self._now: tuple[int, int] | None = None  # log time, number of the file
-        self._given = Counter[bytes]()
-        self._in_file = Counter[bytes]()
-
-    def has(self, number: int, message: Message) -> bool:
-        """Take one more message; whether another file held it already."""
-        if self._now is None or self._now[0] != message.log_time_ns:
-            self._given.clear()
-        if self._now != (message.log_time_ns, number):
-            self._in_file.clear()
-        self._now = message.log_time_ns, number
-        digest = _digest(message)
-        self._in_file[digest] += 1
-        if self._in_file[digest] <= self._given[digest]:
-            return True
-        self._given[digest] += 1
-        return False
+        is_repeated = False
+        if shared.hold(message):
+            if now is None or now[0] != message.log_time_ns:
+                given.clear()
+            if now != (message.log_time_ns, number):
+                in_file.clear()
+            now, digest = (message.log_time_ns, number), _digest(message)
+            in_file[digest] += 1
+            is_repeated = in_file[digest] <= given[digest]
+            given[digest] += not is_repeated
+        yield number, message, is_repeated
 
 
 def _digest(message: Message) -> bytes:

@@ -5,7 +5,6 @@ stands before the damage, and reading goes on at the next record: the one the in
 fields fit together. What was read is compared with index and statistics.
 """
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -19,32 +18,25 @@ from mcap.opcode import Opcode
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.chunks import Workspace, contents_of, too_many
+from roadperc_stream.log.chunks import contents_of, too_many
 from roadperc_stream.log.damage import Damage, require_log, unopened
-from roadperc_stream.log.framing import Framing, Record
-from roadperc_stream.log.index import Described, data_end_of, end_of, index_of, places_of, span_ns_of, summary_fits
-from roadperc_stream.log.inventory import (
-    ChunkPlace,
-    Gap,
-    Inventory,
-    Losses,
-    Positions,
-    expected_messages,
-    lost_in_chunk,
-)
+from roadperc_stream.log.framing import BREAK, Framing, is_chunk
+from roadperc_stream.log.index import Described, index_of, places_of
+from roadperc_stream.log.inventory import Gap, Inventory, Losses, Positions, expected_messages, lost_in_chunk
 from roadperc_stream.log.layout import (
     ENTRY,
+    MESSAGE,
     PARSED,
     TOO_SHORT,
     UNREADABLE,
     ChunkHead,
-    Item,
     MessageHead,
+    Record,
     chunk_head,
     message_head,
     parse,
 )
-from roadperc_stream.log.limits import GuardedFile, LimitError, check_chunk, require_attachments, require_gaps
+from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachments, require_chunk, require_gaps
 from roadperc_stream.log.records import Message
 
 _PRIVATE_BIT: Final = 0x80
@@ -63,8 +55,8 @@ class Salvage:
 
     Args:
         path: the log.
-        inside: look inside chunks. Without that, only what stands around them is compared: enough for a log whose
-            bytes are covered by CRCs, where ``conclusive``.
+        inside: look inside chunks. Without that, only what stands around them is compared, up to the first damage:
+            enough for a whole log whose bytes are covered by CRCs, where ``conclusive``.
         limits: of its records and chunks.
 
     Raises:
@@ -84,23 +76,22 @@ class Salvage:
     last_good_ns: int | None = None
     """Log time of the last message before the first damage."""
     all_in_chunks: bool = True
-    """Whether every message that was read stands in a chunk: no index names the others."""
+    """Whether every message that was read is in a chunk: no index names the others."""
 
     def __post_init__(self) -> None:
         try:
             with GuardedFile(self.path, self.limits) as stream:
-                self.size_bytes = stream.seek(0, os.SEEK_END)
+                self.size_bytes = stream.size_bytes
                 require_log(self.path, stream)
-                self._index = index_of(stream)
-                resume_at = () if self._index is None else places_of(self._index, data_end_of(stream))
-                self._index_fits = summary_fits(stream)
+                self.index = index_of(stream)
+                """What the file says at its end, where that can be believed and names all of it."""
         except OSError as error:
             raise unopened(self.path, error) from error
-        entries = self._index.chunk_indexes if self._index and self._index_fits else []
-        self._entries = {entry.chunk_start_offset: entry for entry in entries}
-        if self._index is not None:
-            self.described.add_index(self._index)
-        self._inventory, self._losses, self._workspace = Inventory(), Losses(), Workspace()
+        self._entries = {entry.chunk_start_offset: entry for entry in self.index.chunk_indexes} if self.index else {}
+        resume_at = places_of(self.index) if self.index else ()
+        if self.index is not None:
+            self.described.add_index(self.index)
+        self._inventory, self._losses = Inventory(), Losses()
         is_message = partial(_is_message, self.described, self._inventory)  # not of this object: it is freed at once
         self._framing = Framing(self.size_bytes, resume_at, is_message)
         self.damages = self._framing.damages
@@ -109,9 +100,9 @@ class Salvage:
         """Messages read, by ``Channel.source_id``."""
         self.channels = self.described.channels
         """By ``Channel.source_id``, also those without messages."""
-        self._chunks_without_crc = self._breaks = self._open_at = self._held_bytes = 0
+        self._chunks_without_crc = self._open_at = self._held_bytes = 0
         self._covered = True
-        """Whether every message that was read stands in a chunk with a CRC of its own."""
+        """Whether every message that was read is in a chunk with a CRC."""
         self._stream: IO[bytes] | None = None
 
     @property
@@ -121,7 +112,7 @@ class Salvage:
 
     @property
     def conclusive(self) -> bool:
-        """Whether the messages of all chunks were counted, and are covered by CRCs, where nobody looked inside."""
+        """Whether the messages of all chunks that were not opened were counted and are covered by CRCs."""
         is_covered = (self._covered or self._framing.sealed) and self._framing.summary_sealed
         return self.inside or (self._inventory.conclusive and is_covered)
 
@@ -146,23 +137,27 @@ class Salvage:
         return self._inventory.first_ns if self._statistics is None else self._statistics.message_start_time
 
     @property
+    def last_ns(self) -> int | None:
+        """Log time of the last message that was read."""
+        return self._inventory.last_ns
+
+    @property
     def written(self) -> dict[int, int] | None:
-        """Messages that were written, by ``Channel.source_id``; None where no index says so."""
+        """Messages that were written, by ``Channel.source_id``; None without an index."""
         return None if self._statistics is None else dict(self._statistics.channel_message_counts)
 
     @property
     def _statistics(self) -> records.Statistics | None:
-        """What the index says in numbers; None where there is none whose CRC fits."""
-        return self._index.statistics if self._index and self._index_fits else None
+        """What the index says in numbers."""
+        return self.index.statistics if self.index else None
 
     def messages(self) -> Iterator[Message]:
         """Every message that can be read, in the order of the file."""
         for head, body in self._found():
             yield head.of(self.channels[head.channel_id], body)
 
-    def run(self, *, to_first_damage: bool = False) -> None:
-        """Read everything for the account alone, or no further than to know that the log is not whole."""
-        self._framing.to_first_damage = to_first_damage
+    def run(self) -> None:
+        """Read everything for the account alone."""
         for _ in self._found():
             pass
 
@@ -171,8 +166,12 @@ class Salvage:
             with GuardedFile(self.path, self.limits) as stream:
                 self._stream = stream
                 for record in self._framing.records(stream):
-                    self._note_breaks()
-                    yield from self._messages_of(record)
+                    if record.opcode == BREAK:
+                        self._note_break(record)
+                    else:
+                        yield from self._messages_of(record)
+                    if self.damages and not self.inside:
+                        return
         except OSError as error:
             raise LogError(f"{self.path}: {error.strerror or error}") from error
         except LimitError as error:
@@ -200,7 +199,7 @@ class Salvage:
             elif record.opcode >= _PRIVATE_BIT:
                 self._require_private(record)
             else:
-                self._note(record.opcode, record.body, record.start)
+                self._note(record.opcode, bytes(record.body), record.start)
         except LimitError:
             raise
         except UNREADABLE as error:
@@ -212,7 +211,7 @@ class Salvage:
         try:
             head = chunk_head(record.body)
             if not record.fault:
-                check_chunk(head, self.limits)
+                require_chunk(head, self.limits)
         except UNREADABLE as error:
             self._lose(record, None, Positions(), record.fault or f"{record.name}: {_in_words(error)}")
             return
@@ -220,33 +219,30 @@ class Salvage:
         self._chunks_without_crc += not head.crc
         self._covered &= bool(head.crc)
         if not self.inside and not record.fault:
-            self._inventory.add_chunk(ChunkPlace.of(record, head, None))
+            self._inventory.add_chunk(record, head, None)
             return
-        contents, positions = contents_of(head, self._workspace, self.limits), Positions()
-        faults = [record.fault, contents.fault and f"{record.name}: {contents.fault}"]
-        for item in contents.items:
+        (found, broken), positions = contents_of(head, self.limits.chunk_messages), Positions()
+        faults = [record.fault, broken and f"{record.name}: {broken}"]
+        for item in found:
             try:
-                yield from self._item(item, head, positions)
+                if item.opcode != Opcode.MESSAGE:
+                    self._note(item.opcode, bytes(item.body))
+                    continue
+                message, body = self._counted(item.body)
             except UNREADABLE as error:
                 faults.append(f"{record.name}: {_in_words(error)}")
-        if any(faults):
-            messages = sum(item.opcode == Opcode.MESSAGE for item in contents.items)
-            all_read = not contents.fault and messages == sum(map(len, positions.values()))
-            self._lose(record, head, positions, next(filter(None, faults)), all_read=all_read)
+                continue
+            positions.setdefault(message.channel_id, []).append((message.log_time_ns, item.start))
+            yield message, body
+            if not head.first_ns <= message.log_time_ns <= head.last_ns:
+                span = f"{head.first_ns} to {head.last_ns} ns"
+                faults.append(f"{record.name}: message at {message.log_time_ns} ns, its chunk says {span}")
+        if fault := next(filter(None, faults), ""):
+            messages = sum(item.opcode == Opcode.MESSAGE for item in found)
+            all_read = not broken and messages == sum(map(len, positions.values()))
+            self._lose(record, head, positions, fault, all_read=all_read)
         else:
-            self._inventory.add_chunk(ChunkPlace.of(record, head, positions))
-
-    def _item(self, item: Item, chunk: ChunkHead, positions: Positions) -> Iterator[Found]:
-        """A record inside a chunk; where a message of it stands is added to ``positions``."""
-        if item.opcode != Opcode.MESSAGE:
-            self._note(item.opcode, bytes(item.body))
-            return
-        head, body = self._counted(item.body)
-        positions.setdefault(head.channel_id, []).append((head.log_time_ns, item.offset))
-        yield head, body
-        if not chunk.first_ns <= head.log_time_ns <= chunk.last_ns:
-            span = f"{chunk.first_ns} to {chunk.last_ns} ns"
-            raise ValueError(f"message at {head.log_time_ns} ns, its chunk says {span}")
+            self._inventory.add_chunk(record, head, positions)
 
     def _counted(self, body: bytes | memoryview) -> Found:
         head = message_head(body)
@@ -267,8 +263,14 @@ class Salvage:
         """Take note of a damaged chunk, and of which of its messages were lost."""
         entry = self._entries.get(record.start)
         self._inventory.lose_chunk()
-        span, end = span_ns_of(entry, head), end_of(record, entry, head)
-        next_ns = self._inventory.next_ns
+        span: tuple[int, int] | None = None
+        end, next_ns = record.end, self._inventory.next_ns
+        if entry is not None:
+            span = entry.message_start_time, entry.message_end_time
+            end = record.start + entry.chunk_length
+        elif head is not None:
+            span = (head.first_ns, head.last_ns) if head.first_ns <= head.last_ns else None
+            end = record.start + head.record_bytes if record.fault else end
         assert self._stream is not None
         gap = lost_in_chunk(expected_messages(self._stream, end), saved, span, next_ns, all_read=all_read)
         is_open = entry is None and (bool(record.fault) or span is None)
@@ -277,14 +279,13 @@ class Salvage:
             self._losses.add(gap, is_open=is_open)
         first_ns, last_ns = span or (next_ns, None)
         self._framing.damaged(record.start, fault, first_ns, None if is_open else last_ns)
-        self._breaks = len(self._framing.breaks)
 
-    def _note_breaks(self) -> None:
+    def _note_break(self, record: Record) -> None:
         """Where no record could start, messages are lost up to the next one."""
-        if len(self._framing.breaks) > self._breaks:
-            self._open_at, self._breaks = self._framing.breaks[self._breaks], len(self._framing.breaks)
-            self._losses.add(Gap(self._inventory.next_ns, None), is_open=True)
-            self._bound_damages(self._inventory.next_ns, None)
+        if not self._losses.is_open:
+            self._open_at = record.start
+        self._losses.add(Gap(self._inventory.next_ns, None), is_open=True)
+        self._bound_damages(self._inventory.next_ns, None)
 
     def _bound_damages(self, first_ns: int | None, last_ns: int | None) -> None:
         """The damages of the gap that is open, or just ended, concern messages between these log times."""
@@ -297,15 +298,10 @@ class Salvage:
     def _require_private(self, record: Record) -> None:
         """An application's own record does not have the form of messages: then its type is not what was written."""
         opcode = record.opcode & ~_PRIVATE_BIT
-        if opcode == Opcode.MESSAGE and self._framing.is_message(record.body):
+        if opcode == Opcode.MESSAGE and self._framing.is_message(bytes(record.body)):
             raise ValueError("is a message by its form")
-        if opcode == Opcode.CHUNK:
-            try:
-                head = chunk_head(record.body)
-            except ValueError:
-                return
-            if head.record_bytes == record.end - record.start:
-                raise ValueError("is a chunk by its form")
+        if opcode == Opcode.CHUNK and is_chunk(record.body, len(record.body)):
+            raise ValueError("is a chunk by its form")
 
     def _note(self, opcode: int, body: bytes, start: int | None = None) -> None:
         """Keep what a record other than a message says; ``start`` is its first byte, None inside a chunk."""
@@ -319,7 +315,6 @@ class Salvage:
 
     def _conclude(self) -> None:
         """What only the end shows: records that fell out without a trace, and what the writer left out."""
-        self._note_breaks()
         self._framing.note(self._inventory.close_chunk())
         if not self._framing.has_place and self.conclusive:
             for damage in self._inventory.discrepancies(self._framing.summary_start):
@@ -327,7 +322,7 @@ class Salvage:
         if self._covered and self.inside:
             self._framing.explain_data_crc()
         lacking = {
-            "index": self._index is None,
+            "index": self.index is None,
             "CRC of the data section": not self._framing.sealed,
             f"CRCs of {self._chunks_without_crc} chunks": bool(self._chunks_without_crc),
         }
@@ -336,12 +331,9 @@ class Salvage:
 
 def _is_message(described: Described, inventory: Inventory, body: bytes) -> bool:
     """Whether these are the first bytes of a message of this log, by its channel and its log time."""
-    if int.from_bytes(body[:2], "little") not in described.channels:  # cheap: there may be millions
-        return False
-    try:
-        head = message_head(body)
-    except ValueError:
-        return False
+    if len(body) < MESSAGE.size or int.from_bytes(body[:2], "little") not in described.channels:
+        return False  # cheap: there may be millions
+    head = message_head(body)
     near_ns = inventory.last_ns or head.log_time_ns
     return abs(head.log_time_ns - near_ns) < _FAR_NS
 

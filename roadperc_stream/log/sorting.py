@@ -1,23 +1,19 @@
 """Messages in the order of log time where neither file nor index has them so: with bounded memory.
 
 What arrives nearly in order is held for a while. All else is sorted on disk: the messages' bytes are stored as they
-come. What they are sorted by, with the places of their bytes, stands in a temporary database of SQLite, whose memory is
-bounded too.
-
+come. Their keys, with the places of their bytes, are in a temporary database of SQLite, whose memory is bounded too.
 """
 
 import heapq
 import sqlite3
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import contextmanager
 from tempfile import gettempdir
 from threading import Lock
 from typing import Final, TypeVar
 
-from roadperc_stream.errors import TargetError
 from roadperc_stream.log.records import Channel, Message
-from roadperc_stream.log.stored import Spool, refusal, storing
+from roadperc_stream.log.stored import Spool, storing
 
 T = TypeVar("T")
 _SIGN: Final = 2**63
@@ -62,19 +58,6 @@ def in_order_within(
         yield heapq.heappop(waiting)[2]
 
 
-@contextmanager
-def _sorting(what: str) -> Iterator[None]:
-    """What the database refuses, in writing or in reading, as an error that names the folder of its files.
-
-    Raises:
-        TargetError: it refuses something, as where the disk is full or fails.
-    """
-    try:
-        yield
-    except sqlite3.Error as error:
-        raise TargetError(refusal(what, "sorted", str(error))) from error
-
-
 class SortedMessages:
     """Messages that are put in the order of their log time when they are first read; those of equal time as they came.
 
@@ -83,59 +66,52 @@ class SortedMessages:
 
     def __init__(self, what: str, unsorted: Callable[[], Iterable[Message]]) -> None:
         self._what, self._unsorted = what, unsorted
-        self._store: _Store | None = None
+        self._channels: dict[int, Channel] = {}
+        self._spool: Spool | None = None
+        self._keys: sqlite3.Connection | None = None
         self._lock = Lock()
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """As ``reading.read``; what is stored was checked before.
 
         Raises:
-            TargetError: there is no space to store them.
+            TargetError: there is no space to store them, or what is stored cannot be read.
         """
         with self._lock:
-            self._store = self._store or _Store(self._what, self._unsorted())
-        yield from self._store.messages(topics, start_ns, end_ns)
-
-
-class _Store:
-    """The bytes of messages and their order."""
-
-    def __init__(self, what: str, messages: Iterable[Message]) -> None:
-        self._what, self._spool = what, Spool(what)
-        self._channels: dict[int, Channel] = {}
-        self._keys = sqlite3.connect("", isolation_level=None, check_same_thread=False)
-        weakref.finalize(self, self._keys.close)
-        with _sorting(what):
-            folder = gettempdir().replace("'", "''")
-            for statement in (_PLACE.format(folder=folder), *_SETUP, "BEGIN"):
-                self._keys.execute(statement)
-            self._keys.executemany(_ADD, self._stored(messages))
-            self._keys.execute("COMMIT")
-        self._spool.finish()
-
-    def _stored(self, messages: Iterable[Message]) -> Iterator[tuple[int, ...]]:
-        """The messages' keys; their bytes are stored."""
-        for number, message in enumerate(messages):
-            channel_id = message.channel.source_id
-            self._channels[channel_id] = message.channel
-            log_time, publish_time = message.log_time_ns - _SIGN, message.publish_time_ns - _SIGN
-            start, length = self._spool.append(message.data), len(message.data)
-            yield log_time, number, publish_time, message.sequence, channel_id, start, length
-
-    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
-        """As ``reading.read``.
-
-        Raises:
-            TargetError: what is stored cannot be read.
-        """
+            keys, spool = self._stored()
         ids = [i for i, channel in self._channels.items() if topics is None or channel.topic in topics]
         wanted = "TRUE" if topics is None else f"channel IN ({', '.join(map(str, ids))})"
         first = max(start_ns or 0, 0)
         last = _LATEST_NS if end_ns is None else min(end_ns - 1, _LATEST_NS)
         if first > last:
             return
-        with _sorting(self._what), storing(self._what):
-            rows = self._keys.execute(_FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN))
+        with storing(self._what, "sorted"):
+            rows = keys.execute(_FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN))
             for log_time, publish_time, sequence, channel_id, start, length in rows:
-                channel, data = self._channels[channel_id], self._spool.read(start, length)
+                channel, data = self._channels[channel_id], spool.read(start, length)
                 yield Message(channel, log_time + _SIGN, publish_time + _SIGN, sequence, data)
+
+    def _stored(self) -> tuple[sqlite3.Connection, Spool]:
+        """The order of the messages, and their bytes."""
+        if self._keys is not None and self._spool is not None:
+            return self._keys, self._spool
+        spool, keys = Spool(self._what), sqlite3.connect("", isolation_level=None, check_same_thread=False)
+        weakref.finalize(self, keys.close)
+        with storing(self._what, "sorted"):
+            folder = gettempdir().replace("'", "''")
+            for statement in (_PLACE.format(folder=folder), *_SETUP, "BEGIN"):
+                keys.execute(statement)
+            keys.executemany(_ADD, self._added_to(spool))
+            keys.execute("COMMIT")
+        spool.finish()
+        self._keys, self._spool = keys, spool
+        return keys, spool
+
+    def _added_to(self, spool: Spool) -> Iterator[tuple[int, ...]]:
+        """The messages' keys; their bytes are stored."""
+        for number, message in enumerate(self._unsorted()):
+            channel_id = message.channel.source_id
+            self._channels[channel_id] = message.channel
+            log_time, publish_time = message.log_time_ns - _SIGN, message.publish_time_ns - _SIGN
+            start, length = spool.append(message.data), len(message.data)
+            yield log_time, number, publish_time, message.sequence, channel_id, start, length

@@ -8,6 +8,7 @@ import errno
 import io
 import os
 import shutil
+import sqlite3
 import stat
 import sys
 import tempfile
@@ -29,30 +30,22 @@ _READ_BYTES: Final = io.DEFAULT_BUFFER_SIZE * 8
 
 
 @contextmanager
-def storing(what: str) -> Iterator[None]:
-    """What the system refuses in writing to the folder of temporary files, as an error that names the folder.
+def storing(what: str, done: str = "stored") -> Iterator[None]:
+    """Errors of writing to the folder of temporary files and of reading from it, as one that names the folder.
 
     Args:
         what: is stored there, for the error.
+        done: what cannot be done with it there.
 
     Raises:
-        TargetError: the disk is full, or there is no such folder.
+        TargetError: the disk is full or fails, or there is no such folder.
     """
     try:
         yield
-    except OSError as error:
-        raise TargetError(refusal(what, "stored", error.strerror or str(error))) from error
-
-
-def refusal(what: str, done: str, reason: str) -> str:
-    """That something cannot be done in the folder of temporary files, which is named.
-
-    Args:
-        what: is stored there.
-        done: what cannot be done with it there.
-        reason: why not.
-    """
-    return f"{what}: cannot be {done} in {_folder()}: {reason}; TMPDIR names a folder with more space"
+    except (OSError, sqlite3.Error) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        place = f"cannot be {done} in {_folder()}"
+        raise TargetError(f"{what}: {place}: {reason}; TMPDIR names a folder with more space") from error
 
 
 def _folder() -> str:

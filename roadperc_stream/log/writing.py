@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Final, NamedTuple, Self
+from typing import IO, Final, Self
 
 from mcap import records
 
@@ -24,14 +24,6 @@ _IDS: Final = 65535
 """Of channels and of schemas, at most."""
 
 
-class _Schema(NamedTuple):
-    """A schema by what it says."""
-
-    name: str
-    encoding: str
-    data: bytes
-
-
 @dataclass
 class LogWriter:
     """Writes a log whose file appears under its name only when complete. Use it as a context manager.
@@ -44,8 +36,8 @@ class LogWriter:
     messages: int = 0
     """Messages written so far."""
     _channel_ids: dict[Channel, int] = field(default_factory=dict)
-    _schemas: dict[int, _Schema] = field(default_factory=dict)
-    """By their ids."""
+    _schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
+    """Name, encoding and data, by their ids."""
     _growing: GrowingLog | None = None
 
     def __post_init__(self) -> None:
@@ -97,15 +89,15 @@ class LogWriter:
         self._add_chunk(chunk)
         self.messages += sum(len(index.entries) for index in chunk.message_indexes)
         if self._growing is not None:
-            self._growing.reach(chunk.span_ns[1] if reached_ns is None else min(reached_ns, chunk.span_ns[1]))
+            last_ns = chunk.head.last_ns
+            self._growing.reach(last_ns if reached_ns is None else min(reached_ns, last_ns))
 
     def _add_chunk(self, chunk: ChunkRecords) -> None:
         with self._errors():
-            start, end = self._file.add_chunk(chunk)
+            entry = self._file.add_chunk(chunk)
             if self._growing is not None:
                 self._stream.flush()
-                ids = [index.channel_id for index in chunk.message_indexes]
-                self._growing.add_chunk(start, end, chunk.span_ns, ids)
+                self._growing.add_chunk(entry)
 
     def while_written(self) -> GrowingLog:
         """The log for a reader in another thread, from now to the end; before the first message.
@@ -143,7 +135,7 @@ class LogWriter:
 
     def _schema_id(self, channel: Channel, wanted: int) -> int:
         """The id of a channel's schema, which is made known: the wanted one, else any; 0 of none."""
-        schema = _Schema(channel.schema_name, channel.schema_encoding, channel.schema_data)
+        schema = channel.schema
         if not wanted and not any(schema):
             return 0
         if self._schemas.get(wanted) == schema:
@@ -152,7 +144,8 @@ class LogWriter:
             return known
         schema_id = self._free_id(self._schemas, wanted or None)
         with self._errors():
-            self._file.add_schema(records.Schema(schema_id, schema.data, schema.encoding, schema.name))
+            name, encoding, data = schema
+            self._file.add_schema(records.Schema(schema_id, data, encoding, name))
         self._schemas[schema_id] = schema
         return schema_id
 
@@ -245,7 +238,7 @@ class StoredLogWriter(LogWriter):
 class MessageCopy:
     """Copies messages to a log that others write to as well: each stands there before what is written of its time.
 
-    What is copied stands in chunks of its own, so that these are whole ones for who copies that log.
+    Copied messages get chunks of their own, so that a copy of this log can take these chunks as they are.
     """
 
     def __init__(
@@ -289,4 +282,4 @@ class MessageCopy:
         piece = self._next
         if piece is None or log_time_ns is None:
             return piece is not None
-        return (piece.span_ns[0] if isinstance(piece, ChunkRecords) else piece.log_time_ns) <= log_time_ns
+        return (piece.head.first_ns if isinstance(piece, ChunkRecords) else piece.log_time_ns) <= log_time_ns

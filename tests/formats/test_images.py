@@ -39,10 +39,6 @@ def test_every_millimetre_comes_back_and_what_lies_between_two_is_rounded_to_eve
     np.testing.assert_array_equal(images.depth_to_mm(near_m.astype(np.float32)), expected)
 
 
-def test_a_known_instance_of_bytes_that_nobody_may_write():
-    assert images.instance_ids(np.frombuffer(b"\x02\x01\x0e", np.uint8).reshape(1, 1, 3)) == 2 * 256 + 1
-
-
 BLACK, BLUE = (0, 0, 0), (30, 144, 255)
 MASKS = arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=40))
 

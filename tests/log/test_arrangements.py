@@ -5,19 +5,16 @@ import tracemalloc
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.exceptions import McapError
 from mcap.writer import CompressionType, IndexType, Writer
 
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TargetError
-from roadperc_stream.log import Channel, Message
+from roadperc_stream.log import Channel
 from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
-from roadperc_stream.log.reading import FileOrder, IndexedOrSorted
-from roadperc_stream.log.sorting import SortedMessages
 from roadperc_stream.system.time import TimeRange
-from tests.arranged import ARRANGEMENTS, arranged, by_topic, shuffled
+from tests.arranged import ARRANGEMENTS, arranged, by_library, by_topic, plain, shuffled
 from tests.replaying import replay
 from tests.test_sample import SAMPLE
 
@@ -28,32 +25,19 @@ LATEST_NS = 2**64 - 1
 @pytest.fixture
 def nothing_held(monkeypatch):
     """Logs whose chunks overlap at all are sorted on disk."""
-    monkeypatch.setattr("roadperc_stream.log.reading.MOST_HELD_BYTES", 1_000_000)
+    monkeypatch.setattr("roadperc_stream.log.indexed.MOST_HELD_BYTES", 1_000_000)
     monkeypatch.setattr("roadperc_stream.log.parts.MOST_HELD_BYTES", 1_000_000)
-
-
-def plain(messages):
-    return [(m.channel, m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]
 
 
 def was_sorted(summary):
     """Whether messages of a log that have been read were sorted on disk, rather than read by the index."""
     source = summary.source
-    if isinstance(source, IndexedFile):
-        return False
-    return (source.in_order if isinstance(source, IndexedOrSorted) else source)._store is not None
+    return (source.in_order if isinstance(source, IndexedFile) else source)._keys is not None
 
 
 def written(path, times, **options):
-    """A log of the library's writer; each message's data is its place in the file."""
-    with path.open("wb") as stream:
-        writer = Writer(stream, **options)
-        writer.start()
-        channels = [writer.register_channel(topic, "x", 0) for topic in ("/a", "/b", "/unused")]
-        for number, time in enumerate(times):
-            writer.add_message(channels[number % 2], time, str(number).encode() * 20, time, number)
-        writer.finish()
-    return path
+    """A log of messages at these times."""
+    return by_library(path, [(("/a", "/b")[number % 2], time) for number, time in enumerate(times)], **options)
 
 
 @pytest.mark.usefixtures("nothing_held")
@@ -134,7 +118,7 @@ def test_a_sorted_log_leaves_no_file_and_is_stored_only_when_read(tmp_path, monk
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
     summary = log.summarise(path)
-    assert summary.source._store is None
+    assert summary.source._keys is None
     messages = log.read(summary)
     assert next(messages).log_time_ns == 1
     assert list((tmp_path / "temporary").iterdir()) == []
@@ -178,7 +162,7 @@ def read_and_peak(path):
 def test_memory_is_that_of_the_indexed_log(tmp_path, monkeypatch):
     """50 MB of messages: any arrangement that held them would be far beyond."""
     data = bytes(250_000)
-    monkeypatch.setattr("roadperc_stream.log.reading.MOST_HELD_BYTES", 2_000_000)
+    monkeypatch.setattr("roadperc_stream.log.indexed.MOST_HELD_BYTES", 2_000_000)
 
     def big(name, order, **options):
         with (tmp_path / name).open("wb") as stream:
@@ -201,14 +185,3 @@ def test_memory_is_that_of_the_indexed_log(tmp_path, monkeypatch):
         read, peak = read_and_peak(path)
         assert read == len(data) * 200
         assert peak < 1.5 * tidy + 4_000_000, name  # the bytes of a chunk or two, of any log
-
-
-def test_a_message_of_a_channel_that_nothing_describes_is_damage():
-    with pytest.raises(McapError, match="no channel record found with id 1"):
-        next(FileOrder()._messages_of(5, b"\1\0" + bytes(30)))
-
-
-def test_equal_log_times_stay_as_they_came():
-    messages = [Message(A, 5, 5, k, b"") for k in range(9)]
-    source = SortedMessages("a", lambda: messages)
-    assert list(source.messages(None, None, None)) == messages

@@ -16,9 +16,8 @@ from roadperc_stream import log
 from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, MessageCopy
-from roadperc_stream.log.audit import salvaged
+from roadperc_stream.log.audit import in_file_order, salvaged
 from roadperc_stream.log.mcap_file import ChunkRecords, McapFile
-from roadperc_stream.log.reading import in_file_order
 
 A = Channel("/a", "x", source_id=1)
 MIDDLE = [(20, b"c" * 50), (30, b"d" * 50)]

@@ -1,6 +1,7 @@
 """Whole chunks of the input stand in the output as they are; what cannot is written anew."""
 
 import zlib
+from dataclasses import replace
 
 import pytest
 import zstandard
@@ -9,15 +10,16 @@ from hypothesis import strategies as st
 from mcap import records
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 
 from roadperc_stream import log
 from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, Message, MessageCopy
+from roadperc_stream.log.audit import in_file_order
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.mcap_file import ChunkRecords, McapFile, OpenChunk
-from roadperc_stream.log.reading import in_file_order
+from tests.arranged import by_library, plain
 
 A, B = Channel("/a", "x", "S", "y", b"s", source_id=1), Channel("/b", "x", source_id=2)
 RESULT = Channel("/result", "x", "S", "y", b"s", metadata=(("producer", "roadperc"),))
@@ -25,19 +27,6 @@ RESULT = Channel("/result", "x", "S", "y", b"s", metadata=(("producer", "roadper
 
 TWO = 400
 """Size of chunks that hold two messages."""
-
-
-def written(path, items, schemas=(("S", "y", b"s"),), **options):
-    """A log of the library's writer, of (topic, log time) each; the last schema is that of ``/a``."""
-    with path.open("wb") as stream:
-        writer = Writer(stream, **options)
-        writer.start()
-        schema = [writer.register_schema(*values) for values in schemas][-1]
-        ids = {"/a": writer.register_channel("/a", "x", schema), "/b": writer.register_channel("/b", "x", 0)}
-        for number, (topic, time) in enumerate(items):
-            writer.add_message(ids[topic], time, str(number).encode().ljust(200, b"."), time + 1, number)
-        writer.finish()
-    return path
 
 
 def copied(source, target, topics=("/a", "/b"), start_ns=None, end_ns=None, results=()):
@@ -66,10 +55,6 @@ def index_of(path):
         return make_reader(stream).get_summary()
 
 
-def plain(messages):
-    return [(m.channel.topic, m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]
-
-
 def inputs(path):
     return [m for m in plain(log.read(log.summarise(path))) if m[0] != "/result"]
 
@@ -83,7 +68,7 @@ IN_ORDER = [(("/a", "/b")[k % 2], 10 * (k // 2)) for k in range(12)]
 
 @pytest.mark.parametrize("compression", CompressionType)
 def test_chunks_are_copied_byte_for_byte(tmp_path, compression):
-    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO, compression=compression)
+    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO, compression=compression)
     pieces = copied(source, tmp_path / "b.mcap", results=[0, 10, 20])
     assert all(whole(pieces))
     assert len(pieces) == len(index_of(source).chunk_indexes) > 2
@@ -94,7 +79,7 @@ def test_chunks_are_copied_byte_for_byte(tmp_path, compression):
 
 
 def test_the_library_reads_what_was_copied_with_crcs_checked(tmp_path):
-    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
+    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
     copied(source, tmp_path / "b.mcap", results=[0, 10, 20])
     with (tmp_path / "b.mcap").open("rb") as stream:
         found = list(make_reader(stream, validate_crcs=True).iter_messages())
@@ -106,7 +91,7 @@ def test_the_library_reads_what_was_copied_with_crcs_checked(tmp_path):
 
 
 def test_channels_and_schemas_keep_their_ids(tmp_path):
-    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
+    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
     copied(source, tmp_path / "b.mcap", topics=["/b"], results=[0])
     summary = log.summarise(tmp_path / "b.mcap")
     channels = {c.topic: (c.source_id, summary.schema_ids[c.source_id]) for c in summary.channels}
@@ -114,12 +99,14 @@ def test_channels_and_schemas_keep_their_ids(tmp_path):
 
 
 def test_a_chunk_without_crc_gets_one(tmp_path):
-    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO, enable_crcs=False, compression=CompressionType.NONE)
+    source = by_library(
+        tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO, enable_crcs=False, compression=CompressionType.NONE
+    )
     pieces = copied(source, tmp_path / "b.mcap")
     assert all(whole(pieces))
     for piece in pieces:
         start = len(piece.record) - int.from_bytes(piece.record[25:33], "little")
-        assert piece.crc == zlib.crc32(piece.record[start:])
+        assert piece.head.crc == zlib.crc32(piece.record[start:])
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source)))
     assert log.audited(tmp_path / "b.mcap", check_chunks=True).absent == ()
 
@@ -140,7 +127,7 @@ UP = [("/a", 10 * k) for k in range(6)]
     ids=["start", "end", "a topic of two", "overlapping", "out of order inside", "touching"],
 )
 def test_chunks_that_cannot_stand_as_they_are_are_written_anew(tmp_path, items, options, expected):
-    source = written(tmp_path / "a.mcap", items, chunk_size=TWO)
+    source = by_library(tmp_path / "a.mcap", items, chunk_size=TWO)
     pieces = copied(source, tmp_path / "b.mcap", **options)
     read = {"topics": options.get("topics"), "start_ns": options.get("start_ns"), "end_ns": options.get("end_ns")}
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source), **read))
@@ -149,7 +136,7 @@ def test_chunks_that_cannot_stand_as_they_are_are_written_anew(tmp_path, items, 
 
 def test_a_chunk_that_describes_what_is_left_out_is_written_anew(tmp_path):
     """Its channel's id may be another one's in the copy."""
-    source = written(tmp_path / "a.mcap", [("/b", time) for time in range(6)], chunk_size=TWO)
+    source = by_library(tmp_path / "a.mcap", [("/b", time) for time in range(6)], chunk_size=TWO)
     pieces = copied(source, tmp_path / "b.mcap", topics=["/b"])
     assert whole(pieces)[0] is False
     assert whole(pieces)[-1] is True
@@ -158,21 +145,21 @@ def test_a_chunk_that_describes_what_is_left_out_is_written_anew(tmp_path):
 
 def test_a_chunk_that_is_large_is_written_anew(tmp_path, monkeypatch):
     monkeypatch.setattr("roadperc_stream.log.indexed._MOST_WHOLE_BYTES", 100)
-    pieces = copied(written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO), tmp_path / "b.mcap")
+    pieces = copied(by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO), tmp_path / "b.mcap")
     assert not any(whole(pieces))
 
 
 def test_a_chunk_whose_own_crc_is_wrong_is_written_anew(tmp_path):
     """The data section's CRC says that these are the bytes that were written: then the writer was wrong."""
-    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
+    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
     summary = log.summarise(source)
     file = summary.source
     assert isinstance(file, IndexedFile)
     first = file.chunks[0]
     data = bytearray(source.read_bytes())
-    data[first.start + 33] ^= 1
+    data[first.chunk_start_offset + 33] ^= 1
     source.write_bytes(data)
-    unchecked = IndexedFile(file.path, False, file.limits, file.channels, file.chunks, file._descriptions)
+    unchecked = replace(file, check_chunks=False)
     pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
     assert whole(pieces)[:2] == [False, False]
     assert whole(pieces)[-1] is True
@@ -181,14 +168,14 @@ def test_a_chunk_whose_own_crc_is_wrong_is_written_anew(tmp_path):
 @pytest.mark.parametrize("byte", [9, 17, 25], ids=["channel", "log time", "place"])
 def test_a_chunk_whose_message_indexes_are_wrong_is_written_anew(tmp_path, byte):
     """Who trusts them would not find its messages; and one that they do not name may be of any channel."""
-    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
+    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
     file = log.summarise(source).source
     assert isinstance(file, IndexedFile)
     last = file.chunks[-1]
     data = bytearray(source.read_bytes())
-    data[last.start + last.length + byte] ^= 3
+    data[last.chunk_start_offset + last.chunk_length + byte] ^= 3
     source.write_bytes(data)
-    unchecked = IndexedFile(file.path, False, file.limits, file.channels, file.chunks, file._descriptions)
+    unchecked = replace(file, check_chunks=False)
     pieces = list(unchecked.pieces(frozenset({1, 2}), None, None))
     assert whole(pieces) == [True] * (len(file.chunks) - 1) + [False] * 2
 
@@ -213,7 +200,7 @@ def test_messages_that_no_index_names_are_no_results_of_the_copy(tmp_path):
 def test_a_chunk_of_several_frames_of_zstandard_is_read_to_its_end(tmp_path, monkeypatch, crcs):
     compress = zstandard.compress
     monkeypatch.setattr(zstandard, "compress", lambda data: compress(data[:100]) + compress(data[100:]))
-    source = written(tmp_path / "a.mcap", IN_ORDER, chunk_size=1000, enable_crcs=crcs)
+    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=1000, enable_crcs=crcs)
     summary = log.summarise(source)
     assert isinstance(summary.source, IndexedFile)
     assert [m[:2] for m in plain(log.read(summary))] == IN_ORDER
@@ -238,7 +225,7 @@ def test_a_chunk_of_several_frames_of_zstandard_is_read_to_its_end(tmp_path, mon
 def test_a_copy_of_a_copy_is_the_same_byte_for_byte(tmp_path_factory, items, in_order, chunk_size, results):
     folder = tmp_path_factory.mktemp("log")
     items = sorted(items, key=lambda item: item[1]) if in_order else items
-    source = written(folder / "a.mcap", items, chunk_size=chunk_size)
+    source = by_library(folder / "a.mcap", items, chunk_size=chunk_size)
     copied(source, folder / "b.mcap", results=results)
     pieces = copied(folder / "b.mcap", folder / "c.mcap", results=results)
     assert all(whole(pieces))
@@ -248,14 +235,14 @@ def test_a_copy_of_a_copy_is_the_same_byte_for_byte(tmp_path_factory, items, in_
 
 
 def test_a_log_in_no_order_is_written_anew_in_order(tmp_path):
-    source = written(tmp_path / "a.mcap", [("/a", 7 * k % 20) for k in range(20)], use_chunking=False)
+    source = by_library(tmp_path / "a.mcap", [("/a", 7 * k % 20) for k in range(20)], use_chunking=False)
     pieces = copied(source, tmp_path / "b.mcap")
     assert not any(whole(pieces))
     assert [m[1] for m in inputs(tmp_path / "b.mcap")] == list(range(20))
 
 
 def test_copied_and_written_stand_in_chunks_of_their_own(tmp_path):
-    source = written(tmp_path / "a.mcap", [("/a", 7 * k % 20) for k in range(20)], use_chunking=False)
+    source = by_library(tmp_path / "a.mcap", [("/a", 7 * k % 20) for k in range(20)], use_chunking=False)
     copied(source, tmp_path / "b.mcap", results=[3, 9, 15])
     index = index_of(tmp_path / "b.mcap")
     kinds = [{index.channels[i].topic for i in chunk.message_index_offsets} for chunk in index.chunk_indexes]
@@ -276,8 +263,8 @@ LATER = [(topic, time + 60) for topic, time in IN_ORDER]
     ids=["later", "meeting", "the schema's id is another", "the schema is another"],
 )
 def test_of_files_chunks_are_copied_whose_ids_agree_and_whose_times_do_not_meet(tmp_path, second, options, expected):
-    files = [written(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
-    files.append(written(tmp_path / "2.mcap", second, chunk_size=TWO, **options))
+    files = [by_library(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
+    files.append(by_library(tmp_path / "2.mcap", second, chunk_size=TWO, **options))
     pieces = copied(files, tmp_path / "b.mcap", results=[0, 20, 60])
     assert set(whole(pieces)) == {expected}
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(files)))
@@ -288,8 +275,8 @@ def test_of_files_chunks_are_copied_whose_ids_agree_and_whose_times_do_not_meet(
 
 
 def test_of_files_without_an_index_messages_are_copied(tmp_path):
-    files = [written(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
-    files.append(written(tmp_path / "2.mcap", LATER, index_types=IndexType.NONE, use_statistics=False))
+    files = [by_library(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
+    files.append(by_library(tmp_path / "2.mcap", LATER, index_types=IndexType.NONE, use_statistics=False))
     pieces = copied(files, tmp_path / "b.mcap")
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(files)))
     assert whole(pieces) == [True] * 6 + [False] * 12
@@ -297,7 +284,7 @@ def test_of_files_without_an_index_messages_are_copied(tmp_path):
 
 def test_a_growing_copy_gives_messages_in_the_order_of_log_time(tmp_path):
     """A chunk that is copied whole reaches further than the results that are there."""
-    source = written(tmp_path / "a.mcap", [("/a", 10 * k) for k in range(6)], chunk_size=2**20)
+    source = by_library(tmp_path / "a.mcap", [("/a", 10 * k) for k in range(6)], chunk_size=2**20)
     summary = log.summarise(source)
     with LogWriter(tmp_path / "b.mcap") as writer:
         copy = MessageCopy(

@@ -32,7 +32,7 @@ def chunk_starts(path):
     salvage = log.Salvage(path)
     salvage.run()
     assert salvage.whole
-    return [entry.chunk_start_offset for entry in salvage._index.chunk_indexes]
+    return [entry.chunk_start_offset for entry in salvage.index.chunk_indexes]
 
 
 def refused(path, content):

@@ -18,12 +18,12 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.input.outcome import PartSpan, joins
-from roadperc_stream.log import Attachment, Channel, LogWriter, Message, Metadata
+from roadperc_stream.log import Attachment, Channel, Message, Metadata
 from roadperc_stream.log.parts import MergedParts, SortedParts
 from roadperc_stream.output.tables import read_footer
 from roadperc_stream.system.time import TimeRange
 from tests import logs
-from tests.arranged import ARRANGEMENTS, arranged, dealt, parts
+from tests.arranged import ARRANGEMENTS, arranged, by_us, parts, plain
 from tests.logs import START_NS
 from tests.replaying import replay
 from tests.test_sample import SAMPLE
@@ -35,19 +35,9 @@ A, B = Channel("/a", "x", "S", "s", b"d", (("k", "v"),)), Channel("/b", "x")
 S = 1_000_000_000
 
 
-def plain(messages):
-    return [(m.channel.topic, m.log_time_ns, m.publish_time_ns, m.sequence, m.data) for m in messages]
-
-
 def written(path, messages, **extra):
-    with LogWriter(path) as writer:
-        for channel, time in messages:
-            writer.write(Message(channel, time, time, 0, f"{channel.topic} {time}".encode()))
-        for attachment in extra.get("attachments", ()):
-            writer.attach(attachment)
-        for record in extra.get("metadata", ()):
-            writer.describe(record)
-    return path
+    found = [Message(channel, time, time, 0, f"{channel.topic} {time}".encode()) for channel, time in messages]
+    return by_us(path, found, **extra)
 
 
 @pytest.mark.parametrize("arrangement", [{}, ARRANGEMENTS["no chunks"]], ids=["indexed", "no index"])
@@ -60,15 +50,6 @@ def test_parts_of_the_sample_are_the_sample(tmp_path, seed, arrangement):
     assert isinstance(log_in.summary.source.parts, SortedParts if arrangement else MergedParts)
     assert plain(log_in.messages()) == plain(whole.messages())
     assert (log_in.log_id, log_in.span_ns, log_in.topics) == (whole.log_id, whole.span_ns, whole.topics)
-
-
-def test_parts_whose_times_overlap_are_merged(tmp_path):
-    files = dealt(SAMPLE, tmp_path, 3, seed=1)
-    log_in, whole = open_input(ReplaySource(files), CFG), open_input(ReplaySource(SAMPLE), CFG)
-    times = [m.log_time_ns for m in log_in.messages()]
-    assert times == sorted(times)
-    assert sorted(plain(log_in.messages())) == sorted(plain(whole.messages()))
-    assert sum("overlaps" in note for note in log_in.notes) == 2
 
 
 def test_the_results_of_parts_are_those_of_the_whole(tmp_path):
@@ -157,8 +138,7 @@ def test_what_several_files_hold_comes_once(tmp_path, together):
 def test_messages_that_differ_in_anything_are_all_there(tmp_path, changed):
     message = Message(A, 5, 5, 0, b"x")
     for name, one in (("1", message), ("2", replace(message, **changed))):
-        with LogWriter(tmp_path / f"{name}.mcap") as writer:
-            writer.write(one)
+        by_us(tmp_path / f"{name}.mcap", [one])
     summary = log.summarise([tmp_path / "1.mcap", tmp_path / "2.mcap"])
     assert len(list(log.read(summary))) == 2
     assert [part.repeats for part in summary.parts] == [0, 0]

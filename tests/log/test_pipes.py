@@ -16,7 +16,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.system.time import TimeRange
-from tests.arranged import ARRANGEMENTS, arranged
+from tests.arranged import ARRANGEMENTS, arranged, plain
 from tests.commands import run, words
 from tests.replaying import replay
 from tests.test_sample import SAMPLE
@@ -32,10 +32,6 @@ def fed(path, data):
 def _write(path, data):
     with suppress(BrokenPipeError):  # who reads may give up
         path.write_bytes(data)
-
-
-def plain(messages):
-    return [(m.channel, m.log_time_ns, m.data) for m in messages]
 
 
 @pytest.mark.parametrize("options", [{}, ARRANGEMENTS["no chunks, no summary"]], ids=["indexed", "no index"])

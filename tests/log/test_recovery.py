@@ -8,7 +8,7 @@ from mcap.writer import CompressionType, IndexType
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Metadata, Recovery
-from roadperc_stream.log.chunks import Workspace, contents_of
+from roadperc_stream.log.chunks import contents_of
 from roadperc_stream.log.framing import Framing
 from roadperc_stream.log.layout import chunk_head
 from tests.log import flips
@@ -47,8 +47,8 @@ def ends(path):
             elif record.opcode == 6:
                 head = chunk_head(record.body)
                 start = record.end - head.stored_bytes
-                for item in contents_of(head, Workspace()).items:
-                    end = record.end if head.compression else start + item.offset + 9 + len(item.body)
+                for item in contents_of(head, 10_000)[0]:
+                    end = record.end if head.compression else start + item.start + 9 + len(item.body)
                     if item.opcode == 5:
                         found.append((int.from_bytes(item.body[6:14], "little"), end))
     return found
@@ -209,13 +209,6 @@ def test_a_repaired_log_that_is_damaged_again_keeps_both_losses(tmp_path, monkey
     assert second.gaps[0] == first.gaps[0]
     assert len(second.gaps) == 2
     assert sum(second.lost.values()) > sum(first.lost.values())
-
-
-def test_the_same_damage_gives_the_same_bytes(tmp_path):
-    path, _ = damaged_in_the_middle(tmp_path)
-    log.write_repaired(path, tmp_path / "x.mcap")
-    log.write_repaired(path, tmp_path / "y.mcap")
-    assert (tmp_path / "x.mcap").read_bytes() == (tmp_path / "y.mcap").read_bytes()
 
 
 @pytest.mark.parametrize(
