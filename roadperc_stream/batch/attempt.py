@@ -155,7 +155,7 @@ def _keep_printed(task: Task, printed: Path, outcome: Outcome) -> None:
             printed.unlink()
             return
         if printed.stat().st_size:
-            task.out.put(printed, f"{OUTPUT}/{task.drive.stem}-{task.key}.txt")
+            task.out.at(f"{OUTPUT}/{task.drive.stem}-{task.key}.txt").put(printed)
         for left_over in printed.parent.glob(f"{task.key}.*.log"):  # and of attempts whose batch was killed
             left_over.unlink(missing_ok=True)
 

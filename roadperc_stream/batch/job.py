@@ -7,7 +7,7 @@ from pathlib import Path
 
 from roadperc_stream import __version__
 from roadperc_stream.batch.runs import BatchRow
-from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.storage.place import Place
 from roadperc_stream.batch.task import (
     NO_TIMEOUT,
     BatchConfiguration,
@@ -40,7 +40,7 @@ class BatchJob:
     """
 
     how: BatchConfiguration
-    out: Folder
+    out: Place
     keep_logs: KeepLogs = "no"
     recover: bool = False
     limits: TaskLimits = NO_TIMEOUT

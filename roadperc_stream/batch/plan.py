@@ -11,15 +11,14 @@ from roadperc_stream import __version__
 from roadperc_stream.batch.publishing import LOGS, METRICS, OBJECTS, name_in
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
 from roadperc_stream.batch.storage.addresses import is_address, natural
-from roadperc_stream.batch.storage.disk import StoredFile
-from roadperc_stream.batch.storage.folder import Folder, find_files
+from roadperc_stream.batch.storage.place import Place, StoredFile, find_files
 from roadperc_stream.batch.task import DriveFiles, KeepLogs, code_digest
 from roadperc_stream.errors import StorageError
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, STATUSES
 from roadperc_stream.system.files import TABLE_SUFFIX
 
 
-def find_drives_in(arguments: Sequence[str], out: Folder, parts: re.Pattern[str] | None) -> list[DriveFiles]:
+def find_drives_in(arguments: Sequence[str], out: Place, parts: re.Pattern[str] | None) -> list[DriveFiles]:
     """The logs that the arguments mean, each once, in their order.
 
     Args:
@@ -38,7 +37,7 @@ def find_drives_in(arguments: Sequence[str], out: Folder, parts: re.Pattern[str]
     return [DriveFiles((file,)) for file in files] if parts is None else joined(files, parts)
 
 
-def _is_in(file: StoredFile, out: Folder) -> bool:
+def _is_in(file: StoredFile, out: Place) -> bool:
     """Whether it is a result log of the dataset, whatever links lead there."""
     if out.is_local and not is_address(file.address):
         place = Path(os.path.realpath(file.address))  # resolve() refuses a link to itself
@@ -114,7 +113,7 @@ class Again:
 class Planner:
     """Decides for one log after the other, by what a dataset holds."""
 
-    def __init__(self, known: KnownRuns, out: Folder, again: Again) -> None:
+    def __init__(self, known: KnownRuns, out: Place, again: Again) -> None:
         self._known, self._again = known, again
         self._there = _files_of(out, (METRICS, OBJECTS), TABLE_SUFFIX) | _files_of(out, (LOGS,), ".mcap")
 
@@ -167,10 +166,14 @@ class Planner:
         return ""
 
 
-def _files_of(out: Folder, folders: Sequence[str], suffix: str) -> set[str]:
+def _files_of(out: Place, folders: Sequence[str], suffix: str) -> set[str]:
     """Their names; a file with nothing in it is none, as a machine that lost its power leaves them."""
-    found = (file for folder in folders for file in out.files(folder, suffix))
-    return {out.name_of(file) for file in found if file.size_bytes}
+    return {
+        f"{folder}/{name}"
+        for folder in folders
+        for name, file in out.at(folder).files(suffix).items()
+        if file.size_bytes
+    }
 
 
 def counted(steps: Iterable[Step]) -> Mapping[str, int]:

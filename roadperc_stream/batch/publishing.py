@@ -3,7 +3,6 @@
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from roadperc_stream.batch.storage.addresses import joined
 from roadperc_stream.batch.task import Outcome, Task, as_text
 from roadperc_stream.output.tables import copy_table, totals
 from roadperc_stream.output.target import ReplayTarget
@@ -56,17 +55,17 @@ def publish(task: Task, target: ReplayTarget, log_id: str, first_ns: int, replay
     date = date_of(first_ns)
     names = {folder: name_in(folder, date, log_id, task.how.name) for folder in (METRICS, OBJECTS, LOGS)}
     keeps_log = task.keep_logs != "no"
-    facts = {"source": task.drive.name, "log": joined(task.out.address, names[LOGS]) if keeps_log else ""}
+    facts = {"source": task.drive.name, "log": task.out.at(names[LOGS]).address if keeps_log else ""}
     facts["options"] = task.how.options
     measured = totals(target.metrics, TIME_COLUMNS)
     if keeps_log:
-        task.out.put(target.path, names[LOGS])
+        task.out.at(names[LOGS]).put(target.path)
     else:
-        task.out.remove(names[LOGS])  # of an earlier run: it would stand beside tables of this one
+        task.out.at(names[LOGS]).remove()  # of an earlier run: it would stand beside tables of this one
     for folder, table in ((OBJECTS, target.objects), (METRICS, target.metrics)):
         copy = table.with_suffix(".copy")
         copy_table(table, copy, facts, {"config": task.how.name})
-        task.out.put(copy, names[folder])
+        task.out.at(names[folder]).put(copy)
     return replace(
         replayed,
         log_id=log_id,

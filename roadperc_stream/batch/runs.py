@@ -16,8 +16,7 @@ from typing import Any, Final
 
 import msgspec
 
-from roadperc_stream.batch.storage.addresses import joined
-from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.storage.place import Place
 from roadperc_stream.batch.task import SCRATCH
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import TableWriter, rows_in
@@ -101,7 +100,7 @@ class KnownRuns:
 class RunsTable:
     """The rows of a dataset, as the batch that holds its lock reads and writes them."""
 
-    def __init__(self, folder: Folder) -> None:
+    def __init__(self, folder: Place) -> None:
         self._folder = folder
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._own_name = f"{AT_WORK}/{started}-{socket.gethostname()}-{os.getpid()}{TABLE_SUFFIX}"
@@ -118,13 +117,13 @@ class RunsTable:
         return merged(*self._tables(), self._own.values())
 
     def _at_work(self) -> list[str]:
-        return [self._folder.name_of(file) for file in self._folder.files(AT_WORK, TABLE_SUFFIX)]
+        return [f"{AT_WORK}/{name}" for name in self._folder.at(AT_WORK).files(TABLE_SUFFIX)]
 
     def _tables(self) -> Iterator[list[BatchRow]]:
         for name in (ALL, *self._at_work()):
-            data = self._folder.read(name)
-            if data is not None:
-                yield _runs_in(data, joined(self._folder.address, name))
+            file = self._folder.at(name)
+            if (data := file.read()) is not None:
+                yield _runs_in(data, file.address)
 
     def add(self, run: BatchRow) -> None:
         """Add a row, or replace the one of the same log and configuration."""
@@ -154,13 +153,13 @@ class RunsTable:
             self._write(self.read().values(), ALL)
             self._is_saved = True
         for name in names:
-            self._folder.remove(name)
+            self._folder.at(name).remove()
         if self._folder.is_local:
-            for left_over in self._folder.path(SCRATCH).glob(f"{_UNFINISHED}*"):  # of batches that were killed
+            for left_over in Path(self._folder.address, SCRATCH).glob(f"{_UNFINISHED}*"):  # of batches that were killed
                 shutil.rmtree(left_over, ignore_errors=True)
 
     def _write(self, runs: Iterable[BatchRow], name: str) -> None:
-        scratch = self._folder.path(SCRATCH) if self._folder.is_local else None  # the system's may be full
+        scratch = Path(self._folder.address, SCRATCH) if self._folder.is_local else None  # the system's may be full
         if scratch is not None:
             with target_errors(scratch):
                 scratch.mkdir(parents=True, exist_ok=True)
@@ -169,7 +168,7 @@ class RunsTable:
             with TableWriter(path, RunRow, {}, RUN_TIME_COLUMNS) as table:
                 for run in sorted(runs, key=lambda run: (run.row.path, run.row.config)):
                     table.append(run.row, **run.stages_s)
-            self._folder.put(path, name)
+            self._folder.at(name).put(path)
 
 
 def _runs_in(data: bytes, address: str) -> list[BatchRow]:

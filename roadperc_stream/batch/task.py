@@ -13,8 +13,7 @@ from typing import Final, Literal
 import tomli_w
 
 import roadperc_stream
-from roadperc_stream.batch.storage.disk import StoredFile
-from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.storage.place import Place, StoredFile
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.schemas.columns.runs import RunStatus
 from roadperc_stream.system.time import WHOLE, TimeRange
@@ -166,7 +165,7 @@ class Task:
 
     drive: DriveFiles
     how: BatchConfiguration
-    out: Folder
+    out: Place
     keep_logs: KeepLogs = "no"
     recover: bool = False
     limits: TaskLimits = NO_TIMEOUT

@@ -17,7 +17,7 @@ from typing import Final, Self
 import roadperc_stream
 from roadperc_stream.batch.publishing import of_summary, publish
 from roadperc_stream.batch.storage.addresses import is_address
-from roadperc_stream.batch.storage.folder import Folder, fetch
+from roadperc_stream.batch.storage.place import Place
 from roadperc_stream.batch.task import BUSY, SCRATCH, Outcome, Task, as_text, code_digest, this_worker
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
@@ -60,7 +60,7 @@ class _LocalFiles:
             if not is_address(file.address):
                 files.identities[file.address] = _identity(file.address)
             elif not copy.exists():
-                fetch(file.address, copy)
+                Place(file.address).fetch(copy)
         return files
 
     def require_unchanged(self) -> None:
@@ -127,14 +127,14 @@ def scratch_of(task: Task) -> Path:
     return scratch_root(task.out, task.scratch) / f"{task.key}.{task.content_key}"
 
 
-def scratch_root(out: Folder, scratch: Path | None) -> Path:
+def scratch_root(out: Place, scratch: Path | None) -> Path:
     """The folder for what is not complete of a dataset: in the dataset, or in a private folder that this makes.
 
     Raises:
         TargetError: the private folder cannot be made, or is not private.
     """
     if scratch is None and out.is_local:
-        return out.path(SCRATCH)
+        return Path(out.address, SCRATCH)
     user = os.getuid() if hasattr(os, "getuid") else 0
     private = (scratch or Path(tempfile.gettempdir())) / f"roadperc-batch-{user}"
     make_private(private)

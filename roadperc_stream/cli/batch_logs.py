@@ -11,7 +11,7 @@ from roadperc_stream.batch.backend import Backend, LocalBackend
 from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, Shows
 from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.plan import Again, counted
-from roadperc_stream.batch.storage.folder import Folder
+from roadperc_stream.batch.storage.place import Place
 from roadperc_stream.batch.task import BatchConfiguration, KeepLogs, TaskLimits
 from roadperc_stream.batch.worker import scratch_root
 from roadperc_stream.cli.arguments import config_of, time_range_of
@@ -59,7 +59,7 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
         keep_logs = "results" if arguments.results_only else "whole"
     return BatchJob(
         how,
-        Folder(arguments.out),
+        Place(arguments.out),
         keep_logs,
         arguments.recover,
         TaskLimits(arguments.timeout, arguments.memory),
