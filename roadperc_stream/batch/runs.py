@@ -10,7 +10,7 @@ import socket
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,7 +25,6 @@ from roadperc_stream.system.files import TABLE_SUFFIX, target_errors
 
 ALL: Final = f"runs{TABLE_SUFFIX}"
 AT_WORK: Final = "runs"
-_NAMES: Final = tuple(item.name for item in fields(RunRow))
 _REMEDY: Final = "remove it and all is done anew"
 _UNFINISHED: Final = "runs-"
 
@@ -68,6 +67,7 @@ class KnownRuns:
     """The rows of one configuration, found by name and by size."""
 
     def __init__(self, runs: Iterable[BatchRow], config: str) -> None:
+        self._config = config
         self._by_key: Rows = {}
         self._by_name: dict[str, set[tuple[str, str]]] = {}
         self._by_size: dict[int, set[tuple[str, str]]] = {}
@@ -82,9 +82,9 @@ class KnownRuns:
         for name in run.row.names:
             self._by_name.setdefault(name, set()).add(run.key)
 
-    def get(self, log: str, config: str) -> BatchRow | None:
+    def get(self, log: str) -> BatchRow | None:
         """The row of a log by its digest, or by its path where it has none."""
-        return self._by_key.get((log, config))
+        return self._by_key.get((log, self._config))
 
     def named(self, name: str) -> list[BatchRow]:
         """The rows of the logs that were last seen under a name, the newest first."""
@@ -180,12 +180,9 @@ def _runs_in(data: bytes, address: str) -> list[BatchRow]:
 
 
 def _run_of(row: Mapping[str, Any], address: str) -> BatchRow:
-    missing = [name for name in _NAMES if name not in row]
-    if missing:
-        raise TableError(f"{address}: has no column {missing[0]}; another version of this program wrote it")
     stages_s = {name: row[name] for name in RUN_TIME_COLUMNS if row.get(name) is not None}
     try:
-        values = msgspec.convert({name: row[name] for name in _NAMES}, RunRow)
+        values = msgspec.convert(row, RunRow)
     except msgspec.ValidationError as error:
         raise TableError(f"{address}: is not a list of runs of this program: {error}; {_REMEDY}") from error
     if len(values.names) != len(values.fingerprints):

@@ -134,55 +134,61 @@ class DriveFiles:
 
 
 @dataclass(frozen=True)
-class TaskLimits:
-    """What an attempt at a log may take: seconds, and bytes of memory; no end of time unless said."""
-
-    timeout_s: float | None = None
-    memory_bytes: int = 2_000_000_000
-
-
-NO_TIMEOUT: Final = TaskLimits()
-
-
-@dataclass(frozen=True)
-class Task:
-    """A log to replay under a configuration into a dataset.
+class BatchJob:
+    """What a batch does with each of its logs.
 
     Args:
-        drive: the log.
         how: the configuration.
         out: the dataset.
         keep_logs: the result log to keep.
-        recover: replay what can be read of a damaged log.
-        was_recovered: whether what the dataset has of it is so; it is looked at in the same way, to see whether it is
-            the same still.
-        limits: of each attempt.
-        same_ids: logs that are in the dataset already and that this one may be, under another name or another time of
-            change: then nothing is left to do.
-        code: digest of the code that the batch was started with, which is to be the worker's.
-        scratch: a folder for temporary files on the worker's machine; None: within the dataset, or the system's.
+        recover: replay what can be read of damaged logs.
+        timeout_s: seconds that an attempt may take; None: as long as it needs.
+        memory_bytes: memory that an attempt may take.
+        retries: how often a log is tried again whose worker died.
+        fail_fast: stop at the first log that fails.
+        scratch: folder for temporary files on the workers' machines; None: within the dataset, or the system's.
+        code: digest of the code that the batch was started with, which is to be the workers'; empty: not checked.
     """
 
-    drive: DriveFiles
     how: BatchConfiguration
     out: Place
     keep_logs: KeepLogs = "no"
     recover: bool = False
-    limits: TaskLimits = NO_TIMEOUT
-    same_ids: tuple[str, ...] = ()
-    code: str = ""
+    timeout_s: float | None = None
+    memory_bytes: int = 2_000_000_000
+    retries: int = 2
+    fail_fast: bool = False
     scratch: Path | None = None
+    code: str = ""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A log to replay into a dataset.
+
+    Args:
+        drive: the log.
+        job: what the batch does with it.
+        same_ids: logs that are in the dataset already and that this one may be, under another name or another time of
+            change: then nothing is left to do.
+        was_recovered: whether the dataset's log was recovered; this one is then read in the same way, to see whether it
+            is the same still.
+    """
+
+    drive: DriveFiles
+    job: BatchJob
+    same_ids: tuple[str, ...] = ()
     was_recovered: bool = False
 
     @cached_property
     def content_key(self) -> str:
         """Differs where the log, or what replays it, has changed: nothing that is not complete then is of use."""
-        return hashlib.sha256(f"{self.drive.fingerprint}\n{self.code}".encode()).hexdigest()[:_KEY_DIGITS]
+        return hashlib.sha256(f"{self.drive.fingerprint}\n{self.job.code}".encode()).hexdigest()[:_KEY_DIGITS]
 
     @cached_property
     def key(self) -> str:
         """Names the log and the configuration where the log's digest is not known yet."""
-        return hashlib.sha256(f"{self.drive.name}\n{self.how.name}".encode()).hexdigest()[:_KEY_DIGITS]
+        return hashlib.sha256(f"{self.drive.name}\n{self.job.how.name}".encode()).hexdigest()[:_KEY_DIGITS]
 
 
 @dataclass(frozen=True)

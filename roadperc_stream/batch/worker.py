@@ -15,10 +15,10 @@ from time import perf_counter
 from typing import Final, Self
 
 import roadperc_stream
-from roadperc_stream.batch.publishing import of_summary, publish
+from roadperc_stream.batch.publishing import publish
 from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.batch.storage.place import Place
-from roadperc_stream.batch.task import BUSY, SCRATCH, Outcome, Task, as_text, code_digest, this_worker
+from roadperc_stream.batch.task import BUSY, SCRATCH, BatchJob, Outcome, Task, as_text, code_digest, this_worker
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
@@ -124,21 +124,21 @@ def scratch_of(task: Task) -> Path:
     Raises:
         TargetError: as ``scratch_root``.
     """
-    return scratch_root(task.out, task.scratch) / f"{task.key}.{task.content_key}"
+    return scratch_root(task.job) / f"{task.key}.{task.content_key}"
 
 
-def scratch_root(out: Place, scratch: Path | None) -> Path:
+def scratch_root(job: BatchJob) -> Path:
     """The folder for what is not complete of a dataset: in the dataset, or in a private folder that this makes.
 
     Raises:
         TargetError: the private folder cannot be made, or is not private.
     """
-    if scratch is None and out.is_local:
-        return Path(out.address, SCRATCH)
+    if job.scratch is None and job.out.is_local:
+        return Path(job.out.address, SCRATCH)
     user = os.getuid() if hasattr(os, "getuid") else 0
-    private = (scratch or Path(tempfile.gettempdir())) / f"roadperc-batch-{user}"
+    private = (job.scratch or Path(tempfile.gettempdir())) / f"roadperc-batch-{user}"
     make_private(private)
-    return private / hashlib.sha256(out.address.encode()).hexdigest()[:_DIGITS]
+    return private / hashlib.sha256(job.out.address.encode()).hexdigest()[:_DIGITS]
 
 
 @contextmanager
@@ -168,27 +168,27 @@ def _claimed(task: Task) -> Iterator[Path | None]:
 def _replayed(task: Task, folder: Path, progress: Progress) -> Outcome:
     _require_same_code(task)
     files = _LocalFiles.of(task, folder)
-    target = ReplayTarget(folder / "out.mcap", results_only=task.keep_logs != "whole", force=True)
-    source = ReplaySource(files.paths, dict(task.how.topics), task.how.time_range, task.recover)
+    target = ReplayTarget(folder / "out.mcap", results_only=task.job.keep_logs != "whole", force=True)
+    source = ReplaySource(files.paths, dict(task.job.how.topics), task.job.how.time_range, task.job.recover)
     try:
         known_id = _known_id(task, source)
         if known_id is None:
-            summary = replay(source, target, task.how.cfg, _CHECKPOINTS, Callbacks(progress))
+            summary = replay(source, target, task.job.how.cfg, _CHECKPOINTS, Callbacks(progress))
     finally:
         files.require_unchanged()  # what is wrong with a log may be that it is half another file
     if known_id is not None:
         return Outcome("done", log_id=known_id, is_new=False)
     for remark in summary.remarks:  # what a process prints comes to stand beside the dataset's tables
         print_line(_with_addresses(remark, task, folder))
-    return publish(task, target, summary.log_id, summary.first_ns, of_summary(summary))
+    return publish(task, target, summary)
 
 
 def _known_id(task: Task, source: ReplaySource) -> str | None:
     """The digest of a log that is in the dataset already; None of another one."""
     if not task.same_ids:
         return None
-    as_before = replace(source, recover=task.recover or task.was_recovered)
-    log_id = open_log(as_before, task.how.cfg).input.log_id
+    as_before = replace(source, recover=task.job.recover or task.was_recovered)
+    log_id = open_log(as_before, task.job.how.cfg).input.log_id
     return log_id if log_id in task.same_ids else None
 
 
@@ -198,9 +198,11 @@ def _require_same_code(task: Task) -> None:
     Raises:
         StorageError: it has another version of the program.
     """
-    if task.code and task.code != code_digest():
+    if task.job.code and task.job.code != code_digest():
         found = f"{roadperc_stream.__version__}, code {code_digest()}"
-        raise StorageError(f"{this_worker()}: has another version of roadperc_stream ({found}); expected {task.code}")
+        raise StorageError(
+            f"{this_worker()}: has another version of roadperc_stream ({found}); expected {task.job.code}"
+        )
 
 
 def _copies_in(task: Task, folder: Path) -> Iterator[Path]:

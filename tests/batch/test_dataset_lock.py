@@ -14,10 +14,9 @@ import pytest
 from roadperc_stream.batch import dataset_lock
 from roadperc_stream.batch.dataset_lock import LOCK, DatasetLock, LockHolder
 from roadperc_stream.batch.driver import BatchRun
-from roadperc_stream.batch.job import BatchJob
 from roadperc_stream.batch.plan import Again
 from roadperc_stream.batch.storage.place import Place
-from roadperc_stream.batch.task import BatchConfiguration, Outcome
+from roadperc_stream.batch.task import BatchConfiguration, BatchJob, Outcome
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import StorageError
 from tests.batch.backends import Scripted
@@ -129,7 +128,7 @@ def test_a_batch_whose_lock_was_taken_ends_and_leaves_the_list_to_the_other(tmp_
         return Outcome("killed", "its process ended")
 
     job = BatchJob(BatchConfiguration(load_config(None)), store, retries=10**6)
-    display = nullcontext((lambda _: None, lambda _: None))
+    display = nullcontext(lambda _: None)
     with pytest.raises(StorageError, match=ELSEWHERE):
         BatchRun(job, [str(source)], None, Again()).run(lambda: Scripted(taken), lambda: display)
     assert read(store) == holder(read(store).renewed_s)

@@ -1,6 +1,5 @@
 """What each command imports: nothing heavy for its help or for wrong usage, and only what it uses for its work."""
 
-import ast
 import os
 import subprocess
 import sys
@@ -100,13 +99,3 @@ def test_a_layout_needs_no_rerun(made, tmp_path):
 
 def test_settings_are_listed_without_images():
     assert not packages(loaded("replay", "--list-settings")) & {"cv2", "polars", "plotly", "rerun", "foxglove", "mcap"}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_commands_file_imports_the_work_only_when_it_runs(command):
-    """Its top level knows the parser's own modules and the standard library alone."""
-    for node in ast.parse((CLI / f"{command}.py").read_text()).body:
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        names += [node.module] if isinstance(node, ast.ImportFrom) else []
-        for name in names:
-            assert name.startswith(LIGHT) or name.partition(".")[0] in sys.stdlib_module_names, name

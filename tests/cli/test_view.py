@@ -1,8 +1,6 @@
 """``roadperc-view`` as a user types it: one way to look at a time, and what is refused."""
 
 import socket
-import subprocess
-import sys
 
 import pytest
 
@@ -134,11 +132,6 @@ def test_a_viewer_without_a_display_is_a_stated_error(source, monkeypatch, capsy
     monkeypatch.setattr(viewer, "_listening", lambda: False)
     assert main([str(source)]) == 1
     assert "does not start" in capsys.readouterr().err
-
-
-def test_only_rerun_costs_its_import():
-    code = "import sys, roadperc_stream.cli.view; sys.exit('rerun' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 
 def test_a_program_that_is_no_viewer_is_not_sent_the_log(source, monkeypatch, capsys):
