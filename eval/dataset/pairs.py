@@ -10,7 +10,7 @@ from typing import Final
 
 import polars as pl
 
-from roadperc_stream.batch.storage.place import Place
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.errors import TableError
 from roadperc_stream.system.files import TABLE_SUFFIX
 
@@ -35,7 +35,7 @@ def in_a_folder(dataset: Dataset) -> Iterator[Dataset]:
     if dataset.folder is not None:
         yield dataset
         return
-    store = Place(dataset.address)
+    store = Location(dataset.address)
     names = [f"{folder}/{name}" for folder in ("metrics", "runs") for name in store.at(folder).files(TABLE_SUFFIX)]
     if not names:
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../, so there is nothing to compare")

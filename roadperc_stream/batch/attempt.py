@@ -24,7 +24,7 @@ from uuid import uuid4
 
 import psutil
 
-from roadperc_stream.batch.task import BUSY, Outcome, Task, megabytes, this_worker
+from roadperc_stream.batch.task import Outcome, Task, megabytes, this_worker
 from roadperc_stream.batch.worker import scratch_of, work
 from roadperc_stream.errors import RoadpercError, TargetError
 from roadperc_stream.system.progress import Progress, no_progress, now_and_then
@@ -79,7 +79,7 @@ def _attempt(task: Task, stop: threading.Event, tell: Progress) -> Outcome:
         process.kill()
         process.join()
         receiver.close()
-    _keep_printed(task, printed, outcome)
+    _keep_printed(task, printed)
     return replace(outcome, seconds=outcome.seconds or monotonic() - started, worker=outcome.worker or this_worker())
 
 
@@ -146,12 +146,9 @@ def _fatal_error(printed: Path) -> str:
     return ""
 
 
-def _keep_printed(task: Task, printed: Path, outcome: Outcome) -> None:
+def _keep_printed(task: Task, printed: Path) -> None:
     """Put what the process printed into the dataset, where it is anything."""
     with suppress(OSError, RoadpercError):
-        if outcome.status == BUSY:
-            printed.unlink()
-            return
         if printed.stat().st_size:
             task.job.out.at(f"{OUTPUT}/{task.drive.stem}-{task.key}.txt").put(printed)
         for left_over in printed.parent.glob(f"{task.key}.*.log"):  # and of attempts whose batch was killed

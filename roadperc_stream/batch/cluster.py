@@ -76,14 +76,8 @@ class TaskEnd:
     outcome: Outcome
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """Why a session cannot be opened, in a line."""
-
-    why: str
-
-
-SessionMessage = ClusterState | TaskEnd | Refusal
+SessionMessage = ClusterState | TaskEnd | str
+"""A text says why a session cannot be opened, in a line."""
 
 
 class RayBackend:
@@ -172,8 +166,8 @@ class RayBackend:
         match message:
             case ClusterState():
                 self._state = message
-            case Refusal(why):
-                raise ClusterError(f"--ray {self._request.address}: {why}")
+            case str():
+                raise ClusterError(f"--ray {self._request.address}: {message}")
             case TaskEnd():
                 return message
         return None

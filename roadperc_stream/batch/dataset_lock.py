@@ -12,7 +12,7 @@ from uuid import uuid4
 
 import msgspec
 
-from roadperc_stream.batch.storage.place import Place
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.errors import RoadpercError, StorageError
 from roadperc_stream.resume.lock import FolderLock
 from roadperc_stream.system.files import target_errors
@@ -52,7 +52,7 @@ class DatasetLock:
         out: the dataset.
     """
 
-    def __init__(self, out: Place) -> None:
+    def __init__(self, out: Location) -> None:
         started = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime())
         self._out = out
         self._me = LockHolder(socket.gethostname(), os.getpid(), started, uuid4().hex, 0.0)

@@ -13,14 +13,13 @@ from roadperc_stream.batch.dataset_lock import DatasetLock
 from roadperc_stream.batch.plan import Again, Planner, Step, find_drives_in
 from roadperc_stream.batch.rows import also_named, not_named, row_of
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
-from roadperc_stream.batch.task import BUSY, BatchJob, DriveFiles, Outcome, Task, code_digest
+from roadperc_stream.batch.task import BatchJob, DriveFiles, Outcome, Task
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, RunRow
 
 _WAIT_S: Final = 0.2
 _SAVE_EVERY_S: Final = 1.0
-_BUSY_AGAIN_S: Final = 1.0
-_UNREACHED_AGAIN_S: Final = 1.0
-"""How long a log waits that is tried again, and each time so much longer."""
+_AGAIN_S: Final = 1.0
+"""How long a log waits for another attempt, and each time so much longer."""
 _TRIED_AGAIN: Final = frozenset({"killed", "unreachable"})
 """What another attempt may not meet again."""
 
@@ -64,8 +63,6 @@ class Driver:
     _waiting: deque[_Try] = field(default_factory=deque)
     _at_work: dict[str, _Try] = field(default_factory=dict)
     _save_at_s: float = 0.0
-    _added: set[tuple[str, str]] = field(default_factory=set)
-    """Keys of the rows that this batch has written."""
 
     def run(self, steps: Sequence[Step]) -> BatchProgress:
         """Do all steps that are to be done, the longest logs first for load balance; how far it came."""
@@ -90,7 +87,7 @@ class Driver:
             item = self._waiting.popleft()
             task = self._task(item.step)
             is_early = item.not_before_s > time.monotonic()
-            if is_early or task.key in self._at_work or self._has_twin_at_work(item.step.drive):
+            if is_early or task.key in self._at_work:
                 self._waiting.append(item)
                 continue
             self._at_work[task.key] = item
@@ -98,32 +95,15 @@ class Driver:
 
     def _task(self, step: Step) -> Task:
         was_recovered = step.before is not None and step.before.row.recover
-        return Task(step.drive, self.job, self._same_ids(step), was_recovered)
-
-    def _same_ids(self, step: Step) -> tuple[str, ...]:
-        """Logs that were done since the batch was planned may be this one, too."""
-        if step.before is not None:
-            return step.same_ids
-        done = (run for run in self.known.done_of_size(step.drive.size_bytes) if run.key in self._added)
-        return (*step.same_ids, *filter(None, (run.row.log_id for run in done if self._is_as_asked(run.row))))
-
-    def _is_as_asked(self, row: RunRow) -> bool:
-        """Whether this batch would come to the same row; it also adds rows of logs that lost a name."""
-        return row.code == code_digest() and self.job.keep_logs in {"no", row.logs}
-
-    def _has_twin_at_work(self, drive: DriveFiles) -> bool:
-        """Whether a file of the same size is: it may be the same log, and then this one need not be replayed."""
-        others = (other.step.drive for other in self._at_work.values() if other.step.drive != drive)
-        return bool(self._waiting) and any(other.size_bytes == drive.size_bytes for other in others)
+        return Task(step.drive, self.job, step.same_ids, was_recovered)
 
     def _take(self) -> None:
         """Write down what has ended, and look at what is at work."""
         for task, outcome in self.backend.wait(_WAIT_S):
             item = self._at_work.pop(task.key)
-            if outcome.status == BUSY:
-                self._wait_with(item, _BUSY_AGAIN_S)
-            elif outcome.status in _TRIED_AGAIN and item.attempts <= self.job.retries:
-                self._wait_with(replace(item, attempts=item.attempts + 1), _UNREACHED_AGAIN_S * item.attempts)
+            if outcome.status in _TRIED_AGAIN and item.attempts <= self.job.retries:
+                not_before_s = time.monotonic() + _AGAIN_S * item.attempts
+                self._waiting.append(replace(item, attempts=item.attempts + 1, not_before_s=not_before_s))
             else:
                 self._write(item, outcome)
         self._look_at_work()
@@ -138,9 +118,6 @@ class Driver:
             for key, (done, expected) in at_work.items()
             if expected and key in self._at_work
         )
-
-    def _wait_with(self, item: _Try, seconds: float) -> None:
-        self._waiting.append(replace(item, not_before_s=time.monotonic() + seconds))
 
     def _save_now_and_then(self) -> None:
         """Save the rows, in a twentieth of the time at most."""
@@ -170,7 +147,6 @@ class Driver:
     def _add(self, run: BatchRow) -> None:
         self.known.add(run)
         self.table.add(run)
-        self._added.add(run.key)
 
     def _no_longer_there(self, drive: DriveFiles, run: BatchRow) -> list[BatchRow]:
         """Rows of other logs that were under this name before; one without a digest goes by itself."""

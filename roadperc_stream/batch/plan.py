@@ -11,14 +11,14 @@ from roadperc_stream import __version__
 from roadperc_stream.batch.publishing import LOGS, METRICS, OBJECTS, name_in
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
 from roadperc_stream.batch.storage.addresses import is_address, natural
-from roadperc_stream.batch.storage.place import Place, StoredFile, find_files
+from roadperc_stream.batch.storage.location import Location, StoredFile, find_files
 from roadperc_stream.batch.task import BatchJob, DriveFiles, code_digest
 from roadperc_stream.errors import StorageError
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, STATUSES
 from roadperc_stream.system.files import TABLE_SUFFIX
 
 
-def find_drives_in(arguments: Sequence[str], out: Place, parts: re.Pattern[str] | None) -> list[DriveFiles]:
+def find_drives_in(arguments: Sequence[str], out: Location, parts: re.Pattern[str] | None) -> list[DriveFiles]:
     """The logs that the arguments mean, each once, in their order.
 
     Args:
@@ -37,7 +37,7 @@ def find_drives_in(arguments: Sequence[str], out: Place, parts: re.Pattern[str] 
     return [DriveFiles((file,)) for file in files] if parts is None else joined(files, parts)
 
 
-def _is_in(file: StoredFile, out: Place) -> bool:
+def _is_in(file: StoredFile, out: Location) -> bool:
     """Whether it is a result log of the dataset, whatever links lead there."""
     if out.is_local and not is_address(file.address):
         place = Path(os.path.realpath(file.address))  # resolve() refuses a link to itself
@@ -162,7 +162,7 @@ class Planner:
         return ""
 
 
-def _files_of(out: Place, folders: Sequence[str], suffix: str) -> set[str]:
+def _files_of(out: Location, folders: Sequence[str], suffix: str) -> set[str]:
     """Their names; a file with nothing in it is none, as a machine that lost its power leaves them."""
     return {
         f"{folder}/{name}"

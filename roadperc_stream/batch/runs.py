@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import msgspec
 
-from roadperc_stream.batch.storage.place import Place
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import SCRATCH
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import TableWriter, rows_in
@@ -100,7 +100,7 @@ class KnownRuns:
 class RunsTable:
     """The rows of a dataset, as the batch that holds its lock reads and writes them."""
 
-    def __init__(self, folder: Place) -> None:
+    def __init__(self, folder: Location) -> None:
         self._folder = folder
         started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._own_name = f"{AT_WORK}/{started}-{socket.gethostname()}-{os.getpid()}{TABLE_SUFFIX}"

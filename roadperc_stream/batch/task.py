@@ -13,7 +13,7 @@ from typing import Final, Literal
 import tomli_w
 
 import roadperc_stream
-from roadperc_stream.batch.storage.place import Place, StoredFile
+from roadperc_stream.batch.storage.location import Location, StoredFile
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.schemas.columns.runs import RunStatus
 from roadperc_stream.system.time import WHOLE, TimeRange
@@ -97,8 +97,6 @@ KeepLogs = Literal["no", "whole", "results"]
 """Which result log stays in the dataset: none, one as a replay writes it, or one without the input's messages."""
 SCRATCH: Final = ".work"
 """The folder of a local dataset for what is not complete."""
-BUSY: Final = "busy"
-"""The status of a task whose log another batch is at work on."""
 _KEY_DIGITS: Final = 16
 _MB: Final = 1e6
 
@@ -151,7 +149,7 @@ class BatchJob:
     """
 
     how: BatchConfiguration
-    out: Place
+    out: Location
     keep_logs: KeepLogs = "no"
     recover: bool = False
     timeout_s: float | None = None
@@ -199,7 +197,7 @@ class Outcome:
     ``frames_before`` those that an interrupted attempt had computed.
     """
 
-    status: RunStatus | Literal["busy"]
+    status: RunStatus
     error: str | None = None
     log_id: str | None = None
     date: str | None = None

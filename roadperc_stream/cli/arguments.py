@@ -89,20 +89,10 @@ _port = number(0, 65535, "0 to 65535", int)
 def add_serving_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """``--rate``, ``--loop``, ``--host`` and ``--port``, None where not given."""
     group = parser.add_argument_group("serving to Foxglove")
-    group.add_argument(
-        "--rate",
-        metavar="FACTOR",
-        type=_rate,
-        help="speed of playback at first (default 1)",
-    )
+    group.add_argument("--rate", metavar="FACTOR", type=_rate, help="speed of playback at first (default 1)")
     group.add_argument("--loop", action="store_true", default=None, help="at the end go back to where it started")
     group.add_argument("--host", metavar="ADDRESS", help="address to listen on (default 127.0.0.1: this machine only)")
-    group.add_argument(
-        "--port",
-        metavar="N",
-        type=_port,
-        help="port to listen on (default 8765; 0 takes a free one)",
-    )
+    group.add_argument("--port", metavar="N", type=_port, help="port to listen on (default 8765; 0 takes a free one)")
     return group
 
 

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from roadperc_stream.batch.backend import Backend, LocalBackend
 from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, Watch
 from roadperc_stream.batch.plan import Again
-from roadperc_stream.batch.storage.place import Place
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import BatchConfiguration, BatchJob, KeepLogs, code_digest
 from roadperc_stream.batch.worker import scratch_root
 from roadperc_stream.cli.arguments import config_of, time_range_of
@@ -58,7 +58,7 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
         keep_logs = "results" if arguments.results_only else "whole"
     return BatchJob(
         how,
-        Place(arguments.out),
+        Location(arguments.out),
         keep_logs,
         arguments.recover,
         arguments.timeout,

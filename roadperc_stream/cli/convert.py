@@ -51,24 +51,9 @@ def _parser() -> argparse.ArgumentParser:
         "--role", action="append", default=[], metavar="ROLE=PATH", help=f"roles: {', '.join(roles)}"
     )
     parser.add_argument("--carla", metavar="VERSION", help="CARLA version that wrote the tags, such as 0.9.15")
-    parser.add_argument(
-        "--fov",
-        type=_field_of_view,
-        metavar="DEGREES",
-        help="horizontal field of view",
-    )
-    parser.add_argument(
-        "--rate",
-        type=_rate,
-        metavar="HZ",
-        help="frames per second (20, or rate_hz, or timestamps)",
-    )
-    parser.add_argument(
-        "--depth",
-        choices=("mm", "float"),
-        default="mm",
-        help="written as millimetres or metres",
-    )
+    parser.add_argument("--fov", type=_field_of_view, metavar="DEGREES", help="horizontal field of view")
+    parser.add_argument("--rate", type=_rate, metavar="HZ", help="frames per second (20, or rate_hz, or timestamps)")
+    parser.add_argument("--depth", choices=("mm", "float"), default="mm", help="written as millimetres or metres")
     parser.add_argument(
         "--grey-depth",
         choices=("linear", "linear-50", "logarithmic"),

@@ -98,12 +98,7 @@ def _add_road(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--parked-rows", action="store_true", help="rows of parked cars without gaps, on both sides")
     stretch = partial(_numbers, form="FROM,TO", example="20,50")
     for name, text in (("--worn-lines", "worn down to faded remains"), ("--missing-lines", "missing")):
-        group.add_argument(
-            name,
-            type=stretch,
-            metavar="FROM,TO",
-            help=f"metres of road where markings are {text}",
-        )
+        group.add_argument(name, type=stretch, metavar="FROM,TO", help=f"metres of road where markings are {text}")
 
 
 def _add_camera(group: argparse._ArgumentGroup, defaults: Any) -> None:

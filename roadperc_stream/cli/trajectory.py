@@ -57,13 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         help="how the estimate is aligned to the truth: turned and shifted, scaled too, first pose on first pose, or "
         "not at all (default se3; sim3 where the run has no scale)",
     )
-    add(
-        "--delta",
-        metavar="N",
-        type=positive,
-        default=1.0,
-        help="how far apart the poses of a pair are (default 1)",
-    )
+    add("--delta", metavar="N", type=positive, default=1.0, help="how far apart the poses of a pair are (default 1)")
     add("--delta-unit", choices=get_args(options.DeltaUnit), default="frames", help="unit of N (default frames)")
     tum = add("--export-tum", metavar="DIR", type=Path, help="write TUM files into this folder; replaces earlier ones")
     kitti = add(

@@ -15,7 +15,7 @@ from roadperc_stream.batch import dataset_lock
 from roadperc_stream.batch.dataset_lock import LOCK, DatasetLock, LockHolder
 from roadperc_stream.batch.driver import BatchRun
 from roadperc_stream.batch.plan import Again
-from roadperc_stream.batch.storage.place import Place
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.batch.task import BatchConfiguration, BatchJob, Outcome
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import StorageError
@@ -43,7 +43,7 @@ def read(folder):
 def store(request, monkeypatch):
     monkeypatch.setattr(dataset_lock, "_SETTLES_S", 0.0)
     address = request.getfixturevalue("bucket") if request.param == "s3" else f"memory://{time.monotonic_ns()}"
-    return Place(f"{address}/out")
+    return Location(f"{address}/out")
 
 
 def test_a_second_batch_ends_with_an_error_that_names_the_first(tmp_path):
@@ -69,7 +69,7 @@ def test_a_second_batch_ends_with_an_error_that_names_the_first(tmp_path):
 
 def test_a_plan_needs_no_lock(tmp_path):
     source, out = write_log(tmp_path / "a.mcap"), tmp_path / "out"
-    with DatasetLock(Place(str(out))):
+    with DatasetLock(Location(str(out))):
         assert batch(out, source, "--dry-run").stdout.startswith(f"replay  {source}: is new\n")
 
 

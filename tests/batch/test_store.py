@@ -3,7 +3,7 @@
 import polars as pl
 import pytest
 
-from roadperc_stream.batch.storage.place import Place
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests.batch.dataset import METRICS, OBJECTS, batch, single, write_log
 from tests.object_store import BreakingProxy, environment_of
@@ -22,9 +22,9 @@ def upload(server, bucket, files):
 
 def table(server, bucket, kind, log_id, tmp_path):
     """The rows of a log, as the store has them."""
-    (file,) = (file for file in Place(f"{bucket}/out/{kind}").files(".parquet").values() if log_id in file.address)
+    (file,) = (file for file in Location(f"{bucket}/out/{kind}").files(".parquet").values() if log_id in file.address)
     copy = tmp_path / "table.parquet"
-    Place(file.address).fetch(copy)
+    Location(file.address).fetch(copy)
     return pl.read_parquet(copy).drop("config", *TIME_COLUMNS, strict=False)
 
 

@@ -23,7 +23,7 @@ class LocalFiles(LocalFileSystem):  # type: ignore[misc] # fsspec has no types
     """Files of this machine, by their absolute paths; links are followed."""
 
     def info(self, path: str, **_: Any) -> dict[str, Any]:
-        """Length and time of change in ns, as ``Place`` takes them."""
+        """Length and time of change in ns, as ``Location`` takes them."""
         facts = Path(path).stat()
         kind = "file" if stat.S_ISREG(facts.st_mode) else "other"
         return {"size": facts.st_size, "mtime": facts.st_mtime_ns, "type": kind}

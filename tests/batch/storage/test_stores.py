@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from roadperc_stream.batch.storage import place
-from roadperc_stream.batch.storage.place import Place, find_files
+from roadperc_stream.batch.storage import location
+from roadperc_stream.batch.storage.location import Location, find_files
 from roadperc_stream.errors import StorageError
 
 
@@ -18,10 +18,10 @@ def errors_of(address, tmp_path):
     for action in (
         lambda: find_files(f"{address}/*.mcap"),
         lambda: find_files(f"{address}/a.mcap"),
-        lambda: Place(f"{address}/a.mcap").fetch(tmp_path / "a.mcap"),
-        lambda: Place(address).at("a").write(b"x"),
-        lambda: Place(address).at("a").put(tmp_path / "source"),
-        lambda: Place(address).files(""),
+        lambda: Location(f"{address}/a.mcap").fetch(tmp_path / "a.mcap"),
+        lambda: Location(address).at("a").write(b"x"),
+        lambda: Location(address).at("a").put(tmp_path / "source"),
+        lambda: Location(address).files(""),
     ):
         with pytest.raises(StorageError) as caught:
             action()
@@ -32,7 +32,7 @@ def errors_of(address, tmp_path):
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
-    monkeypatch.setattr("roadperc_stream.batch.storage.place.WAITS_S", ())
+    monkeypatch.setattr("roadperc_stream.batch.storage.location.WAITS_S", ())
 
 
 def test_a_missing_bucket(bucket, tmp_path):
@@ -52,7 +52,7 @@ def test_no_keys_at_all(bucket, monkeypatch):
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     with (
         pytest.raises(StorageError, match="access denied, and no credentials in the environment"),
-        place._errors(bucket),
+        location._errors(bucket),
     ):
         raise OSError("AWS Error ACCESS_DENIED during HeadObject operation: No response body.")
 
@@ -88,7 +88,7 @@ def test_an_endpoint_that_is_none(bucket, monkeypatch):
 
 
 def test_the_endpoint_for_this_service_comes_first(bucket, s3_server, monkeypatch):
-    Place(bucket).at("a.mcap").write(b"")
+    Location(bucket).at("a.mcap").write(b"")
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     monkeypatch.setenv("AWS_ENDPOINT_URL_S3", s3_server.url)
     assert len(find_files(bucket)) == 1
@@ -109,9 +109,9 @@ def test_what_is_to_be_installed_is_said(monkeypatch):
 def test_a_process_that_used_a_store_and_forked_ends(bucket, end):
     code = f"""
 import os, sys, warnings
-from roadperc_stream.batch.storage.place import Place
+from roadperc_stream.batch.storage.location import Location
 warnings.simplefilter("ignore", DeprecationWarning)  # of newer versions of Python, where threads are there
-place = Place({bucket!r})
+place = Location({bucket!r})
 place.at("a").write(b"1")
 child = os.fork()
 if child == 0:
@@ -123,4 +123,4 @@ else:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    assert Place(bucket).at("b").read() == b"2"
+    assert Location(bucket).at("b").read() == b"2"

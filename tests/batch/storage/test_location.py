@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream.batch.storage import stores
-from roadperc_stream.batch.storage.place import Place
+from roadperc_stream.batch.storage.location import Location
 from roadperc_stream.errors import RoadpercError, StorageError
 from tests.object_store import BreakingProxy
 
@@ -24,7 +24,7 @@ NAME = "date=2024-05-01/ä b?[1]%20.parquet"
 
 
 def test_what_was_written_is_read(place):
-    folder = Place(place)
+    folder = Location(place)
     assert folder.at(NAME).read() is None
     for data in (b"first", b"", b"second"):
         folder.at(NAME).write(data)
@@ -37,7 +37,7 @@ def test_what_was_written_is_read(place):
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
 @given(name=st.lists(st.text("aä .%?*[]=+&#", min_size=1, max_size=6), min_size=1, max_size=3).map("/".join))
 def test_any_name_below_the_folder_is_its_own(place, name):
-    folder = Place(f"{place}/{uuid4().hex}")
+    folder = Location(f"{place}/{uuid4().hex}")
     assume(not {".", ".."} & set(name.split("/")))
     folder.at(name).write(name.encode())
     assert folder.at(name).read() == name.encode()
@@ -46,7 +46,7 @@ def test_any_name_below_the_folder_is_its_own(place, name):
 
 
 def test_a_file_is_moved_into_it(place, tmp_path):
-    folder, source = Place(place), tmp_path / "source"
+    folder, source = Location(place), tmp_path / "source"
     for data in (BIG, b"", b"short"):
         source.write_bytes(data)
         folder.at(NAME).put(source)
@@ -55,7 +55,7 @@ def test_a_file_is_moved_into_it(place, tmp_path):
 
 
 def test_its_files_are_listed_and_named(place):
-    folder = Place(place)
+    folder = Location(place)
     assert folder.files("") == {}
     names = ["log/a.txt", "runs.parquet", "runs/9.parquet", "runs/10.parquet"]
     for name in (*reversed(names), "runs/.part.parquet", ".x/a.parquet"):
@@ -66,14 +66,14 @@ def test_its_files_are_listed_and_named(place):
 
 
 def test_it_goes_to_other_processes(place):
-    folder = Place(place)
+    folder = Location(place)
     folder.at("a").write(b"1")
     assert pickle.loads(pickle.dumps(folder)) == folder
     assert pickle.loads(pickle.dumps(folder)).at("a").read() == b"1"
 
 
 def test_many_writers_of_one_name_leave_one_whole_file(place):
-    folder = Place(place)
+    folder = Location(place)
     texts = [bytes([k]) * 300_000 for k in range(8)]
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(lambda text: folder.at("runs.parquet").write(text), texts * 3))
@@ -93,7 +93,7 @@ def test_a_file_of_another_disk_is_copied(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "replace", refused)
     source.write_bytes(b"data")
-    Place(str(tmp_path / "out")).at("a").put(source)
+    Location(str(tmp_path / "out")).at("a").put(source)
     assert (tmp_path / "out" / "a").read_bytes() == b"data"
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
@@ -102,33 +102,33 @@ def test_what_the_disk_refuses_is_one_line(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     (tmp_path / "folder").mkdir()
     with pytest.raises(RoadpercError, match=r"file/a: (Not a directory|File exists)"):
-        Place(str(tmp_path / "file")).at("a").write(b"")
+        Location(str(tmp_path / "file")).at("a").write(b"")
     with pytest.raises(RoadpercError, match="folder: is a folder"):
-        Place(str(tmp_path)).at("folder").write(b"")
+        Location(str(tmp_path)).at("folder").write(b"")
     with pytest.raises(StorageError, match="folder: Is a directory"):
-        Place(str(tmp_path)).at("folder").read()
-    assert Place(str(tmp_path / "file")).at("a").read() is None
+        Location(str(tmp_path)).at("folder").read()
+    assert Location(str(tmp_path / "file")).at("a").read() is None
 
 
 def test_an_upload_goes_on_after_a_broken_connection(bucket, s3_server, tmp_path, monkeypatch):
     (tmp_path / "source").write_bytes(BIG)
     with BreakingProxy(s3_server.port, after_bytes=1_000_000, breaks=2) as proxy:
         monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
-        Place(bucket).at(NAME).put(tmp_path / "source")
+        Location(bucket).at(NAME).put(tmp_path / "source")
         assert proxy.breaks == 0
-        assert Place(bucket).at(NAME).read() == BIG
+        assert Location(bucket).at(NAME).read() == BIG
 
 
 def test_an_upload_that_fails_leaves_what_was_there(bucket, s3_server, tmp_path, monkeypatch):
-    monkeypatch.setattr("roadperc_stream.batch.storage.place.WAITS_S", (0.0,))
-    Place(bucket).at("a").write(b"before")
+    monkeypatch.setattr("roadperc_stream.batch.storage.location.WAITS_S", (0.0,))
+    Location(bucket).at("a").write(b"before")
     (tmp_path / "source").write_bytes(BIG)
     with BreakingProxy(s3_server.port, after_bytes=1_000_000, breaks=10**6) as proxy:
         monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
         with pytest.raises(StorageError, match=f"^{bucket}/a: .*UploadPart"):
-            Place(bucket).at("a").put(tmp_path / "source")
+            Location(bucket).at("a").put(tmp_path / "source")
     monkeypatch.setenv("AWS_ENDPOINT_URL", s3_server.url)
-    assert Place(bucket).at("a").read() == b"before"
+    assert Location(bucket).at("a").read() == b"before"
     assert (tmp_path / "source").read_bytes() == BIG
 
 
@@ -136,8 +136,8 @@ def test_an_upload_takes_memory_for_a_piece_and_not_for_the_file(bucket, tmp_pat
     code = f"""
 import resource
 from pathlib import Path
-from roadperc_stream.batch.storage.place import Place
-folder = Place({bucket!r})
+from roadperc_stream.batch.storage.location import Location
+folder = Location({bucket!r})
 folder.at("a").write(bytes(1 << 24))
 before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 folder.at("b").put(Path({str(tmp_path / "source")!r}))
@@ -156,6 +156,6 @@ def test_an_upload_that_is_interrupted_makes_no_file(bucket, tmp_path, monkeypat
     monkeypatch.setattr(stores, "pieces_of", pieces)
     (tmp_path / "source").write_bytes(BIG)
     with pytest.raises(KeyboardInterrupt):
-        Place(bucket).at("a").put(tmp_path / "source")
-    assert Place(bucket).files("") == {}
+        Location(bucket).at("a").put(tmp_path / "source")
+    assert Location(bucket).files("") == {}
     assert (tmp_path / "source").exists()

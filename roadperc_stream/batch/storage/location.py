@@ -61,7 +61,7 @@ class StoredFile:
 
 
 @dataclass(frozen=True)
-class Place:
+class Location:
     """A file or a folder that need not exist; it can be handed to other processes and machines.
 
     All methods raise a StorageError where this machine or the store refuses.
@@ -80,9 +80,9 @@ class Place:
         """Whether it is on this machine, or mounted here."""
         return not is_address(self.address)
 
-    def at(self, name: str) -> "Place":
+    def at(self, name: str) -> "Location":
         """A file or a folder below this one."""
-        return Place(f"{self.address.rstrip('/')}/{name}")
+        return Location(f"{self.address.rstrip('/')}/{name}")
 
     def file(self) -> StoredFile | None:
         """The file of this name; None for a folder, and where there is nothing."""
@@ -198,10 +198,10 @@ def find_files(pattern: str) -> list[StoredFile]:
         StorageError: nothing was found, or the place cannot be read.
     """
     address = whole(pattern)
-    if (exact := Place(address).file()) is not None:
+    if (exact := Location(address).file()) is not None:
         return [exact]
     base, parts = split_pattern(address)
-    found = list(Place(base).files(_LOG_SUFFIX, parts).values())
+    found = list(Location(base).files(_LOG_SUFFIX, parts).values())
     if not found:
         why = f"no {_LOG_SUFFIX} file has such a name" if parts else f"no such file, and no {_LOG_SUFFIX} file below it"
         raise StorageError(f"{address}: {why}")
