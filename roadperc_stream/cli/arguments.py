@@ -1,7 +1,7 @@
 """Arguments that several commands have in common."""
 
 import argparse
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -96,20 +96,9 @@ def add_serving_arguments(parser: argparse.ArgumentParser) -> argparse._Argument
     return group
 
 
-def add_playback_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of serving and ``--start``, for a command that plays a finished log."""
-    group = add_serving_arguments(parser)
-    group.add_argument("--start", metavar="SECONDS", type=seconds, help="from here, counted from the first message")
-
-
 def serving_options(arguments: argparse.Namespace) -> PlaybackOptions:
     """What ``add_serving_arguments`` read, and the defaults of the others."""
     return PlaybackOptions(**{name: getattr(arguments, name) for name in given_options(arguments)})
-
-
-def playback_options(arguments: argparse.Namespace) -> PlaybackOptions:
-    """What ``add_playback_arguments`` read, and the defaults of the others."""
-    return replace(serving_options(arguments), start_s=arguments.start or 0.0)
 
 
 def given_options(arguments: argparse.Namespace) -> list[str]:

@@ -225,7 +225,7 @@ def completing_folder(target: Path, keep: Callable[[Path], bool] = lambda _: Fal
 
 
 class PartialFile(AbstractContextManager[Any], Protocol):
-    """A file that is being written under a hidden name: it gets its own name at the end of its context, or is removed."""
+    """A file under a hidden name while it is written: the end of its context names it, or removes it after an error."""
 
     def complete(self) -> None:
         """Write what is still to be written: then nothing is left but to give the file its name."""

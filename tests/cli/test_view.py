@@ -108,9 +108,14 @@ def test_the_layout_of_a_served_log_has_the_times_that_are_served(tmp_path, monk
     if not timed:
         (tmp_path / "out.metrics.parquet").unlink()
     served, target = [], tmp_path / "layout.json"
-    monkeypatch.setattr(modes, "serve_log", lambda path, _options, *, quiet: served.append((path, quiet)))
-    assert main([str(tmp_path / "out.mcap"), "--foxglove", "--foxglove-layout", str(target), "--quiet"]) == 0
-    assert served == [(tmp_path / "out.mcap", True)]
+    monkeypatch.setattr(
+        modes, "serve_log", lambda path, options, *, quiet: served.append((path, options.start_s, quiet))
+    )
+    assert (
+        main([str(tmp_path / "out.mcap"), "--foxglove", "--foxglove-layout", str(target), "--start", "1.5", "--quiet"])
+        == 0
+    )
+    assert served == [(tmp_path / "out.mcap", 1.5, True)]
     assert ("/perception/times.total_ms" in target.read_text("utf-8")) is timed
 
 
