@@ -30,9 +30,12 @@ def whole(text: str) -> str:
     Raises:
         StorageError: it names nothing.
     """
-    if "\0" in text or not text.partition("://")[2 if is_address(text) else 0].strip("/"):
+    scheme, _, path = text.partition("://")
+    if "\0" in text or not text or (is_address(text) and not path.strip("/")):
         raise StorageError(f"{text!r}: expected the path or the address of a file or a folder")
-    return text.rstrip("/") if is_address(text) else os.path.abspath(text.removeprefix(_HERE))  # noqa: PTH100
+    if is_address(text):
+        return f"{scheme.lower()}://{path.rstrip('/')}"
+    return os.path.abspath(text.removeprefix(_HERE))  # noqa: PTH100 - pathlib's keeps what ".." stands for
 
 
 def split_pattern(address: str) -> tuple[str, Parts]:

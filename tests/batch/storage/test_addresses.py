@@ -55,6 +55,7 @@ def test_whole_addresses(tmp_path, monkeypatch):
         ("/", "/"),
         ("file:///drives/a b%20.mcap", "/drives/a b%20.mcap"),
         ("s3://bucket/a%20b?c#d//", "s3://bucket/a%20b?c#d"),
+        ("S3://bucket/", "s3://bucket"),
     ):
         assert whole(text) == address
 
